@@ -1,0 +1,3 @@
+"""Reins: runtime governance for embodied agents."""
+
+__version__ = "0.1.0"

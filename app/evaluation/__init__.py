@@ -1,0 +1,1 @@
+"""Protocols, baselines, metrics and reports that measure governance methods against each other."""
