@@ -1,0 +1,52 @@
+"""The only module that reads clocks; everything else is told the time or asks here.
+
+Wall time is for people and records (it may step), monotonic time is for durations and deadlines inside one process.
+"""
+
+from __future__ import annotations
+
+import time
+from datetime import UTC, datetime
+
+
+def wall_s() -> float:
+    """Return the wall time in seconds since 1970-01-01T00:00:00Z."""
+    return time.time()  # noqa: TID251  # the one place that may
+
+
+def monotonic_s() -> float:
+    """Return seconds on a clock that never steps back; its zero means nothing."""
+    return time.monotonic()  # noqa: TID251  # the one place that may
+
+
+def rfc3339(wall_s: float) -> str:
+    """Write a wall time as RFC 3339 in UTC with milliseconds, for instance `2026-03-01T09:30:00.250Z`.
+
+    The width is fixed, so that texts sort like the times they name.
+
+    Args:
+        wall_s: seconds since 1970-01-01T00:00:00Z; digits beyond the millisecond are cut off.
+
+    Raises:
+        ValueError: the time lies outside the years 1 to 9999, or is not finite.
+    """
+    try:
+        moment = datetime.fromtimestamp(wall_s, tz=UTC)
+    except (OverflowError, OSError, ValueError) as error:
+        raise ValueError(f"`{wall_s}` is no wall time: valid are finite seconds within the years 1 to 9999") from error
+    return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def parse_rfc3339(text: str) -> float:
+    """Read an RFC 3339 time with an offset and return seconds since 1970-01-01T00:00:00Z.
+
+    Raises:
+        ValueError: the text is no time, or names no offset (a local time means nothing on another machine).
+    """
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise ValueError(f"`{text}` is no RFC 3339 time: valid is for instance `2026-03-01T09:30:00.250Z`") from error
+    if moment.tzinfo is None:
+        raise ValueError(f"`{text}` names no offset: valid is for instance `2026-03-01T09:30:00.250Z`")
+    return moment.timestamp()
