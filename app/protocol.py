@@ -1,0 +1,220 @@
+"""What server and cell say to each other over the link: typed messages, strict on both ends.
+
+The cell dials in (`WS /v1/cells/{id}/link`). Text frames carry one JSON message each; binary frames carry telemetry rows. Everything the cell
+reports upward as an `UpEvent` bears a sequence number that never repeats for that cell; the server acknowledges the highest number that is
+durable in its log, and the cell sends again what was not acknowledged. State, beats and poses are not sequenced: only the newest matters.
+
+Link lease: the server beats every `BEAT_MS`; a cell that has heard nothing for `LEASE_MS` holds (category 2) and launches nothing until it
+has been welcomed again.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Annotated, Literal, TypeAlias
+
+import orjson
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, TypeAdapter, ValidationError
+
+LEASE_MS = 300
+BEAT_MS = 75
+STATE_MS = 100
+VERSION = 1
+
+
+class Message(BaseModel):
+    """A message of the link: unknown fields, NaN and infinities are errors."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+# -- down: server to cell ------------------------------------------------------------------------------------------------------------
+
+
+class Welcome(Message):
+    """First answer to `Hello`: the key that authorizations are signed with, the policy in force, and what the log already holds."""
+
+    type: Literal["welcome"] = "welcome"
+    version: int = VERSION
+    kernel_key: str  # base64 of the raw Ed25519 public key; a cell with a pinned key refuses another
+    policy_digest: str
+    profile: str
+    acknowledged: int
+
+
+class Policy(Message):
+    """The bundle by digest: its files as text. The cell recomputes the digest and refuses what does not match."""
+
+    type: Literal["policy"] = "policy"
+    digest: str
+    files: dict[str, str]
+
+
+class Launch(Message):
+    """A signed authorization: the exact bytes and their signature, both base64."""
+
+    type: Literal["launch"] = "launch"
+    body: str
+    signature: str
+
+
+class Human(Message):
+    """An operator's word on a running session. `resolve_*` answer an escalation the session waits on."""
+
+    type: Literal["human"] = "human"
+    invocation: str
+    op: Literal["pause", "resume", "stop", "rollback", "cancel", "confirm", "resolve_continue", "resolve_terminate"]
+    actor: str
+
+
+class Estop(Message):
+    """Emergency stop, category 0, latched."""
+
+    type: Literal["estop"] = "estop"
+    actor: str
+
+
+class Reset(Message):
+    """Leave a latched stop. Moves nothing."""
+
+    type: Literal["reset"] = "reset"
+    actor: str
+
+
+class SetProfile(Message):
+    """The environment profile changed; what runs keeps the profile it was authorized under."""
+
+    type: Literal["profile"] = "profile"
+    profile: str
+
+
+class Ack(Message):
+    """Everything up to `seq` is durable in the log."""
+
+    type: Literal["ack"] = "ack"
+    seq: int
+
+
+class Beat(Message):
+    """The link is alive."""
+
+    type: Literal["beat"] = "beat"
+
+
+Down: TypeAlias = Annotated[
+    Welcome | Policy | Launch | Human | Estop | Reset | SetProfile | Ack | Beat, Field(discriminator="type")
+]
+
+# -- up: cell to server --------------------------------------------------------------------------------------------------------------
+
+
+class Hello(Message):
+    """First word of a cell: who it is, what it holds, and what it was doing."""
+
+    type: Literal["hello"] = "hello"
+    version: int = VERSION
+    cell: str
+    boot: str
+    robot: str
+    policy_digest: str | None
+    profile: str | None
+    invocation: str | None
+    latched: bool
+    last_seq: int
+
+
+class UpEvent(Message):
+    """One thing that happened on the cell, in the log's kinds; `at_s` is the cell's wall clock, `tick` its control tick."""
+
+    type: Literal["event"] = "event"
+    seq: int
+    at_s: float
+    tick: int
+    kind: str
+    invocation: str | None
+    actor: str
+    body: dict[str, JsonValue]
+
+
+class State(Message):
+    """The cell's newest state, ten times a second and on every change."""
+
+    type: Literal["state"] = "state"
+    at_s: float
+    tick: int
+    invocation: str | None
+    status: str | None
+    latched: bool
+    holding: bool  # the lease lapsed or no welcome yet
+    policy_digest: str | None
+    profile: str | None
+    facts: dict[str, JsonValue]  # a WorldFacts as plain JSON
+    gauges: dict[str, float]  # newest watcher signals, for displays
+
+
+Up: TypeAlias = Annotated[Hello | UpEvent | State | Beat, Field(discriminator="type")]
+
+_DOWN: TypeAdapter[Down] = TypeAdapter(Down)
+_UP: TypeAdapter[Up] = TypeAdapter(Up)
+
+
+class ProtocolError(Exception):
+    """A frame that is not a message: says what and why; the link is closed."""
+
+
+def encode(message: Message) -> str:
+    """Return the message as one text frame."""
+    return orjson.dumps(message.model_dump(mode="json")).decode()
+
+
+def decode_down(frame: str | bytes) -> Down:
+    """Return the server's message. Raises `ProtocolError`."""
+    return _decode(_DOWN, frame)
+
+
+def decode_up(frame: str | bytes) -> Up:
+    """Return the cell's message. Raises `ProtocolError`."""
+    return _decode(_UP, frame)
+
+
+def _decode(adapter: TypeAdapter[Down] | TypeAdapter[Up], frame: str | bytes) -> Down | Up:
+    try:
+        return adapter.validate_json(frame)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise ProtocolError(f"bad message at `{where}`: {first['msg']}") from error
+
+
+# -- telemetry: binary frames --------------------------------------------------------------------------------------------------------
+
+CHANNELS = (
+    "time_s", "base_x_m", "base_y_m", "base_yaw_rad", "base_speed_mps", "tcp_x_m", "tcp_y_m", "tcp_z_m", "tcp_speed_mps",
+    "contact_force_n", "peak_force_n", "grip_width_m", "grip_force_n", "slip_m", "residual_nm", "separation_m",
+    "protective_separation_m", "zone_margin_m", "progress", "rate",
+    "q1_rad", "q2_rad", "q3_rad", "q4_rad", "q5_rad", "q6_rad",
+)  # fmt: skip
+"""Telemetry channels of one control tick, in order, all float32 but the first."""
+
+ROW = struct.Struct(f"<d{len(CHANNELS) - 1}f")
+HEADER = struct.Struct("<4sHH40s")
+_MAGIC = b"RTM1"
+ROWS_PER_BATCH = 20
+
+
+def pack_batch(invocation: str, rows: bytes) -> bytes:
+    """Return a binary frame of packed rows for an invocation (identifier ≤ 40 ASCII characters)."""
+    count, rest = divmod(len(rows), ROW.size)
+    if rest:
+        raise ProtocolError(f"telemetry of `{len(rows)}` bytes is not a whole number of {ROW.size}-byte rows")
+    return HEADER.pack(_MAGIC, count, ROW.size, invocation.encode("ascii")) + rows
+
+
+def unpack_batch(frame: bytes) -> tuple[str, list[tuple[float, ...]]]:
+    """Return invocation and rows of a binary frame. Raises `ProtocolError` on anything malformed."""
+    if len(frame) < HEADER.size:
+        raise ProtocolError(f"telemetry frame of `{len(frame)}` bytes is shorter than its header ({HEADER.size})")
+    magic, count, size, name = HEADER.unpack_from(frame)
+    if magic != _MAGIC or size != ROW.size or len(frame) != HEADER.size + count * size:
+        raise ProtocolError("telemetry frame does not match its header")
+    return name.rstrip(b"\0").decode("ascii"), list(ROW.iter_unpack(frame[HEADER.size :]))
