@@ -1,0 +1,73 @@
+"""What can go wrong while recording or reading the record.
+
+AuditError
+├── RecordUnavailable   nothing was acknowledged: disk full, read-only, I/O error, closed, backlog
+├── RecordDamaged       what is stored contradicts what was signed, or cannot be read as a log
+├── StoreInUse          another process holds this data directory
+├── EventMalformed      the draft cannot become canonical bytes; the caller's bug
+├── RowMalformed        the row does not fit its table; the caller's bug
+└── RowExists           a row that may be written once is there already (a used permit, a taken idempotency key)
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+class AuditError(Exception):
+    """Everything the record raises."""
+
+
+class RecordUnavailable(AuditError):
+    """The events are not known to be recorded, so nothing may move on them (design, rule 2)."""
+
+    def __init__(self, reason: str) -> None:
+        """Keep the reason as a person reads it in the health report."""
+        self.reason = reason
+        super().__init__(f"the record cannot be written: {reason}")
+
+
+class RecordDamaged(AuditError):
+    """The stored log is missing, unreadable, or contradicts its own signatures."""
+
+    def __init__(self, path: Path, problem: str) -> None:
+        """Name the file and what is wrong with it."""
+        self.path = path
+        self.problem = problem
+        super().__init__(f"`{path}`: {problem}")
+
+
+class StoreInUse(AuditError):
+    """A second writer would fork the log."""
+
+    def __init__(self, path: Path) -> None:
+        """Name the directory that is taken."""
+        self.path = path
+        super().__init__(f"`{path}` is in use by another server: valid is a data directory of its own")
+
+
+class EventMalformed(AuditError):
+    """A draft holds something that canonical JSON cannot say."""
+
+    def __init__(self, kind: str, problem: str) -> None:
+        """Name the kind of the event and what is wrong with it."""
+        self.kind = kind
+        self.problem = problem
+        super().__init__(f"an event of kind `{kind}` cannot be recorded: {problem}")
+
+
+class RowMalformed(AuditError):
+    """A row names an unknown table or column, misses a column, or holds a value of another type."""
+
+
+class RowExists(AuditError):
+    """A row to be written once exists already; the events it came with were not recorded either."""
+
+    def __init__(self, table: str, key: tuple[object, ...]) -> None:
+        """Name the table and the key that is taken."""
+        self.table = table
+        self.key = key
+        super().__init__(f"`{table}` holds a row for `{'/'.join(map(str, key))}` already")
