@@ -1,11 +1,12 @@
 """What server and cell say to each other over the link: typed messages, strict on both ends.
 
-The cell dials in (`WS /v1/cells/{id}/link`). Text frames carry one JSON message each; binary frames carry telemetry rows. Everything the cell
-reports upward as an `UpEvent` bears a sequence number that never repeats for that cell; the server acknowledges the highest number that is
-durable in its log, and the cell sends again what was not acknowledged. State, beats and poses are not sequenced: only the newest matters.
+The cell dials in (`WS /v1/cells/{id}/link`). Text frames carry one JSON message each; binary frames carry telemetry
+rows. Everything the cell reports upward as an `UpEvent` bears a sequence number that never repeats for that cell; the
+server acknowledges the highest number that is durable in its log, and the cell sends again what was not acknowledged.
+State, beats and poses are not sequenced: only the newest matters.
 
-Link lease: the server beats every `BEAT_MS`; a cell that has heard nothing for `LEASE_MS` holds (category 2) and launches nothing until it
-has been welcomed again.
+Link lease: the server beats every `BEAT_MS`; a cell that has heard nothing for `LEASE_MS` holds (category 2) and
+launches nothing until it has been welcomed again.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ class Message(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-# -- down: server to cell ------------------------------------------------------------------------------------------------------------
+# -- down: server to cell --------------------------------------------------------------------------
 
 
 class Welcome(Message):
-    """First answer to `Hello`: the key that authorizations are signed with, the policy in force, and what the log already holds."""
+    """First answer to `Hello`: the key authorizations are signed with, the policy in force, what the log holds."""
 
     type: Literal["welcome"] = "welcome"
     version: int = VERSION
@@ -105,7 +106,7 @@ Down: TypeAlias = Annotated[
     Welcome | Policy | Launch | Human | Estop | Reset | SetProfile | Ack | Beat, Field(discriminator="type")
 ]
 
-# -- up: cell to server --------------------------------------------------------------------------------------------------------------
+# -- up: cell to server ----------------------------------------------------------------------------
 
 
 class Hello(Message):
@@ -124,7 +125,7 @@ class Hello(Message):
 
 
 class UpEvent(Message):
-    """One thing that happened on the cell, in the log's kinds; `at_s` is the cell's wall clock, `tick` its control tick."""
+    """One thing that happened on the cell, in the log's kinds; `at_s` is its wall clock, `tick` its control tick."""
 
     type: Literal["event"] = "event"
     seq: int
@@ -169,28 +170,31 @@ def encode(message: Message) -> str:
 
 def decode_down(frame: str | bytes) -> Down:
     """Return the server's message. Raises `ProtocolError`."""
-    return _decode(_DOWN, frame)
+    try:
+        return _DOWN.validate_json(frame)
+    except ValidationError as error:
+        raise _refused(error) from error
 
 
 def decode_up(frame: str | bytes) -> Up:
     """Return the cell's message. Raises `ProtocolError`."""
-    return _decode(_UP, frame)
-
-
-def _decode(adapter: TypeAdapter[Down] | TypeAdapter[Up], frame: str | bytes) -> Down | Up:
     try:
-        return adapter.validate_json(frame)
+        return _UP.validate_json(frame)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise ProtocolError(f"bad message at `{where}`: {first['msg']}") from error
+        raise _refused(error) from error
 
 
-# -- telemetry: binary frames --------------------------------------------------------------------------------------------------------
+def _refused(error: ValidationError) -> ProtocolError:
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"])
+    return ProtocolError(f"bad message at `{where}`: {first['msg']}")
+
+
+# -- telemetry: binary frames ----------------------------------------------------------------------
 
 CHANNELS = (
-    "time_s", "base_x_m", "base_y_m", "base_yaw_rad", "base_speed_mps", "tcp_x_m", "tcp_y_m", "tcp_z_m", "tcp_speed_mps",
-    "contact_force_n", "peak_force_n", "grip_width_m", "grip_force_n", "slip_m", "residual_nm", "separation_m",
+    "time_s", "base_x_m", "base_y_m", "base_yaw_rad", "base_speed_mps", "tcp_x_m", "tcp_y_m", "tcp_z_m",
+    "tcp_speed_mps", "contact_force_n", "peak_force_n", "grip_width_m", "grip_force_n", "slip_m", "residual_nm", "separation_m",
     "protective_separation_m", "zone_margin_m", "progress", "rate",
     "q1_rad", "q2_rad", "q3_rad", "q4_rad", "q5_rad", "q6_rad",
 )  # fmt: skip

@@ -1,8 +1,9 @@
 """What governance asks of a robot or a simulator: the one seam between the cell and whatever moves.
 
-A substrate moves only while a `Grant` is bound, and a grant is made by `app.governance.permit.verify` alone (design, rule 1). The cell's
-runner calls, once per control tick and in this order: `skill.act` → `clamp` (governance) → `substrate.step` → `watch` (governance).
-Everything a substrate reports comes from sensors; the simulator's truth is offered apart, in its own room, for evaluation.
+A substrate moves only while a `Grant` is bound, and a grant is made by `app.governance.permit.verify` alone (design,
+rule 1). The cell's runner calls, once per control tick and in this order: `skill.act` → `clamp` (governance) →
+`substrate.step` → `watch` (governance). Everything a substrate reports comes from sensors; the simulator's truth is
+offered apart, in its own room, for evaluation.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ class Skill(Protocol):
     def act(self, observation: Observation, rate: float) -> Command:
         """Return the command for this tick.
 
-        `rate` in 0…1 scales the speed along the planned path: 0 holds in place with power kept (IEC 60204-1 category 2), 1 runs. The runner
-        ramps it; a skill must stay on its path whatever the rate does.
+        `rate` in 0…1 scales the speed along the planned path: 0 holds in place with power kept (IEC 60204-1 category
+        2), 1 runs. The runner ramps it; a skill must stay on its path whatever the rate does.
         """
         ...
 
@@ -41,8 +42,9 @@ class Substrate(Protocol):
     def bind(self, grant: Grant, capability: str, params: Mapping[str, Json], *, careful: bool = False) -> Skill:
         """Unlock the actuators for a verified grant and prepare the named capability.
 
-        `capability` and `params` are the grant's own, or those of a recovery it covers. Raises `SubstrateError` when the grant is not for this
-        cell, does not cover the capability, or the capability cannot be prepared (with the failure name, for instance `no_path`).
+        `capability` and `params` are the grant's own, or those of a recovery it covers. Raises `SubstrateError` when
+        the grant is not for this cell, does not cover the capability, or the capability cannot be prepared (with the
+        failure name, for instance `no_path`).
         """
         ...
 
@@ -55,7 +57,7 @@ class Substrate(Protocol):
         ...
 
     def step(self, command: Command) -> Observation:
-        """Apply a command for one control period and return what the sensors saw. Without a bound grant it holds instead."""
+        """Apply a command for one control period; return what the sensors saw. Without a bound grant it holds."""
         ...
 
     def observe(self) -> Observation:
@@ -63,7 +65,7 @@ class Substrate(Protocol):
         ...
 
     def stop(self, category: int) -> None:
-        """Stop by IEC 60204-1 category: 0 removes power at once (brakes), 1 removes it after the runner's controlled stop."""
+        """Stop by IEC 60204-1 category: 0 removes power at once, 1 after the runner's controlled stop."""
         ...
 
     def reset(self) -> None:
@@ -92,7 +94,7 @@ class Substrate(Protocol):
 
 
 class SubstrateError(Exception):
-    """A substrate refused or could not prepare; `failure` is a failure name recovery knows, `detail` says what and why."""
+    """A substrate refused or could not prepare; `failure` is a name recovery knows, `detail` says what and why."""
 
     def __init__(self, failure: str, detail: str) -> None:
         """Keep the facts; the message is made of them."""

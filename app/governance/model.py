@@ -1,8 +1,9 @@
 """The words of the runtime governance layer as types: what is proposed, decided, authorized, observed and recorded.
 
-Everything here is a value: frozen, comparable, free of behaviour beyond what follows from its own fields. Paper symbols stand in the
-docstrings. SI units; the name of a quantity ends in its unit. Types of the control loop (`Observation`, `Command`) are named tuples,
-because one of each is built 100 times a second; everything else is a keyword-only dataclass.
+Everything here is a value: frozen, comparable, free of behaviour beyond what follows from its own fields. Paper
+symbols stand in the docstrings. SI units; the name of a quantity ends in its unit. Types of the control loop
+(`Observation`, `Command`) are named tuples, because one of each is built 100 times a second; everything else is a
+keyword-only dataclass.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import NamedTuple, TypeAlias
 
-Json: TypeAlias = "None | bool | int | float | str | list[Json] | dict[str, Json]"
+Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
 Params: TypeAlias = Mapping[str, Json]
 Vec3: TypeAlias = tuple[float, float, float]
 Vec6: TypeAlias = tuple[float, float, float, float, float, float]
@@ -23,7 +24,7 @@ CONTROL_PERIOD_S = 0.01  # 100 Hz control over 500 Hz physics (design, section 4
 EMPTY: Mapping[str, Json] = MappingProxyType({})
 
 
-# -- names ---------------------------------------------------------------------------------------------------------------------------
+# -- names -----------------------------------------------------------------------------------------
 
 
 class Risk(StrEnum):
@@ -172,14 +173,14 @@ class EventKind(StrEnum):
     BOOT = "boot"
 
 
-# -- proposing and deciding ----------------------------------------------------------------------------------------------------------
+# -- proposing and deciding ------------------------------------------------------------------------
 
 
 class Reason(NamedTuple):
     """Why a decision fell as it did, in terms an agent can replan on.
 
-    `rule` names the determining rule (`human-shared/tcp_speed_mps`), `code` is stable and machine-readable, `remedy` says what would be
-    accepted.
+    `rule` names the determining rule (`human-shared/tcp_speed_mps`), `code` is stable and machine-readable, `remedy`
+    says what would be accepted.
     """
 
     rule: str
@@ -219,7 +220,7 @@ class AgentFacts:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObjectFact:
-    """One object as last perceived: pose in the world frame, and whether the arm can get at it from where the base stands."""
+    """One object as last perceived: position in the world frame, and whether the arm can get at it from here."""
 
     visible: bool
     reachable: bool
@@ -231,10 +232,11 @@ class ObjectFact:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorldFacts:
-    """What a cell's sensors say about its world between sessions; the part of Γ_t that pre- and postconditions speak of.
+    """What a cell's sensors say about its world: the part of Γ_t that pre- and postconditions speak of.
 
-    `base` is the estimated pose (x_m, y_m, yaw_rad), `tools` maps a tool to its state (`raised`, `pressed`, …), `inspected` maps an area to
-    the cell time at which all of it had been seen, `holding` names the object in the gripper.
+    `base` is the estimated pose (x_m, y_m, yaw_rad), `tools` maps a tool to its state (`raised`, `pressed`, …),
+    `inspected` maps an area to the cell time at which all of it had been seen, `holding` names the object in the
+    gripper.
     """
 
     stamp_s: float
@@ -255,8 +257,8 @@ class WorldFacts:
 class CellFacts:
     """The cell a proposal is aimed at, as the server knows it when it decides.
 
-    `online` is false without a fresh report inside the link's lease; `facts` is None until the first one. `busy` names the invocation that
-    has the cell.
+    `online` is false without a fresh report inside the link's lease; `facts` is None until the first one. `busy`
+    names the invocation that has the cell.
     """
 
     id: str
@@ -291,7 +293,8 @@ class Admission:
 class Verdict:
     """Result of `check`: outcome, every determining rule, and the constrained proposal.
 
-    `effective` equals the requested parameters unless modifications applied; a MODIFY cannot exist without at least one change.
+    `effective` equals the requested parameters unless modifications applied; a MODIFY cannot exist without at least
+    one change.
     """
 
     outcome: PolicyOutcome
@@ -315,16 +318,16 @@ class ApprovalNeed:
     reasons: tuple[Reason, ...]
 
 
-# -- capabilities and site -----------------------------------------------------------------------------------------------------------
+# -- capabilities and site -------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Capability:
     """C_i: a capability package as its manifest declares it.
 
-    `inputs` is a JSON Schema 2020-12 object schema whose numeric properties carry `unit`; `env_profile` maps a profile to `allowed`,
-    `guarded`, `approval-required` or `forbidden`; `rollback` names a recovery capability or is None; `recovery` marks those that only
-    governance may start.
+    `inputs` is a JSON Schema 2020-12 object schema whose numeric properties carry `unit`; `env_profile` maps a
+    profile to `allowed`, `guarded`, `approval-required` or `forbidden`; `rollback` names a recovery capability or is
+    None; `recovery` marks those that only governance may start.
     """
 
     name: str
@@ -352,7 +355,7 @@ class Zone:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """A named place to stand: pose of the base, world frame. `corridor` names the aisle that leads there, if one does."""
+    """A named place to stand: pose of the base, world frame. `corridor` names the aisle that leads there, if any."""
 
     name: str
     x_m: float
@@ -363,7 +366,7 @@ class Target:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Surface:
-    """A named horizontal surface: centre, half sizes along its own axes, height of its top, yaw, and the target to stand at."""
+    """A named horizontal surface: centre, half sizes, height of its top, yaw, and the target to stand at."""
 
     name: str
     x_m: float
@@ -438,7 +441,7 @@ class Site:
     start: str
 
 
-# -- watching ------------------------------------------------------------------------------------------------------------------------
+# -- watching --------------------------------------------------------------------------------------
 
 
 class Fix(NamedTuple):
@@ -474,10 +477,11 @@ class SensorStamps(NamedTuple):
 class Observation(NamedTuple):
     """Ω: what the sensors say in one control tick, never the simulator's truth.
 
-    Frames: `tcp_m` and `jacobian` (3 × 6, row-major, d tcp / d joint) are relative to the base; `odometry` (x_m, y_m, yaw_rad) is dead reckoning in
-    the world frame and drifts; `base_velocity` (vx, vy m/s in the base frame, wz rad/s) comes from the drives. `joint_torque_nm` is averaged
-    over the substeps; `residual_nm` is the momentum residual. `contact_force_n` is the magnitude at the wrist, compensated for gripper and
-    load, averaged over the tick; `peak_force_n` its highest substep. `slip_m` is in-hand slip since the grip closed.
+    Frames: `tcp_m` and `jacobian` (3 × 6, row-major, d tcp / d joint) are relative to the base; `odometry` (x_m, y_m,
+    yaw_rad) is dead reckoning in the world frame and drifts; `base_velocity` (vx, vy m/s in the base frame, wz rad/s)
+    comes from the drives. `joint_torque_nm` is averaged over the substeps; `residual_nm` is the momentum residual.
+    `contact_force_n` is the magnitude at the wrist, compensated for gripper and load, averaged over the tick;
+    `peak_force_n` its highest substep. `slip_m` is in-hand slip since the grip closed.
     """
 
     tick: int
@@ -503,7 +507,7 @@ class Observation(NamedTuple):
 
 
 class Command(NamedTuple):
-    """What a skill asks of the actuators for one tick: joint targets with feed-forward speed, base velocity in the base frame, grip.
+    """What a skill asks of the actuators for one tick: joint targets and speeds, base velocity (base frame), grip.
 
     `grip_force_n` > 0 closes with that force, < 0 opens, 0 lets the fingers rest.
     """
@@ -523,7 +527,7 @@ class SkillState(StrEnum):
 
 
 class SkillReport(NamedTuple):
-    """A skill's own word: phase (a name policy can `confirm_before`), progress 0…1, state, and why it failed (a failure name)."""
+    """A skill's own word: phase (policy can `confirm_before` it), progress 0…1, state, and the failure's name."""
 
     phase: str
     progress: float
@@ -545,8 +549,8 @@ class Bounds(NamedTuple):
 class Response:
     """What a watch rule does while its condition holds, when it has cleared, and when it does not clear.
 
-    `enter` and `otherwise` are interventions; `then` is what follows clearance: `resume` or `stay`. With `persist_ms` None it never
-    gives up waiting.
+    `enter` and `otherwise` are interventions; `then` is what follows clearance: `resume` or `stay`. With `persist_ms`
+    None it never gives up waiting.
     """
 
     enter: Intervention
@@ -560,9 +564,10 @@ class Response:
 class WatchRule:
     """One detector as policy configures it.
 
-    `signal` is one of the watcher's signal names (`separation_m`, `contact_force_n`, …); the condition holds when the signal is `above` /
-    `below` the threshold for `for_ms`. `threshold` is a number, or None where the detector computes it each tick
-    (`protective_separation_m`). `emits` is what the watcher says, `failure` the name recovery looks up when the response ends the attempt.
+    `signal` is one of the watcher's signal names (`separation_m`, `contact_force_n`, …); the condition holds when the
+    signal is `above` / `below` the threshold for `for_ms`. `threshold` is a number, or None where the detector
+    computes it each tick (`protective_separation_m`). `emits` is what the watcher says, `failure` the name recovery
+    looks up when the response ends the attempt.
     """
 
     id: str
@@ -618,7 +623,7 @@ class Alert(NamedTuple):
     failure: str = ""
 
 
-# -- recovering ----------------------------------------------------------------------------------------------------------------------
+# -- recovering ------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -634,7 +639,7 @@ class RecoveryRule:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecoveryPlan:
-    """What recovery may do in one session: the profile's table as it applies, with budgets counted over the whole session."""
+    """What recovery may do in one session: the profile's table as it applies, budgets counted over the session."""
 
     rules: tuple[RecoveryRule, ...]
     retry_budget: int
@@ -645,7 +650,7 @@ class RecoveryPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoveredRecovery:
-    """A recovery an authorization covers: already decided and constrained, so that the cell can recover while the server is away."""
+    """A recovery an authorization covers: decided and constrained, so that the cell can recover without the server."""
 
     strategy: Strategy
     capability: str
@@ -655,9 +660,10 @@ class CoveredRecovery:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Authorization:
-    """e_t: permission to move one cell, once, for one invocation, with exactly these parameters, under exactly this policy.
+    """e_t: permission to move one cell, once, for one invocation, with exactly these parameters, under this policy.
 
-    Times are seconds since the epoch. `confirm_before` names phases that wait for a human. `capability` may be `takeover`.
+    Times are seconds since the epoch. `confirm_before` names phases that wait for a human. `capability` may be
+    `takeover`.
     """
 
     id: str
