@@ -1,0 +1,831 @@
+"""Conditions: a CEL subset, type-checked on load, turned into Python text that a decision function inlines.
+
+    env = declare({"target": RecordType(name="target", fields={"fragile": Field(BOOL)}), "force_n": DOUBLE})
+    typed = check(parse("target.fragile && force_n > 20"), env)
+    to_python(typed, {"target": "target", "force_n": "force_n"})     # "(target['fragile'] and (force_n > 20.0))"
+
+1. **Types first.** `check` accepts only what cannot go wrong by type. `int` and `double` do not mix; a literal becomes
+   a double beside one. Quantities with different units are neither compared nor added.
+2. **Errors are never truth values.** Overflow of 64-bit integers, a double that is not finite, division by zero, an
+   index outside the list, a field that is absent: `EvaluationError`. As CEL has it, `false && error` and
+   `error && false` are `false`, `true || error` and `error || true` are `true`, every other mixture is the error.
+3. **What cannot fail costs nothing.** `check` proves, where it can, that arithmetic stays within range (`Node.reach`)
+   and that an optional field is there (`has(a.b) && a.b > 1`). What is proved is emitted bare; `typed.can_fail` says
+   whether anything is left that may raise.
+
+What the user of `to_python` guarantees, once per decision, because the emitted text does not check it again: every
+variable holds a value of its declared type (an int may stand for a double), doubles are finite, integers have 64 bits,
+numbers keep their declared `within`, required fields are there, maps hold no `None`. `conform` establishes exactly
+that; `compile_condition` calls it by itself.
+
+Docs: docs/design/expressions.md. Source: CEL language definition, restricted; design, section 5.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from functools import partial
+from types import SimpleNamespace
+from typing import Final, assert_never, cast
+
+from app.governance.errors import DeclarationError, EvaluationError, ExpressionError
+from app.governance.expression_tree import (
+    ANY,
+    BOOL,
+    DOUBLE,
+    INT,
+    OVERLOADS,
+    STRING,
+    Apply,
+    Conditional,
+    Constant,
+    Field,
+    ListOf,
+    ListType,
+    Logic,
+    MapType,
+    Overload,
+    Present,
+    Quantifier,
+    RecordType,
+    Scalar,
+    Select,
+    Syntax,
+    Tree,
+    Type,
+    Typed,
+    Variable,
+    parse,
+    require_identifier,
+    show,
+)
+
+# fmt: off
+__all__ = [
+    "ANY", "BOOL", "DOUBLE", "INT", "INTRINSICS", "MAX_QUANTIFIERS", "OVERLOADS", "STRING", "Env",
+    "Field", "ListType", "MapType", "RecordType", "check", "children", "compile_condition",
+    "conform", "declare", "parse", "references", "show", "to_python",
+]
+# fmt: on
+
+MAX_QUANTIFIERS: Final = 2
+_INT_MIN: Final = -(2**63)
+_INT_MAX: Final = 2**63 - 1
+_DOUBLE_MAX: Final = sys.float_info.max
+_SAME_UNIT: Final = frozenset({"==", "!=", "<", "<=", ">", ">=", "+", "-", "%", "in"})
+_SUMS: Final = frozenset({"+", "-", "%"})
+_SCALING: Final = frozenset({"*", "/"})
+_COUNTS: Final = frozenset({"size", ".size", "!_", ".startsWith", ".endsWith", ".contains"})
+
+
+# Variables -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Env:
+    """The variables conditions may use."""
+
+    variables: Mapping[str, Field]
+
+
+def declare(variables: Mapping[str, Type | Field]) -> Env:
+    """Declare the variables conditions may use, each by its type, or by a `Field` that adds a unit and a range.
+
+    Raises:
+        DeclarationError: A name is not usable in the language, or a variable is declared optional.
+    """
+    fields: dict[str, Field] = {}
+    for name, declared in variables.items():
+        require_identifier(name)
+        fields[name] = declared if isinstance(declared, Field) else Field(declared)
+        if not fields[name].required:
+            raise DeclarationError(name=name, message="is a variable and must be there; only fields may be optional")
+    return Env(fields)
+
+
+# Type check ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Scope:
+    """What holds at one place: the names, how many quantifiers enclose it, and what is proved to be present there."""
+
+    source: str
+    variables: Mapping[str, Field]
+    bound: Mapping[str, Field]
+    present: frozenset[Typed]
+
+    def error(self, syntax: Syntax, message: str, valid: Sequence[str] = ()) -> ExpressionError:
+        return ExpressionError(source=self.source, column=syntax.column, message=message, valid=valid)
+
+    def assuming(self, facts: frozenset[Typed]) -> _Scope:
+        return replace(self, present=self.present | facts) if facts else self
+
+
+def check(tree: Tree, env: Env, expect: Type = BOOL) -> Typed:
+    """Give every node its type, or say what is wrong.
+
+    Args:
+        tree: What `parse` yielded.
+        env: The variables.
+        expect: The type the whole must have; conditions are bool.
+
+    Raises:
+        ExpressionError: Unknown name, type or unit that does not fit, literal out of range, too many quantifiers.
+    """
+    scope = _Scope(tree.source, env.variables, {}, frozenset())
+    typed = _check(tree.root, scope)
+    if typed.type != expect and expect is DOUBLE:
+        typed = _promote(typed)
+    if typed.type != expect:
+        raise scope.error(tree.root, f"expected a {show(expect)}, this is a {show(typed.type)}")
+    return typed
+
+
+def _check(syntax: Syntax, scope: _Scope) -> Typed:
+    return _RULES[syntax.kind](syntax, scope)
+
+
+def _nearest(name: str, known: Sequence[str]) -> list[str]:
+    near = get_close_matches(name, known, n=3, cutoff=0.5)
+    return [*near, *(other for other in sorted(known) if other not in near)]
+
+
+def _literal(syntax: Syntax, scope: _Scope) -> Typed:
+    match syntax.value:
+        case bool() as value:
+            return Constant(type=BOOL, value=value, column=syntax.column)
+        case str() as value:
+            return Constant(type=STRING, value=value, column=syntax.column)
+        case int() as value if _INT_MIN <= value <= _INT_MAX:
+            return Constant(type=INT, value=value, reach=abs(value), column=syntax.column)
+        case float() as value if math.isfinite(value):
+            return Constant(type=DOUBLE, value=value, reach=abs(value), column=syntax.column)
+        case _:
+            raise scope.error(syntax, "number out of range; an int has 64 bits, a double is finite")
+
+
+def _name(syntax: Syntax, scope: _Scope) -> Typed:
+    name = str(syntax.value)
+    declared = scope.bound.get(name) or scope.variables.get(name)
+    if declared is None:
+        known = [*scope.bound, *scope.variables]
+        raise scope.error(syntax, f"unknown variable `{name}`", _nearest(name, known))
+    reach = _reach_of(declared)
+    return Variable(
+        type=declared.type, unit=declared.unit, reach=reach, column=syntax.column, name=name, bound=name in scope.bound
+    )
+
+
+def _reach_of(declared: Field) -> float:
+    """Largest magnitude of a number of this type, or of the numbers in this list or map."""
+    held = declared.type
+    while isinstance(held, (ListType, MapType)):
+        held = held.element if isinstance(held, ListType) else held.value
+    within = math.inf if declared.within is None else declared.within
+    if held is INT:
+        return math.floor(min(within, -_INT_MIN))
+    return float(min(_DOUBLE_MAX, within)) if held is DOUBLE else 0
+
+
+def _select(syntax: Syntax, scope: _Scope) -> Typed:
+    record, name = _check(syntax.parts[0], scope), str(syntax.value)
+    match record.type:
+        case RecordType(fields=fields) if name in fields:
+            declared = fields[name]
+        case RecordType(name=owner, fields=fields):
+            raise scope.error(syntax, f"`{owner}` has no field `{name}`", _nearest(name, list(fields)))
+        case MapType():
+            key = Constant(type=STRING, value=name, column=syntax.column)
+            return _apply("[", (record, key), syntax, scope)
+        case other:
+            raise scope.error(syntax, f"a {show(other)} has no field `{name}`")
+    found = Select(
+        type=declared.type,
+        unit=declared.unit,
+        reach=_reach_of(declared),
+        column=syntax.column,
+        record=record,
+        name=name,
+    )
+    checked = not declared.required and found not in scope.present
+    return replace(found, checked=checked, can_fail=checked or record.can_fail)
+
+
+def _has(syntax: Syntax, scope: _Scope) -> Typed:
+    if len(syntax.parts) != 1 or syntax.parts[0].kind != "select":
+        raise scope.error(syntax, "`has` takes one field", ("has(record.field)",))
+    inner = syntax.parts[0]
+    selected = _select(inner, scope)
+    if not isinstance(selected, Select):  # a map: `has(m.k)` is `"k" in m`
+        return _apply("in", children(selected)[::-1], syntax, scope)
+    return Present(type=BOOL, can_fail=selected.record.can_fail, column=syntax.column, select=selected)
+
+
+def _call(syntax: Syntax, scope: _Scope) -> Typed:
+    symbol, parts = str(syntax.value), syntax.parts
+    if symbol == "has":
+        return _has(syntax, scope)
+    if symbol not in OVERLOADS:
+        functions = [name for name in OVERLOADS if name.isalpha() and name != "in"]
+        raise scope.error(syntax, f"unknown function `{symbol}`", _nearest(symbol, [*functions, "has"]))
+    literal = parts[0].value if parts and parts[0].kind == "literal" else None
+    if symbol == "-_" and isinstance(literal, (int, float)) and not isinstance(literal, bool):
+        return _literal(replace(syntax, value=-literal), scope)
+    return _apply(symbol, tuple(_check(part, scope) for part in parts), syntax, scope)
+
+
+def _method(syntax: Syntax, scope: _Scope) -> Typed:
+    symbol = f".{syntax.value}"
+    if syntax.value in ("exists", "all"):
+        return _quantifier(syntax, scope)
+    if symbol not in OVERLOADS:
+        methods = ["exists", "all", *(name[1:] for name in OVERLOADS if name.startswith("."))]
+        raise scope.error(syntax, f"unknown method `{syntax.value}`", _nearest(str(syntax.value), methods))
+    return _apply(symbol, tuple(_check(part, scope) for part in syntax.parts), syntax, scope)
+
+
+def _apply(symbol: str, args: tuple[Typed, ...], syntax: Syntax, scope: _Scope) -> Typed:
+    for attempt in (args, tuple(_promote(arg) for arg in args)):
+        for overload in OVERLOADS[symbol]:
+            found: dict[str, Type] = {}
+            if len(attempt) == len(overload.params) and all(
+                _fits(param, arg.type, found) for param, arg in zip(overload.params, attempt, strict=True)
+            ):
+                result = found["any"] if overload.result is ANY else overload.result
+                return _applied(symbol, overload, result, attempt, syntax, scope)
+    given = " and ".join(show(arg.type) for arg in args) or "nothing"
+    takes = [" and ".join(show(param) for param in overload.params) for overload in OVERLOADS[symbol]]
+    mixed = "; `double(…)` converts an int" if {INT, DOUBLE} <= {arg.type for arg in args} else ""
+    raise scope.error(syntax, f"`{symbol.strip('_.')}` does not take {given}{mixed}", takes)
+
+
+def _fits(param: Type, given: Type, found: dict[str, Type]) -> bool:
+    if param is ANY:
+        return found.setdefault("any", given) == given
+    match param, given:
+        case (ListType(inner), ListType(other)) | (MapType(inner), MapType(other)):
+            return _fits(inner, other, found)
+        case _:
+            return param == given
+
+
+def _promote(node: Typed) -> Typed:
+    """An int literal, or a list of them, as doubles, where nothing is lost by it."""
+    match node:
+        case Constant(type=Scalar.INT, value=int() as value) if float(value) == value:
+            return replace(node, type=DOUBLE, value=float(value), reach=abs(float(value)))
+        case ListOf(elements=elements):
+            promoted = tuple(_promote(element) for element in elements)
+            fits = all(element.type is DOUBLE for element in promoted)
+            return replace(node, type=ListType(DOUBLE), elements=promoted) if fits else node
+        case _:
+            return node
+
+
+def _applied(
+    symbol: str, overload: Overload, result: Type, args: tuple[Typed, ...], syntax: Syntax, scope: _Scope
+) -> Typed:
+    reach = _REACH[overload.name](args) if overload.name in _REACH else 0
+    node = Apply(
+        type=result,
+        unit=_unit(symbol, args, syntax, scope),
+        reach=min(reach, -_INT_MIN) if result is INT else min(reach, _DOUBLE_MAX),
+        column=syntax.column,
+        overload=overload.name,
+        args=args,
+    )
+    proved = node in scope.present if overload.result is ANY else reach <= (_INT_MAX if result is INT else _DOUBLE_MAX)
+    checked = bool(overload.checked) and not proved
+    return replace(node, checked=checked, can_fail=checked or any(arg.can_fail for arg in args))
+
+
+def _sum_reach(args: tuple[Typed, ...]) -> float:
+    return args[0].reach + args[1].reach
+
+
+def _product_reach(args: tuple[Typed, ...]) -> float:
+    return args[0].reach * args[1].reach
+
+
+def _quotient_reach(args: tuple[Typed, ...]) -> float:
+    left, right = args
+    if not isinstance(right, Constant) or not right.reach:
+        return math.inf
+    return left.reach / right.reach if right.type is DOUBLE else left.reach // right.reach
+
+
+def _remainder_reach(args: tuple[Typed, ...]) -> float:
+    left, right = args
+    if not isinstance(right, Constant) or not right.reach:
+        return math.inf
+    return left.reach if right.reach == 1 else right.reach - 1
+
+
+def _same_reach(args: tuple[Typed, ...]) -> float:
+    return args[0].reach
+
+
+# Largest magnitude a result can have before the check; beyond the type's range means the check is needed. Doubles round
+# monotonically, so that computing with the magnitudes bounds every computation with the values.
+_REACH: Final[Mapping[str, Callable[[tuple[Typed, ...]], float]]] = {
+    "add_int": _sum_reach,
+    "add_double": _sum_reach,
+    "subtract_int": _sum_reach,
+    "subtract_double": _sum_reach,
+    "multiply_int": _product_reach,
+    "multiply_double": _product_reach,
+    "divide_int": _quotient_reach,
+    "divide_double": _quotient_reach,
+    "remainder_int": _remainder_reach,
+    "negate_int": _same_reach,
+    "negate_double": _same_reach,
+    "element": _same_reach,
+    "entry": _same_reach,
+    "double_double": _same_reach,
+    "double_int": lambda args: float(args[0].reach),
+    "int_int": _same_reach,
+    "int_double": lambda args: math.floor(args[0].reach),
+    "size": lambda _: _INT_MAX,
+}
+
+
+def _unit(symbol: str, args: tuple[Typed, ...], syntax: Syntax, scope: _Scope) -> str | None:
+    """Unit of a result. Units are names, not algebra: a product of two quantities has no known one."""
+    if symbol in _SAME_UNIT:
+        unit = _common_unit(args, syntax, scope)
+        return unit if symbol in _SUMS else None
+    if symbol == "*" and isinstance(args[0], Constant):
+        return args[1].unit
+    if symbol in _SCALING and not isinstance(args[1], Constant):
+        return None
+    return None if symbol in _COUNTS else args[0].unit
+
+
+def _common_unit(nodes: Sequence[Typed], syntax: Syntax, scope: _Scope) -> str | None:
+    units = dict.fromkeys(node.unit for node in nodes if node.unit is not None)
+    if len(units) > 1:
+        raise scope.error(syntax, "units differ: " + " and ".join(f"`{unit}`" for unit in units))
+    return next(iter(units), None)
+
+
+def _common_type(nodes: tuple[Typed, ...], syntax: Syntax, scope: _Scope) -> tuple[Typed, ...]:
+    """The same nodes, literals promoted where that makes their types one."""
+    for attempt in (nodes, tuple(_promote(node) for node in nodes)):
+        if all(node.type == attempt[0].type for node in attempt):
+            return attempt
+    raise scope.error(syntax, "types differ: " + " and ".join(dict.fromkeys(show(node.type) for node in nodes)))
+
+
+def _list(syntax: Syntax, scope: _Scope) -> Typed:
+    if not syntax.parts:
+        raise scope.error(syntax, "an empty list literal has no element type")
+    elements = _common_type(tuple(_check(part, scope) for part in syntax.parts), syntax, scope)
+    return ListOf(
+        type=ListType(elements[0].type),
+        unit=_common_unit(elements, syntax, scope),
+        reach=max(element.reach for element in elements),
+        can_fail=any(element.can_fail for element in elements),
+        column=syntax.column,
+        elements=elements,
+    )
+
+
+def _logic(syntax: Syntax, scope: _Scope) -> Typed:
+    conjunction = syntax.value == "&&"
+    operands: list[Typed] = []
+    for part in syntax.parts:
+        operand = _bool(part, scope)
+        operands.append(operand)
+        scope = scope.assuming(_facts(operand, conjunction))
+    return Logic(
+        type=BOOL,
+        can_fail=any(operand.can_fail for operand in operands),
+        column=syntax.column,
+        conjunction=conjunction,
+        operands=tuple(operands),
+    )
+
+
+def _bool(syntax: Syntax, scope: _Scope) -> Typed:
+    typed = _check(syntax, scope)
+    if typed.type is not BOOL:
+        raise scope.error(syntax, f"expected a bool, this is a {show(typed.type)}")
+    return typed
+
+
+def _facts(node: Typed, truth: bool) -> frozenset[Typed]:
+    """Which accesses cannot fail once `node` has turned out as `truth`, or as an error.
+
+    An operand that errors does not end a conjunction, so that only tests that cannot fail themselves prove anything.
+    """
+    match node:
+        case Present(select=select, can_fail=False) if truth:
+            return frozenset({select})
+        case Apply(overload="in_map", args=(key, held), can_fail=False) if truth and isinstance(held.type, MapType):
+            return frozenset({Apply(type=held.type.value, unit=held.unit, overload="entry", args=(held, key))})
+        case Apply(overload="not", args=(inner,)):
+            return _facts(inner, not truth)
+        case Logic(conjunction=conjunction, operands=operands) if conjunction == truth:
+            return frozenset[Typed]().union(*(_facts(operand, truth) for operand in operands))
+        case _:
+            return frozenset()
+
+
+def _conditional(syntax: Syntax, scope: _Scope) -> Typed:
+    condition = _bool(syntax.parts[0], scope)
+    branches = tuple(
+        _check(part, scope.assuming(_facts(condition, truth)))
+        for part, truth in zip(syntax.parts[1:], (True, False), strict=True)
+    )
+    then, otherwise = _common_type(branches, syntax, scope)
+    return Conditional(
+        type=then.type,
+        unit=_common_unit(branches, syntax, scope),
+        reach=max(then.reach, otherwise.reach),
+        can_fail=condition.can_fail or then.can_fail or otherwise.can_fail,
+        column=syntax.column,
+        condition=condition,
+        then=then,
+        otherwise=otherwise,
+    )
+
+
+def _quantifier(syntax: Syntax, scope: _Scope) -> Typed:
+    if len(syntax.parts) != 3 or syntax.parts[1].kind != "name":  # receiver, variable, predicate
+        usage = f"list.{syntax.value}(x, condition on x)"
+        raise scope.error(syntax, f"`{syntax.value}` takes a variable and a condition", (usage,))
+    domain, variable = _check(syntax.parts[0], scope), str(syntax.parts[1].value)
+    if variable in scope.bound or variable in scope.variables:
+        raise scope.error(syntax.parts[1], f"`{variable}` is already a variable; choose another name")
+    if len(scope.bound) == MAX_QUANTIFIERS:
+        raise scope.error(syntax, f"more than {MAX_QUANTIFIERS} quantifiers inside one another")
+    match domain.type:
+        case ListType(element):
+            held = Field(element, unit=domain.unit, within=domain.reach)
+        case MapType():
+            held = Field(STRING)
+        case other:
+            raise scope.error(syntax, f"`{syntax.value}` needs a list or a map, this is a {show(other)}")
+    predicate = _bool(syntax.parts[2], replace(scope, bound={**scope.bound, variable: held}))
+    return Quantifier(
+        type=BOOL,
+        can_fail=domain.can_fail or predicate.can_fail,
+        column=syntax.column,
+        universal=syntax.value == "all",
+        variable=variable,
+        domain=domain,
+        predicate=predicate,
+    )
+
+
+_RULES: Final[Mapping[str, Callable[[Syntax, _Scope], Typed]]] = {
+    "literal": _literal,
+    "name": _name,
+    "select": _select,
+    "call": _call,
+    "method": _method,
+    "logic": _logic,
+    "conditional": _conditional,
+    "list": _list,
+}
+
+
+# Reading a typed tree ------------------------------------------------------------------------------------------------
+
+
+def children(typed: Typed) -> tuple[Typed, ...]:
+    """The nodes directly below, in source order."""
+    match typed:
+        case Constant() | Variable():
+            return ()
+        case Select(record=only) | Present(select=only):
+            return (only,)
+        case Apply(args=parts) | Logic(operands=parts) | ListOf(elements=parts):
+            return parts
+        case Conditional():
+            return (typed.condition, typed.then, typed.otherwise)
+        case Quantifier():
+            return (typed.domain, typed.predicate)
+        case _:
+            assert_never(typed)
+
+
+def references(typed: Typed) -> Mapping[str, Typed]:
+    """What the expression reads, by dotted path as far as records go: `target.fragile`, not `target`."""
+    path = _path(typed)
+    if path is not None:
+        return {path: typed}
+    found: dict[str, Typed] = {}
+    for child in children(typed):
+        found.update(references(child))
+    return found
+
+
+def _path(node: Typed) -> str | None:
+    match node:
+        case Variable(name=name, bound=False):
+            return name
+        case Select(record=record, name=name):
+            above = _path(record)
+            return None if above is None else f"{above}.{name}"
+        case _:
+            return None
+
+
+# Python text ---------------------------------------------------------------------------------------------------------
+
+
+def to_python(typed: Typed, names: Mapping[str, str]) -> str:
+    """Emit the expression as the text of one Python expression.
+
+    It needs `INTRINSICS` in its globals and no builtins. Nothing of the source gets into it but constants by `repr`,
+    identifiers of declared fields, and the rows of `OVERLOADS`.
+
+    Args:
+        typed: What `check` yielded.
+        names: Python text that reads a variable (`target`), or a field of one by its dotted path (`target.fragile`),
+            for instance a local that was read before. Text for an optional field yields `None` where it is absent.
+
+    Raises:
+        DeclarationError: A variable has no text in `names`.
+    """
+    match typed:
+        case Constant():
+            return repr(typed.value)
+        case Variable():
+            return _accessor(typed.name, names)
+        case ListOf():
+            return f"({', '.join(to_python(element, names) for element in typed.elements)},)"
+        case Apply():
+            row = _TEXT[typed.overload]
+            return (row.checked if typed.checked else row.bare).format(*(to_python(arg, names) for arg in typed.args))
+        case Select():
+            return _emit_select(typed, names)
+        case _:
+            return _emit_control(typed, names)
+
+
+_TEXT: Final = {overload.name: overload for overloads in OVERLOADS.values() for overload in overloads}
+
+
+def _accessor(name: str, names: Mapping[str, str]) -> str:
+    if name not in names:
+        raise DeclarationError(name=name, message="has no Python text to read it by")
+    return names[name]
+
+
+def _emit_select(typed: Select, names: Mapping[str, str]) -> str:
+    if typed.checked:
+        return f"_cel_present({_emit_maybe(typed, names)}, {(_path(typed) or typed.name)!r})"
+    path = _path(typed)
+    if path is not None and path in names:
+        return names[path]
+    record = to_python(typed.record, names)
+    return f"{record}.{typed.name}" if _has_attributes(typed) else f"{record}[{typed.name!r}]"
+
+
+def _emit_maybe(typed: Select, names: Mapping[str, str]) -> str:
+    """The field's value, `None` where it is absent."""
+    path = _path(typed)
+    if path is not None and path in names:
+        return names[path]
+    record = to_python(typed.record, names)
+    return f"{record}.{typed.name}" if _has_attributes(typed) else f"{record}.get({typed.name!r})"
+
+
+def _has_attributes(typed: Select) -> bool:
+    return isinstance(typed.record.type, RecordType) and typed.record.type.attributes
+
+
+def _emit_control(typed: Present | Logic | Conditional | Quantifier, names: Mapping[str, str]) -> str:
+    match typed:
+        case Present():
+            return f"({_emit_maybe(typed.select, names)} is not None)"
+        case Logic():
+            return _emit_logic(typed, names)
+        case Conditional():
+            condition, then, otherwise = (to_python(part, names) for part in children(typed))
+            return f"({then} if {condition} else {otherwise})"
+        case Quantifier():
+            return _emit_quantifier(typed, names)
+        case _:
+            assert_never(typed)
+
+
+def _emit_logic(typed: Logic, names: Mapping[str, str]) -> str:
+    """Plain `and`/`or` up to the first operand that may fail; from there on an error must not hide what decides."""
+    texts = [to_python(operand, names) for operand in typed.operands]
+    failing = [index for index, operand in enumerate(typed.operands) if operand.can_fail]
+    if failing and failing[0] < len(texts) - 1:
+        rest = ", ".join(f"lambda: {text}" for text in texts[failing[0] :])
+        texts[failing[0] :] = [f"_cel_decide({not typed.conjunction}, ({rest}))"]
+    return f"({(' and ' if typed.conjunction else ' or ').join(texts)})"
+
+
+def _emit_quantifier(typed: Quantifier, names: Mapping[str, str]) -> str:
+    variable = f"_cel_{typed.variable}_"  # the trailing underscore keeps it apart from every intrinsic
+    domain = to_python(typed.domain, names)
+    predicate = to_python(typed.predicate, {**names, typed.variable: variable})
+    if typed.predicate.can_fail:
+        return f"_cel_search({not typed.universal}, lambda {variable}: {predicate}, {domain})"
+    return f"{'all' if typed.universal else 'any'}({predicate} for {variable} in {domain})"
+
+
+# What the text calls -------------------------------------------------------------------------------------------------
+
+
+def _int(value: int) -> int:
+    if _INT_MIN <= value <= _INT_MAX:
+        return value
+    raise EvaluationError("overflow", f"`{value}` does not fit 64 bits")
+
+
+def _finite(value: float) -> float:
+    if -_DOUBLE_MAX <= value <= _DOUBLE_MAX:  # false for nan
+        return value
+    raise EvaluationError("not_finite", f"`{value}` is not a finite number")
+
+
+def _divide(dividend: float, divisor: float) -> float:
+    if divisor:
+        return _finite(dividend / divisor)
+    raise EvaluationError("division_by_zero", f"`{dividend}` divided by zero")
+
+
+def _quotient(dividend: int, divisor: int) -> int:
+    if not divisor:
+        raise EvaluationError("division_by_zero", f"`{dividend}` divided by zero")
+    magnitude = abs(dividend) // abs(divisor)
+    return _int(magnitude if (dividend < 0) == (divisor < 0) else -magnitude)
+
+
+def _remainder(dividend: int, divisor: int) -> int:
+    return dividend - divisor * _quotient(dividend, divisor)
+
+
+def _truncate(value: float) -> int:
+    return _int(int(value))
+
+
+def _element(held: Sequence[object], index: int) -> object:
+    if 0 <= index < len(held):
+        return held[index]
+    raise EvaluationError("index_out_of_range", f"`{index}` in a list of {len(held)}")
+
+
+def _entry(held: Mapping[str, object], key: str) -> object:
+    return _present(held.get(key), key)
+
+
+def _present(value: object, path: str) -> object:
+    if value is None:
+        raise EvaluationError("absent", f"`{path}` is absent")
+    return value
+
+
+def _decide(decisive: bool, operands: Iterable[Callable[[], bool]]) -> bool:
+    """CEL's commutative logic: `decisive` if any operand is, else the first error, else the opposite."""
+    error: EvaluationError | None = None
+    for operand in operands:
+        try:
+            if operand() is decisive:
+                return decisive
+        except EvaluationError as raised:
+            error = error or raised
+    if error:
+        raise error
+    return not decisive
+
+
+def _search(decisive: bool, predicate: Callable[[object], bool], domain: Iterable[object]) -> bool:
+    return _decide(decisive, (partial(predicate, item) for item in domain))
+
+
+INTRINSICS: Final[Mapping[str, object]] = {
+    "_cel_int": _int,
+    "_cel_finite": _finite,
+    "_cel_divide": _divide,
+    "_cel_quotient": _quotient,
+    "_cel_remainder": _remainder,
+    "_cel_truncate": _truncate,
+    "_cel_element": _element,
+    "_cel_entry": _entry,
+    "_cel_present": _present,
+    "_cel_decide": _decide,
+    "_cel_search": _search,
+    **{builtin.__name__: builtin for builtin in (all, any, float, int, len, tuple)},
+}
+
+
+# Stand-alone use -----------------------------------------------------------------------------------------------------
+
+
+def compile_condition(typed: Typed) -> Callable[[Mapping[str, object]], bool]:
+    """Compile a condition into a function of its variables' values, which it checks itself.
+
+    The function raises `EvaluationError` where a variable is missing, a value is not of its declared type, or the
+    evaluation fails; variables the condition does not read are not looked at.
+
+    Raises:
+        DeclarationError: The expression is not a bool.
+    """
+    if typed.type is not BOOL:
+        raise DeclarationError(name=show(typed.type), message="is not the type of a condition; valid: `bool`")
+    fields = {node.name: Field(node.type, within=node.reach) for node in _free_variables(typed)}
+    text = f"lambda values: {to_python(typed, {name: f'values[{name!r}]' for name in fields})}"
+    evaluate: Callable[[Mapping[str, object]], bool] = eval(text, {"__builtins__": {}, **INTRINSICS})  # noqa: S307  # emitted above, from a checked tree
+
+    def condition(values: Mapping[str, object]) -> bool:
+        for name in fields:
+            if name not in values:
+                raise EvaluationError("unknown_variable", f"`{name}` has no value")
+        return evaluate({name: conform(values[name], declared, name) for name, declared in fields.items()})
+
+    return condition
+
+
+def _free_variables(typed: Typed) -> Iterator[Variable]:
+    if isinstance(typed, Variable) and not typed.bound:
+        yield typed
+    for child in children(typed):
+        yield from _free_variables(child)
+
+
+def conform(value: object, declared: Field, path: str) -> object:
+    """Bring a value into the form emitted text relies on: exact types, finite, in range, nothing undeclared, no `None`.
+
+    Lists become tuples, an integer where a double is declared becomes one, records become fresh dicts (or namespaces).
+
+    Args:
+        value: Anything.
+        declared: What it is declared to be.
+        path: How errors call it.
+
+    Raises:
+        EvaluationError: It is not a value of the declared type.
+    """
+    match declared.type:
+        case Scalar():
+            return _conform_scalar(value, declared, path)
+        case ListType(element) if isinstance(value, (list, tuple)):
+            items = cast("Sequence[object]", value)
+            return tuple(conform(item, replace(declared, type=element), f"{path}[{i}]") for i, item in enumerate(items))
+        case MapType(held) if isinstance(value, Mapping):
+            return _conform_map(cast("Mapping[object, object]", value), replace(declared, type=held), path)
+        case RecordType() as record if record.attributes:
+            return SimpleNamespace(**_conform_fields(lambda name: getattr(value, name, None), record, path))
+        case RecordType() as record if isinstance(value, Mapping):
+            return _conform_fields(cast("Mapping[str, object]", value).get, record, path)
+        case other:
+            raise _wrong_type(value, other, path)
+
+
+_PYTHON_TYPES: Final[Mapping[Scalar, tuple[type, ...]]] = {
+    BOOL: (bool,),
+    INT: (int,),
+    DOUBLE: (float, int),
+    STRING: (str,),
+}
+
+
+def _conform_scalar(value: object, declared: Field, path: str) -> object:
+    held = cast("Scalar", declared.type)
+    if not isinstance(value, _PYTHON_TYPES[held]) or isinstance(value, bool) is not (held is BOOL):
+        raise _wrong_type(value, held, path)
+    if held not in (INT, DOUBLE):
+        return value
+    number = cast("float", value)
+    checked = _int(cast("int", number)) if held is INT else float(_finite(number))
+    if declared.within is not None and abs(checked) > declared.within:
+        raise EvaluationError("out_of_range", f"`{path}` is {checked}; at most {declared.within} in magnitude")
+    return checked
+
+
+def _conform_map(value: Mapping[object, object], declared: Field, path: str) -> dict[str, object]:
+    for key in value:
+        if not isinstance(key, str):
+            raise _wrong_type(key, STRING, f"key of {path}")
+    entries = cast("Mapping[str, object]", value).items()
+    return {key: conform(item, declared, f"{path}[{key!r}]") for key, item in entries if item is not None}
+
+
+def _conform_fields(read: Callable[[str], object], record: RecordType, path: str) -> dict[str, object]:
+    found: dict[str, object] = {}
+    for name, declared in record.fields.items():
+        value = read(name)
+        if value is not None:
+            found[name] = conform(value, declared, f"{path}.{name}")
+        elif declared.required:
+            raise EvaluationError("absent", f"`{path}.{name}` is absent and required")
+        elif record.attributes:
+            found[name] = None
+    return found
+
+
+def _wrong_type(value: object, expected: Type, path: str) -> EvaluationError:
+    return EvaluationError("wrong_type", f"`{path}` is a {type(value).__name__}, not a {show(expected)}")

@@ -1,0 +1,543 @@
+"""The words of a condition: types, the syntax tree that `parse` yields, the typed tree that `check` yields.
+
+```
+source ──parse──▶ Syntax ──expression.check──▶ Typed ──expression.to_python──▶ Python text
+                  (one shape, untyped)         (nine shapes, every node typed; anything else that
+                                                reads conditions, a prover for instance, starts here)
+```
+
+The language is a subset of CEL (docs/design/expressions.md). `parse` bounds what it takes: `MAX_SOURCE` characters,
+`MAX_DEPTH` levels of nesting. Chains of `&&` and `||` count as one level, however long.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import cache
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
+
+from lark import Lark, Token, Transformer
+from lark.exceptions import UnexpectedInput
+
+from app.governance.errors import DeclarationError, ExpressionError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+MAX_SOURCE: Final = 4096
+MAX_DEPTH: Final = 32
+# fmt: off
+RESERVED: Final = frozenset({
+    "as", "break", "const", "continue", "else", "false", "for", "function", "if", "import", "in", "let", "loop",
+    "namespace", "null", "package", "return", "true", "var", "void", "while",
+})
+# fmt: on
+_IDENTIFIER: Final = re.compile(r"[a-zA-Z][a-zA-Z0-9_]*", re.ASCII)
+
+
+# Types ---------------------------------------------------------------------------------------------------------------
+
+
+class Scalar(Enum):
+    """The four scalar types: `int` is 64 bits, `double` is finite."""
+
+    BOOL = "bool"
+    INT = "int"
+    DOUBLE = "double"
+    STRING = "string"
+
+
+BOOL, INT, DOUBLE, STRING = Scalar.BOOL, Scalar.INT, Scalar.DOUBLE, Scalar.STRING
+
+
+@dataclass(frozen=True, slots=True)
+class ListType:
+    """A list of equal elements."""
+
+    element: Type
+
+
+@dataclass(frozen=True, slots=True)
+class MapType:
+    """A map from strings to equal values."""
+
+    value: Type
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordType:
+    """Named fields. Values are mappings, or objects with attributes; a field that is missing or `None` is absent.
+
+    Raises:
+        DeclarationError: A field's name is not an identifier of the language.
+    """
+
+    name: str
+    fields: Mapping[str, Field] = field(hash=False)
+    attributes: bool = False
+
+    def __post_init__(self) -> None:
+        """Names end up in generated code: let nothing but plain identifiers through."""
+        for name in self.fields:
+            require_identifier(name)
+
+
+Type: TypeAlias = Scalar | ListType | MapType | RecordType
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """What is known of a variable or of a record's field.
+
+    Attributes:
+        type: Its type.
+        required: Whether it is always there; variables are.
+        unit: Unit of the number, or of the numbers in the list or map; `None` matches every unit.
+        within: Largest magnitude these numbers have. Arithmetic that cannot leave the range then needs no check.
+    """
+
+    type: Type
+    required: bool = True
+    unit: str | None = None
+    within: float | None = None
+
+
+def require_identifier(name: str) -> None:
+    """Refuse a name the grammar cannot spell.
+
+    Raises:
+        DeclarationError: It is not an identifier, begins with an underscore, or is reserved.
+    """
+    if not _IDENTIFIER.fullmatch(name) or name in RESERVED:
+        raise DeclarationError(name=name, message="is not a usable name: letters, digits, `_`, not a reserved word")
+
+
+def show(type_: Type) -> str:
+    """Spell a type as the messages do, `list<double>` for instance."""
+    match type_:
+        case Scalar():
+            return type_.value
+        case ListType(element):
+            return f"list<{show(element)}>"
+        case MapType(value):
+            return f"map<string, {show(value)}>"
+        case RecordType():
+            return type_.name
+
+
+# The typed tree ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Node:
+    """What every typed node knows.
+
+    Two nodes are equal when they mean the same: where they stand and what was proved about them does not count.
+
+    Attributes:
+        type: Type of the value.
+        unit: Unit of the value (of what a list or map holds) where it is known; `None` matches every unit.
+        reach: Largest magnitude the value (what a list or map holds) can have; 0 where it is no number.
+        can_fail: Whether an evaluation may raise `EvaluationError`, given values of the declared types.
+        column: Where it stands in the source, from 1.
+    """
+
+    type: Type
+    unit: str | None = None
+    reach: float = field(default=0, compare=False)
+    can_fail: bool = field(default=False, compare=False)
+    column: int = field(default=1, compare=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Constant(Node):
+    """A literal, already of the type its neighbours need (`1` beside a double is `1.0`)."""
+
+    value: bool | int | float | str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Variable(Node):
+    """A declared variable, or, where `bound`, the variable of an enclosing quantifier."""
+
+    name: str
+    bound: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Select(Node):
+    """`record.name`; `checked` where the field may be absent at this place."""
+
+    record: Typed
+    name: str
+    checked: bool = field(default=False, compare=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Present(Node):
+    """`has(record.name)`."""
+
+    select: Select
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Apply(Node):
+    """A strict function or operator: a row of `OVERLOADS`; `checked` where that row itself may fail."""
+
+    overload: str
+    args: tuple[Typed, ...]
+    checked: bool = field(default=False, compare=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Logic(Node):
+    """`&&` (`conjunction`) or `||` over two or more operands; an error yields to an operand that decides."""
+
+    conjunction: bool
+    operands: tuple[Typed, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Conditional(Node):
+    """`condition ? then : otherwise`."""
+
+    condition: Typed
+    then: Typed
+    otherwise: Typed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quantifier(Node):
+    """`domain.all(variable, predicate)` (`universal`) or `.exists`; the domain of a map is its keys."""
+
+    universal: bool
+    variable: str
+    domain: Typed
+    predicate: Typed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ListOf(Node):
+    """`[a, b, …]`, never empty."""
+
+    elements: tuple[Typed, ...]
+
+
+Typed: TypeAlias = Constant | Variable | Select | Present | Apply | Logic | Conditional | Quantifier | ListOf
+
+
+# Functions and operators ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Overload:
+    """One meaning of a function or operator.
+
+    Attributes:
+        name: Stable name, unique but for `equal`, `less` and their like, which mean the same on every type.
+        params: Argument types; `ANY` stands for one type, the same throughout.
+        result: Result type.
+        bare: Python text where the operation is proved not to fail.
+        checked: Python text where it may; empty if it never does.
+    """
+
+    name: str
+    params: tuple[Type, ...]
+    result: Type
+    bare: str
+    checked: str = ""
+
+
+ANY: Final = RecordType(name="any", fields={})
+_SCALARS: Final = (BOOL, INT, DOUBLE, STRING)
+_ORDERED: Final = (INT, DOUBLE, STRING)
+
+
+def _compare(name: str, operator: str) -> tuple[Overload, ...]:
+    text = f"({{0}} {operator} {{1}})"
+    return tuple(Overload(name=name, params=(t, t), result=BOOL, bare=text) for t in _ORDERED)
+
+
+def _equal(name: str, operator: str) -> tuple[Overload, ...]:
+    text = f"({{0}} {operator} {{1}})"
+    lists = f"(tuple({{0}}) {operator} tuple({{1}}))"
+    scalars = (Overload(name=name, params=(t, t), result=BOOL, bare=text) for t in _SCALARS)
+    return (
+        *scalars,
+        *(Overload(name=f"{name}_lists", params=(ListType(t),) * 2, result=BOOL, bare=lists) for t in _SCALARS),
+    )
+
+
+def _arithmetic(name: str, operator: str) -> tuple[Overload, ...]:
+    text = f"({{0}} {operator} {{1}})"
+    return (
+        Overload(name=f"{name}_int", params=(INT, INT), result=INT, bare=text, checked=f"_cel_int({text})"),
+        Overload(
+            name=f"{name}_double", params=(DOUBLE, DOUBLE), result=DOUBLE, bare=text, checked=f"_cel_finite({text})"
+        ),
+    )
+
+
+def _text(name: str, text: str) -> tuple[Overload, ...]:
+    return (Overload(name=name, params=(STRING, STRING), result=BOOL, bare=text),)
+
+
+_SIZE: Final = tuple(
+    Overload(name="size", params=(t,), result=INT, bare="len({0})") for t in (STRING, ListType(ANY), MapType(ANY))
+)
+_QUOTIENT: Final = "_cel_quotient({0}, {1})"
+_DIVIDE: Final = "_cel_divide({0}, {1})"
+_ENTRY: Final = "_cel_entry({0}, {1})"
+_REMAINDER: Final = "_cel_remainder({0}, {1})"
+
+OVERLOADS: Final[Mapping[str, tuple[Overload, ...]]] = {
+    "==": _equal("equal", "=="),
+    "!=": _equal("unequal", "!="),
+    "<": _compare("less", "<"),
+    "<=": _compare("at_most", "<="),
+    ">": _compare("greater", ">"),
+    ">=": _compare("at_least", ">="),
+    "+": _arithmetic("add", "+"),
+    "-": _arithmetic("subtract", "-"),
+    "*": _arithmetic("multiply", "*"),
+    "/": (
+        Overload(name="divide_int", params=(INT, INT), result=INT, bare=_QUOTIENT, checked=_QUOTIENT),
+        Overload(name="divide_double", params=(DOUBLE, DOUBLE), result=DOUBLE, bare="({0} / {1})", checked=_DIVIDE),
+    ),
+    "%": (Overload(name="remainder_int", params=(INT, INT), result=INT, bare=_REMAINDER, checked=_REMAINDER),),
+    "!_": (Overload(name="not", params=(BOOL,), result=BOOL, bare="(not {0})"),),
+    "-_": (
+        Overload(name="negate_int", params=(INT,), result=INT, bare="(-{0})", checked="_cel_int(-{0})"),
+        Overload(name="negate_double", params=(DOUBLE,), result=DOUBLE, bare="(-{0})"),
+    ),
+    "in": (
+        *(Overload(name="in_list", params=(t, ListType(t)), result=BOOL, bare="({0} in {1})") for t in _SCALARS),
+        Overload(name="in_map", params=(STRING, MapType(ANY)), result=BOOL, bare="({0} in {1})"),
+    ),
+    "[": (
+        Overload(name="element", params=(ListType(ANY), INT), result=ANY, bare="", checked="_cel_element({0}, {1})"),
+        Overload(name="entry", params=(MapType(ANY), STRING), result=ANY, bare="{0}[{1}]", checked=_ENTRY),
+    ),
+    "size": _SIZE,
+    ".size": _SIZE,
+    "double": (
+        Overload(name="double_int", params=(INT,), result=DOUBLE, bare="float({0})"),
+        Overload(name="double_double", params=(DOUBLE,), result=DOUBLE, bare="{0}"),
+    ),
+    "int": (
+        Overload(name="int_double", params=(DOUBLE,), result=INT, bare="int({0})", checked="_cel_truncate({0})"),
+        Overload(name="int_int", params=(INT,), result=INT, bare="{0}"),
+    ),
+    ".startsWith": _text("starts_with", "{0}.startswith({1})"),
+    ".endsWith": _text("ends_with", "{0}.endswith({1})"),
+    ".contains": _text("contains", "({1} in {0})"),
+}  # fmt: skip
+
+
+# The syntax tree -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Syntax:
+    r"""An untyped node: what it is, its word or value, its parts.
+
+    | kind | value | parts |
+    |---|---|---|
+    | `literal` | the value | – |
+    | `name` | identifier | – |
+    | `select` | field | operand |
+    | `call` | function or operator; `[` indexes, `!_` and `-_` are prefixes | arguments |
+    | `method` | function | receiver, then arguments |
+    | `logic` | `&&` or `\|\|` | two or more operands |
+    | `conditional` | `?` | condition, then, otherwise |
+    | `list` | `[` | elements |
+    """
+
+    kind: str
+    value: bool | int | float | str
+    parts: tuple[Syntax, ...]
+    column: int
+    depth: int = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tree:
+    """A parsed condition and the source it came from."""
+
+    source: str
+    root: Syntax
+
+
+_GRAMMAR: Final = r"""
+?start: choice
+?choice: any | any QUESTION any ":" choice -> conditional
+?any: all | all (OR all)+ -> logic
+?all: relation | relation (AND relation)+ -> logic
+?relation: sum | relation RELATION sum -> call | relation IN sum -> call
+?sum: product | sum (PLUS | MINUS) product -> call
+?product: unary | product TIMES unary -> call
+?unary: member | (NOT | MINUS) unary -> prefix
+?member: primary
+    | member "." NAME -> select
+    | member "." NAME OPEN [choice ("," choice)*] ")" -> method
+    | member SQUARE choice "]" -> call
+?primary: "(" choice ")"
+    | NAME -> name
+    | NAME OPEN [choice ("," choice)*] ")" -> call
+    | SQUARE [choice ("," choice)*] "]" -> sequence
+    | (TRUE | FALSE) -> truth
+    | INT -> integer
+    | DOUBLE -> double
+    | STRING -> string
+QUESTION: "?"
+OR: "||"
+AND: "&&"
+RELATION: "==" | "!=" | "<=" | ">=" | "<" | ">"
+PLUS: "+"
+MINUS: "-"
+TIMES: "*" | "/" | "%"
+NOT: "!"
+OPEN: "("
+SQUARE: "["
+IN: /in(?![a-zA-Z0-9_])/
+TRUE: /true(?![a-zA-Z0-9_])/
+FALSE: /false(?![a-zA-Z0-9_])/
+NAME: /(?!(RESERVED)(?![a-zA-Z0-9_]))[a-zA-Z][a-zA-Z0-9_]*/
+DOUBLE.2: /([0-9]+\.[0-9]+|\.[0-9]+)([eE][+-]?[0-9]+)?(?![a-zA-Z0-9_])|[0-9]+[eE][+-]?[0-9]+(?![a-zA-Z0-9_])/
+INT: /[0-9]+(?![a-zA-Z0-9_])/
+STRING: /"([^"\\\n]|\\.)*"|'([^'\\\n]|\\.)*'/
+%ignore /[ \t\r\n]+/
+"""
+
+_ESCAPES: Final = {"\\": "\\", '"': '"', "'": "'", "n": "\n", "r": "\r", "t": "\t"}
+_WORD: Final = re.compile(r"\w{1,40}|.", re.DOTALL)
+_SURROGATE: Final = re.compile(r"[\ud800-\udfff]")
+_ESCAPE: Final = re.compile(r"\\(u[0-9a-fA-F]{4}|.)", re.DOTALL)
+
+
+class _Rejected(Exception):  # never leaves this module
+    def __init__(self, column: int, message: str, valid: tuple[str, ...] = ()) -> None:
+        self.column, self.valid = column, valid
+        super().__init__(message)
+
+
+def _node(kind: str, value: bool | int | float | str, parts: tuple[Syntax, ...], column: int) -> Syntax:
+    depth = 1 + max((part.depth for part in parts), default=0)
+    if depth > MAX_DEPTH:
+        raise _Rejected(column, f"nested deeper than {MAX_DEPTH} levels")
+    return Syntax(kind, value, parts, column, depth)
+
+
+def _column(token: Token) -> int:
+    return (token.start_pos or 0) + 1
+
+
+def _unescape(token: Token) -> str:
+    def replace(match: re.Match[str]) -> str:
+        escape = match[1]
+        if escape in _ESCAPES:
+            return _ESCAPES[escape]
+        character = chr(int(escape[1:], 16)) if len(escape) > 1 else ""
+        if not character or "\ud800" <= character <= "\udfff":
+            column = _column(token) + 1 + match.start()
+            raise _Rejected(column, f"unknown escape `\\{escape}`", (*(f"\\{word}" for word in _ESCAPES), "\\uXXXX"))
+        return character
+
+    return _ESCAPE.sub(replace, token[1:-1])
+
+
+class _Builder(Transformer[Token, Syntax]):
+    """Builds `Syntax` while the parser reduces, so that nothing recurses over what the source nests."""
+
+    def name(self, parts: list[Token]) -> Syntax:
+        return _node("name", str(parts[0]), (), _column(parts[0]))
+
+    def truth(self, parts: list[Token]) -> Syntax:
+        return _node("literal", parts[0] == "true", (), _column(parts[0]))
+
+    def integer(self, parts: list[Token]) -> Syntax:
+        return _node("literal", int(parts[0]), (), _column(parts[0]))
+
+    def double(self, parts: list[Token]) -> Syntax:
+        return _node("literal", float(parts[0]), (), _column(parts[0]))
+
+    def string(self, parts: list[Token]) -> Syntax:
+        return _node("literal", _unescape(parts[0]), (), _column(parts[0]))
+
+    def sequence(self, parts: list[Token | Syntax]) -> Syntax:
+        return _operation("list", parts)
+
+    def select(self, parts: list[Token | Syntax]) -> Syntax:
+        return _operation("select", parts)
+
+    def call(self, parts: list[Token | Syntax]) -> Syntax:
+        return _operation("call", parts)
+
+    def method(self, parts: list[Token | Syntax]) -> Syntax:
+        return _operation("method", parts)
+
+    def prefix(self, parts: list[Token | Syntax]) -> Syntax:
+        return _operation("call", parts, suffix="_")
+
+    def conditional(self, parts: list[Token | Syntax]) -> Syntax:
+        return _operation("conditional", parts)
+
+    def logic(self, parts: list[Token | Syntax]) -> Syntax:
+        # (a && b) && c means a && (b && c): one level, so that long chains stay shallow and compile flat
+        word, operands = _split(parts)
+        flat = (inner for part in operands for inner in (part.parts if _same_logic(part, word) else (part,)))
+        return _node("logic", str(word), tuple(flat), _column(word))
+
+
+def _same_logic(part: Syntax, word: str) -> bool:
+    return part.kind == "logic" and part.value == word
+
+
+def _split(parts: list[Token | Syntax]) -> tuple[Token, tuple[Syntax, ...]]:
+    word = next(part for part in parts if isinstance(part, Token))
+    return word, tuple(part for part in parts if isinstance(part, Syntax))
+
+
+def _operation(kind: str, parts: list[Token | Syntax], *, suffix: str = "") -> Syntax:
+    word, operands = _split(parts)
+    return _node(kind, f"{word}{suffix}", operands, _column(word))
+
+
+@cache
+def _parser() -> Callable[[str], Syntax]:
+    grammar = _GRAMMAR.replace("RESERVED", "|".join(sorted(RESERVED)))
+    lark: Any = Lark(grammar, parser="lalr", maybe_placeholders=False, transformer=_Builder())
+    return lark.parse
+
+
+def parse(source: str) -> Tree:
+    """Parse a condition; the tree is not typed yet.
+
+    Raises:
+        ExpressionError: It is longer than `MAX_SOURCE`, nested deeper than `MAX_DEPTH`, or not in the grammar.
+    """
+    surrogate = _SURROGATE.search(source)
+    if len(source) > MAX_SOURCE:
+        column, message = MAX_SOURCE + 1, f"`{len(source)}` characters are too many; at most {MAX_SOURCE}"
+    elif surrogate:
+        column, message = surrogate.start() + 1, "half of a surrogate pair is not a character"
+    else:
+        try:
+            return Tree(source=source, root=_parser()(source))
+        except _Rejected as fault:
+            raise ExpressionError(source=source, column=fault.column, message=str(fault), valid=fault.valid) from None
+        except UnexpectedInput as fault:
+            column, message = _explain(source, fault)
+    raise ExpressionError(source=source, column=column, message=message)
+
+
+def _explain(source: str, fault: UnexpectedInput) -> tuple[int, str]:
+    token: Any = getattr(fault, "token", None)
+    if token is None:  # the lexer found no token at all
+        position = fault.pos_in_stream or 0
+        return position + 1, f"unexpected `{_WORD.findall(source, position)[0]}`"
+    if token.type == "$END":
+        return len(source) + 1, "unexpected end"
+    return _column(token), f"unexpected `{token[:40]}`"
