@@ -1,0 +1,159 @@
+"""Where the base really is, where people really are, and whether a small excess has lasted: the watcher's estimators.
+
+All of it is arithmetic on named tuples: a step takes a state and returns the next one. No matrices, because the
+filters are small enough to be written out, and a tick has 40 µs for everything.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+if TYPE_CHECKING:
+    from app.governance.model import Fix, PersonTrack, Vec3
+
+HISTORY: Final = 50
+"""Ticks of odometry kept, so that a fix can be compared with where the odometry was when the fix was taken."""
+
+FIX_SIGMA_M: Final = 0.02
+FIRST_SIGMA_M: Final = 0.5
+FIRST_DRIFT_MPS: Final = 0.05
+OFFSET_NOISE_M2PS: Final = 4e-6
+DRIFT_NOISE: Final = 4e-3  # (m/s)² per s: an odometry bias that appears at once is followed within about 0.3 s
+YAW_GAIN: Final = 0.1
+
+ALPHA: Final = 0.5
+BETA: Final = 0.17
+FASTEST_PERSON_MPS: Final = 2.5
+EXTRAPOLATE_S: Final = 0.3
+FORGET_S: Final = 2.0
+
+
+class BaseEstimate(NamedTuple):
+    """Offset between true position and odometry, its drift, and how sure that is.
+
+    The truth is modelled as odometry + offset, where the offset drifts with a slowly changing velocity: a Kalman filter
+    with the state (offset, drift) per axis. Both axes have the same noise, so they share one covariance (`p_oo`,
+    `p_od`, `p_dd`). `history` holds (time_s, x_m, y_m, yaw_rad) of the odometry, newest first; `fix_s` is the stamp
+    of the last fix used, −1 before the first.
+    """
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    yaw_rad: float = 0.0
+    drift_x_mps: float = 0.0
+    drift_y_mps: float = 0.0
+    p_oo: float = FIRST_SIGMA_M**2
+    p_od: float = 0.0
+    p_dd: float = FIRST_DRIFT_MPS**2
+    fix_s: float = -1.0
+    history: tuple[tuple[float, float, float, float], ...] = ()
+
+
+def track_base(estimate: BaseEstimate, time_s: float, period_s: float, odometry: Vec3, fix: Fix | None) -> BaseEstimate:
+    """Advance the estimate by one tick; a fix that is new corrects it as of the moment it was taken.
+
+    Between fixes only time passes: the offset moves by drift × period and its variance grows. A fix of the past is
+    compared with odometry + offset *of that past*, which compensates its latency without re-running the filter.
+    """
+    x, y, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, history = estimate
+    history = ((time_s, *odometry), *history[: HISTORY - 1])
+    x += dx * period_s
+    y += dy * period_s
+    p_oo += period_s * (2.0 * p_od + period_s * p_dd) + OFFSET_NOISE_M2PS * period_s
+    p_od += period_s * p_dd
+    p_dd += DRIFT_NOISE * period_s
+    if fix is None or fix.stamp_s == fix_s:
+        return BaseEstimate(x, y, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, history)
+    age_s = time_s - fix.stamp_s
+    _, then_x, then_y, then_yaw = _at(history, fix.stamp_s)
+    off_x = fix.x_m - then_x - (x - dx * age_s)
+    off_y = fix.y_m - then_y - (y - dy * age_s)
+    turned = math.remainder(fix.yaw_rad - then_yaw - yaw, math.tau)
+    yaw = yaw + (turned if fix_s < 0.0 else YAW_GAIN * turned)
+    sure = 1.0 / (p_oo + FIX_SIGMA_M**2)
+    gain_o, gain_d = p_oo * sure, p_od * sure
+    return BaseEstimate(
+        x + gain_o * off_x,
+        y + gain_o * off_y,
+        yaw,
+        dx + gain_d * off_x,
+        dy + gain_d * off_y,
+        (1.0 - gain_o) * p_oo,
+        (1.0 - gain_o) * p_od,
+        p_dd - gain_d * p_od,
+        fix.stamp_s,
+        history,
+    )
+
+
+def _at(history: tuple[tuple[float, float, float, float], ...], stamp_s: float) -> tuple[float, float, float, float]:
+    for entry in history:
+        if entry[0] <= stamp_s + 1e-9:
+            return entry
+    return history[-1]
+
+
+class PersonEstimate(NamedTuple):
+    """One person as filtered: position and velocity at `stamp_s`, world frame."""
+
+    person: int
+    stamp_s: float
+    x_m: float
+    y_m: float
+    vx_mps: float
+    vy_mps: float
+
+
+def track_people(
+    known: tuple[PersonEstimate, ...], tracks: tuple[PersonTrack, ...], time_s: float
+) -> tuple[PersonEstimate, ...]:
+    """Advance every person's α-β filter by the tracks that are new; people out of sight are kept for `FORGET_S`.
+
+    Whoever vanished behind a pillar is still there: forgetting at once would make occlusion look like clearance.
+    """
+    if not tracks:
+        return tuple([one for one in known if time_s - one.stamp_s <= FORGET_S]) if known else known
+    fresh = [_track(known, track) for track in tracks]
+    seen = {track.person for track in tracks}
+    fresh += [one for one in known if one.person not in seen and time_s - one.stamp_s <= FORGET_S]
+    return tuple(fresh)
+
+
+def _track(known: tuple[PersonEstimate, ...], track: PersonTrack) -> PersonEstimate:
+    person, stamp_s, x, y = track
+    for old in known:
+        if old.person == person:
+            break
+    else:
+        return PersonEstimate(person, stamp_s, x, y, 0.0, 0.0)
+    gap_s = stamp_s - old.stamp_s
+    if gap_s <= 0.0:
+        return old
+    ahead_x, ahead_y = old.x_m + old.vx_mps * gap_s, old.y_m + old.vy_mps * gap_s
+    miss_x, miss_y = x - ahead_x, y - ahead_y
+    vx, vy = old.vx_mps + BETA * miss_x / gap_s, old.vy_mps + BETA * miss_y / gap_s
+    speed = math.hypot(vx, vy)
+    if speed > FASTEST_PERSON_MPS:
+        vx, vy = vx * FASTEST_PERSON_MPS / speed, vy * FASTEST_PERSON_MPS / speed
+    return PersonEstimate(person, stamp_s, ahead_x + ALPHA * miss_x, ahead_y + ALPHA * miss_y, vx, vy)
+
+
+def now(person: PersonEstimate, time_s: float) -> tuple[float, float]:
+    """Return where a person is by now, along the estimated velocity for at most `EXTRAPOLATE_S`."""
+    age_s = time_s - person.stamp_s
+    if age_s > EXTRAPOLATE_S:
+        age_s = EXTRAPOLATE_S
+    return person.x_m + person.vx_mps * age_s, person.y_m + person.vy_mps * age_s
+
+
+def cusum(total: float, value: float, reference: float, limit: float) -> float:
+    """Return the next cumulative sum of what a signal exceeds its reference by: never negative, at most 2 × limit.
+
+    The bound lets the sum come back down as fast as it went up (Page 1954, one-sided).
+    """
+    total += value - reference
+    if total <= 0.0:
+        return 0.0
+    # A NaN fails both comparisons and stays: it must alarm, not vanish.
+    return 2.0 * limit if total > 2.0 * limit else total
