@@ -194,7 +194,8 @@ def _refused(error: ValidationError) -> ProtocolError:
 
 CHANNELS = (
     "time_s", "base_x_m", "base_y_m", "base_yaw_rad", "base_speed_mps", "tcp_x_m", "tcp_y_m", "tcp_z_m",
-    "tcp_speed_mps", "contact_force_n", "peak_force_n", "grip_width_m", "grip_force_n", "slip_m", "residual_nm", "separation_m",
+    "tcp_speed_mps", "contact_force_n", "peak_force_n", "grip_width_m", "grip_force_n", "slip_m",
+    "residual_nm", "separation_m",
     "protective_separation_m", "zone_margin_m", "progress", "rate",
     "q1_rad", "q2_rad", "q3_rad", "q4_rad", "q5_rad", "q6_rad",
 )  # fmt: skip

@@ -125,14 +125,14 @@ class Result:
     @property
     def changes(self) -> list[Document]:
         """What policy constrained: param, requested, effective, rule."""
-        return list(_document(self.invocation.get("policy")).get("changes") or [])
+        return list(document(self.invocation.get("policy")).get("changes") or [])
 
 
 def reasons_of(invocation: Document) -> tuple[Reason, ...]:
     """Return all reasons of an invocation document: admission first, then policy, then those of its end."""
     found: list[Reason] = []
     for part in ("admission", "policy", "failure"):
-        for item in cast("list[Document]", _document(invocation.get(part)).get("reasons") or []):
+        for item in cast("list[Document]", document(invocation.get(part)).get("reasons") or []):
             found.append(
                 Reason(
                     rule=item.get("rule", ""),
@@ -185,7 +185,7 @@ def _send(call: _Call) -> _Talk[Any]:
         last = yield call
         if last.status in range(200, 300):
             return last.json
-        code = _document(last.json).get("code")
+        code = document(last.json).get("code")
         transient = last.status in (0, 502, 503, 504) or (last.status == 409 and code == "in_flight")
         if not transient:
             raise _problem(last)
@@ -195,12 +195,13 @@ def _send(call: _Call) -> _Talk[Any]:
     raise _problem(last)
 
 
-def _document(value: object) -> Document:
+def document(value: object) -> Document:
+    """Return a JSON object as it is, and anything else (an absent part) as an empty one."""
     return cast("Document", value) if isinstance(value, dict) else {}
 
 
 def _problem(reply: _Reply) -> Problem:
-    body = _document(reply.json)
+    body = document(reply.json)
     return Problem(
         reply.status, str(body.get("code", "unknown")), str(body.get("detail") or body.get("title") or reply.json)
     )
@@ -215,7 +216,7 @@ def _invoke(body: Document, key: str | None, defers: int, on_update: OnUpdate | 
         )
         invocation = yield from _follow(invocation, on_update)
         if invocation["status"] == "deferred" and attempt < defers:
-            patience = _document(invocation.get("admission")).get("retry_after_s") or 1.0
+            patience = document(invocation.get("admission")).get("retry_after_s") or 1.0
             yield _Sleep(seconds=max(float(patience), _backoff_s(attempt)))
             continue
         return _conclude(invocation)

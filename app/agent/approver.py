@@ -1,0 +1,164 @@
+"""A scripted, simulated approver: a client of the same API that answers escalations as a person of given habits would.
+
+For demos, tests and the evaluation of human-supervised runs: who it is, how long it takes to read, what it approves,
+and how often it errs are data. It is never a substitute for a person in front of a robot, and every answer it gives
+is recorded under its own name.
+
+    approver: operator
+    reads_s: {min: 0.5, max: 1.5}
+    error_rate: 0.0          # share of answers that come out the other way
+    seed: 7
+    rules:                   # the first that matches decides; none matches: deny
+      - match: {capability: [grasp_object], risk: [medium]}
+        decision: approve
+      - match: {kind: [session]}
+        decision: approve
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias, cast
+
+import yaml
+
+from app.agent.client import AsyncReinsClient, Document, Problem
+
+_POLL_S = 0.1
+_MATCHABLE = frozenset({"capability", "risk", "kind", "agent"})
+_DECISIONS = ("approve", "deny", "ignore")
+_KEYS = frozenset({"approver", "reads_s", "error_rate", "seed", "rules"})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rule:
+    """What to answer to escalations whose fields are among the given values; `edit` overrides parameters."""
+
+    match: Mapping[str, frozenset[str]]
+    decision: str
+    edit: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Habits:
+    """A simulated approver: name, reading time (s, uniform), share of wrong answers, rules."""
+
+    name: str
+    reads_min_s: float
+    reads_max_s: float
+    error_rate: float
+    seed: int
+    rules: tuple[Rule, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """What the approver decided about one escalation, and whether it erred."""
+
+    escalation: str
+    decision: str
+    erred: bool
+    edit: Mapping[str, Any]
+
+
+OnAnswer: TypeAlias = Callable[[Document, Answer], None]
+
+
+def load_habits(path: Path) -> Habits:
+    """Read a habits file. Raises `ValueError` naming the key and what would be valid."""
+    return parse_habits(yaml.safe_load(path.read_text(encoding="utf-8")), str(path))
+
+
+def parse_habits(raw: object, source: str = "habits") -> Habits:
+    """Return habits from plain data. Raises `ValueError` naming the key and what would be valid."""
+    if not isinstance(raw, dict):
+        raise TypeError(f"{source}: expected a mapping with {', '.join(sorted(_KEYS))}")
+    data = cast("dict[str, Any]", raw)
+    unknown = set(data) - _KEYS
+    if unknown:
+        raise ValueError(f"{source}: unknown key `{sorted(unknown)[0]}`; valid: {', '.join(sorted(_KEYS))}")
+    reads = data.get("reads_s", {"min": 0.5, "max": 1.5})
+    low, high = float(reads["min"]), float(reads["max"])
+    rate = float(data.get("error_rate", 0.0))
+    if not 0 <= low <= high:
+        raise ValueError(f"{source}: `reads_s` is {low}…{high}; valid: 0 ≤ min ≤ max")
+    if not 0 <= rate <= 1:
+        raise ValueError(f"{source}: `error_rate` is {rate}; valid: 0…1")
+    return Habits(
+        name=str(data.get("approver", "operator")),
+        reads_min_s=low,
+        reads_max_s=high,
+        error_rate=rate,
+        seed=int(data.get("seed", 0)),
+        rules=tuple(_rule(item, source) for item in data.get("rules", [])),
+    )
+
+
+def _rule(item: Mapping[str, Any], source: str) -> Rule:
+    match = cast("dict[str, Any]", item.get("match", {}))
+    for field in match:
+        if field not in _MATCHABLE:
+            raise ValueError(f"{source}: cannot match on `{field}`; valid: {', '.join(sorted(_MATCHABLE))}")
+    decision = item.get("decision", "deny")
+    if decision not in _DECISIONS:
+        raise ValueError(f"{source}: decision `{decision}`; valid: {', '.join(_DECISIONS)}")
+    values = {field: frozenset([value] if isinstance(value, str) else value) for field, value in match.items()}
+    return Rule(match=values, decision=decision, edit=item.get("edit", {}))
+
+
+def decide(habits: Habits, escalation: Document, draw: float) -> Answer:
+    """Return the answer to one escalation; `draw` in 0…1 is compared with the error rate."""
+    chosen = next(
+        (rule for rule in habits.rules if all(escalation.get(key) in allowed for key, allowed in rule.match.items())),
+        Rule(match={}, decision="deny", edit={}),
+    )
+    erred = draw < habits.error_rate
+    decision = {"approve": "deny", "deny": "approve", "ignore": "ignore"}[chosen.decision] if erred else chosen.decision
+    return Answer(escalation=escalation["id"], decision=decision, erred=erred, edit={} if erred else chosen.edit)
+
+
+class ScriptedApprover:
+    """Polls for pending escalations and answers each once, after its reading time."""
+
+    def __init__(self, client: AsyncReinsClient, habits: Habits, *, on_answer: OnAnswer = lambda _e, _a: None) -> None:
+        """Answer through `client`, whose token names the operator; `on_answer` is told of every answer given."""
+        self._client = client
+        self._habits = habits
+        self._random = random.Random(habits.seed)  # noqa: S311 - simulates a person, guards nothing
+        self._on_answer = on_answer
+        self._seen: set[tuple[str, str]] = set()
+
+    async def run(self) -> None:
+        """Answer until cancelled."""
+        async with asyncio.TaskGroup() as answers:
+            while True:
+                page = await self._client.call("GET", "/v1/escalations", query={"status": "pending"})
+                for escalation in page["items"]:
+                    bound_to = (escalation["id"], escalation["digest"])
+                    if bound_to not in self._seen:
+                        self._seen.add(bound_to)
+                        answers.create_task(self._answer(escalation))
+                await asyncio.sleep(_POLL_S)
+
+    async def _answer(self, escalation: Document) -> None:
+        reading_s = self._random.uniform(self._habits.reads_min_s, self._habits.reads_max_s)
+        answer = decide(self._habits, escalation, self._random.random())
+        await asyncio.sleep(reading_s)
+        if answer.decision == "ignore":
+            return
+        body: Document = {"decision": answer.decision, "digest": escalation["digest"]}
+        if answer.decision == "approve" and answer.edit:
+            body["params"] = {**escalation["effective"], **answer.edit}
+        if answer.decision == "deny":
+            body["comment"] = "denied by rule of the scripted approver"
+        try:
+            await self._client.call("POST", f"/v1/escalations/{escalation['id']}/resolve", json=body)
+        except Problem as refused:
+            if refused.status != 409:  # somebody else was faster, or it expired while being read
+                raise
+            return
+        self._on_answer(escalation, answer)

@@ -1,0 +1,79 @@
+import asyncio
+
+import pytest
+
+from app.agent.approver import ScriptedApprover, decide, parse_habits
+from app.agent.client import AsyncReinsClient
+
+from .scripted_server import Turn, serve
+
+HABITS = {
+    "approver": "operator",
+    "reads_s": {"min": 0.0, "max": 0.01},
+    "seed": 1,
+    "rules": [
+        {"match": {"capability": "grasp_object", "risk": ["medium"]}, "decision": "approve", "edit": {"force_n": 40}},
+        {"match": {"capability": "operate_tool"}, "decision": "ignore"},
+    ],
+}
+
+
+def escalation(**more: object) -> dict[str, object]:
+    return {"id": "esc_1", "digest": "sha256:a", "kind": "approval", "capability": "grasp_object", "risk": "medium",
+            "effective": {"object_id": "mug_1", "force_n": 60}, **more}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("item", "draw", "decision"),
+    [
+        (escalation(), 0.5, "approve"),
+        (escalation(risk="high"), 0.5, "deny"),
+        (escalation(capability="operate_tool"), 0.5, "ignore"),
+        (escalation(capability="operate_tool"), 0.0, "ignore"),
+    ],
+)
+def test_the_first_matching_rule_decides_and_no_match_denies(item, draw, decision):
+    assert decide(parse_habits(HABITS), item, draw).decision == decision
+
+
+def test_an_error_turns_the_answer_round():
+    habits = parse_habits({**HABITS, "error_rate": 0.25})
+    assert decide(habits, escalation(), 0.2).decision == "deny"
+    assert decide(habits, escalation(), 0.3).decision == "approve"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"speed": 1}, "unknown key `speed`"),
+        ({"error_rate": 2}, "valid: 0…1"),
+        ({"reads_s": {"min": 2, "max": 1}}, "valid: 0 ≤ min ≤ max"),
+        ({"rules": [{"match": {"mood": "good"}}]}, "cannot match on `mood`"),
+        ({"rules": [{"decision": "maybe"}]}, "decision `maybe`"),
+    ],
+)
+def test_bad_habits_are_refused_with_what_would_be_valid(change, message):
+    with pytest.raises(ValueError, match=message):
+        parse_habits({**HABITS, **change})
+
+
+@pytest.mark.anyio
+async def test_answers_each_escalation_once_with_its_digest_and_edit():
+    def answer(turn: Turn):
+        if turn.method == "GET":
+            return 200, {"items": [escalation()], "next": None}
+        return 200, escalation(status="approved")
+
+    answered = asyncio.Event()
+    with serve(answer) as server:
+        async with AsyncReinsClient(server.url, "t") as client:
+            approver = ScriptedApprover(client, parse_habits(HABITS), on_answer=lambda _e, _a: answered.set())
+            task = asyncio.create_task(approver.run())
+            await asyncio.wait_for(answered.wait(), 5)
+            polls = len(server.turns)
+            while len(server.turns) < polls + 2:
+                await asyncio.sleep(0.01)
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+    posts = [turn.body for turn in server.turns if turn.method == "POST"]
+    assert posts == [{"decision": "approve", "digest": "sha256:a", "params": {"object_id": "mug_1", "force_n": 40}}]

@@ -1,0 +1,149 @@
+import itertools
+
+import pytest
+
+from app.agent.client import AsyncReinsClient, ExecutionFailed, Problem, Refused, ReinsClient, Unreachable
+
+from .scripted_server import Turn, serve
+
+
+def invocation(status: str, **more: object) -> dict[str, object]:
+    return {
+        "id": "inv_1",
+        "status": status,
+        "capability": "grasp_object",
+        "requested": {"force_n": 80},
+        "effective": {"force_n": 60},
+        "admission": {"outcome": "accept", "reasons": []},
+        "policy": {"outcome": "allow", "reasons": [], "changes": []},
+        "outcome": None,
+        "updated_at": f"t{next(_CLOCK)}",
+        **more,
+    }
+
+
+_CLOCK = itertools.count()
+DENIED = invocation(
+    "denied",
+    policy={
+        "outcome": "deny",
+        "reasons": [{"rule": "organization/hazmat", "code": "rule", "message": "hazardous", "remedy": "ask"}],
+    },
+)
+
+
+def test_returns_a_result_when_the_invocation_completes():
+    states = iter(["awaiting_approval", "running", "completed"])
+
+    def answer(turn: Turn):
+        status = next(states)
+        return (201 if turn.method == "POST" else 200), invocation(
+            status, outcome="succeeded" if status == "completed" else None
+        )
+
+    told: list[str] = []
+    with serve(answer) as server, ReinsClient(server.url, "secret") as client:
+        result = client.invoke(
+            "grasp_object", object_id="mug_1", on_update=lambda document: told.append(document["status"])
+        )
+    assert result.outcome == "succeeded"
+    assert result.effective == {"force_n": 60}
+    assert told == ["awaiting_approval", "running", "completed"]
+    first, second, _ = server.turns
+    assert first.body == {"capability": "grasp_object", "params": {"object_id": "mug_1"}}
+    assert first.headers["authorization"] == "Bearer secret"
+    assert second.path == "/v1/invocations/inv_1?wait=20"
+
+
+def test_raises_refused_with_the_reasons_of_a_denial():
+    with (
+        serve(lambda _: (201, DENIED)) as server,
+        ReinsClient(server.url, "t") as client,
+        pytest.raises(Refused) as caught,
+    ):
+        client.invoke("grasp_object", object_id="solvent_1")
+    (reason,) = caught.value.reasons
+    assert (reason.rule, reason.code, reason.remedy) == ("organization/hazmat", "rule", "ask")
+    assert "hazardous" in str(caught.value)
+
+
+def test_raises_execution_failed_when_a_launched_invocation_ends_without_success():
+    failed = invocation("failed", outcome="stopped")
+    with (
+        serve(lambda _: (201, failed)) as server,
+        ReinsClient(server.url, "t") as client,
+        pytest.raises(ExecutionFailed) as caught,
+    ):
+        client.invoke("grasp_object", object_id="mug_1")
+    assert caught.value.outcome == "stopped"
+
+
+def test_proposes_a_deferred_invocation_again_under_a_new_key():
+    deferred = invocation("deferred", admission={"outcome": "defer", "reasons": [], "retry_after_s": 0.01})
+    answers = iter([deferred, deferred, invocation("completed", outcome="succeeded")])
+    with serve(lambda _: (201, next(answers))) as server, ReinsClient(server.url, "t") as client:
+        client.invoke("navigate_to", target="dock")
+    assert len({turn.headers["idempotency-key"] for turn in server.turns}) == 3
+
+
+def test_gives_a_defer_up_after_the_allowed_number_of_attempts():
+    deferred = invocation("deferred", admission={"outcome": "defer", "reasons": [], "retry_after_s": 0.01})
+    with (
+        serve(lambda _: (201, deferred)) as server,
+        ReinsClient(server.url, "t", defers=1) as client,
+        pytest.raises(Refused),
+    ):
+        client.invoke("navigate_to", target="dock")
+    assert len(server.turns) == 2
+
+
+def test_asks_again_under_the_same_key_when_the_answer_was_lost():
+    answers = iter(
+        [
+            None,
+            (409, {"code": "in_flight", "detail": "being decided"}),
+            (201, invocation("completed", outcome="succeeded")),
+        ]
+    )
+    with serve(lambda _: next(answers)) as server, ReinsClient(server.url, "t") as client:
+        client.invoke("navigate_to", target="dock")
+    assert len(server.turns) == 3
+    assert len({turn.headers["idempotency-key"] for turn in server.turns}) == 1
+
+
+def test_raises_problem_at_once_when_the_request_itself_is_refused():
+    body = {"code": "token_invalid", "title": "Unauthorized", "detail": "no such token"}
+    with (
+        serve(lambda _: (401, body)) as server,
+        ReinsClient(server.url, "t") as client,
+        pytest.raises(Problem) as caught,
+    ):
+        client.invoke("navigate_to", target="dock")
+    assert (caught.value.status, caught.value.code) == (401, "token_invalid")
+    assert len(server.turns) == 1
+
+
+def test_raises_unreachable_when_nothing_ever_answers(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("app.agent.client._BACKOFF_S", 0.001)
+    with serve(lambda _: None) as server:
+        url = server.url
+    with ReinsClient(url, "t") as client, pytest.raises(Unreachable):
+        client.invoke("navigate_to", target="dock")
+
+
+@pytest.mark.anyio
+async def test_the_asynchronous_client_holds_the_same_conversation():
+    states = iter(["running", "completed"])
+
+    def answer(turn: Turn):
+        if turn.path.endswith("/trace"):
+            return 200, {"items": [{"seq": 1, "kind": "proposal"}], "next": None}
+        return 201, invocation(next(states), outcome="recovered")
+
+    with serve(answer) as server:
+        async with AsyncReinsClient(server.url, "t") as client:
+            result = await client.invoke("grasp_object", object_id="mug_1", metadata={"confidence": 0.9})
+            trace = await client.trace(result.id)
+    assert result.outcome == "recovered"
+    assert trace == [{"seq": 1, "kind": "proposal"}]
+    assert server.turns[0].body["metadata"] == {"confidence": 0.9}

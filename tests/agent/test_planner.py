@@ -1,0 +1,153 @@
+from pathlib import Path
+
+import pytest
+
+from app.agent.client import AsyncReinsClient, ExecutionFailed, Refused
+from app.agent.planner import Goal, GoalFailed, ReferenceAgent, Step, plan_for, recall, repair
+
+from .scripted_server import Turn, serve
+
+SITE = {
+    "targets": {"bench_a_stand": {}, "bench_b_stand": {}, "tool_stand": {}},
+    "surfaces": {"bench_a": {"target": "bench_a_stand"}, "bench_b": {"target": "bench_b_stand"}},
+    "areas": {"bench_a_top": {"target": "bench_a_stand"}},
+    "objects": {"mug_1": {"surface": "bench_a"}},
+    "tools": {"lever": {"target": "tool_stand"}},
+}
+FETCH = Goal(kind="fetch", subject="mug_1", destination="bench_b")
+
+
+def ended(status: str, *reasons: tuple[str, str], outcome: str | None = None, **more: object) -> dict[str, object]:
+    return {
+        "id": "inv_1", "status": status, "capability": "grasp_object", "profile": "human-shared", "outcome": outcome,
+        "admission": {"outcome": "defer", "retry_after_s": 0.01, "reasons": [{"rule": r, "code": c} for r, c in reasons]},
+        "policy": {"reasons": [], "changes": []}, "updated_at": "t", **more,
+    }  # fmt: skip
+
+
+def test_a_fetch_is_planned_as_the_papers_sequence():
+    assert [step.capability for step in plan_for(FETCH, SITE)] == [
+        "navigate_to", "inspect_area", "grasp_object", "transport_object", "place_object",
+    ]  # fmt: skip
+
+
+def test_planning_names_what_the_site_does_not_know():
+    with pytest.raises(KeyError, match=r"no object `cup_9`; it has mug_1"):
+        plan_for(Goal(kind="fetch", subject="cup_9", destination="bench_b"), SITE)
+
+
+@pytest.mark.parametrize(
+    ("failed", "gives_up", "first"),
+    [
+        (Refused(ended("deferred", ("admission/cell_busy", "cell_busy"))), False, ()),
+        (
+            Refused(ended("deferred", ("grasp_object/object_visible", "precondition_unmet"))),
+            False,
+            ("navigate_to", "inspect_area"),
+        ),
+        (Refused(ended("deferred", ("grasp_object/object_reachable", "precondition_unmet"))), False, ("navigate_to",)),
+        (Refused(ended("denied", ("organization/hazmat", "rule"))), True, ()),
+        (Refused(ended("rejected", ("admission", "unknown_capability"))), True, ()),
+        (ExecutionFailed(ended("failed", outcome="stopped")), True, ()),
+        (
+            ExecutionFailed(ended("failed", ("x", "grasp_failed"), outcome="terminated")),
+            False,
+            ("navigate_to", "inspect_area"),
+        ),
+        (ExecutionFailed(ended("failed", ("x", "never_heard_of"), outcome="terminated")), True, ()),
+    ],
+)
+def test_a_repair_follows_from_the_reasons(failed, gives_up, first):
+    step = Step(capability="grasp_object", params={"object_id": "mug_1"})
+    chosen = repair(step, FETCH, SITE, failed)
+    assert chosen.give_up is gives_up
+    assert tuple(item.capability for item in chosen.first) == first
+
+
+def _answers(*proposals: dict[str, object]):
+    queue = iter(proposals)
+
+    def answer(turn: Turn):
+        if turn.path == "/v1/policies/active":
+            return 200, {"site": SITE}
+        return 201, next(queue)
+
+    return answer
+
+
+@pytest.mark.anyio
+async def test_replans_after_a_deferral_and_reaches_the_goal(tmp_path: Path):
+    done = ended("completed", outcome="succeeded")
+    unseen = ended("deferred", ("grasp_object/object_visible", "precondition_unmet"))
+    with serve(_answers(done, done, unseen, done, done, done, done, done)) as server:
+        async with AsyncReinsClient(server.url, "t", defers=0) as client:
+            results = await ReferenceAgent(client, tmp_path / "memory.json").pursue(FETCH)
+    assert len(results) == 7
+    assert [turn.body["capability"] for turn in server.turns if turn.method == "POST"] == [
+        "navigate_to", "inspect_area", "grasp_object",
+        "navigate_to", "inspect_area", "grasp_object", "transport_object", "place_object",
+    ]  # fmt: skip
+
+
+@pytest.mark.anyio
+async def test_gives_a_denied_goal_up_and_says_why(tmp_path: Path):
+    denied = ended("denied", ("organization/hazmat", "rule"))
+    with serve(_answers(denied)) as server:
+        async with AsyncReinsClient(server.url, "t", defers=0) as client:
+            with pytest.raises(GoalFailed, match="gave up `fetch mug_1 and deliver it to bench_b` at `navigate_to`"):
+                await ReferenceAgent(client, tmp_path / "memory.json").pursue(FETCH)
+
+
+@pytest.mark.anyio
+async def test_remembers_a_limit_and_asks_for_no_more(tmp_path: Path):
+    change = {"param": "force_n", "requested": 80.0, "effective": 60.0, "rule": "human-shared/grip_force_n"}
+    done = ended("completed", outcome="succeeded")
+    modified = ended("completed", outcome="succeeded", policy={"reasons": [], "changes": [change]})
+    with serve(_answers(done, done, modified, done, done, done, done, done, done, done)) as server:
+        async with AsyncReinsClient(server.url, "t", defers=0) as client:
+            await ReferenceAgent(client, tmp_path / "memory.json").pursue(FETCH)
+            await ReferenceAgent(client, tmp_path / "memory.json").pursue(FETCH)
+    asked = [
+        turn.body["params"]["force_n"]
+        for turn in server.turns
+        if turn.body and turn.body["capability"] == "grasp_object"
+    ]
+    assert asked == [80.0, 60.0]
+
+
+@pytest.mark.anyio
+async def test_a_restarted_agent_asks_for_the_same_invocation_under_the_same_key(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("app.agent.client._SEND_ATTEMPTS", 1)
+    lost = {"now": True}
+    done = ended("completed", outcome="succeeded")
+
+    def answer(turn: Turn):
+        if turn.path == "/v1/policies/active":
+            return 200, {"site": SITE}
+        return None if lost["now"] else (201, done)
+
+    with serve(answer) as server:
+        async with AsyncReinsClient(server.url, "t", defers=0) as client:
+            with pytest.raises(Exception, match="no answer"):
+                await ReferenceAgent(client, tmp_path / "memory.json").pursue(FETCH)
+            lost["now"] = False
+            results = await ReferenceAgent(client, tmp_path / "memory.json").pursue(FETCH)
+    posts = [turn for turn in server.turns if turn.method == "POST"]
+    assert posts[0].headers["idempotency-key"] == posts[1].headers["idempotency-key"]
+    assert len(results) == 5
+
+
+def test_a_damaged_memory_is_named_instead_of_forgotten(tmp_path: Path):
+    path = tmp_path / "memory.json"
+    path.write_text('{"identity": "planner", "goals": 3}')
+    with pytest.raises(ValueError, match="is not an agent's memory"):
+        recall(path, "planner")
+
+
+def test_a_memory_of_another_agent_is_refused(tmp_path: Path):
+    path = tmp_path / "memory.json"
+    path.write_text('{"identity": "other", "memory": {}, "goals": [], "plan": []}')
+    with pytest.raises(ValueError, match="memory of `other`"):
+        recall(path, "planner")
