@@ -1,0 +1,76 @@
+"""What the runtime raises at its callers' misuse. Refusals of a proposal are values; these never stand for one.
+
+RuntimeRefusal
+├── InvalidParams   the request does not fit the capability's schema, or names a cell that does not exist
+├── NotFound        there is no such thing, or it is not the caller's to see
+├── Forbidden       the caller may see it but not do this with it
+└── Conflict        it cannot be done in the present state; `code` says why and is stable
+
+`RecordUnavailable` (from `app.audit`) passes through unchanged: the record cannot be written, so nothing was done.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+CONFLICTS: Final[Mapping[str, int]] = {
+    "idempotency_mismatch": 422,
+    "in_flight": 409,
+    "wrong_status": 409,
+    "already_resolved": 409,
+    "already_approved": 409,
+    "escalation_expired": 409,
+    "digest_mismatch": 409,
+    "edit_refused": 409,
+    "cell_offline": 409,
+    "cell_busy": 409,
+    "not_latched": 409,
+}
+"""Every code a `Conflict` may bear, with the HTTP status that says the same."""
+
+
+class RuntimeRefusal(Exception):
+    """Anything the runtime raises at a caller."""
+
+
+class InvalidParams(RuntimeRefusal):
+    """A request that does not fit; `problems` are `{path, message}` with paths as JSON pointers into the request."""
+
+    def __init__(self, problems: Sequence[Mapping[str, str]]) -> None:
+        """Keep the problems; the message is the first of them."""
+        self.problems = tuple(problems)
+        first = self.problems[0] if self.problems else {"path": "", "message": "does not fit"}
+        super().__init__(f"{first['path'] or '/'}: {first['message']}")
+
+
+class NotFound(RuntimeRefusal):
+    """There is no such thing for this caller."""
+
+    def __init__(self, what: str, name: str) -> None:
+        """Name what was looked for."""
+        self.what = what
+        self.name = name
+        super().__init__(f"no {what} `{name}`")
+
+
+class Forbidden(RuntimeRefusal):
+    """The caller may not do this; `code` is stable."""
+
+    def __init__(self, code: str, message: str) -> None:
+        """Keep the code and the message."""
+        self.code = code
+        super().__init__(message)
+
+
+class Conflict(RuntimeRefusal):
+    """Not in the present state; `code` is one of `CONFLICTS`, `status` the HTTP status that goes with it."""
+
+    def __init__(self, code: str, message: str, *, reasons: Sequence[Mapping[str, str]] = ()) -> None:
+        """Keep the code, and the reasons where policy had any."""
+        self.code = code
+        self.status = CONFLICTS[code]
+        self.reasons = tuple(reasons)
+        super().__init__(message)

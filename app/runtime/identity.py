@@ -1,0 +1,40 @@
+"""Identifiers that sort by the time of their making, and digests of what people approve."""
+
+from __future__ import annotations
+
+import os
+from hashlib import sha256
+from typing import TYPE_CHECKING, Any, Final
+
+import orjson
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+_ALPHABET: Final = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"  # Crockford's: no I, L, O, U
+_PAIRS: Final = tuple(first + second for first in _ALPHABET for second in _ALPHABET)
+_RANDOM_BITS: Final = 80
+
+
+class Identities:
+    """Makes identifiers in the ULID form: 48 bits of milliseconds, 80 of randomness, 26 characters.
+
+    Within one millisecond the random part counts up, so that the order of making is the order of the texts.
+    """
+
+    def __init__(self, wall_s: Callable[[], float]) -> None:
+        """Take the clock."""
+        self._wall_s = wall_s
+        self._last = 0
+
+    def make(self, prefix: str) -> str:
+        """Return a new identifier, for instance `inv_01JCEX…`."""
+        fresh = int(self._wall_s() * 1000) << _RANDOM_BITS | int.from_bytes(os.urandom(10))
+        self._last = fresh if fresh > self._last else self._last + 1  # the wall clock may step back
+        value = self._last
+        return f"{prefix}_" + "".join([_PAIRS[value >> shift & 1023] for shift in range(120, -1, -10)])
+
+
+def digest(document: Mapping[str, Any]) -> str:
+    """Return `sha256:…` over the document's canonical JSON."""
+    return "sha256:" + sha256(orjson.dumps(document, option=orjson.OPT_SORT_KEYS)).hexdigest()

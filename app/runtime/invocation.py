@@ -1,0 +1,229 @@
+"""One invocation as the server knows it: a value, its document (design, section 8), its row, and who may see what.
+
+The stored document is the public one; while an invocation is not final it carries, under `_`, what the runtime needs
+to go on with it after a restart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import orjson
+
+from app.audit.event import RowWrite
+from app.clock import parse_rfc3339, rfc3339
+from app.governance.model import TERMINAL, Mode, Outcome, Proposal, Role, Status, Strategy
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from app.governance.model import Params, Reason
+
+PRIVATE: Final = "_"
+SEES_ALL: Final = frozenset({Role.OPERATOR, Role.ENGINEER, Role.AUDITOR})
+FREE_TEXT: Final = frozenset({"comment"})  # an operator's words; the agent gets codes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Principal:
+    """Who speaks: a name that policy knows permissions for, and the role its token carries."""
+
+    name: str
+    role: Role
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProposalRequest:
+    """What came through the door, already in types; `params` is as the agent sent it."""
+
+    capability: str
+    params: Params
+    cell: str | None = None
+    mode: Mode = Mode.NORMAL
+    preconditions: tuple[str, ...] = ()
+    recovery_preference: Strategy | None = None
+    metadata: Params = field(default_factory=dict[str, Any])
+
+    def document(self) -> dict[str, Any]:
+        """Return the request as JSON, for the record and for telling one request from another."""
+        return {
+            "capability": self.capability,
+            "params": dict(self.params),
+            "cell": self.cell,
+            "mode": self.mode,
+            "preconditions": list(self.preconditions),
+            "recovery_preference": self.recovery_preference,
+            "metadata": dict(self.metadata),
+        }
+
+    def proposal(self, params: Params) -> Proposal:
+        """Return the proposal q_t with parameters that were validated and filled in."""
+        return Proposal(
+            capability=self.capability,
+            params=params,
+            metadata=self.metadata,
+            mode=self.mode,
+            preconditions=self.preconditions,
+            recovery_preference=self.recovery_preference,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Terms:
+    """What of a proposal its document does not show, kept until it is final."""
+
+    mode: Mode = Mode.NORMAL
+    preconditions: tuple[str, ...] = ()
+    recovery_preference: Strategy | None = None
+    metadata: Params = field(default_factory=dict[str, Any])
+    authorization: str | None = None
+    confirmed: bool = False  # the cell said that it has the session
+
+    def document(self) -> dict[str, Any]:
+        """Return the terms as JSON."""
+        return {
+            "mode": self.mode,
+            "preconditions": list(self.preconditions),
+            "recovery_preference": self.recovery_preference,
+            "metadata": dict(self.metadata),
+            "authorization": self.authorization,
+            "confirmed": self.confirmed,
+        }
+
+    @classmethod
+    def read(cls, document: Mapping[str, Any]) -> Terms:
+        """Read back what `document` wrote."""
+        preference = document["recovery_preference"]
+        return cls(
+            mode=Mode(document["mode"]),
+            preconditions=tuple(document["preconditions"]),
+            recovery_preference=None if preference is None else Strategy(preference),
+            metadata=document["metadata"],
+            authorization=document["authorization"],
+            confirmed=document["confirmed"],
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Invocation:
+    """The newest version of one invocation; `evolve` makes the next."""
+
+    id: str
+    status: Status
+    capability: str
+    agent: str
+    cell: str | None
+    profile: str
+    policy_version: str
+    requested: Mapping[str, Any]
+    effective: Mapping[str, Any] | None
+    admission: Mapping[str, Any]
+    policy: Mapping[str, Any] | None
+    escalation: Mapping[str, Any] | None
+    outcome: Outcome | None
+    created_at: str
+    updated_at: str
+    terms: Terms
+
+    @property
+    def final(self) -> bool:
+        """Say whether nothing can change any more."""
+        return self.status in TERMINAL
+
+    def evolve(self, at: str, **changes: Any) -> Invocation:  # noqa: ANN401  # fields of this class
+        """Return the next version; its `updated_at` is later than the present one's even within a millisecond."""
+        if at <= self.updated_at:
+            at = rfc3339(parse_rfc3339(self.updated_at) + 0.0015)  # a millisecond on, and clear of the cutting off
+        return replace(self, updated_at=at, **changes)
+
+    def public(self) -> dict[str, Any]:
+        """Return the document of design section 8."""
+        return {
+            "id": self.id,
+            "status": self.status,
+            "capability": self.capability,
+            "agent": self.agent,
+            "cell": self.cell,
+            "profile": self.profile,
+            "policy_version": self.policy_version,
+            "requested": self.requested,
+            "effective": self.effective,
+            "admission": self.admission,
+            "policy": self.policy,
+            "escalation": self.escalation,
+            "outcome": self.outcome,
+            "created_at": self.created_at,
+            "updated_at": self.updated_at,
+        }
+
+    def row(self) -> RowWrite:
+        """Return the row that holds this version."""
+        document = self.public()
+        if not self.final:
+            document[PRIVATE] = self.terms.document()
+        return RowWrite(
+            table="invocations",
+            values={
+                "id": self.id,
+                "status": self.status.value,
+                "capability": self.capability,
+                "agent": self.agent,
+                "cell": self.cell,
+                "profile": self.profile,
+                "document": orjson.dumps(document),
+                "created_at": self.created_at,
+                "updated_at": self.updated_at,
+            },
+        )
+
+    def proposal(self, params: Mapping[str, Any]) -> Proposal:
+        """Return this invocation's proposal with other parameters (an approver's, or the constrained ones)."""
+        return Proposal(
+            capability=self.capability,
+            params=params,
+            metadata=self.terms.metadata,
+            mode=self.terms.mode,
+            preconditions=self.terms.preconditions,
+            recovery_preference=self.terms.recovery_preference,
+        )
+
+
+def read_invocation(document: bytes) -> Invocation:
+    """Read a stored document back."""
+    fields: dict[str, Any] = orjson.loads(document)
+    terms = fields.pop(PRIVATE, None)
+    outcome = fields.pop("outcome")
+    return Invocation(
+        **{**fields, "status": Status(fields["status"])},
+        outcome=None if outcome is None else Outcome(outcome),
+        terms=Terms() if terms is None else Terms.read(terms),
+    )
+
+
+def public_document(document: bytes) -> dict[str, Any]:
+    """Return the public part of a stored document."""
+    fields: dict[str, Any] = orjson.loads(document)
+    fields.pop(PRIVATE, None)
+    return fields
+
+
+def may_see(principal: Principal, agent: str) -> bool:
+    """Say whether a principal may see what an agent proposed: an agent sees its own alone."""
+    return principal.role in SEES_ALL or (principal.role is Role.AGENT and principal.name == agent)
+
+
+def reasons_document(reasons: tuple[Reason, ...]) -> list[dict[str, str]]:
+    """Return reasons as JSON objects."""
+    return [reason._asdict() for reason in reasons]
+
+
+def without_free_text(value: Any) -> Any:  # noqa: ANN401  # JSON
+    """Return JSON without what an operator wrote in words, at any depth."""
+    match value:
+        case dict():
+            return {key: without_free_text(item) for key, item in value.items() if key not in FREE_TEXT}
+        case list():
+            return [without_free_text(item) for item in value]
+        case _:
+            return value

@@ -1,0 +1,245 @@
+"""One cell's link as the server holds it: what goes out, in order and without waiting; what comes in, checked.
+
+Sending never waits: `post` puts a frame into the outlet and returns, a task of its own drains it into the socket. A
+restraint (pause, stop, emergency stop) goes to the front. A socket that does not drain closes the link, and then the
+cell holds by itself (lease).
+
+Reports (`UpEvent`) are numbered. Those already in the log are dropped, a gap is refused, the rest is recorded in
+batches and acknowledged only then. When the record cannot be written the link stays, because a stop must get through:
+the batch is tried again until it is in.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+from collections import deque
+from typing import TYPE_CHECKING, Final, Protocol, assert_never
+
+from app.audit.errors import RecordUnavailable
+from app.clock import monotonic_s
+from app.protocol import (
+    VERSION,
+    Ack,
+    Beat,
+    Hello,
+    Policy,
+    ProtocolError,
+    State,
+    UpEvent,
+    Welcome,
+    decode_up,
+    encode,
+    unpack_batch,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from app.protocol import Message
+    from app.runtime.fleet import Cell, Fleet
+
+MAX_WAITING_FRAMES: Final = 256
+MAX_WAITING_EVENTS: Final = 4096
+BATCH_EVENTS: Final = 256
+RETRY_S: Final = 0.5
+DEAD_S: Final = 1.0  # a link that has been silent so long may be replaced
+SILENT_S: Final = 6.0  # and after this it is closed: the socket may hang half open
+NORMAL_CLOSURE: Final = 1000
+PROTOCOL_VIOLATION: Final = 1002
+TRY_LATER: Final = 1013
+BEAT: Final = encode(Beat())
+
+
+class Link(Protocol):
+    """What carries frames to one cell; a websocket route implements it."""
+
+    async def send(self, frame: str) -> None:
+        """Send one text frame. Raises anything at all when the socket is gone."""
+        ...
+
+    async def close(self, code: int, reason: str) -> None:
+        """Close the socket; closing it twice does no harm."""
+        ...
+
+
+class Attachment:
+    """A link while it is attached. The route calls `receive` for every frame, and `detach` when the socket is gone."""
+
+    def __init__(self, fleet: Fleet, cell: Cell, link: Link) -> None:
+        """Bind a link to a cell's place in the fleet; nothing is sent before `Hello`."""
+        self.cell = cell
+        self.hello: Hello | None = None
+        self.heard_s = monotonic_s()
+        self.closed = False
+        self._fleet = fleet
+        self._link = link
+        self._outlet: deque[str] = deque()
+        self._reports: deque[UpEvent] = deque()
+        self._next_seq = 0
+        self._outgoing = asyncio.Event()
+        self._incoming = asyncio.Event()
+        self._tasks: list[asyncio.Task[None]] = []
+
+    @property
+    def welcomed(self) -> bool:
+        """Say whether the cell has said `Hello` and was answered, and the link still stands."""
+        return self.hello is not None and not self.closed
+
+    def silent_s(self) -> float:
+        """Return for how long nothing has been heard."""
+        return monotonic_s() - self.heard_s
+
+    # -- going out ---------------------------------------------------------------------------------------------------
+
+    def post(self, message: Message, *, urgent: bool = False) -> None:
+        """Send a message without waiting; an urgent one overtakes what waits."""
+        self._put(encode(message), urgent=urgent)
+
+    def beat(self) -> None:
+        """Keep the lease alive, unless frames wait already: those say the same."""
+        if not self._outlet:
+            self._put(BEAT, urgent=False)
+
+    def _put(self, frame: str, *, urgent: bool) -> None:
+        if self.closed:
+            return
+        if urgent:
+            self._outlet.appendleft(frame)
+        else:
+            self._outlet.append(frame)
+        self._outgoing.set()
+        if len(self._outlet) > MAX_WAITING_FRAMES:
+            self.shut(TRY_LATER, "frames pile up: the cell does not read")
+
+    async def _drain(self) -> None:
+        while True:
+            await self._outgoing.wait()
+            self._outgoing.clear()
+            while self._outlet:
+                try:
+                    await self._link.send(self._outlet.popleft())
+                except Exception as error:  # whatever the socket raises, it is gone
+                    self.shut(NORMAL_CLOSURE, f"sending failed: {type(error).__name__}")
+                    return
+
+    # -- coming in ---------------------------------------------------------------------------------------------------
+
+    async def receive(self, frame: str | bytes) -> None:
+        """Take one frame as it came from the socket; a bad one closes the link and says why."""
+        if self.closed:
+            return
+        self.heard_s = monotonic_s()
+        try:
+            if isinstance(frame, bytes):
+                self._take_telemetry(frame)
+            else:
+                await self._take(frame)
+        except ProtocolError as error:
+            self.shut(PROTOCOL_VIOLATION, str(error))
+
+    async def _take(self, frame: str) -> None:
+        message = decode_up(frame)
+        if self.hello is None:
+            if not isinstance(message, Hello):
+                raise ProtocolError(f"a link begins with `hello`, not with `{message.type}`")
+            await self._greet(message)
+            return
+        match message:
+            case Hello():
+                raise ProtocolError("`hello` was said already: valid once per link")
+            case UpEvent():
+                self._queue(message)
+            case State():
+                self._fleet.take_state(self.cell, message)
+            case Beat():
+                pass
+            case _:
+                assert_never(message)
+
+    def _take_telemetry(self, frame: bytes) -> None:
+        if self.hello is None:
+            raise ProtocolError("a link begins with `hello`, not with telemetry")
+        invocation, rows = unpack_batch(frame)
+        self._fleet.take_telemetry(self.cell, invocation, rows)
+
+    async def _greet(self, hello: Hello) -> None:
+        if hello.cell != self.cell.id:
+            raise ProtocolError(f"this is the link of `{self.cell.id}`, the cell says it is `{hello.cell}`")
+        if hello.version != VERSION:
+            raise ProtocolError(f"the cell speaks version `{hello.version}` of the link: valid is `{VERSION}`")
+        await self._fleet.take_place(self, hello)
+        self.hello = hello
+        self._next_seq = self.cell.up_seq + 1
+        self._tasks = [asyncio.create_task(self._drain()), asyncio.create_task(self._record())]
+        self.post(
+            Welcome(
+                kernel_key=self._fleet.kernel_key,
+                policy_digest=self._fleet.policy_digest,
+                profile=self.cell.profile,
+                acknowledged=self.cell.up_seq,
+            )
+        )
+        if hello.policy_digest != self._fleet.policy_digest:
+            self.post(Policy(digest=self._fleet.policy_digest, files=dict(self._fleet.policy_files)))
+        await self._fleet.welcome(self, hello)
+
+    def _queue(self, event: UpEvent) -> None:
+        if event.seq < self._next_seq:
+            self.post(Ack(seq=self.cell.up_seq))
+            return
+        if event.seq > self._next_seq:
+            raise ProtocolError(f"report `{event.seq}` leaves a gap: `{self._next_seq}` comes next")
+        if len(self._reports) >= MAX_WAITING_EVENTS:
+            raise ProtocolError(f"more than `{MAX_WAITING_EVENTS}` reports wait for the record")
+        self._fleet.check_report(self.cell, event)
+        self._next_seq += 1
+        self._reports.append(event)
+        self._incoming.set()
+
+    async def _record(self) -> None:
+        while True:
+            await self._incoming.wait()
+            self._incoming.clear()
+            while self._reports:
+                batch = [self._reports[place] for place in range(min(len(self._reports), BATCH_EVENTS))]
+                if not await self._recorded(batch):
+                    await asyncio.sleep(RETRY_S)
+                    continue
+                for _ in batch:
+                    self._reports.popleft()
+                self.post(Ack(seq=self.cell.up_seq))
+            await self._fleet.caught_up(self)
+
+    async def _recorded(self, batch: Sequence[UpEvent]) -> bool:
+        try:
+            await self._fleet.record(self.cell, batch)
+        except RecordUnavailable:
+            return False
+        except ProtocolError as error:
+            self.shut(PROTOCOL_VIOLATION, str(error))
+            await asyncio.Event().wait()  # `detach` ends this task; nothing more is taken from this link
+        return True
+
+    # -- ending ------------------------------------------------------------------------------------------------------
+
+    def shut(self, code: int, reason: str) -> None:
+        """Close the link and say why; the route's reading ends, and it detaches."""
+        if self.closed:
+            return
+        self.closed = True
+        self._fleet.closing(self._link.close(code, reason[:120]))
+
+    async def detach(self) -> None:
+        """Take the link out of the fleet, once the socket is gone."""
+        self.closed = True
+        for task in self._tasks:
+            task.cancel()
+        if self._tasks:
+            await asyncio.wait(self._tasks)
+        await self._fleet.leave(self)
+
+
+def key_text(public_key: bytes) -> str:
+    """Return a raw public key as `Welcome` carries it."""
+    return base64.b64encode(public_key).decode()

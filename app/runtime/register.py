@@ -1,0 +1,126 @@
+"""The register: every invocation that is not final, in memory, and the one way its changes become durable and visible.
+
+A change is made under the invocation's lock: the next version is computed, its row and the events that caused it are
+appended in one transaction, and only then the version in memory moves on and whoever waits is woken. If the append
+fails, nothing has changed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from app.clock import rfc3339
+from app.runtime.errors import NotFound
+from app.runtime.invocation import read_invocation
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from app.audit.event import EventDraft, RowWrite
+    from app.audit.store import AuditStore
+    from app.runtime.invocation import Invocation
+
+
+@dataclass(slots=True, kw_only=True)
+class Entry:
+    """A live invocation: its newest durable version, the lock its changes take, and who waits for the next."""
+
+    newest: Invocation
+    lock: asyncio.Lock = field(default_factory=asyncio.Lock)
+    changed: asyncio.Event = field(default_factory=asyncio.Event)
+
+
+class Register:
+    """Live invocations of one server, and appending on their behalf."""
+
+    def __init__(self, store: AuditStore, wall_s: Callable[[], float]) -> None:
+        """Take the store and the wall clock."""
+        self.store = store
+        self._wall_s = wall_s
+        self._live: dict[str, Entry] = {}
+
+    def now(self) -> str:
+        """Return the wall time as text."""
+        return rfc3339(self._wall_s())
+
+    def now_s(self) -> float:
+        """Return the wall time in seconds."""
+        return self._wall_s()
+
+    def live(self) -> list[Invocation]:
+        """Return the newest version of everything not final."""
+        return [entry.newest for entry in self._live.values()]
+
+    def newest(self, invocation: str) -> Invocation | None:
+        """Return a live invocation's newest version."""
+        entry = self._live.get(invocation)
+        return None if entry is None else entry.newest
+
+    def entry(self, invocation: str) -> Entry | None:
+        """Return a live invocation's entry, to lock it."""
+        return self._live.get(invocation)
+
+    def adopt(self, invocations: Iterable[Invocation]) -> None:
+        """Take in what an earlier run of the server left unfinished; it is in the store already."""
+        for invocation in invocations:
+            self._live[invocation.id] = Entry(newest=invocation)
+
+    async def append(
+        self, drafts: Sequence[EventDraft], rows: Sequence[RowWrite] = (), versions: Sequence[Invocation] = ()
+    ) -> Sequence[int]:
+        """Make events, rows and new versions durable together, then let the versions be seen. Returns the places.
+
+        Raises:
+            RecordUnavailable: nothing is recorded and nothing has changed.
+            RowExists: a row that is written once is there already; nothing has changed.
+        """
+        seqs = await self.store.append(drafts, [*rows, *(version.row() for version in versions)])
+        for version in versions:
+            self._show(version)
+        return seqs
+
+    async def load(self, invocation: str) -> Invocation:
+        """Return the newest durable version, from memory or from the store.
+
+        Raises:
+            NotFound: there is none.
+        """
+        entry = self._live.get(invocation)
+        if entry is not None:
+            return entry.newest
+        document = await self.store.invocation(invocation)
+        if document is None:
+            raise NotFound("invocation", invocation)
+        return read_invocation(document)
+
+    async def wait(self, invocation: str, seconds: float, known_updated_at: str | None) -> Invocation:
+        """Return the invocation at its next change, at once if `known_updated_at` is past, or after the time.
+
+        Raises:
+            NotFound: there is none.
+        """
+        entry = self._live.get(invocation)
+        if entry is None:
+            return await self.load(invocation)
+        if known_updated_at is None or entry.newest.updated_at == known_updated_at:
+            changed = entry.changed
+            try:
+                async with asyncio.timeout(seconds):
+                    await changed.wait()
+            except TimeoutError:
+                return entry.newest
+        return entry.newest
+
+    def _show(self, version: Invocation) -> None:
+        entry = self._live.get(version.id)
+        if entry is None:
+            if not version.final:
+                self._live[version.id] = Entry(newest=version)
+            return
+        entry.newest = version
+        entry.changed.set()
+        entry.changed = asyncio.Event()
+        if version.final:
+            del self._live[version.id]
