@@ -20,7 +20,8 @@ FETCH = Goal(kind="fetch", subject="mug_1", destination="bench_b")
 def ended(status: str, *reasons: tuple[str, str], outcome: str | None = None, **more: object) -> dict[str, object]:
     return {
         "id": "inv_1", "status": status, "capability": "grasp_object", "profile": "human-shared", "outcome": outcome,
-        "admission": {"outcome": "defer", "retry_after_s": 0.01, "reasons": [{"rule": r, "code": c} for r, c in reasons]},
+        "admission": {"outcome": "defer", "retry_after_s": 0.01,
+                      "reasons": [{"rule": rule, "code": code} for rule, code in reasons]},
         "policy": {"reasons": [], "changes": []}, "updated_at": "t", **more,
     }  # fmt: skip
 
