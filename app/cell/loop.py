@@ -1,0 +1,248 @@
+"""The cell's control loop on a thread of its own: 100 Hz by deadline, and nothing in it waits for the network.
+
+Everything that wants something from the runner (the link, a signal) puts an `Order` into the inbox; the loop obeys
+between ticks and, while it waits for the next deadline, at once. Everything the runner says leaves through the
+`Outbox`. The lease is judged here as well, so that a cell whose link thread is stuck holds all the same.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from dataclasses import dataclass
+from queue import Empty
+from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
+
+from app.clock import monotonic_s
+from app.governance.model import Status
+from app.protocol import LEASE_MS, STATE_MS, Ack, Estop, Human, Launch, Reset, SetProfile, State
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from queue import SimpleQueue
+
+    from app.governance.policy import PolicySet
+    from app.protocol import UpEvent
+
+MAX_LAG_S: Final = 0.1  # a loop further behind than this starts afresh instead of catching up
+MAX_BATCHES: Final = 3000  # about ten minutes of telemetry while nobody listens
+STOPPING_S: Final = 2.0  # how long a controlled stop may take before the loop ends anyway
+WORKING: Final = frozenset({Status.RUNNING, Status.PAUSED, Status.RECOVERING})
+
+
+@dataclass(frozen=True, slots=True)
+class Welcomed:
+    """The server answered the cell's hello: the lease runs again."""
+
+    profile: str
+
+
+@dataclass(frozen=True, slots=True)
+class NewPolicy:
+    """The bundle the server sent, its digest verified, compiled."""
+
+    policies: PolicySet
+
+
+@dataclass(frozen=True, slots=True)
+class Shutdown:
+    """Come to a controlled stop, then leave the loop."""
+
+
+Order: TypeAlias = Launch | Human | Estop | Reset | SetProfile | Ack | Welcomed | NewPolicy | Shutdown
+Inbox: TypeAlias = "SimpleQueue[Order]"
+
+
+class Governed(Protocol):
+    """What the loop drives: the runner, as seen from its thread."""
+
+    @property
+    def period_s(self) -> float:
+        """Return the control period."""
+        ...
+
+    def tick(self) -> None:
+        """Do one control period."""
+        ...
+
+    def obey(self, order: Order) -> None:
+        """Do what was ordered; what cannot be done is reported upward, never raised."""
+        ...
+
+    def hold(self, reason: str) -> None:
+        """Hold in place (category 2) and launch nothing until welcomed."""
+        ...
+
+    def state(self) -> State:
+        """Return the newest state, with its facts."""
+        ...
+
+    def standing(self) -> bool:
+        """Say whether nothing moves."""
+        ...
+
+
+class Lease:
+    """When the server was last heard; written by the link, read by the loop."""
+
+    __slots__ = ("_heard_s",)
+
+    def __init__(self) -> None:
+        """Start lapsed: a cell holds until it is welcomed."""
+        self._heard_s = float("-inf")
+
+    def heard(self) -> None:
+        """Note that the server spoke just now."""
+        self._heard_s = monotonic_s()
+
+    def lapsed(self) -> bool:
+        """Say whether nothing was heard for `LEASE_MS`."""
+        return monotonic_s() - self._heard_s > LEASE_MS / 1000
+
+
+class Outbox:
+    """What the loop hands over to the link: events until they are acknowledged, telemetry, the newest state.
+
+    One thread fills, another empties; each operation is one atomic step on a deque or a reference.
+    """
+
+    def __init__(self) -> None:
+        """Start empty, with nobody to wake."""
+        self.events: deque[UpEvent] = deque()
+        self.batches: deque[bytes] = deque(maxlen=MAX_BATCHES)
+        self.state: State | None = None
+        self.last_seq = 0
+        self.changed = False
+        self.wake: Callable[[], None] = lambda: None
+
+    def event(self, event: UpEvent) -> None:
+        """Report one event; it stays until the server has it."""
+        self.events.append(event)
+        self.last_seq = event.seq
+        self.changed = True
+        self.wake()
+
+    def batch(self, frame: bytes) -> None:
+        """Hand over one frame of telemetry; the oldest goes when nobody listens for long."""
+        self.batches.append(frame)
+        self.wake()
+
+    def acknowledge(self, seq: int) -> None:
+        """Forget what the server's log holds."""
+        while self.events and self.events[0].seq <= seq:
+            self.events.popleft()
+
+    def after(self, seq: int) -> Sequence[UpEvent]:
+        """Return the events behind a sequence number, in order."""
+        return [event for event in tuple(self.events) if event.seq > seq]
+
+
+class TickLoop:
+    """Drives the runner tick by tick. Pace is simulated seconds per second; 0 is as fast as possible while working."""
+
+    def __init__(self, runner: Governed, inbox: Inbox, outbox: Outbox, lease: Lease, *, pace: float) -> None:
+        """Take the runner over; nobody else may touch it from here on."""
+        self._runner = runner
+        self._inbox = inbox
+        self._outbox = outbox
+        self._lease = lease
+        self._pace = pace
+        self._held = True
+        self._ending = False
+        self._state_due_s = 0.0
+        self._thread = threading.Thread(target=self.run, name="tick", daemon=True)
+        self.overruns = 0
+        self.ticks = 0
+        self.broken: BaseException | None = None
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def join(self, timeout_s: float) -> bool:
+        """Wait for the loop to end; say whether it did."""
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def alive(self) -> bool:
+        """Say whether the loop runs."""
+        return self._thread.is_alive()
+
+    def run(self) -> None:
+        """Tick until shut down. A bug in the runner ends the loop and with it the cell; nothing moves without ticks."""
+        try:
+            self._run()
+        except BaseException as error:
+            self.broken = error
+            raise
+        finally:
+            self._outbox.wake()
+
+    def _run(self) -> None:
+        due_s = monotonic_s()
+        while not self._ending:
+            self._check_lease()
+            self._runner.tick()
+            self.ticks += 1
+            self._publish()
+            due_s = self._next_due(due_s)
+            self._obey_until(due_s)
+        self._come_to_rest()
+
+    def _next_due(self, due_s: float) -> float:
+        now_s = monotonic_s()
+        pace = self._pace or (0.0 if self._working() else 1.0)
+        if not pace:
+            return now_s
+        due_s += self._runner.period_s / pace
+        if due_s >= now_s:
+            return due_s
+        self.overruns += 1
+        return due_s if now_s - due_s < MAX_LAG_S else now_s
+
+    def _working(self) -> bool:
+        state = self._outbox.state
+        return state is not None and state.status in WORKING
+
+    def _obey_until(self, due_s: float) -> None:
+        """Obey what has come in, and whatever comes in before the deadline."""
+        while not self._ending:
+            try:
+                wait_s = due_s - monotonic_s()
+                order = self._inbox.get(timeout=wait_s) if wait_s > 0 else self._inbox.get_nowait()
+            except Empty:
+                return
+            self._obey(order)
+
+    def _obey(self, order: Order) -> None:
+        match order:
+            case Shutdown():
+                self._ending = True
+                self._runner.hold("shutdown")
+            case Welcomed():
+                self._held = False
+                self._runner.obey(order)
+            case _:
+                self._runner.obey(order)
+        self._outbox.changed = True
+
+    def _check_lease(self) -> None:
+        if not self._held and self._lease.lapsed():
+            self._held = True
+            self._runner.hold("link")
+
+    def _publish(self) -> None:
+        """Make the newest state public ten times a second and on every change."""
+        now_s = monotonic_s()
+        if now_s < self._state_due_s and not self._outbox.changed:
+            return
+        self._outbox.changed = False
+        self._state_due_s = now_s + STATE_MS / 1000
+        self._outbox.state = self._runner.state()
+        self._outbox.wake()
+
+    def _come_to_rest(self) -> None:
+        end_s = monotonic_s() + STOPPING_S
+        while not self._runner.standing() and monotonic_s() < end_s:
+            self._runner.tick()
+        self._outbox.state = self._runner.state()

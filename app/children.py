@@ -1,0 +1,169 @@
+"""The cells `reins serve` starts for itself: one process each, watched, started again when it dies, stopped at the end.
+
+A cell outlives its server on purpose: it holds the robot where it is and dials on. So a server that comes back first
+looks whether the cell of that name is still there (its lock is held) and adopts it instead of starting another.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import fcntl
+import os
+import signal
+import sys
+from collections import deque
+from typing import TYPE_CHECKING, Final
+
+from app.clock import monotonic_s
+from app.config import CELL_TOKEN_VARIABLE
+
+if TYPE_CHECKING:
+    from asyncio.subprocess import Process
+    from collections.abc import Callable, Generator
+    from pathlib import Path
+
+    from app.config import Settings
+
+LOCK_FILE: Final = "cell.lock"
+RESTARTS: Final = 5  # within RESTARTS_WITHIN_S; after that the cell stays down until the server is started again
+RESTARTS_WITHIN_S: Final = 120.0
+LOOK_S: Final = 0.25
+STOP_S: Final = 3.5  # a controlled stop, the last events, and leave
+
+
+class CellRuns(Exception):
+    """Another process is this cell already."""
+
+    def __init__(self, folder: Path, pid: int | None) -> None:
+        """Name the folder and the process that has it."""
+        self.pid = pid
+        super().__init__(f"`{folder}` belongs to a cell that runs (process `{pid}`); valid: one process for each cell")
+
+
+@contextlib.contextmanager
+def cell_lock(folder: Path) -> Generator[None]:
+    """Be the one process of a cell; the lock's file holds the process id and is free again however the process ends.
+
+    Raises:
+        CellRuns: another process is.
+        OSError: the folder cannot be written.
+    """
+    with (folder / LOCK_FILE).open("a+") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise CellRuns(folder, running_cell(folder)) from None
+        file.truncate(0)
+        file.write(f"{os.getpid()}\n")
+        file.flush()
+        yield
+
+
+def running_cell(folder: Path) -> int | None:
+    """Return the process id of the cell that holds this folder's lock, None if none does."""
+    with contextlib.suppress(FileNotFoundError), (folder / LOCK_FILE).open("r") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            text = file.read().strip()
+            return int(text) if text.isdigit() else None
+    return None
+
+
+class Children:
+    """The child cells of one server."""
+
+    def __init__(self, settings: Settings, token: str, report: Callable[[str, str], None]) -> None:
+        """Take what the cells are started with.
+
+        Args:
+            settings: the server's.
+            token: the cells' bearer token; reaches them through their environment.
+            report: called with a cell's name and what happened to it.
+        """
+        self._settings = settings
+        self._token = token
+        self._report = report
+        self._stopping = asyncio.Event()
+        self._watches: list[asyncio.Task[None]] = []
+
+    def start(self) -> None:
+        """Start or adopt every cell; returns at once."""
+        self._watches = [asyncio.create_task(self._keep(cell)) for cell in self._settings.cell_ids()]
+
+    async def stop(self) -> None:
+        """Ask every cell for a controlled stop, wait, and end by force what does not leave."""
+        self._stopping.set()
+        await asyncio.gather(*self._watches)
+
+    async def _keep(self, cell: str) -> None:
+        folder = self._settings.layout.cell(cell)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        deaths: deque[float] = deque()
+        while not self._stopping.is_set():
+            if (pid := running_cell(folder)) is not None:
+                await self._watch_adopted(cell, folder, pid)
+                continue
+            code = await self._watch_child(await self._spawn(cell))
+            if self._stopping.is_set():
+                return
+            deaths.append(monotonic_s())
+            while deaths[0] < monotonic_s() - RESTARTS_WITHIN_S:
+                deaths.popleft()
+            if len(deaths) > RESTARTS:
+                self._report(cell, f"ended with `{code}` for the {len(deaths)}th time in a row; not started again")
+                return
+            self._report(cell, f"ended with `{code}`; starting it again, idle")
+            await self._rest(0.2 * 2 ** len(deaths))
+
+    async def _spawn(self, cell: str) -> Process:
+        layout, settings = self._settings.layout, self._settings
+        words = ["cell", "--id", cell, "--server-file", str(layout.server), "--data", str(layout.cell(cell))]
+        words += ["--pace", str(settings.pace), "--seed", str(settings.seed), "--parent", str(os.getpid())]
+        for flag, value in (("--scenario", settings.scenario), ("--robot", settings.robot)):
+            words += [flag, value] if value is not None else []
+        return await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-m",
+            "app.cli",
+            *words,
+            stdin=asyncio.subprocess.DEVNULL,
+            env={**os.environ, CELL_TOKEN_VARIABLE: self._token},
+            start_new_session=True,  # Ctrl-C is the server's to hear; it stops its cells in order
+        )
+
+    async def _watch_child(self, child: Process) -> int:
+        ended = asyncio.create_task(child.wait())
+        stopping = asyncio.create_task(self._stopping.wait())
+        await asyncio.wait({ended, stopping}, return_when=asyncio.FIRST_COMPLETED)
+        stopping.cancel()
+        if not ended.done():
+            child.send_signal(signal.SIGTERM)
+            await asyncio.wait({ended}, timeout=STOP_S)
+            if not ended.done():
+                child.kill()
+        return await ended
+
+    async def _watch_adopted(self, cell: str, folder: Path, pid: int) -> None:
+        self._report(cell, f"runs already (process `{pid}`); adopted")
+        while running_cell(folder) == pid:
+            await self._rest(LOOK_S)
+            if self._stopping.is_set():
+                await _end_adopted(folder, pid)
+                return
+
+    async def _rest(self, seconds: float) -> None:
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._stopping.wait(), seconds)
+
+
+async def _end_adopted(folder: Path, pid: int) -> None:
+    for number, patience_s in ((signal.SIGTERM, STOP_S), (signal.SIGKILL, 1.0)):
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, number)
+        end_s = monotonic_s() + patience_s
+        while monotonic_s() < end_s:
+            if running_cell(folder) != pid:
+                return
+            await asyncio.sleep(LOOK_S / 5)
