@@ -105,7 +105,7 @@ cell_progress = Table(
     metadata,
     Column("cell", Text, primary_key=True),
     Column("up_seq", Counter, nullable=False),  # the last report of the cell's journal that the log holds
-    Column("journal", Text, nullable=False, server_default=""),  # which journal that number counts in
+    Column("journal", Text, nullable=False),  # which journal that number counts in
     Column("updated_at", Text, nullable=False),
 )
 
@@ -141,7 +141,7 @@ ON_CONNECT: Mapping[str, tuple[str, ...]] = {
         "PRAGMA synchronous=FULL",
         "PRAGMA wal_autocheckpoint=1000",
         "PRAGMA recursive_triggers=ON",
-        "PRAGMA busy_timeout=5000",
+        "PRAGMA busy_timeout=100",
     ),
     "postgresql": ("SET synchronous_commit = on",),
 }

@@ -92,7 +92,7 @@ def upgrade() -> None:
         "cell_progress",
         text("cell", key=True),
         counter("up_seq"),
-        sa.Column("journal", sa.Text, nullable=False, server_default=""),
+        text("journal"),
         text("updated_at"),
     )
     op.create_table("settings", text("name", key=True), data("value"), text("updated_at"))

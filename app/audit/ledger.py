@@ -1,0 +1,295 @@
+"""The one writer of the log, without concurrency: stage a batch, commit it, or take it back.
+
+    stage    on the event loop   BEGIN, give places, insert events, rows and the signed checkpoint
+    commit   in the commit thread   COMMIT, then the checkpoint into the file outside
+    adopt    on the event loop   only now the tree in memory grows
+    take_back                    ROLLBACK; the next stage looks first what the disk really holds
+
+The tree is a value, so the memory cannot run ahead of the disk: a batch that fails takes its tree along.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import sqlalchemy as sa
+from alembic.util import CommandError
+from sqlalchemy.exc import DatabaseError, SQLAlchemyError
+
+from app.audit.checkpoint import NoteInvalid
+from app.audit.checkpoint_file import CheckpointFile
+from app.audit.errors import RecordDamaged, RecordUnavailable, RowExists, StoreInUse
+from app.audit.merkle import Frontier, leaf_hash
+from app.audit.migrate import migrate
+from app.audit.places import Places, create_key, load_key
+from app.audit.rows import primary_key, replacement, same_key
+from app.audit.tables import BEGIN_WRITE, ON_CONNECT, STATE, STORE_GIVEN, checkpoints, events
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Mapping, Sequence
+
+    from app.audit.event import Event, RowWrite, Submission
+
+TAIL_EVENTS = 1000  # at least so many events are hashed again at every start
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Staged:
+    """A batch inside an open transaction: what every submission got, and the tree that will hold."""
+
+    answers: tuple[tuple[Event, ...] | RowExists, ...]
+    events: tuple[Event, ...]
+    frontier: Frontier
+    note: str
+
+
+class Ledger:
+    """The database with its lock, its key and its checkpoint file, opened for writing."""
+
+    def __init__(self, places: Places) -> None:
+        """Open or create the log, bring its tables up to date, and check its end against its last checkpoints.
+
+        Raises:
+            RecordUnavailable: the directory or the database cannot be written.
+            RecordDamaged: what is stored contradicts its signatures, or parts of it are missing.
+            StoreInUse: another process writes here.
+        """
+        self.places = places
+        self._suspect = False
+        with ExitStack() as opened, naming_failures(places):
+            places.folder.mkdir(parents=True, exist_ok=True)
+            opened.callback(os.close, take_lock(places))
+            self._engine = sa.create_engine(
+                sa.URL.create("sqlite", database=str(places.database)),
+                isolation_level="AUTOCOMMIT",
+                connect_args={"check_same_thread": False},
+            )
+            opened.callback(self._engine.dispose)
+            self._connection = connect(self._engine)
+            opened.callback(self._connection.close)
+            migrate(self._connection)
+            self._replace = {name: replacement(table, self._engine.dialect.name) for name, table in STATE.items()}
+            self.frontier, self.note = self._restore()
+            new = self.frontier.size == 0 and not places.secret_key.exists()
+            self.signer = create_key(places) if new else load_key(places)
+            self._check_tail()
+            if self.frontier.size and not places.checkpoints.exists():
+                raise RecordDamaged(places.checkpoints, "the checkpoints outside the database are missing")
+            self._file = CheckpointFile(places.checkpoints)
+            opened.callback(self._file.close)
+            self._check_outside()
+            self._opened = opened.pop_all()
+
+    # -- writing -----------------------------------------------------------------------------------------------------
+
+    def stage(self, batch: Sequence[Submission]) -> Staged:
+        """Insert a batch without committing it; what conflicts with rows written once is left out and answered so.
+
+        Raises:
+            sqlalchemy.exc.SQLAlchemyError: the database does not take it; call `take_back`.
+        """
+        self._connection.exec_driver_sql(BEGIN_WRITE[self._engine.dialect.name])
+        if self._suspect:
+            self.frontier, self.note = self._restore()
+            self._file.missing = self.note if self.note != self._file.last else None
+            self._suspect = False
+        seq = self.frontier.size
+        taken: set[tuple[object, ...]] = set()
+        answers: list[tuple[Event, ...] | RowExists] = []
+        sealed: list[Event] = []
+        rows: dict[str, list[Mapping[str, Any]]] = {}
+        for submission in batch:
+            conflict = self._conflict(submission.rows, taken)
+            if conflict is not None:
+                answers.append(conflict)
+                continue
+            mine = tuple(prepared.seal(seq + place) for place, prepared in enumerate(submission.events, 1))
+            for row in submission.rows:
+                rows.setdefault(row.table, []).append({**row.values, STORE_GIVEN: seq + 1})
+            seq += len(mine)
+            sealed.extend(mine)
+            answers.append(mine)
+        for name, values in rows.items():
+            self._connection.execute(self._replace[name], values)
+        frontier, note = self._insert(sealed)
+        return Staged(answers=tuple(answers), events=tuple(sealed), frontier=frontier, note=note)
+
+    def commit(self, staged: Staged) -> str | None:
+        """Make a staged batch durable, in any thread; return why the outside file did not follow, if it did not.
+
+        Raises:
+            sqlalchemy.exc.SQLAlchemyError, OSError: nothing was acknowledged; call `take_back`.
+        """
+        self._file.catch_up()
+        self._connection.exec_driver_sql("COMMIT")
+        if staged.note == self.note:  # rows alone: the tree stayed as it was
+            return None
+        try:
+            self._file.append(staged.note)
+        except OSError as error:
+            return f"checkpoint file: {describe(error)}"
+        return None
+
+    def adopt(self, staged: Staged) -> None:
+        """Let the tree in memory be that of a committed batch."""
+        self.frontier, self.note = staged.frontier, staged.note
+
+    def take_back(self) -> None:
+        """Undo a batch that failed; the tree in memory never held it.
+
+        Raises:
+            sqlalchemy.exc.SQLAlchemyError: the database is beyond undoing; the next `stage` will say so too.
+        """
+        self._suspect = True  # a commit that failed may have reached the disk all the same
+        self._connection.connection.rollback()
+
+    def close(self) -> None:
+        """Let go of the database, the file and the lock."""
+        self._opened.close()
+
+    def _insert(self, sealed: Sequence[Event]) -> tuple[Frontier, str]:
+        if not sealed:
+            return self.frontier, self.note
+        leaves = [leaf_hash(event.body) for event in sealed]
+        frontier = self.frontier.extend(leaves)
+        note = self.signer.sign(frontier.size, frontier.root())
+        self._connection.execute(sa.insert(events), [event._asdict() for event in sealed])
+        checkpoint = {"size": frontier.size, "first": sealed[0].seq, "note": note}
+        self._connection.execute(
+            sa.insert(checkpoints), {**checkpoint, "frontier": frontier.pack(), "leaves": b"".join(leaves)}
+        )
+        return frontier, note
+
+    def _conflict(self, rows: Sequence[RowWrite], taken: set[tuple[object, ...]]) -> RowExists | None:
+        mine: set[tuple[object, ...]] = set()
+        for row in rows:
+            if not row.once:
+                continue
+            key = primary_key(row)
+            place = (row.table, *key)
+            if place in taken or place in mine or self._connection.execute(same_key(row)).first():
+                return RowExists(row.table, key)
+            mine.add(place)
+        taken |= mine
+        return None
+
+    # -- opening -----------------------------------------------------------------------------------------------------
+
+    def _restore(self) -> tuple[Frontier, str]:
+        newest = (
+            sa.select(checkpoints.c.size, checkpoints.c.note, checkpoints.c.frontier)
+            .order_by(checkpoints.c.size.desc())
+            .limit(1)
+        )
+        row = self._connection.execute(newest).first()
+        if row is None:
+            return Frontier(), ""
+        try:
+            return Frontier.unpack(row.size, row.frontier), row.note
+        except ValueError as error:
+            raise RecordDamaged(self.places.database, f"the checkpoint at `{row.size}`: {error}") from error
+
+    def _check_tail(self) -> None:
+        """Hash the last events again, from a checkpoint some way back, up to the signed end."""
+        size = self.frontier.size
+        database = self.places.database
+        last = self._connection.execute(sa.select(sa.func.max(events.c.seq))).scalar() or 0
+        if last != size:
+            raise RecordDamaged(database, f"the last event is `{last}`, the last checkpoint is at `{size}`")
+        if not size:
+            return
+        back = (
+            sa.select(checkpoints.c.size, checkpoints.c.frontier)
+            .where(checkpoints.c.size <= size - TAIL_EVENTS)
+            .order_by(checkpoints.c.size.desc())
+        )
+        row = self._connection.execute(back.limit(1)).first()
+        try:
+            signed = self.signer.verifier.open(self.note)
+            start = Frontier() if row is None else Frontier.unpack(row.size, row.frontier)
+        except ValueError as error:
+            raise RecordDamaged(database, f"its checkpoints: {error}") from error
+        bodies = self._connection.execute(
+            sa.select(events.c.body).where(events.c.seq > start.size).order_by(events.c.seq)
+        ).scalars()
+        tail = start.extend(leaf_hash(body) for body in bodies)
+        heads = {(tail.size, tail.root()), (size, self.frontier.root())}
+        if heads != {(signed.size, signed.root)}:
+            raise RecordDamaged(database, f"the events after `{start.size}` are not those that were signed")
+
+    def _check_outside(self) -> None:
+        """Compare the end of the checkpoint file with the database, and write the note that a crash kept from it."""
+        newest = sa.select(checkpoints.c.size, checkpoints.c.note).order_by(checkpoints.c.size.desc()).limit(2)
+        rows = self._connection.execute(newest).all()
+        notes = [row.note for row in rows]
+        outside = self._file.last
+        if outside in notes[:1] or (outside is None and not notes):
+            return
+        if outside in notes[1:] or (outside is None and len(notes) == 1):
+            self._file.append(notes[0])
+            return
+        raise RecordDamaged(self.places.checkpoints, self._disagreement(outside))
+
+    def _disagreement(self, outside: str | None) -> str:
+        size = self.frontier.size
+        if outside is None:
+            return f"holds no checkpoint, the database has `{size}` events"
+        try:
+            head = self.signer.verifier.open(outside)
+        except NoteInvalid as error:
+            return f"its last checkpoint is not one of this log: {error}"
+        if head.size > size:
+            return f"vouches for `{head.size}` events, the database has `{size}`: its end was cut off"
+        return f"its last checkpoint, at `{head.size}`, is not among the database's last"
+
+
+def connect(engine: sa.Engine) -> sa.Connection:
+    """Open a connection with the settings that make a commit durable."""
+    connection = engine.connect()
+    for statement in ON_CONNECT[engine.dialect.name]:
+        connection.exec_driver_sql(statement)
+    return connection
+
+
+def take_lock(places: Places) -> int:
+    """Hold the directory for this process; the system lets go when it dies.
+
+    Raises:
+        StoreInUse: another process holds it.
+        OSError: the lock cannot be made.
+    """
+    descriptor = os.open(places.lock, os.O_RDWR | os.O_CREAT, 0o600)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise StoreInUse(places.folder) from None
+    return descriptor
+
+
+@contextmanager
+def naming_failures(places: Places) -> Generator[None]:
+    """Turn what the system and the database say while opening into what it means for the record.
+
+    Raises:
+        RecordDamaged: the database is none, or belongs to a newer version.
+        RecordUnavailable: the directory or the database cannot be written.
+    """
+    try:
+        yield
+    except (SQLAlchemyError, OSError) as error:
+        # An `OperationalError` is the world's fault; a plain `DatabaseError` is the file's.
+        if type(error) is DatabaseError:
+            raise RecordDamaged(places.database, describe(error)) from error
+        raise RecordUnavailable(describe(error)) from error
+    except CommandError as error:
+        raise RecordDamaged(places.database, f"its tables are of another version: {error}") from error
+
+
+def describe(error: BaseException) -> str:
+    """Return what a database or system error says, without the statement it struck."""
+    return str(getattr(error, "orig", None) or error)

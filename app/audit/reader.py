@@ -1,0 +1,285 @@
+"""Reading the record, on a connection that cannot write: filters, pages, single rows. Safe beside a running writer.
+
+Every read fetches a bounded page and lets go, since a reader that stays open makes the write-ahead log grow.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from urllib.parse import quote
+
+import sqlalchemy as sa
+from sqlalchemy.exc import SQLAlchemyError
+
+from app.audit.errors import RecordDamaged
+from app.audit.event import Event
+from app.audit.tables import STATE, STORE_GIVEN, checkpoints, events
+from app.clock import rfc3339
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+Row = dict[str, Any]
+MAX_LIMIT = 1000
+EVENT_COLUMNS = (events.c.seq, events.c.at, events.c.kind, events.c.invocation, events.c.actor, events.c.body)
+NEWEST = sa.select(checkpoints.c.size, checkpoints.c.note).order_by(checkpoints.c.size.desc()).limit(1)
+EXTENT = sa.select(
+    sa.select(sa.func.min(events.c.seq)).scalar_subquery().label("first"),
+    sa.select(sa.func.max(events.c.seq)).scalar_subquery().label("last"),
+    sa.select(sa.func.max(checkpoints.c.size)).scalar_subquery().label("signed"),
+)
+
+
+class Page(NamedTuple):
+    """Some rows, newest first, and the cursor that continues behind them, if there are more."""
+
+    items: list[Row]
+    next: str | None
+
+
+class Batch(NamedTuple):
+    """A checkpoint as stored: it vouches for the events `first` to `size`."""
+
+    size: int
+    first: int
+    note: str
+    frontier: bytes
+    leaves: bytes
+
+
+class Extent(NamedTuple):
+    """First and last event and the last checkpoint's size, seen at one moment; 0 where there is none."""
+
+    first: int
+    last: int
+    signed: int
+
+
+class Reader:
+    """Read-only access to one log's database."""
+
+    def __init__(self, database: Path) -> None:
+        """Open the database.
+
+        Raises:
+            RecordDamaged: there is no such file, or it is no log.
+        """
+        self.database = database
+        if not database.is_file():
+            raise RecordDamaged(database, "no such log: is this the data directory of a server?")
+        self._engine = sa.create_engine("sqlite://", creator=self._connect, poolclass=sa.QueuePool, pool_size=2)
+        try:
+            self.extent()
+        except RecordDamaged:
+            self._engine.dispose()
+            raise
+
+    def _connect(self) -> sqlite3.Connection:
+        uri = f"file:{quote(str(self.database.resolve()))}?mode=ro"
+        # A closed log in a directory that cannot be written has no place for the file readers share: read it as it is.
+        log = self.database.with_name(self.database.name + "-wal")
+        try:
+            return open_read_only(uri)
+        except sqlite3.OperationalError:
+            if log.exists() and log.stat().st_size:
+                raise
+            return open_read_only(f"{uri}&immutable=1")
+
+    def close(self) -> None:
+        """Let go of the database."""
+        self._engine.dispose()
+
+    # -- the log -----------------------------------------------------------------------------------------------------
+
+    def events(
+        self,
+        *,
+        invocation: str | None = None,
+        kind: str | None = None,
+        actor: str | None = None,
+        since: float | None = None,
+        until: float | None = None,
+        after: int = 0,
+        limit: int = 100,
+    ) -> list[Event]:
+        """Return events in order of `seq`.
+
+        Args:
+            invocation: only those under this invocation.
+            kind: only those of this kind.
+            actor: only those by this actor.
+            since: wall time in seconds, included.
+            until: wall time in seconds, excluded.
+            after: cursor, the last `seq` already seen.
+            limit: at most so many, 1 to 1000.
+
+        Raises:
+            ValueError: a limit out of bounds, or a time that is none.
+            RecordDamaged: the database cannot be read.
+        """
+        query = sa.select(*EVENT_COLUMNS).where(events.c.seq > after)
+        for column, value in ((events.c.invocation, invocation), (events.c.kind, kind), (events.c.actor, actor)):
+            if value is not None:
+                query = query.where(column == value)
+        if since is not None:
+            query = query.where(events.c.at >= rfc3339(since))
+        if until is not None:
+            query = query.where(events.c.at < rfc3339(until))
+        return [Event(*row) for row in self._all(query.order_by(events.c.seq).limit(bounded(limit)))]
+
+    def last_events(self, limit: int) -> list[Event]:
+        """Return the last events, in order of `seq`.
+
+        Raises:
+            ValueError: a limit out of bounds.
+            RecordDamaged: the database cannot be read.
+        """
+        query = sa.select(*EVENT_COLUMNS).order_by(events.c.seq.desc()).limit(bounded(limit))
+        return [Event(*row) for row in reversed(self._all(query))]
+
+    def extent(self) -> Extent:
+        """Return how far events and checkpoints reach.
+
+        Raises:
+            RecordDamaged: the database cannot be read.
+        """
+        (row,) = self._all(EXTENT)
+        return Extent(*(value or 0 for value in row))
+
+    def note(self) -> str | None:
+        """Return the newest signed checkpoint.
+
+        Raises:
+            RecordDamaged: the database cannot be read.
+        """
+        rows = self._all(NEWEST)
+        return rows[0].note if rows else None
+
+    def batches(self, *, after: int, until: int, limit: int) -> list[Batch]:
+        """Return checkpoints with `after` < size ≤ `until`, in order.
+
+        Raises:
+            RecordDamaged: the database cannot be read.
+        """
+        columns = (checkpoints.c[name] for name in Batch._fields)
+        query = sa.select(*columns).where(checkpoints.c.size > after, checkpoints.c.size <= until)
+        return [Batch(*row) for row in self._all(query.order_by(checkpoints.c.size).limit(limit))]
+
+    # -- the runtime's state -----------------------------------------------------------------------------------------
+
+    def row(self, table: str, **key: str | int) -> Row | None:
+        """Return the row of a state table with this primary key.
+
+        Raises:
+            KeyError: no such table or column.
+            RecordDamaged: the database cannot be read.
+        """
+        query = sa.select(STATE[table]).where(*(STATE[table].c[name] == value for name, value in key.items()))
+        rows = self._all(query.limit(1))
+        return as_dict(STATE[table], rows[0]) if rows else None
+
+    def rows(self, table: str, filters: Mapping[str, Any] | None = None, *, limit: int = MAX_LIMIT) -> list[Row]:
+        """Return rows of a state table by primary key; a filter's tuple of values means any of them.
+
+        Raises:
+            KeyError: no such table or column.
+            RecordDamaged: the database cannot be read.
+        """
+        query = filtered(STATE[table], filters).order_by(*STATE[table].primary_key.columns).limit(bounded(limit))
+        return [as_dict(STATE[table], row) for row in self._all(query)]
+
+    def page(
+        self, table: str, filters: Mapping[str, Any] | None = None, *, limit: int = 50, cursor: str | None = None
+    ) -> Page:
+        """Return rows of `invocations` or `escalations`, newest first.
+
+        Args:
+            table: one that has `created_seq`.
+            filters: values by column; None does not filter, a tuple means any of its values.
+            limit: at most so many, 1 to 1000.
+            cursor: the `next` of the page before.
+
+        Raises:
+            KeyError: no such table or column.
+            ValueError: a limit out of bounds, or a cursor that no page gave.
+            RecordDamaged: the database cannot be read.
+        """
+        columns = STATE[table].c
+        age = sa.tuple_(columns[STORE_GIVEN], columns.id)
+        query = filtered(STATE[table], filters)
+        if cursor is not None:
+            query = query.where(age < sa.tuple_(*(sa.literal(part) for part in parse_cursor(cursor))))
+        query = query.order_by(columns[STORE_GIVEN].desc(), columns.id.desc()).limit(bounded(limit) + 1)
+        items = [as_dict(STATE[table], row) for row in self._all(query)]
+        more = len(items) > limit
+        items = items[:limit]
+        return Page(items, f"{items[-1][STORE_GIVEN]}.{items[-1]['id']}" if more else None)
+
+    def _all(self, query: sa.Select[*tuple[Any, ...]]) -> list[sa.Row[*tuple[Any, ...]]]:
+        try:
+            with self._engine.connect() as connection:
+                return list(connection.execute(query).all())
+        except (SQLAlchemyError, sqlite3.Error) as error:
+            raise RecordDamaged(
+                self.database, f"cannot be read as a log: {getattr(error, 'orig', None) or error}"
+            ) from error
+
+
+def open_read_only(uri: str) -> sqlite3.Connection:
+    """Open a SQLite URI and read its head, so that what is wrong with it shows here.
+
+    Raises:
+        sqlite3.Error: it cannot be opened or is no database.
+    """
+    connection = sqlite3.connect(uri, uri=True, check_same_thread=False, isolation_level=None, timeout=5)
+    try:
+        connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+    except sqlite3.Error:
+        connection.close()
+        raise
+    return connection
+
+
+def as_dict(table: sa.Table, row: sa.Row[*tuple[Any, ...]]) -> Row:
+    """Return a row of a whole table as values by column."""
+    return dict(zip(table.columns.keys(), row, strict=True))
+
+
+def filtered(table: sa.Table, filters: Mapping[str, Any] | None) -> sa.Select[Any]:
+    """Select from a table by equality.
+
+    Raises:
+        KeyError: no such column.
+    """
+    query = sa.select(table)
+    for name, value in (filters or {}).items():
+        if isinstance(value, tuple):
+            query = query.where(table.c[name].in_(cast("tuple[Any, ...]", value)))
+        elif value is not None:
+            query = query.where(table.c[name] == value)
+    return query
+
+
+def bounded(limit: int) -> int:
+    """Return a limit within bounds.
+
+    Raises:
+        ValueError: it is not.
+    """
+    if not 1 <= limit <= MAX_LIMIT:
+        raise ValueError(f"`{limit}` is no limit: valid is 1 to {MAX_LIMIT}")
+    return limit
+
+
+def parse_cursor(cursor: str) -> tuple[int, str]:
+    """Read what `page` returned as `next`.
+
+    Raises:
+        ValueError: no page gave this.
+    """
+    seq, separator, key = cursor.partition(".")
+    if not separator or not (seq.isascii() and seq.isdigit()) or len(seq) > 18:
+        raise ValueError(f"`{cursor[:80]}` is no cursor: valid is the `next` of the page before")
+    return int(seq), key

@@ -1,0 +1,259 @@
+"""The durable store on the event loop: group commit, subscribers, health, and reads that do not block it.
+
+Callers await `append`. The first one starts a batch, whoever comes until the loop gets to it joins. The batch is
+inserted on the event loop and committed in one thread of its own; meanwhile the next batch collects. So the batch grows
+with the load and nobody waits for a window to pass. Callers are answered when their events are on the disk, subscribers
+right before them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from app.audit.errors import AuditError, RecordUnavailable, RowExists
+from app.audit.event import Event, EventDraft, RowWrite, Submission, prepare_all
+from app.audit.ledger import Ledger, Staged, describe
+from app.audit.places import Places
+from app.audit.reader import Page, Reader, Row
+from app.audit.rows import check_row
+from app.audit.verification import Verification, verify_log
+from app.clock import rfc3339, wall_s
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+
+    from app.audit.checkpoint import Verifier
+
+T = TypeVar("T")
+
+MAX_BATCH_EVENTS = 512  # bounds how long one batch keeps the event loop
+MAX_WAITING = 10_000
+PROBE_AFTER_S = 1.0
+PROBE_BYTES = 32 * 1024
+
+
+class AuditStore:
+    """The record of one server: append, read, verify, subscribe."""
+
+    def __init__(self, ledger: Ledger) -> None:
+        """Take an opened ledger; `AuditStore.open` is the usual way."""
+        self._ledger = ledger
+        self.places = ledger.places
+        self._reader = Reader(ledger.places.database)
+        self._committer = ThreadPoolExecutor(1, thread_name_prefix="audit-commit")
+        self._readers = ThreadPoolExecutor(1, thread_name_prefix="audit-read")
+        self._waiting: deque[tuple[Submission, asyncio.Future[list[int]]]] = deque()
+        self._writing = False
+        self._closed = False
+        self._idle: asyncio.Future[None] | None = None
+        self._probe: asyncio.TimerHandle | None = None
+        self._reason: str | None = None
+        self._subscribers: list[Callable[[tuple[Event, ...]], None]] = []
+
+    @classmethod
+    def open(cls, data_dir: Path) -> AuditStore:
+        """Open or create the log in a data directory; blocks, so call it at start.
+
+        Raises:
+            RecordUnavailable: the directory or the database cannot be written.
+            RecordDamaged: what is stored contradicts its signatures, or parts of it are missing.
+            StoreInUse: another process writes here.
+        """
+        return cls(Ledger(Places(data_dir)))
+
+    async def close(self) -> None:
+        """Finish what was handed over, then let go of everything."""
+        self._closed = True
+        if self._probe is not None:
+            self._probe.cancel()
+        if self._writing:
+            self._idle = asyncio.get_running_loop().create_future()
+            await self._idle
+        self._committer.shutdown()
+        self._readers.shutdown()
+        self._reader.close()
+        self._ledger.close()
+
+    # -- facts -------------------------------------------------------------------------------------------------------
+
+    @property
+    def healthy(self) -> bool:
+        """Whether the last write reached the disk, in the database and outside it."""
+        return self._reason is None
+
+    @property
+    def reason(self) -> str | None:
+        """Why the store is not healthy."""
+        return self._reason
+
+    @property
+    def size(self) -> int:
+        """How many events are durable."""
+        return self._ledger.frontier.size
+
+    @property
+    def checkpoint(self) -> str | None:
+        """The newest signed tree head that is durable; none before the first event."""
+        return self._ledger.note or None
+
+    @property
+    def verifier(self) -> Verifier:
+        """The public key of this log."""
+        return self._ledger.signer.verifier
+
+    # -- writing -----------------------------------------------------------------------------------------------------
+
+    async def append(self, events: Sequence[EventDraft], rows: Sequence[RowWrite] = ()) -> list[int]:
+        """Record events, and rows of state with them, and return the events' places once they are durable.
+
+        All or nothing. Once handed over they are written even if the caller is cancelled.
+
+        Raises:
+            RecordUnavailable: not known to be recorded, nothing may move on them.
+            RowExists: a row to be written once is there already; nothing was recorded.
+            EventMalformed, RowMalformed: the caller's bug; nothing was recorded.
+        """
+        for row in rows:
+            check_row(row)
+        return await self._enqueue(Submission(prepare_all(events, rfc3339(wall_s())), tuple(rows)))
+
+    def subscribe(self, callback: Callable[[tuple[Event, ...]], None]) -> Callable[[], None]:
+        """Call back on the event loop with every batch of events once durable; returns how to end it.
+
+        An exception in a callback goes to the loop's exception handler and harms neither writers nor other subscribers.
+        """
+        self._subscribers.append(callback)
+        return lambda: self._subscribers.remove(callback) if callback in self._subscribers else None
+
+    def _enqueue(self, submission: Submission) -> asyncio.Future[list[int]]:
+        if self._closed:
+            raise RecordUnavailable("the store is closed")
+        if len(self._waiting) >= MAX_WAITING:
+            raise RecordUnavailable(f"`{MAX_WAITING}` callers wait already")
+        loop = asyncio.get_running_loop()
+        future: asyncio.Future[list[int]] = loop.create_future()
+        self._waiting.append((submission, future))
+        if not self._writing:
+            self._writing = True
+            loop.call_soon(self._write_batch)
+        return future
+
+    def _write_batch(self) -> None:
+        batch = self._next_batch()
+        loop = asyncio.get_running_loop()
+        if not batch:
+            self._writing = False
+            if self._idle is not None:
+                self._idle.set_result(None)
+            return
+        try:
+            staged = self._ledger.stage([submission for submission, _ in batch])
+        except Exception as error:  # whatever it was, nothing of the batch is recorded, and everyone is told
+            self._fail(batch, error)
+            loop.call_soon(self._write_batch)
+            return
+        commit = loop.run_in_executor(self._committer, self._ledger.commit, staged)
+        commit.add_done_callback(partial(self._settle, batch, staged))
+
+    def _next_batch(self) -> list[tuple[Submission, asyncio.Future[list[int]]]]:
+        batch: list[tuple[Submission, asyncio.Future[list[int]]]] = []
+        size = 0
+        while self._waiting and size < MAX_BATCH_EVENTS:
+            batch.append(self._waiting.popleft())
+            size += len(batch[-1][0].events) + len(batch[-1][0].rows)
+        return batch
+
+    def _settle(
+        self,
+        batch: list[tuple[Submission, asyncio.Future[list[int]]]],
+        staged: Staged,
+        commit: asyncio.Future[str | None],
+    ) -> None:
+        error = commit.exception()
+        if error is not None:
+            self._fail(batch, error)
+        else:
+            self._ledger.adopt(staged)
+            self._note_health(commit.result())
+            self._publish(staged.events)
+            for (_, future), answer in zip(batch, staged.answers, strict=True):
+                if future.done():
+                    continue
+                if isinstance(answer, RowExists):
+                    future.set_exception(answer)
+                else:
+                    future.set_result([event.seq for event in answer])
+        self._write_batch()
+
+    def _fail(self, batch: list[tuple[Submission, asyncio.Future[list[int]]]], error: BaseException) -> None:
+        reason = describe(error)
+        try:
+            self._ledger.take_back()
+        except Exception as undo:  # the next stage fails as well and says why; this one must still answer its callers
+            reason = f"{reason}; taking it back: {describe(undo)}"
+        self._note_health(reason)
+        for _, future in batch:
+            if not future.done():
+                refusal = RecordUnavailable(reason)
+                refusal.__cause__ = error
+                future.set_exception(refusal)
+
+    def _publish(self, events: tuple[Event, ...]) -> None:
+        if not events:
+            return
+        for callback in tuple(self._subscribers):
+            try:
+                callback(events)
+            except Exception as error:
+                context = {"message": "a subscriber of the record failed", "exception": error}
+                asyncio.get_running_loop().call_exception_handler(context)
+
+    # -- health ------------------------------------------------------------------------------------------------------
+
+    def _note_health(self, reason: str | None) -> None:
+        self._reason = reason
+        if reason is not None and self._probe is None and not self._closed:
+            self._probe = asyncio.get_running_loop().call_later(PROBE_AFTER_S, self._try_again)
+
+    def _try_again(self) -> None:
+        """Write something that needs room on the disk, so that health comes back without anyone risking a proposal."""
+        self._probe = None
+        if self._reason is None or self._closed or len(self._waiting) >= MAX_WAITING:
+            return
+        values = {"id": 1, "at": rfc3339(wall_s()), "filler": bytes(PROBE_BYTES)}
+        probe = self._enqueue(Submission((), (RowWrite(table="probes", values=values),)))
+        probe.add_done_callback(lambda answer: answer.exception())  # what it says stands in the health already
+
+    # -- reading -----------------------------------------------------------------------------------------------------
+
+    async def events(self, **filters: Any) -> list[Event]:  # noqa: ANN401  # checked by the reader it goes to
+        """Return events in order of `seq`; arguments and errors as `Reader.events`."""
+        return await self._read(partial(self._reader.events, **filters))
+
+    async def row(self, table: str, **key: str | int) -> Row | None:
+        """Return the row of a state table with this primary key; errors as `Reader.row`."""
+        return await self._read(partial(self._reader.row, table, **key))
+
+    async def rows(self, table: str, filters: Mapping[str, Any] | None = None) -> list[Row]:
+        """Return rows of a state table by primary key; errors as `Reader.rows`."""
+        return await self._read(partial(self._reader.rows, table, filters))
+
+    async def page(
+        self, table: str, filters: Mapping[str, Any] | None = None, *, limit: int = 50, cursor: str | None = None
+    ) -> Page:
+        """Return rows of `invocations` or `escalations`, newest first; errors as `Reader.page`."""
+        return await self._read(partial(self._reader.page, table, filters, limit=limit, cursor=cursor))
+
+    async def verify(self) -> Verification:
+        """Recompute the log from its stored bytes, in a thread with a connection of its own."""
+        return await asyncio.to_thread(verify_log, self.places, self.verifier)
+
+    async def _read(self, query: Callable[[], T]) -> T:
+        if self._closed:
+            raise AuditError("the store is closed")
+        return await asyncio.get_running_loop().run_in_executor(self._readers, query)

@@ -1,0 +1,181 @@
+"""Verification of a log from its stored bytes: nothing the writer remembers is taken on trust.
+
+    1. Every checkpoint is signed by the log's key, they follow each other without gap, and what stands beside is right.
+    2. Every event's place, its columns and its bytes agree, and its bytes hash to the leaf its checkpoint vouches for.
+    3. The recomputed root is the signed root at every checkpoint; behind the last one stands no event.
+    4. The file outside the database holds the same checkpoints, the last one excepted, which may still be on its way.
+
+A writer may go on meanwhile: the walk ends where the log ended when it began.
+"""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from app.audit.checkpoint import Checkpoint, NoteInvalid, Verifier
+from app.audit.checkpoint_file import read_notes
+from app.audit.errors import RecordDamaged
+from app.audit.event import Event, read_columns
+from app.audit.merkle import Frontier, leaf_hash, split_hashes
+from app.audit.reader import MAX_LIMIT, Batch, Extent, Reader
+
+if TYPE_CHECKING:
+    from app.audit.places import Places
+
+BATCHES_AT_A_TIME = 256
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verification:
+    """What verification found.
+
+    `size` events, from the first on, are good and have the tree root `root` (base64); `checkpoint` is the signed note
+    that covers them. Where the log is not good, `first_bad` is the first event that is altered, missing or not vouched
+    for, and `problem` says what is wrong.
+    """
+
+    ok: bool
+    size: int
+    root: str
+    checkpoint: str | None
+    first_bad: int | None = None
+    problem: str | None = None
+
+
+class _Bad(Exception):  # carries a finding to the end of the walk
+    def __init__(self, seq: int, problem: str) -> None:
+        self.seq = seq
+        self.problem = problem
+        super().__init__(problem)
+
+
+def verify_log(places: Places, verifier: Verifier) -> Verification:
+    """Verify the log in a data directory; never raises for what is stored there, but reports it."""
+    walk = _Walk(places, verifier)
+    try:
+        walk.run()
+    except _Bad as bad:
+        return walk.result(bad.seq, bad.problem)
+    except (RecordDamaged, OSError) as error:
+        return walk.result(walk.frontier.size + 1, str(error))
+    return walk.result(None, None)
+
+
+class _Walk:
+    """One pass from the first event to the last, holding what is known to be good so far."""
+
+    def __init__(self, places: Places, verifier: Verifier) -> None:
+        self.places = places
+        self.verifier = verifier
+        self.frontier = Frontier()
+        self.note: str | None = None
+        self._not_outside: list[int] = []
+
+    def result(self, first_bad: int | None, problem: str | None) -> Verification:
+        return Verification(
+            ok=problem is None,
+            size=self.frontier.size,
+            root=b64encode(self.frontier.root()).decode(),
+            checkpoint=self.note,
+            first_bad=first_bad,
+            problem=problem,
+        )
+
+    def run(self) -> None:
+        reader = Reader(self.places.database)
+        try:
+            before = reader.extent()
+            # The file's length is taken between two looks at the database, for it may be neither ahead nor far behind.
+            outside = read_notes(self.places.checkpoints, self.places.checkpoints.stat().st_size)
+            extent = reader.extent()
+            if extent.first < 0 or (extent.last and extent.first != 1):
+                raise _Bad(min(extent.first, 1), f"the first event is `{extent.first}`")
+            while self.frontier.size < extent.signed:
+                batches = reader.batches(after=self.frontier.size, until=extent.signed, limit=BATCHES_AT_A_TIME)
+                for batch in batches:
+                    self._batch(reader, batch)
+                    self._outside(batch, outside, before.signed)
+        finally:
+            reader.close()
+        self._end(extent, outside)
+
+    def _end(self, extent: Extent, outside: Iterator[str]) -> None:
+        if extent.last > extent.signed:
+            raise _Bad(extent.signed + 1, f"no checkpoint vouches for the events after `{extent.signed}`")
+        if len(self._not_outside) > 1:
+            raise _Bad(self._not_outside[0], f"`{self.places.checkpoints}` lacks the last checkpoints")
+        if next(outside, None) is not None:
+            raise _Bad(extent.signed + 1, f"`{self.places.checkpoints}` vouches for more events: the end was cut off")
+
+    def _batch(self, reader: Reader, batch: Batch) -> None:
+        size = self.frontier.size
+        if batch.first != size + 1 or batch.size < batch.first:
+            raise _Bad(size + 1, f"the checkpoint that covers event `{size + 1}` is missing")
+        head = self._head(batch)
+        vouched = self._vouched(batch, head)
+        leaves = list(self._leaves(reader, batch, vouched))
+        grown = self.frontier.extend(leaves)
+        if grown.root() != head.root:
+            raise _Bad(batch.first, f"the events `{batch.first}` to `{batch.size}` are not those that were signed")
+        if vouched is None or batch.frontier != grown.pack():
+            raise _Bad(batch.first, f"what stands beside the checkpoint at `{batch.size}` was altered")
+        self.frontier, self.note = grown, batch.note
+
+    def _head(self, batch: Batch) -> Checkpoint:
+        try:
+            head = self.verifier.open(batch.note)
+        except NoteInvalid as error:
+            raise _Bad(batch.first, f"the checkpoint at `{batch.size}`: {error}") from error
+        if head.size != batch.size:
+            raise _Bad(batch.first, f"the checkpoint at `{batch.size}` is signed for `{head.size}` events")
+        return head
+
+    def _vouched(self, batch: Batch, head: Checkpoint) -> tuple[bytes, ...] | None:
+        """Return the stored leaf hashes if they are those that were signed: they name the very event that is bad."""
+        try:
+            leaves = split_hashes(batch.leaves)
+        except ValueError:
+            return None
+        complete = len(leaves) == batch.size - self.frontier.size
+        return leaves if complete and self.frontier.extend(leaves).root() == head.root else None
+
+    def _leaves(self, reader: Reader, batch: Batch, vouched: tuple[bytes, ...] | None) -> Iterator[bytes]:
+        for expected, event in enumerate(self._events(reader, batch), batch.first):
+            if event is None or event.seq != expected:
+                raise _Bad(expected, f"event `{expected}` is missing")
+            leaf = leaf_hash(event.body) if type(event.body) is bytes else b""  # SQLite keeps any type anywhere
+            if not leaf or (vouched is not None and leaf != vouched[expected - batch.first]):
+                raise _Bad(expected, f"the bytes of event `{expected}` were altered")
+            if not agrees(event):
+                raise _Bad(expected, f"the columns of event `{expected}` are not what its bytes say")
+            yield leaf
+
+    def _events(self, reader: Reader, batch: Batch) -> Iterator[Event | None]:
+        """Yield the stored events of a batch, and None where they end before it does."""
+        seq = self.frontier.size
+        while seq < batch.size:
+            page = reader.events(after=seq, limit=min(MAX_LIMIT, batch.size - seq))
+            if not page:
+                yield None
+            yield from page
+            seq += len(page)
+
+    def _outside(self, batch: Batch, outside: Iterator[str], due: int) -> None:
+        """Compare with the next checkpoint in the file outside; those up to `due` were committed before it was read."""
+        note = next(outside, None)
+        if note is None:
+            if batch.size <= due:
+                self._not_outside.append(batch.first)
+        elif note != batch.note:
+            raise _Bad(batch.first, f"`{self.places.checkpoints}` holds another checkpoint than that at `{batch.size}`")
+
+
+def agrees(event: Event) -> bool:
+    """Say whether an event's columns are what its bytes say."""
+    try:
+        return read_columns(event.body) == event
+    except ValueError:
+        return False
