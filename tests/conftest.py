@@ -1,0 +1,177 @@
+"""Real servers for tests: started as a user starts them, on a free port, with a data directory of their own."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from app.children import running_cell
+from app.clock import monotonic_s
+
+START_S = 60.0
+END_S = 10.0
+STEP_S = 0.02
+
+
+def until(condition: Callable[[], Any], within_s: float = 30.0, what: str = "") -> Any:
+    """Return the condition's first true value; fail with `what` when the deadline passes."""
+    deadline = monotonic_s() + within_s
+    while True:
+        value = condition()
+        if value:
+            return value
+        if monotonic_s() > deadline:
+            pytest.fail(f"not within {within_s} s: {what or condition}")
+        time.sleep(STEP_S)
+
+
+@dataclass
+class ServerProcess:
+    """A server process under test, with its cells."""
+
+    data: Path
+    process: subprocess.Popen[bytes]
+    log: Path
+    url: str = ""
+    tokens: dict[str, str] = field(default_factory=dict)
+
+    def client(self, key: str = "operator") -> httpx.Client:
+        headers = {"Authorization": f"Bearer {self.tokens[key]}"}
+        return httpx.Client(base_url=self.url, headers=headers, timeout=70.0, trust_env=False)
+
+    def get(self, path: str, key: str = "operator") -> Any:
+        with self.client(key) as client:
+            answer = client.get(path)
+        assert answer.is_success, f"{path}: {answer.status_code} {answer.text}"
+        return answer.json()
+
+    def post(self, path: str, body: Any = None, key: str = "operator") -> httpx.Response:
+        with self.client(key) as client:
+            return client.post(path, json={} if body is None else body)
+
+    def propose(self, capability: str, **params: Any) -> dict[str, Any]:
+        answer = self.post("/v1/invocations", {"capability": capability, "params": params}, key="agent")
+        assert answer.status_code == 201, answer.text
+        return answer.json()
+
+    def await_status(self, invocation: str, *statuses: str, within_s: float = 60.0) -> dict[str, Any]:
+        """Follow an invocation by long poll until its status is one of those, or it is final."""
+        deadline = monotonic_s() + within_s
+        final = {"rejected", "deferred", "denied", "completed", "failed"}
+        while True:
+            document = self.get(f"/v1/invocations/{invocation}?wait=1")
+            if document["status"] in statuses:
+                return document
+            if document["status"] in final or monotonic_s() > deadline:
+                pytest.fail(f"`{invocation}` is {document['status']}, not {statuses}: {document}\n{self.tail()}")
+
+    def cell(self, name: str = "workcell-1") -> dict[str, Any]:
+        return next(cell for cell in self.get("/v1/cells")["items"] if cell["id"] == name)
+
+    def cell_pid(self, name: str = "workcell-1") -> int | None:
+        return running_cell(self.data / "cells" / name)
+
+    def kill(self) -> None:
+        """End the server at once, as a power cut would; its cells live on."""
+        self.process.send_signal(signal.SIGKILL)
+        self.process.wait(END_S)
+
+    def stop(self) -> int:
+        """Ask the server to stop; return its exit code."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+        return self.process.wait(END_S)
+
+    def tail(self) -> str:
+        return self.log.read_text()[-4000:]
+
+
+@dataclass
+class Servers:
+    """Starts servers and ends every process that came of them."""
+
+    folder: Path
+    started: list[ServerProcess] = field(default_factory=list)
+
+    def start(self, data: Path | None = None, *flags: str, cells: int = 1, wait_cells: bool = True) -> ServerProcess:
+        data = data or self.folder / f"data-{len(self.started)}"
+        log = self.folder / f"server-{len(self.started)}.log"
+        (data / "server.json").unlink(missing_ok=True)
+        words = ["serve", "--port", "0", "--data", str(data), "--cells", str(cells), "--pace", "0", *flags]
+        with log.open("wb") as out:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "app.cli", *words],
+                stdout=out,
+                stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL,
+                env={name: value for name, value in os.environ.items() if not name.startswith("REINS_")},
+                start_new_session=True,
+            )
+        server = ServerProcess(data, process, log)
+        self.started.append(server)
+        until(lambda: self._ready(server), START_S, f"server is ready\n{server.tail()}")
+        if wait_cells and cells:
+            until(lambda: all(cell["online"] for cell in self._cells(server, cells)), START_S, "cells online")
+        return server
+
+    def _ready(self, server: ServerProcess) -> bool:
+        if server.process.poll() is not None:
+            pytest.fail(f"the server ended with {server.process.returncode}\n{server.tail()}")
+        if not server.url:
+            with contextlib.suppress(FileNotFoundError, json.JSONDecodeError):
+                server.url = json.loads((server.data / "server.json").read_text())["url"]
+                server.tokens = json.loads((server.data / "tokens.json").read_text())
+            return False
+        try:
+            return httpx.get(f"{server.url}/readyz", trust_env=False).is_success
+        except httpx.TransportError:
+            return False
+
+    def _cells(self, server: ServerProcess, count: int) -> list[dict[str, Any]]:
+        items = server.get("/v1/cells")["items"]
+        return items if len(items) >= count else [{"online": False}]
+
+    def end(self) -> None:
+        for server in self.started:
+            if server.process.poll() is None:
+                server.process.send_signal(signal.SIGTERM)
+        for server in self.started:
+            try:
+                server.process.wait(END_S)
+            except subprocess.TimeoutExpired:
+                server.process.kill()
+                server.process.wait(END_S)
+            for folder in (server.data / "cells").glob("*"):
+                if (pid := running_cell(folder)) is not None:
+                    with contextlib.suppress(ProcessLookupError):
+                        os.kill(pid, signal.SIGKILL)
+
+
+@pytest.fixture
+def servers(tmp_path: Path) -> Iterator[Servers]:
+    """Start servers at will; all of them, and their cells, end with the test."""
+    made = Servers(tmp_path)
+    yield made
+    made.end()
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
+    """One server with one cell, shared by a module's tests."""
+    made = Servers(tmp_path_factory.mktemp("server"))
+    try:
+        yield made.start()
+    finally:
+        made.end()
