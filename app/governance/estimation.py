@@ -35,7 +35,8 @@ class BaseEstimate(NamedTuple):
     The truth is modelled as odometry + offset, where the offset drifts with a slowly changing velocity: a Kalman filter
     with the state (offset, drift) per axis. Both axes have the same noise, so they share one covariance (`p_oo`,
     `p_od`, `p_dd`). `history` holds (time_s, x_m, y_m, yaw_rad) of the odometry, newest first; `fix_s` is the stamp
-    of the last fix used, −1 before the first.
+    of the last fix used, −1 before the first; `miss_m` says how far a fix lay from where it was expected, and is 0
+    between fixes.
     """
 
     x_m: float = 0.0
@@ -47,6 +48,7 @@ class BaseEstimate(NamedTuple):
     p_od: float = 0.0
     p_dd: float = FIRST_DRIFT_MPS**2
     fix_s: float = -1.0
+    miss_m: float = 0.0
     history: tuple[tuple[float, float, float, float], ...] = ()
 
 
@@ -56,7 +58,7 @@ def track_base(estimate: BaseEstimate, time_s: float, period_s: float, odometry:
     Between fixes only time passes: the offset moves by drift × period and its variance grows. A fix of the past is
     compared with odometry + offset *of that past*, which compensates its latency without re-running the filter.
     """
-    x, y, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, history = estimate
+    x, y, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, _, history = estimate
     history = ((time_s, *odometry), *history[: HISTORY - 1])
     x += dx * period_s
     y += dy * period_s
@@ -64,7 +66,7 @@ def track_base(estimate: BaseEstimate, time_s: float, period_s: float, odometry:
     p_od += period_s * p_dd
     p_dd += DRIFT_NOISE * period_s
     if fix is None or fix.stamp_s == fix_s:
-        return BaseEstimate(x, y, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, history)
+        return BaseEstimate(x, y, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, 0.0, history)
     age_s = time_s - fix.stamp_s
     _, then_x, then_y, then_yaw = _at(history, fix.stamp_s)
     off_x = fix.x_m - then_x - (x - dx * age_s)
@@ -83,6 +85,7 @@ def track_base(estimate: BaseEstimate, time_s: float, period_s: float, odometry:
         (1.0 - gain_o) * p_od,
         p_dd - gain_d * p_od,
         fix.stamp_s,
+        0.0 if fix_s < 0.0 else math.hypot(off_x, off_y),
         history,
     )
 

@@ -1,0 +1,142 @@
+"""`intervene`: what follows from what the watcher says (paper, Stage 6: i_t = Intervene(w_t, Π, Γ, H)).
+
+Every watch rule declares a `Response`. This module runs those responses side by side, one small life for each rule:
+
+    idle ──alert──▶ engaged: `enter` holds ──quiet for clear_after_ms, then: resume──▶ idle
+                       │    └──quiet, then: stay──▶ engaged until a human resumes
+                       └──still violated persist_ms after it began──▶ `otherwise`, until a human decides
+
+and answers with the most severe intervention of all that are engaged: stop > rollback > escalate > pause > continue.
+
+A rule *ends the attempt* when it enters with STOP or ROLLBACK, when its `otherwise` is one of them, or when it enters
+with a PAUSE that has no way out by itself (`then: stay`, no `persist_ms`) and names a failure: then holding is only
+the first half of the answer, and recovery is the other.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from app.governance.model import Intervention
+
+if TYPE_CHECKING:
+    from app.governance.model import Alert, WatchRule
+
+SEVERITY: Final = {
+    Intervention.CONTINUE: 0,
+    Intervention.PAUSE: 1,
+    Intervention.ESCALATE: 2,
+    Intervention.ROLLBACK: 3,
+    Intervention.STOP: 4,
+}
+GRACE_MS: Final = 1000
+"""How long a recovery may find the violation still there that it was started for."""
+
+
+class Engaged(NamedTuple):
+    """One rule's response under way; ticks are the session's. `quiet_since` is None while the violation lasts."""
+
+    rule: str
+    alert: Alert
+    since: int
+    quiet_since: int | None
+    persisted: bool
+
+
+class Decision(NamedTuple):
+    """The intervention of this tick and the alert behind it; `ends_attempt` when recovery has to be asked."""
+
+    intervention: Intervention
+    alert: Alert | None = None
+    ends_attempt: bool = False
+
+
+class InterventionState(NamedTuple):
+    """All responses under way, and the rules a recovery was started for, with the tick their grace ends."""
+
+    engaged: tuple[Engaged, ...] = ()
+    grace: tuple[tuple[str, int], ...] = ()
+
+
+GO_ON: Final = Decision(Intervention.CONTINUE)
+NOTHING: Final = InterventionState()
+
+
+class Responses:
+    """The responses of one plan's rules by identifier, in ticks."""
+
+    __slots__ = ("_period_ms", "_rules")
+
+    def __init__(self, rules: tuple[WatchRule, ...], period_s: float) -> None:
+        """Take the rules of a compiled watcher."""
+        self._rules = {rule.id: rule for rule in rules}
+        self._period_ms = 1000.0 * period_s
+
+    def intervene(
+        self, state: InterventionState, alerts: tuple[Alert, ...], tick: int
+    ) -> tuple[InterventionState, Decision]:
+        """Return what is under way after this tick's alerts, and what has to be done now."""
+        if not alerts and state is NOTHING:
+            return NOTHING, GO_ON
+        grace = tuple(entry for entry in state.grace if tick < entry[1])
+        spared = {rule for rule, _ in grace}
+        speaking = {alert.rule: alert for alert in alerts if alert.rule not in spared}
+        # Grace ends with the violation: one that comes back is a new one.
+        grace = tuple(entry for entry in grace if any(alert.rule == entry[0] for alert in alerts))
+        engaged: list[Engaged] = []
+        for one in state.engaged:
+            if (kept := self._advance(one, speaking.pop(one.rule, None), tick)) is not None:
+                engaged.append(kept)
+        engaged += [Engaged(alert.rule, alert, tick, None, False) for alert in speaking.values()]
+        decision = max((self._decide(one) for one in engaged), key=_severity, default=GO_ON)
+        if not engaged and not grace:
+            return NOTHING, decision
+        return InterventionState(tuple(engaged), grace), decision
+
+    def _advance(self, one: Engaged, alert: Alert | None, tick: int) -> Engaged | None:
+        response = self._rules[one.rule].response
+        if alert is not None:
+            persist_ms = response.persist_ms
+            over = persist_ms is not None and (tick - one.since) * self._period_ms >= persist_ms
+            return Engaged(one.rule, alert, one.since, None, one.persisted or over)
+        quiet_since = tick if one.quiet_since is None else one.quiet_since
+        quiet_ms = (tick - quiet_since + 1) * self._period_ms
+        waits = response.then == "stay" and response.enter is not Intervention.CONTINUE
+        if not waits and not one.persisted and quiet_ms >= response.clear_after_ms:
+            return None
+        return one._replace(quiet_since=quiet_since)
+
+    def _decide(self, one: Engaged) -> Decision:
+        rule = self._rules[one.rule]
+        response = rule.response
+        if one.persisted:
+            otherwise = response.otherwise
+            return Decision(otherwise, one.alert, otherwise in (Intervention.STOP, Intervention.ROLLBACK))
+        return Decision(response.enter, one.alert, ends_attempt(rule))
+
+
+def ends_attempt(rule: WatchRule) -> bool:
+    """Say whether a rule's way in already ends the attempt."""
+    response = rule.response
+    match response.enter:
+        case Intervention.STOP | Intervention.ROLLBACK:
+            return True
+        case Intervention.PAUSE:
+            return response.then == "stay" and response.persist_ms is None and bool(rule.failure)
+        case Intervention.ESCALATE | Intervention.CONTINUE:
+            return False
+
+
+def released(state: InterventionState) -> InterventionState:
+    """Return the state after a human let go on: every response starts anew, and what is still violated speaks again."""
+    return InterventionState(grace=state.grace) if state.grace else NOTHING
+
+
+def recovering(rules: tuple[str, ...], tick: int, period_s: float) -> InterventionState:
+    """Return the state a recovery begins with: the violations it was started for get `GRACE_MS` to end."""
+    until = tick + round(GRACE_MS / (1000.0 * period_s))
+    return InterventionState(grace=tuple((rule, until) for rule in rules))
+
+
+def _severity(decision: Decision) -> tuple[int, bool]:
+    return SEVERITY[decision.intervention], decision.ends_attempt

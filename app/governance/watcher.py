@@ -1,0 +1,223 @@
+"""`watch`: does this tick remain within what policy allows (paper, Stage 5: w_t = Watch(Ω, Π, Γ)).
+
+`compile_watch` turns a `WatchPlan` into a `Watcher`: the constants of `detectors.Measure`, and a table with one row per
+rule. Per tick the watcher measures all signals and runs down the table. A row is violated unless its signal is
+*known* to be within the threshold, so a NaN violates every rule it meets.
+
+How long a violation must last is where sensitivity s enters. A rule's `for_ms` is its debounce at s = 0.5; the watcher
+waits `for_ms · 2 (1 − s)`, and at s = 1 not at all. A CUSUM rule alarms once the excess over the threshold, summed over
+ticks, passes 5 % of the threshold times the ticks it would be debounced for. Both shrink as s rises and nothing else
+depends on s: raising it never detects less, nor later.
+
+A plan that forgets to watch plausibility or postconditions gets a built-in rule for each: what cannot be believed, or
+was not achieved, never counts as well.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from app.governance.detectors import SIGNAL_NAMES, Measure, Senses, Signals
+from app.governance.estimation import cusum
+from app.governance.model import CONTROL_PERIOD_S, Alert, Intervention, Response, Signal, WatchRule
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from app.governance.model import Command, Observation, SkillReport, WatchPlan
+
+HEADROOM: Final = 1.05
+"""A violation is more than this times the limit: the truth overshoots a command on the limit by a few percent."""
+
+CUSUM_SHARE: Final = 0.05
+QUIET: Final[tuple[Alert, ...]] = ()
+
+IMPLAUSIBLE = WatchRule(
+    id="watch/implausible",
+    signal="implausible",
+    emits=Signal.INSTABILITY,
+    response=Response(enter=Intervention.ESCALATE),
+    above=True,
+    threshold=0.5,
+    failure="sensor_implausible",
+)
+UNMET = WatchRule(
+    id="watch/postcondition",
+    signal="postcondition",
+    emits=Signal.VIOLATION,
+    response=Response(enter=Intervention.STOP),
+    above=True,
+    threshold=0.5,
+    failure="postcondition_failed",
+)
+_ALWAYS: Final = (IMPLAUSIBLE, UNMET)
+
+
+class WatchState(NamedTuple):
+    """Everything watching remembers: what measuring does, the last signals, and how long which rule has been violated.
+
+    `lasting` holds (row, ticks) of the rules violated now, `sums` the cumulative sums of the CUSUM rules in order.
+    """
+
+    senses: Senses = Senses()
+    signals: Signals = Signals()
+    lasting: tuple[tuple[int, int], ...] = ()
+    sums: tuple[float, ...] = ()
+
+
+class _Row(NamedTuple):
+    """One rule, compiled: violated unless sign · signal ≤ sign · limit, for `ticks` in a row."""
+
+    place: int
+    sign: float
+    limit: float
+    ticks: int
+    rule: WatchRule
+    shown: int  # the signal an alert reports
+    computed: int | None  # the signal that is the threshold, where it is computed each tick
+
+
+class _Sum(NamedTuple):
+    place: int
+    sign: float
+    reference: float
+    limit: float
+    row: int
+
+
+class Watcher:
+    """Watches one session. Immutable: all that changes is in the `WatchState` that goes in and comes out."""
+
+    __slots__ = ("_quick", "_rows", "_sums", "measure", "plan", "rules")
+
+    def __init__(self, plan: WatchPlan, measure: Measure, rows: tuple[_Row, ...]) -> None:
+        """Arrange compiled rows; use `compile_watch`."""
+        self.plan = plan
+        self.measure = measure
+        self.rules = tuple(row.rule for row in rows)
+        self._rows = rows
+        self._quick = tuple(
+            (number, row.place, row.sign, row.limit)
+            for number, row in enumerate(rows)
+            if row.rule.method == "threshold"
+        )
+        self._sums = tuple(
+            _Sum(row.place, row.sign, row.sign * row.limit, _sum_limit(row), number)
+            for number, row in enumerate(rows)
+            if row.rule.method == "cusum"
+        )
+
+    def begin(self, before: WatchState | None = None) -> WatchState:
+        """Return the state an attempt begins with: estimates live on, timers, sums and the grip start afresh."""
+        fresh = WatchState(sums=(0.0,) * len(self._sums))
+        if before is None:
+            return fresh
+        kept = before.senses
+        return fresh._replace(senses=Senses(base=kept.base, people=kept.people, before=kept.before))
+
+    def watch(
+        self,
+        state: WatchState,
+        observation: Observation,
+        report: SkillReport,
+        command: Command,
+        rate: float = 1.0,
+        retries: int = 0,
+        unmet: int = 0,
+    ) -> tuple[WatchState, tuple[Alert, ...]]:
+        """Return the next state and an alert for every rule that is violated now and has been for long enough.
+
+        Alerts repeat as long as the violation lasts; which of them are news is for the caller to tell. `command` is
+        what the actuators were told, `rate` how fast the skill was let run (see `Measure`).
+        """
+        senses, signals = self.measure(state.senses, observation, report, command, rate, retries, unmet)
+        violated = [
+            number for number, place, sign, limit in self._quick if not sign * signals[place] <= limit
+        ]  # `not … <=`, so that a NaN is a violation
+        if not violated and not self._sums:
+            return WatchState(senses, signals, (), ()), QUIET
+        sums = tuple(
+            [
+                cusum(total, row.sign * signals[row.place], row.reference, row.limit)
+                for total, row in zip(state.sums, self._sums, strict=True)
+            ]
+        )
+        violated += [row.row for total, row in zip(sums, self._sums, strict=True) if not total <= row.limit]
+        if not violated:
+            return WatchState(senses, signals, (), sums), QUIET
+        before = dict(state.lasting)
+        lasting = tuple([(number, before.get(number, 0) + 1) for number in violated])
+        return WatchState(senses, signals, lasting, sums), tuple(self._alerts(lasting, signals))
+
+    def _alerts(self, lasting: tuple[tuple[int, int], ...], signals: Signals) -> Iterator[Alert]:
+        for number, ticks in lasting:
+            row = self._rows[number]
+            if ticks >= row.ticks:
+                limit = row.sign * row.limit if row.computed is None else signals[row.computed]
+                if row.rule.signal == "sensor_age_ms" and row.computed is not None:
+                    limit = signals.sensor_age_ms - signals.sensor_margin_ms
+                yield Alert(row.rule.emits, row.rule.id, signals[row.shown], limit, row.rule.failure)
+
+
+def compile_watch(plan: WatchPlan, period_s: float = CONTROL_PERIOD_S) -> Watcher:
+    """Compile a plan.
+
+    Raises:
+        ValueError: a rule names no signal, has a method or threshold that cannot be watched, or an identifier repeats;
+            sensitivity lies outside 0…1.
+    """
+    if not 0.0 <= plan.sensitivity <= 1.0:
+        raise ValueError(f"sensitivity `{plan.sensitivity}`; valid: 0 to 1")
+    watched = {rule.signal for rule in plan.rules}
+    rules = plan.rules + tuple(rule for rule in _ALWAYS if rule.signal not in watched)
+    names = [rule.id for rule in rules]
+    if twice := {name for name in names if names.count(name) > 1}:
+        raise ValueError(f"watch rules {', '.join(f'`{name}`' for name in sorted(twice))} appear twice; ids are unique")
+    return Watcher(plan, Measure(plan, period_s), tuple(_compile(rule, plan, period_s) for rule in rules))
+
+
+def _compile(rule: WatchRule, plan: WatchPlan, period_s: float) -> _Row:
+    if rule.signal not in SIGNAL_NAMES:
+        valid = ", ".join(f"`{name}`" for name in SIGNAL_NAMES)
+        raise ValueError(f"`{rule.id}` watches unknown signal `{rule.signal}`; valid: {valid}")
+    if rule.method not in ("threshold", "cusum"):
+        raise ValueError(f"`{rule.id}` uses unknown method `{rule.method}`; valid: `threshold`, `cusum`")
+    ticks = max(1, math.ceil(rule.for_ms * 2.0 * (1.0 - plan.sensitivity) / (1000.0 * period_s) - 1e-9))
+    shown = SIGNAL_NAMES.index(rule.signal)
+    sign = 1.0 if rule.above else -1.0
+    if rule.threshold is not None:
+        if not math.isfinite(rule.threshold):
+            raise ValueError(f"`{rule.id}` has threshold `{rule.threshold}`; valid: a finite number")
+        return _Row(shown, sign, sign * rule.threshold, ticks, rule, shown, None)
+    computed = _computed(rule, plan)
+    if isinstance(computed, tuple):
+        margin, threshold = computed
+        return _Row(margin, sign, 0.0, ticks, rule, shown, threshold)
+    return _Row(shown, sign, sign * computed, ticks, rule, shown, None)
+
+
+def _computed(rule: WatchRule, plan: WatchPlan) -> float | tuple[int, int]:
+    """Return what stands in for a threshold left to the watcher: a number, or the (margin, threshold) signals."""
+    place = Signals._fields.index
+    if rule.signal == "separation_m" and plan.separation is not None:
+        return place("separation_margin_m"), place("protective_separation_m")
+    if rule.signal == "sensor_age_ms":
+        return place("sensor_margin_ms"), place("sensor_age_ms")
+    numbers = {
+        "elapsed_s": plan.timeout_s,
+        "zone_margin_m": 0.0,
+        "contact_force_n": plan.bounds.contact_force_n,
+        "tcp_speed_mps": plan.bounds.tcp_speed_mps * HEADROOM,
+        "base_speed_mps": plan.bounds.base_speed_mps * HEADROOM,
+        "grip_lost": 0.5,
+        "implausible": 0.5,
+        "postcondition": 0.5,
+    }
+    if rule.signal not in numbers:
+        raise ValueError(f"`{rule.id}` needs a threshold: nothing computes one for `{rule.signal}` in this profile")
+    return float(numbers[rule.signal])
+
+
+def _sum_limit(row: _Row) -> float:
+    return CUSUM_SHARE * max(abs(row.limit), 1e-3) * row.ticks
