@@ -148,14 +148,14 @@ class Reader:
         (row,) = self._all(EXTENT)
         return Extent(*(value or 0 for value in row))
 
-    def note(self) -> str | None:
-        """Return the newest signed checkpoint.
+    def head(self) -> tuple[int, str]:
+        """Return the newest checkpoint's size and its signed note; 0 and no text before the first.
 
         Raises:
             RecordDamaged: the database cannot be read.
         """
         rows = self._all(NEWEST)
-        return rows[0].note if rows else None
+        return (rows[0].size, rows[0].note) if rows else (0, "")
 
     def batches(self, *, after: int, until: int, limit: int) -> list[Batch]:
         """Return checkpoints with `after` < size ≤ `until`, in order.

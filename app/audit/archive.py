@@ -1,0 +1,153 @@
+"""What an auditor does with a data directory, read-only, whether or not a server runs on it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from app.audit.checkpoint import Verifier
+from app.audit.errors import RecordDamaged
+from app.audit.places import Places, load_verifier
+from app.audit.reader import MAX_LIMIT, Reader
+from app.audit.verification import Verification, verify_log
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Iterator
+
+    from app.audit.event import Event
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Export:
+    """What was exported: a line of `events` is the exact bytes of one event, `checkpoint` is the note that signs them."""
+
+    events: Path
+    checkpoint: Path
+    count: int
+    sha256: str
+
+
+def verify_file(data_dir: Path, verifier: Verifier | None = None) -> Verification:
+    """Verify the log in a data directory.
+
+    Args:
+        data_dir: the directory of a server.
+        verifier: the log's public key as kept elsewhere; by default the one beside the log, which whoever can rewrite
+            the log can replace as well.
+
+    Raises:
+        RecordDamaged: there is no log, or no public key.
+    """
+    places = Places(data_dir)
+    key = verifier or load_verifier(places)
+    with reading(data_dir):
+        return verify_log(places, key)
+
+
+def show(data_dir: Path, invocation: str) -> list[Event]:
+    """Return all events under an invocation, in order.
+
+    Raises:
+        RecordDamaged: there is no log, or it cannot be read.
+    """
+    with reading(data_dir) as reader:
+        return list(walk(reader, invocation=invocation))
+
+
+def tail(data_dir: Path, *, limit: int = 20, after: int | None = None) -> list[Event]:
+    """Return the last events in order; with `after`, the first ones behind that `seq`, to go on from there.
+
+    Raises:
+        RecordDamaged: there is no log, or it cannot be read.
+        ValueError: a limit out of bounds.
+    """
+    with reading(data_dir) as reader:
+        return reader.last_events(limit) if after is None else reader.events(after=after, limit=limit)
+
+
+def export(data_dir: Path, out: Path, format: Literal["jsonl"] = "jsonl") -> Export:  # the CLI's word
+    """Write the events up to the newest checkpoint, one a line, and that checkpoint beside them (`….checkpoint`).
+
+    Who has both and the public key can check them without this program: SHA-256(0x00 ‖ line) are the leaves.
+
+    Raises:
+        RecordDamaged: there is no log, or it cannot be read.
+        ValueError: another format.
+        OSError: the files cannot be written.
+    """
+    if format != "jsonl":
+        raise ValueError(f"`{format}` is no export format: valid is `jsonl`")
+    note_path = out.with_name(out.name + ".checkpoint")
+    draft = out.with_name(out.name + ".partial")
+    digest = hashlib.sha256()
+    count = 0
+    with reading(data_dir) as reader, draft.open("wb") as file:
+        size, note = reader.head()
+        for event in walk(reader, until=size):
+            line = event.body + b"\n"
+            file.write(line)
+            digest.update(line)
+            count += 1
+        file.flush()
+        os.fsync(file.fileno())
+    note_path.write_text(note)
+    draft.replace(out)
+    return Export(events=out, checkpoint=note_path, count=count, sha256=digest.hexdigest())
+
+
+def telemetry_problems(data_dir: Path) -> list[str]:
+    """Compare every telemetry file with the digest that the log holds for it; an empty list means all agree.
+
+    Raises:
+        RecordDamaged: there is no log, or it cannot be read.
+    """
+    with reading(data_dir) as reader:
+        findings = [telemetry_problem(Places(data_dir).telemetry, event) for event in walk(reader, kind="telemetry")]
+    return [finding for finding in findings if finding is not None]
+
+
+def telemetry_problem(folder: Path, event: Event) -> str | None:
+    """Say what is wrong with the file a `telemetry` event vouches for."""
+    match event.payload():
+        case {"file": str(name), "sha256": str(expected)} if Path(name).name == name:
+            path = folder / name
+        case _:
+            return None  # a session that left no file says so in its own words
+    try:
+        with path.open("rb") as file:
+            found = hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        return f"event `{event.seq}`: `{path}`: {error.strerror}"
+    return None if found == expected else f"event `{event.seq}`: `{path}` is not the file that was recorded"
+
+
+def walk(reader: Reader, *, until: int | None = None, **filters: Any) -> Iterator[Event]:  # noqa: ANN401  # as Reader.events
+    """Yield events page by page, up to the place `until`."""
+    after = 0
+    while until is None or after < until:
+        limit = MAX_LIMIT if until is None else min(MAX_LIMIT, until - after)
+        page = reader.events(after=after, limit=limit, **filters)
+        if not page:
+            return
+        yield from page
+        after = page[-1].seq
+
+
+@contextmanager
+def reading(data_dir: Path) -> Generator[Reader]:
+    """Open a data directory for reading.
+
+    Raises:
+        RecordDamaged: there is no log in it, or it cannot be read.
+    """
+    if not data_dir.is_dir():
+        raise RecordDamaged(data_dir, "no such directory")
+    reader = Reader(Places(data_dir).database)
+    try:
+        yield reader
+    finally:
+        reader.close()
