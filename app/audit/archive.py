@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Export:
-    """What was exported: a line of `events` is the exact bytes of one event, `checkpoint` is the note that signs them."""
+    """What was exported: a line of `events` is the exact bytes of an event, `checkpoint` the note that signs them."""
 
     events: Path
     checkpoint: Path

@@ -109,7 +109,8 @@ class Ledger:
                 continue
             mine = tuple(prepared.seal(seq + place) for place, prepared in enumerate(submission.events, 1))
             for row in submission.rows:
-                rows.setdefault(row.table, []).append({**row.values, STORE_GIVEN: seq + 1})
+                given = {STORE_GIVEN: seq + 1} if STORE_GIVEN in STATE[row.table].columns else {}
+                rows.setdefault(row.table, []).append({**row.values, **given})
             seq += len(mine)
             sealed.extend(mine)
             answers.append(mine)

@@ -235,6 +235,16 @@ class AuditStore:
         """Return events in order of `seq`; arguments and errors as `Reader.events`."""
         return await self._read(partial(self._reader.events, **filters))
 
+    async def invocation(self, key: str) -> bytes | None:
+        """Return the document of an invocation, if there is one."""
+        row = await self.row("invocations", id=key)
+        return None if row is None else row["document"]
+
+    async def escalation(self, key: str) -> bytes | None:
+        """Return the document of an escalation, if there is one."""
+        row = await self.row("escalations", id=key)
+        return None if row is None else row["document"]
+
     async def row(self, table: str, **key: str | int) -> Row | None:
         """Return the row of a state table with this primary key; errors as `Reader.row`."""
         return await self._read(partial(self._reader.row, table, **key))

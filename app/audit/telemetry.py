@@ -136,7 +136,7 @@ def unit_of(name: str) -> str:
 
 
 class TelemetryWriter:
-    """Writes one session's telemetry in a thread of its own; its methods are for one thread, usually the event loop's."""
+    """Writes one session's telemetry in a thread of its own; its methods are for one thread, as the event loop's."""
 
     def __init__(
         self, path: Path, channels: Sequence[Channel], *, start_wall_s: float, row_format: str | None = None
