@@ -1,0 +1,282 @@
+"""The cell's journal: what it did, kept on disk until the server's log has it.
+
+One file, one line per record: `crc32 json`, appended with a single write. Sequence numbers rise by one and never repeat
+for a cell, across restarts and compactions. A line that was torn by a crash can only be the last one; it is cut off on
+opening and the loss is said. Any other damaged line means that the file is not what the cell wrote, and it is refused.
+
+There are two kinds of records: *entries*, which go up to the server, and *marks*, small facts a cell needs about itself
+after a restart (permits it has used, the latch, the session that was open). Every entry may carry marks with it, so
+that both become durable in the same write. Compaction drops acknowledged entries and keeps the last value of each mark.
+
+What could not be written did not happen: every failure of the disk is `JournalUnavailable`, and whoever moves must not.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import zlib
+from collections import deque
+from typing import TYPE_CHECKING, Final, NamedTuple, cast
+
+import orjson
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from app.governance.model import Json
+
+COMPACT_BYTES: Final = 4 * 1024 * 1024
+USED: Final = "used:"
+
+
+class JournalUnavailable(Exception):
+    """The journal cannot be read or written; says the file and the system's reason. Nothing may move."""
+
+
+class Entry(NamedTuple):
+    """One thing that happened on the cell: the fields of the link's `UpEvent`."""
+
+    seq: int
+    at_s: float
+    tick: int
+    kind: str
+    invocation: str | None
+    actor: str
+    body: dict[str, Json]
+
+
+class Journal:
+    """An append-only file of entries. Not thread-safe: the tick loop's thread owns it."""
+
+    def __init__(self, path: Path, *, boot: str) -> None:
+        """Open or create the file and read what is in it.
+
+        Args:
+            path: The file; its directory must exist.
+            boot: Name of this run of the cell's process.
+
+        Raises:
+            JournalUnavailable: the file cannot be opened, or holds a damaged line that is not the last.
+        """
+        self.path = path
+        self.boot = boot
+        self.torn_bytes = 0
+        self.acknowledged = 0
+        self.marks: dict[str, Json] = {}
+        self._entries: deque[Entry] = deque()
+        self._seq = 0
+        self._broken: str | None = None
+        try:
+            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o600)
+            self._load()
+            _sync_directory(path)
+        except OSError as error:
+            raise JournalUnavailable(f"cannot open journal `{path}`: {error.strerror}") from error
+
+    # -- writing -------------------------------------------------------------------------------------------------------
+
+    def append(
+        self,
+        *,
+        at_s: float,
+        tick: int,
+        kind: str,
+        invocation: str | None,
+        actor: str,
+        body: dict[str, Json],
+        marks: Mapping[str, Json] | None = None,
+    ) -> Entry:
+        """Write one entry, and marks with it; survives the process at once, the machine after `sync`.
+
+        Raises:
+            JournalUnavailable: it could not be written; the journal is as it was before.
+        """
+        entry = Entry(self._seq + 1, at_s, tick, kind, invocation, actor, body)
+        self._write({"e": list(entry), **({"m": dict(marks)} if marks else {})})
+        self._seq = entry.seq
+        self._entries.append(entry)
+        self.marks.update(marks or {})
+        return entry
+
+    def mark(self, marks: Mapping[str, Json]) -> None:
+        """Write marks without an entry; None removes one. Raises `JournalUnavailable`."""
+        self._write({"m": dict(marks)})
+        self.marks.update(marks)
+
+    def sync(self) -> None:
+        """Return only when everything appended is on the disk. Raises `JournalUnavailable`."""
+        self._check()
+        try:
+            os.fsync(self._file)
+        except OSError as error:
+            # After a failed fsync nobody knows what the disk holds: the file is not used again in this run.
+            self._broken = error.strerror or "fsync failed"
+            raise JournalUnavailable(f"cannot sync journal `{self.path}`: {error.strerror}") from error
+
+    def acknowledge(self, seq: int) -> None:
+        """Forget entries up to `seq`: the server's log has them. Compacts the file when it has grown.
+
+        Raises:
+            JournalUnavailable: the compacted file could not be written.
+        """
+        self.acknowledged = max(self.acknowledged, min(seq, self._seq))
+        while self._entries and self._entries[0].seq <= self.acknowledged:
+            self._entries.popleft()
+        if self._size() > COMPACT_BYTES:
+            self.compact()
+
+    def compact(self) -> None:
+        """Write the file anew with what is still needed, and put it in the old one's place in one step.
+
+        Raises:
+            JournalUnavailable: it could not be written; the old file stands.
+        """
+        self._check()
+        kept = {name: value for name, value in self.marks.items() if value is not None}
+        lines = [_line({"m": kept, "s": self._seq, "a": self.acknowledged})]
+        lines += [_line({"e": list(entry)}) for entry in self._entries]
+        draft = self.path.with_name(self.path.name + ".new")
+        try:
+            fresh = os.open(draft, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND | os.O_CLOEXEC, 0o600)
+            try:
+                _write_all(fresh, b"".join(lines))
+                os.fsync(fresh)
+                draft.replace(self.path)
+                _sync_directory(self.path)
+            except OSError:
+                os.close(fresh)
+                raise
+        except OSError as error:
+            raise JournalUnavailable(f"cannot compact journal `{self.path}`: {error.strerror}") from error
+        os.close(self._file)
+        self._file = fresh
+        self.marks = kept
+
+    def close(self) -> None:
+        """Let go of the file."""
+        os.close(self._file)
+        self._broken = "closed"
+
+    # -- reading -------------------------------------------------------------------------------------------------------
+
+    @property
+    def last_seq(self) -> int:
+        """Return the newest sequence number; 0 before the first entry."""
+        return self._seq
+
+    @property
+    def healthy(self) -> bool:
+        """Say whether the last write went through."""
+        return self._broken is None
+
+    def unacknowledged(self, after: int = 0) -> tuple[Entry, ...]:
+        """Return the entries behind a sequence number that the server has not acknowledged, in order."""
+        return tuple(entry for entry in self._entries if entry.seq > after)
+
+    def used_permits(self) -> frozenset[str]:
+        """Return the identifiers of permits that were bound and have not been forgotten."""
+        return frozenset(name.removeprefix(USED) for name in self.marks if name.startswith(USED))
+
+    def forget_permits(self, now_s: float) -> None:
+        """Forget used permits that have expired: time refuses them from now on. Raises `JournalUnavailable`."""
+        gone: dict[str, Json] = {
+            name: None
+            for name, until in self.marks.items()
+            if name.startswith(USED) and isinstance(until, (int, float)) and until < now_s
+        }
+        if gone:
+            self.mark(gone)
+            self.marks = {name: value for name, value in self.marks.items() if value is not None}
+
+    # -- inside --------------------------------------------------------------------------------------------------------
+
+    def _check(self) -> None:
+        if self._broken is not None:
+            raise JournalUnavailable(f"journal `{self.path}` is out of use: {self._broken}")
+
+    def _size(self) -> int:
+        return os.fstat(self._file).st_size
+
+    def _write(self, record: dict[str, object]) -> None:
+        self._check()
+        try:
+            line = _line(record)
+        except TypeError as error:
+            raise JournalUnavailable(f"cannot write journal `{self.path}`: {error}") from error
+        try:
+            size = self._size()
+            try:
+                _write_all(self._file, line)
+            except OSError:
+                self._undo(size)
+                raise
+        except OSError as error:
+            raise JournalUnavailable(f"cannot write journal `{self.path}`: {error.strerror}") from error
+
+    def _undo(self, size: int) -> None:
+        """Cut off half a line; if even that fails, the file is not used again in this run."""
+        try:
+            os.ftruncate(self._file, size)
+        except OSError as error:
+            self._broken = error.strerror or "truncation failed"
+
+    def _load(self) -> None:
+        data = self.path.read_bytes()
+        good = 0
+        for line in data.splitlines(keepends=True):
+            record = _record(line)
+            if record is None:
+                if good + len(line) != len(data):
+                    raise JournalUnavailable(f"journal `{self.path}` is damaged at byte `{good}`, before its last line")
+                self.torn_bytes = len(line)
+                os.ftruncate(self._file, good)
+                os.fsync(self._file)
+                break
+            self._take(record)
+            good += len(line)
+        self.marks = {name: value for name, value in self.marks.items() if value is not None}
+
+    def _take(self, record: dict[str, Json]) -> None:
+        if isinstance(marks := record.get("m"), dict):
+            self.marks.update(marks)
+        if isinstance(seq := record.get("s"), int):
+            self._seq = max(self._seq, seq)
+        if isinstance(seen := record.get("a"), int):
+            self.acknowledged = max(self.acknowledged, seen)
+        if isinstance(fields := record.get("e"), list):
+            entry = Entry(*cast("tuple[int, float, int, str, str | None, str, dict[str, Json]]", tuple(fields)))
+            if entry.seq <= self._seq and self._entries:
+                raise JournalUnavailable(f"journal `{self.path}` repeats sequence number `{entry.seq}`")
+            self._seq = entry.seq
+            self._entries.append(entry)
+
+
+def _line(record: Mapping[str, object]) -> bytes:
+    text = orjson.dumps(record)
+    return b"%08x %s\n" % (zlib.crc32(text), text)
+
+
+def _record(line: bytes) -> dict[str, Json] | None:
+    """Return what a line holds, or None if it is not whole."""
+    if not line.endswith(b"\n") or line[8:9] != b" ":
+        return None
+    text = line[9:-1]
+    with contextlib.suppress(ValueError):
+        if int(line[:8], 16) == zlib.crc32(text):
+            return cast("dict[str, Json]", orjson.loads(text))
+    return None
+
+
+def _write_all(file: int, data: bytes) -> None:
+    while data:
+        data = data[os.write(file, data) :]
+
+
+def _sync_directory(path: Path) -> None:
+    directory = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(directory)
+    finally:
+        os.close(directory)

@@ -1,0 +1,154 @@
+"""`recover`: what is tried after a failure (paper, Stage 6: r_t = Recover(e, w, Π, Γ)).
+
+The profile's table is read from the top: the first row for this failure and risk holds (`any` matches every failure),
+and its steps are tried in order. A step is taken when
+
+1. its budget is left: the row's own (1 where it names none), and the session's retry budget for every new attempt;
+2. the plant and the profile have it: a rollback needs a capability to roll back with, careful mode must be admitted;
+3. the authorization covers it. A step that policy asks for but no authorization covers is not skipped in favour of a
+   lesser one: a human is asked.
+
+Budgets are counted over the whole session. A recovery that fails comes back here with the same budgets, so nesting
+ends: every decision that moves something uses up a part of a finite sum, and what is left is a human or the end.
+
+Where the end is reached and the profile requires rollback, the rollback comes first; if it cannot be had, a human
+decides. Where nobody can be asked, asking is the end.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from app.governance.model import Strategy
+
+if TYPE_CHECKING:
+    from app.governance.model import CoveredRecovery, RecoveryPlan, RecoveryRule, Risk
+
+NEW_ATTEMPTS: Final = frozenset({Strategy.RETRY, Strategy.SAFER_MODE})
+DEFAULT_BUDGET: Final = 1
+
+
+class Budgets(NamedTuple):
+    """What a session has used up: steps by (row, strategy), new attempts, and whether it has rolled back."""
+
+    steps: tuple[tuple[int, Strategy], ...] = ()
+    retries: int = 0
+    rolled_back: bool = False
+
+    def taking(self, row: int, strategy: Strategy) -> Budgets:
+        """Return the budgets after one more step."""
+        return Budgets(
+            (*self.steps, (row, strategy)),
+            self.retries + (strategy in NEW_ATTEMPTS),
+            self.rolled_back or strategy is Strategy.ROLLBACK,
+        )
+
+
+class RecoveryDecision(NamedTuple):
+    """What to do about a failure, why, and the budgets it leaves.
+
+    `reason` is a code: `table`, `rollback_required`, `not_covered`, `no_row`, `row_exhausted`, `nobody_to_ask`. `row`
+    is −1 where no row was found; `step` is the place in the row, for what follows when this step has succeeded.
+    """
+
+    strategy: Strategy
+    failure: str
+    reason: str
+    used: Budgets
+    covered: CoveredRecovery | None = None
+    row: int = -1
+    step: int = -1
+
+
+def recover(
+    failure: str,
+    plan: RecoveryPlan,
+    used: Budgets,
+    *,
+    risk: Risk | None,
+    can_ask: bool,
+    covered: tuple[CoveredRecovery, ...],
+    after: RecoveryDecision | None = None,
+) -> RecoveryDecision:
+    """Choose the recovery for a failure.
+
+    Args:
+        failure: Name of the failure, as skills and watch rules use them.
+        plan: The profile's table and budgets.
+        used: What the session has used up so far.
+        risk: Risk of the capability; None where the plan holds only rows that apply to it.
+        can_ask: Whether the authority mode and the link leave a human to ask.
+        covered: The recoveries the authorization covers.
+        after: A recovery capability that has just succeeded; its row is read on from there.
+    """
+    chooser = _Chooser(failure, plan, used, can_ask, covered)
+    if after is not None:
+        return chooser.read(after.row, after.step + 1)
+    for number, row in enumerate(plan.rules):
+        if row.on in (failure, "any") and (risk is None or risk in row.risks):
+            return chooser.read(number, 0)
+    return chooser.ask("no_row")
+
+
+class _Chooser(NamedTuple):
+    failure: str
+    plan: RecoveryPlan
+    used: Budgets
+    can_ask: bool
+    covered: tuple[CoveredRecovery, ...]
+
+    def read(self, number: int, first: int) -> RecoveryDecision:
+        """Return the first step of a row, from `first` on, that may be taken."""
+        row = self.plan.rules[number]
+        for step in range(first, len(row.do)):
+            strategy = row.do[step]
+            if strategy is Strategy.ASK_HUMAN:
+                return self.ask("table", number, step)
+            if strategy is Strategy.TERMINATE:
+                return self.end("table", number, step)
+            if not self._possible(strategy, number, row):
+                continue
+            cover = self._cover(strategy, row)
+            if cover is None:
+                return self.ask("not_covered", number, step)
+            used = self.used.taking(number, strategy)
+            return RecoveryDecision(strategy, self.failure, "table", used, cover, number, step)
+        return self.ask("row_exhausted", number, len(row.do))
+
+    def ask(self, reason: str, row: int = -1, step: int = -1) -> RecoveryDecision:
+        if self.can_ask:
+            return RecoveryDecision(Strategy.ASK_HUMAN, self.failure, reason, self.used, None, row, step)
+        return self.end("nobody_to_ask", row, step)
+
+    def end(self, reason: str, row: int, step: int) -> RecoveryDecision:
+        """Return the end of the session, behind the rollback that the profile may require."""
+        needed = self.plan.rollback in ("required", "always") and self.plan.rollback_capability is not None
+        if needed and not self.used.rolled_back:
+            cover = self._cover(Strategy.ROLLBACK, None)
+            if cover is not None:
+                used = self.used.taking(row, Strategy.ROLLBACK)
+                return RecoveryDecision(Strategy.ROLLBACK, self.failure, "rollback_required", used, cover, row, step)
+            if self.can_ask:
+                return RecoveryDecision(Strategy.ASK_HUMAN, self.failure, "not_covered", self.used, None, row, step)
+        return RecoveryDecision(Strategy.TERMINATE, self.failure, reason, self.used, None, row, step)
+
+    def _possible(self, strategy: Strategy, number: int, row: RecoveryRule) -> bool:
+        if self.used.steps.count((number, strategy)) >= row.budget.get(strategy, DEFAULT_BUDGET):
+            return False
+        if strategy in NEW_ATTEMPTS and self.used.retries >= self.plan.retry_budget:
+            return False
+        if strategy is Strategy.SAFER_MODE:
+            return self.plan.careful_admitted
+        if strategy is Strategy.ROLLBACK:
+            return self.plan.rollback_capability is not None and not self.used.rolled_back
+        return True
+
+    def _cover(self, strategy: Strategy, row: RecoveryRule | None) -> CoveredRecovery | None:
+        wanted = {
+            Strategy.ROLLBACK: self.plan.rollback_capability,
+            Strategy.RECOVERY_CAPABILITY: None if row is None else row.capability,
+        }.get(strategy)
+        for known in self.covered:
+            if known.strategy is strategy and (strategy in NEW_ATTEMPTS or known.capability == wanted):
+                return known
+        return None
