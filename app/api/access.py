@@ -1,0 +1,134 @@
+"""Who may use which route: one table, and the route class that holds every route to it.
+
+A route that is not in `ACCESS` cannot be built, so a forgotten entry stops the server's start instead of opening a
+door. What a role may see within a route (an agent only its own invocations) is decided where the route is written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, cast
+
+from fastapi.routing import APIRoute
+
+from app.api.problems import Problem
+from app.governance.model import Role
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Coroutine, Iterable
+
+    from starlette.requests import HTTPConnection, Request
+    from starlette.responses import Response
+    from starlette.routing import BaseRoute
+
+    from app.api.auth import Principals
+    from app.runtime.invocation import Principal
+
+AGENT, OPERATOR, ENGINEER, AUDITOR, CELL = Role.AGENT, Role.OPERATOR, Role.ENGINEER, Role.AUDITOR, Role.CELL
+PEOPLE = frozenset({OPERATOR, ENGINEER, AUDITOR})
+READERS = PEOPLE | {AGENT}
+OPERATORS = frozenset({OPERATOR})
+AGENTS = frozenset({AGENT})
+ANYONE = frozenset(Role)  # with a token
+WEBSOCKET = "WS"
+
+PUBLIC: frozenset[Role] | None = None  # no token asked for
+
+ACCESS: Mapping[tuple[str, str], frozenset[Role] | None] = {
+    ("POST", "/v1/invocations"): AGENTS,
+    ("GET", "/v1/invocations"): READERS,
+    ("GET", "/v1/invocations/{id}"): READERS,
+    ("GET", "/v1/invocations/{id}/trace"): READERS,
+    ("POST", "/v1/invocations/{id}/cancel"): frozenset({AGENT, OPERATOR}),
+    ("POST", "/v1/check"): AGENTS,
+    ("GET", "/v1/escalations"): PEOPLE,
+    ("GET", "/v1/escalations/{id}"): PEOPLE,
+    ("POST", "/v1/escalations/{id}/resolve"): OPERATORS,
+    ("POST", "/v1/invocations/{id}/pause"): OPERATORS,
+    ("POST", "/v1/invocations/{id}/resume"): OPERATORS,
+    ("POST", "/v1/invocations/{id}/stop"): OPERATORS,
+    ("POST", "/v1/invocations/{id}/rollback"): OPERATORS,
+    ("POST", "/v1/cells/{id}/estop"): ANYONE,  # a stop outranks everyone (design, rule 6)
+    ("POST", "/v1/cells/{id}/reset"): OPERATORS,
+    ("PUT", "/v1/cells/{id}/profile"): frozenset({OPERATOR, ENGINEER}),
+    ("GET", "/v1/cells"): READERS,
+    ("GET", "/v1/capabilities"): READERS,
+    ("GET", "/v1/policies/active"): READERS,
+    ("GET", "/v1/audit/events"): PEOPLE,
+    ("GET", "/v1/audit/checkpoint"): PEOPLE,
+    ("GET", "/v1/audit/verify"): PEOPLE,
+    ("GET", "/v1/events"): PEOPLE,
+    (WEBSOCKET, "/v1/cells/{id}/link"): frozenset({CELL}),
+    ("GET", "/healthz"): PUBLIC,
+    ("GET", "/readyz"): PUBLIC,
+    ("GET", "/openapi.json"): PUBLIC,
+}
+
+_CALLER = "reins.caller"
+
+
+class RouteUnguarded(Exception):
+    """A route stands in the application and not in `ACCESS`, or the other way round."""
+
+
+def allowed_roles(method: str, path: str) -> frozenset[Role] | None:
+    """Return the roles that may use a route, None for a public one. Raises `RouteUnguarded`."""
+    try:
+        return ACCESS[method, path]
+    except KeyError:
+        raise RouteUnguarded(f"`{method} {path}` has no entry in `ACCESS`: name the roles that may use it") from None
+
+
+def authorize(connection: HTTPConnection, principals: Principals, allowed: frozenset[Role] | None) -> None:
+    """Let the request through, or refuse it before anything else of it is read.
+
+    Raises:
+        Problem: 401 without a valid token, 403 `role_forbidden` with the wrong role.
+    """
+    if allowed is None:
+        return
+    principal = principals.authenticate(connection.headers)
+    if principal.role not in allowed:
+        valid = ", ".join(sorted(role.value for role in allowed))
+        raise Problem("role_forbidden", f"the role `{principal.role.value}` may not do this: valid are {valid}")
+    connection.scope[_CALLER] = principal
+
+
+def caller(connection: HTTPConnection) -> Principal:
+    """Return who was let through; asking on a public route is a bug."""
+    return cast("Principal", connection.scope[_CALLER])
+
+
+class GuardedRoute(APIRoute):
+    """A route that asks `ACCESS` who may come in, before FastAPI reads a parameter."""
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        """Return FastAPI's handler behind the guard. Raises `RouteUnguarded`."""
+        handler = super().get_route_handler()
+        (method,) = self.methods  # one method a route: the table names them one by one
+        allowed = allowed_roles(method, self.path)
+
+        async def guarded(request: Request) -> Response:
+            authorize(request, request.app.state.parts.principals, allowed)
+            return await handler(request)
+
+        return guarded
+
+
+def verify_routes(routes: Iterable[BaseRoute]) -> None:
+    """Check that application and table name the same routes, and that each is held to the table.
+
+    Raises:
+        RouteUnguarded: a route without an entry, an entry without a route, or a route of another class.
+    """
+    present: set[tuple[str, str]] = set()
+    for route in routes:
+        path = str(getattr(route, "path", route))
+        methods: set[str] = getattr(route, "methods", None) or {WEBSOCKET}
+        for method in methods:
+            allowed_roles(method, path)
+            present.add((method, path))
+        if methods != {WEBSOCKET} and not isinstance(route, GuardedRoute):
+            raise RouteUnguarded(f"`{path}` is no `GuardedRoute`: valid are routes that ask the table")
+    if missing := ACCESS.keys() - present:
+        raise RouteUnguarded(f"`ACCESS` names routes that do not exist: {sorted(missing)}")

@@ -1,0 +1,193 @@
+"""What an agent uses: proposing, asking what would become of a proposal, and reading what became of its own.
+
+An agent sees and cancels its own invocations alone; the runtime decides that by the name its token carries.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+from fastapi import Path, Query
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from starlette.requests import Request
+from starlette.responses import Response
+
+from app.api import documents
+from app.api.access import caller
+from app.api.openapi import Answers, answer, declare
+from app.api.parts import parts_of
+from app.api.wire import EmptyBody, ProposalBody, read_body, read_idempotency_key, read_optional
+from app.audit.reader import parse_cursor
+from app.governance.model import Mode, Status, Strategy
+from app.runtime.invocation import ProposalRequest
+
+if TYPE_CHECKING:
+    from fastapi import APIRouter
+
+MAX_WAIT_S = 60.0
+MAX_LIMIT = 200
+
+Identifier = Annotated[str, Path(min_length=1, max_length=128)]
+Filter = Annotated[str | None, Field(min_length=1, max_length=128)]
+
+
+def _cursor(text: str) -> str:
+    parse_cursor(text)
+    return text
+
+
+Cursor = Annotated[str, Field(max_length=256, description="The `next` of the page before."), AfterValidator(_cursor)]
+
+
+class InvocationQuery(BaseModel):
+    """Filters of the list of invocations."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    status: Status | None = None
+    capability: Filter = None
+    agent: Filter = None
+    cell: Filter = None
+    limit: Annotated[int, Field(ge=1, le=MAX_LIMIT)] = 50
+    cursor: Cursor | None = None
+
+
+class WaitQuery(BaseModel):
+    """How long to wait for the next change."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    wait: Annotated[
+        float, Field(ge=0, le=MAX_WAIT_S, allow_inf_nan=False, description="Seconds; 0 answers at once.")
+    ] = 0.0
+    seen: Annotated[
+        str | None,
+        Field(max_length=40, description="The `updated_at` known already: a newer version is answered at once."),
+    ] = None
+
+
+async def propose(request: Request) -> Response:
+    """Propose that a robot does something.
+
+    Every proposal that could be read is decided, recorded and answered with 201 and `Location`, refusals included:
+    `status` and the reasons say what became of it. The header `Idempotency-Key` (1 to 255 printable characters) makes a
+    proposal safe to send again: the answer to the first is given once more, with the header `Idempotency-Replayed:
+    true`.
+    """
+    key = read_idempotency_key(request)
+    body = await read_body(request, ProposalBody)
+    document, created = await parts_of(request).governor.propose(caller(request), to_request(body), key)
+    headers = {"Location": f"/v1/invocations/{document['id']}"}
+    if not created:
+        headers["Idempotency-Replayed"] = "true"
+    return answer(document, 201, headers)
+
+
+async def check(request: Request) -> Response:
+    """Say what would become of a proposal now, without recording or launching anything.
+
+    The same body as a proposal; `status` is `allowed` where it would launch.
+    """
+    body = await read_body(request, ProposalBody)
+    return answer(await parts_of(request).governor.check(caller(request), to_request(body)))
+
+
+async def invocation(request: Request, id: Identifier, query: Annotated[WaitQuery, Query()]) -> Response:
+    """Return an invocation, with `wait` at its next change or after so many seconds (at most 60)."""
+    governor = parts_of(request).governor
+    if not query.wait:
+        return answer(await governor.invocation(caller(request), id))
+    return answer(await governor.wait(caller(request), id, query.wait, query.seen))
+
+
+async def invocations(request: Request, query: Annotated[InvocationQuery, Query()]) -> Response:
+    """List invocations, newest first; an agent's list holds its own."""
+    return answer(await parts_of(request).governor.list(caller(request), **query.model_dump()))
+
+
+async def trace(request: Request, id: Identifier) -> Response:
+    """Return τ_t: every event recorded under an invocation, in order.
+
+    What an operator wrote in words is left out for agents.
+    """
+    return answer(await parts_of(request).governor.trace(caller(request), id))
+
+
+async def cancel(request: Request, id: Identifier) -> Response:
+    """Withdraw an invocation, before or after launch: what moves is stopped.
+
+    For the agent that proposed it, or an operator.
+    """
+    await read_optional(request, EmptyBody)
+    return answer(await parts_of(request).governor.cancel(caller(request), id))
+
+
+def to_request(body: ProposalBody) -> ProposalRequest:
+    """Translate the wire's model into the runtime's."""
+    return ProposalRequest(
+        capability=body.capability,
+        params=body.params,
+        cell=body.cell,
+        mode=Mode(body.mode) if body.mode else Mode.NORMAL,
+        preconditions=tuple(body.preconditions),
+        recovery_preference=Strategy(body.recovery_preference) if body.recovery_preference else None,
+        metadata=body.metadata,
+    )
+
+
+def register(router: APIRouter) -> None:
+    """Add the agents' routes; proposing comes first, for the router tries them in this order."""
+    key = {"name": "Idempotency-Key", "in": "header", "required": False, "schema": {"type": "string", "maxLength": 255}}
+    declare(
+        router,
+        "POST /v1/invocations",
+        propose,
+        Answers(
+            model=documents.InvocationDocument,
+            status=201,
+            codes=(
+                "params_invalid",
+                "idempotency_key_invalid",
+                "idempotency_mismatch",
+                "in_flight",
+                "record_unavailable",
+            ),
+        ),
+        body=ProposalBody,
+        parameters=[key],
+    )
+    declare(
+        router,
+        "POST /v1/check",
+        check,
+        Answers(model=documents.VerdictDocument, codes=("params_invalid",)),
+        body=ProposalBody,
+    )
+    declare(
+        router,
+        "GET /v1/invocations",
+        invocations,
+        Answers(model=documents.InvocationList, codes=("request_invalid", "not_yours")),
+    )
+    declare(
+        router,
+        "GET /v1/invocations/{id}",
+        invocation,
+        Answers(model=documents.InvocationDocument, codes=("request_invalid", "invocation_unknown")),
+    )
+    declare(
+        router,
+        "GET /v1/invocations/{id}/trace",
+        trace,
+        Answers(model=documents.Trace, codes=("request_invalid", "invocation_unknown")),
+    )
+    declare(
+        router,
+        "POST /v1/invocations/{id}/cancel",
+        cancel,
+        Answers(
+            model=documents.InvocationDocument,
+            codes=("invocation_unknown", "wrong_status", "cell_offline", "record_unavailable"),
+        ),
+        body=EmptyBody,
+    )

@@ -1,0 +1,127 @@
+"""The application: every route, guarded and described, around the parts it is given.
+
+Nothing is wired here: `create_app` takes the live parts of the server and serves them. `app.main` makes them.
+"""
+
+from __future__ import annotations
+
+import gc
+from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING, Any
+
+import orjson
+from fastapi import FastAPI
+from starlette.requests import Request
+from starlette.responses import Response
+
+from app import __version__
+from app.api import agents, audits, documents, links, operators, policies, problems
+from app.api.access import GuardedRoute, verify_routes
+from app.api.openapi import Answers, answer, declare, describe
+from app.api.parts import Parts, parts_of
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable, Mapping
+
+    from app.api.auth import Principals
+    from app.audit.store import AuditStore
+    from app.governance.bundle import PolicySet
+    from app.runtime.desk import Desk
+    from app.runtime.feed import Feed
+    from app.runtime.fleet import Fleet
+    from app.runtime.governor import Governor
+
+DESCRIPTION = """\
+An agent proposes, Reins decides, a cell acts under watch, and a record stands.
+
+Bearer tokens carry a role; every operation names the roles that may use it. A refusal of a *proposal* is an ordinary
+answer with reasons; a refusal of a *request* is a problem (RFC 9457) with a stable `code`. Bodies are strict JSON of at
+most 256 kB: unknown fields, keys given twice, NaN and numbers beyond double precision are refused. Lists are `{items,
+next}`; give `next` back as `cursor` (or `after`, in the log).
+"""
+
+
+def create_app(
+    *,
+    governor: Governor,
+    desk: Desk,
+    fleet: Fleet,
+    feed: Feed,
+    store: AuditStore,
+    policy: Callable[[], PolicySet],
+    principals: Principals,
+    checks: Mapping[str, Callable[[], str | None]] | None = None,
+) -> FastAPI:
+    """Return the application over live parts.
+
+    Args:
+        governor: takes proposals and interventions.
+        desk: owns escalations.
+        fleet: owns cells and their links.
+        feed: fans events out.
+        store: the record.
+        policy: returns the policy set in force.
+        principals: who may come in.
+        checks: further readiness questions by name; each returns what is broken, or None.
+
+    Raises:
+        RouteUnguarded: a route and the table of roles do not match.
+    """
+    app = FastAPI(
+        title="Reins", version=__version__, openapi_url=None, docs_url=None, redoc_url=None, lifespan=_lifespan
+    )
+    app.router.route_class = GuardedRoute
+    app.router.redirect_slashes = False
+    app.state.parts = Parts(
+        governor=governor,
+        desk=desk,
+        fleet=fleet,
+        feed=feed,
+        store=store,
+        policy=policy,
+        principals=principals,
+        checks=dict(checks or {}),
+    )
+    problems.install(app)
+    app.add_middleware(problems.Frame)
+    for room in (agents, operators, policies, audits, links):
+        room.register(app.router)
+    declare(app.router, "GET /healthz", healthz, Answers(model=documents.Health))
+    declare(app.router, "GET /readyz", readyz, Answers(model=documents.Readiness, also={503: documents.Readiness}))
+    declare(app.router, "GET /openapi.json", openapi, Answers(model=documents.Anything))
+    verify_routes(app.routes)
+    app.state.openapi = orjson.dumps(describe(app, DESCRIPTION))
+    return app
+
+
+async def healthz(request: Request) -> Response:
+    """Say that the process answers."""
+    return answer({"status": "ok", "version": __version__})
+
+
+async def readyz(request: Request) -> Response:
+    """Say whether a proposal could launch; 503 while not.
+
+    `broken` says what is in the way: the record, each cell, the policy.
+    """
+    parts = parts_of(request)
+    broken: dict[str, Any] = dict(parts.fleet.problems())
+    if parts.store.reason is not None:
+        broken["record"] = parts.store.reason
+    for name, question in parts.checks.items():
+        if (trouble := question()) is not None:
+            broken[name] = trouble
+    return answer({"ready": not broken, "broken": broken}, 503 if broken else 200)
+
+
+async def openapi(request: Request) -> Response:
+    """Return this description."""
+    return Response(request.app.state.openapi, media_type="application/json")
+
+
+@asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    # What was built at the start stays for good: the collector need not walk it again while requests wait.
+    gc.collect()
+    gc.freeze()
+    yield

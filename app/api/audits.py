@@ -1,0 +1,150 @@
+"""What an auditor uses: the log by page, its signed head, its verification, and events as they happen.
+
+Events are sent as the very bytes that were hashed.
+"""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated
+
+import orjson
+from fastapi import Query
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from starlette.requests import Request
+from starlette.responses import Response, StreamingResponse
+
+from app.api import documents
+from app.api.openapi import Answers, answer, declare
+from app.api.parts import parts_of
+from app.api.problems import Problem
+from app.audit.checkpoint import parse_checkpoint
+from app.clock import parse_rfc3339, rfc3339
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator
+
+    from fastapi import APIRouter
+
+    from app.audit.event import Event
+
+MAX_EVENTS = 1000
+MAX_SEQ = 2**63 - 1
+PAGE_EVENTS = 200
+HEARTBEAT_S = 10.0
+RETRY_MS = 1000
+
+
+def _moment(text: str) -> str:
+    moment = text.replace(" ", "+")  # an unescaped `+` of an offset arrives as a space
+    rfc3339(parse_rfc3339(moment))
+    return moment
+
+
+Filter = Annotated[str | None, Field(min_length=1, max_length=128)]
+Moment = Annotated[str, Field(max_length=40, examples=["2026-03-01T09:30:00.250Z"]), AfterValidator(_moment)]
+
+
+class EventQuery(BaseModel):
+    """Filters of the log."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    invocation: Filter = None
+    kind: Filter = None
+    actor: Filter = None
+    since: Moment | None = Field(default=None, description="RFC 3339, included.")
+    until: Moment | None = Field(default=None, description="RFC 3339, excluded.")
+    after: Annotated[int, Field(ge=0, le=MAX_SEQ, description="The last `seq` already seen.")] = 0
+    limit: Annotated[int, Field(ge=1, le=MAX_EVENTS)] = 100
+
+
+class StreamQuery(BaseModel):
+    """Where a stream of events begins."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    after: Annotated[
+        int | None,
+        Field(
+            ge=0,
+            le=MAX_SEQ,
+            description="Begin after this `seq`; `Last-Event-ID` outranks it. Without either: from now.",
+        ),
+    ] = None
+
+
+async def events(request: Request, query: Annotated[EventQuery, Query()]) -> Response:
+    """Return events of the log in order of `seq`; `next` is the `after` that continues, null at the end."""
+    filters = query.model_dump()
+    for bound in ("since", "until"):
+        filters[bound] = None if filters[bound] is None else parse_rfc3339(filters[bound])
+    found = await parts_of(request).store.events(**filters)
+    more = len(found) == query.limit
+    return answer({"items": [orjson.Fragment(event.body) for event in found], "next": found[-1].seq if more else None})
+
+
+async def checkpoint(request: Request) -> Response:
+    """Return the newest signed tree head (C2SP checkpoint, Ed25519) of the log."""
+    store = parts_of(request).store
+    note = store.checkpoint
+    if note is None:
+        raise Problem("log_empty", "nothing is recorded yet: valid once the first event is")
+    head = parse_checkpoint(note.partition("\n\n")[0] + "\n")
+    return answer(
+        {"size": head.size, "root": b64encode(head.root).decode(), "checkpoint": note, "key": store.verifier.text()}
+    )
+
+
+async def verify(request: Request) -> Response:
+    """Recompute the whole log from its stored bytes; `first_bad` is the first event that does not hold."""
+    return answer(asdict(await parts_of(request).store.verify()))
+
+
+async def stream(request: Request, query: Annotated[StreamQuery, Query()]) -> Response:
+    """Send events as they become durable, as server-sent events: `id` is the `seq`, `event` the kind, `data` the event.
+
+    A client that comes back with `Last-Event-ID` gets everything it missed. A comment is sent every few seconds, so
+    that a dead connection shows.
+    """
+    after = _last_event_id(request) if "last-event-id" in request.headers else query.after
+    headers = {"X-Accel-Buffering": "no"}
+    return StreamingResponse(_stream(request, after), media_type="text/event-stream", headers=headers)
+
+
+def _last_event_id(request: Request) -> int:
+    text = request.headers["last-event-id"]
+    if not (text.isascii() and text.isdigit()) or len(text) > 18:
+        raise Problem("cursor_invalid", f"`{text[:40]}` is no `Last-Event-ID`: valid is the `id` of an event")
+    return int(text)
+
+
+def sse(event: Event) -> bytes:
+    """Return an event as one server-sent event; JSON bytes hold no line breaks."""
+    return b"id: %d\nevent: %s\ndata: %s\n\n" % (event.seq, event.kind.encode(), event.body)
+
+
+async def _stream(request: Request, after: int | None) -> AsyncIterator[bytes]:
+    raise NotImplementedError
+    yield b""
+
+
+def register(router: APIRouter) -> None:
+    """Add the auditors' routes."""
+    declare(router, "GET /v1/audit/events", events, Answers(model=documents.EventList, codes=("request_invalid",)))
+    declare(
+        router,
+        "GET /v1/audit/checkpoint",
+        checkpoint,
+        Answers(model=documents.CheckpointDocument, codes=("log_empty",)),
+    )
+    declare(router, "GET /v1/audit/verify", verify, Answers(model=documents.VerificationDocument))
+    declare(
+        router,
+        "GET /v1/events",
+        stream,
+        Answers(
+            model=documents.EventDocument, media_type="text/event-stream", codes=("request_invalid", "cursor_invalid")
+        ),
+    )

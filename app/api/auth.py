@@ -1,0 +1,230 @@
+"""Who is asking: bearer tokens, the principals behind them, and the one table of who may use which route.
+
+The server keeps SHA-256 digests, never tokens. The first start writes `tokens.json` (for people to read once, mode
+0600), `cell.token` (for cells) and `principals.json` (the digests) into the data directory. `principals.json` is looked
+at again at most once a second, so that a token issued or withdrawn by the command line counts without a restart and no
+request waits for a file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hmac
+import os
+import secrets
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import orjson
+
+from app import clock
+from app.api.problems import Problem
+from app.governance.model import Role
+from app.runtime.invocation import Principal
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from starlette.datastructures import Headers
+
+TOKENS_FILE = "tokens.json"
+CELL_TOKEN_FILE = "cell.token"  # noqa: S105  # a file name
+PRINCIPALS_FILE = "principals.json"
+LOOK_AGAIN_S = 1.0
+CHALLENGE = 'Bearer realm="reins"'
+
+# The key in tokens.json, the name that stands in the record, and the role.
+FIRST_PRINCIPALS: tuple[tuple[str, str, Role], ...] = (
+    ("agent", "planner", Role.AGENT),
+    ("operator", "operator", Role.OPERATOR),
+    ("operator_2", "operator_2", Role.OPERATOR),
+    ("engineer", "engineer", Role.ENGINEER),
+    ("auditor", "auditor", Role.AUDITOR),
+)
+CELL_NAME = "cell"
+
+
+class PrincipalsUnreadable(Exception):
+    """`principals.json` is missing a field or is no JSON; the server does not start on it."""
+
+    def __init__(self, path: Path, problem: str) -> None:
+        """Name the file and what is wrong with it."""
+        super().__init__(f"`{path}`: {problem}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Credential:
+    """A principal, the SHA-256 digest of its token, and until when it holds (wall seconds; None: for good)."""
+
+    principal: Principal
+    digest: bytes
+    expires_at_s: float | None = None
+
+
+class Principals:
+    """The tokens the server knows, held in memory."""
+
+    def __init__(self, path: Path) -> None:
+        """Read the file. Raises `PrincipalsUnreadable`."""
+        self._path = path
+        self._stamp = _stamp(path)
+        self._known = _read(path)
+        self._next_look_s = clock.monotonic_s() + LOOK_AGAIN_S
+
+    def authenticate(self, headers: Headers) -> Principal:
+        """Return who the request's bearer token stands for.
+
+        Raises:
+            Problem: 401 `token_missing`, `token_invalid` or `token_expired`.
+        """
+        scheme, _, token = headers.get("authorization", "").partition(" ")
+        if scheme.lower() != "bearer" or not token:
+            raise Problem(
+                "token_missing",
+                "the request bears no token: valid is the header `Authorization: Bearer <token>`",
+                headers={"WWW-Authenticate": CHALLENGE},
+            )
+        self._look_again()
+        # Looking up by digest and comparing digests tells nothing about the token by its timing.
+        digest = sha256(token.strip().encode("utf-8", "surrogateescape")).digest()
+        credential = self._known.get(digest)
+        if credential is None or not hmac.compare_digest(credential.digest, digest):
+            raise _refused("token_invalid", "the token is not known here")
+        if credential.expires_at_s is not None and credential.expires_at_s <= clock.wall_s():
+            raise _refused("token_expired", f"the token expired at `{clock.rfc3339(credential.expires_at_s)}`")
+        return credential.principal
+
+    def _look_again(self) -> None:
+        now_s = clock.monotonic_s()
+        if now_s < self._next_look_s:
+            return
+        self._next_look_s = now_s + LOOK_AGAIN_S
+        # A file that vanished or broke while running takes nobody's stop button away: what was read last holds.
+        with contextlib.suppress(OSError, PrincipalsUnreadable):
+            stamp = _stamp(self._path)
+            if stamp != self._stamp:
+                self._known = _read(self._path)
+                self._stamp = stamp
+
+
+def open_principals(data_dir: Path) -> Principals:
+    """Return the principals of a data directory; the first start makes them and writes their tokens.
+
+    Raises:
+        PrincipalsUnreadable: the file is there and is not in its form.
+        OSError: the directory cannot be written.
+    """
+    path = data_dir / PRINCIPALS_FILE
+    if not path.exists():
+        tokens = {key: _new_token(role) for key, _, role in FIRST_PRINCIPALS}
+        cell_token = _new_token(Role.CELL)
+        rows = [_row(name, role, tokens[key], None) for key, name, role in FIRST_PRINCIPALS]
+        rows.append(_row(CELL_NAME, Role.CELL, cell_token, None))
+        _write(data_dir / TOKENS_FILE, orjson.dumps(tokens, option=orjson.OPT_INDENT_2) + b"\n")
+        _write(data_dir / CELL_TOKEN_FILE, cell_token.encode() + b"\n")
+        _write(path, orjson.dumps({"principals": rows}, option=orjson.OPT_INDENT_2) + b"\n")  # last: it ends the start
+    return Principals(path)
+
+
+def issue_token(data_dir: Path, *, name: str, role: Role, ttl_s: float | None = None) -> str:
+    """Add a token for a principal and return it; it is not kept anywhere else.
+
+    Args:
+        data_dir: the server's data directory, after its first start.
+        name: what the record will call the principal.
+        role: what it may do.
+        ttl_s: how long the token holds; None: for good.
+
+    Raises:
+        ValueError: an empty name, or one with control characters.
+        PrincipalsUnreadable: the file is not in its form.
+        OSError: the directory cannot be read or written.
+    """
+    if not name or len(name) > 128 or not name.isprintable():
+        raise ValueError(f"`{name}` is no principal name: valid are 1 to 128 printable characters")
+    token = _new_token(role)
+    expires_at = None if ttl_s is None else clock.rfc3339(clock.wall_s() + ttl_s)
+    path = data_dir / PRINCIPALS_FILE
+    with _locked(data_dir / (PRINCIPALS_FILE + ".lock")):
+        rows = [*_rows(path), _row(name, role, token, expires_at)]
+        _write(path, orjson.dumps({"principals": rows}, option=orjson.OPT_INDENT_2) + b"\n")
+    return token
+
+
+def _refused(code: str, detail: str) -> Problem:
+    challenge = f'{CHALLENGE}, error="invalid_token", error_description="{code}"'
+    return Problem(code, detail, headers={"WWW-Authenticate": challenge})
+
+
+def _new_token(role: Role) -> str:
+    return f"reins_{role.value}_{secrets.token_urlsafe(32)}"
+
+
+def _row(name: str, role: Role, token: str, expires_at: str | None) -> dict[str, str | None]:
+    return {
+        "name": name,
+        "role": role.value,
+        "sha256": sha256(token.encode()).hexdigest(),
+        "expires_at": expires_at,
+    }
+
+
+def _rows(path: Path) -> list[dict[str, Any]]:
+    try:
+        match orjson.loads(path.read_bytes()):
+            case {"principals": list(rows)}:
+                return cast("list[dict[str, Any]]", rows)
+            case _:
+                raise PrincipalsUnreadable(path, "valid is an object with the list `principals`")
+    except orjson.JSONDecodeError as error:
+        raise PrincipalsUnreadable(path, f"line {error.lineno}: {error.msg}") from error
+
+
+def _read(path: Path) -> dict[bytes, Credential]:
+    return {credential.digest: credential for credential in (_credential(path, row) for row in _rows(path))}
+
+
+def _credential(path: Path, row: object) -> Credential:
+    match row:
+        case {"name": str(name), "role": str(role), "sha256": str(digest), **rest}:
+            try:
+                expires_at = rest.get("expires_at")
+                return Credential(
+                    principal=Principal(name=name, role=Role(role)),
+                    digest=bytes.fromhex(digest),
+                    expires_at_s=None if expires_at is None else clock.parse_rfc3339(cast("str", expires_at)),
+                )
+            except (TypeError, ValueError) as error:
+                raise PrincipalsUnreadable(path, f"the entry of `{name}`: {error}") from error
+        case _:
+            raise PrincipalsUnreadable(path, "an entry has `name`, `role`, `sha256` and `expires_at`")
+
+
+def _stamp(path: Path) -> tuple[int, int, int]:
+    status = path.stat()
+    return status.st_mtime_ns, status.st_ino, status.st_size
+
+
+@contextlib.contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    with path.open("w") as handle:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Put a file in place in one step, readable by its owner alone from the first byte on."""
+    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    handle = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        draft.replace(path)
+    except BaseException:
+        draft.unlink(missing_ok=True)
+        raise

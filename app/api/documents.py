@@ -1,0 +1,318 @@
+"""What goes out, as OpenAPI describes it: one model for every document the server answers with.
+
+Answers are written from plain documents and not run through these models (that would cost the hot path more than the
+decision itself); the tests hold every real answer against them instead.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from app.governance.model import AdmissionOutcome, Outcome, PolicyOutcome, Risk, Status
+
+EXAMPLE_REASON = {
+    "rule": "human-shared/tcp_speed_mps",
+    "code": "limit",
+    "message": "at most 0.25 m/s here",
+    "remedy": "propose speed_mps ≤ 0.25",
+}
+EXAMPLE_INVOCATION: dict[str, Any] = {
+    "id": "inv_01KAHZ5E8M3V0Q4T9B7C2D6F1G",
+    "status": "running",
+    "capability": "grasp_object",
+    "agent": "planner",
+    "cell": "workcell-1",
+    "profile": "human-shared",
+    "policy_version": "sha256:9f2b…",
+    "requested": {"object_id": "mug_1", "force_n": 80, "speed_mps": 0.5},
+    "effective": {"object_id": "mug_1", "force_n": 60, "speed_mps": 0.25},
+    "admission": {"outcome": "accept", "reasons": []},
+    "policy": {
+        "outcome": "modify",
+        "reasons": [EXAMPLE_REASON],
+        "changes": [{"param": "speed_mps", "requested": 0.5, "effective": 0.25, "rule": "human-shared/tcp_speed_mps"}],
+    },
+    "escalation": {"id": "esc_01KAHZ5E8N", "status": "approved", "expires_at": "2026-03-01T09:32:00.000Z"},
+    "outcome": None,
+    "created_at": "2026-03-01T09:30:00.250Z",
+    "updated_at": "2026-03-01T09:30:12.100Z",
+}
+EXAMPLE_ESCALATION: dict[str, Any] = {
+    "id": "esc_01KAHZ5E8N",
+    "invocation": EXAMPLE_INVOCATION["id"],
+    "kind": "approval",
+    "capability": "grasp_object",
+    "risk": "medium",
+    "reasons": [EXAMPLE_REASON],
+    "requested": EXAMPLE_INVOCATION["requested"],
+    "effective": EXAMPLE_INVOCATION["effective"],
+    "digest": "sha256:51ab…",
+    "status": "pending",
+    "approvals": [],
+    "needed": 1,
+    "expires_at": "2026-03-01T09:32:00.000Z",
+}
+EXAMPLE_EVENT: dict[str, Any] = {
+    "seq": 42,
+    "at": "2026-03-01T09:30:00.250Z",
+    "kind": "policy",
+    "invocation": EXAMPLE_INVOCATION["id"],
+    "actor": "planner",
+    "body": {"outcome": "modify"},
+}
+
+
+class Document(BaseModel):
+    """A document of the server; a field that is not described here does not occur."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class ReasonDocument(Document):
+    """Why a decision fell as it did: the rule, a stable code, words for people, and what would be accepted."""
+
+    rule: str
+    code: str
+    message: str
+    remedy: str
+
+
+class ChangeDocument(Document):
+    """One parameter that policy constrained."""
+
+    param: str
+    requested: Any = None
+    effective: Any = None
+    rule: str
+
+
+class AdmissionDocument(Document):
+    """Whether the proposal may be considered at all; `retry_after_s` stands with `defer`."""
+
+    outcome: AdmissionOutcome
+    reasons: list[ReasonDocument]
+    retry_after_s: float | None = None
+
+
+class PolicyDocument(Document):
+    """What the rules say; `changes` stand with `modify` and `escalate`."""
+
+    outcome: PolicyOutcome
+    reasons: list[ReasonDocument]
+    changes: list[ChangeDocument]
+
+
+class EscalationReference(Document):
+    """The question a human was asked about an invocation."""
+
+    id: str
+    status: Literal["pending", "approved", "denied", "expired", "withdrawn"]
+    expires_at: str | None
+
+
+class InvocationDocument(Document):
+    """One proposal and everything that became of it."""
+
+    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [EXAMPLE_INVOCATION]})
+
+    id: str
+    status: Status
+    capability: str
+    agent: str
+    cell: str | None
+    profile: str
+    policy_version: str
+    requested: dict[str, Any]
+    effective: dict[str, Any] | None
+    admission: AdmissionDocument
+    policy: PolicyDocument | None
+    escalation: EscalationReference | None
+    outcome: Outcome | None
+    created_at: str
+    updated_at: str
+
+
+class VerdictDocument(Document):
+    """What would become of a proposal now: an invocation without id and times; `allowed` where it would launch."""
+
+    status: Literal["allowed", "rejected", "deferred", "denied", "awaiting_approval"]
+    capability: str
+    agent: str
+    cell: str | None
+    profile: str
+    policy_version: str
+    requested: dict[str, Any]
+    effective: dict[str, Any] | None
+    admission: AdmissionDocument
+    policy: PolicyDocument | None
+    escalation: EscalationReference | None
+    outcome: Outcome | None
+
+
+class EscalationDocument(Document):
+    """A question to a human: what is to be decided, bound to a digest, by when."""
+
+    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [EXAMPLE_ESCALATION]})
+
+    id: str
+    invocation: str
+    kind: str
+    capability: str
+    risk: Risk
+    reasons: list[ReasonDocument]
+    requested: dict[str, Any]
+    effective: dict[str, Any]
+    digest: str
+    status: Literal["pending", "approved", "denied", "expired", "withdrawn"]
+    approvals: list[Any]
+    needed: int
+    expires_at: str | None
+
+
+class EventDocument(Document):
+    """One event of the log; `body` is what was recorded."""
+
+    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [EXAMPLE_EVENT]})
+
+    seq: int
+    at: str
+    kind: str
+    invocation: str | None
+    actor: str
+    body: dict[str, Any]
+
+
+class InvocationList(Document):
+    """Invocations, newest first; `next` is the cursor of the next page."""
+
+    items: list[InvocationDocument]
+    next: str | None
+
+
+class EscalationList(Document):
+    """Escalations, newest first; `next` is the cursor of the next page."""
+
+    items: list[EscalationDocument]
+    next: str | None
+
+
+class EventList(Document):
+    """Events by `seq`; `next` is the `after` of the next page."""
+
+    items: list[EventDocument]
+    next: int | None
+
+
+class Trace(Document):
+    """τ_t: everything recorded under one invocation, in order."""
+
+    items: list[EventDocument]
+    next: None
+
+
+class CheckpointDocument(Document):
+    """The signed tree head of the log: a C2SP checkpoint (Ed25519), and the key that verifies it."""
+
+    size: int
+    root: str
+    checkpoint: str
+    key: str
+
+
+class VerificationDocument(Document):
+    """The log recomputed from its stored bytes: `size` events hold, `first_bad` is the first that does not."""
+
+    ok: bool
+    size: int
+    root: str
+    checkpoint: str | None
+    first_bad: int | None
+    problem: str | None
+
+
+class CellDocument(Document):
+    """A cell as the server knows it; `facts` and `gauges` are what it says of itself."""
+
+    id: str
+    online: bool
+    latched: bool
+    profile: str
+    busy: str | None
+    status: str | None
+    holding_link: bool
+    robot: str | None
+    policy_version: str | None
+    facts: dict[str, Any] | None
+    gauges: dict[str, float]
+
+
+class CellList(Document):
+    """All cells; `next` is always null."""
+
+    items: list[CellDocument]
+    next: None
+
+
+class Anything(BaseModel):
+    """A document described elsewhere."""
+
+    model_config = ConfigDict(extra="allow")
+
+
+class CapabilityDocument(Anything):
+    """A capability package; `inputs` is a JSON Schema 2020-12 whose numbers carry `unit`."""
+
+    name: str
+    version: str
+    summary: str
+    inputs: dict[str, Any]
+    risk: Risk
+
+
+class CapabilityList(Document):
+    """The registered capabilities; `next` is always null."""
+
+    items: list[CapabilityDocument]
+    next: None
+
+
+class PolicySetDocument(Anything):
+    """The policy set in force, identified by the digest of its contents."""
+
+    digest: str
+
+
+class Health(Document):
+    """The process answers."""
+
+    status: Literal["ok"]
+    version: str
+
+
+class Readiness(Document):
+    """Whether something could be launched; `broken` says what is in the way and why."""
+
+    ready: bool
+    broken: dict[str, str]
+
+
+class FieldError(Document):
+    """One field that is wrong, and what would be valid."""
+
+    field: str
+    message: str
+
+
+class ProblemDocument(Document):
+    """A refusal of the request itself (RFC 9457); `code` is stable."""
+
+    type: str = Field(examples=["urn:reins:problem:malformed_json"])
+    title: str
+    status: int
+    detail: str
+    code: str
+    instance: str
+    errors: list[FieldError] | None = None
+    reasons: list[ReasonDocument] | None = None

@@ -1,0 +1,52 @@
+"""What validation found wrong, in words that say what would be valid."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+MAX_ERRORS = 20
+MAX_FIELD = 200
+
+_PLAIN: Mapping[str, str] = {
+    "missing": "is missing",
+    "string_type": "valid is a text",
+    "dict_type": "valid is an object",
+    "list_type": "valid is a list",
+    "int_type": "valid is a whole number",
+    "int_parsing": "valid is a whole number",
+    "float_type": "valid is a number",
+    "float_parsing": "valid is a number",
+    "finite_number": "valid is a finite number",
+    "bool_type": "valid is true or false",
+}
+_BOUND: Mapping[str, tuple[str, str]] = {
+    "literal_error": ("valid are {}", "expected"),
+    "enum": ("valid are {}", "expected"),
+    "string_too_short": ("valid are texts of at least {} characters", "min_length"),
+    "string_too_long": ("valid are texts of at most {} characters", "max_length"),
+    "string_pattern_mismatch": ("valid is what matches `{}`", "pattern"),
+    "too_long": ("valid are at most {} items", "max_length"),
+    "greater_than_equal": ("valid is at least {}", "ge"),
+    "less_than_equal": ("valid is at most {}", "le"),
+}
+
+
+def field_errors(errors: Iterable[Mapping[str, Any]], fields: Sequence[str] = ()) -> list[dict[str, str]]:
+    """Return pydantic's findings as `{field, message}`, each saying what would be valid."""
+    return [
+        {"field": ".".join(str(part) for part in error["loc"])[:MAX_FIELD], "message": _message(error, fields)}
+        for error in list(errors)[:MAX_ERRORS]
+    ]
+
+
+def _message(error: Mapping[str, Any], fields: Sequence[str]) -> str:
+    kind = str(error["type"])
+    if kind in {"extra_forbidden", "unexpected_keyword_argument"}:
+        return f"is unknown: valid are {', '.join(fields)}" if fields else "is unknown"
+    if kind in _PLAIN:
+        return _PLAIN[kind]
+    if kind in _BOUND:
+        text, name = _BOUND[kind]
+        return text.format(error["ctx"][name])
+    return str(error["msg"])

@@ -1,0 +1,73 @@
+"""The cells' door: a websocket that carries frames between one cell and its attachment in the fleet, and nothing else.
+
+Frames wait in the attachment's own bounded outlet; a socket that does not drain is closed there, and the cell then
+holds by itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from typing import TYPE_CHECKING
+
+from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+
+from app.api.access import WEBSOCKET, allowed_roles, authorize
+from app.api.parts import parts_of
+from app.api.problems import Problem
+
+if TYPE_CHECKING:
+    from fastapi import APIRouter
+
+PATH = "/v1/cells/{id}/link"
+MAX_ID = 128
+POLICY_VIOLATION = 1008
+
+
+class SocketLink:
+    """One websocket as the runtime's `Link`."""
+
+    def __init__(self, socket: WebSocket) -> None:
+        """Wrap an accepted websocket."""
+        self._socket = socket
+
+    async def send(self, frame: str) -> None:
+        """Send one text frame; raises when the socket is gone."""
+        await self._socket.send_text(frame)
+
+    async def close(self, code: int, reason: str) -> None:
+        """Close the socket, if it is still open."""
+        if self._socket.application_state is WebSocketState.CONNECTED:
+            with contextlib.suppress(RuntimeError, WebSocketDisconnect):  # it closed from the other side meanwhile
+                await self._socket.close(code, reason)
+
+
+async def link(socket: WebSocket) -> None:
+    """Carry frames until either side ends it; refused with the problem's own status before the handshake."""
+    cell_id = str(socket.path_params["id"])
+    try:
+        authorize(socket, parts_of(socket).principals, allowed_roles(WEBSOCKET, PATH))
+        _check_name(cell_id)
+    except Problem as problem:
+        await socket.send_denial_response(problem.response(socket.url.path))
+        return
+    await socket.accept()
+    attachment = await parts_of(socket).fleet.attach(cell_id, SocketLink(socket))
+    try:
+        while True:
+            message = await socket.receive()
+            if message["type"] == "websocket.disconnect":
+                return
+            text = message.get("text")
+            await attachment.receive(message["bytes"] if text is None else text)
+    finally:
+        await attachment.detach()
+
+
+def _check_name(cell_id: str) -> None:
+    if len(cell_id) > MAX_ID or not cell_id.isprintable():
+        raise Problem("request_invalid", f"valid cell names have at most {MAX_ID} printable characters")
+
+
+def register(router: APIRouter) -> None:
+    """Add the link."""
+    router.add_api_websocket_route(PATH, link)

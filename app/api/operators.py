@@ -1,0 +1,170 @@
+"""What an operator uses: answering escalations, pausing, stopping and resuming what runs, and seeing to cells.
+
+What restrains (pause, stop, emergency stop) reads nothing of the request but its path, so that no malformed body can
+stand in its way.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from fastapi import Query
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.requests import Request
+from starlette.responses import Response
+
+from app.api import documents
+from app.api.access import caller
+from app.api.agents import MAX_LIMIT, Cursor, Identifier
+from app.api.openapi import Answers, answer, declare
+from app.api.parts import parts_of
+from app.api.wire import EmptyBody, ProfileBody, ResolveBody, read_body, read_optional
+
+if TYPE_CHECKING:
+    from fastapi import APIRouter
+
+
+class EscalationQuery(BaseModel):
+    """Filters of the list of escalations."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    status: Literal["pending", "approved", "denied", "expired", "withdrawn"] | None = None
+    limit: Annotated[int, Field(ge=1, le=MAX_LIMIT)] = 50
+    cursor: Cursor | None = None
+
+
+async def escalations(request: Request, query: Annotated[EscalationQuery, Query()]) -> Response:
+    """List escalations, newest first."""
+    items, following = await parts_of(request).desk.list(**query.model_dump())
+    return answer({"items": items, "next": following})
+
+
+async def escalation(request: Request, id: Identifier) -> Response:
+    """Return one escalation."""
+    return answer(await parts_of(request).desk.get(id))
+
+
+async def resolve(request: Request, id: Identifier) -> Response:
+    """Answer an escalation with `approve` or `deny`, bound to the digest of what was shown.
+
+    Edited `params` are checked again, and void earlier approvals. A second answer, a late one or another digest is
+    refused with 409.
+    """
+    body = await read_body(request, ResolveBody)
+    document = await parts_of(request).desk.resolve(
+        id, caller(request), body.decision, body.digest, params=body.params, comment=body.comment
+    )
+    return answer(document)
+
+
+async def pause(request: Request, id: Identifier) -> Response:
+    """Pause a running invocation (category 2: controlled, power kept). Any body is ignored."""
+    return answer(await parts_of(request).governor.pause(caller(request), id))
+
+
+async def stop(request: Request, id: Identifier) -> Response:
+    """Stop an invocation for good (category 1). Any body is ignored."""
+    return answer(await parts_of(request).governor.stop(caller(request), id))
+
+
+async def resume(request: Request, id: Identifier) -> Response:
+    """Let a paused invocation go on."""
+    await read_optional(request, EmptyBody)
+    return answer(await parts_of(request).governor.resume(caller(request), id))
+
+
+async def rollback(request: Request, id: Identifier) -> Response:
+    """Have an invocation undone, along the path it came."""
+    await read_optional(request, EmptyBody)
+    return answer(await parts_of(request).governor.rollback(caller(request), id))
+
+
+async def estop(request: Request, id: Identifier) -> Response:
+    """Stop a cell at once (category 0) and latch it. For every role; any body is ignored."""
+    return answer(await parts_of(request).governor.estop(caller(request), id))
+
+
+async def reset(request: Request, id: Identifier) -> Response:
+    """Leave a latched emergency stop. Moves nothing."""
+    await read_optional(request, EmptyBody)
+    return answer(await parts_of(request).governor.reset(caller(request), id))
+
+
+async def set_profile(request: Request, id: Identifier) -> Response:
+    """Put a cell under another environment profile; what runs keeps the one it was authorized under."""
+    body = await read_body(request, ProfileBody)
+    return answer(await parts_of(request).governor.set_profile(caller(request), id, body.profile))
+
+
+async def cells(request: Request) -> Response:
+    """List the cells the server knows, with what each says of itself."""
+    return answer({"items": await parts_of(request).governor.cells(caller(request)), "next": None})
+
+
+def register(router: APIRouter) -> None:
+    """Add the operators' routes."""
+    session = ("request_invalid", "invocation_unknown", "wrong_status", "record_unavailable")
+    declare(
+        router,
+        "GET /v1/escalations",
+        escalations,
+        Answers(model=documents.EscalationList, codes=("request_invalid",)),
+    )
+    declare(
+        router,
+        "GET /v1/escalations/{id}",
+        escalation,
+        Answers(model=documents.EscalationDocument, codes=("request_invalid", "escalation_unknown")),
+    )
+    declare(
+        router,
+        "POST /v1/escalations/{id}/resolve",
+        resolve,
+        Answers(
+            model=documents.EscalationDocument,
+            codes=(
+                "own_proposal",
+                "escalation_unknown",
+                "cell_offline",
+                "params_invalid",
+                "already_resolved",
+                "already_approved",
+                "escalation_expired",
+                "digest_mismatch",
+                "edit_refused",
+                "record_unavailable",
+            ),
+        ),
+        body=ResolveBody,
+    )
+    for word, endpoint, body, codes in (
+        ("pause", pause, None, session),
+        ("stop", stop, None, session),
+        ("resume", resume, EmptyBody, (*session, "cell_offline")),
+        ("rollback", rollback, EmptyBody, (*session, "cell_offline")),
+    ):
+        declare(
+            router,
+            f"POST /v1/invocations/{{id}}/{word}",
+            endpoint,
+            Answers(model=documents.InvocationDocument, codes=codes),
+            body=body,
+        )
+    cell = ("request_invalid", "cell_unknown", "record_unavailable")
+    declare(router, "POST /v1/cells/{id}/estop", estop, Answers(model=documents.CellDocument, codes=cell))
+    declare(
+        router,
+        "POST /v1/cells/{id}/reset",
+        reset,
+        Answers(model=documents.CellDocument, codes=(*cell, "not_latched", "cell_offline")),
+        body=EmptyBody,
+    )
+    declare(
+        router,
+        "PUT /v1/cells/{id}/profile",
+        set_profile,
+        Answers(model=documents.CellDocument, codes=(*cell, "profile_unknown", "cell_offline", "cell_busy")),
+        body=ProfileBody,
+    )
+    declare(router, "GET /v1/cells", cells, Answers(model=documents.CellList))

@@ -1,0 +1,42 @@
+"""What the routes work with: the live parts of the server, put together once and read from the application."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, cast
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from starlette.requests import HTTPConnection
+
+    from app.api.auth import Principals
+    from app.audit.store import AuditStore
+    from app.governance.bundle import PolicySet
+    from app.runtime.desk import Desk
+    from app.runtime.feed import Feed
+    from app.runtime.fleet import Fleet
+    from app.runtime.governor import Governor
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parts:
+    """The runtime behind the door.
+
+    `policy` returns the policy set in force (one reference, read once per request). `checks` are further questions
+    `/readyz` asks: each returns what is broken, or None.
+    """
+
+    governor: Governor
+    desk: Desk
+    fleet: Fleet
+    feed: Feed
+    store: AuditStore
+    policy: Callable[[], PolicySet]
+    principals: Principals
+    checks: Mapping[str, Callable[[], str | None]] = field(default_factory=dict[str, "Callable[[], str | None]"])
+
+
+def parts_of(connection: HTTPConnection) -> Parts:
+    """Return the parts of the application a request came to."""
+    return cast("Parts", connection.app.state.parts)

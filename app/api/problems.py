@@ -1,0 +1,221 @@
+"""Errors as `application/problem+json` (RFC 9457): one exception for the door itself, and one table for the rest.
+
+Domain code never imports HTTP. What it raises becomes a response by its class, in `PROBLEMS`; what the door itself
+refuses is a `Problem`. Every problem bears a stable `code`; `type` is that code as a URN. Nothing internal is ever
+shown: an exception nobody listed is logged and answered with the code `internal`.
+"""
+
+from __future__ import annotations
+
+import http
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+import orjson
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.responses import Response
+
+from app.api.faults import field_errors
+from app.audit.errors import RecordUnavailable
+from app.runtime.errors import CONFLICTS, Conflict, Forbidden, InvalidParams, NotFound
+
+if TYPE_CHECKING:
+    from fastapi import FastAPI
+    from starlette.requests import Request
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+log = logging.getLogger(__name__)
+
+MEDIA_TYPE = "application/problem+json"
+URN = "urn:reins:problem:"
+
+# Sent with every answer. Answers are of the moment and for one caller, so nothing may keep them.
+SECURITY_HEADERS: tuple[tuple[bytes, bytes], ...] = (
+    (b"x-content-type-options", b"nosniff"),
+    (b"cache-control", b"no-store"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"x-frame-options", b"DENY"),
+    (b"content-security-policy", b"default-src 'none'; frame-ancestors 'none'"),
+)
+
+
+# Every code the server may answer with, its status and what it means. Codes are stable; the words are not.
+CODES: Mapping[str, tuple[int, str]] = {
+    "body_incomplete": (400, "the connection ended within the body"),
+    "token_missing": (401, "the request bears no bearer token"),
+    "token_invalid": (401, "the token is not known"),
+    "token_expired": (401, "the token is no longer valid"),
+    "role_forbidden": (403, "the token's role may not use this route"),
+    "not_yours": (403, "the thing belongs to somebody else"),
+    "own_proposal": (403, "nobody answers for what they proposed themselves"),
+    "not_found": (404, "there is nothing at this path"),
+    "invocation_unknown": (404, "there is no such invocation, or it is not the caller's to see"),
+    "escalation_unknown": (404, "there is no such escalation"),
+    "cell_unknown": (404, "there is no such cell"),
+    "profile_unknown": (404, "there is no such profile"),
+    "log_empty": (404, "nothing is recorded yet"),
+    "method_not_allowed": (405, "the path does not know the method"),
+    "body_too_large": (413, "the body is over 256 kB"),
+    "media_type_unsupported": (415, "the body is not `application/json`"),
+    "malformed_json": (422, "the body is no strict JSON: the detail says where"),
+    "request_invalid": (422, "a field or parameter is unknown, missing, or of another type: `errors` says which"),
+    "params_invalid": (422, "the parameters do not fit the capability's input schema: `errors` says which"),
+    "cursor_invalid": (422, "the cursor is not one this server gave out"),
+    "idempotency_key_invalid": (422, "the header `Idempotency-Key` is not 1 to 255 printable ASCII characters"),
+    "internal": (500, "the server failed; its log says why"),
+    "record_unavailable": (503, "the record cannot be written, so nothing was done"),
+    **{code: (status, f"refused by the runtime: {code.replace('_', ' ')}") for code, status in CONFLICTS.items()},
+}
+
+
+class Problem(Exception):
+    """A request that is refused: a stable code, what is wrong and what would be valid.
+
+    `errors` name single fields, each `{field, message}`; `reasons` are policy's; `headers` ride along
+    (`WWW-Authenticate`, `Retry-After`).
+    """
+
+    def __init__(
+        self,
+        code: str,
+        detail: str,
+        *,
+        errors: Sequence[Mapping[str, Any]] = (),
+        reasons: Sequence[Mapping[str, Any]] = (),
+        headers: Mapping[str, str] | None = None,
+    ) -> None:
+        """Keep the parts; status and title follow from the code."""
+        self.status = CODES[code][0]
+        self.code = code
+        self.detail = detail
+        self.errors = tuple(errors)
+        self.reasons = tuple(reasons)
+        self.headers = dict(headers or {})
+        super().__init__(f"{self.status} {code}: {detail}")
+
+    def document(self, instance: str) -> dict[str, Any]:
+        """Return the problem as RFC 9457 writes it; `instance` is the path that was asked for."""
+        document: dict[str, Any] = {
+            "type": URN + self.code,
+            "title": http.HTTPStatus(self.status).phrase,
+            "status": self.status,
+            "detail": self.detail,
+            "code": self.code,
+            "instance": quote(instance, errors="replace"),  # a path may hold what JSON cannot say
+        }
+        if self.errors:
+            document["errors"] = self.errors
+        if self.reasons:
+            document["reasons"] = self.reasons
+        return document
+
+    def response(self, instance: str) -> Response:
+        """Return the problem as a response."""
+        return Response(orjson.dumps(self.document(instance)), self.status, self.headers, MEDIA_TYPE)
+
+
+def as_problem(error: Exception) -> Problem:
+    """Return the problem an exception stands for; `internal` for one nobody listed."""
+    for kind, translate in PROBLEMS:
+        if isinstance(error, kind):
+            return translate(error)
+    return Problem("internal", "the server failed while answering; the cause is in its log")
+
+
+def _itself(error: Problem) -> Problem:
+    return error
+
+
+def _from_router(error: HTTPException) -> Problem:
+    headers = error.headers
+    match error.status_code:
+        case 404:
+            return Problem("not_found", "there is nothing at this path", headers=headers)
+        case 405:
+            return Problem("method_not_allowed", "valid methods stand in the header `Allow`", headers=headers)
+        case _:
+            return Problem("internal", "the server refused the request for a reason it does not know", headers=headers)
+
+
+def _from_parameters(error: RequestValidationError) -> Problem:
+    errors = field_errors(error.errors())
+    first = errors[0]
+    return Problem("request_invalid", f"a parameter is not valid: `{first['field']}` {first['message']}", errors=errors)
+
+
+def _from_params(error: InvalidParams) -> Problem:
+    errors = [{"field": problem["path"], "message": problem["message"]} for problem in error.problems]
+    return Problem("params_invalid", str(error), errors=errors)
+
+
+def _from_missing(error: NotFound) -> Problem:
+    code = f"{error.what}_unknown"
+    return Problem(code if code in CODES else "not_found", str(error))
+
+
+def _from_forbidden(error: Forbidden) -> Problem:
+    return Problem(error.code if error.code in CODES else "not_yours", str(error))
+
+
+def _from_conflict(error: Conflict) -> Problem:
+    return Problem(error.code, str(error), reasons=error.reasons)
+
+
+def _from_record(error: RecordUnavailable) -> Problem:
+    return Problem("record_unavailable", f"nothing was done: {error}", headers={"Retry-After": "5"})
+
+
+# The one place where the exceptions of the house become HTTP.
+PROBLEMS: tuple[tuple[type[Exception], Callable[[Any], Problem]], ...] = (
+    (Problem, _itself),
+    (HTTPException, _from_router),
+    (RequestValidationError, _from_parameters),
+    (InvalidParams, _from_params),
+    (NotFound, _from_missing),
+    (Forbidden, _from_forbidden),
+    (Conflict, _from_conflict),
+    (RecordUnavailable, _from_record),
+)
+
+
+def install(app: FastAPI) -> None:
+    """Answer every exception the table knows with its problem."""
+
+    async def known(request: Request, error: Exception) -> Response:
+        return as_problem(error).response(request.url.path)
+
+    for kind, _ in PROBLEMS:
+        app.add_exception_handler(kind, known)
+
+
+class Frame:
+    """The layer around all routes: security headers on every response, and an answer where a handler failed."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        """Wrap the application."""
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on; stamp what comes back."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        started = False
+
+        async def stamped(message: Message) -> None:
+            nonlocal started
+            if message["type"] == "http.response.start":
+                started = True
+                message["headers"] = [*message["headers"], *SECURITY_HEADERS]
+            await send(message)
+
+        try:
+            await self._app(scope, receive, stamped)
+        except Exception as error:
+            if started:  # half an answer is out; cutting the connection is the only honest end
+                raise
+            log.exception("`%s %s` failed", scope["method"], scope["path"])
+            await as_problem(error).response(scope["path"])(scope, receive, stamped)

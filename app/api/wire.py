@@ -1,0 +1,290 @@
+"""What comes in: strict reading of JSON bodies, and the models of what a request may say.
+
+JSON parsers forgive what a safety case cannot: of two equal keys one wins silently, `NaN` and `1e999` become numbers,
+half a surrogate pair becomes text that cannot be stored. Here each of them is refused, with the place where it stands.
+Bodies are bounded before they are parsed (256 kB, also while streaming), nesting at 32, a text at 4,096 characters.
+FastAPI's own body parsing is not used.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast
+
+import orjson
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from starlette.requests import ClientDisconnect
+
+from app.api.faults import field_errors
+from app.api.problems import Problem
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from starlette.requests import Request
+
+MAX_BODY_BYTES = 256 * 1024
+MAX_DEPTH = 32
+MAX_TEXT = 4096
+MAX_NAME = 128
+MAX_ITEMS = 64
+MAX_KEY = 255
+UTF_8 = frozenset({"", "charset=utf-8", 'charset="utf-8"'})
+
+_CONSTANTS = (b"NaN", b"Infinity", b"-Infinity")
+
+# -- what a request may say --------------------------------------------------------------------------------------------
+
+Name = Annotated[str, Field(min_length=1, max_length=MAX_NAME)]
+Freeform = Annotated[str, Field(max_length=MAX_TEXT)]
+
+
+class Body(BaseModel):
+    """A request body: unknown fields and wrong types are errors, nothing is converted."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, hide_input_in_errors=True)
+
+
+def _upper(value: object) -> object:
+    return value.upper() if isinstance(value, str) else value
+
+
+# Strict models take no text for an enum, so its values are named here; `to_request` holds them against `Strategy`.
+StrategyName = Literal["RETRY", "RECOVERY_CAPABILITY", "ROLLBACK", "SAFER_MODE", "TERMINATE", "ASK_HUMAN"]
+Preference = Annotated[StrategyName, BeforeValidator(_upper)]
+
+
+class ProposalBody(Body):
+    """What an agent proposes: a capability with parameters; policy decides everything else."""
+
+    capability: Name = Field(description="Name of a registered capability.", examples=["grasp_object"])
+    params: dict[str, Any] = Field(
+        default_factory=dict,
+        description="Parameters as the capability's input schema names them; defaults are filled in.",
+        examples=[{"object_id": "mug_1", "force_n": 80, "speed_mps": 0.5}],
+    )
+    cell: Name | None = Field(default=None, description="The cell it is meant for; may be left out where there is one.")
+    mode: Literal["normal", "careful"] | None = Field(
+        default=None, description="How carefully to move; normal unless said."
+    )
+    preconditions: Annotated[list[Name], Field(max_length=MAX_ITEMS)] = Field(
+        default_factory=list, description="Conditions the agent wants checked beside the capability's own."
+    )
+    recovery_preference: Preference | None = Field(
+        default=None, description="The recovery the agent would prefer; policy chooses."
+    )
+    metadata: dict[str, Any] = Field(
+        default_factory=dict, description="Context for rules and record, for instance `confidence` and `goal`."
+    )
+
+
+class ResolveBody(Body):
+    """A human's answer to an escalation, bound to the digest of what was shown."""
+
+    decision: Literal["approve", "deny"]
+    digest: Name = Field(description="The escalation's `digest`, as shown to the human.")
+    params: dict[str, Any] | None = Field(default=None, description="Edited parameters; they are checked again.")
+    comment: Freeform | None = Field(default=None, description="For the record; never shown to the agent.")
+
+
+class ProfileBody(Body):
+    """The environment profile a cell shall work under from now on."""
+
+    profile: Name = Field(examples=["human-shared"])
+
+
+class EmptyBody(Body):
+    """Nothing to say."""
+
+
+M = TypeVar("M", bound=Body)
+
+# -- reading -----------------------------------------------------------------------------------------------------------
+
+
+async def read_body(request: Request, model: type[M]) -> M:
+    """Return the request's body as a model.
+
+    Raises:
+        Problem: 413 `body_too_large`, 415 `media_type_unsupported`, 422 `malformed_json` or `request_invalid`.
+    """
+    check_media_type(request.headers.get("content-type"))
+    return to_model(parse(await read_bytes(request)), model)
+
+
+async def read_optional(request: Request, model: type[M]) -> M:
+    """Return the request's body as a model, an absent one as `{}`. Raises `Problem` as `read_body` does."""
+    raw = await read_bytes(request)
+    if not raw:
+        return to_model({}, model)
+    check_media_type(request.headers.get("content-type"))
+    return to_model(parse(raw), model)
+
+
+async def read_bytes(request: Request) -> bytes:
+    """Return the raw body, giving up as soon as it is known to be too large.
+
+    Raises:
+        Problem: 413 `body_too_large`, by the declared length or by what arrived; 400 `body_incomplete`.
+    """
+    declared = request.headers.get("content-length", "")
+    if declared.isascii() and declared.isdigit() and int(declared[:19]) > MAX_BODY_BYTES:
+        raise _too_large()
+    chunks: list[bytes] = []
+    size = 0
+    try:
+        async for chunk in request.stream():
+            chunks.append(chunk)
+            size += len(chunk)
+            if size > MAX_BODY_BYTES:
+                raise _too_large()
+    except ClientDisconnect:
+        raise Problem("body_incomplete", "the connection ended within the body") from None
+    return b"".join(chunks)
+
+
+def check_media_type(content_type: str | None) -> None:
+    """Refuse a body that says it is something else than JSON; one that says nothing is read as JSON.
+
+    Raises:
+        Problem: 415 `media_type_unsupported`.
+    """
+    if content_type is None or content_type == "application/json":
+        return
+    kind, _, parameters = content_type.partition(";")
+    if kind.strip().lower() != "application/json" or parameters.strip().lower() not in UTF_8:
+        raise Problem("media_type_unsupported", f"`{content_type[:100]}` is not read here: valid is `application/json`")
+
+
+def parse(raw: bytes) -> object:
+    """Return the JSON value of a body.
+
+    Raises:
+        Problem: 422 `malformed_json`, with the position: no JSON, no UTF-8, NaN or an infinity, a number beyond double
+        precision, half a surrogate pair, a key given twice, nesting deeper than 32.
+    """
+    try:
+        value = orjson.loads(raw)
+    except orjson.JSONDecodeError as error:
+        raise _malformed(_explain(raw, error), error.pos, error.lineno, error.colno) from None
+    depth, members = _survey(value)
+    if depth > MAX_DEPTH:
+        raise Problem("malformed_json", f"the body nests deeper than `{MAX_DEPTH}` levels")
+    # Every member needs a colon, so as many colons as members leaves no room for a second member of the same name.
+    if raw.count(b":") != members:
+        _refuse_duplicates(raw)
+    return value
+
+
+def to_model(value: object, model: type[M]) -> M:
+    """Return a parsed value as a model.
+
+    Raises:
+        Problem: 422 `request_invalid`, naming each field that is wrong and what would be valid.
+    """
+    if not isinstance(value, dict):
+        raise Problem("request_invalid", f"the body is {_kind(value)}: valid is an object")
+    try:
+        result = model.model_validate(value)
+    except ValidationError as error:
+        items = field_errors(
+            cast("Iterable[Mapping[str, Any]]", error.errors(include_url=False)), tuple(model.model_fields)
+        )
+        raise Problem("request_invalid", f"the body is not valid: {_first(items)}", errors=items) from None
+    _refuse_long_texts(cast("dict[str, Any]", value))
+    return result
+
+
+def read_idempotency_key(request: Request) -> str | None:
+    """Return the header `Idempotency-Key`, or None.
+
+    Raises:
+        Problem: 422 `idempotency_key_invalid`: empty, over 255 characters, not printable ASCII, or given twice.
+    """
+    values = request.headers.getlist("idempotency-key")
+    if not values:
+        return None
+    key = values[0]
+    if len(values) > 1 or not 0 < len(key) <= MAX_KEY or not key.isascii() or not key.isprintable():
+        raise Problem(
+            "idempotency_key_invalid", f"valid is one `Idempotency-Key` of 1 to {MAX_KEY} printable ASCII characters"
+        )
+    return key
+
+
+# -- saying what is wrong ----------------------------------------------------------------------------------------------
+
+
+def _first(items: Sequence[Mapping[str, str]]) -> str:
+    return f"`{items[0]['field']}` {items[0]['message']}"
+
+
+def _kind(value: object) -> str:
+    return {list: "a list", str: "a text", bool: "a truth value", type(None): "null"}.get(type(value), "a number")
+
+
+def _too_large() -> Problem:
+    return Problem(
+        "body_too_large", f"valid are bodies of at most {MAX_BODY_BYTES} bytes", headers={"Connection": "close"}
+    )
+
+
+def _malformed(what: str, position: int, line: int, column: int) -> Problem:
+    return Problem("malformed_json", f"{what} (line {line}, column {column}, character {position})")
+
+
+def _explain(raw: bytes, error: orjson.JSONDecodeError) -> str:
+    if any(raw.startswith(constant, error.pos) for constant in _CONSTANTS):
+        return "JSON has no NaN and no infinity"
+    return error.msg
+
+
+def _survey(root: object) -> tuple[int, int]:
+    """Return how many levels a value nests, counted up to the bound, and how many members its objects have."""
+    depth, members = 0, 0
+    level: list[Any] = [root]
+    while level and depth <= MAX_DEPTH:
+        below: list[Any] = []
+        containers = False
+        for value in level:
+            if type(value) is dict:
+                containers = True
+                members += len(cast("dict[str, Any]", value))
+                below.extend(cast("dict[str, Any]", value).values())
+            elif type(value) is list:
+                containers = True
+                below.extend(cast("list[Any]", value))
+        depth += containers
+        level = below
+    return depth, members
+
+
+def _refuse_duplicates(raw: bytes) -> None:
+    def unique(pairs: list[tuple[str, Any]]) -> None:
+        seen: set[str] = set()
+        for key, _ in pairs:
+            if key in seen:
+                raise Problem("malformed_json", f"the key `{key[:100]}` is given twice in one object")
+            seen.add(key)
+
+    json.loads(raw, object_pairs_hook=unique, parse_int=len, parse_float=len)  # only the keys matter here
+
+
+def _refuse_long_texts(value: dict[str, Any]) -> None:
+    stack: list[tuple[str, Any]] = list(value.items())
+    while stack:
+        path, item = stack.pop()
+        if type(item) is dict:
+            for key, inner in cast("dict[str, Any]", item).items():
+                if len(key) > MAX_NAME:
+                    raise _invalid(path, f"has a key of {len(key)} characters: valid are at most {MAX_NAME}")
+                stack.append((f"{path}.{key}", inner))
+        elif type(item) is list:
+            stack.extend((f"{path}.{index}", inner) for index, inner in enumerate(cast("list[Any]", item)))
+        elif type(item) is str and len(item) > MAX_TEXT:
+            raise _invalid(path, f"valid are texts of at most {MAX_TEXT} characters")
+
+
+def _invalid(field: str, message: str) -> Problem:
+    items = [{"field": field[:200], "message": message}]
+    return Problem("request_invalid", f"the body is not valid: {_first(items)}", errors=items)
