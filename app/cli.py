@@ -1,0 +1,171 @@
+"""The `reins` command: thin words over the rooms. Exit codes: 0 fine, 1 a finding (a check failed), 2 misuse.
+
+Every command imports what it needs when it runs, so that `reins --help` answers at once.
+"""
+
+from __future__ import annotations
+
+import platform
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from app import __version__
+from app.config import DEFAULT_PROFILE, CellSettings, ConfigError, Settings, cell_token
+from app.governance.model import Role
+from app.terminal import MISUSE, say_error
+
+app = typer.Typer(
+    name="reins",
+    help="Reins governs what an agent may do with a robot: it admits, constrains, asks, watches, recovers and records.",
+    epilog="Exit codes: 0 fine, 1 a finding, 2 misuse. Start with `reins demo`, or `reins serve` and the printed link.",
+    no_args_is_help=True,
+    pretty_exceptions_show_locals=False,
+    rich_markup_mode="rich",
+)
+token = typer.Typer(help="Bearer tokens.", no_args_is_help=True)
+app.add_typer(token, name="token")
+
+Data = Annotated[Path, typer.Option(help="Data directory.", envvar="REINS_DATA", file_okay=False)]
+Policies = Annotated[
+    Path | None,
+    typer.Option(help="Policy directory; default: ./policies, else the shipped one.", envvar="REINS_POLICIES"),
+]
+Pace = Annotated[float, typer.Option(help="Simulated seconds per second; 0: as fast as possible.", envvar="REINS_PACE")]
+Seed = Annotated[int, typer.Option(help="Seed of the simulated world.", envvar="REINS_SEED")]
+Scenario = Annotated[
+    str | None,
+    typer.Option(help="What happens in the simulated world: a name or a YAML file.", envvar="REINS_SCENARIO"),
+]
+Robot = Annotated[str | None, typer.Option(help="Another robot model: an MJCF path, or a menagerie name.")]
+
+
+@app.command()
+def serve(  # noqa: PLR0913  # its options
+    *,
+    host: Annotated[str, typer.Option(help="Address to listen on.", envvar="REINS_HOST")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="Port; 0 takes a free one and prints it.", envvar="REINS_PORT")] = 8000,
+    data: Data = Path("data"),
+    policies: Policies = None,
+    profile: Annotated[
+        str, typer.Option(help="Environment profile; the default is the strictest.", envvar="REINS_PROFILE")
+    ] = DEFAULT_PROFILE,
+    cells: Annotated[int, typer.Option(help="Simulated cells to start as children.", envvar="REINS_CELLS")] = 1,
+    pace: Pace = 1.0,
+    seed: Seed = 0,
+    scenario: Scenario = None,
+    robot: Robot = None,
+) -> None:
+    """Start the server, with simulated cells of its own.
+
+    [bold]reins serve[/]                                  one cell, profile human-shared, http://127.0.0.1:8000
+
+    [bold]reins serve --profile sim-relaxed --pace 0[/]   as fast as the simulation goes
+
+    [bold]reins serve --cells 0[/]                        no cell of its own; others join with `reins cell`
+
+    The first start writes tokens.json into the data directory and prints where. Ctrl-C brings the robots to a
+    controlled stop and leaves. A policy directory with an error does not start: each error is printed with its line.
+    """
+    from app.main import serve as serve_with
+
+    settings = Settings(
+        host=host,
+        port=port,
+        data=data,
+        policies=policies,
+        profile=profile,
+        cells=cells,
+        pace=pace,
+        seed=seed,
+        scenario=scenario,
+        robot=robot,
+    )
+    raise typer.Exit(serve_with(settings))
+
+
+@app.command()
+def cell(  # noqa: PLR0913  # its options
+    *,
+    server: Annotated[
+        str | None, typer.Option(help="The server's address, for instance http://127.0.0.1:8000.")
+    ] = None,
+    id: Annotated[str, typer.Option("--id", help="The cell's name; one process for each.")] = "workcell-2",
+    data: Annotated[
+        Path | None, typer.Option(help="What the cell keeps; default: cells/<id>.", file_okay=False)
+    ] = None,
+    server_key: Annotated[
+        str | None, typer.Option(help="The kernel's public key (base64); default: trust the first one seen, keep it.")
+    ] = None,
+    pace: Pace = 1.0,
+    seed: Seed = 0,
+    scenario: Scenario = None,
+    robot: Robot = None,
+    server_file: Annotated[Path | None, typer.Option(hidden=True)] = None,
+    parent: Annotated[int | None, typer.Option(hidden=True)] = None,
+) -> None:
+    """Join a simulated cell to a server, on this machine or another one.
+
+    [bold]REINS_CELL_TOKEN=$(cat data/cell.token) reins cell --server http://127.0.0.1:8000 --id workcell-2[/]
+
+    The cell dials in and goes on dialling; while the server is away it holds the robot where it is.
+    """
+    from app.workcell import run_cell
+
+    settings = CellSettings(
+        id=id,
+        token=cell_token(),
+        data=data or Path("cells") / id,
+        server=server,
+        server_file=server_file,
+        server_key=server_key,
+        pace=pace,
+        seed=seed,
+        scenario=scenario,
+        robot=robot,
+        parent=parent,
+    )
+    raise typer.Exit(run_cell(settings))
+
+
+@token.command("issue")
+def issue(
+    name: Annotated[str, typer.Argument(help="What the record calls the bearer; for an agent the name policy knows.")],
+    *,
+    role: Annotated[Role, typer.Option(help="What the bearer may do.")],
+    hours: Annotated[float | None, typer.Option(help="How long it holds; default: for good.", min=0.01)] = None,
+    data: Data = Path("data"),
+) -> None:
+    """Issue a token and print it; it is not kept anywhere, only its digest.
+
+    [bold]reins token issue planner --role agent --hours 8[/]
+    """
+    from app.api.auth import PrincipalsUnreadable, issue_token
+
+    try:
+        text = issue_token(data, name=name, role=role, ttl_s=None if hours is None else hours * 3600)
+    except (OSError, ValueError, PrincipalsUnreadable) as error:
+        say_error(f"no token issued: {error}", hint=f"`{data}` must be a data directory that `reins serve` has made")
+        raise typer.Exit(MISUSE) from error
+    typer.echo(text)
+
+
+@app.command()
+def version() -> None:
+    """Print the version."""
+    typer.echo(f"reins {__version__} (Python {platform.python_version()}, {platform.system()} {platform.machine()})")
+
+
+def main() -> None:
+    """Run the command line; a setting that cannot be used is misuse, said in one line."""
+    try:
+        app()
+    except ConfigError as error:
+        say_error(str(error))
+        sys.exit(MISUSE)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,27 @@
+"""What the commands share in speaking to people: two consoles, one way to say what went wrong, the exit codes."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from rich.console import Console
+
+FINE: Final = 0
+FINDING: Final = 1
+MISUSE: Final = 2
+
+out = Console(highlight=False, soft_wrap=True)
+err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+def say(message: str) -> None:
+    """Write a line."""
+    out.print(message, markup=False)
+
+
+def say_error(message: str, *, hint: str = "") -> None:
+    """Write what went wrong, and what to do about it."""
+    err.print("[bold red]error:[/] ", end="")
+    err.print(message, markup=False)
+    if hint:
+        err.print(f"       {hint}", markup=False)
