@@ -26,6 +26,7 @@ from app.audit.merkle import HASH_BYTES
 ED25519 = b"\x01"
 KEY_BYTES = 32
 SIGNATURE_BYTES = 64
+MAX_DIGITS = 19
 SIGNATURE_MARK = "— "
 SECRET_MARK = "PRIVATE+KEY+"  # noqa: S105  # the note format's own prefix, not a secret
 
@@ -57,8 +58,8 @@ def parse_checkpoint(text: str) -> Checkpoint:
     if len(lines) != 4 or lines[3] or not lines[0]:
         raise NoteInvalid("a checkpoint has three lines: origin, size, root")
     origin, size, root = lines[:3]
-    if not (size.isascii() and size.isdigit()) or str(int(size)) != size:
-        raise NoteInvalid(f"`{size}` is no tree size: valid is a decimal number without leading zeros")
+    if not (size.isascii() and size.isdigit()) or len(size) > MAX_DIGITS or str(int(size)) != size:
+        raise NoteInvalid(f"`{size[:40]}` is no tree size: valid is a decimal number without leading zeros")
     return Checkpoint(origin=origin, size=int(size), root=_decode(root, HASH_BYTES, "root"))
 
 
