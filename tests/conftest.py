@@ -121,12 +121,11 @@ class Servers:
             )
         server = ServerProcess(data, process, log)
         self.started.append(server)
-        until(lambda: self._ready(server), START_S, f"server is ready\n{server.tail()}")
-        if wait_cells and cells:
-            until(lambda: all(cell["online"] for cell in self._cells(server, cells)), START_S, "cells online")
+        path = "/readyz" if wait_cells and cells else "/healthz"
+        until(lambda: self._answers(server, path), START_S, f"the server answers at {path}; see {log}")
         return server
 
-    def _ready(self, server: ServerProcess) -> bool:
+    def _answers(self, server: ServerProcess, path: str) -> bool:
         if server.process.poll() is not None:
             pytest.fail(f"the server ended with {server.process.returncode}\n{server.tail()}")
         if not server.url:
@@ -135,13 +134,9 @@ class Servers:
                 server.tokens = json.loads((server.data / "tokens.json").read_text())
             return False
         try:
-            return httpx.get(f"{server.url}/readyz", trust_env=False).is_success
+            return httpx.get(f"{server.url}{path}", trust_env=False).is_success
         except httpx.TransportError:
             return False
-
-    def _cells(self, server: ServerProcess, count: int) -> list[dict[str, Any]]:
-        items = server.get("/v1/cells")["items"]
-        return items if len(items) >= count else [{"online": False}]
 
     def end(self) -> None:
         for server in self.started:

@@ -153,7 +153,7 @@ class TickLoop:
         self._thread = threading.Thread(target=self.run, name="tick", daemon=True)
         self.overruns = 0
         self.ticks = 0
-        self.broken: BaseException | None = None
+        self.broken: Exception | None = None
 
     def start(self) -> None:
         """Start the thread."""
@@ -172,9 +172,8 @@ class TickLoop:
         """Tick until shut down. A bug in the runner ends the loop and with it the cell; nothing moves without ticks."""
         try:
             self._run()
-        except BaseException as error:
+        except Exception as error:  # whatever it is, the link reads it here and ends the process
             self.broken = error
-            raise
         finally:
             self._outbox.wake()
 

@@ -1,0 +1,179 @@
+"""The tick loop: deadlines, orders, the lease, and how it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from queue import SimpleQueue
+
+import pytest
+
+from app.cell.loop import Lease, Order, Outbox, Shutdown, TickLoop, Welcomed
+from app.protocol import Estop, State, UpEvent
+from tests.conftest import until
+
+LONG_S = 3600.0
+
+
+class Recorder:
+    """A runner that writes down what it is told."""
+
+    def __init__(self, period_s: float = 0.001, status: str | None = None) -> None:
+        self.period_s = period_s
+        self.status = status
+        self.ticks = 0
+        self.orders: list[Order] = []
+        self.holds: list[str] = []
+        self.moving_for = 0
+        self.fault: Exception | None = None
+
+    def tick(self) -> None:
+        if self.fault is not None:
+            raise self.fault
+        self.ticks += 1
+        self.moving_for = max(0, self.moving_for - 1)
+
+    def obey(self, order: Order) -> None:
+        self.orders.append(order)
+
+    def hold(self, reason: str) -> None:
+        self.holds.append(reason)
+
+    def standing(self) -> bool:
+        return self.moving_for == 0
+
+    def state(self) -> State:
+        return State(
+            at_s=0.0,
+            tick=self.ticks,
+            invocation=None,
+            status=self.status,
+            latched=False,
+            holding=False,
+            policy_digest=None,
+            profile=None,
+            facts={},
+            gauges={},
+        )
+
+
+class Bench:
+    """A loop with its parts."""
+
+    def __init__(self, runner: Recorder, pace: float) -> None:
+        self.runner = runner
+        self.inbox: SimpleQueue[Order] = SimpleQueue()
+        self.outbox = Outbox()
+        self.lease = Lease()
+        self.loop = TickLoop(runner, self.inbox, self.outbox, self.lease, pace=pace)
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., Bench]]:
+    benches: list[Bench] = []
+
+    def make(runner: Recorder, pace: float = 1.0) -> Bench:
+        bench = Bench(runner, pace)
+        benches.append(bench)
+        bench.loop.start()
+        return bench
+
+    yield make
+    for bench in benches:
+        bench.inbox.put(Shutdown())
+        assert bench.loop.join(10.0)
+
+
+def event(seq: int) -> UpEvent:
+    return UpEvent(seq=seq, at_s=0.0, tick=0, kind="alert", invocation=None, actor="cell", body={})
+
+
+def test_obeys_a_stop_at_once_however_far_the_next_tick_is(start: Callable[..., Bench]) -> None:
+    bench = start(Recorder(period_s=LONG_S))
+    until(lambda: bench.runner.ticks == 1)
+    bench.inbox.put(Estop(actor="operator"))
+    until(lambda: bench.runner.orders == [Estop(actor="operator")])
+    assert bench.runner.ticks == 1
+
+
+def test_holds_when_nothing_was_heard_for_the_lease(start: Callable[..., Bench]) -> None:
+    bench = start(Recorder())
+    bench.lease.heard()
+    bench.inbox.put(Welcomed(profile="human-shared"))
+    until(lambda: bench.runner.holds == ["link"], what="the hold")
+
+
+def test_does_not_hold_while_the_server_is_heard(start: Callable[..., Bench]) -> None:
+    bench = start(Recorder())
+    bench.lease.heard()
+    bench.inbox.put(Welcomed(profile="human-shared"))
+
+    def heard_for_a_while() -> bool:
+        bench.lease.heard()
+        return bench.runner.ticks > 500
+
+    until(heard_for_a_while)
+    assert bench.runner.holds == []
+
+
+def test_a_lease_starts_lapsed() -> None:
+    assert Lease().lapsed()
+
+
+def test_goes_on_ticking_until_everything_stands_when_shut_down(start: Callable[..., Bench]) -> None:
+    runner = Recorder(period_s=LONG_S)
+    runner.moving_for = 25
+    bench = start(runner)
+    until(lambda: runner.ticks == 1)
+    bench.inbox.put(Shutdown())
+    assert bench.loop.join(10.0)
+    assert runner.holds == ["shutdown"]
+    assert runner.moving_for == 0
+
+
+def test_a_bug_in_the_runner_ends_the_loop_and_is_kept(start: Callable[..., Bench]) -> None:
+    runner = Recorder()
+    runner.fault = RuntimeError("broken")
+    bench = start(runner)
+    until(lambda: not bench.loop.alive())
+    assert bench.loop.broken is runner.fault
+
+
+@pytest.mark.parametrize("status", ["running", "paused", "recovering"])
+def test_pace_zero_does_not_wait_while_a_session_works(start: Callable[..., Bench], status: str) -> None:
+    bench = start(Recorder(period_s=LONG_S, status=status), 0.0)
+    until(lambda: bench.runner.ticks > 1000)
+
+
+@pytest.mark.parametrize("status", [None, "escalated"])
+def test_pace_zero_keeps_real_time_while_nothing_moves(start: Callable[..., Bench], status: str | None) -> None:
+    bench = start(Recorder(period_s=LONG_S, status=status), 0.0)
+    until(lambda: bench.runner.ticks == 1)
+    bench.inbox.put(Estop(actor="operator"))
+    until(lambda: bench.runner.orders)
+    assert bench.runner.ticks == 1
+
+
+def test_counts_the_ticks_that_came_late(start: Callable[..., Bench]) -> None:
+    bench = start(Recorder(period_s=1e-9))
+    until(lambda: bench.loop.overruns > 10)
+
+
+def test_shows_a_change_without_waiting_for_the_next_period(
+    start: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("app.cell.loop.STATE_MS", LONG_S * 1000)
+    bench = start(Recorder(period_s=0.005))
+    until(lambda: bench.runner.ticks > 3)
+    shown = bench.outbox.state
+    bench.outbox.event(event(1))
+    until(lambda: bench.outbox.state is not shown)
+
+
+def test_events_stay_until_they_are_acknowledged() -> None:
+    outbox = Outbox()
+    for seq in (1, 2, 3):
+        outbox.event(event(seq))
+    assert [one.seq for one in outbox.after(1)] == [2, 3]
+    outbox.acknowledge(2)
+    assert [one.seq for one in outbox.after(0)] == [3]
+    assert outbox.last_seq == 3
