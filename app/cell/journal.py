@@ -134,7 +134,7 @@ class Journal:
             JournalUnavailable: it could not be written; the old file stands.
         """
         self._check()
-        kept = {name: value for name, value in self.marks.items() if value is not None}
+        kept: dict[str, Json] = {name: value for name, value in self.marks.items() if value is not None}
         lines = [_line({"m": kept, "s": self._seq, "a": self.acknowledged})]
         lines += [_line({"e": list(entry)}) for entry in self._entries]
         draft = self.path.with_name(self.path.name + ".new")
@@ -247,9 +247,9 @@ class Journal:
             self.acknowledged = max(self.acknowledged, seen)
         if isinstance(fields := record.get("e"), list):
             entry = Entry(*cast("tuple[int, float, int, str, str | None, str, dict[str, Json]]", tuple(fields)))
-            if entry.seq <= self._seq and self._entries:
+            if self._entries and entry.seq <= self._entries[-1].seq:
                 raise JournalUnavailable(f"journal `{self.path}` repeats sequence number `{entry.seq}`")
-            self._seq = entry.seq
+            self._seq = max(self._seq, entry.seq)
             self._entries.append(entry)
 
 

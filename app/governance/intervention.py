@@ -44,11 +44,16 @@ class Engaged(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """The intervention of this tick and the alert behind it; `ends_attempt` when recovery has to be asked."""
+    """The intervention of this tick and the alert behind it; `ends_attempt` when recovery has to be asked.
+
+    `holding` is the most severe of the responses that only hold (pause, escalate): where a person stands in the way,
+    even a recovery waits until they have left.
+    """
 
     intervention: Intervention
     alert: Alert | None = None
     ends_attempt: bool = False
+    holding: Decision | None = None
 
 
 class InterventionState(NamedTuple):
@@ -88,7 +93,11 @@ class Responses:
             if (kept := self._advance(one, speaking.pop(one.rule, None), tick)) is not None:
                 engaged.append(kept)
         engaged += [Engaged(alert.rule, alert, tick, None, False) for alert in speaking.values()]
-        decision = max((self._decide(one) for one in engaged), key=_severity, default=GO_ON)
+        decisions = [self._decide(one) for one in engaged]
+        decision = max(decisions, key=_severity, default=GO_ON)
+        holds = [one for one in decisions if not one.ends_attempt and one.intervention is not Intervention.CONTINUE]
+        if holds:
+            decision = decision._replace(holding=max(holds, key=_severity))
         if not engaged and not grace:
             return NOTHING, decision
         return InterventionState(tuple(engaged), grace), decision

@@ -46,12 +46,14 @@ class PermitError(GovernanceError):
     Attributes:
         code: Which check it failed, stable.
         detail: What was found and what would be valid.
+        invocation: Which invocation it was for, once the signature was found good; None before that.
     """
 
-    def __init__(self, code: PermitCode, detail: str) -> None:
+    def __init__(self, code: PermitCode, detail: str, invocation: str | None = None) -> None:
         """Keep the facts; the message is made of them."""
         self.code: PermitCode = code
         self.detail = detail
+        self.invocation = invocation
         super().__init__(f"{code}: {detail}")
 
 
@@ -144,19 +146,24 @@ def verify(
     except InvalidSignature as error:
         raise PermitError("bad_signature", "the signature does not match the body under the pinned key") from error
     permit = _read(signed.body)
-    if permit.cell != cell:
-        raise PermitError("wrong_cell", f"permit is for `{permit.cell}`, this is `{cell}`")
-    if permit.policy_digest != policy_digest:
-        raise PermitError(
-            "wrong_policy", f"permit is under `{permit.policy_digest}`, this cell holds `{policy_digest}`"
-        )
-    # Written so that a clock that reads NaN permits nothing.
-    if not now_s >= permit.issued_at_s - CLOCK_TOLERANCE_S:
-        raise PermitError("not_yet_valid", f"permit was issued at `{permit.issued_at_s}`, it is `{now_s}`")
-    if not now_s < permit.expires_at_s:
-        raise PermitError("expired", f"permit expired at `{permit.expires_at_s}`, it is `{now_s}`")
-    if permit.id in used:
-        raise PermitError("used", f"permit `{permit.id}` was bound before; a permit is good for one launch")
+    for code, refused, detail in (
+        ("wrong_cell", permit.cell != cell, f"permit is for `{permit.cell}`, this is `{cell}`"),
+        (
+            "wrong_policy",
+            permit.policy_digest != policy_digest,
+            f"permit is under `{permit.policy_digest}`, this cell holds `{policy_digest}`",
+        ),
+        # The times are compared so that a clock that reads NaN permits nothing.
+        (
+            "not_yet_valid",
+            not now_s >= permit.issued_at_s - CLOCK_TOLERANCE_S,
+            f"permit was issued at `{permit.issued_at_s}`, it is `{now_s}`",
+        ),
+        ("expired", not now_s < permit.expires_at_s, f"permit expired at `{permit.expires_at_s}`, it is `{now_s}`"),
+        ("used", permit.id in used, f"permit `{permit.id}` was bound before; a permit is good for one launch"),
+    ):
+        if refused:
+            raise PermitError(code, detail, permit.invocation)
     return Grant(authorization=permit, _proof=_PROOF)
 
 

@@ -47,8 +47,9 @@ class Budgets(NamedTuple):
 class RecoveryDecision(NamedTuple):
     """What to do about a failure, why, and the budgets it leaves.
 
-    `reason` is a code: `table`, `rollback_required`, `not_covered`, `no_row`, `row_exhausted`, `nobody_to_ask`. `row`
-    is −1 where no row was found; `step` is the place in the row, for what follows when this step has succeeded.
+    `reason` is a code: `table`, `rollback_required`, `not_covered`, `no_row`, `row_exhausted`, `nobody_to_ask`,
+    `asked`. `row` is −1 where no row was found; `step` is the place in the row, for what follows when this step has
+    succeeded.
     """
 
     strategy: Strategy
@@ -90,6 +91,16 @@ def recover(
     return chooser.ask("no_row")
 
 
+def roll_back(
+    failure: str, plan: RecoveryPlan, used: Budgets, covered: tuple[CoveredRecovery, ...]
+) -> RecoveryDecision | None:
+    """Return the rollback that was asked for outright (by an operator or a watch rule), or None if it cannot be had."""
+    cover = _Chooser(failure, plan, used, False, covered).cover(Strategy.ROLLBACK, None)
+    if plan.rollback_capability is None or cover is None or used.rolled_back:
+        return None
+    return RecoveryDecision(Strategy.ROLLBACK, failure, "asked", used.taking(-1, Strategy.ROLLBACK), cover)
+
+
 class _Chooser(NamedTuple):
     failure: str
     plan: RecoveryPlan
@@ -108,7 +119,7 @@ class _Chooser(NamedTuple):
                 return self.end("table", number, step)
             if not self._possible(strategy, number, row):
                 continue
-            cover = self._cover(strategy, row)
+            cover = self.cover(strategy, row)
             if cover is None:
                 return self.ask("not_covered", number, step)
             used = self.used.taking(number, strategy)
@@ -124,7 +135,7 @@ class _Chooser(NamedTuple):
         """Return the end of the session, behind the rollback that the profile may require."""
         needed = self.plan.rollback in ("required", "always") and self.plan.rollback_capability is not None
         if needed and not self.used.rolled_back:
-            cover = self._cover(Strategy.ROLLBACK, None)
+            cover = self.cover(Strategy.ROLLBACK, None)
             if cover is not None:
                 used = self.used.taking(row, Strategy.ROLLBACK)
                 return RecoveryDecision(Strategy.ROLLBACK, self.failure, "rollback_required", used, cover, row, step)
@@ -143,7 +154,7 @@ class _Chooser(NamedTuple):
             return self.plan.rollback_capability is not None and not self.used.rolled_back
         return True
 
-    def _cover(self, strategy: Strategy, row: RecoveryRule | None) -> CoveredRecovery | None:
+    def cover(self, strategy: Strategy, row: RecoveryRule | None) -> CoveredRecovery | None:
         wanted = {
             Strategy.ROLLBACK: self.plan.rollback_capability,
             Strategy.RECOVERY_CAPABILITY: None if row is None else row.capability,
