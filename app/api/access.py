@@ -105,7 +105,7 @@ class GuardedRoute(APIRoute):
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Return FastAPI's handler behind the guard. Raises `RouteUnguarded`."""
         handler = super().get_route_handler()
-        (method,) = self.methods  # one method a route: the table names them one by one
+        (method,) = cast("set[str]", self.methods)  # one method a route: the table names them one by one
         allowed = allowed_roles(method, self.path)
 
         async def guarded(request: Request) -> Response:

@@ -21,11 +21,11 @@ from app.api.openapi import Answers, answer, declare, describe
 from app.api.parts import Parts, parts_of
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable, Mapping
+    from collections.abc import AsyncGenerator, Callable, Mapping
 
     from app.api.auth import Principals
     from app.audit.store import AuditStore
-    from app.governance.bundle import PolicySet
+    from app.governance.policy import PolicySet
     from app.runtime.desk import Desk
     from app.runtime.feed import Feed
     from app.runtime.fleet import Fleet
@@ -120,7 +120,7 @@ async def openapi(request: Request) -> Response:
 
 
 @asynccontextmanager
-async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+async def _lifespan(app: FastAPI) -> AsyncGenerator[None]:
     # What was built at the start stays for good: the collector need not walk it again while requests wait.
     gc.collect()
     gc.freeze()

@@ -26,7 +26,7 @@ from app.governance.model import Role
 from app.runtime.invocation import Principal
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Generator
 
     from starlette.datastructures import Headers
 
@@ -174,9 +174,10 @@ def _row(name: str, role: Role, token: str, expires_at: str | None) -> dict[str,
 
 def _rows(path: Path) -> list[dict[str, Any]]:
     try:
-        match orjson.loads(path.read_bytes()):
-            case {"principals": list(rows)}:
-                return cast("list[dict[str, Any]]", rows)
+        document: object = orjson.loads(path.read_bytes())
+        match document:
+            case {"principals": list()}:
+                return cast("dict[str, list[dict[str, Any]]]", document)["principals"]
             case _:
                 raise PrincipalsUnreadable(path, "valid is an object with the list `principals`")
     except orjson.JSONDecodeError as error:
@@ -189,15 +190,14 @@ def _read(path: Path) -> dict[bytes, Credential]:
 
 def _credential(path: Path, row: object) -> Credential:
     match row:
-        case {"name": str(name), "role": str(role), "sha256": str(digest), **rest}:
+        case {"name": str(name), "role": str(role), "sha256": str(digest), "expires_at": str() | None as expires_at}:
             try:
-                expires_at = rest.get("expires_at")
                 return Credential(
                     principal=Principal(name=name, role=Role(role)),
                     digest=bytes.fromhex(digest),
-                    expires_at_s=None if expires_at is None else clock.parse_rfc3339(cast("str", expires_at)),
+                    expires_at_s=None if expires_at is None else clock.parse_rfc3339(expires_at),
                 )
-            except (TypeError, ValueError) as error:
+            except ValueError as error:
                 raise PrincipalsUnreadable(path, f"the entry of `{name}`: {error}") from error
         case _:
             raise PrincipalsUnreadable(path, "an entry has `name`, `role`, `sha256` and `expires_at`")
@@ -209,7 +209,7 @@ def _stamp(path: Path) -> tuple[int, int, int]:
 
 
 @contextlib.contextmanager
-def _locked(path: Path) -> Iterator[None]:
+def _locked(path: Path) -> Generator[None]:
     with path.open("w") as handle:
         fcntl.flock(handle, fcntl.LOCK_EX)
         yield

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from app.api.auth import Principals
     from app.audit.store import AuditStore
-    from app.governance.bundle import PolicySet
+    from app.governance.policy import PolicySet
     from app.runtime.desk import Desk
     from app.runtime.feed import Feed
     from app.runtime.fleet import Fleet

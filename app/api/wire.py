@@ -220,7 +220,17 @@ def _first(items: Sequence[Mapping[str, str]]) -> str:
 
 
 def _kind(value: object) -> str:
-    return {list: "a list", str: "a text", bool: "a truth value", type(None): "null"}.get(type(value), "a number")
+    match value:
+        case None:
+            return "null"
+        case bool():
+            return "a truth value"
+        case str():
+            return "a text"
+        case list():
+            return "a list"
+        case _:
+            return "a number"
 
 
 def _too_large() -> Problem:

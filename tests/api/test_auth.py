@@ -1,0 +1,161 @@
+from __future__ import annotations
+
+import json
+import os
+import stat
+from pathlib import Path
+
+import pytest
+from starlette.datastructures import Headers
+
+from app import clock
+from app.api.auth import (
+    CELL_TOKEN_FILE,
+    PRINCIPALS_FILE,
+    TOKENS_FILE,
+    Principals,
+    PrincipalsUnreadable,
+    issue_token,
+    open_principals,
+)
+from app.api.problems import Problem
+from app.governance.model import Role
+
+
+def bearer(token: str) -> Headers:
+    return Headers({"authorization": f"Bearer {token}"})
+
+
+def tokens(folder: Path) -> dict[str, str]:
+    return json.loads((folder / TOKENS_FILE).read_text())
+
+
+def test_first_start_writes_tokens_that_only_their_owner_may_read(tmp_path: Path) -> None:
+    open_principals(tmp_path)
+    assert sorted(tokens(tmp_path)) == ["agent", "auditor", "engineer", "operator", "operator_2"]
+    for name in (TOKENS_FILE, CELL_TOKEN_FILE, PRINCIPALS_FILE):
+        assert stat.S_IMODE((tmp_path / name).stat().st_mode) == 0o600
+
+
+def test_tokens_are_not_kept_where_principals_are(tmp_path: Path) -> None:
+    open_principals(tmp_path)
+    kept = (tmp_path / PRINCIPALS_FILE).read_text()
+    assert not any(token in kept for token in tokens(tmp_path).values())
+
+
+@pytest.mark.parametrize(
+    ("key", "name", "role"),
+    [
+        ("agent", "planner", Role.AGENT),
+        ("operator", "operator", Role.OPERATOR),
+        ("operator_2", "operator_2", Role.OPERATOR),
+        ("engineer", "engineer", Role.ENGINEER),
+        ("auditor", "auditor", Role.AUDITOR),
+    ],
+)
+def test_each_first_token_stands_for_its_principal(tmp_path: Path, key: str, name: str, role: Role) -> None:
+    principal = open_principals(tmp_path).authenticate(bearer(tokens(tmp_path)[key]))
+    assert (principal.name, principal.role) == (name, role)
+
+
+def test_cells_have_a_token_of_their_own(tmp_path: Path) -> None:
+    principals = open_principals(tmp_path)
+    assert principals.authenticate(bearer((tmp_path / CELL_TOKEN_FILE).read_text().strip())).role is Role.CELL
+
+
+def test_a_second_start_keeps_the_tokens(tmp_path: Path) -> None:
+    open_principals(tmp_path)
+    first = tokens(tmp_path)
+    open_principals(tmp_path).authenticate(bearer(first["agent"]))
+    assert tokens(tmp_path) == first
+
+
+@pytest.mark.parametrize(
+    ("headers", "code"),
+    [
+        ({}, "token_missing"),
+        ({"authorization": ""}, "token_missing"),
+        ({"authorization": "Bearer"}, "token_missing"),
+        ({"authorization": "Bearer "}, "token_missing"),
+        ({"authorization": "Basic b3BlcmF0b3I6"}, "token_missing"),
+        ({"authorization": "Bearer nobody"}, "token_invalid"),
+        ({"authorization": "Bearer ünknown"}, "token_invalid"),
+    ],
+)
+def test_refuses_whoever_has_no_token_that_is_known(tmp_path: Path, headers: dict[str, str], code: str) -> None:
+    with pytest.raises(Problem) as refused:
+        open_principals(tmp_path).authenticate(Headers(headers))
+    assert (refused.value.status, refused.value.code) == (401, code)
+    assert refused.value.headers["WWW-Authenticate"].startswith('Bearer realm="reins"')
+
+
+def test_refuses_a_token_whose_time_is_over(tmp_path: Path) -> None:
+    open_principals(tmp_path)
+    token = issue_token(tmp_path, name="visitor", role=Role.AUDITOR, ttl_s=-1.0)
+    with pytest.raises(Problem) as refused:
+        open_principals(tmp_path).authenticate(bearer(token))
+    assert (refused.value.status, refused.value.code) == (401, "token_expired")
+
+
+def test_a_token_holds_until_its_time_is_over(tmp_path: Path) -> None:
+    open_principals(tmp_path)
+    token = issue_token(tmp_path, name="visitor", role=Role.AUDITOR, ttl_s=60.0)
+    assert open_principals(tmp_path).authenticate(bearer(token)).name == "visitor"
+
+
+def test_a_running_server_learns_of_a_new_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    principals = open_principals(tmp_path)
+    token = issue_token(tmp_path, name="second", role=Role.AGENT)
+    later_s = clock.monotonic_s() + 2.0
+    monkeypatch.setattr(clock, "monotonic_s", lambda: later_s)
+    assert principals.authenticate(bearer(token)).name == "second"
+
+
+def test_what_was_read_last_holds_while_the_file_is_broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    principals = open_principals(tmp_path)
+    (tmp_path / PRINCIPALS_FILE).write_text("{")
+    later_s = clock.monotonic_s() + 2.0
+    monkeypatch.setattr(clock, "monotonic_s", lambda: later_s)
+    assert principals.authenticate(bearer(tokens(tmp_path)["operator"])).role is Role.OPERATOR
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "{",
+        "[]",
+        "{}",
+        '{"principals": [1]}',
+        '{"principals": [{"name": "x", "role": "king", "sha256": "00", "expires_at": null}]}',
+        '{"principals": [{"name": "x", "role": "agent", "sha256": "zz", "expires_at": null}]}',
+        '{"principals": [{"name": "x", "role": "agent", "sha256": "00", "expires_at": "tomorrow"}]}',
+        '{"principals": [{"name": "x", "role": "agent", "sha256": "00"}]}',
+        '{"principals": [{"name": "x", "role": "agent", "sha256": "00", "expires_at": 0}]}',
+    ],
+)
+def test_does_not_start_on_principals_it_cannot_read(tmp_path: Path, content: str) -> None:
+    (tmp_path / PRINCIPALS_FILE).write_text(content)
+    with pytest.raises(PrincipalsUnreadable, match=PRINCIPALS_FILE):
+        open_principals(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["", "x" * 129, "a\nb"])
+def test_refuses_to_issue_a_token_for_no_name(tmp_path: Path, name: str) -> None:
+    open_principals(tmp_path)
+    with pytest.raises(ValueError, match="principal name"):
+        issue_token(tmp_path, name=name, role=Role.AGENT)
+
+
+def test_a_write_that_fails_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    open_principals(tmp_path)
+    before = (tmp_path / PRINCIPALS_FILE).read_bytes()
+
+    def full(_: int) -> None:
+        raise OSError(28, "no space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="no space"):
+        issue_token(tmp_path, name="late", role=Role.AGENT)
+    assert (tmp_path / PRINCIPALS_FILE).read_bytes() == before
+    assert Principals(tmp_path / PRINCIPALS_FILE)
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(f".{PRINCIPALS_FILE}.")]
