@@ -2,6 +2,7 @@
 
 ```
 GovernanceError
+├── PolicyErrors       everything wrong with a policy directory, together
 ├── PolicyError        a policy file does not say something that can be enforced (file, line, key)
 ├── ExpressionError    a condition does not parse or does not type-check (source, column)
 ├── DeclarationError   a variable or record is declared in a way no expression could use (name)
@@ -105,3 +106,16 @@ class EvaluationError(GovernanceError):
         self.code: EvaluationCode = code
         self.detail = detail
         super().__init__(f"{code}: {detail}")
+
+
+class PolicyErrors(GovernanceError):
+    """Everything that is wrong with a policy directory, in order of file and line.
+
+    Attributes:
+        problems: One `PolicyError` per fault, never empty.
+    """
+
+    def __init__(self, problems: Iterable[PolicyError]) -> None:
+        """Keep the problems, sorted; the message lists them, one per line."""
+        self.problems = tuple(sorted(problems, key=lambda problem: (problem.file, problem.line, problem.key)))
+        super().__init__("\n".join(str(problem) for problem in self.problems))

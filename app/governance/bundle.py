@@ -1,0 +1,319 @@
+"""Loads a policy directory into a `PolicySet`, or says everything that is wrong with it.
+
+```
+policies/
+├── capabilities/*.yaml    one manifest each
+├── profiles/*.yaml        E: one environment profile each
+├── organization.yaml      O: rules of every profile, agents and their permissions
+├── authority.yaml         H: what every profile shares
+├── site.yaml              everything in the workshop that has a name
+└── tests/*.yaml           cases for `reins policy test`; no part of the policy, nor of its digest
+```
+
+1. `read_files` reads text; `load_files` works on text alone, so that a cell gets the same policy set over the link.
+2. Every file is parsed and fitted into its shape; then everything is checked against everything.
+3. All problems are reported together; with one problem nothing is loaded.
+4. What is sound is built and compiled; the digest is SHA-256 over every (path, bytes), in order of path.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING, Any, Final, cast
+
+import jsonschema_rs
+
+from app.governance import bundle_build, bundle_checks, bundle_shapes
+from app.governance.bundle_checks import Known, Reader
+from app.governance.bundle_yaml import parse
+from app.governance.conditions import TESTS
+from app.governance.errors import PolicyError, PolicyErrors
+from app.governance.policy import Gate, Inputs, PolicySet
+from app.governance.policy_code import Generator
+from app.governance.policy_model import GOVERNANCE
+from app.governance.vocabulary import Vocabulary, properties, referring
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from app.governance.bundle_yaml import Document
+    from app.governance.model import Capability, Site
+    from app.governance.policy_model import Profile, Rule
+
+TESTS_FOLDER: Final = "tests"
+_SINGLE: Final[Mapping[str, type[Any]]] = {
+    "organization.yaml": bundle_shapes.OrganizationShape,
+    "authority.yaml": bundle_shapes.AuthorityFileShape,
+    "site.yaml": bundle_shapes.SiteShape,
+}
+_FOLDERS: Final[Mapping[str, type[Any]]] = {
+    "capabilities": bundle_shapes.CapabilityShape,
+    "profiles": bundle_shapes.ProfileShape,
+}
+_LAYOUT: Final = (*(f"{folder}/*.yaml" for folder in _FOLDERS), *_SINGLE, f"{TESTS_FOLDER}/*.yaml")
+
+
+def read_files(directory: Path) -> dict[str, str]:
+    """Read the policy files of a directory (not its tests), path relative to it → text, in order of path.
+
+    Raises:
+        PolicyErrors: The directory cannot be read, or a file is not UTF-8.
+    """
+    return _read(directory, tests=False)
+
+
+def read_cases(directory: Path) -> dict[str, str]:
+    """Read the case files of a policy directory, path relative to it → text, in order of path.
+
+    Raises:
+        PolicyErrors: The directory cannot be read, or a file is not UTF-8.
+    """
+    return _read(directory, tests=True)
+
+
+def _read(directory: Path, *, tests: bool) -> dict[str, str]:
+    if not directory.is_dir():
+        raise PolicyErrors([PolicyError(file=str(directory), line=0, key="", message="there is no such directory")])
+    files: dict[str, str] = {}
+    problems: list[PolicyError] = []
+    for path in sorted(directory.rglob("*")):
+        name = path.relative_to(directory).as_posix()
+        if not path.is_file() or path.suffix not in (".yaml", ".yml", ".json"):
+            continue
+        if (PurePosixPath(name).parts[0] == TESTS_FOLDER) is not tests:
+            continue
+        try:
+            files[name] = path.read_bytes().decode()
+        except (OSError, UnicodeDecodeError) as error:
+            problems.append(PolicyError(file=name, line=0, key="", message=f"cannot be read as UTF-8 text: {error}"))
+    if problems:
+        raise PolicyErrors(problems)
+    return files
+
+
+def digest(files: Mapping[str, str]) -> str:
+    """Return `sha256:…` over every (path, text), lengths included, in order of path."""
+    state = hashlib.sha256()
+    for name in sorted(files):
+        for part in (name.encode(), files[name].encode()):
+            state.update(len(part).to_bytes(8, "big"))
+            state.update(part)
+    return f"sha256:{state.hexdigest()}"
+
+
+def load(directory: Path) -> PolicySet:
+    """Load a policy directory.
+
+    Raises:
+        PolicyErrors: Something is wrong with it; everything that is.
+    """
+    return load_files(read_files(directory))
+
+
+def load_files(files: Mapping[str, str]) -> PolicySet:
+    """Load a policy set from its files, path → text; the same files give the same digest.
+
+    Raises:
+        PolicyErrors: Something is wrong with them; everything that is.
+    """
+    source = _shapes(files)
+    if source.problems:
+        raise PolicyErrors(source.problems)
+    capabilities = {shape.name: bundle_build.capability(shape) for _, shape in source.capabilities}
+    problems = [
+        problem
+        for reader, shape in source.capabilities
+        for problem in (
+            *bundle_checks.inputs(reader, shape),
+            *bundle_checks.vocabulary(reader, capabilities[shape.name]),
+        )
+    ]
+    if problems:  # without parameters that can be typed, no condition could be checked
+        raise PolicyErrors(problems)
+    known = Known(
+        capabilities=capabilities,
+        recoveries=frozenset(name for name, found in capabilities.items() if found.recovery),
+        profiles=frozenset(shape.profile for _, shape in source.profiles),
+        permissions=frozenset(source.organization[1].permissions),
+        vocabulary=Vocabulary(capabilities),
+    )
+    problems = _check(source, known)
+    if problems:
+        raise PolicyErrors(problems)
+    return _assemble(files, source, known)
+
+
+@dataclass(slots=True)
+class _Source:
+    """The files as shapes, each with the reader that writes problems about it."""
+
+    capabilities: list[tuple[Reader, bundle_shapes.CapabilityShape]] = field(default_factory=list[Any])
+    profiles: list[tuple[Reader, bundle_shapes.ProfileShape]] = field(default_factory=list[Any])
+    single: dict[str, tuple[Reader, Any]] = field(default_factory=dict[str, Any])
+    problems: list[PolicyError] = field(default_factory=list[PolicyError])
+
+    @property
+    def organization(self) -> tuple[Reader, bundle_shapes.OrganizationShape]:
+        return self.single["organization.yaml"]
+
+    @property
+    def authority(self) -> tuple[Reader, bundle_shapes.AuthorityFileShape]:
+        return self.single["authority.yaml"]
+
+    @property
+    def site(self) -> tuple[Reader, bundle_shapes.SiteShape]:
+        return self.single["site.yaml"]
+
+
+def _shape_of(name: str) -> type[Any] | None:
+    path = PurePosixPath(name)
+    if len(path.parts) == 2 and path.suffix == ".yaml":  # noqa: PLR2004  # folder and file
+        return _FOLDERS.get(path.parts[0])
+    return _SINGLE.get(name)
+
+
+def _shapes(files: Mapping[str, str]) -> _Source:
+    source = _Source()
+    for name in sorted(files):
+        shape = _shape_of(name)
+        if shape is None:
+            message = "is no policy file: nothing would read it"
+            source.problems.append(PolicyError(file=name, line=0, key="", message=message, valid=_LAYOUT))
+            continue
+        document, problems = parse(name, files[name])
+        found, misfits = bundle_shapes.read(shape, document) if not problems else (None, [])
+        source.problems += [*problems, *misfits]
+        if found is not None:
+            _file(source, name, document, found)
+    for name in _SINGLE:
+        if name not in files:
+            source.problems.append(PolicyError(file=name, line=0, key="", message="is missing", valid=_LAYOUT))
+    for folder in _FOLDERS:
+        if not any(name.startswith(f"{folder}/") for name in files):
+            source.problems.append(PolicyError(file=folder, line=0, key="", message="has no files", valid=_LAYOUT))
+    return source
+
+
+def _file(source: _Source, name: str, document: Document, found: object) -> None:
+    reader = Reader(document=document)
+    match found:
+        case bundle_shapes.CapabilityShape():
+            source.capabilities.append((reader, found))
+        case bundle_shapes.ProfileShape():
+            source.profiles.append((reader, found))
+        case _:
+            source.single[name] = (reader, found)
+
+
+def _check(source: _Source, known: Known) -> list[PolicyError]:
+    problems: list[PolicyError] = []
+    for reader, shape in source.capabilities:
+        problems += bundle_checks.capability(reader, shape, known)
+    for reader, shape in source.profiles:
+        problems += bundle_checks.profile(reader, shape, known)
+        problems += bundle_checks.rules(reader, shape.rules, known)
+    reader, organization = source.organization
+    problems += bundle_checks.organization(reader, organization)
+    problems += bundle_checks.rules(reader, organization.rules, known)
+    reader, authority = source.authority
+    problems += bundle_checks.authority(reader, authority, known)
+    problems += bundle_checks.rules(reader, authority.rules, known)
+    problems += bundle_checks.site(*source.site)
+    return problems
+
+
+def _assemble(files: Mapping[str, str], source: _Source, known: Known) -> PolicySet:
+    profiles = {shape.profile: bundle_build.profile(shape) for _, shape in source.profiles}
+    rules = _rules(source)
+    site = bundle_build.site(source.site[1])
+    return PolicySet(
+        digest=digest(files),
+        capabilities=known.capabilities,
+        profiles=profiles,
+        site=site,
+        agents=bundle_build.agents(source.organization[1]),
+        authority=bundle_build.authority(source.authority[1]),
+        rules={rule.id: rule for rule in rules},
+        gates=_gates(known, profiles, rules, site),
+        inputs={name: _inputs(found) for name, found in known.capabilities.items()},
+        permissions=known.permissions,
+        files=dict(sorted(files.items())),
+    )
+
+
+def _rules(source: _Source) -> list[Rule]:
+    """All rules; within a pair they are evaluated in this order: the profile's, the organization's, authority's."""
+    rules = [
+        bundle_build.rule(shape.profile, rule, frozenset({shape.profile}))
+        for _, shape in source.profiles
+        for rule in shape.rules
+    ]
+    for owner, shapes in (("organization", source.organization[1].rules), ("authority", source.authority[1].rules)):
+        for rule in shapes:
+            rules.append(bundle_build.rule(owner, rule, None if rule.profiles is None else frozenset(rule.profiles)))
+    return rules
+
+
+def _gates(
+    known: Known, profiles: Mapping[str, Profile], rules: Sequence[Rule], site: Site
+) -> dict[tuple[str, str], Gate]:
+    """Compile every enabled pair from the rules that apply to it."""
+    applying: dict[tuple[str, str], list[Rule]] = {
+        (name, profile): [] for name in known.capabilities for profile in profiles
+    }
+    for rule in rules:
+        for name in known.capabilities if rule.applies_to is None else rule.applies_to:
+            for profile in profiles if rule.profiles is None else rule.profiles:
+                applying[name, profile].append(rule)
+    gates: dict[tuple[str, str], Gate] = {}
+    for (name, profile), chosen in applying.items():
+        found = known.capabilities[name]
+        if found.env_profile[profile] != "forbidden":
+            gates[name, profile] = _gate(found, profiles[profile], chosen, site, known.vocabulary)
+    return gates
+
+
+def _gate(capability: Capability, profile: Profile, rules: Sequence[Rule], site: Site, vocabulary: Vocabulary) -> Gate:
+    compiled = Generator(capability, profile, site, vocabulary).compile(rules)
+    reserved = {GOVERNANCE} if capability.recovery else set[str]()
+    return Gate(
+        capability=capability,
+        profile=profile,
+        site=site,
+        permissions=capability.permissions | reserved,
+        tests=tuple(TESTS[name] for name in capability.preconditions),
+        known=_known(capability, site),
+        actions=_actions(capability),
+        check=compiled.check,
+        source=compiled.source,
+    )
+
+
+def _known(capability: Capability, site: Site) -> tuple[tuple[str, str, frozenset[str]], ...]:
+    names: Mapping[str, Mapping[str, object]] = {
+        "object": site.objects,
+        "target": site.targets,
+        "surface": site.surfaces,
+        "area": site.areas,
+        "corridor": site.corridors,
+        "tool": site.tools,
+    }
+    found = referring(capability)
+    return tuple((param, kind, frozenset(names[kind])) for kind, param in found.items() if kind in names)
+
+
+def _actions(capability: Capability) -> tuple[str, str] | None:
+    found = referring(capability)
+    return (found["tool"], found["action"]) if "action" in found and "tool" in found else None
+
+
+def _inputs(capability: Capability) -> Inputs:
+    specs = properties(capability)
+    return Inputs(
+        validator=jsonschema_rs.Draft202012Validator(cast("dict[str, Any]", capability.inputs)),
+        defaults={name: spec["default"] for name, spec in specs.items() if "default" in spec},
+        numbers=frozenset(name for name, spec in specs.items() if spec.get("type") == "number"),
+    )

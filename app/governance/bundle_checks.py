@@ -1,0 +1,425 @@
+"""What a policy directory has to mean before it is used: every name exists, every bound holds something, nothing is uncovered.
+
+Each check yields problems; none stops at the first, so that one run of `reins policy check` shows everything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Final, cast
+
+import jsonschema_rs
+
+from app.governance.bundle_yaml import Document, Path, dotted
+from app.governance.conditions import TESTS
+from app.governance.errors import DeclarationError, ExpressionError, PolicyError
+from app.governance.expression import BOOL, STRING
+from app.governance.policy_model import (
+    FAILURES,
+    GOVERNANCE,
+    LIMIT_UNITS,
+    NAMED_THRESHOLDS,
+    REFERENCES,
+    SENSORS,
+    SIGNAL_UNITS,
+)
+from app.governance.vocabulary import Vocabulary, always_there, properties
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from app.governance import bundle_shapes as shapes
+    from app.governance.model import Capability, Json
+
+UNITS: Final[Mapping[str, str]] = {
+    "_m": "m", "_mps": "m/s", "_n": "N", "_s": "s", "_ms": "ms", "_rad": "rad", "_kg": "kg", "_nm": "N.m",
+}  # fmt: skip
+ASKING: Final = frozenset({"approval-required", "approval-on-escalation"})
+HUMANS: Final = ASKING | {"takeover-enabled"}
+MANIPULATION: Final = "manipulation"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reader:
+    """Writes problems about one document."""
+
+    document: Document
+
+    def problem(self, path: Path, message: str, valid: Iterable[str] = ()) -> PolicyError:
+        """Return a problem at a path."""
+        document = self.document
+        return PolicyError(
+            file=document.file, line=document.line(path), key=dotted(path), message=message, valid=tuple(valid)
+        )
+
+    def unknown(self, path: Path, what: str, name: object, known: Iterable[str]) -> Iterator[PolicyError]:
+        """Yield a problem unless the name is known; the nearest names come first."""
+        names = sorted(known)
+        if name not in names:
+            near = get_close_matches(str(name), names, n=3, cutoff=0.5)
+            yield self.problem(path, f"there is no {what} `{name}`", [*near, *(n for n in names if n not in near)])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Known:
+    """Every name there is, so that references can be checked."""
+
+    capabilities: Mapping[str, Capability]
+    recoveries: frozenset[str]
+    profiles: frozenset[str]
+    permissions: frozenset[str]
+    vocabulary: Vocabulary
+
+
+# Capabilities --------------------------------------------------------------------------------------------------------
+
+
+def capability(reader: Reader, shape: shapes.CapabilityShape, known: Known) -> Iterator[PolicyError]:
+    """Check a manifest: conditions, permissions, rollback, coverage of profiles."""
+    if f"{shape.name}.yaml" != reader.document.file.rpartition("/")[2]:
+        yield reader.problem(("name",), f"`{shape.name}` stands in `{reader.document.file}`", [f"{shape.name}.yaml"])
+    for key, names in (("preconditions", shape.preconditions), ("postconditions", shape.postconditions)):
+        for index, name in enumerate(names):
+            yield from reader.unknown((key, index), "condition", name, TESTS)
+    for index, name in enumerate(shape.permissions):
+        yield from reader.unknown(("permissions", index), "permission", name, known.permissions)
+    if not shape.permissions and not shape.recovery:
+        yield reader.problem(("permissions",), "a capability that agents propose needs a permission", known.permissions)
+    if shape.rollback is not None:
+        yield from reader.unknown(("rollback",), "recovery capability", shape.rollback, known.recoveries)
+    for name in shape.env_profile:
+        yield from reader.unknown(("env_profile", name), "profile", name, known.profiles)
+    for name in sorted(known.profiles - shape.env_profile.keys()):
+        message = f"profile `{name}` is not covered: say whether `{shape.name}` is enabled there"
+        yield reader.problem(("env_profile",), message, ["allowed", "guarded", "approval-required", "forbidden"])
+
+
+def inputs(reader: Reader, shape: shapes.CapabilityShape) -> Iterator[PolicyError]:
+    """Check an input schema: valid JSON Schema, closed, every parameter of a known kind, numbers with unit and bounds."""
+    schema = shape.inputs
+    try:
+        jsonschema_rs.validator_for(schema)
+        jsonschema_rs.meta.validate(schema)
+    except (ValueError, jsonschema_rs.ValidationError) as error:
+        detail = str(getattr(error, "message", error)).splitlines()[0]
+        yield reader.problem(("inputs",), f"not a valid JSON Schema: {detail}")
+        return
+    if schema.get("type") != "object" or schema.get("additionalProperties") is not False:
+        message = "inputs are a closed object"
+        yield reader.problem(("inputs",), message, ["type: object", "additionalProperties: false"])
+    declared = schema.get("properties")
+    for name, spec in (declared if isinstance(declared, dict) else {}).items():
+        path = ("inputs", "properties", name)
+        if not isinstance(spec, dict) or spec.get("type") not in _PARAM_CHECKS:
+            yield reader.problem(path, f"`{name}` needs a type", list(_PARAM_CHECKS))
+            continue
+        yield from _PARAM_CHECKS[str(spec["type"])](reader, path, name, cast("Mapping[str, Json]", spec))
+        yield from _default(reader, path, cast("Mapping[str, Json]", spec))
+
+
+def _number(reader: Reader, path: Path, name: str, spec: Mapping[str, Json]) -> Iterator[PolicyError]:
+    suffix = next((unit for end, unit in UNITS.items() if name.endswith(end)), None)
+    unit = spec.get("unit")
+    if unit not in UNITS.values():
+        yield reader.problem((*path, "unit"), f"`{name}` needs a unit, `{unit}` is none", sorted(set(UNITS.values())))
+    elif suffix != unit:
+        yield reader.problem((*path, "unit"), f"unit mismatch: `{name}` is named in `{suffix}`, declared in `{unit}`")
+    low, high = spec.get("minimum"), spec.get("maximum")
+    if not isinstance(low, (int, float)) or not isinstance(high, (int, float)):
+        yield reader.problem(path, f"`{name}` needs a finite range", ["minimum and maximum"])
+    elif low >= high:
+        yield reader.problem((*path, "minimum"), f"empty range: minimum `{low}` is not below maximum `{high}`")
+    limit = spec.get("x-limit")
+    if limit is not None and LIMIT_UNITS.get(str(limit)) != unit:
+        fitting = [other for other, has in LIMIT_UNITS.items() if has == unit]
+        yield reader.problem((*path, "x-limit"), f"unit mismatch: `{limit}` is no limit in `{unit}`", fitting)
+
+
+def _string(reader: Reader, path: Path, name: str, spec: Mapping[str, Json]) -> Iterator[PolicyError]:
+    reference = spec.get("x-ref")
+    if reference is None and "enum" not in spec:
+        yield reader.problem(path, f"`{name}` is neither a name of the site nor one of a list", ["x-ref", "enum"])
+    elif reference is not None:
+        yield from reader.unknown((*path, "x-ref"), "kind of reference", reference, REFERENCES)
+
+
+def _plain(_reader: Reader, _path: Path, _name: str, _spec: Mapping[str, Json]) -> Iterator[PolicyError]:
+    yield from ()
+
+
+_PARAM_CHECKS: Final = {"number": _number, "integer": _plain, "string": _string, "boolean": _plain}
+
+
+def _default(reader: Reader, path: Path, spec: Mapping[str, Json]) -> Iterator[PolicyError]:
+    if "default" in spec and not jsonschema_rs.is_valid(spec, spec["default"]):
+        yield reader.problem((*path, "default"), f"default `{spec['default']}` is not valid for the parameter itself")
+
+
+# Rules ---------------------------------------------------------------------------------------------------------------
+
+
+def rules(reader: Reader, shapes_: Sequence[shapes.RuleShape], known: Known) -> Iterator[PolicyError]:
+    """Check a list of rules: unique ids, known names, conditions that type-check, bounds that hold something."""
+    seen: set[str] = set()
+    for index, shape in enumerate(shapes_):
+        path: Path = ("rules", index)
+        if shape.id in seen:
+            yield reader.problem((*path, "id"), f"rule `{shape.id}` stands twice")
+        seen.add(shape.id)
+        yield from _rule_names(reader, path, shape, known)
+        yield from _rule_effect(reader, path, shape)
+        scope = [name for name in shape.applies_to or known.capabilities if name in known.capabilities]
+        yield from _condition(reader, (*path, "when"), shape.when, scope, known)
+        yield from _settings(reader, path, shape, scope, known)
+
+
+def _rule_names(reader: Reader, path: Path, shape: shapes.RuleShape, known: Known) -> Iterator[PolicyError]:
+    for index, name in enumerate(shape.applies_to or ()):
+        yield from reader.unknown((*path, "applies_to", index), "capability", name, known.capabilities)
+    for index, name in enumerate(shape.profiles or ()):
+        yield from reader.unknown((*path, "profiles", index), "profile", name, known.profiles)
+
+
+def _rule_effect(reader: Reader, path: Path, shape: shapes.RuleShape) -> Iterator[PolicyError]:
+    if shape.then == "modify" and not shape.set:
+        yield reader.problem(path, "a `modify` rule needs `set`: it could not modify anything")
+    if shape.then != "modify" and shape.set:
+        yield reader.problem((*path, "set"), f"`set` belongs to a `modify` rule, this one says `{shape.then}`")
+    if shape.then != "escalate" and shape.approvers is not None:
+        yield reader.problem((*path, "approvers"), "`approvers` belongs to an `escalate` rule")
+
+
+def _condition(
+    reader: Reader, path: Path, source: str | None, scope: Iterable[str], known: Known, expect: object = BOOL
+) -> Iterator[PolicyError]:
+    told: set[str] = set()
+    for name in scope if source is not None else ():
+        try:
+            known.vocabulary.typed(cast("str", source), name, expect)  # pyright: ignore[reportArgumentType]
+        except ExpressionError as error:
+            message = f"column {error.column}: {error.message}"
+            if message not in told:
+                told.add(message)
+                yield reader.problem(path, f"{message} (for `{name}`)", error.valid)
+
+
+def _settings(
+    reader: Reader, path: Path, shape: shapes.RuleShape, scope: Sequence[str], known: Known
+) -> Iterator[PolicyError]:
+    for param, setting in shape.set.items():
+        here = (*path, "set", param)
+        holders = [name for name in scope if param in properties(known.capabilities[name])]
+        if scope and not holders:
+            names = {other for name in scope for other in properties(known.capabilities[name])}
+            yield from reader.unknown(here, "parameter", param, names)
+        if setting.to is None:
+            yield from _numeric_setting(reader, here, param, setting, [known.capabilities[name] for name in holders])
+        elif setting.min is not None or setting.max is not None:
+            yield reader.problem(here, "`to` says the value, it goes without `min` and `max`")
+        else:
+            yield from _named_setting(reader, here, param, [known.capabilities[name] for name in holders])
+            yield from _condition(reader, (*here, "to"), setting.to, holders, known, STRING)
+
+
+def _numeric_setting(
+    reader: Reader, path: Path, param: str, setting: shapes.SettingShape, holders: Sequence[Capability]
+) -> Iterator[PolicyError]:
+    if setting.min is None and setting.max is None:
+        yield reader.problem(path, "an empty bound", ["min", "max", "to"])
+    elif setting.min is not None and setting.max is not None and setting.min > setting.max:
+        yield reader.problem(path, f"inverted bound: min `{setting.min}` is above max `{setting.max}`")
+    for holder in holders:
+        spec = properties(holder)[param]
+        if spec.get("type") != "number":
+            yield reader.problem(
+                path, f"`{param}` of `{holder.name}` is a {spec.get('type')}, it has no bounds", ["to"]
+            )
+        elif param not in always_there(holder):
+            yield reader.problem(path, f"`{param}` of `{holder.name}` may be left out: give it a default to bound it")
+
+
+def _named_setting(reader: Reader, path: Path, param: str, holders: Sequence[Capability]) -> Iterator[PolicyError]:
+    for holder in holders:
+        spec = properties(holder)[param]
+        if spec.get("type") != "string":
+            yield reader.problem(path, f"`{param}` of `{holder.name}` is a {spec.get('type')}", ["min", "max"])
+
+
+# Profiles ------------------------------------------------------------------------------------------------------------
+
+
+def profile(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[PolicyError]:
+    """Check a profile: watch rules, recovery table, authority, and that limits leave every capability room."""
+    if f"{shape.profile}.yaml" != reader.document.file.rpartition("/")[2]:
+        message = f"`{shape.profile}` stands in `{reader.document.file}`"
+        yield reader.problem(("profile",), message, [f"{shape.profile}.yaml"])
+    for name in shape.stale_after_ms:
+        yield from reader.unknown(("stale_after_ms", name), "sensor", name, SENSORS)
+    yield from _watch(reader, shape, known)
+    yield from _recovery(reader, shape, known)
+    yield from _authority(reader, shape, known)
+    yield from _room(reader, shape, known)
+
+
+def _watch(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[PolicyError]:
+    seen: set[str] = set()
+    for index, row in enumerate(shape.watch):
+        path: Path = ("watch", index)
+        if row.id in seen:
+            yield reader.problem((*path, "id"), f"watch rule `{row.id}` stands twice")
+        seen.add(row.id)
+        for at, name in enumerate(row.applies_to or ()):
+            yield from reader.unknown((*path, "applies_to", at), "capability", name, known.capabilities)
+        yield from reader.unknown((*path, "signal"), "signal", row.signal, SIGNAL_UNITS)
+        if row.failure:
+            yield from reader.unknown((*path, "failure"), "failure", row.failure, FAILURES)
+        yield from _threshold(reader, path, row, shape)
+        yield from _response(reader, path, row, shape)
+
+
+def _threshold(reader: Reader, path: Path, row: shapes.WatchShape, shape: shapes.ProfileShape) -> Iterator[PolicyError]:
+    if (row.above is None) == (row.below is None):
+        yield reader.problem(path, "a watch rule has one threshold", ["above", "below"])
+        return
+    side = "below" if row.above is None else "above"
+    threshold = row.below if row.above is None else row.above
+    unit = SIGNAL_UNITS.get(row.signal)
+    if isinstance(threshold, str):
+        fitting = [name for name, signal in NAMED_THRESHOLDS.items() if signal == row.signal]
+        yield from reader.unknown((*path, side), f"threshold for `{row.signal}` called", threshold, fitting)
+        if threshold == "protective_separation_m" and shape.separation is None:
+            yield reader.problem((*path, side), "the profile declares no `separation` to compute it from")
+    elif threshold is not None and not isinstance(threshold, (int, float)) and LIMIT_UNITS[threshold.limit] != unit:
+        message = (
+            f"unit mismatch: `{row.signal}` is in `{unit}`, `{threshold.limit}` in `{LIMIT_UNITS[threshold.limit]}`"
+        )
+        yield reader.problem((*path, side), message)
+
+
+def _response(reader: Reader, path: Path, row: shapes.WatchShape, shape: shapes.ProfileShape) -> Iterator[PolicyError]:
+    response, here = row.response, (*path, "response")
+    if response.otherwise is not None and response.persist_ms is None:
+        yield reader.problem((*here, "else"), "`else` follows `persist_ms`, which is missing", ["persist_ms"])
+    if response.then == "resume" and response.enter != "pause":
+        yield reader.problem((*here, "then"), "only a pause can resume", ["stay"])
+    asks = "escalate" in (response.enter, response.otherwise) or (
+        response.persist_ms is not None and response.otherwise is None
+    )
+    if asks and HUMANS.isdisjoint(shape.authority.modes):
+        yield reader.problem(here, "nobody could answer an escalation in this profile", sorted(HUMANS))
+
+
+def _recovery(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[PolicyError]:
+    for index, row in enumerate(shape.recovery):
+        path: Path = ("recovery", index)
+        yield from reader.unknown((*path, "on"), "failure", row.on, FAILURES | {"any"})
+        for at, name in enumerate(row.applies_to or ()):
+            yield from reader.unknown((*path, "applies_to", at), "capability", name, known.capabilities)
+        needs = "recovery_capability" in row.do
+        if needs and row.capability is None:
+            yield reader.problem(path, "`recovery_capability` needs `capability`", sorted(known.recoveries))
+        if row.capability is not None:
+            yield from reader.unknown((*path, "capability"), "recovery capability", row.capability, known.recoveries)
+        for step in row.budget:
+            if step not in row.do:
+                yield reader.problem((*path, "budget", step), f"`{step}` is no step of this row", row.do)
+        if "ask_human" in row.do and HUMANS.isdisjoint(shape.authority.modes):
+            yield reader.problem((*path, "do"), "nobody could be asked in this profile", sorted(HUMANS))
+        if "safer_mode" in row.do and "careful" not in shape.modes:
+            yield reader.problem((*path, "do"), "`safer_mode` needs the mode `careful`", ["modes: [normal, careful]"])
+    if not any(row.on == "any" and row.applies_to is None and row.risks is None for row in shape.recovery):
+        yield reader.problem(("recovery",), "failures are left uncovered: the table needs a last row", ["on: any"])
+
+
+def _authority(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[PolicyError]:
+    modes, approval = shape.authority.modes, shape.authority.approval
+    asks = not ASKING.isdisjoint(modes)
+    if asks and approval is None:
+        yield reader.problem(("authority",), "modes that ask for approval need `approval`", ["approval"])
+    if not asks and approval is not None:
+        yield reader.problem(("authority", "approval"), "no mode of this profile asks for approval", sorted(ASKING))
+    for name, found in known.capabilities.items():
+        if found.env_profile.get(shape.profile) == "approval-required" and not asks:
+            message = f"`{name}` requires approval here, but no mode of this profile asks for it"
+            yield reader.problem(("authority", "modes"), message, sorted(ASKING))
+        if shape.rollback == "required" and MANIPULATION in found.permissions and found.rollback is None:
+            message = f"rollback is required for manipulation, and `{name}` has none"
+            yield reader.problem(("rollback",), message, ["optional", "always"])
+
+
+def _room(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[PolicyError]:
+    limits = {name: (LIMIT_UNITS[name], cast("float", getattr(shape.limits, name).max)) for name in LIMIT_UNITS}
+    for name, found in known.capabilities.items():
+        for param, spec in properties(found).items():
+            named = spec.get("x-limit")
+            same = [(value, key) for key, (unit, value) in limits.items() if unit == spec.get("unit")]
+            value, key = (limits[str(named)][1], str(named)) if named in limits else min(same, default=(None, ""))
+            low = spec.get("minimum")
+            if value is not None and isinstance(low, (int, float)) and low > value:
+                message = f"`{value}` leaves `{param}` of `{name}` no room: its minimum is `{low}`"
+                yield reader.problem(("limits", key, "max"), message)
+            if value is not None and param not in always_there(found):
+                message = f"`{param}` of `{name}` is limited by `{key}` but may be left out: give it a default"
+                yield reader.problem(("limits", key), message)
+
+
+# Organization, authority, site ---------------------------------------------------------------------------------------
+
+
+def organization(reader: Reader, shape: shapes.OrganizationShape) -> Iterator[PolicyError]:
+    """Check the agents: known permissions, and none that governance keeps for itself."""
+    for name, agent in shape.agents.items():
+        if name == GOVERNANCE:
+            yield reader.problem(("agents", name), f"`{GOVERNANCE}` is reserved")
+        for key, names in (("permissions", agent.permissions), ("supervised", agent.supervised)):
+            for index, permission in enumerate(names):
+                path = ("agents", name, key, index)
+                yield from reader.unknown(path, "permission", permission, shape.permissions)
+        for permission in sorted(set(agent.permissions) & set(agent.supervised)):
+            yield reader.problem(("agents", name), f"`{permission}` is both granted and supervised")
+    if GOVERNANCE in shape.permissions:
+        yield reader.problem(("permissions",), f"`{GOVERNANCE}` is reserved")
+
+
+def authority(reader: Reader, shape: shapes.AuthorityFileShape, known: Known) -> Iterator[PolicyError]:
+    """Check what authority names."""
+    for index, entry in enumerate(shape.confirm_before):
+        path = ("confirm_before", index)
+        yield from reader.unknown((*path, "capability"), "capability", entry.capability, known.capabilities)
+        yield from reader.unknown((*path, "profile"), "profile", entry.profile, known.profiles)
+
+
+def site(reader: Reader, shape: shapes.SiteShape) -> Iterator[PolicyError]:
+    """Check the site: references, bounds that are not empty, polygons with an area."""
+    x0, y0, x1, y1 = shape.bounds_m
+    if x0 >= x1 or y0 >= y1:
+        yield reader.problem(("bounds_m",), "empty bounds: x0 < x1 and y0 < y1 are needed", ["[x0, y0, x1, y1]"])
+    yield from reader.unknown(("start",), "target", shape.start, shape.targets)
+    for name, target in shape.targets.items():
+        if target.corridor is not None:
+            path = ("targets", name, "corridor")
+            yield from reader.unknown(path, "corridor", target.corridor, shape.corridors)
+    for key, held in (("surfaces", shape.surfaces), ("areas", shape.areas), ("tools", shape.tools)):
+        for name, found in held.items():
+            yield from reader.unknown((key, name, "target"), "target", found.target, shape.targets)
+    for name, found in shape.objects.items():
+        yield from reader.unknown(("objects", name, "surface"), "surface", found.surface, shape.surfaces)
+    for key, held in (("zones", shape.zones), ("areas", shape.areas)):
+        for name, found in held.items():
+            if not _area(found.polygon) > 0.0:
+                yield reader.problem((key, name, "polygon"), "a polygon runs counter-clockwise around some area")
+
+
+def _area(polygon: Sequence[Sequence[float]]) -> float:
+    corners = list(polygon)
+    return sum(x1 * y2 - x2 * y1 for (x1, y1), (x2, y2) in zip(corners, [*corners[1:], corners[0]], strict=True)) / 2
+
+
+def vocabulary(reader: Reader, found: Capability) -> Iterator[PolicyError]:
+    """Check that a capability's parameters can be spoken of in conditions."""
+    try:
+        Vocabulary({found.name: found})
+    except DeclarationError as error:
+        yield reader.problem(("inputs", "properties", error.name), error.message)

@@ -1,0 +1,462 @@
+"""The shape of every policy file, as strict pydantic models: unknown keys, wrong types and non-finite numbers are errors.
+
+Shapes say what a file may contain; `bundle_checks` says what it may mean; `bundle` builds the policy set from both.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Literal, TypeAlias, cast, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
+
+from app.governance.bundle_yaml import Document, dotted
+from app.governance.errors import PolicyError
+
+Name: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
+Slug: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9]*(-[a-z0-9]+)*$", max_length=64)]
+Text: TypeAlias = Annotated[str, Field(min_length=1, max_length=400)]
+Length: TypeAlias = Annotated[float, Field(gt=0)]
+Count: TypeAlias = Annotated[int, Field(ge=0, le=100)]
+Millis: TypeAlias = Annotated[int, Field(ge=0, le=3_600_000)]
+XY: TypeAlias = Annotated[list[float], Field(min_length=2, max_length=2)]
+Polygon: TypeAlias = Annotated[list[XY], Field(min_length=3)]
+RiskName: TypeAlias = Literal["low", "medium", "high", "critical"]
+ModeName: TypeAlias = Literal["normal", "careful"]
+Enabling: TypeAlias = Literal["allowed", "guarded", "approval-required", "forbidden"]
+AuthorityName: TypeAlias = Literal[
+    "approval-required", "approval-on-escalation", "interrupt-enabled", "takeover-enabled", "review-only"
+]
+InterventionName: TypeAlias = Literal["continue", "pause", "stop", "rollback", "escalate"]
+StrategyName: TypeAlias = Literal["retry", "recovery_capability", "rollback", "safer_mode", "terminate", "ask_human"]
+
+
+class Shape(BaseModel):
+    """A mapping with exactly the keys declared here."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+# Rules ---------------------------------------------------------------------------------------------------------------
+
+
+class SettingShape(Shape):
+    """What a modify rule does to one parameter."""
+
+    min: float | None = None
+    max: float | None = None
+    to: str | None = None
+
+
+class RuleShape(Shape):
+    """One rule of a profile, the organization or authority."""
+
+    id: Slug
+    applies_to: Annotated[list[Name], Field(min_length=1)] | None = None
+    profiles: Annotated[list[Slug], Field(min_length=1)] | None = None
+    when: str | None = None
+    then: Literal["modify", "escalate", "deny"]
+    set: dict[Name, SettingShape] = {}
+    approvers: Annotated[int, Field(ge=1, le=9)] | None = None
+    because: Text
+    remedy: str = ""
+
+
+# Capabilities --------------------------------------------------------------------------------------------------------
+
+
+class CapabilityShape(Shape):
+    """A capability manifest."""
+
+    name: Name
+    version: Annotated[str, Field(pattern=r"^\d+\.\d+\.\d+$")]
+    summary: Text
+    recovery: bool = False
+    inputs: dict[str, JsonValue]
+    preconditions: list[Name]
+    postconditions: list[Name]
+    permissions: list[Name]
+    risk: RiskName
+    rollback: Name | None
+    env_profile: dict[Slug, Enabling]
+    timeout_s: Length
+
+
+# Profiles ------------------------------------------------------------------------------------------------------------
+
+
+class LimitShape(Shape):
+    """The most a quantity may be."""
+
+    max: Length
+    source: Text
+
+
+class LimitsShape(Shape):
+    """The limits every profile declares."""
+
+    tcp_speed_mps: LimitShape
+    base_speed_mps: LimitShape
+    grip_force_n: LimitShape
+    contact_force_n: LimitShape
+    payload_kg: LimitShape
+
+
+class SeparationShape(Shape):
+    """Constants of the protective separation distance."""
+
+    human_speed_mps: Length
+    reaction_s: Length
+    stopping_s: Length
+    intrusion_m: Annotated[float, Field(ge=0)]
+    position_uncertainty_m: Annotated[float, Field(ge=0)]
+    robot_uncertainty_m: Annotated[float, Field(ge=0)]
+
+
+class MotionShape(Shape):
+    """What prediction needs to know of the base."""
+
+    base_deceleration_mps2: Length = 1.0
+    base_radius_m: Length = 0.45
+
+
+class ScaledLimit(Shape):
+    """A threshold that follows a limit."""
+
+    limit: Literal["tcp_speed_mps", "base_speed_mps", "grip_force_n", "contact_force_n"]
+    times: Length = 1.0
+
+
+class ResponseShape(Shape):
+    """What a watch rule does; `else` is what follows when the condition does not clear."""
+
+    enter: InterventionName
+    clear_after_ms: Millis = 0
+    then: Literal["resume", "stay"] = "stay"
+    persist_ms: Annotated[int, Field(gt=0, le=3_600_000)] | None = None
+    otherwise: InterventionName | None = Field(default=None, alias="else")
+
+
+class WatchShape(Shape):
+    """One watch rule."""
+
+    id: Slug
+    applies_to: Annotated[list[Name], Field(min_length=1)] | None = None
+    signal: Name
+    above: float | str | ScaledLimit | None = None
+    below: float | str | ScaledLimit | None = None
+    for_ms: Millis = 0
+    method: Literal["threshold", "cusum"] = "threshold"
+    emits: Literal["WARNING", "VIOLATION", "TIMEOUT", "INSTABILITY"] | None = None
+    failure: str = ""
+    response: ResponseShape
+
+
+class RecoveryShape(Shape):
+    """One row of the recovery table."""
+
+    on: str
+    applies_to: Annotated[list[Name], Field(min_length=1)] | None = None
+    do: Annotated[list[StrategyName], Field(min_length=1)]
+    capability: Name | None = None
+    risks: Annotated[list[RiskName], Field(min_length=1)] | None = None
+    budget: dict[StrategyName, Count] = {}
+
+
+class ApproversShape(Shape):
+    """How many different people approve, by risk."""
+
+    default: Annotated[int, Field(ge=1, le=9)] = 1
+    low: Annotated[int, Field(ge=1, le=9)] | None = None
+    medium: Annotated[int, Field(ge=1, le=9)] | None = None
+    high: Annotated[int, Field(ge=1, le=9)] | None = None
+    critical: Annotated[int, Field(ge=1, le=9)] | None = None
+
+
+class ApprovalShape(Shape):
+    """When a profile asks, for how long, and what silence means."""
+
+    risk: list[RiskName]
+    within_s: Annotated[float, Field(gt=0, le=86_400)]
+    on_timeout: Literal["deny"]
+    approvers: ApproversShape = ApproversShape()
+
+
+class AuthorityShape(Shape):
+    """The authority block of a profile."""
+
+    modes: Annotated[list[AuthorityName], Field(min_length=1)]
+    approval: ApprovalShape | None = None
+
+
+class ProfileShape(Shape):
+    """An environment profile."""
+
+    profile: Slug
+    sensitivity: Annotated[float, Field(ge=0, le=1)]
+    modes: Annotated[list[ModeName], Field(min_length=1)]
+    shared_floor: bool = False
+    keep_every_tick: bool = False
+    rollback: Literal["optional", "always", "required"]
+    retry_budget: Count
+    limits: LimitsShape
+    rules: list[RuleShape] = []
+    separation: SeparationShape | None = None
+    stale_after_ms: dict[Name, Annotated[int, Field(gt=0, le=60_000)]]
+    motion: MotionShape = MotionShape()
+    watch: Annotated[list[WatchShape], Field(min_length=1)]
+    recovery: Annotated[list[RecoveryShape], Field(min_length=1)]
+    authority: AuthorityShape
+
+
+# Organization and authority ------------------------------------------------------------------------------------------
+
+
+class AgentShape(Shape):
+    """What one agent may do, by itself or with a human's approval."""
+
+    permissions: list[Name] = []
+    supervised: list[Name] = []
+
+
+class OrganizationShape(Shape):
+    """O: rules of every profile, and who may propose what."""
+
+    organization: Slug
+    agents: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_-]*$", max_length=64)], AgentShape]
+    permissions: list[Name]
+    rules: list[RuleShape]
+
+
+class WaitShape(Shape):
+    """A session that waits for a human."""
+
+    within_s: Annotated[float, Field(gt=0, le=86_400)]
+    on_timeout: Literal["terminate"]
+
+
+class ConfirmShape(Shape):
+    """Phases that wait for a confirmation."""
+
+    capability: Name
+    profile: Slug
+    phases: Annotated[list[Name], Field(min_length=1)]
+
+
+class AuthorityFileShape(Shape):
+    """H, as far as every profile shares it."""
+
+    authority: Slug
+    mid_execution: WaitShape
+    confirm_before: list[ConfirmShape] = []
+    rules: list[RuleShape] = []
+
+
+# Site ----------------------------------------------------------------------------------------------------------------
+
+
+class TargetShape(Shape):
+    """A place to stand."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    corridor: Name | None = None
+
+
+class SurfaceShape(Shape):
+    """A horizontal surface."""
+
+    x_m: float
+    y_m: float
+    z_m: float
+    half_x_m: Length
+    half_y_m: Length
+    yaw_rad: float
+    target: Name
+
+
+class AreaShape(Shape):
+    """An area to inspect."""
+
+    polygon: Polygon
+    target: Name
+
+
+class CorridorShape(Shape):
+    """A corridor."""
+
+    line: Annotated[list[XY], Field(min_length=2)]
+    half_width_m: Length
+
+
+class ZoneShape(Shape):
+    """A zone."""
+
+    kind: Literal["forbidden", "restricted", "shared"]
+    polygon: Polygon
+
+
+class ObjectShape(Shape):
+    """A known object."""
+
+    kind: Name
+    shape: Literal["cylinder", "box"]
+    size_m: Annotated[list[Length], Field(min_length=3, max_length=3)]
+    mass_kg: Length
+    fragile: bool
+    hazardous: bool
+    surface: Name
+    x_m: float
+    y_m: float
+
+
+class ToolShape(Shape):
+    """A fixed tool."""
+
+    kind: Literal["lever", "button"]
+    x_m: float
+    y_m: float
+    z_m: float
+    target: Name
+    actions: Annotated[dict[Name, Name], Field(min_length=1)]
+    press: bool = False
+
+
+class SiteShape(Shape):
+    """The site."""
+
+    site: Slug
+    bounds_m: Annotated[list[float], Field(min_length=4, max_length=4)]
+    start: Name
+    targets: Annotated[dict[Name, TargetShape], Field(min_length=1)]
+    surfaces: dict[Name, SurfaceShape]
+    areas: dict[Name, AreaShape]
+    corridors: dict[Name, CorridorShape]
+    zones: dict[Name, ZoneShape]
+    objects: dict[Name, ObjectShape]
+    tools: dict[Name, ToolShape]
+
+
+# Cases ---------------------------------------------------------------------------------------------------------------
+
+
+class CaseShape(Shape):
+    """One case: a proposal in a context, and what must come of it. What `expect` does not name is not compared."""
+
+    name: Text
+    profile: Slug | None = None
+    capability: str
+    params: dict[str, JsonValue] = {}
+    mode: ModeName = "normal"
+    metadata: dict[str, JsonValue] = {}
+    preconditions: list[str] = []
+    context: ContextShape | None = None
+    expect: ExpectShape
+
+
+class ContextShape(Shape):
+    """What differs from the ordinary: an idle cell whose sensors say that everything the capability needs is so."""
+
+    agent: str = "planner"
+    online: bool = True
+    latched: bool = False
+    busy: str | None = None
+    holding: str | None = None
+    stand: str | None = None
+    unseen: list[str] = []
+    unreachable: list[str] = []
+    arm_ready: bool = True
+    sensors_fresh: bool = True
+    operator_on_duty: bool = True
+
+
+class ExpectShape(Shape):
+    """What must come of a case."""
+
+    status: Literal["allowed", "rejected", "deferred", "denied", "awaiting_approval", "invalid"]
+    admission: Literal["accept", "reject", "defer", "escalate"] | None = None
+    policy: Literal["allow", "modify", "deny", "escalate"] | None = None
+    codes: list[str] | None = None
+    rules: list[str] | None = None
+    changes: dict[str, JsonValue] | None = None
+    approvers: int | None = None
+
+
+class CasesShape(Shape):
+    """A file of cases."""
+
+    cases: Annotated[list[CaseShape], Field(min_length=1)]
+    profile: Slug | None = None
+
+
+CaseShape.model_rebuild()
+
+
+# Reading -------------------------------------------------------------------------------------------------------------
+
+_QUOTED: Final = re.compile(r"'([^']*)'")
+_UNIONS: Final = frozenset({"float", "str", "int", "bool", "constrained-str", "ScaledLimit"})
+
+
+def read(shape: type[Any], document: Document) -> tuple[Any | None, list[PolicyError]]:
+    """Fit a document into its shape, or say for every misfit where it stands and what would be valid."""
+    try:
+        return shape.model_validate(document.value), []
+    except ValidationError as error:
+        return None, [_problem(shape, document, cast("Mapping[str, Any]", found)) for found in error.errors()]
+
+
+def _problem(shape: type[BaseModel], document: Document, found: Mapping[str, Any]) -> PolicyError:
+    path = _known_path(tuple(found["loc"]))
+    kind, context = str(found["type"]), cast("Mapping[str, Any]", found.get("ctx", {}))
+    key, valid = dotted(path), ()
+    message = str(found["msg"])[:1].lower() + str(found["msg"])[1:]
+    if kind == "extra_forbidden":
+        message, valid = f"unknown key `{path[-1]}`", tuple(_keys_at(shape, path[:-1]))
+    elif kind == "missing":
+        message = f"key `{found['loc'][-1]}` is missing"
+    elif kind == "literal_error":
+        message, valid = f"`{found['input']}` is not valid", tuple(_QUOTED.findall(str(context["expected"])))
+    elif kind in ("model_type", "dict_type", "list_type"):
+        message = f"expected a {'list' if kind == 'list_type' else 'mapping'}, found `{_short(found['input'])}`"
+    else:
+        message = f"`{_short(found['input'])}`: {message}"
+    return PolicyError(file=document.file, line=document.line(path), key=key, message=message, valid=valid)
+
+
+def _short(value: object) -> str:
+    text = str(value)
+    return text if len(text) <= 60 else text[:57] + "…"
+
+
+def _known_path(loc: tuple[str | int, ...]) -> tuple[str | int, ...]:
+    """Drop the names of union members that pydantic weaves into a location."""
+    return tuple(step for step in loc if step not in _UNIONS)
+
+
+def _keys_at(shape: object, path: tuple[str | int, ...]) -> list[str]:
+    """Names of the keys a mapping at this path may have."""
+    for step in path:
+        fields = _fields(shape)
+        shape = fields.get(str(step), shape) if fields else _inner(shape)
+    return list(_fields(shape))
+
+
+def _fields(shape: object) -> dict[str, object]:
+    model = _inner(shape)
+    if isinstance(model, type) and issubclass(model, BaseModel):
+        return {info.alias or name: info.annotation for name, info in model.model_fields.items()}
+    return {}
+
+
+def _inner(annotation: object) -> object:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    options = get_args(annotation)[-1:] if get_origin(annotation) in (dict, Mapping) else get_args(annotation)
+    for option in options:
+        found = _inner(option)
+        if found is not None:
+            return found
+    return None

@@ -1,0 +1,167 @@
+"""Where a proposal leads and what it handles, resolved from names and perception: the `place` and `target` of conditions.
+
+Pure geometry over the site. Points are world frame, metres.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias, cast
+
+from app.governance.model import SiteObject
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from app.governance.model import Params, Point, Site, Surface, WorldFacts
+
+Locate: TypeAlias = "Callable[[Params, WorldFacts | None], Place]"
+Find: TypeAlias = "Callable[[Params, WorldFacts | None], SiteObject]"
+
+
+class Place(NamedTuple):
+    """Where a proposal leads: `kind` is target, surface, area, tool, object, point or none."""
+
+    name: str
+    kind: str
+    forbidden: bool = False
+    outside: bool = False
+    corridor: str | None = None
+
+
+NOWHERE: Final = Place("", "none")
+NOTHING: Final = SiteObject(
+    name="", kind="none", shape="box", size_m=(0.0, 0.0, 0.0), mass_kg=0.0, fragile=False, hazardous=False, surface="",
+    x_m=0.0, y_m=0.0,
+)  # fmt: skip
+
+
+def inside(point: Point, polygon: Sequence[Point]) -> bool:
+    """Say whether a point lies in a polygon (even-odd rule); its boundary may fall on either side."""
+    x, y = point
+    odd = False
+    x1, y1 = polygon[-1]
+    for x2, y2 in polygon:
+        if (y1 > y) != (y2 > y) and x < (x2 - x1) * (y - y1) / (y2 - y1) + x1:
+            odd = not odd
+        x1, y1 = x2, y2
+    return odd
+
+
+def on_surface(point: Point, surface: Surface) -> bool:
+    """Say whether a point (world frame) lies over a surface."""
+    dx, dy = point[0] - surface.x_m, point[1] - surface.y_m
+    c, s = cos(surface.yaw_rad), sin(surface.yaw_rad)
+    return abs(c * dx + s * dy) <= surface.half_x_m and abs(c * dy - s * dx) <= surface.half_y_m
+
+
+def centre(polygon: Sequence[Point]) -> Point:
+    """Return the mean of a polygon's corners."""
+    return sum(x for x, _ in polygon) / len(polygon), sum(y for _, y in polygon) / len(polygon)
+
+
+class _Map(NamedTuple):
+    """The site as places: whatever has a name, resolved once."""
+
+    site: Site
+    forbidden: tuple[tuple[Point, ...], ...]
+
+    def point(self, name: str, kind: str, point: Point, corridor: str | None = None) -> Place:
+        x0, y0, x1, y1 = self.site.bounds_m
+        out = not (x0 <= point[0] <= x1 and y0 <= point[1] <= y1)
+        return Place(name, kind, any(inside(point, polygon) for polygon in self.forbidden), out, corridor)
+
+
+def locator(references: Mapping[str, str], site: Site) -> Locate:
+    """Make the function that says where a proposal leads, for a capability with these references (kind → parameter).
+
+    The function raises `KeyError` on a name the site does not know; admission has rejected such a proposal before.
+    """
+    ground = _Map(site, tuple(zone.polygon for zone in site.zones.values() if zone.kind == "forbidden"))
+    for kind, make in _LOCATORS.items():
+        if kind in references:
+            return make(references[kind], ground)
+    return lambda params, facts: NOWHERE
+
+
+def _target(param: str, ground: _Map) -> Locate:
+    known = {
+        name: ground.point(name, "target", (target.x_m, target.y_m), target.corridor)
+        for name, target in ground.site.targets.items()
+    }
+
+    def locate(params: Params, _facts: WorldFacts | None) -> Place:
+        name = params.get(param)
+        return ground.point("", "point", _point(params)) if name is None else known[cast("str", name)]
+
+    return locate
+
+
+def _surface(param: str, ground: _Map) -> Locate:
+    surfaces = ground.site.surfaces
+    known = {name: ground.point(name, "surface", (found.x_m, found.y_m)) for name, found in surfaces.items()}
+
+    def locate(params: Params, _facts: WorldFacts | None) -> Place:
+        name = cast("str", params[param])
+        if "x_m" not in params:
+            return known[name]
+        point = _point(params)
+        place = ground.point(name, "surface", point)
+        return place if on_surface(point, surfaces[name]) else place._replace(outside=True)
+
+    return locate
+
+
+def _fixed(kind: str) -> Callable[[str, _Map], Locate]:
+    def make(param: str, ground: _Map) -> Locate:
+        site = ground.site
+        points = (
+            {name: centre(area.polygon) for name, area in site.areas.items()}
+            if kind == "area"
+            else {name: (tool.x_m, tool.y_m) for name, tool in site.tools.items()}
+        )
+        known = {name: ground.point(name, kind, point) for name, point in points.items()}
+        return lambda params, facts: known[cast("str", params[param])]
+
+    return make
+
+
+def _object(param: str, ground: _Map) -> Locate:
+    known = {name: ground.point(name, "object", (found.x_m, found.y_m)) for name, found in ground.site.objects.items()}
+
+    def locate(params: Params, facts: WorldFacts | None) -> Place:
+        name = cast("str", params[param])
+        seen = None if facts is None else facts.objects.get(name)
+        return known[name] if seen is None else ground.point(name, "object", (seen.x_m, seen.y_m))
+
+    return locate
+
+
+def _point(params: Params) -> Point:
+    return cast("float", params["x_m"]), cast("float", params["y_m"])
+
+
+_LOCATORS: Final[Mapping[str, Callable[[str, _Map], Locate]]] = {
+    "target": _target,
+    "surface": _surface,
+    "area": _fixed("area"),
+    "tool": _fixed("tool"),
+    "object": _object,
+}
+
+
+def finder(references: Mapping[str, str], site: Site) -> Find:
+    """Make the function that says what a proposal handles: the object it names, else what the gripper holds.
+
+    Nothing named and nothing held is `NOTHING`: no mass, not fragile, not hazardous. The function raises `KeyError` on an
+    object the site does not know, so that rules about it fail closed.
+    """
+    objects = site.objects
+    param = references.get("object")
+    if param is not None:
+        return lambda params, facts: objects[cast("str", params[param])]
+
+    def held(_params: Params, facts: WorldFacts | None) -> SiteObject:
+        return NOTHING if facts is None or facts.holding is None else objects[facts.holding]
+
+    return held

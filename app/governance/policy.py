@@ -1,0 +1,389 @@
+"""The compiled policy set Π and the questions it answers: parameters, agents, watch plans, recovery plans, descriptions.
+
+A `PolicySet` is immutable and identified by the digest of the files it was made of; `app.governance.bundle` makes it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias, cast
+
+from app.governance.model import AgentFacts, Bounds, Mode, RecoveryPlan, WatchPlan, WatchRule
+from app.governance.policy_code import limit_for
+from app.governance.policy_model import GOVERNANCE
+from app.governance.vocabulary import properties
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from jsonschema_rs import Draft202012Validator
+
+    from app.governance.conditions import Test
+    from app.governance.model import Authorization, Capability, Json, Params, Site
+    from app.governance.policy_code import Check
+    from app.governance.policy_model import Agent, Authority, Profile, Rule, WatchRow
+
+
+class ParamProblem(NamedTuple):
+    """One thing wrong with a proposal's parameters: where, a stable code, what, and what would be valid."""
+
+    param: str
+    code: str
+    message: str
+    remedy: str = ""
+
+
+Known: TypeAlias = "tuple[tuple[str, str, frozenset[str]], ...]"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gate:
+    """Everything a decision about one (capability, profile) needs, looked up once.
+
+    `known` lists the parameters that refer to names of the site (parameter, kind, the names there are), `actions` the
+    parameters that hold a tool and what to do with it. `source` is the text `check` was compiled from.
+    """
+
+    capability: Capability
+    profile: Profile
+    permissions: frozenset[str]
+    site: Site
+    tests: tuple[Test, ...]
+    known: Known
+    actions: tuple[str, str] | None
+    check: Check
+    source: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Inputs:
+    """A capability's compiled input schema."""
+
+    validator: Draft202012Validator
+    defaults: Mapping[str, Json]
+    numbers: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PolicySet:
+    """Π, ready to decide.
+
+    Attributes:
+        digest: `sha256:…` over the files.
+        capabilities: Manifests by name, recovery capabilities included.
+        profiles: Environment profiles by name.
+        site: The site.
+        agents: What each known agent may do.
+        authority: H, as far as every profile shares it.
+        rules: Every rule by its full id.
+        gates: The compiled pairs; a pair that is missing is not enabled.
+        inputs: Compiled input schemas by capability.
+        permissions: Every permission there is.
+        files: The files it was made of, path → text.
+    """
+
+    digest: str
+    capabilities: Mapping[str, Capability]
+    profiles: Mapping[str, Profile]
+    site: Site
+    agents: Mapping[str, Agent]
+    authority: Authority
+    rules: Mapping[str, Rule]
+    gates: Mapping[tuple[str, str], Gate]
+    inputs: Mapping[str, Inputs]
+    permissions: frozenset[str]
+    files: Mapping[str, str]
+
+    def validate_params(self, capability: str, params: Mapping[str, Json]) -> Params | tuple[ParamProblem, ...]:
+        """Hold parameters to the capability's input schema; return them with defaults filled in, or what is wrong.
+
+        Numbers come back as floats. Names that the site does not know are no problem here: admission rejects them. For an
+        unknown capability there is nothing to hold the parameters to, and admission rejects the proposal.
+        """
+        problems = tuple(_unsafe(params, ()))
+        inputs = self.inputs.get(capability)
+        if problems or inputs is None:
+            return problems or params
+        if not inputs.validator.is_valid(params):
+            return tuple(_schema_problems(inputs.validator, params))
+        filled = {**inputs.defaults, **params}
+        for name in inputs.numbers & filled.keys():
+            filled[name] = float(cast("float", filled[name]))
+        return filled
+
+    def agent(self, name: str) -> AgentFacts:
+        """Return what policy permits this identity; an unknown one is permitted nothing."""
+        found = self.agents.get(name)
+        return AgentFacts(name=name, permissions=frozenset() if found is None else found.permissions)
+
+    def governance(self) -> AgentFacts:
+        """Return the identity under which recoveries are proposed; nobody can claim it, policy grants it to none."""
+        return AgentFacts(name=GOVERNANCE, permissions=self.permissions | {GOVERNANCE})
+
+    def describe(self) -> dict[str, Json]:
+        """Describe the active policy (`GET /v1/policies/active`)."""
+        return {
+            "version": self.digest,
+            "capabilities": [name for name in sorted(self.capabilities)],
+            "profiles": {name: _describe_profile(profile) for name, profile in sorted(self.profiles.items())},
+            "rules": [_describe_rule(rule) for rule in self.rules.values()],
+            "agents": {
+                name: {"permissions": sorted(agent.permissions), "supervised": sorted(agent.supervised)}
+                for name, agent in sorted(self.agents.items())
+            },
+            "files": sorted(self.files),
+        }
+
+    def manifests(self) -> list[dict[str, Json]]:
+        """Describe every capability (`GET /v1/capabilities`), in order of name."""
+        return [_manifest(self.capabilities[name]) for name in sorted(self.capabilities)]
+
+
+# Parameters ----------------------------------------------------------------------------------------------------------
+
+_MAX_DEPTH = 16
+
+
+def _unsafe(value: object, path: tuple[str, ...]) -> list[ParamProblem]:
+    """Find what no schema needs to see: NaN, infinities, half surrogates, things that are not JSON, bottomless nesting."""
+    where = ".".join(path)
+    if len(path) > _MAX_DEPTH:
+        return [ParamProblem(where, "too_deep", f"nested deeper than {_MAX_DEPTH} levels")]
+    match value:
+        case float() if not math.isfinite(value):
+            return [ParamProblem(where, "not_finite", f"`{value}` is not a finite number", "a finite number")]
+        case int() if abs(value) >= 2**63:
+            return [ParamProblem(where, "out_of_range", "an integer beyond 64 bits", "a smaller number")]
+        case str():
+            return [] if _encodable(value) else [ParamProblem(where, "bad_text", "half of a surrogate pair")]
+        case None | bool() | int() | float():
+            return []
+        case list():
+            items = cast("list[object]", value)
+            return [found for index, item in enumerate(items) for found in _unsafe(item, (*path, str(index)))]
+        case _ if hasattr(value, "items"):
+            entries = cast("Mapping[str, object]", value)
+            keys = [problem for key in entries for problem in _unsafe(key, path)]
+            return keys + [found for key, item in entries.items() for found in _unsafe(item, (*path, key))]
+        case _:
+            return [ParamProblem(where, "not_json", f"a `{type(value).__name__}` is not JSON")]
+
+
+def _encodable(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _schema_problems(validator: Draft202012Validator, params: Mapping[str, Json]) -> list[ParamProblem]:
+    problems: list[ParamProblem] = []
+    for error in validator.iter_errors(params):
+        where = ".".join(str(step) for step in error.instance_path)
+        message = error.message if len(error.message) <= 300 else error.message[:297] + "…"  # noqa: PLR2004
+        problems.append(ParamProblem(where, "schema", message[:1].lower() + message[1:]))
+    return problems
+
+
+# Plans ---------------------------------------------------------------------------------------------------------------
+
+
+def watch_plan(policy: PolicySet, capability: str, profile: str, params: Params, mode: Mode = Mode.NORMAL) -> WatchPlan:
+    """Bind a profile's watch rules to one session: the bounds are the smaller of the profile's limits and the parameters.
+
+    Args:
+        policy: The policy set.
+        capability: What is run.
+        profile: Under which profile.
+        params: Effective parameters.
+        mode: How carefully; `careful` shows in the parameters already, as rules about `mode` have constrained them.
+
+    Raises:
+        KeyError: Capability or profile is unknown.
+    """
+    package, environment = policy.capabilities[capability], policy.profiles[profile]
+    bounds = _bounds(package, environment, params)
+    held = params.get("object_id")
+    known = policy.site.objects.get(held) if isinstance(held, str) else None
+    return WatchPlan(
+        capability=capability,
+        profile=profile,
+        sensitivity=environment.sensitivity,
+        bounds=bounds,
+        rules=tuple(
+            _watch_rule(row, package, environment, bounds)
+            for row in environment.watch
+            if row.applies_to is None or capability in row.applies_to
+        ),
+        zones=tuple(zone for zone in policy.site.zones.values() if zone.kind == "forbidden"),
+        separation=environment.separation,
+        stale_after_ms=environment.stale_after_ms,
+        timeout_s=package.timeout_s,
+        postconditions=package.postconditions,
+        params=params,
+        payload_kg=0.0 if known is None else known.mass_kg,
+        base_deceleration_mps2=environment.base_deceleration_mps2,
+        base_radius_m=environment.base_radius_m,
+    )
+
+
+def watch_plan_for(policy: PolicySet, authorization: Authorization) -> WatchPlan:
+    """Return the watch plan of a session that an authorization starts.
+
+    Raises:
+        KeyError: Capability or profile is unknown.
+    """
+    return watch_plan(policy, authorization.capability, authorization.profile, authorization.params, authorization.mode)
+
+
+def _bounds(capability: Capability, profile: Profile, params: Params) -> Bounds:
+    bounds = {name: limit.maximum for name, limit in profile.limits.items()}
+    for name, spec in properties(capability).items():
+        limit = limit_for(spec, profile.limits)
+        value = params.get(name)
+        if limit is not None and isinstance(value, (int, float)):
+            bounds[limit.name] = min(bounds[limit.name], float(value))
+    return Bounds(
+        tcp_speed_mps=bounds["tcp_speed_mps"],
+        base_speed_mps=bounds["base_speed_mps"],
+        grip_force_n=bounds["grip_force_n"],
+        contact_force_n=bounds["contact_force_n"],
+    )
+
+
+_NAMED: Mapping[str, Callable[[Capability, Profile], float | None]] = {
+    "protective_separation_m": lambda capability, profile: None,
+    "stale_after_ms": lambda capability, profile: None,
+    "timeout_s": lambda capability, profile: capability.timeout_s,
+    "retry_budget": lambda capability, profile: float(profile.retry_budget),
+}
+
+
+def _watch_rule(row: WatchRow, capability: Capability, profile: Profile, bounds: Bounds) -> WatchRule:
+    if row.named is not None:
+        threshold = _NAMED[row.named](capability, profile)
+    elif (
+        row.limit == "contact_force_n"
+    ):  # what a parameter asks for is pressed with; contact itself is the profile's matter
+        threshold = profile.limits[row.limit].maximum * row.times
+    elif row.limit is not None:
+        threshold = cast("float", getattr(bounds, row.limit)) * row.times
+    else:
+        threshold = row.number
+    return WatchRule(
+        id=row.id,
+        signal=row.signal,
+        emits=row.emits,
+        response=row.response,
+        above=row.above,
+        threshold=threshold,
+        for_ms=row.for_ms,
+        method=row.method,
+        failure=row.failure,
+    )
+
+
+def recovery_plan(policy: PolicySet, capability: str, profile: str) -> RecoveryPlan:
+    """Return what recovery may do in a session of this capability under this profile.
+
+    Raises:
+        KeyError: Capability or profile is unknown.
+    """
+    package, environment = policy.capabilities[capability], policy.profiles[profile]
+    return RecoveryPlan(
+        rules=tuple(
+            row.rule
+            for row in environment.recovery
+            if (row.applies_to is None or capability in row.applies_to) and package.risk in row.rule.risks
+        ),
+        retry_budget=environment.retry_budget,
+        rollback=environment.rollback,
+        rollback_capability=package.rollback,
+        careful_admitted=Mode.CAREFUL in environment.admits,
+    )
+
+
+def confirm_before(policy: PolicySet, capability: str, profile: str) -> tuple[str, ...]:
+    """Return the phases of a capability that wait for a human under this profile, in the order policy lists them."""
+    return tuple(
+        phase
+        for entry in policy.authority.confirm_before
+        if (entry.capability, entry.profile) == (capability, profile)
+        for phase in entry.phases
+    )
+
+
+# Descriptions --------------------------------------------------------------------------------------------------------
+
+
+def _manifest(capability: Capability) -> dict[str, Json]:
+    return {
+        "name": capability.name,
+        "version": capability.version,
+        "summary": capability.summary,
+        "inputs": cast("Json", dict(capability.inputs)),
+        "preconditions": list(capability.preconditions),
+        "postconditions": list(capability.postconditions),
+        "permissions": sorted(capability.permissions),
+        "risk": capability.risk.value,
+        "rollback": capability.rollback,
+        "env_profile": dict(capability.env_profile),
+        "timeout_s": capability.timeout_s,
+        "recovery": capability.recovery,
+    }
+
+
+def _describe_profile(profile: Profile) -> dict[str, Json]:
+    approval = profile.approval
+    return {
+        "sensitivity": profile.sensitivity,
+        "modes": sorted(mode.value for mode in profile.admits),
+        "limits": {
+            name: {"max": limit.maximum, "unit": limit.unit, "source": limit.source}
+            for name, limit in profile.limits.items()
+        },
+        "retry_budget": profile.retry_budget,
+        "rollback": profile.rollback,
+        "shared_floor": profile.shared_floor,
+        "watch": [row.id for row in profile.watch],
+        "authority": {
+            "modes": sorted(mode.value for mode in profile.authority),
+            "approval": None
+            if approval is None
+            else {
+                "risk": sorted(risk.value for risk in approval.risks),
+                "within_s": approval.within_s,
+                "on_timeout": approval.on_timeout,
+                "approvers": {
+                    "default": approval.default_approvers,
+                    **{risk.value: count for risk, count in approval.approvers.items()},
+                },
+            },
+        },
+    }
+
+
+def _describe_rule(rule: Rule) -> dict[str, Json]:
+    return {
+        "id": rule.id,
+        "applies_to": None if rule.applies_to is None else sorted(rule.applies_to),
+        "profiles": None if rule.profiles is None else sorted(rule.profiles),
+        "when": rule.when,
+        "then": rule.then.value,
+        "set": {
+            setting.param: {
+                key: value
+                for key, value in (("min", setting.minimum), ("max", setting.maximum), ("to", setting.to))
+                if value is not None
+            }
+            for setting in rule.settings
+        },
+        "because": rule.because,
+        "remedy": rule.remedy,
+    }
+
+
+__all__ = ["Gate", "Inputs", "ParamProblem", "PolicySet", "confirm_before", "recovery_plan", "watch_plan",
+           "watch_plan_for"]  # fmt: skip

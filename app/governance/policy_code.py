@@ -1,0 +1,362 @@
+"""Turns the rules that apply to one (capability, profile) into one Python function.
+
+```
+def check(proposal, context):            what is emitted, in this order
+    params = …                           only the variables that some rule uses
+    finite?                              a NaN that slipped through denies
+    static limits                        reasons are constants, made beforehand
+    if <condition>: …                    one block per rule, in a `try` of its own: an error denies and names the rule
+    lower bound above upper bound?       an empty intersection denies
+    clamp                                one Change per parameter, naming the tightest rule
+    verdict                              deny > escalate > modify > allow
+```
+
+So the cost of a decision follows the rules that apply. Everything outside the rules' own blocks is guarded as a whole:
+whatever raises, the answer is a denial with code `rule_error`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, TypeAlias, cast
+
+from app.governance.errors import EvaluationError
+from app.governance.expression import BOOL, INTRINSICS, STRING, references, to_python
+from app.governance.model import Change, PolicyOutcome, Reason, Verdict
+from app.governance.places import finder, locator
+from app.governance.policy_model import LIMIT_UNITS, Effect
+from app.governance.vocabulary import NAMES, always_there, properties, referring
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from app.governance.expression_tree import Type
+    from app.governance.model import Capability, Context, Json, Params, Proposal, Site
+    from app.governance.policy_model import Limit, Profile, Rule, Setting
+    from app.governance.vocabulary import Vocabulary
+
+Check: TypeAlias = "Callable[[Proposal, Context], Verdict]"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Compiled:
+    """A generated function and the text it was made of."""
+
+    check: Check
+    source: str
+
+
+def limit_for(spec: Mapping[str, Json], limits: Mapping[str, Limit]) -> Limit | None:
+    """Return the limit that holds a parameter: the one its `x-limit` names, else the strictest of its unit.
+
+    Parameters without a unit that any limit has (metres, seconds) are not limited by the profile as such.
+    """
+    named = spec.get("x-limit")
+    if named is not None:
+        return limits[str(named)]
+    same = [limit for limit in limits.values() if limit.unit == spec.get("unit")]
+    return min(same, key=lambda limit: limit.maximum, default=None)
+
+
+def number(value: float) -> str:
+    """Write a number as people do: `0.25`, `60`."""
+    return f"{value:g}"
+
+
+def read_metadata(metadata: Params) -> Params:
+    """Return metadata that conditions can rely on.
+
+    Raises:
+        EvaluationError: `confidence` is no finite number in 0…1, `intent` no text, or `priority` no integer.
+    """
+    for name, fits in _METADATA.items():
+        if name in metadata and not fits(metadata[name]):
+            raise EvaluationError("wrong_type", f"metadata.{name}")
+    return metadata
+
+
+def metadata_fault(metadata: Params) -> str | None:
+    """Return the name of the entry that is not what it should be, or None."""
+    return next((name for name, fits in _METADATA.items() if name in metadata and not fits(metadata[name])), None)
+
+
+_METADATA: Final[Mapping[str, Callable[[object], bool]]] = {
+    "confidence": lambda value: type(value) in (int, float) and 0.0 <= cast("float", value) <= 1.0,
+    "intent": lambda value: isinstance(value, str),
+    "priority": lambda value: type(value) is int and abs(value) < 2**63,
+}
+
+
+def rule_error(rule: str, error: Exception) -> Reason:
+    """Return the reason of a denial because a rule could not be evaluated."""
+    detail = str(error) if isinstance(error, EvaluationError) else type(error).__name__
+    return Reason(
+        rule, "rule_error", f"the rule could not be evaluated ({detail}), so it denies", "tell the safety engineer"
+    )
+
+
+def empty_intersection(rule: str, param: str, low: float, high: float, other: str) -> Reason:
+    """Return the reason of a denial because no value satisfies every rule."""
+    message = (
+        f"`{param}` must be at least {number(low)} ({other}) and at most {number(high)} ({rule}): no value is both"
+    )
+    return Reason(rule, "empty_intersection", message, "propose it for another object, place or profile")
+
+
+_PRELUDE: Final[Mapping[str, str]] = {
+    "facts": "facts = context.cell.facts",
+    "agent": "agent = context.agent",
+    "mode": "mode = proposal.mode",
+    "on_duty": "on_duty = context.operator_on_duty",
+    "metadata": "metadata = read_metadata(proposal.metadata) if proposal.metadata else proposal.metadata",
+    "target": "target = find_target(params, context.cell.facts)",
+    "place": "place = find_place(params, context.cell.facts)",
+}
+
+
+@dataclass(slots=True)
+class _Bounded:
+    """What may hold one numeric parameter: its schema's minimum, the profile's limit, and rules with bounds on it."""
+
+    name: str
+    minimum: float | None
+    limit: Limit | None
+    rules: list[tuple[str, Setting]] = field(default_factory=list["tuple[str, Setting]"])
+
+    @property
+    def has_low(self) -> bool:
+        return any(setting.minimum is not None for _, setting in self.rules)
+
+    @property
+    def has_high(self) -> bool:
+        return self.limit is not None or any(setting.maximum is not None for _, setting in self.rules)
+
+
+class Generator:
+    """Writes the function of one (capability, profile)."""
+
+    def __init__(self, capability: Capability, profile: Profile, site: Site, vocabulary: Vocabulary) -> None:
+        """Take what every rule of this pair has in common."""
+        self.capability, self.profile, self.site, self.vocabulary = capability, profile, site, vocabulary
+        self.constants: dict[str, object] = {}
+        self.used: set[str] = set()
+        self.numbers = {
+            name: _Bounded(name, cast("float | None", spec.get("minimum")), limit_for(spec, profile.limits))
+            for name, spec in properties(capability).items()
+            if spec.get("type") in ("number", "integer")
+        }
+        self.names: dict[str, None] = {}
+        self.inlined = {
+            **{f"limits.{name}": repr(limit.maximum) for name, limit in profile.limits.items()},
+            "capability.name": repr(capability.name),
+            "capability.risk": repr(capability.risk.value),
+            "profile.name": repr(profile.name),
+            "profile.sensitivity": repr(profile.sensitivity),
+            "profile.shared_floor": repr(profile.shared_floor),
+        }
+
+    def compile(self, rules: Sequence[Rule]) -> Compiled:
+        """Return the decision function of these rules, which all apply to the pair."""
+        relevant = [rule for rule in rules if rule.then is not Effect.MODIFY or self._settings(rule)]
+        for rule in relevant:
+            for setting in self._settings(rule):
+                if setting.to is None:
+                    self.numbers[setting.param].rules.append((rule.id, setting))
+                else:
+                    self.names[setting.param] = None
+        blocks = [line for rule in relevant for line in self._rule(rule)]
+        body = [*self._start(), *self._limits(), *blocks, *self._end()]
+        prelude = [_PRELUDE[name] for name in _PRELUDE if name in self.used]
+        if "tool" in self.used:
+            prelude.append(f'tool = TOOLS[params["{referring(self.capability)["tool"]}"]]')
+        lines = ["def check(proposal, context):", "    params = proposal.params", "    try:"]
+        lines += [f"        {line}" for line in (*prelude, *body)]
+        lines += ["    except Exception as error:", "        return failed(params, error)", ""]
+        source = "\n".join(lines)
+        return Compiled(check=self._load(source), source=source)
+
+    def _settings(self, rule: Rule) -> list[Setting]:
+        return [setting for setting in rule.settings if setting.param in properties(self.capability)]
+
+    def _constant(self, prefix: str, value: object) -> str:
+        name = f"{prefix}{len(self.constants)}"
+        self.constants[name] = value
+        return name
+
+    def _start(self) -> Iterator[str]:
+        yield "denied = asked = bound = ()"
+        there = always_there(self.capability)
+        for name, bounded in self.numbers.items():
+            yield f"v_{name} = params[{name!r}]" if name in there else f"v_{name} = params.get({name!r}, 0.0)"
+            yield f"if v_{name} - v_{name} != 0.0: raise not_finite({name!r})"
+            if bounded.rules and bounded.has_high:
+                yield f"h_{name}, hb_{name} = {self._ceiling(bounded)}"
+            if bounded.has_low:
+                low = "LOWEST" if bounded.minimum is None else repr(bounded.minimum)
+                yield f"l_{name}, lb_{name} = {low}, 'the input schema'"
+        for name in self.names:
+            yield f"n_{name} = nb_{name} = None"
+
+    def _ceiling(self, bounded: _Bounded) -> str:
+        limit = bounded.limit
+        return "HIGHEST, ''" if limit is None else f"{limit.maximum!r}, {self._limit_id(limit)!r}"
+
+    def _limit_id(self, limit: Limit) -> str:
+        return f"{self.profile.name}/{limit.name}"
+
+    def _limits(self) -> Iterator[str]:
+        for name, bounded in self.numbers.items():
+            if (limit := bounded.limit) is None:
+                continue
+            shown = f"{number(limit.maximum)} {limit.unit}"
+            message = f"`{name}` is limited to {shown} in {self.profile.name} ({limit.source})"
+            reason = Reason(self._limit_id(limit), "limit", message, f"at most {shown} here")
+            constant = self._constant("R", (reason,))
+            yield f"if not v_{name} <= {limit.maximum!r}: bound += {constant}"
+
+    def _rule(self, rule: Rule) -> Iterator[str]:
+        reason = self._constant("R", (Reason(rule.id, rule.code, rule.because, self._remedy(rule)),))
+        match rule.then:
+            case Effect.DENY:
+                effect = [f"denied += {reason}"]
+            case Effect.ESCALATE:
+                effect = [f"asked += {reason}"]
+            case Effect.MODIFY:
+                effect = list(self._bounds(rule, reason))
+        if rule.when is not None:
+            condition = self._text(rule.when, BOOL)
+            effect = [f"if {condition}:", *(f"    {line}" for line in effect)]
+        yield "try:"
+        yield from (f"    {line}" for line in effect)
+        yield "except Exception as error:"
+        yield f"    denied += (rule_error({rule.id!r}, error),)"
+
+    def _bounds(self, rule: Rule, reason: str) -> Iterator[str]:
+        kept: list[str] = []
+        for setting in self._settings(rule):
+            name = setting.param
+            if setting.to is not None:
+                yield from self._name(rule, setting)
+                kept.append(f"params.get({name!r}) == x_{name}")
+            if setting.maximum is not None:
+                yield f"if {setting.maximum!r} < h_{name}: h_{name}, hb_{name} = {setting.maximum!r}, {rule.id!r}"
+                kept.append(f"v_{name} <= {setting.maximum!r}")
+            if setting.minimum is not None:
+                yield f"if {setting.minimum!r} > l_{name}: l_{name}, lb_{name} = {setting.minimum!r}, {rule.id!r}"
+                kept.append(f"v_{name} >= {setting.minimum!r}")
+        if kept:
+            yield f"if not ({' and '.join(kept)}): bound += {reason}"
+
+    def _name(self, rule: Rule, setting: Setting) -> Iterator[str]:
+        name, source = setting.param, cast("str", setting.to)
+        yield f"x_{name} = {self._text(source, STRING)}"
+        yield f"if n_{name} is None: n_{name}, nb_{name} = x_{name}, {rule.id!r}"
+        yield f"elif n_{name} != x_{name}: denied += (two_names({rule.id!r}, {name!r}, n_{name}, x_{name}, nb_{name}),)"
+
+    def _remedy(self, rule: Rule) -> str:
+        if rule.remedy:
+            return rule.remedy
+        parts: list[str] = []
+        for setting in self._settings(rule):
+            unit = str(properties(self.capability)[setting.param].get("unit", ""))
+            if setting.maximum is not None:
+                parts.append(f"`{setting.param}` at most {number(setting.maximum)} {unit}".rstrip())
+            if setting.minimum is not None:
+                parts.append(f"`{setting.param}` at least {number(setting.minimum)} {unit}".rstrip())
+        return ", ".join(parts) + (" here" if parts else "")
+
+    def _end(self) -> Iterator[str]:
+        yield "changes = ()"
+        yield "effective = params"
+        for bounded in self.numbers.values():
+            yield from self._clamp(bounded)
+        for name in self.names:
+            yield f"if n_{name} is not None and params.get({name!r}) != n_{name}:"
+            yield f"    effective, changes = changed(effective, changes, params, {name!r}, n_{name}, nb_{name})"
+        yield "if denied: return Verdict(outcome=DENY, effective=params, reasons=denied + asked + bound)"
+        yield "if asked: return Verdict(outcome=ESCALATE, effective=effective, reasons=asked + bound, changes=changes)"
+        yield "if changes: return Verdict(outcome=MODIFY, effective=effective, reasons=bound, changes=changes)"
+        yield "return Verdict(outcome=ALLOW, effective=params)"
+
+    def _clamp(self, bounded: _Bounded) -> Iterator[str]:
+        name, limit = bounded.name, bounded.limit
+        if bounded.rules:
+            yield from self._emptiness(bounded)
+            high, by = f"h_{name}", f"hb_{name}"
+        elif limit is not None:
+            high, by = repr(limit.maximum), repr(self._limit_id(limit))
+        else:
+            return
+        if bounded.has_high:
+            yield f"if not v_{name} <= {high}:"
+            yield f"    effective, changes = changed(effective, changes, params, {name!r}, {high}, {by})"
+        if bounded.has_low:
+            yield f"if not v_{name} >= l_{name}:"
+            yield f"    effective, changes = changed(effective, changes, params, {name!r}, l_{name}, lb_{name})"
+
+    def _emptiness(self, bounded: _Bounded) -> Iterator[str]:
+        if not bounded.has_high:
+            return
+        name = bounded.name
+        low, by = (f"l_{name}", f"lb_{name}") if bounded.has_low else (repr(bounded.minimum), "'the input schema'")
+        if bounded.has_low or bounded.minimum is not None:
+            yield f"if {low} > h_{name}:"
+            yield f"    denied += (empty_intersection(hb_{name}, {name!r}, {low}, h_{name}, {by}),)"
+
+    def _text(self, source: str, expect: Type) -> str:
+        typed = self.vocabulary.typed(source, self.capability.name, expect)
+        self.used |= {NAMES[path.partition(".")[0]] for path in references(typed) if path not in self.inlined}
+        return to_python(typed, {**NAMES, **self.inlined})
+
+    def _load(self, source: str) -> Check:
+        namespace: dict[str, object] = {
+            **INTRINSICS,
+            **self.constants,
+            **_SUPPORT,
+            "CAPABILITY": self.capability,
+            "PROFILE": self.profile,
+            "LIMITS": {name: limit.maximum for name, limit in self.profile.limits.items()},
+            "TOOLS": self.site.tools,
+            "find_target": finder(referring(self.capability), self.site),
+            "find_place": locator(referring(self.capability), self.site),
+        }
+        code = compile(source, f"<{self.profile.name}/{self.capability.name}>", "exec")
+        exec(code, namespace)  # noqa: S102  # our own text: names are identifiers, values are reprs of checked constants
+        return cast("Check", namespace["check"])
+
+
+def _changed(
+    effective: Params, changes: tuple[Change, ...], params: Params, name: str, value: Json, rule: str
+) -> tuple[Params, tuple[Change, ...]]:
+    return {**effective, name: value}, (*changes, Change(name, params.get(name), value, rule))
+
+
+def _two_names(rule: str, param: str, one: str, other: str, by: str) -> Reason:
+    message = f"`{param}` must be `{one}` ({by}) and `{other}` ({rule}): no value is both"
+    return Reason(rule, "empty_intersection", message, "propose it for another object, place or profile")
+
+
+def _failed(params: Params, error: Exception) -> Verdict:
+    return Verdict(outcome=PolicyOutcome.DENY, effective=params, reasons=(rule_error("guard", error),))
+
+
+def _not_finite(param: str) -> EvaluationError:
+    return EvaluationError("not_finite", f"params.{param}")
+
+
+_SUPPORT: Final[Mapping[str, object]] = {
+    "ALLOW": PolicyOutcome.ALLOW,
+    "MODIFY": PolicyOutcome.MODIFY,
+    "ESCALATE": PolicyOutcome.ESCALATE,
+    "DENY": PolicyOutcome.DENY,
+    "LOWEST": float("-inf"),
+    "HIGHEST": float("inf"),
+    "Verdict": Verdict,
+    "changed": _changed,
+    "empty_intersection": empty_intersection,
+    "failed": _failed,
+    "not_finite": _not_finite,
+    "read_metadata": read_metadata,
+    "rule_error": rule_error,
+    "two_names": _two_names,
+}
