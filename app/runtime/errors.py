@@ -37,13 +37,13 @@ class RuntimeRefusal(Exception):
 
 
 class InvalidParams(RuntimeRefusal):
-    """A request that does not fit; `problems` are `{path, message}` with paths as JSON pointers into the request."""
+    """A request that does not fit; `problems` are `{path, message}` with dotted paths into it."""
 
     def __init__(self, problems: Sequence[Mapping[str, str]]) -> None:
         """Keep the problems; the message is the first of them."""
         self.problems = tuple(problems)
         first = self.problems[0] if self.problems else {"path": "", "message": "does not fit"}
-        super().__init__(f"{first['path'] or '/'}: {first['message']}")
+        super().__init__(f"`{first['path']}` {first['message']}")
 
 
 class NotFound(RuntimeRefusal):

@@ -78,6 +78,7 @@ class Terms:
     recovery_preference: Strategy | None = None
     metadata: Params = field(default_factory=dict[str, Any])
     authorization: str | None = None
+    launched_at_s: float | None = None
     confirmed: bool = False  # the cell said that it has the session
 
     def document(self) -> dict[str, Any]:
@@ -88,6 +89,7 @@ class Terms:
             "recovery_preference": self.recovery_preference,
             "metadata": dict(self.metadata),
             "authorization": self.authorization,
+            "launched_at_s": self.launched_at_s,
             "confirmed": self.confirmed,
         }
 
@@ -101,6 +103,7 @@ class Terms:
             recovery_preference=None if preference is None else Strategy(preference),
             metadata=document["metadata"],
             authorization=document["authorization"],
+            launched_at_s=document["launched_at_s"],
             confirmed=document["confirmed"],
         )
 

@@ -9,18 +9,21 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from app.clock import rfc3339
+from app.governance.model import TERMINAL, Status
 from app.runtime.errors import NotFound
 from app.runtime.invocation import read_invocation
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Sequence
 
     from app.audit.event import EventDraft, RowWrite
     from app.audit.store import AuditStore
     from app.runtime.invocation import Invocation
+
+UNFINISHED: Final = tuple(status.value for status in Status if status not in TERMINAL)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -40,6 +43,7 @@ class Register:
         self.store = store
         self._wall_s = wall_s
         self._live: dict[str, Entry] = {}
+        self.on_final: Callable[[Invocation], None] = lambda _: None
 
     def now(self) -> str:
         """Return the wall time as text."""
@@ -62,10 +66,17 @@ class Register:
         """Return a live invocation's entry, to lock it."""
         return self._live.get(invocation)
 
-    def adopt(self, invocations: Iterable[Invocation]) -> None:
-        """Take in what an earlier run of the server left unfinished; it is in the store already."""
-        for invocation in invocations:
-            self._live[invocation.id] = Entry(newest=invocation)
+    async def recall(self) -> None:
+        """Read back what an earlier run of the server left unfinished."""
+        cursor: str | None = None
+        while True:
+            page = await self.store.page("invocations", {"status": UNFINISHED}, limit=500, cursor=cursor)
+            for row in page.items:
+                invocation = read_invocation(row["document"])
+                self._live[invocation.id] = Entry(newest=invocation)
+            cursor = page.next
+            if cursor is None:
+                return
 
     async def append(
         self, drafts: Sequence[EventDraft], rows: Sequence[RowWrite] = (), versions: Sequence[Invocation] = ()
@@ -90,10 +101,10 @@ class Register:
         entry = self._live.get(invocation)
         if entry is not None:
             return entry.newest
-        document = await self.store.invocation(invocation)
-        if document is None:
+        row = await self.store.row("invocations", id=invocation)
+        if row is None:
             raise NotFound("invocation", invocation)
-        return read_invocation(document)
+        return read_invocation(row["document"])
 
     async def wait(self, invocation: str, seconds: float, known_updated_at: str | None) -> Invocation:
         """Return the invocation at its next change, at once if `known_updated_at` is past, or after the time.
@@ -124,3 +135,4 @@ class Register:
         entry.changed = asyncio.Event()
         if version.final:
             del self._live[version.id]
+            self.on_final(version)

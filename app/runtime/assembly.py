@@ -1,0 +1,111 @@
+"""Puts the runtime together, and runs what it does in the background."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import asynccontextmanager, suppress
+from typing import TYPE_CHECKING, Any
+
+from app.audit.event import EventDraft
+from app.clock import wall_s as wall_clock_s
+from app.governance.model import EventKind
+from app.runtime.desk import Desk
+from app.runtime.feed import Feed
+from app.runtime.fleet import Fleet
+from app.runtime.governor import Governor
+from app.runtime.kernel import Kernel
+from app.runtime.register import Register
+from app.runtime.sessions import ABSENT_S, Sessions
+from app.runtime.telemetry import Telemetry
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable
+    from pathlib import Path
+
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+    from app.audit.store import AuditStore
+    from app.governance.policy import PolicySet
+
+
+class Runtime:
+    """A governor with everything it stands on."""
+
+    def __init__(
+        self,
+        store: AuditStore,
+        policy: PolicySet,
+        signing_key: Ed25519PrivateKey,
+        *,
+        default_profile: str,
+        telemetry_folder: Path | None = None,
+        absent_s: float = ABSENT_S,
+        wall_s: Callable[[], float] = wall_clock_s,
+    ) -> None:
+        """Wire the parts of one server.
+
+        Args:
+            store: the opened record.
+            policy: the policy in force.
+            signing_key: what authorizations are signed with.
+            default_profile: for a cell never seen before.
+            telemetry_folder: where telemetry files go; the store's own by default.
+            absent_s: how long a cell with a session may be away before the session is given up.
+            wall_s: the wall clock; deadlines go by it.
+        """
+        self.store = store
+        self.register = Register(store, wall_s)
+        self.feed = Feed(store)
+        self.fleet = Fleet(self.register, default_profile=default_profile)
+        self.kernel = Kernel(self.register, self.fleet, policy, signing_key)
+        self.desk = Desk(self.register, self.fleet, self.kernel)
+        self.telemetry = Telemetry(telemetry_folder or store.places.telemetry, wall_s)
+        self.sessions = Sessions(self.register, self.fleet, self.desk, self.telemetry, absent_s=absent_s)
+        self.fleet.report_to(self.sessions)
+        self.register.on_final = lambda invocation: self.fleet.release(invocation.cell, invocation.id)
+        self.governor = Governor(
+            register=self.register, kernel=self.kernel, fleet=self.fleet, desk=self.desk, feed=self.feed
+        )
+
+    async def start(self) -> None:
+        """Read back what an earlier run left, close what is overdue, and record that the server is there.
+
+        Raises:
+            RecordUnavailable: nothing can be recorded, so nothing may start.
+        """
+        await self.register.recall()
+        await self.fleet.recall()
+        await self.desk.recall()
+        body: dict[str, Any] = {
+            "policy_version": self.kernel.policy.digest,
+            "unfinished": [known.id for known in self.register.live()],
+        }
+        await self.store.append(
+            [
+                EventDraft(kind=EventKind.BOOT, actor="server", body=body),
+                EventDraft(
+                    kind=EventKind.POLICY_ACTIVATED, actor="server", body={"policy_version": self.kernel.policy.digest}
+                ),
+            ]
+        )
+        await self.desk.expire_due()
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[Governor]:
+        """Start, and keep beats, deadlines and cells tended inside the context."""
+        await self.start()
+        tasks = [
+            asyncio.create_task(self.fleet.beat(), name="beat"),
+            asyncio.create_task(self.fleet.tend(), name="tend"),
+            asyncio.create_task(self.desk.watch_deadlines(), name="deadlines"),
+        ]
+        try:
+            yield self.governor
+        finally:
+            for task in tasks:
+                task.cancel()
+            for task in tasks:
+                with suppress(asyncio.CancelledError):
+                    await task
+            self.feed.close()
+            await self.telemetry.close()

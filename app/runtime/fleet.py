@@ -1,0 +1,444 @@
+"""The fleet: every cell the server knows, what is known of each, and the two ways to speak to one.
+
+`restrain` sends at once and asks nobody; `order` is for everything that lets something move, and its caller has
+recorded it already. A cell that is away is owed its restraints: it gets them with its next welcome, before anything
+else. What lets something move is never kept for later.
+
+Cells are remembered across restarts (profile, latched stop, how far its reports are in the log), so that a server that
+has just started knows whom it waits for.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+import orjson
+from pydantic import TypeAdapter, ValidationError
+
+from app.audit.event import RowWrite
+from app.clock import monotonic_s
+from app.governance.model import SESSION, CellFacts, WorldFacts
+from app.protocol import BEAT_MS, Estop, Human, ProtocolError
+from app.runtime.errors import Conflict, NotFound
+from app.runtime.link import DEAD_S, SILENT_S, TRY_LATER, Attachment
+
+if TYPE_CHECKING:
+    from collections.abc import Coroutine, Mapping, Sequence
+
+    from app.audit.event import EventDraft
+    from app.protocol import Hello, Message, State, UpEvent
+    from app.runtime.link import Link
+    from app.runtime.register import Register
+
+FRESH_S: Final = 1.0  # a state older than this says nothing
+TEND_S: Final = 0.25
+_WORLD: Final = TypeAdapter(WorldFacts)
+_WORLD_NAMES: Final = frozenset(WorldFacts.__dataclass_fields__)
+
+
+class Reports(Protocol):
+    """Who makes a cell's reports, its return and its absence part of the record."""
+
+    def check(self, cell: str, event: UpEvent) -> None:
+        """Refuse a report that this cell may not make. Raises `ProtocolError`."""
+        ...
+
+    async def absorb(self, cell: str, events: Sequence[UpEvent], rows: Sequence[RowWrite]) -> None:
+        """Record reports, the rows given, and what follows for invocations. Raises `RecordUnavailable`."""
+        ...
+
+    async def attached(self, cell: str, hello: Hello) -> None:
+        """Record that a cell is there."""
+        ...
+
+    async def reconcile(self, cell: str, hello: Hello) -> None:
+        """Compare what the cell holds with what the server believes, once every older report is in."""
+        ...
+
+    async def left(self, cell: str) -> None:
+        """Record that a cell's link is gone."""
+        ...
+
+    async def overdue(self, cell: str, absent_s: float | None) -> None:
+        """See to what a cell owes: a session while it is away (for so long), or word of its launch."""
+        ...
+
+    def telemetry(self, cell: str, invocation: str, rows: Sequence[tuple[float, ...]]) -> None:
+        """Keep rows of telemetry."""
+        ...
+
+
+@dataclass(slots=True, kw_only=True)
+class Cell:
+    """What the server knows of one cell. Times are monotonic seconds."""
+
+    id: str
+    profile: str
+    latched: bool = False
+    up_seq: int = 0
+    claim: str | None = None
+    attachment: Attachment | None = None
+    state: State | None = None
+    state_at_s: float = 0.0
+    world: WorldFacts | None = None
+    trouble: str | None = None
+    absent_since_s: float | None = None
+    owed: dict[tuple[str, str], Message] = field(default_factory=dict[tuple[str, str], "Message"])
+    unreconciled: Hello | None = None
+
+    @property
+    def fresh(self) -> bool:
+        """Say whether the cell's state may be relied on."""
+        attachment = self.attachment
+        return (
+            attachment is not None
+            and attachment.welcomed
+            and self.state is not None
+            and monotonic_s() - self.state_at_s <= FRESH_S
+        )
+
+
+class Fleet:
+    """Cells and their links, of one server."""
+
+    def __init__(self, register: Register, *, default_profile: str) -> None:
+        """Take the register and the profile of a cell never seen before."""
+        self._register = register
+        self._default_profile = default_profile
+        self._cells: dict[str, Cell] = {}
+        self._closings: set[asyncio.Task[None]] = set()
+        self._reports: Reports | None = None
+        self.kernel_key = ""
+        self.policy_digest = ""
+        self.policy_files: Mapping[str, str] = {}
+
+    def enforce(self, *, kernel_key: str, policy_digest: str, policy_files: Mapping[str, str]) -> None:
+        """Say which key signs and which policy is in force; cells learn it at their welcome."""
+        self.kernel_key = kernel_key
+        self.policy_digest = policy_digest
+        self.policy_files = policy_files
+
+    def report_to(self, reports: Reports) -> None:
+        """Say who takes the cells' reports; without that no cell can attach."""
+        self._reports = reports
+
+    @property
+    def _desk(self) -> Reports:
+        if self._reports is None:
+            raise RuntimeError("the fleet takes no reports yet: call `report_to` first")
+        return self._reports
+
+    # -- what is known -----------------------------------------------------------------------------------------------
+
+    def cell(self, cell_id: str) -> Cell:
+        """Return a cell.
+
+        Raises:
+            NotFound: never heard of.
+        """
+        try:
+            return self._cells[cell_id]
+        except KeyError:
+            raise NotFound("cell", cell_id) from None
+
+    def cells(self) -> list[Cell]:
+        """Return all cells, by name."""
+        return [self._cells[name] for name in sorted(self._cells)]
+
+    def knows(self, cell_id: str) -> bool:
+        """Say whether the cell was ever heard of."""
+        return cell_id in self._cells
+
+    def choose(self) -> Cell | None:
+        """Return the cell for a proposal that names none: one that is free, else one that is there, else any."""
+        cells = self.cells()
+        for wanted in (lambda cell: cell.fresh and self.busy(cell) is None, lambda cell: cell.fresh):
+            for cell in cells:
+                if wanted(cell):
+                    return cell
+        return cells[0] if cells else None
+
+    def busy(self, cell: Cell) -> str | None:
+        """Return the invocation that has the cell: claimed by the server, or held by the cell itself."""
+        if cell.claim is not None:
+            return cell.claim
+        return None if cell.state is None else cell.state.invocation
+
+    def facts(self, cell: Cell | None) -> CellFacts:
+        """Return what a decision may know of a cell, now; of no cell at all, that it is not there."""
+        if cell is None:
+            return CellFacts(id="", online=False)
+        state = cell.state if cell.fresh else None
+        return CellFacts(
+            id=cell.id,
+            online=state is not None,
+            latched=self.latched(cell),
+            busy=self.busy(cell),
+            holding_link=state is not None and state.holding,
+            facts=None if state is None else self._world(cell, state),
+        )
+
+    def profile(self, cell: Cell | None) -> str:
+        """Return the profile a cell works under; the default one where there is no cell."""
+        return self._default_profile if cell is None else cell.profile
+
+    def latched(self, cell: Cell) -> bool:
+        """Say whether an emergency stop is latched, on the server or on the cell."""
+        return cell.latched or (cell.state is not None and cell.state.latched)
+
+    def _world(self, cell: Cell, state: State) -> WorldFacts | None:
+        if cell.world is None and cell.trouble is None:
+            try:
+                if strange := state.facts.keys() - _WORLD_NAMES:
+                    raise ValueError(f"unknown fact `{sorted(strange)[0]}`")
+                # Through JSON, which has no NaN and no infinity: they become null, and null is no number.
+                cell.world = _WORLD.validate_json(orjson.dumps(state.facts))
+            except (ValidationError, ValueError) as error:
+                cell.trouble = f"the cell's facts are malformed: {str(error).splitlines()[0]}"
+        return cell.world
+
+    def document(self, cell: Cell) -> dict[str, Any]:
+        """Return the cell as JSON, for lists."""
+        state = cell.state if cell.fresh else None
+        attachment = cell.attachment
+        hello = None if attachment is None else attachment.hello
+        return {
+            "id": cell.id,
+            "online": state is not None,
+            "latched": self.latched(cell),
+            "profile": cell.profile,
+            "busy": self.busy(cell),
+            "status": None if state is None else state.status,
+            "holding_link": state is not None and state.holding,
+            "robot": None if hello is None else hello.robot,
+            "policy_version": None if state is None else state.policy_digest,
+            "facts": None if state is None else state.facts,
+            "gauges": {} if state is None else state.gauges,
+        }
+
+    def problems(self) -> dict[str, str]:
+        """Return what is wrong, by cell; empty where a proposal could launch."""
+        if not self._cells:
+            return {"cells": "no cell has ever attached"}
+        found: dict[str, str] = {}
+        for cell in self.cells():
+            facts = self.facts(cell)
+            if not facts.online:
+                found[f"cell/{cell.id}"] = "not attached, or silent"
+            elif cell.trouble is not None:
+                found[f"cell/{cell.id}"] = cell.trouble
+            elif facts.holding_link:
+                found[f"cell/{cell.id}"] = "holds: its link's lease lapsed"
+        return found
+
+    # -- having a cell -----------------------------------------------------------------------------------------------
+
+    def claim(self, cell: Cell, invocation: str) -> None:
+        """Give the cell to one invocation, between its decision and its end.
+
+        Raises:
+            RuntimeError: somebody has it; a decision on fresh facts would have said so.
+        """
+        if cell.claim is not None:
+            raise RuntimeError(f"cell `{cell.id}` is claimed by `{cell.claim}` already")
+        cell.claim = invocation
+
+    def release(self, cell_id: str | None, invocation: str) -> None:
+        """Let the cell go, if this invocation has it."""
+        cell = self._cells.get(cell_id or "")
+        if cell is not None and cell.claim == invocation:
+            cell.claim = None
+            cell.owed = {key: message for key, message in cell.owed.items() if key[1] != invocation}
+
+    # -- speaking to a cell ------------------------------------------------------------------------------------------
+
+    def restrain(self, cell: Cell, message: Human | Estop) -> bool:
+        """Send a restraint at once, ahead of everything; a cell that is away is owed it. Returns whether it is there."""
+        attachment = cell.attachment
+        if attachment is not None and attachment.welcomed:
+            attachment.post(message, urgent=True)
+            return True
+        match message:
+            case Human():
+                cell.owed[message.op, message.invocation] = message
+            case Estop():
+                pass  # the latch itself is remembered, and sent at every welcome
+        return False
+
+    def order(self, cell: Cell, message: Message) -> None:
+        """Send something that was recorded.
+
+        Raises:
+            Conflict: `cell_offline`, the cell is not there; nothing is kept for later.
+        """
+        attachment = cell.attachment
+        if attachment is None or not attachment.welcomed:
+            raise Conflict("cell_offline", f"the cell `{cell.id}` is not attached")
+        attachment.post(message)
+
+    def attached(self, cell: Cell) -> bool:
+        """Say whether the cell is there to be spoken to."""
+        return cell.attachment is not None and cell.attachment.welcomed
+
+    # -- links -------------------------------------------------------------------------------------------------------
+
+    async def attach(self, cell_id: str, link: Link) -> Attachment:
+        """Take a new link for a cell; its first frame must be `Hello`.
+
+        The caller passes every frame to the attachment's `receive`, and calls `detach` when the socket is gone.
+        """
+        cell = self._cells.get(cell_id)
+        if cell is None:
+            cell = Cell(id=cell_id, profile=self._default_profile)
+        return Attachment(self, cell, link)
+
+    async def take_place(self, attachment: Attachment, hello: Hello) -> None:
+        """Make this the cell's link, unless another one lives; a new cell is recorded first.
+
+        Raises:
+            ProtocolError: the cell has a link that was heard within the last second.
+        """
+        cell = self._cells.setdefault(attachment.cell.id, attachment.cell)
+        attachment.cell = cell
+        present = cell.attachment
+        if present is not None and not present.closed and present.silent_s() < DEAD_S:
+            raise ProtocolError(f"the cell `{cell.id}` has a live link already: one link per cell")
+        cell.attachment = attachment
+        cell.state = None
+        cell.absent_since_s = None
+        if present is not None:
+            present.shut(TRY_LATER, "another link took this one's place")
+
+    async def welcome(self, attachment: Attachment, hello: Hello) -> None:
+        """Deliver what the cell is owed, stops first, and see what it was doing."""
+        cell = attachment.cell
+        if cell.latched:
+            attachment.post(Estop(actor="server"))
+        for message in cell.owed.values():
+            attachment.post(message)
+        cell.owed.clear()
+        cell.unreconciled = hello
+        await self._desk.attached(cell.id, hello)
+        await self.caught_up(attachment)
+
+    async def caught_up(self, attachment: Attachment) -> None:
+        """Compare what the cell holds with what the server believes, as soon as every older report is in."""
+        cell = attachment.cell
+        hello = cell.unreconciled
+        if hello is None or cell.attachment is not attachment or cell.up_seq < hello.last_seq:
+            return
+        cell.unreconciled = None
+        await self._desk.reconcile(cell.id, hello)
+
+    async def leave(self, attachment: Attachment) -> None:
+        """Forget a link whose socket is gone; the cell stays known."""
+        cell = attachment.cell
+        if cell.attachment is attachment:
+            cell.attachment = None
+            cell.unreconciled = None
+            cell.absent_since_s = monotonic_s()
+            await self._desk.left(cell.id)
+
+    def closing(self, closing: Coroutine[Any, Any, None]) -> None:
+        """Close a socket without waiting for it."""
+        task = asyncio.ensure_future(closing)
+        self._closings.add(task)
+        task.add_done_callback(self._closed)
+
+    def _closed(self, task: asyncio.Task[None]) -> None:
+        self._closings.discard(task)
+        if not task.cancelled():
+            task.exception()  # a socket that cannot be closed is gone all the same
+
+    # -- what cells say ----------------------------------------------------------------------------------------------
+
+    def take_state(self, cell: Cell, state: State) -> None:
+        """Keep the newest state."""
+        cell.state = state
+        cell.state_at_s = monotonic_s()
+        cell.world = None
+        cell.trouble = None
+
+    def take_telemetry(self, cell: Cell, invocation: str, rows: Sequence[tuple[float, ...]]) -> None:
+        """Pass rows of telemetry on."""
+        self._desk.telemetry(cell.id, invocation, rows)
+
+    def check_report(self, cell: Cell, event: UpEvent) -> None:
+        """Refuse a report that this cell may not make. Raises `ProtocolError`."""
+        self._desk.check(cell.id, event)
+
+    async def record(self, cell: Cell, batch: Sequence[UpEvent]) -> None:
+        """Record a batch of reports and how far the cell has come; raises what the record raises."""
+        await self._desk.absorb(cell.id, batch, [self._progress(cell, batch[-1].seq)])
+        cell.up_seq = batch[-1].seq
+
+    def _progress(self, cell: Cell, up_seq: int) -> RowWrite:
+        values = {"cell": cell.id, "up_seq": up_seq, "journal": "", "updated_at": self._register.now()}
+        return RowWrite(table="cell_progress", values=values)
+
+    # -- remembering -------------------------------------------------------------------------------------------------
+
+    async def keep(self, cell: Cell, drafts: Sequence[EventDraft], **settings: str | bool) -> None:
+        """Record events together with settings of a cell (`profile`, `estop`). Raises `RecordUnavailable`."""
+        now = self._register.now()
+        rows = [
+            RowWrite(
+                table="settings",
+                values={"name": f"{name}/{cell.id}", "value": orjson.dumps(value), "updated_at": now},
+            )
+            for name, value in settings.items()
+        ]
+        await self._register.append(drafts, rows)
+
+    async def introduce(self, cell: Cell, drafts: Sequence[EventDraft]) -> None:
+        """Record that a cell is there, so that it is known after a restart. Raises `RecordUnavailable`."""
+        await self._register.append(drafts, [self._progress(cell, cell.up_seq)])
+
+    async def recall(self) -> None:
+        """Read back which cells there are, their profiles and latched stops, and who had them when the server ended."""
+        for row in await self._register.store.rows("cell_progress"):
+            self._cells[row["cell"]] = Cell(
+                id=row["cell"], profile=self._default_profile, up_seq=row["up_seq"], absent_since_s=monotonic_s()
+            )
+        for row in await self._register.store.rows("settings"):
+            name, _, cell_id = row["name"].partition("/")
+            cell = self._cells.get(cell_id)
+            if cell is None:
+                continue
+            match name, orjson.loads(row["value"]):
+                case "profile", str(profile):
+                    cell.profile = profile
+                case "estop", bool(latched):
+                    cell.latched = latched
+                case _:
+                    pass
+        for invocation in self._register.live():
+            if invocation.status in SESSION and invocation.cell in self._cells:
+                self._cells[invocation.cell].claim = invocation.id
+
+    # -- keeping on --------------------------------------------------------------------------------------------------
+
+    async def beat(self) -> None:
+        """Keep every link's lease alive, for ever."""
+        while True:
+            for cell in self._cells.values():
+                if cell.attachment is not None and cell.attachment.welcomed:
+                    cell.attachment.beat()
+            await asyncio.sleep(BEAT_MS / 1000)
+
+    async def tend(self) -> None:
+        """See to links that hang and cells that owe something, for ever."""
+        while True:
+            await asyncio.sleep(TEND_S)
+            await self.tend_once()
+
+    async def tend_once(self) -> None:
+        """Close silent links, and have what is overdue seen to."""
+        for cell in self.cells():
+            attachment = cell.attachment
+            if attachment is not None and attachment.silent_s() > SILENT_S:
+                attachment.shut(TRY_LATER, f"nothing heard for {SILENT_S} s")
+            absent_s = None if cell.absent_since_s is None else monotonic_s() - cell.absent_since_s
+            await self._desk.overdue(cell.id, absent_s)

@@ -1,0 +1,477 @@
+"""The governor: one invocation's way, from the proposal to its end, and what people may do to it meanwhile.
+
+`propose` is the pipeline of design section 4: held to the schema, decided, recorded with its decision in one append,
+and launched only behind that record. Nothing is awaited between the decision and the claim on the cell.
+
+What restrains (pause, stop, emergency stop, cancel) is sent before it is recorded; what loosens (resume, rollback,
+reset) is recorded before it is sent.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from functools import wraps
+from typing import TYPE_CHECKING, Any, Concatenate, Final, ParamSpec, TypeVar
+
+from app.audit.errors import RecordUnavailable
+from app.audit.event import EventDraft, RowWrite
+from app.governance.model import SESSION, EventKind, Outcome, Role, Status
+from app.protocol import Estop, Human, Reset, SetProfile
+from app.runtime.desk import outcome_event
+from app.runtime.errors import Conflict, InvalidParams, NotFound
+from app.runtime.identity import digest
+from app.runtime.invocation import (
+    Invocation,
+    Principal,
+    ProposalRequest,
+    Terms,
+    may_see,
+    public_document,
+    without_free_text,
+)
+from app.runtime.kernel import REFUSED_OUTCOME
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Coroutine, Mapping, Sequence
+
+    from app.audit.event import Event
+    from app.audit.store import AuditStore
+    from app.runtime.desk import Desk
+    from app.runtime.feed import Feed
+    from app.runtime.fleet import Cell, Fleet
+    from app.runtime.kernel import Judgement, Kernel
+    from app.runtime.register import Register
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+TRACE_PAGE: Final = 1000
+UNNAMED: Final = ""
+
+# Which statuses an operator's word is legal in, and whether it restrains.
+OPERATIONS: Final[Mapping[str, tuple[frozenset[Status], bool]]] = {
+    "pause": (frozenset({Status.RUNNING, Status.RECOVERING, Status.PAUSED}), True),
+    "stop": (SESSION, True),
+    "resume": (frozenset({Status.PAUSED}), False),
+    "rollback": (frozenset({Status.RUNNING, Status.PAUSED, Status.ESCALATED}), False),
+}
+
+
+def _uncut(
+    method: Callable[Concatenate[Governor, P], Coroutine[Any, Any, T]],
+) -> Callable[Concatenate[Governor, P], Coroutine[Any, Any, T]]:
+    """Let a method run to its end even if its caller is cancelled: half of it must not be recorded and half not done."""
+
+    @wraps(method)
+    async def run(self: Governor, *args: P.args, **kwargs: P.kwargs) -> T:
+        return await asyncio.shield(asyncio.ensure_future(method(self, *args, **kwargs)))
+
+    return run
+
+
+class Governor:
+    """Takes proposals and people's words through the pipeline. Performs effects, decides nothing."""
+
+    def __init__(self, *, register: Register, kernel: Kernel, fleet: Fleet, desk: Desk, feed: Feed) -> None:
+        """Take the parts; `app.runtime.assembly.assemble` is the usual way."""
+        self.register = register
+        self.kernel = kernel
+        self.fleet = fleet
+        self.desk = desk
+        self.feed = feed
+        self._in_flight: set[tuple[str, str]] = set()
+
+    @property
+    def store(self) -> AuditStore:
+        """Return the record."""
+        return self.register.store
+
+    # -- proposing ---------------------------------------------------------------------------------------------------
+
+    async def propose(
+        self, principal: Principal, request: ProposalRequest, idempotency_key: str | None = None
+    ) -> tuple[dict[str, Any], bool]:
+        """Decide on a proposal, record it, and launch it where that is the decision.
+
+        Returns the invocation and whether it is new; with a key that was used for the same request before, it is the
+        one of then.
+
+        Raises:
+            InvalidParams: parameters that do not fit the schema, or an unknown cell.
+            Conflict: `in_flight` (the key's first request is not answered yet), `idempotency_mismatch`.
+            RecordUnavailable: nothing was recorded and nothing moves.
+        """
+        if idempotency_key is None:
+            return (await self._propose(principal, request, ())).public(), True
+        place = (principal.name, idempotency_key)
+        if place in self._in_flight:
+            raise Conflict("in_flight", f"the first request with the key `{idempotency_key}` is not answered yet")
+        self._in_flight.add(place)
+        try:
+            return await self._propose_once(principal, request, idempotency_key)
+        finally:
+            self._in_flight.discard(place)
+
+    async def _propose_once(
+        self, principal: Principal, request: ProposalRequest, key: str
+    ) -> tuple[dict[str, Any], bool]:
+        request_digest = digest(request.document())
+        known = await self.store.row("idempotency", agent=principal.name, key=key)
+        if known is None:
+            slot = {"agent": principal.name, "key": key, "request_digest": request_digest, "status": "done"}
+            return (await self._propose(principal, request, (slot,))).public(), True
+        if known["request_digest"] != request_digest:
+            raise Conflict("idempotency_mismatch", f"the key `{key}` was used for another request")
+        return await self.invocation(str(known["invocation"]), principal), False
+
+    async def _propose(
+        self, principal: Principal, request: ProposalRequest, slots: Sequence[Mapping[str, str]]
+    ) -> Invocation:
+        params = self.kernel.fill_in(request.capability, request.params)
+        cell = self._aim(request)
+        judgement = self.kernel.judge(request.proposal(params), principal.name, cell)
+        invocation = self._decided(principal, request, params, cell, judgement)
+        proposal = EventDraft(
+            kind=EventKind.PROPOSAL,
+            actor=principal.name,
+            invocation=invocation.id,
+            body={**request.document(), "filled": params},
+        )
+        drafts = [proposal, *judgement.events(invocation)]
+        rows = [
+            RowWrite(
+                table="idempotency",
+                values={**slot, "invocation": invocation.id, "created_at": invocation.created_at},
+                once=True,
+            )
+            for slot in slots
+        ]
+        if invocation.final:
+            await self.register.append([*drafts, _ended(invocation)], rows, [invocation])
+            return invocation
+        return await self._open(invocation, judgement, drafts, rows)
+
+    @_uncut
+    async def _open(
+        self, invocation: Invocation, judgement: Judgement, drafts: Sequence[EventDraft], rows: Sequence[RowWrite]
+    ) -> Invocation:
+        """Ask for approval, or launch."""
+        need = judgement.need
+        if need is not None:
+            question = self.desk.question(invocation, need, self.kernel.risk(invocation.capability))
+            asking = replace(invocation, escalation=question.reference())
+            asked = EventDraft(
+                kind=EventKind.ESCALATION,
+                actor="server",
+                invocation=invocation.id,
+                body={"escalation": question.public()},
+            )
+            await self.desk.commit([*drafts, asked], question, asking, rows)
+            return asking
+        async with self.kernel.launch(invocation, judgement) as launch:
+            await self.register.append([*drafts, *launch.events], [*rows, *launch.rows], [launch.invocation])
+        return launch.invocation
+
+    def _aim(self, request: ProposalRequest) -> Cell | None:
+        if request.cell is None:
+            return self.fleet.choose()
+        if not self.fleet.knows(request.cell):
+            valid = ", ".join(f"`{cell.id}`" for cell in self.fleet.cells()) or "none has attached yet"
+            raise InvalidParams([{"path": "cell", "message": f"no cell `{request.cell}`; valid: {valid}"}])
+        return self.fleet.cell(request.cell)
+
+    def _decided(
+        self,
+        principal: Principal,
+        request: ProposalRequest,
+        params: Mapping[str, Any],
+        cell: Cell | None,
+        judgement: Judgement,
+    ) -> Invocation:
+        status = judgement.status
+        now = self.register.now()
+        return Invocation(
+            id=self.kernel.identities.make("inv"),
+            status=status,
+            capability=request.capability,
+            agent=principal.name,
+            cell=None if cell is None else cell.id,
+            requested=params,
+            effective=judgement.effective(params),
+            escalation=None,
+            outcome=REFUSED_OUTCOME.get(status),
+            created_at=now,
+            updated_at=now,
+            terms=Terms(
+                mode=request.mode,
+                preconditions=request.preconditions,
+                recovery_preference=request.recovery_preference,
+                metadata=request.metadata,
+            ),
+            **judgement.parts(),
+        )
+
+    async def check(self, principal: Principal, request: ProposalRequest) -> dict[str, Any]:
+        """Return what would become of a proposal now, as an invocation without id; nothing is recorded.
+
+        Raises:
+            InvalidParams: parameters that do not fit the schema, or an unknown cell.
+        """
+        params = self.kernel.fill_in(request.capability, request.params)
+        cell = self._aim(request)
+        judgement = self.kernel.judge(request.proposal(params), principal.name, cell)
+        document = self._decided(principal, request, params, cell, judgement).public()
+        for absent in ("id", "created_at", "updated_at"):
+            del document[absent]
+        if document["status"] is Status.RUNNING:
+            document["status"] = "allowed"
+        return document
+
+    # -- reading -----------------------------------------------------------------------------------------------------
+
+    async def invocation(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
+        """Return an invocation.
+
+        Raises:
+            NotFound: there is none that this principal may see.
+        """
+        return (await self._visible(invocation_id, principal)).public()
+
+    async def wait(
+        self, invocation_id: str, principal: Principal, seconds: float, known_updated_at: str | None = None
+    ) -> dict[str, Any]:
+        """Return an invocation at its next change, or after the time; at once when it is final or newer than known.
+
+        Raises:
+            NotFound: there is none that this principal may see.
+        """
+        await self._visible(invocation_id, principal)
+        return (await self.register.wait(invocation_id, seconds, known_updated_at)).public()
+
+    async def list(
+        self, principal: Principal, filters: Mapping[str, str | None], *, limit: int = 50, cursor: str | None = None
+    ) -> tuple[list[dict[str, Any]], str | None]:
+        """Return invocations, newest first, and the cursor behind them; an agent gets its own alone.
+
+        Args:
+            principal: who asks.
+            filters: any of `status`, `capability`, `agent`, `cell`; None does not filter.
+            limit: at most so many, 1 to 1000.
+            cursor: the one returned before.
+
+        Raises:
+            ValueError: a bad limit or cursor.
+            KeyError: a filter that is none.
+        """
+        wanted = {name: value for name, value in filters.items() if value is not None}
+        if principal.role is Role.AGENT:
+            if wanted.get("agent", principal.name) != principal.name:
+                return [], None
+            wanted["agent"] = principal.name
+        page = await self.store.page("invocations", wanted, limit=limit, cursor=cursor)
+        return [public_document(row["document"]) for row in page.items], page.next
+
+    async def trace(self, invocation_id: str, principal: Principal) -> list[dict[str, Any]]:
+        """Return τ_t: every event under an invocation, in order, as this principal may see it.
+
+        Raises:
+            NotFound: there is none that this principal may see.
+        """
+        await self._visible(invocation_id, principal)
+        trace: list[dict[str, Any]] = []
+        after = 0
+        while True:
+            events = await self.store.events(invocation=invocation_id, after=after, limit=TRACE_PAGE)
+            trace.extend(event_document(event, principal.role) for event in events)
+            if len(events) < TRACE_PAGE:
+                return trace
+            after = events[-1].seq
+
+    async def _visible(self, invocation_id: str, principal: Principal) -> Invocation:
+        found = await self.register.load(invocation_id)
+        if not may_see(principal, found.agent):
+            raise NotFound("invocation", invocation_id)
+        return found
+
+    def ready(self) -> dict[str, str]:
+        """Return what is in the way of a launch, by part (`store`, `policy`, `cell/…`); empty when nothing is."""
+        broken = self.fleet.problems()
+        if not self.store.healthy:
+            broken["store"] = self.store.reason or "the last write failed"
+        if not self.kernel.policy.gates:
+            broken["policy"] = "no capability is enabled in any profile"
+        return broken
+
+    # -- people's words on an invocation -----------------------------------------------------------------------------
+
+    async def pause(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
+        """Hold a session in place; sent first. Errors as `cancel`."""
+        return await self._operate("pause", invocation_id, principal)
+
+    async def resume(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
+        """Let a paused session go on; recorded first. Errors as `cancel`, and Conflict `cell_offline`."""
+        return await self._operate("resume", invocation_id, principal)
+
+    async def stop(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
+        """End a session by a controlled stop; sent first. Errors as `cancel`."""
+        return await self._operate("stop", invocation_id, principal)
+
+    async def rollback(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
+        """Take a session back to where it began; recorded first. Errors as `cancel`, and Conflict `cell_offline`."""
+        return await self._operate("rollback", invocation_id, principal)
+
+    @_uncut
+    async def cancel(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
+        """Withdraw an invocation: before launch it ends here, a session is told to stop.
+
+        Raises:
+            NotFound: there is none that this principal may see.
+            Conflict: `wrong_status`, it is over.
+            RecordUnavailable: nothing was recorded; what restrains has been sent all the same.
+        """
+        await self._visible(invocation_id, principal)
+        entry = self.register.entry(invocation_id)
+        if entry is not None and entry.newest.status in SESSION:
+            return await self._restrain("cancel", entry.newest, principal)
+        if entry is not None:
+            async with entry.lock:
+                if entry.newest.status is Status.AWAITING_APPROVAL:
+                    return await self._withdraw(entry.newest, principal)
+            if entry.newest.status in SESSION:  # it was approved while this waited
+                return await self._restrain("cancel", entry.newest, principal)
+        raise _wrong_status("cancel", (await self.register.load(invocation_id)).status)
+
+    async def _withdraw(self, present: Invocation, principal: Principal) -> dict[str, Any]:
+        question = self.desk.withdrawal(present.id)
+        if question is None:
+            raise _wrong_status("cancel", present.status)
+        ended = present.evolve(
+            self.register.now(), status=Status.DENIED, outcome=Outcome.CANCELLED, escalation=question.reference()
+        )
+        drafts = [_human("cancel", ended, principal), outcome_event(ended, principal.name)]
+        await self.desk.commit(drafts, question, ended)
+        return ended.public()
+
+    @_uncut
+    async def _operate(self, op: str, invocation_id: str, principal: Principal) -> dict[str, Any]:
+        legal, restrains = OPERATIONS[op]
+        present = self.register.newest(invocation_id) or await self._visible(invocation_id, principal)
+        if not may_see(principal, present.agent):
+            raise NotFound("invocation", invocation_id)
+        if present.status not in legal:
+            raise _wrong_status(op, present.status)
+        if restrains:
+            return await self._restrain(op, present, principal)
+        cell = self.fleet.cell(present.cell or UNNAMED)
+        if not self.fleet.attached(cell):
+            raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to {op}")
+        await self.register.append([_human(op, present, principal)])
+        self.fleet.order(cell, _message(op, present, principal))
+        return (await self.register.load(invocation_id)).public()
+
+    async def _restrain(self, op: str, present: Invocation, principal: Principal) -> dict[str, Any]:
+        """Send a restraint, then record it; with no record it has been sent all the same, and the caller learns both."""
+        self.fleet.restrain(self.fleet.cell(present.cell or UNNAMED), _message(op, present, principal))
+        await self.register.append([_human(op, present, principal)])
+        return (await self.register.load(present.id)).public()
+
+    # -- people's words on a cell ------------------------------------------------------------------------------------
+
+    @_uncut
+    async def estop(self, cell_id: str, principal: Principal) -> dict[str, Any]:
+        """Stop a cell at once and latch it; anyone may. The answer's `recorded` says whether the record took it.
+
+        Raises:
+            NotFound: no such cell.
+        """
+        cell = self.fleet.cell(cell_id)
+        cell.latched = True
+        self.fleet.restrain(cell, Estop(actor=principal.name))
+        try:
+            await self.fleet.keep(cell, [_cell_event("estop", cell, principal)], estop=True)
+        except RecordUnavailable:
+            return {**self.fleet.document(cell), "recorded": False}
+        return {**self.fleet.document(cell), "recorded": True}
+
+    @_uncut
+    async def reset(self, cell_id: str, principal: Principal) -> dict[str, Any]:
+        """Leave a latched stop; recorded first, moves nothing.
+
+        Raises:
+            NotFound: no such cell.
+            Conflict: `not_latched`, `cell_offline`.
+            RecordUnavailable: nothing was recorded, it stays latched.
+        """
+        cell = self.fleet.cell(cell_id)
+        if not self.fleet.latched(cell):
+            raise Conflict("not_latched", f"the cell `{cell.id}` is not latched")
+        if not self.fleet.attached(cell):
+            raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be reset")
+        await self.fleet.keep(cell, [_cell_event("reset", cell, principal)], estop=False)
+        cell.latched = False
+        self.fleet.order(cell, Reset(actor=principal.name))
+        return self.fleet.document(cell)
+
+    @_uncut
+    async def set_profile(self, cell_id: str, profile: str, principal: Principal) -> dict[str, Any]:
+        """Put a cell under another environment profile; what runs keeps the one it was authorized under.
+
+        Raises:
+            NotFound: no such cell.
+            InvalidParams: no such profile.
+            RecordUnavailable: nothing was recorded, the profile stays.
+        """
+        cell = self.fleet.cell(cell_id)
+        if profile not in self.kernel.profiles():
+            valid = ", ".join(f"`{name}`" for name in sorted(self.kernel.profiles()))
+            raise InvalidParams([{"path": "profile", "message": f"no profile `{profile}`; valid: {valid}"}])
+        draft = EventDraft(
+            kind=EventKind.PROFILE_CHANGED,
+            actor=principal.name,
+            body={"cell": cell.id, "before": cell.profile, "profile": profile},
+        )
+        await self.fleet.keep(cell, [draft], profile=profile)
+        cell.profile = profile
+        if self.fleet.attached(cell):
+            self.fleet.order(cell, SetProfile(profile=profile))
+        return self.fleet.document(cell)
+
+    def cells(self) -> list[dict[str, Any]]:
+        """Return every cell as a document."""
+        return [self.fleet.document(cell) for cell in self.fleet.cells()]
+
+
+def event_document(event: Event, role: Role) -> dict[str, Any]:
+    """Return an event as JSON; an agent does not get what an operator wrote in words."""
+    body = event.payload()
+    return {
+        "seq": event.seq,
+        "at": event.at,
+        "kind": event.kind,
+        "invocation": event.invocation,
+        "actor": event.actor,
+        "body": without_free_text(body) if role is Role.AGENT else body,
+    }
+
+
+def _ended(invocation: Invocation) -> EventDraft:
+    return outcome_event(invocation, "server", *invocation.admission["reasons"])
+
+
+def _message(op: str, invocation: Invocation, principal: Principal) -> Human:
+    return Human.model_validate({"invocation": invocation.id, "op": op, "actor": principal.name})
+
+
+def _human(op: str, invocation: Invocation, principal: Principal) -> EventDraft:
+    body = {"op": op, "role": principal.role, "cell": invocation.cell, "status": invocation.status}
+    return EventDraft(kind=EventKind.HUMAN, actor=principal.name, invocation=invocation.id, body=body)
+
+
+def _cell_event(op: str, cell: Cell, principal: Principal) -> EventDraft:
+    body = {"op": op, "role": principal.role, "cell": cell.id}
+    return EventDraft(kind=EventKind.HUMAN, actor=principal.name, invocation=cell.claim, body=body)
+
+
+def _wrong_status(op: str, status: Status) -> Conflict:
+    return Conflict("wrong_status", f"`{op}` is not possible while the invocation is `{status}`")

@@ -1,0 +1,391 @@
+"""The kernel: asks governance, and turns what it answers into events, documents and authorizations.
+
+It decides nothing itself. `judge` builds the context Γ_t from what is known now and calls the pure decision; the
+policy in force is read once per judgement, so that a proposal is decided under one policy from end to end. `launch`
+mints: the authorization becomes durable inside the context, and is sent only when that has succeeded.
+"""
+
+from __future__ import annotations
+
+import base64
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import orjson
+
+from app.audit.event import EventDraft, RowWrite
+from app.clock import monotonic_s
+from app.governance.decision import Decision, decide
+from app.governance.model import (
+    AdmissionOutcome,
+    ApprovalNeed,
+    Authorization,
+    Context,
+    CoveredRecovery,
+    EventKind,
+    Mode,
+    Outcome,
+    PolicyOutcome,
+    Proposal,
+    Reason,
+    Role,
+    Status,
+    Strategy,
+)
+from app.governance.permit import mint
+from app.governance.policy import confirm_before, recovery_plan
+from app.protocol import Launch
+from app.runtime.errors import InvalidParams
+from app.runtime.identity import Identities
+from app.runtime.invocation import reasons_document
+from app.runtime.link import key_text
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Mapping
+
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+    from app.governance.policy import ParamProblem, PolicySet
+    from app.runtime.fleet import Cell, Fleet
+    from app.runtime.invocation import Invocation, Principal
+    from app.runtime.register import Register
+
+ON_DUTY_S: Final = 120.0  # an operator who was heard within this is on duty
+LAUNCH_WITHIN_S: Final = 10.0  # a permit not bound by then is worth nothing
+SERVER: Final = "server"
+REFUSED_OUTCOME: Final[Mapping[Status, Outcome]] = {
+    Status.REJECTED: Outcome.REJECTED,
+    Status.DEFERRED: Outcome.DEFERRED,
+    Status.DENIED: Outcome.DENIED,
+}
+CHANGED: Final = Reason(
+    "authority/approval",
+    "conditions_changed",
+    "policy constrains this differently now than when it was approved",
+    "propose again",
+)
+
+
+class Judgement(NamedTuple):
+    """A decision together with the policy and profile it was made under."""
+
+    decision: Decision
+    policy: PolicySet
+    profile: str
+
+    @property
+    def need(self) -> ApprovalNeed | None:
+        """Return what authority asks for before launch."""
+        return self.decision.need
+
+    @property
+    def status(self) -> Status:
+        """Return the status an invocation begins in; `allowed` begins a session."""
+        status = self.decision.status
+        return Status.RUNNING if status == "allowed" else status
+
+    @property
+    def refused(self) -> bool:
+        """Say whether governance will not have it at all, now or later."""
+        verdict = self.decision.verdict
+        return (
+            self.decision.admission.outcome is AdmissionOutcome.REJECT
+            or verdict is None
+            or verdict.outcome is PolicyOutcome.DENY
+        )
+
+    def effective(self, requested: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the constrained parameters; those requested, where nothing was checked."""
+        verdict = self.decision.verdict
+        return dict(requested if verdict is None else verdict.effective)
+
+    def conforms(self, approved: Mapping[str, Any]) -> bool:
+        """Say whether an approved proposal may launch now, with exactly these parameters."""
+        if self.refused or self.decision.admission.outcome is AdmissionOutcome.DEFER:
+            return False
+        return self.effective({}) == dict(approved)
+
+    def reasons(self) -> tuple[Reason, ...]:
+        """Return all reasons, admission's first."""
+        verdict = self.decision.verdict
+        return (*self.decision.admission.reasons, *(() if verdict is None else verdict.reasons))
+
+    def parts(self) -> dict[str, Any]:
+        """Return what an invocation says of its decision: admission, policy, profile and policy version."""
+        return {
+            "admission": self.admission_document(),
+            "policy": self.policy_document(),
+            "profile": self.profile,
+            "policy_version": self.policy.digest,
+        }
+
+    def admission_document(self) -> dict[str, Any]:
+        """Return the admission as JSON; `retry_after_s` stands with a defer."""
+        admission = self.decision.admission
+        document: dict[str, Any] = {"outcome": admission.outcome, "reasons": reasons_document(admission.reasons)}
+        if admission.retry_after_s is not None:
+            document["retry_after_s"] = admission.retry_after_s
+        return document
+
+    def policy_document(self) -> dict[str, Any] | None:
+        """Return the verdict as JSON; None where admission left nothing to check."""
+        verdict = self.decision.verdict
+        if verdict is None:
+            return None
+        return {
+            "outcome": verdict.outcome,
+            "reasons": reasons_document(verdict.reasons),
+            "changes": [change._asdict() for change in verdict.changes],
+        }
+
+    def events(self, invocation: Invocation) -> list[EventDraft]:
+        """Return the events of the decision, as the invocation shows it."""
+        drafts = [
+            EventDraft(
+                kind=EventKind.ADMISSION,
+                actor=SERVER,
+                invocation=invocation.id,
+                body={**invocation.admission, "cell": invocation.cell, "profile": self.profile},
+            )
+        ]
+        if invocation.policy is not None:
+            drafts.append(
+                EventDraft(
+                    kind=EventKind.POLICY,
+                    actor=SERVER,
+                    invocation=invocation.id,
+                    body={
+                        **invocation.policy,
+                        "effective": invocation.effective,
+                        "profile": self.profile,
+                        "policy_version": self.policy.digest,
+                    },
+                )
+            )
+        return drafts
+
+    def refuse(self, invocation: Invocation) -> Invocation:
+        """Return the invocation ended as this decision says, after an approval that came too late for the world."""
+        status = self.status
+        if status not in REFUSED_OUTCOME:  # it may launch, but not with what was approved
+            reason = CHANGED._asdict()
+            admission = {"outcome": AdmissionOutcome.DEFER, "reasons": [*invocation.admission["reasons"], reason]}
+            return replace(invocation, status=Status.DEFERRED, outcome=Outcome.DEFERRED, admission=admission)
+        return replace(invocation, status=status, outcome=REFUSED_OUTCOME[status])
+
+    def ending_reasons(self) -> list[dict[str, str]]:
+        """Return why an approved proposal did not launch."""
+        if self.status not in REFUSED_OUTCOME:
+            return [CHANGED._asdict()]
+        return reasons_document(self.reasons())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Launching:
+    """A launch in the making: what has to be durable before it is sent."""
+
+    invocation: Invocation
+    events: tuple[EventDraft, ...]
+    rows: tuple[RowWrite, ...]
+
+
+class Kernel:
+    """Decides by the policy in force, and signs what may move."""
+
+    def __init__(
+        self,
+        register: Register,
+        fleet: Fleet,
+        policy: PolicySet,
+        signing_key: Ed25519PrivateKey,
+    ) -> None:
+        """Put a policy in force, under a signing key."""
+        self.policy = policy
+        self.identities = Identities(register.now_s)
+        self._register = register
+        self._fleet = fleet
+        self._key = signing_key
+        self._operator_heard_s: float | None = None
+        fleet.enforce(
+            kernel_key=key_text(signing_key.public_key().public_bytes_raw()),
+            policy_digest=policy.digest,
+            policy_files=policy.files,
+        )
+
+    # -- what the context knows --------------------------------------------------------------------------------------
+
+    def heard(self, principal: Principal) -> None:
+        """Note that somebody spoke; an operator heard lately is on duty."""
+        if principal.role is Role.OPERATOR:
+            self._operator_heard_s = monotonic_s()
+
+    @property
+    def operator_on_duty(self) -> bool:
+        """Say whether an operator was heard within the last `ON_DUTY_S`."""
+        return self._operator_heard_s is not None and monotonic_s() - self._operator_heard_s <= ON_DUTY_S
+
+    def risk(self, capability: str) -> str:
+        """Return the risk a capability declares."""
+        return self.policy.capabilities[capability].risk.value
+
+    def profiles(self) -> frozenset[str]:
+        """Return the profiles that policy knows."""
+        return frozenset(self.policy.profiles)
+
+    def fill_in(self, capability: str, params: Mapping[str, Any]) -> dict[str, Any]:
+        """Return parameters held against the capability's schema, defaults filled in.
+
+        A capability nobody registered has no schema: its parameters stay as they are, and admission rejects it.
+
+        Raises:
+            InvalidParams: what does not fit, each with its place.
+        """
+        found = self.policy.validate_params(capability, params)
+        if isinstance(found, tuple):
+            raise InvalidParams([{"path": _path(problem), "message": _message(problem)} for problem in found])
+        return dict(found)
+
+    def judge(self, proposal: Proposal, agent: str, cell: Cell | None) -> Judgement:
+        """Decide on a proposal with everything known now."""
+        policy = self.policy
+        profile = self._fleet.profile(cell)
+        context = Context(
+            time_s=self._register.now_s(),
+            profile=profile,
+            agent=policy.agent(agent),
+            cell=self._fleet.facts(cell),
+            operator_on_duty=self.operator_on_duty,
+        )
+        return Judgement(decide(policy, proposal, context), policy, profile)
+
+    # -- launching ---------------------------------------------------------------------------------------------------
+
+    @asynccontextmanager
+    async def launch(
+        self, invocation: Invocation, judgement: Judgement, approvals: tuple[str, ...] = ()
+    ) -> AsyncIterator[Launching]:
+        """Claim the cell, mint, let the caller make it durable inside, and only then send it.
+
+        Nothing is awaited between the decision and the claim, so one cell cannot be promised twice. If the inside
+        raises, the claim is given back and nothing was sent. A cell that is gone by then never gets it: the session
+        is resolved when the cell is back, or has been away too long.
+        """
+        cell = self._fleet.cell(invocation.cell or "")
+        self._fleet.claim(cell, invocation.id)
+        try:
+            authorization = self._authorization(invocation, judgement, approvals)
+            signed = mint(authorization, self._key)
+            yield self._launching(invocation, authorization, signed.body.decode())
+        except BaseException:
+            self._fleet.release(cell.id, invocation.id)
+            raise
+        if self._fleet.attached(cell):
+            self._fleet.order(
+                cell,
+                Launch(
+                    body=base64.b64encode(signed.body).decode(), signature=base64.b64encode(signed.signature).decode()
+                ),
+            )
+
+    def _launching(self, invocation: Invocation, authorization: Authorization, body: str) -> Launching:
+        now = self._register.now()
+        return Launching(
+            invocation=replace(
+                invocation,
+                status=Status.RUNNING,
+                terms=replace(
+                    invocation.terms, authorization=authorization.id, launched_at_s=authorization.issued_at_s
+                ),
+            ),
+            events=(
+                EventDraft(
+                    kind=EventKind.AUTHORIZATION,
+                    actor=SERVER,
+                    invocation=invocation.id,
+                    body={"authorization": orjson.loads(body), "cell": invocation.cell},
+                ),
+            ),
+            rows=(
+                RowWrite(
+                    table="permits_used",
+                    values={"permit": authorization.id, "invocation": invocation.id, "used_at": now},
+                    once=True,
+                ),
+            ),
+        )
+
+    def _authorization(self, invocation: Invocation, judgement: Judgement, approvals: tuple[str, ...]) -> Authorization:
+        policy = judgement.policy
+        now_s = self._register.now_s()
+        effective = dict(invocation.effective or {})
+        return Authorization(
+            id=self.identities.make("auth"),
+            invocation=invocation.id,
+            cell=invocation.cell or "",
+            capability=invocation.capability,
+            version=policy.capabilities[invocation.capability].version,
+            params=effective,
+            mode=invocation.terms.mode,
+            profile=judgement.profile,
+            policy_digest=policy.digest,
+            issued_at_s=now_s,
+            expires_at_s=now_s + LAUNCH_WITHIN_S,
+            recoveries=self._recoveries(invocation, judgement),
+            approvals=approvals,
+            confirm_before=confirm_before(policy, invocation.capability, judgement.profile),
+        )
+
+    def _recoveries(self, invocation: Invocation, judgement: Judgement) -> tuple[CoveredRecovery, ...]:
+        """Return the recoveries that are covered: each was decided by itself, and is as constrained as it came out."""
+        policy = judgement.policy
+        plan = recovery_plan(policy, invocation.capability, judgement.profile)
+        wanted: dict[tuple[Strategy, str, Mode], None] = {}
+        same = invocation.capability
+        for row in plan.rules:
+            for strategy in row.do:
+                match strategy:
+                    case Strategy.RETRY:
+                        wanted[strategy, same, invocation.terms.mode] = None
+                    case Strategy.SAFER_MODE if plan.careful_admitted:
+                        wanted[strategy, same, Mode.CAREFUL] = None
+                    case Strategy.RECOVERY_CAPABILITY if row.capability is not None:
+                        wanted[strategy, row.capability, Mode.NORMAL] = None
+                    case _:
+                        pass
+        if plan.rollback_capability is not None:  # an operator may ask for it even where no row does
+            wanted[Strategy.ROLLBACK, plan.rollback_capability, Mode.NORMAL] = None
+        covered = (self._cover(invocation, judgement, *key) for key in wanted)
+        return tuple(recovery for recovery in covered if recovery is not None)
+
+    def _cover(
+        self, invocation: Invocation, judgement: Judgement, strategy: Strategy, capability: str, mode: Mode
+    ) -> CoveredRecovery | None:
+        policy = judgement.policy
+        again = capability == invocation.capability
+        params = dict(invocation.effective or {}) if again else self.fill_in(capability, {})
+        cell = self._fleet.facts(self._fleet.cell(invocation.cell or ""))
+        context = Context(
+            time_s=self._register.now_s(),
+            profile=judgement.profile,
+            agent=policy.agent(invocation.agent) if again else policy.governance(),
+            cell=replace(cell, busy=None),  # it is this invocation that has it
+            operator_on_duty=self.operator_on_duty,
+        )
+        proposal = Proposal(capability=capability, params=params, metadata=invocation.terms.metadata, mode=mode)
+        decision = decide(policy, proposal, context)
+        # A new attempt at what a human approved needs no second approval; any other recovery must need none at all.
+        admitted = {AdmissionOutcome.ACCEPT, AdmissionOutcome.ESCALATE} if again else {AdmissionOutcome.ACCEPT}
+        allowed = {PolicyOutcome.ALLOW, PolicyOutcome.MODIFY} | ({PolicyOutcome.ESCALATE} if again else set())
+        verdict = decision.verdict
+        if decision.admission.outcome not in admitted or verdict is None or verdict.outcome not in allowed:
+            return None
+        return CoveredRecovery(strategy=strategy, capability=capability, params=dict(verdict.effective), mode=mode)
+
+
+def _path(problem: ParamProblem) -> str:
+    return f"params.{problem.param}" if problem.param else "params"
+
+
+def _message(problem: ParamProblem) -> str:
+    return f"{problem.message}; valid: {problem.remedy}" if problem.remedy else problem.message

@@ -1,0 +1,334 @@
+"""What cells report becomes the record, and what follows from it: statuses, outcomes, questions.
+
+Report and consequence are one transaction, so an invocation never says more than the log. A report can only be about an
+invocation of the cell that makes it, and only of a kind that a cell may say; anything else ends the link.
+
+When server and cell have lost sight of each other:
+
+| the server believes | the cell | becomes |
+|---|---|---|
+| a session | is back and holds it | `escalated`; a human decides |
+| a session | is back without it | `failed`, outcome `fault` (`session_lost`) |
+| a session | has been away for `LOST_S` | `escalated` (`link_lost`) |
+| a session | has been away for `absent_s` | `failed`, outcome `fault` (`cell_lost`) |
+| a launch | said nothing of it until its permit ran out | `failed`, outcome `fault` (`launch_unconfirmed`) |
+| no such session, or it has ended | holds one | is told to stop it |
+
+A cell that comes back after `absent_s` finds its session ended, and is told to stop: nothing goes on that the server
+has given up.
+"""
+
+from __future__ import annotations
+
+from contextlib import AsyncExitStack, suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final
+
+from app.audit.errors import RecordUnavailable
+from app.audit.event import EventDraft
+from app.governance.model import SESSION, EventKind, Outcome, Status
+from app.governance.session import final_status
+from app.protocol import Human, ProtocolError
+from app.runtime.desk import SERVER, outcome_event
+from app.runtime.kernel import LAUNCH_WITHIN_S
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from app.audit.event import RowWrite
+    from app.protocol import Hello, UpEvent
+    from app.runtime.desk import Desk
+    from app.runtime.escalation import Escalation
+    from app.runtime.fleet import Fleet
+    from app.runtime.invocation import Invocation
+    from app.runtime.register import Register
+    from app.runtime.telemetry import Telemetry
+
+LOST_S: Final = 1.0
+ABSENT_S: Final = 30.0
+REPORTABLE: Final = frozenset({
+    EventKind.LAUNCH, EventKind.ALERT, EventKind.INTERVENTION, EventKind.RECOVERY, EventKind.STATUS, EventKind.HUMAN,
+    EventKind.ESCALATION, EventKind.OUTCOME, EventKind.CELL,
+})  # fmt: skip
+
+
+class Sessions:
+    """Takes what cells say, and keeps invocations in step with it."""
+
+    def __init__(
+        self, register: Register, fleet: Fleet, desk: Desk, telemetry: Telemetry, *, absent_s: float = ABSENT_S
+    ) -> None:
+        """Take the parts; `absent_s` is how long a cell with a session may be away before it is given up."""
+        self._register = register
+        self._fleet = fleet
+        self._desk = desk
+        self._telemetry = telemetry
+        self._absent_s = absent_s
+        self._unsaid: list[EventDraft] = []  # notices the record could not take yet
+
+    # -- reports -----------------------------------------------------------------------------------------------------
+
+    def check(self, cell: str, event: UpEvent) -> None:
+        """Refuse a report this cell may not make.
+
+        Raises:
+            ProtocolError: a kind that only the server says, a status or outcome that is none, or an invocation that
+                is live on another cell.
+        """
+        if event.kind not in REPORTABLE:
+            raise ProtocolError(f"a cell does not report `{event.kind}`: valid are {', '.join(sorted(REPORTABLE))}")
+        match event.kind:
+            case EventKind.STATUS:
+                _member("status", event.body.get("status"), SESSION)
+            case EventKind.OUTCOME:
+                _member("outcome", event.body.get("outcome"), Outcome)
+            case _:
+                pass
+        known = None if event.invocation is None else self._register.newest(event.invocation)
+        if known is not None and known.cell != cell:
+            raise ProtocolError(f"`{event.invocation}` is not an invocation of the cell `{cell}`")
+
+    async def absorb(self, cell: str, events: Sequence[UpEvent], rows: Sequence[RowWrite]) -> None:
+        """Record reports with the rows given, and what follows from them, all of it or nothing.
+
+        Raises:
+            RecordUnavailable: nothing was recorded.
+        """
+        async with AsyncExitStack() as locks:
+            versions: dict[str, Invocation] = {}
+            for name in sorted({event.invocation for event in events if event.invocation is not None}):
+                entry = self._register.entry(name)
+                if entry is not None:
+                    await locks.enter_async_context(entry.lock)
+                    versions[name] = entry.newest
+            story = _Story(self._desk, versions)
+            for event in events:
+                story.tell(cell, event, self._register.now())
+            ended = story.ended()
+            drafts = [*story.drafts, *await self._telemetry.finish(ended)]
+            questions = story.questions.values()
+            await self._register.append(drafts, [*rows, *(item.row() for item in questions)], story.changed())
+            self._telemetry.recorded(ended)
+            self._desk.hold(*questions)
+
+    def telemetry(self, cell: str, invocation: str, rows: Sequence[tuple[float, ...]]) -> None:
+        """Keep rows of a session of this cell; rows of anything else are refused.
+
+        Raises:
+            ProtocolError: the invocation is live on another cell.
+        """
+        known = self._register.newest(invocation)
+        if known is not None and known.cell != cell:
+            raise ProtocolError(f"telemetry of `{invocation}`, which is not an invocation of the cell `{cell}`")
+        if known is not None:
+            self._telemetry.write(invocation, rows)
+
+    # -- coming and going --------------------------------------------------------------------------------------------
+
+    async def attached(self, cell: str, hello: Hello) -> None:
+        """Record that a cell is there."""
+        place = self._fleet.cell(cell)
+        body = {"link": "attached", **hello.model_dump(exclude={"type", "version", "cell"})}
+        draft = EventDraft(kind=EventKind.CELL, actor=cell, body=body, invocation=hello.invocation)
+        try:
+            await self._fleet.introduce(place, [draft])
+        except RecordUnavailable:
+            self._unsaid.append(draft)
+
+    async def left(self, cell: str) -> None:
+        """Record that a cell's link is gone."""
+        place = self._fleet.cell(cell)
+        await self._say(
+            EventDraft(kind=EventKind.CELL, actor=SERVER, body={"link": "lost", "cell": cell}, invocation=place.claim)
+        )
+
+    async def _say(self, draft: EventDraft) -> None:
+        """Record a notice, now or as soon as the record takes it; stopping must not wait for either."""
+        self._unsaid.append(draft)
+        await self._say_unsaid()
+
+    async def _say_unsaid(self) -> None:
+        unsaid, self._unsaid = self._unsaid, []
+        if not unsaid:
+            return
+        try:
+            await self._register.append(unsaid)
+        except RecordUnavailable:
+            self._unsaid = [*unsaid, *self._unsaid][-1000:]
+
+    async def reconcile(self, cell: str, hello: Hello) -> None:
+        """Compare what the cell holds with what the server believes, every older report being in."""
+        place = self._fleet.cell(cell)
+        if hello.invocation is not None and self._register.newest(hello.invocation) is None:
+            self._fleet.restrain(place, Human(invocation=hello.invocation, op="stop", actor=SERVER))
+        for invocation in self._sessions_of(cell):
+            if invocation.id == hello.invocation:
+                await self._ask(invocation.id, "link_returned", "the cell is back and has held the session meanwhile")
+            else:
+                await self._fault(invocation.id, "session_lost", "the cell is back without the session")
+
+    async def overdue(self, cell: str, absent_s: float | None) -> None:
+        """See to a session whose cell is away, and to a launch that nobody confirmed."""
+        await self._say_unsaid()
+        for invocation in self._sessions_of(cell):
+            with suppress(RecordUnavailable):  # tried again at the next round
+                await self._overdue(invocation, absent_s)
+
+    async def _overdue(self, invocation: Invocation, absent_s: float | None) -> None:
+        launched_s = invocation.terms.launched_at_s
+        unconfirmed = not invocation.terms.confirmed and launched_s is not None
+        if absent_s is not None and absent_s > self._absent_s:
+            await self._fault(invocation.id, "cell_lost", f"the cell has been away for more than {self._absent_s} s")
+        elif absent_s is not None and absent_s > LOST_S:
+            await self._ask(invocation.id, "link_lost", "the link to the cell is lost; the cell holds by itself")
+        elif (
+            absent_s is None and unconfirmed and self._register.now_s() > (launched_s or 0.0) + LAUNCH_WITHIN_S + LOST_S
+        ):
+            self._fleet.restrain(
+                self._fleet.cell(invocation.cell or ""), Human(invocation=invocation.id, op="stop", actor=SERVER)
+            )
+            await self._fault(invocation.id, "launch_unconfirmed", "the cell never confirmed the launch")
+
+    def _sessions_of(self, cell: str) -> list[Invocation]:
+        return [known for known in self._register.live() if known.cell == cell and known.status in SESSION]
+
+    async def _ask(self, name: str, code: str, message: str) -> None:
+        """Escalate a session, unless a human has been asked already."""
+        entry = self._register.entry(name)
+        if entry is None:
+            return
+        async with entry.lock:
+            present = entry.newest
+            if present.status not in SESSION or self._desk.pending_for(name) is not None:
+                return
+            now = self._register.now()
+            question = self._desk.session_question(present, [_reason(code, message)])
+            asked = present.evolve(now, status=Status.ESCALATED, escalation=question.reference())
+            draft = EventDraft(
+                kind=EventKind.ESCALATION, actor=SERVER, invocation=name, body={"escalation": question.public()}
+            )
+            await self._desk.commit([draft], question, asked)
+
+    async def _fault(self, name: str, code: str, message: str) -> None:
+        """End a session as a fault."""
+        entry = self._register.entry(name)
+        if entry is None:
+            return
+        async with entry.lock:
+            present = entry.newest
+            if present.status not in SESSION:
+                return
+            open_question = self._desk.withdrawal(name)
+            changes: dict[str, Any] = {} if open_question is None else {"escalation": open_question.reference()}
+            ended = present.evolve(self._register.now(), status=Status.FAILED, outcome=Outcome.FAULT, **changes)
+            drafts = [*await self._telemetry.finish([name]), outcome_event(ended, SERVER, _reason(code, message))]
+            rows = [] if open_question is None else [open_question.row()]
+            await self._register.append(drafts, rows, [ended])
+            self._telemetry.recorded([name])
+            if open_question is not None:
+                self._desk.hold(open_question)
+
+
+class _Story:
+    """A batch of reports on its way into the record: drafts in order, and the newest version of what they change."""
+
+    def __init__(self, desk: Desk, versions: dict[str, Invocation]) -> None:
+        self._desk = desk
+        self._before = dict(versions)
+        self._versions = versions
+        self.drafts: list[EventDraft] = []
+        self.questions: dict[str, Escalation] = {}
+
+    def changed(self) -> list[Invocation]:
+        return [version for name, version in self._versions.items() if version is not self._before[name]]
+
+    def ended(self) -> list[str]:
+        return [version.id for version in self.changed() if version.final]
+
+    def tell(self, cell: str, event: UpEvent, at: str) -> None:
+        name = event.invocation
+        version = None if name is None else self._versions.get(name)
+        extra: Mapping[str, Any] = {}
+        if version is not None and not version.final:
+            extra = self._follow(version, event, at)
+        body = {**event.body, **extra, "cell_seq": event.seq, "cell_at_s": event.at_s, "tick": event.tick}
+        if event.actor != cell:
+            body["actor"] = event.actor
+        self.drafts.append(EventDraft(kind=event.kind, actor=cell, invocation=name, body=body))
+
+    def _follow(self, version: Invocation, event: UpEvent, at: str) -> Mapping[str, Any]:
+        """Change the invocation as the report says; returns what the record adds to the report."""
+        match event.kind:
+            case EventKind.LAUNCH:
+                self._versions[version.id] = version.evolve(at, terms=replace(version.terms, confirmed=True))
+            case EventKind.STATUS:
+                return self._status(version, Status(str(event.body["status"])), event, at)
+            case EventKind.ESCALATION:
+                return self._status(version, Status.ESCALATED, event, at)
+            case EventKind.OUTCOME:
+                outcome = Outcome(str(event.body["outcome"]))
+                return self._end(version, outcome, at)
+            case _:
+                pass
+        return {}
+
+    def _status(self, version: Invocation, status: Status, event: UpEvent, at: str) -> Mapping[str, Any]:
+        question = self._open(version.id)
+        if status is Status.ESCALATED and question is None:
+            question = self._desk.session_question(version, _reasons_of(event))
+            self.questions[question.id] = question
+            self._versions[version.id] = version.evolve(at, status=status, escalation=question.reference())
+            return {"escalation": question.public()}
+        if status is not Status.ESCALATED and question is not None:
+            return self._withdraw(version, question, at, status=status)
+        if status is not version.status:
+            self._versions[version.id] = version.evolve(at, status=status)
+        return {}
+
+    def _end(self, version: Invocation, outcome: Outcome, at: str) -> Mapping[str, Any]:
+        question = self._open(version.id)
+        status = final_status(outcome)
+        if question is not None:
+            return self._withdraw(version, question, at, status=status, outcome=outcome)
+        self._versions[version.id] = version.evolve(at, status=status, outcome=outcome)
+        return {}
+
+    def _withdraw(self, version: Invocation, question: Escalation, at: str, **changes: Any) -> Mapping[str, Any]:  # noqa: ANN401
+        closed = question.evolve(at, status="withdrawn")
+        self.questions[closed.id] = closed
+        self._versions[version.id] = version.evolve(at, escalation=closed.reference(), **changes)
+        return {"withdrawn": closed.id}
+
+    def _open(self, name: str) -> Escalation | None:
+        for question in self.questions.values():
+            if question.invocation == name:
+                return question if question.status == "pending" else None
+        return self._desk.pending_for(name)
+
+
+def _reasons_of(event: UpEvent) -> list[dict[str, str]]:
+    """Return why the cell asks, as reasons; a cell says it as `reasons`, or as a code with a message."""
+    given = event.body.get("reasons")
+    if isinstance(given, list) and given and all(isinstance(item, dict) for item in given):
+        return [_reason_from(item) for item in given if isinstance(item, dict)]
+    code = str(event.body.get("code") or event.body.get("reason") or "escalated")
+    return [_reason(code, str(event.body.get("message") or "the session is held and asks for a human"))]
+
+
+def _reason_from(item: Mapping[str, Any]) -> dict[str, str]:
+    return {
+        "rule": str(item.get("rule", "session")),
+        "code": str(item.get("code", "escalated")),
+        "message": str(item.get("message", "")),
+        "remedy": str(item.get("remedy", "")),
+    }
+
+
+def _reason(code: str, message: str) -> dict[str, str]:
+    return {"rule": "runtime/session", "code": code, "message": message, "remedy": ""}
+
+
+def _member(what: str, value: object, valid: Any) -> None:  # noqa: ANN401  # an enumeration or a set of one
+    names = sorted(str(item) for item in valid)
+    if value not in names:
+        raise ProtocolError(f"`{value}` is no {what}: valid are {', '.join(names)}")
