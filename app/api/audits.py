@@ -5,6 +5,7 @@ Events are sent as the very bytes that were hashed.
 
 from __future__ import annotations
 
+import asyncio
 from base64 import b64encode
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
@@ -23,17 +24,20 @@ from app.audit.checkpoint import parse_checkpoint
 from app.clock import parse_rfc3339, rfc3339
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator
+    from collections.abc import AsyncGenerator
 
     from fastapi import APIRouter
 
     from app.audit.event import Event
+    from app.runtime.feed import Feed
 
 MAX_EVENTS = 1000
 MAX_SEQ = 2**63 - 1
-PAGE_EVENTS = 200
+MAX_DIGITS = 18
 HEARTBEAT_S = 10.0
+HEARTBEAT = b": still here\n\n"
 RETRY_MS = 1000
+STREAM = "text/event-stream"
 
 
 def _moment(text: str) -> str:
@@ -99,35 +103,60 @@ async def checkpoint(request: Request) -> Response:
 
 async def verify(request: Request) -> Response:
     """Recompute the whole log from its stored bytes; `first_bad` is the first event that does not hold."""
-    return answer(asdict(await parts_of(request).store.verify()))
+    parts = parts_of(request)
+    async with parts.verifying:  # it reads everything there is: one at a time
+        return answer(asdict(await parts.store.verify()))
 
 
 async def stream(request: Request, query: Annotated[StreamQuery, Query()]) -> Response:
-    """Send events as they become durable, as server-sent events: `id` is the `seq`, `event` the kind, `data` the event.
+    """Send events as they become durable, as server-sent events.
+
+    `id` is the `seq`, `event` the kind, `data` the event as it was hashed.
 
     A client that comes back with `Last-Event-ID` gets everything it missed. A comment is sent every few seconds, so
-    that a dead connection shows.
+    that a dead connection shows; a client that does not keep up is cut off, and comes back the same way.
     """
+    parts = parts_of(request)
     after = _last_event_id(request) if "last-event-id" in request.headers else query.after
-    headers = {"X-Accel-Buffering": "no"}
-    return StreamingResponse(_stream(request, after), media_type="text/event-stream", headers=headers)
+    # "From now on" is fixed before the first byte is out, so that what happens meanwhile is not missed.
+    chunks = _chunks(parts.feed, parts.store.size if after is None else after)
+    return StreamingResponse(chunks, media_type=STREAM, headers={"X-Accel-Buffering": "no"})
 
 
 def _last_event_id(request: Request) -> int:
     text = request.headers["last-event-id"]
-    if not (text.isascii() and text.isdigit()) or len(text) > 18:
+    if not (text.isascii() and text.isdigit()) or len(text) > MAX_DIGITS:
         raise Problem("cursor_invalid", f"`{text[:40]}` is no `Last-Event-ID`: valid is the `id` of an event")
     return int(text)
 
 
-def sse(event: Event) -> bytes:
-    """Return an event as one server-sent event; JSON bytes hold no line breaks."""
-    return b"id: %d\nevent: %s\ndata: %s\n\n" % (event.seq, event.kind.encode(), event.body)
+async def _chunks(feed: Feed, after: int) -> AsyncGenerator[bytes]:
+    yield b"retry: %d\n\n" % RETRY_MS
+    with feed.subscribe(after=after) as subscription:
+        batches = aiter(subscription)
+        waiting: asyncio.Future[list[Event] | None] | None = None
+        try:
+            while True:
+                # A wait that ran out must not cancel the iteration, so it goes on as a task of its own.
+                waiting = waiting or asyncio.ensure_future(anext(batches, None))
+                await asyncio.wait({waiting}, timeout=HEARTBEAT_S)
+                if not waiting.done():
+                    yield HEARTBEAT
+                    continue
+                batch, waiting = waiting.result(), None
+                if batch is None:
+                    return
+                yield b"".join(as_sse(event) for event in batch)
+        finally:
+            if waiting is not None:
+                waiting.cancel()
+                await asyncio.wait({waiting})
 
 
-async def _stream(request: Request, after: int | None) -> AsyncIterator[bytes]:
-    raise NotImplementedError
-    yield b""
+def as_sse(event: Event) -> bytes:
+    """Return an event as one server-sent event; JSON has no line breaks of its own."""
+    kind = event.kind if event.kind.isidentifier() else "event"
+    return b"id: %d\nevent: %s\ndata: %s\n\n" % (event.seq, kind.encode(), event.body)
 
 
 def register(router: APIRouter) -> None:
@@ -144,7 +173,5 @@ def register(router: APIRouter) -> None:
         router,
         "GET /v1/events",
         stream,
-        Answers(
-            model=documents.EventDocument, media_type="text/event-stream", codes=("request_invalid", "cursor_invalid")
-        ),
+        Answers(model=documents.EventDocument, media_type=STREAM, codes=("request_invalid", "cursor_invalid")),
     )

@@ -278,10 +278,15 @@ class CapabilityList(Document):
     next: None
 
 
-class PolicySetDocument(Anything):
-    """The policy set in force, identified by the digest of its contents."""
+class PolicySetDocument(Document):
+    """The policy set in force: `version` is the digest of its files, which invocations name as `policy_version`."""
 
-    digest: str
+    version: str
+    capabilities: list[str]
+    profiles: dict[str, Any]
+    rules: list[dict[str, Any]]
+    agents: dict[str, Any]
+    files: list[str]
 
 
 class Health(Document):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, cast
 
@@ -34,6 +35,7 @@ class Parts:
     store: AuditStore
     policy: Callable[[], PolicySet]
     principals: Principals
+    verifying: asyncio.Lock = field(default_factory=asyncio.Lock)
     checks: Mapping[str, Callable[[], str | None]] = field(default_factory=dict[str, "Callable[[], str | None]"])
 
 
