@@ -146,7 +146,7 @@ def verify(
     except InvalidSignature as error:
         raise PermitError("bad_signature", "the signature does not match the body under the pinned key") from error
     permit = _read(signed.body)
-    for code, refused, detail in (
+    checks: tuple[tuple[PermitCode, bool, str], ...] = (
         ("wrong_cell", permit.cell != cell, f"permit is for `{permit.cell}`, this is `{cell}`"),
         (
             "wrong_policy",
@@ -161,7 +161,8 @@ def verify(
         ),
         ("expired", not now_s < permit.expires_at_s, f"permit expired at `{permit.expires_at_s}`, it is `{now_s}`"),
         ("used", permit.id in used, f"permit `{permit.id}` was bound before; a permit is good for one launch"),
-    ):
+    )
+    for code, refused, detail in checks:
         if refused:
             raise PermitError(code, detail, permit.invocation)
     return Grant(authorization=permit, _proof=_PROOF)

@@ -1,0 +1,164 @@
+"""One session as the runner carries it from tick to tick: what is bound, how fast it runs, and what it waits for.
+
+Plain state without decisions: those are governance's (`watcher`, `intervention`, `recovery`, `session`) and the
+runner's, who applies them. Two things are worked out here because they follow from the state alone: how the rate
+ramps, and when everything stands still.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+from app.governance.intervention import NOTHING, InterventionState, Responses
+from app.governance.model import Alert, Outcome, Status
+from app.governance.recovery import Budgets, RecoveryDecision
+from app.governance.watcher import Watcher, WatchState, compile_watch
+
+if TYPE_CHECKING:
+    from app.cell.substrate import Skill
+    from app.governance.model import Command, Observation, Params, RecoveryPlan, WatchPlan, WorldFacts
+    from app.governance.permit import Grant
+
+ARM_DECELERATION_MPS2: Final = 2.5
+SHORTEST_RAMP_S: Final = 0.05
+RAMP_UP_S: Final = 0.3
+STILL_BASE_MPS: Final = 0.02
+STILL_JOINT_RADPS: Final = 0.05
+LONGEST_WAIT_TICKS: Final = 150
+
+
+class Doing(StrEnum):
+    """What is bound at present: the authorized capability, a recovery capability, or the rollback."""
+
+    ATTEMPT = "attempt"
+    RECOVERY = "recovery"
+    ROLLBACK = "rollback"
+
+
+@dataclass(frozen=True, slots=True)
+class Bind:
+    """Once still: bind this and go on."""
+
+    doing: Doing
+    capability: str
+    params: Params
+    careful: bool
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """Once still: end the session. `category` is the stop category to end with, None to only lock the actuators."""
+
+    outcome: Outcome
+    code: str
+    category: int | None = None
+
+
+Next: TypeAlias = Bind | End
+
+
+@dataclass(slots=True, kw_only=True)
+class Run:
+    """The session under way."""
+
+    grant: Grant
+    plan: WatchPlan
+    recovery: RecoveryPlan
+    skill: Skill
+    watcher: Watcher
+    responses: Responses
+    watching: WatchState
+    previous: Command
+    began: WorldFacts
+    first_tick: int
+    status: Status = Status.RUNNING
+    doing: Doing = Doing.ATTEMPT
+    rate: float = 0.0
+    ramp_s: float = SHORTEST_RAMP_S
+    responding: InterventionState = NOTHING
+    used: Budgets = field(default_factory=Budgets)
+    recoveries: int = 0
+    next: Next | None = None
+    deciding: RecoveryDecision | None = None
+    paused_by: set[str] = field(default_factory=set[str])
+    escalated_by: str = ""
+    failed: Alert | None = None
+    confirmed: set[str] = field(default_factory=set[str])
+    settling_ticks: int = 0
+    unmet: tuple[str, ...] = ()
+    still_ticks: int = 0
+    speaking: dict[str, int] = field(default_factory=dict[str, int])
+    hold_after_recovery: bool = False
+    rows: bytearray = field(default_factory=bytearray)
+    row_count: int = 0
+
+    @property
+    def id(self) -> str:
+        """Return the invocation."""
+        return self.grant.authorization.invocation
+
+    @property
+    def recovering(self) -> bool:
+        """Say whether what is bound is a recovery rather than the capability itself."""
+        return self.doing is not Doing.ATTEMPT
+
+    def watch_with(self, plan: WatchPlan, period_s: float) -> None:
+        """Go on under another plan, with timers of its own; estimates live on."""
+        self.plan = plan
+        self.watcher = compile_watch(plan, period_s)
+        self.responses = Responses(self.watcher.rules, period_s)
+        self.watching = self.watcher.begin(self.watching)
+
+    def moves(self) -> bool:
+        """Say whether the skill is to be let run."""
+        return self.next is None and self.status in (Status.RUNNING, Status.RECOVERING)
+
+    def ramp(self, period_s: float) -> float:
+        """Advance the rate by one tick and return it: towards 1 where the skill may move, else to 0 as declared."""
+        if self.moves():
+            self.rate = min(1.0, self.rate + period_s / RAMP_UP_S)
+        elif self.rate > 0.0:
+            self.rate = max(0.0, self.rate - period_s / self.ramp_s)
+        return self.rate
+
+    def brake(self, seen: Observation) -> None:
+        """Choose the ramp down: the base at its declared deceleration, the arm at its own, the slower of the two."""
+        vx, vy, _ = seen.base_velocity
+        base_s = math.hypot(vx, vy) / self.plan.base_deceleration_mps2
+        arm_s = seen.tcp_speed_mps / ARM_DECELERATION_MPS2
+        # max() over values that may be NaN: the constant goes first, so that it wins against what is no number.
+        self.ramp_s = max(SHORTEST_RAMP_S, base_s, arm_s) / max(self.rate, 0.1)
+        self.still_ticks = 0
+
+    def still(self, seen: Observation) -> bool:
+        """Say whether everything has come to rest (or has had long enough to)."""
+        if self.rate > 0.0:
+            return False
+        self.still_ticks += 1
+        vx, vy, _ = seen.base_velocity
+        resting = math.hypot(vx, vy) < STILL_BASE_MPS and max(map(abs, seen.joint_speed_radps)) < STILL_JOINT_RADPS
+        return self.still_ticks >= LONGEST_WAIT_TICKS or (resting and self.still_ticks >= 3)
+
+
+def not_restored(began: WorldFacts, ended: WorldFacts, params: Params) -> tuple[str, ...]:
+    """Name what a rollback did not bring back, judged by sensors; empty when it is verified.
+
+    Compared are the pose of the base, what the gripper holds, and the object that was handled. An object that cannot be
+    seen is not verified.
+    """
+    x, y, yaw = ended.base
+    x0, y0, yaw0 = began.base
+    missing: list[str] = []
+    if not (math.hypot(x - x0, y - y0) <= 0.15 and abs(math.remainder(yaw - yaw0, math.tau)) <= 0.15):
+        missing.append("base_pose")
+    if ended.holding != began.holding:
+        missing.append("holding")
+    handled = params.get("object_id")
+    if isinstance(handled, str) and began.holding is None and (was := began.objects.get(handled)) is not None:
+        now = ended.objects.get(handled)
+        if now is None or not now.visible or not math.hypot(now.x_m - was.x_m, now.y_m - was.y_m) <= 0.1:
+            missing.append("object_pose")
+    return tuple(missing)

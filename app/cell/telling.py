@@ -1,0 +1,176 @@
+"""What a cell says about a session: the bodies of its events, and the rows of its telemetry.
+
+One function per kind of event, so that the whole vocabulary of a trace can be read here. Bodies are JSON objects; a
+number that is not finite becomes null, because JSON has none and a guard's broken reading must not break its record.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+from app.governance.model import EventKind, Signal, Strategy
+from app.protocol import ROW, ROWS_PER_BATCH
+
+if TYPE_CHECKING:
+    from app.governance.detectors import Signals
+    from app.governance.model import Alert, Authorization, Intervention, Json, Observation, Outcome, Status, WatchPlan
+    from app.governance.recovery import RecoveryDecision
+
+__all__ = ["ROWS_PER_BATCH", "Saying", "row"]
+
+CELL = "cell"
+
+
+class Saying(NamedTuple):
+    """One entry before it has a number and a time."""
+
+    tick: int
+    kind: str
+    invocation: str | None
+    actor: str
+    body: dict[str, Json]
+
+
+def launch(permit: Authorization, tick: int) -> Saying:
+    """The permit is used up and its capability is about to be bound."""
+    body: dict[str, Json] = {
+        "permit": permit.id,
+        "capability": permit.capability,
+        "profile": permit.profile,
+        "policy_digest": permit.policy_digest,
+        "params": dict(permit.params),
+        "mode": permit.mode.value,
+        "recoveries": [f"{one.strategy}:{one.capability}" for one in permit.recoveries],
+    }
+    return Saying(tick, EventKind.LAUNCH, permit.invocation, CELL, body)
+
+
+def launch_refused(invocation: str | None, code: str, detail: str, tick: int) -> Saying:
+    """An authorization was not good enough; nothing moved."""
+    return Saying(tick, EventKind.LAUNCH, invocation, CELL, {"refused": code, "detail": detail})
+
+
+def status(invocation: str, now: Status, before: Status | None, reason: str, tick: int) -> Saying:
+    """The session has another status."""
+    body: dict[str, Json] = {"status": now.value, "before": None if before is None else before.value, "reason": reason}
+    return Saying(tick, EventKind.STATUS, invocation, CELL, body)
+
+
+def alert(invocation: str, said: Alert, stale: tuple[str, ...], tick: int) -> Saying:
+    """A watch rule has begun to be violated."""
+    body = _alert(said)
+    if stale:
+        body["stale"] = list(stale)
+    return Saying(tick, EventKind.ALERT, invocation, CELL, body)
+
+
+def quiet(invocation: str, rule: str, tick: int) -> Saying:
+    """A watch rule has not been violated for a while."""
+    return Saying(tick, EventKind.ALERT, invocation, CELL, {"signal": Signal.NORMAL.value, "rule": rule})
+
+
+def completion(invocation: str, doing: str, plan: WatchPlan, tick: int) -> Saying:
+    """What was bound is done, and its postconditions were verified."""
+    body: dict[str, Json] = {
+        "signal": Signal.COMPLETION.value,
+        "rule": "watch/completion",
+        "of": doing,
+        "capability": plan.capability,
+        "verified": list(plan.postconditions),
+    }
+    return Saying(tick, EventKind.ALERT, invocation, CELL, body)
+
+
+def intervention(invocation: str, what: Intervention, because: Alert, tick: int) -> Saying:
+    """The watcher's word has a consequence."""
+    body: dict[str, Json] = {"intervention": what.value, **_alert(because)}
+    return Saying(tick, EventKind.INTERVENTION, invocation, CELL, body)
+
+
+def escalation(invocation: str, reason: str, failed: Alert | None, tick: int) -> Saying:
+    """The session waits for a human."""
+    body: dict[str, Json] = {"reason": reason, "failure": None if failed is None else failed.failure or failed.rule}
+    return Saying(tick, EventKind.ESCALATION, invocation, CELL, body)
+
+
+def recovery(invocation: str, decision: RecoveryDecision, unmet: tuple[str, ...], tick: int) -> Saying:
+    """What is tried about a failure, decided before it moves."""
+    cover = decision.covered
+    body: dict[str, Json] = {
+        "failure": decision.failure,
+        "strategy": decision.strategy.value,
+        "reason": decision.reason,
+        "capability": None if cover is None else cover.capability,
+        "params": {} if cover is None else dict(cover.params),
+        "retries": decision.used.retries,
+        "unmet": list(unmet),
+    }
+    return Saying(tick, EventKind.RECOVERY, invocation, CELL, body)
+
+
+def asked_again(invocation: str, failed: Alert, tick: int) -> Saying:
+    """A human let a session that had failed try again."""
+    body: dict[str, Json] = {
+        "failure": failed.failure or failed.rule,
+        "strategy": Strategy.RETRY.value,
+        "reason": "operator",
+    }
+    return Saying(tick, EventKind.RECOVERY, invocation, CELL, body)
+
+
+def human(invocation: str, op: str, actor: str, refused: str | None, tick: int) -> Saying:
+    """An operator said something, and whether it was done."""
+    return Saying(tick, EventKind.HUMAN, invocation, actor, {"op": op, "done": refused is None, "refused": refused})
+
+
+def cell(what: str, actor: str, tick: int, detail: str = "") -> Saying:
+    """Something about the cell itself."""
+    return Saying(tick, EventKind.CELL, None, actor, {"what": what, "detail": detail})
+
+
+def outcome(invocation: str, label: Outcome, code: str, tick: int, **facts: Json) -> Saying:
+    """The session has ended."""
+    return Saying(tick, EventKind.OUTCOME, invocation, CELL, {"outcome": label.value, "code": code, **facts})
+
+
+def _alert(said: Alert) -> dict[str, Json]:
+    return {
+        "signal": said.signal.value,
+        "rule": said.rule,
+        "value": _finite(said.value),
+        "threshold": _finite(said.threshold),
+        "failure": said.failure,
+    }
+
+
+def _finite(number: float) -> float | None:
+    return number if math.isfinite(number) else None
+
+
+def row(seen: Observation, signals: Signals, progress: float, rate: float) -> bytes:
+    """Pack one control tick as `protocol.CHANNELS` lists it."""
+    tcp_x, tcp_y, tcp_z = seen.tcp_m
+    return ROW.pack(
+        seen.time_s,
+        signals.base_x_m,
+        signals.base_y_m,
+        signals.base_yaw_rad,
+        signals.base_speed_mps,
+        tcp_x,
+        tcp_y,
+        tcp_z,
+        seen.tcp_speed_mps,
+        signals.contact_force_n,
+        seen.peak_force_n,
+        seen.grip_width_m,
+        seen.grip_force_n,
+        signals.slip_m,
+        signals.residual_nm,
+        signals.separation_m,
+        signals.protective_separation_m,
+        signals.zone_margin_m,
+        progress,
+        rate,
+        *seen.joint_rad,
+    )
