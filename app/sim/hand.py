@@ -1,0 +1,44 @@
+"""What the robot remembers of its own doing: what it holds and from where, and the way it came; and which surface is where."""
+
+from __future__ import annotations
+
+from math import cos, sin
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from app.governance.model import Site, Surface, Vec3
+
+
+class Hand(NamedTuple):
+    """What the robot believes to hold: how far the tool was above the support, and from where it took the object (world frame)."""
+
+    name: str
+    above_support_m: float
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    support_z_m: float
+
+
+class Mark(NamedTuple):
+    """One point of the recorded safe path: commanded joints, believed base pose, whether the base drove, whether the pads held something."""
+
+    joints: NDArray[np.float64]
+    base: Vec3
+    driving: bool
+    holding: bool
+
+
+def on_surface(surface: Surface, x_m: float, y_m: float, *, margin_m: float = 0.0) -> bool:
+    """Tell whether a point of the world lies on a surface, `margin_m` away from its edges."""
+    dx, dy, c, s = x_m - surface.x_m, y_m - surface.y_m, cos(surface.yaw_rad), sin(surface.yaw_rad)
+    return abs(c * dx + s * dy) <= surface.half_x_m - margin_m and abs(-s * dx + c * dy) <= surface.half_y_m - margin_m
+
+
+def support(site: Site, x_m: float, y_m: float) -> Surface | None:
+    """Return the surface under a point of the world."""
+    return next((surface for surface in site.surfaces.values() if on_surface(surface, x_m, y_m)), None)

@@ -1,0 +1,363 @@
+"""The physics below the sensors: actuators with their servos and brakes, five substeps per control tick, and what truly happened.
+
+Nothing above this file touches `MjData`. Truth leaves it through `Tick` (what the sensors are made from) and the `true_*` queries
+(evaluation, perception); skills see neither.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, field
+from math import cos, hypot, sin
+from typing import TYPE_CHECKING, NamedTuple
+
+import mujoco
+import numpy as np
+
+from app.sim import robot
+from app.sim.world import CRATE_HALF_M, CRATES, HIP_M, LEVER_SWING_RAD, PERSON_PARTS, PHYSICS_STEP_S, SUBSTEPS, UNDER_FLOOR_M, build_world
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from app.governance.model import Command, Site
+
+    Floats = NDArray[np.float64]
+
+_FEED_FORWARD_S = np.array(robot.ARM_KV) / np.array(robot.ARM_KP)
+_BRAKE_ARM_NM, _BRAKE_BASE_N = 400.0, 3000.0
+_BASE_HOLD_PER_S, _BASE_HOLD_MAX = 5.0, 0.05
+_SCALING_LEAK_S = 1.5
+# Model fields that faults and brakes edit; a snapshot carries them beside the integration state.
+_EDITED = ("dof_frictionloss", "actuator_gainprm", "actuator_biasprm", "body_gravcomp", "geom_friction", "geom_priority", "body_mass", "body_inertia",
+           "body_ipos", "geom_contype", "geom_conaffinity")  # fmt: skip
+
+
+@dataclass(slots=True)
+class Drives:
+    """What the low-level drives remember between ticks, and the faults in them."""
+
+    joint_rad: Floats
+    grip_force_n: float = 0.0
+    powered: bool = True
+    base_hold: Floats | None = None
+    scaling_offset_rad: Floats = field(default_factory=lambda: np.zeros(6))
+    grip_gain: float = 1.0
+    speed_gain: float = 1.0
+    strength: float = 1.0
+
+
+class Tick(NamedTuple):
+    """What physically happened in one control tick; arrays, noise-free.
+
+    `wrist_force` and `wrist_acceleration` are 5 × 3 in the wrist frame, one row per substep; `pad_force_n` is the mean of each pad;
+    `base_velocity` is in the base frame.
+    """
+
+    joint_rad: Floats
+    joint_speed: Floats
+    joint_torque: Floats
+    wrist_force: Floats
+    wrist_acceleration: Floats
+    pad_force_n: Floats
+    width_m: float
+    base_pose: Floats
+    base_velocity: Floats
+
+
+class Plant:
+    """The simulated world and the robot's drives."""
+
+    def __init__(self, site: Site, *, people: int, robot_mjcf: Path | None = None) -> None:
+        """Build the world with the robot at the site's start, arm drawn in and gripper open."""
+        self.model = build_world(site, people=people, robot_mjcf=robot_mjcf)
+        self.data = mujoco.MjData(self.model)
+        self.people = people
+        self.objects = tuple(site.objects)
+        self._look_up(site)
+        start = site.targets[site.start]
+        self.drives = Drives(joint_rad=np.array(robot.HOME_RAD))
+        self.data.qpos[self._base_q] = (start.x_m, start.y_m, start.yaw_rad)
+        self.data.qpos[self._arm_q] = robot.HOME_RAD
+        self.data.qpos[self._finger_q] = robot.FINGER_STROKE_M
+        for tool in site.tools.values():
+            if tool.kind == "lever":
+                self.data.qpos[self._tool_q[tool.name]] = LEVER_SWING_RAD
+        self._force = np.zeros((2 * SUBSTEPS, self.model.nsensordata))  # this tick's rows after the last one's
+        self._torque = np.zeros((SUBSTEPS, 6))
+        self._asleep: set[str] = set()
+        mujoco.mj_forward(self.model, self.data)
+
+    def _look_up(self, site: Site) -> None:
+        model = self.model
+        self._base_q = np.array([model.joint(n).qposadr[0] for n in robot.BASE_JOINTS])
+        self._arm_q = np.array([model.joint(n).qposadr[0] for n in robot.ARM_JOINTS])
+        self._finger_q = np.array([model.joint(n).qposadr[0] for n in robot.FINGER_JOINTS])
+        self._base_v = np.array([model.joint(n).dofadr[0] for n in robot.BASE_JOINTS])
+        self._arm_v = np.array([model.joint(n).dofadr[0] for n in robot.ARM_JOINTS])
+        self._arm_u = np.array([model.actuator(n).id for n in robot.ARM_JOINTS])
+        self._base_u = np.array([model.actuator(n).id for n in robot.BASE_JOINTS])
+        self._grip_u = int(model.actuator(robot.GRIP_ACTUATOR).id)
+        self._object_body = {n: int(model.body(n).id) for n in site.objects}
+        self._object_q = {n: int(model.joint(n).qposadr[0]) for n in site.objects}
+        self._object_v = {n: int(model.joint(n).dofadr[0]) for n in site.objects}
+        self._object_geom = {n: int(model.geom(n).id) for n in site.objects}
+        self._pads = tuple(int(model.geom(n).id) for n in robot.PAD_GEOMS)
+        self._tool_q = {n: int(model.joint(n).qposadr[0]) for n in site.tools}
+        self._tcp = int(model.site(robot.TCP_SITE).id)
+        self._gripper_kg = float(model.body_subtreemass[model.body("gripper").id])
+        self._powered = {name: getattr(model, name).copy() for name in _EDITED}
+
+    # -- moving ----------------------------------------------------------------------------------------------------------------------
+
+    def step(self, command: Command) -> Tick:
+        """Apply a command for one control period."""
+        drives = self.drives
+        if drives.powered:
+            self._drive_arm(command)
+            self._drive_base(command)
+        self._drive_grip(command.grip_force_n)
+        model, data = self.model, self.data
+        self._force[:SUBSTEPS] = self._force[SUBSTEPS:]
+        for k in range(SUBSTEPS):
+            mujoco.mj_step(model, data)
+            self._force[SUBSTEPS + k] = data.sensordata
+            self._torque[k] = data.qfrc_actuator[self._arm_v]
+        mujoco.mj_kinematics(model, data)  # poses of now, not of the last substep's beginning: the same that a restored state has
+        return self.read()
+
+    def _drive_arm(self, command: Command) -> None:
+        drives = self.drives
+        wanted = np.array(command.joint_rad)
+        if drives.speed_gain != 1.0:
+            leak = _SCALING_LEAK_S if np.abs(command.joint_speed_radps).max() > 1e-3 else 0.3
+            drives.scaling_offset_rad *= 1.0 - PHYSICS_STEP_S * SUBSTEPS / leak
+            drives.scaling_offset_rad += (drives.speed_gain - 1.0) * (wanted - drives.joint_rad)
+        drives.joint_rad = wanted
+        speed = np.array(command.joint_speed_radps) * drives.speed_gain
+        self.data.ctrl[self._arm_u] = wanted + drives.scaling_offset_rad + _FEED_FORWARD_S * speed
+
+    def _drive_base(self, command: Command) -> None:
+        drives, data = self.drives, self.data
+        vx, vy, wz = command.base_velocity
+        if vx == 0.0 and vy == 0.0 and wz == 0.0:
+            # Standing still is a position loop of the wheel drives: a push does not move the base away for good.
+            if drives.base_hold is None and np.abs(data.qvel[self._base_v]).max() < 0.01:
+                drives.base_hold = data.qpos[self._base_q].copy()
+            target = np.zeros(3)
+            if drives.base_hold is not None:
+                target = np.clip(_BASE_HOLD_PER_S * (drives.base_hold - data.qpos[self._base_q]), -_BASE_HOLD_MAX, _BASE_HOLD_MAX)
+            data.ctrl[self._base_u] = target
+            return
+        drives.base_hold = None
+        yaw = float(data.qpos[self._base_q[2]])
+        gain = drives.speed_gain
+        data.ctrl[self._base_u] = (gain * (cos(yaw) * vx - sin(yaw) * vy), gain * (sin(yaw) * vx + cos(yaw) * vy), gain * wz)
+
+    def _drive_grip(self, force_n: float) -> None:
+        self.drives.grip_force_n = force_n
+        self.data.ctrl[self._grip_u] = force_n * (self.drives.grip_gain if force_n > 0 else 1.0)
+
+    def read(self) -> Tick:
+        """Return what the last tick physically was."""
+        data = self.data
+        pose = data.qpos[self._base_q]
+        vx, vy, wz = data.qvel[self._base_v]
+        c, s = cos(pose[2]), sin(pose[2])
+        force = self._force[SUBSTEPS:]
+        return Tick(
+            joint_rad=data.qpos[self._arm_q], joint_speed=data.qvel[self._arm_v], joint_torque=self._torque.mean(axis=0), wrist_force=force[:, 0:3],
+            wrist_acceleration=force[:, 3:6], pad_force_n=force[:, 6:8].mean(axis=0), width_m=float(data.qpos[self._finger_q].sum()), base_pose=pose,
+            base_velocity=np.array((c * vx + s * vy, c * vy - s * vx, wz)),
+        )  # fmt: skip
+
+    def cut_power(self) -> None:
+        """Take power from arm and base: the brakes fall in. The gripper locks itself and keeps its grip."""
+        if not self.drives.powered:
+            return
+        self.drives.powered = False
+        model = self.model
+        for actuators in (self._arm_u, self._base_u):
+            model.actuator_gainprm[actuators, 0] = 0.0
+            model.actuator_biasprm[actuators, 0:3] = 0.0
+        model.dof_frictionloss[self._arm_v] = _BRAKE_ARM_NM
+        model.dof_frictionloss[self._base_v] = _BRAKE_BASE_N
+
+    def give_power(self) -> None:
+        """Release the brakes with the servos holding where everything stands now."""
+        if self.drives.powered:
+            return
+        model, drives = self.model, self.drives
+        for name in ("actuator_gainprm", "actuator_biasprm"):
+            for actuators in (self._arm_u, self._base_u):
+                getattr(model, name)[actuators] = self._powered[name][actuators]
+        self.weaken(drives.strength)
+        model.dof_frictionloss[self._arm_v] = 0.0
+        model.dof_frictionloss[self._base_v] = 0.0
+        drives.powered, drives.base_hold = True, self.data.qpos[self._base_q].copy()
+        drives.joint_rad = self.data.qpos[self._arm_q].copy()
+        drives.scaling_offset_rad = np.zeros(6)
+        self.data.ctrl[self._arm_u] = drives.joint_rad
+        self.data.ctrl[self._base_u] = 0.0
+
+    # -- changing the world (faults, people) -------------------------------------------------------------------------------------------
+
+    def weaken(self, strength: float) -> None:
+        """Let the arm's servos have only this share of their stiffness and torque (actuator fade)."""
+        self.drives.strength = strength
+        model = self.model
+        model.actuator_gainprm[self._arm_u, 0] = self._powered["actuator_gainprm"][self._arm_u, 0] * strength
+        model.actuator_biasprm[self._arm_u, 1:3] = self._powered["actuator_biasprm"][self._arm_u, 1:3] * strength
+
+    def set_pad_friction(self, friction: float) -> None:
+        """Set the sliding friction between pads and whatever they hold."""
+        self.model.geom_friction[list(self._pads), 0] = friction
+
+    def make_slippery(self, name: str, friction: float) -> None:
+        """Give one object a surface that slides in the pads."""
+        geom = self._object_geom[name]
+        self.model.geom_priority[geom] = 2
+        self.model.geom_friction[geom, 0] = friction
+
+    def scale_mass(self, name: str, factor: float) -> None:
+        """Change an object's mass."""
+        body = self._object_body[name]
+        self.model.body_mass[body] *= factor
+        self.model.body_inertia[body] *= factor
+
+    def shift_mass(self, name: str, offset_m: tuple[float, float, float]) -> None:
+        """Move an object's centre of mass within it."""
+        self.model.body_ipos[self._object_body[name]] += offset_m
+
+    def place_object(self, name: str, x_m: float, y_m: float, z_m: float, yaw_rad: float = 0.0) -> None:
+        """Put an object somewhere before a run starts, or take it away (under the floor it is hung up, not falling)."""
+        q, v = self._object_q[name], self._object_v[name]
+        self.data.qpos[q : q + 7] = (x_m, y_m, z_m, cos(yaw_rad / 2), 0.0, 0.0, sin(yaw_rad / 2))
+        self.data.qvel[v : v + 6] = 0.0
+        self.model.body_gravcomp[self._object_body[name]] = 1.0 if z_m < 0 else 0.0
+
+    def place_crate(self, name: str, x_m: float, y_m: float) -> None:
+        """Put a crate on the floor."""
+        self.data.mocap_pos[self.model.body(name).mocapid[0]] = (x_m, y_m, CRATE_HALF_M[2])
+
+    def remove_crate(self, name: str) -> None:
+        """Take a crate away."""
+        self.data.mocap_pos[self.model.body(name).mocapid[0]] = (0.0, 0.0, UNDER_FLOOR_M)
+
+    def place_person(self, index: int, x_m: float, y_m: float, heading_rad: float, swing_rad: float, *, present: bool) -> None:
+        """Move a figure; one that is not present waits under the floor."""
+        half, z = heading_rad / 2, HIP_M if present else UNDER_FLOOR_M
+        turn = np.array((cos(half), 0.0, 0.0, sin(half)))
+        for part, swing in zip(PERSON_PARTS, (0.0, swing_rad, -swing_rad), strict=True):
+            mocap = self.model.body(f"person_{index}_{part}").mocapid[0]
+            self.data.mocap_pos[mocap] = (x_m, y_m, z)
+            c, s = cos(swing / 2), sin(swing / 2)
+            self.data.mocap_quat[mocap] = (turn[0] * c, -turn[3] * s, turn[0] * s, turn[3] * c)
+
+    # -- truth -----------------------------------------------------------------------------------------------------------------------
+
+    def true_object(self, name: str) -> tuple[Floats, float, float]:
+        """Return an object's true position, its yaw, and how upright it stands (1 upright, 0 lying)."""
+        body = self._object_body[name]
+        matrix = self.data.xmat[body].reshape(3, 3)
+        return self.data.xpos[body], float(np.arctan2(matrix[1, 0], matrix[0, 0])), abs(float(matrix[2, 2]))
+
+    def read_base(self) -> tuple[float, float, float]:
+        """Return the true pose of the base: x_m, y_m, yaw_rad."""
+        x, y, yaw = self.data.qpos[self._base_q]
+        return float(x), float(y), float(yaw)
+
+    def between_pads(self) -> tuple[str, Floats] | None:
+        """Return the object whose middle line passes between the pads, with its position in the tool frame; by geometry alone."""
+        tcp, frame = self.true_tcp(), self.tool_frame()
+        for name, body in self._object_body.items():
+            at = frame.T @ (self.data.xpos[body] - tcp)
+            if abs(at[0]) < 0.05 and abs(at[1]) < 0.06 and abs(at[2]) < 0.14:
+                return name, at
+        return None
+
+    def true_tcp(self) -> Floats:
+        """Return the true position of the tool centre point, world frame."""
+        return self.data.site_xpos[self._tcp]
+
+    def tool_frame(self) -> Floats:
+        """Return the 3 × 3 orientation of the tool, world frame."""
+        return self.data.site_xmat[self._tcp].reshape(3, 3)
+
+    def true_held(self) -> str | None:
+        """Return the object that both pads touch, if one."""
+        touching: dict[int, set[int]] = {}
+        for contact in self.data.contact[: self.data.ncon]:
+            first, second = int(contact.geom[0]), int(contact.geom[1])
+            pad, other = (first, second) if first in self._pads else (second, first)
+            if pad in self._pads:
+                touching.setdefault(other, set()).add(pad)
+        for name, geom in self._object_geom.items():
+            if len(touching.get(geom, ())) == len(self._pads):
+                return name
+        return None
+
+    def true_contact_n(self, held: str | None) -> tuple[float, float]:
+        """Return the exact force between gripper (with what it holds) and the rest: mean over 20 ms, highest substep."""
+        mass = self._gripper_kg + (float(self.model.body_mass[self._object_body[held]]) if held else 0.0)
+        outer = self._force[:, 0:3] - mass * self._force[:, 3:6]
+        return float(np.linalg.norm(outer.mean(axis=0))), float(np.linalg.norm(outer, axis=1).max())
+
+    def tool_angle(self, name: str) -> float:
+        """Return a tool's joint: lever angle in radians, or button travel in metres."""
+        return float(self.data.qpos[self._tool_q[name]])
+
+    def crates(self) -> list[tuple[float, float]]:
+        """Return where crates stand on the floor."""
+        spots = (self.data.mocap_pos[self.model.body(name).mocapid[0]] for name in CRATES)
+        return [(float(at[0]), float(at[1])) for at in spots if at[2] > 0]
+
+    @property
+    def gripper_kg(self) -> float:
+        """Mass of everything beyond the wrist sensor, without a load."""
+        return self._gripper_kg
+
+    def doze(self, near_m: float = 2.0) -> None:
+        """Spare the solver objects that lie still far from the robot: without contacts they neither move nor cost."""
+        x, y = self.data.qpos[self._base_q[:2]]
+        for name in self.objects:
+            at = self.data.xpos[self._object_body[name]]
+            far = at[2] > 0 and hypot(at[0] - x, at[1] - y) > near_m
+            if far == (name in self._asleep):
+                continue
+            v = self._object_v[name]
+            if far and np.abs(self.data.qvel[v : v + 6]).max() < 1e-3:
+                self._set_asleep(name, asleep=True)
+            elif not far:
+                self._set_asleep(name, asleep=False)
+
+    def _set_asleep(self, name: str, *, asleep: bool) -> None:
+        body, v = self._object_body[name], self._object_v[name]
+        geoms = np.flatnonzero(self.model.geom_bodyid == body)
+        for bits in ("geom_contype", "geom_conaffinity"):
+            getattr(self.model, bits)[geoms] = 0 if asleep else self._powered[bits][geoms]
+        self.model.body_gravcomp[body] = 1.0 if asleep else 0.0
+        self.data.qvel[v : v + 6] = 0.0
+        (self._asleep.add if asleep else self._asleep.discard)(name)
+
+    # -- keeping and bringing back -----------------------------------------------------------------------------------------------------
+
+    def snapshot(self) -> object:
+        """Return the integration state, the edited model fields and the drives; `restore` brings it back bitwise."""
+        kind = mujoco.mjtState.mjSTATE_INTEGRATION
+        state = np.empty(mujoco.mj_stateSize(self.model, kind))
+        mujoco.mj_getState(self.model, self.data, state, kind)
+        edits = {name: getattr(self.model, name).copy() for name in _EDITED}
+        return state, edits, copy.deepcopy((self.drives, self._force, self._torque, self._asleep))
+
+    def restore(self, state: object) -> None:
+        """Bring back what `snapshot` returned."""
+        physics, edits, own = copy.deepcopy(state)  # type: ignore[misc]  # opaque outside this class
+        for name, values in edits.items():
+            getattr(self.model, name)[:] = values
+        self.drives, self._force, self._torque, self._asleep = own
+        mujoco.mj_setState(self.model, self.data, physics, mujoco.mjtState.mjSTATE_INTEGRATION)
+        mujoco.mj_forward(self.model, self.data)
+        mujoco.mj_setState(self.model, self.data, physics, mujoco.mjtState.mjSTATE_INTEGRATION)  # forward touched the warm start

@@ -1,0 +1,239 @@
+"""The robot's own sensors: arm, wrist, gripper, odometry, absolute fix, and the people tracker; seeded, delayed, and breakable.
+
+Noise comes from blocks drawn in advance, one row per tick, so that a tick costs no call into the generator and a run is the same for the
+same seed. Nothing here holds a reference to the simulator: a deep copy of `Sensors` is its whole state.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from math import cos, hypot, sin
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from app.governance.model import CONTROL_PERIOD_S, Fix, PersonTrack
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from app.governance.model import Point, Vec3
+    from app.sim.plant import Tick
+
+    Floats = NDArray[np.float64]
+
+FIX_PERIOD_TICKS, FIX_DELAY_TICKS, FIX_SIGMA_M, FIX_SIGMA_RAD = 5, 5, 0.02, 0.005
+PEOPLE_PERIOD_TICKS, PEOPLE_DELAY_TICKS, PEOPLE_SIGMA_M, PEOPLE_DROPOUT = 5, 6, 0.05, 0.03
+PEOPLE_RANGE_M, PEOPLE_KEEP_S = 8.0, 1.0
+ENCODER_SIGMA_RAD, DRIVE_SIGMA_RADPS, TORQUE_SIGMA_NM = 2e-5, 2e-3, 0.15
+WRIST_SIGMA_N, PAD_SIGMA_N, WIDTH_SIGMA_M, SLIP_SIGMA_M = 0.6, 0.15, 1e-4, 1e-4
+BASE_SIGMA = (0.002, 0.002, 0.002)
+PAD_LOADED_N = 1.0
+SENSORS = ("arm", "wrist", "gripper", "odometry", "fix", "people", "objects")
+_COLUMNS, _ROWS = 64, 512
+
+
+class Noise:
+    """Standard normal numbers in rows, drawn a block at a time."""
+
+    def __init__(self, seed: Sequence[int]) -> None:
+        """Start the generator from a seed sequence."""
+        self._rng = np.random.default_rng(seed)
+        self._block = np.empty((0, _COLUMNS))
+        self._next = 0
+
+    def row(self) -> Floats:
+        """Return the next row of 64 numbers."""
+        if self._next >= len(self._block):
+            self._block = self._rng.standard_normal((_ROWS, _COLUMNS))
+            self._next = 0
+        self._next += 1
+        return self._block[self._next - 1]
+
+
+@dataclass(slots=True)
+class SensorFault:
+    """How one sensor is broken: `stuck` (old value, new stamp), `stale` (nothing new), `noisy`, `offset` or `delayed`, by `size`."""
+
+    kind: str
+    size: float = 0.0
+    kept: tuple[float, Floats] | None = None
+    line: deque[tuple[float, Floats]] = field(default_factory=deque[tuple[float, "Floats"]])
+
+    def distort(self, stamp_s: float, value: Floats, noise: Floats) -> tuple[float, Floats]:
+        """Return what the broken sensor says instead."""
+        if self.kept is None:
+            self.kept = (stamp_s, value.copy())
+        match self.kind:
+            case "stuck":
+                return stamp_s, self.kept[1]
+            case "stale":
+                return self.kept
+            case "noisy":
+                return stamp_s, value + self.size * noise[: len(value)]
+            case "offset":
+                return stamp_s, value + self.size
+            case "delayed":
+                self.line.append((stamp_s, value.copy()))
+                late = round(self.size / CONTROL_PERIOD_S)
+                return self.line.popleft() if len(self.line) > late else self.line[0]
+            case _:
+                raise ValueError(f"sensor fault `{self.kind}`: valid are stuck, stale, noisy, offset, delayed")
+
+
+class Reading(NamedTuple):
+    """All body sensors in one tick: (stamp, values) each, as delivered."""
+
+    arm: tuple[float, Floats]  # 6 angles, 6 speeds, 6 torques
+    wrist: tuple[float, Floats]  # mean, peak
+    gripper: tuple[float, Floats]  # width, left pad, right pad, slip
+    odometry: tuple[float, Floats]  # x, y, yaw, vx, vy, wz
+
+
+class Sensors:
+    """Seeded sensors of one workcell."""
+
+    def __init__(self, seed: int, start: Vec3, gripper_kg: float) -> None:
+        """Start with odometry at `start` (the robot knows where it was parked) and the wrist tared to the bare gripper."""
+        self._noise = Noise((seed, 1))
+        traits = np.random.default_rng((seed, 2)).standard_normal(4)
+        self.odometry = np.array(start, dtype=np.float64)
+        self.odometry_scale = 1.0 + 0.005 * traits[0]
+        self.odometry_turn_radpm = 0.01 * traits[1]
+        self.odometry_bias = np.zeros(2)  # m/s, world frame; a fault sets it
+        self.faults: dict[str, SensorFault] = {}
+        self.load_kg = 0.0
+        self._gripper_kg = gripper_kg
+        self._grip: tuple[str, Floats] | None = None
+        self._slip_m = 0.0
+        self._fixes: deque[tuple[int, Fix]] = deque()
+        self._sightings: deque[tuple[int, float, tuple[PersonTrack, ...]]] = deque()
+        self._tracks: dict[int, PersonTrack] = {}
+        self.fix_stamp_s = self.people_stamp_s = 0.0
+
+    # -- body ------------------------------------------------------------------------------------------------------------------------
+
+    def read(self, tick: int, physical: Tick, nearest: tuple[str, Floats] | None) -> Reading:
+        """Return what the body sensors say.
+
+        Args:
+            tick: control tick, which is the time in hundredths of a second.
+            physical: what happened.
+            nearest: the object between the pads and its position in the tool frame, as far as there is one.
+        """
+        now = tick * CONTROL_PERIOD_S
+        n = self._noise.row()
+        arm = np.concatenate((
+            physical.joint_rad + ENCODER_SIGMA_RAD * n[0:6],
+            physical.joint_speed + DRIVE_SIGMA_RADPS * n[6:12],
+            physical.joint_torque + TORQUE_SIGMA_NM * n[12:18],
+        ))  # fmt: skip
+        outer = physical.wrist_force - (self._gripper_kg + self.load_kg) * physical.wrist_acceleration
+        mean = outer.mean(axis=0) + WRIST_SIGMA_N * n[18:21]
+        wrist = np.array((np.sqrt(mean @ mean), np.sqrt(np.einsum("ij,ij->i", outer, outer).max())))
+        pads = np.maximum(physical.pad_force_n + PAD_SIGMA_N * n[21:23], 0.0)
+        slip = self._measure_slip(pads, nearest) + abs(SLIP_SIGMA_M * n[23])
+        gripper = np.array((physical.width_m + WIDTH_SIGMA_M * n[24], pads[0], pads[1], slip))
+        velocity = physical.base_velocity + np.array(BASE_SIGMA) * n[25:28] * (np.abs(physical.base_velocity).max() > 1e-3)
+        odometry = np.concatenate((self._dead_reckon(velocity), velocity))
+        values = {"arm": arm, "wrist": wrist, "gripper": gripper, "odometry": odometry}
+        return Reading(**{name: self._deliver(name, now, value, n[32:]) for name, value in values.items()})
+
+    def _deliver(self, name: str, stamp_s: float, value: Floats, noise: Floats) -> tuple[float, Floats]:
+        fault = self.faults.get(name)
+        return fault.distort(stamp_s, value, noise) if fault else (stamp_s, value)
+
+    def _measure_slip(self, pads: Floats, nearest: tuple[str, Floats] | None) -> float:
+        """Watch how far the thing between the pads moves against them since the grip closed; keeps the last value once it is gone."""
+        if pads.min() < PAD_LOADED_N or nearest is None:
+            if pads.max() < PAD_LOADED_N and self._slip_m == 0.0:
+                self._grip = None
+            return self._slip_m
+        name, at = nearest
+        if self._grip is None or self._grip[0] != name:
+            self._grip = (name, at.copy())
+        moved = at - self._grip[1]
+        self._slip_m = float(np.sqrt(moved @ moved))
+        return self._slip_m
+
+    def tare(self, physical: Tick) -> None:
+        """Take what hangs on the wrist now as the load (standing still); nothing between the pads means no load."""
+        force, acceleration = physical.wrist_force.mean(axis=0), physical.wrist_acceleration.mean(axis=0)
+        carried = float(force @ acceleration) / float(acceleration @ acceleration) - self._gripper_kg
+        self.load_kg = max(carried, 0.0) if physical.pad_force_n.min() > PAD_LOADED_N else 0.0
+
+    def zero_slip(self) -> None:
+        """Take the present grip as the one without slip (after the grip has closed or opened)."""
+        self._grip, self._slip_m = None, 0.0
+
+    def _dead_reckon(self, velocity: Floats) -> Floats:
+        pose, dt = self.odometry, CONTROL_PERIOD_S
+        vx, vy, wz = velocity * self.odometry_scale
+        yaw = pose[2] + 0.5 * wz * dt
+        pose[0] += (cos(yaw) * vx - sin(yaw) * vy + self.odometry_bias[0]) * dt
+        pose[1] += (sin(yaw) * vx + cos(yaw) * vy + self.odometry_bias[1]) * dt
+        pose[2] += (wz + self.odometry_turn_radpm * hypot(vx, vy)) * dt
+        return pose.copy()
+
+    # -- absolute fix ----------------------------------------------------------------------------------------------------------------
+
+    def fix(self, tick: int, pose: Floats) -> Fix | None:
+        """Take a fix every 50 ms and return the one that arrives in this tick, if one does."""
+        if tick % FIX_PERIOD_TICKS == 0:
+            n = self._noise.row()
+            x, y = pose[0] + FIX_SIGMA_M * n[0], pose[1] + FIX_SIGMA_M * n[1]
+            stamp, value = self._deliver("fix", tick * CONTROL_PERIOD_S, np.array((x, y, pose[2] + FIX_SIGMA_RAD * n[2])), n[3:])
+            self._fixes.append((tick + FIX_DELAY_TICKS, Fix(stamp, *map(float, value))))
+        if self._fixes and self._fixes[0][0] <= tick:
+            fix = self._fixes.popleft()[1]
+            if fix.stamp_s > self.fix_stamp_s:
+                self.fix_stamp_s = fix.stamp_s
+                return fix
+        return None
+
+    # -- people ----------------------------------------------------------------------------------------------------------------------
+
+    def people(self, tick: int, present: Iterable[tuple[int, Point]], eye: Point, walls: Sequence[tuple[Point, ...]]) -> tuple[PersonTrack, ...]:
+        """Track people from the robot's mast: 20 Hz, 60 ms late, with dropout, and not through furniture.
+
+        A person who drops out keeps the last sighting, with its old stamp, for a second.
+        """
+        now = tick * CONTROL_PERIOD_S
+        if tick % PEOPLE_PERIOD_TICKS == 0:
+            self._sight(tick, now, present, eye, walls)
+        if self._sightings and self._sightings[0][0] <= tick:
+            _, stamp, seen = self._sightings.popleft()
+            self.people_stamp_s = max(self.people_stamp_s, stamp)
+            self._tracks.update({track.person: track for track in seen})
+        self._tracks = {k: track for k, track in self._tracks.items() if now - track.stamp_s < PEOPLE_KEEP_S}
+        return tuple(self._tracks.values())
+
+    def _sight(self, tick: int, now: float, present: Iterable[tuple[int, Point]], eye: Point, walls: Sequence[tuple[Point, ...]]) -> None:
+        n = self._noise.row()
+        seen: list[tuple[int, Floats]] = []
+        for person, (x, y) in present:
+            k = 4 * (person % 8)
+            dropped = abs(n[k + 2]) > 2.17  # two-sided 3 %
+            if dropped or hypot(x - eye[0], y - eye[1]) > PEOPLE_RANGE_M or any(_crosses(eye, (x, y), wall) for wall in walls):
+                continue
+            seen.append((person, np.array((x + PEOPLE_SIGMA_M * n[k], y + PEOPLE_SIGMA_M * n[k + 1]))))
+        stamp, values = self._deliver("people", now, np.array([value for _, value in seen]).ravel(), n[32:])
+        values = values.reshape(-1, 2)
+        ids = [person for person, _ in seen][: len(values)]
+        tracks = tuple(PersonTrack(person, stamp, float(v[0]), float(v[1])) for person, v in zip(ids, values, strict=False))
+        self._sightings.append((tick + PEOPLE_DELAY_TICKS, stamp, tracks))
+
+
+def _crosses(start: Point, end: Point, wall: tuple[Point, ...]) -> bool:
+    """Tell whether a line of sight crosses the outline of something higher than the mast."""
+    return any(_meet(start, end, wall[i - 1], wall[i]) for i in range(len(wall)))
+
+
+def _meet(a: Point, b: Point, c: Point, d: Point) -> bool:
+    def side(p: Point, q: Point, r: Point) -> float:
+        return (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
+
+    return side(a, b, c) * side(a, b, d) < 0 and side(c, d, a) * side(c, d, b) < 0

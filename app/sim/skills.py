@@ -1,0 +1,73 @@
+"""One run of a skill, and which skills there are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, TypeAlias
+
+from app.governance.model import Command, Json, Observation, SkillReport, SkillState
+from app.sim.body import Body, Moves, SkillFailed
+from app.sim.skills_arm import grasp_object, inspect_area, place_object
+from app.sim.skills_drive import navigate_to, reposition_base, safe_retreat, transport_object
+from app.sim.skills_recover import release_and_retract, retrace
+from app.sim.skills_tool import operate_tool
+
+if TYPE_CHECKING:
+    from app.sim.body import Senses
+
+Prepare: TypeAlias = Callable[[Body, Mapping[str, Json]], Moves]
+
+# A skill is prepared by a plain function, which may refuse, and then run as a generator of commands.
+SKILLS: Mapping[str, Prepare] = {
+    "navigate_to": navigate_to,
+    "inspect_area": inspect_area,
+    "grasp_object": grasp_object,
+    "place_object": place_object,
+    "transport_object": transport_object,
+    "operate_tool": operate_tool,
+    "release_and_retract": release_and_retract,
+    "safe_retreat": safe_retreat,
+    "reposition_base": reposition_base,
+    "retrace": retrace,
+}
+RECOVERIES = frozenset({"release_and_retract", "safe_retreat", "reposition_base", "retrace"})
+
+
+class Run:
+    """A skill on its way; implements `Skill`."""
+
+    def __init__(self, capability: str, params: Mapping[str, Json], body: Body) -> None:
+        """Prepare the skill.
+
+        Raises:
+            SubstrateError: it cannot be prepared, with the failure name.
+        """
+        self.capability = capability
+        self._body = body
+        self._moves = SKILLS[capability](body, params)
+        self._state, self._failure = SkillState.RUNNING, ""
+        self.detail = ""
+
+    def act(self, observation: Observation, rate: float) -> Command:
+        """Return the command for this tick; at a rate of 0 everything stays where it is."""
+        body = self._body
+        body.seen, body.rate = observation, rate
+        if self._state is not SkillState.RUNNING or rate <= 0.0:
+            held = body.hold()
+            return held if held.grip_force_n >= 0.0 else held._replace(grip_force_n=0.0)
+        try:
+            return next(self._moves)
+        except StopIteration:
+            self._state, body.progress = SkillState.SUCCEEDED, 1.0
+        except SkillFailed as failed:
+            self._state, self._failure, self.detail = SkillState.FAILED, failed.failure, failed.detail
+        return body.hold()
+
+    def report(self) -> SkillReport:
+        """Say phase, progress and state."""
+        return SkillReport(self._body.phase, self._body.progress, self._state, self._failure)
+
+
+def start(capability: str, params: Mapping[str, Json], senses: Senses, observation: Observation, held: Command, *, careful: bool) -> Run:
+    """Prepare a run of a skill from the command that is being held."""
+    return Run(capability, params, Body(senses, observation, held, careful=careful))

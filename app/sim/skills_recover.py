@@ -1,0 +1,118 @@
+"""Skills of recovery: letting go and drawing back, and retracing the recorded safe path (rollback)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from app.sim.body import CONTACT_SPEED_MPS, Body, Moves
+from app.sim.skills_arm import HOVER_M, LIFT_M, number, put_down, within_reach
+from app.sim.skills_drive import RECOVERY_BASE_SPEED_MPS, RECOVERY_TCP_SPEED_MPS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from app.governance.model import Json
+    from app.sim.hand import Mark
+
+    Floats = NDArray[np.float64]
+
+_GENTLE_POINTS = 12
+
+
+def release_and_retract(body: Body, params: Mapping[str, Json]) -> Moves:
+    """Put down what is held onto what is below, open, rise, and draw the arm in."""
+    speed = number(params, "speed_mps", RECOVERY_TCP_SPEED_MPS)
+    return _release(body, speed)
+
+
+def _release(body: Body, limit_mps: float) -> Moves:
+    speed = body.speed(limit_mps)
+    hand = body.senses.hand
+    below = body.support_below()
+    if body.holding and hand is not None and below is not None:
+        yield from put_down(body, below, hand, limit_mps)
+    else:
+        body.enter("release", 0.2)
+        yield from body.open()
+        body.senses.hand = None
+        body.senses.tare()
+        body.enter("retreat", 0.5)
+        here = body.pose
+        yield from body.line(here._replace(z_m=here.z_m + HOVER_M), min(speed, CONTACT_SPEED_MPS))
+    body.enter("retract", 0.8)
+    yield from body.retract(speed)
+    yield from body.wait(0.2)
+
+
+def retrace(body: Body, params: Mapping[str, Json]) -> Moves:
+    """Go the recorded safe path backwards, put the object back where it was taken from, and draw back."""
+    return _retrace(body, list(body.senses.trail), number(params, "speed_mps", RECOVERY_TCP_SPEED_MPS))
+
+
+def _retrace(body: Body, trail: list[Mark], limit_mps: float) -> Moves:
+    taken = _taken_at(trail) if body.holding else None
+    body.enter("retrace", 0.1)
+    if taken is not None:
+        yield from _back(body, trail[taken:], limit_mps, gentle=True)
+        body.enter("put_back", 0.5)
+        yield from body.wait(0.1)
+        yield from body.open()
+        body.senses.hand = None
+        body.senses.tare()
+        trail = trail[: taken + 1]
+        body.enter("retreat", 0.6)
+    yield from _back(body, trail, limit_mps, gentle=False)
+    hand = body.senses.hand
+    if body.holding and hand is not None and within_reach(*body.relative(hand.x_m, hand.y_m)):
+        body.enter("put_back", 0.7)
+        here = body.relative(hand.x_m, hand.y_m)
+        over = body.pose._replace(x_m=here[0], y_m=here[1], z_m=hand.support_z_m + hand.above_support_m + LIFT_M)
+        yield from body.approach(over, body.speed(limit_mps))
+        yield from put_down(body, hand.support_z_m, hand, limit_mps)
+    body.enter("retract", 0.9)
+    yield from body.retract(body.speed(limit_mps))
+    yield from body.wait(0.2)
+
+
+def _taken_at(trail: list[Mark]) -> int | None:
+    """Return the mark at which the pads first held what they hold now, or None where they held it from the start."""
+    empty = [k for k, mark in enumerate(trail) if not mark.holding]
+    return min(empty[-1] + 1, len(trail) - 1) if empty else None
+
+
+def _back(body: Body, trail: list[Mark], limit_mps: float, *, gentle: bool) -> Moves:
+    """Follow marks backwards: arm and base in turns, as they were recorded."""
+    marks = trail[::-1]
+    k = 0
+    while k < len(marks) - 1:
+        base = marks[k].driving
+        end = k + 1
+        while end < len(marks) - 1 and marks[end].driving == base:
+            end += 1
+        if base:
+            yield from body.drive_poses([mark.base for mark in marks[k : end + 1]], RECOVERY_BASE_SPEED_MPS)
+        else:
+            yield from _back_arm(body, _thinned([mark.joints for mark in marks[k : end + 1]]), limit_mps, gentle=gentle and end == len(marks) - 1)
+        k = end
+
+
+def _back_arm(body: Body, points: list[Floats], limit_mps: float, *, gentle: bool) -> Moves:
+    points = [body.joints, *points]
+    speed = body.speed(limit_mps)
+    if not gentle:
+        yield from body.follow(points, speed)
+        return
+    split = max(0, len(points) - _GENTLE_POINTS)
+    yield from body.follow(points[: split + 1], speed)
+    yield from body.follow(points[split:], min(speed, 0.9 * CONTACT_SPEED_MPS), until=lambda: body.touched(12.0))
+
+
+def _thinned(points: list[Floats]) -> list[Floats]:
+    kept = [points[0]]
+    for point in points[1:-1]:
+        if float(np.abs(point - kept[-1]).max()) > 0.01:
+            kept.append(point)
+    return [*kept, points[-1]]

@@ -1,0 +1,84 @@
+"""Operating the tool station: swinging the lever by its handle, pressing the button; the tool's own switch says whether it worked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import cos, sin
+from typing import TYPE_CHECKING
+
+from app.cell.substrate import SubstrateError
+from app.sim.body import CONTACT_SPEED_MPS, Body, Moves, SkillFailed
+from app.sim.kinematics import ToolPose
+from app.sim.skills_arm import HOVER_M, number, within_reach
+from app.sim.world import LEVER_LENGTH_M, LEVER_SWING_RAD
+
+if TYPE_CHECKING:
+    from app.governance.model import Json, Tool
+
+
+def operate_tool(body: Body, params: Mapping[str, Json]) -> Moves:
+    """Work a lever or press a button, and check its switch."""
+    site = body.senses.site
+    tool = site.tools[str(params["tool"])]
+    action = str(params["action"])
+    if action not in tool.actions:
+        raise SubstrateError("tool_failed", f"`{tool.name}` has no action `{action}`: valid are {', '.join(sorted(tool.actions))}")
+    if not within_reach(*body.relative(tool.x_m, tool.y_m)):
+        raise SubstrateError("unreachable", f"`{tool.name}` is out of reach: drive to `{tool.target}` first")
+    force, limit = number(params, "force_n", 30.0) * 0.98, number(params, "speed_mps", 0.15)
+    work = {"lever": _swing_lever, "button": _press_button}[tool.kind]
+    return work(body, tool, tool.actions[action], force, limit)
+
+
+def _swing_lever(body: Body, tool: Tool, wanted: str, force_n: float, limit_mps: float) -> Moves:
+    speed, slow = body.speed(limit_mps), min(body.speed(limit_mps), CONTACT_SPEED_MPS * (0.5 if body.careful else 0.95))
+    begin = LEVER_SWING_RAD if body.senses.tool_state(tool.name) == "up" else -LEVER_SWING_RAD
+    end = LEVER_SWING_RAD if wanted == "up" else -LEVER_SWING_RAD
+    body.enter("approach", 0.0)
+    yield from body.open()
+    x, y = body.relative(tool.x_m, tool.y_m)
+    grips = [_handle(x, y, tool.z_m, begin + (end - begin) * k / 12) for k in range(13)]
+    yield from body.approach(grips[0]._replace(z_m=grips[0].z_m + HOVER_M), speed)
+    body.enter("descend", 0.3)
+    yield from body.line(grips[0], slow, until=body.touched)
+    body.enter("close", 0.4)
+    yield from body.close(force_n)
+    body.enter("operate", 0.5)
+    if abs(end - begin) > 0.1:
+        for grip in grips[1:]:
+            yield from body.line(grip, slow)
+    body.enter("release", 0.8)
+    yield from body.open()
+    here = body.pose
+    yield from body.line(here._replace(z_m=here.z_m + HOVER_M), speed)
+    yield from _check_tool(body, tool, wanted)
+
+
+def _handle(x_m: float, y_m: float, pivot_z_m: float, angle_rad: float) -> ToolPose:
+    """Return where to grip the lever's handle at an angle; the pivot lies a lever's length behind the tool's place."""
+    return ToolPose(x_m + LEVER_LENGTH_M * (1.0 - cos(angle_rad)), y_m, pivot_z_m + LEVER_LENGTH_M * sin(angle_rad), 0.0)
+
+
+def _press_button(body: Body, tool: Tool, wanted: str, force_n: float, limit_mps: float) -> Moves:
+    speed, slow = body.speed(limit_mps), min(body.speed(limit_mps), 0.03)
+    body.enter("approach", 0.0)
+    x, y = body.relative(tool.x_m, tool.y_m)
+    above = ToolPose(x, y, tool.z_m + HOVER_M, 0.0)
+    yield from body.approach(above, speed)
+    body.grip_n = 8.0
+    yield from body.wait(1.0)
+    body.enter("operate", 0.4)
+    yield from body.line(
+        above._replace(z_m=tool.z_m - 0.008), slow, until=lambda: body.touched(force_n) or body.senses.tool_state(tool.name) == wanted
+    )
+    body.enter("retreat", 0.8)
+    yield from body.line(above, speed)
+    yield from _check_tool(body, tool, wanted)
+
+
+def _check_tool(body: Body, tool: Tool, wanted: str) -> Moves:
+    body.enter("verify", 0.95)
+    yield from body.wait(0.2)
+    state = body.senses.tool_state(tool.name)
+    if state != wanted:
+        raise SkillFailed("tool_failed", f"`{tool.name}` is `{state}` and not `{wanted}`")
