@@ -4,7 +4,7 @@ The data directory as `reins serve` keeps it (mode 0700):
 
 ```
 tokens.json     bearer tokens as first issued (0600)
-kernel.key      the key authorizations and checkpoints are signed with (0600)
+kernel.key      the key authorizations are signed with (0600)
 server.json     where the running server listens, and its process
 cells/<id>/     what a child cell keeps: journal, pinned kernel key, lock with its process
 ```
@@ -50,6 +50,11 @@ class DataDir:
     def tokens(self) -> Path:
         """Return the path of the bearer tokens as first issued."""
         return self.root / "tokens.json"
+
+    @property
+    def kernel_key(self) -> Path:
+        """Return the path of the key that authorizations are signed with."""
+        return self.root / "kernel.key"
 
     @property
     def server(self) -> Path:

@@ -105,6 +105,16 @@ class Journal:
         self._write({"m": dict(marks)})
         self.marks.update(marks)
 
+    def number_behind(self, seq: int) -> None:
+        """Go on numbering behind `seq`: the server's log holds more of this cell than this file, which was lost.
+
+        Raises:
+            JournalUnavailable: it could not be written.
+        """
+        if seq > self._seq:
+            self._write({"s": seq, "a": seq})
+            self._seq = self.acknowledged = seq
+
     def sync(self) -> None:
         """Return only when everything appended is on the disk. Raises `JournalUnavailable`."""
         self._check()

@@ -73,8 +73,8 @@ class Governed(Protocol):
         """Hold in place (category 2) and launch nothing until welcomed."""
         ...
 
-    def state(self) -> State:
-        """Return the newest state, with its facts."""
+    def state(self, overruns: int) -> State:
+        """Return the newest state, with its facts and how many ticks came late."""
         ...
 
     def standing(self) -> bool:
@@ -237,11 +237,11 @@ class TickLoop:
             return
         self._outbox.changed = False
         self._state_due_s = now_s + STATE_MS / 1000
-        self._outbox.state = self._runner.state()
+        self._outbox.state = self._runner.state(self.overruns)
         self._outbox.wake()
 
     def _come_to_rest(self) -> None:
         end_s = monotonic_s() + STOPPING_S
         while not self._runner.standing() and monotonic_s() < end_s:
             self._runner.tick()
-        self._outbox.state = self._runner.state()
+        self._outbox.state = self._runner.state(self.overruns)

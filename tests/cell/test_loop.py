@@ -41,7 +41,7 @@ class Recorder:
     def standing(self) -> bool:
         return self.moving_for == 0
 
-    def state(self) -> State:
+    def state(self, overruns: int) -> State:
         return State(
             at_s=0.0,
             tick=self.ticks,
@@ -52,7 +52,7 @@ class Recorder:
             policy_digest=None,
             profile=None,
             facts={},
-            gauges={},
+            gauges={"late_ticks": float(overruns)},
         )
 
 

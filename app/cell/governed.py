@@ -1,0 +1,194 @@
+"""The runner as the link speaks to it: orders in the link's words, the state for displays, and the policies it holds.
+
+A session is watched by the policy it was authorized under, even if another one comes into force meanwhile: both are
+kept until the next one comes.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+from dataclasses import asdict
+from math import isfinite
+from typing import TYPE_CHECKING, Final, assert_never
+
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+
+from app.cell.journal import JournalUnavailable
+from app.cell.loop import NewPolicy, Shutdown, Welcomed
+from app.cell.runner import Runner
+from app.governance.conditions import unmet
+from app.governance.permit import SignedAuthorization
+from app.governance.policy import recovery_plan, watch_plan, watch_plan_for
+from app.protocol import Ack, Estop, Human, Launch, Reset, SetProfile, State, UpEvent, pack_batch
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from app.cell.journal import Entry, Journal
+    from app.cell.loop import Order, Outbox
+    from app.cell.substrate import Substrate
+    from app.governance.model import CoveredRecovery, Params, RecoveryPlan, WatchPlan, WorldFacts
+    from app.governance.permit import Grant
+    from app.governance.policy import PolicySet
+
+KEPT_POLICIES: Final = 2
+
+
+class GovernedCell:
+    """One runner, its journal and its policies. Owned by the loop's thread."""
+
+    def __init__(
+        self,
+        substrate: Substrate,
+        policies: PolicySet,
+        *,
+        kernel_key: str,
+        journal: Journal,
+        outbox: Outbox,
+        wall: Callable[[], float],
+    ) -> None:
+        """Put a runner on a substrate; it holds until it is welcomed.
+
+        Args:
+            substrate: what moves.
+            policies: the policy to begin with.
+            kernel_key: what authorizations are signed with, base64 of the raw public key.
+            journal: the cell's; what it still holds goes up first.
+            outbox: where reports, telemetry and states go.
+            wall: wall time, seconds since the epoch.
+
+        Raises:
+            ValueError: the key is none.
+        """
+        self._key = Ed25519PublicKey.from_public_bytes(base64.b64decode(kernel_key, validate=True))
+        self._policies: dict[str, PolicySet] = {}
+        self._policies_digest = ""
+        self._profile: str | None = None
+        self._journal, self._outbox, self._wall = journal, outbox, wall
+        for entry in journal.unacknowledged():
+            self._tell(entry)
+        self._runner = Runner(
+            substrate,
+            plan_of=self._plan_of,
+            verify=self._unmet,
+            journal=journal,
+            wall=wall,
+            emit=self._tell,
+            on_telemetry=self._show,
+        )
+        self._runner.hold("link")
+        self._adopt(policies)
+
+    @property
+    def period_s(self) -> float:
+        """Return the control period."""
+        return self._runner.period_s
+
+    def tick(self) -> None:
+        """Do one control period."""
+        self._runner.tick()
+
+    def hold(self, reason: str) -> None:
+        """Hold in place and launch nothing until welcomed; `shutdown` ends the session."""
+        self._runner.hold(reason)
+
+    def standing(self) -> bool:
+        """Say whether nothing moves and nothing is about to."""
+        return self._runner.standing()
+
+    def obey(self, order: Order) -> None:
+        """Do what was ordered; what cannot be done is reported upward by the runner."""
+        match order:
+            case Launch():
+                self._runner.launch(_signed(order))
+            case Human():
+                self._runner.human(order.invocation, order.op, order.actor)
+            case Estop():
+                self._runner.estop(order.actor)
+            case Reset():
+                self._runner.reset(order.actor)
+            case Shutdown():
+                self._runner.hold("shutdown")
+            case news:
+                self._learn(news)
+
+    def _learn(self, news: SetProfile | Ack | Welcomed | NewPolicy) -> None:
+        match news:
+            case SetProfile():
+                self._profile = news.profile
+            case Ack():
+                self._keep_house(news.seq)
+            case Welcomed():
+                self._profile = news.profile
+                self._runner.welcomed()
+            case NewPolicy():
+                self._adopt(news.policies)
+            case _:
+                assert_never(news)
+
+    def state(self, overruns: int) -> State:
+        """Return the newest state, with its facts and the watcher's signals."""
+        view = self._runner.view()
+        gauges = {name: value for name, value in view.signals._asdict().items() if isfinite(value)}
+        # Not validated here: JSON has no NaN, it goes out as null, and the server says that the facts are malformed.
+        return State.model_construct(
+            at_s=self._wall(),
+            tick=view.tick,
+            invocation=view.invocation,
+            status=view.status,
+            latched=view.latched,
+            holding=bool(view.holding),
+            policy_digest=self._policies_digest,
+            profile=self._profile,
+            facts=asdict(self._runner.substrate.facts()),
+            gauges={**gauges, "late_ticks": float(overruns)},
+        )
+
+    def _adopt(self, policies: PolicySet) -> None:
+        self._policies[policies.digest] = policies
+        while len(self._policies) > KEPT_POLICIES:
+            del self._policies[next(iter(self._policies))]
+        self._policies_digest = policies.digest
+        self._runner.adopt(policy_digest=policies.digest, key=self._key)
+
+    def _keep_house(self, acknowledged: int) -> None:
+        try:
+            self._journal.acknowledge(acknowledged)
+            self._journal.forget_permits(self._wall())
+        except JournalUnavailable as error:
+            self._runner.fault = str(error)
+
+    def _plan_of(self, grant: Grant, recovery: CoveredRecovery | None = None) -> tuple[WatchPlan, RecoveryPlan]:
+        permit = grant.authorization
+        policy = self._policies.get(permit.policy_digest)
+        if policy is None:
+            raise ValueError(f"the policy `{permit.policy_digest}` is not held here any more")
+        try:
+            then = recovery_plan(policy, permit.capability, permit.profile)
+            if recovery is None:
+                return watch_plan_for(policy, permit), then
+            plan = watch_plan(policy, recovery.capability, permit.profile, recovery.params, recovery.mode)
+        except KeyError as error:
+            raise ValueError(f"policy knows no {error}") from error
+        return plan, then
+
+    def _unmet(self, postconditions: tuple[str, ...], params: Params, facts: WorldFacts) -> tuple[str, ...]:
+        site = self._policies[self._policies_digest].site
+        return tuple(found.condition for found in unmet(postconditions, params, facts, site))
+
+    def _tell(self, entry: Entry) -> None:
+        self._outbox.event(UpEvent.model_construct(**entry._asdict()))
+
+    def _show(self, invocation: str, rows: bytes) -> None:
+        self._outbox.batch(pack_batch(invocation, rows))
+
+
+def _signed(order: Launch) -> SignedAuthorization:
+    """Return what was signed; text that is no base64 becomes a signature that cannot hold, and is refused as such."""
+    try:
+        return SignedAuthorization(
+            base64.b64decode(order.body, validate=True), base64.b64decode(order.signature, validate=True)
+        )
+    except binascii.Error:
+        return SignedAuthorization(b"", b"")

@@ -1,0 +1,381 @@
+"""The cell's end of the link: dials the server, and goes on dialling for ever.
+
+How one connection goes:
+
+1. Dial `WS /v1/cells/{id}/link` with the cell's token and say `Hello`.
+2. The first answer is `Welcome`. Its kernel key must be the pinned one: given by flag, or trusted on first use and kept
+   in the cell's data directory. Another key ends the connection; the cell holds.
+3. A `Policy` counts by its digest, computed here again from the files. Only then is there a world to build (the site is
+   part of the policy), and the control loop starts.
+4. From `Welcome` on the lease runs: every frame renews it. When it lapses the loop holds, the link closes and dials
+   again, and nothing launches until the next `Welcome`.
+5. Events go up in order from the first that the server has not acknowledged, on every connection again.
+
+Nothing here decides: orders go to the runner as they came, authorizations with their signature.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import random
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, NoReturn, Protocol
+
+from websockets.asyncio.client import connect
+from websockets.exceptions import InvalidStatus, WebSocketException
+
+from app import protocol
+from app.cell.loop import STOPPING_S, NewPolicy, Shutdown, Welcomed
+from app.governance import bundle
+from app.governance.errors import GovernanceError
+from app.protocol import (
+    Ack,
+    Beat,
+    Estop,
+    Hello,
+    Human,
+    Launch,
+    Policy,
+    ProtocolError,
+    Reset,
+    SetProfile,
+    Welcome,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from websockets.asyncio.client import ClientConnection
+
+    from app.cell.loop import Inbox, Lease, Outbox, TickLoop
+    from app.governance.policy import PolicySet
+    from app.protocol import Down
+
+FIRST_RETRY_S: Final = 0.05
+LAST_RETRY_S: Final = 2.0
+PATIENCE_S: Final = 5.0  # for the handshake and the welcome
+FAREWELL_S: Final = 0.5  # for the last events to be acknowledged
+MIND_S: Final = 0.05
+MAX_FRAME_BYTES: Final = 16 * 1024 * 1024
+
+
+class LinkRefused(Exception):
+    """This server is not one the cell works with: another kernel key, another protocol, a policy unlike its digest."""
+
+
+class LinkLost(Exception):
+    """The connection is of no more use: the lease lapsed, or the control loop ended."""
+
+
+class Build(Protocol):
+    """Makes the control loop once the first policy, and with it the site, is known."""
+
+    def __call__(self, policies: PolicySet, kernel_key: str, acknowledged: int) -> TickLoop:
+        """Return the loop, not yet started. May take a second; runs on a thread of its own.
+
+        Args:
+            policies: the compiled policy, with the site.
+            kernel_key: the pinned key, base64.
+            acknowledged: the last report of this cell that the server's log holds; numbers go on behind it.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeyPin:
+    """Which kernel key the cell believes: `fixed` by flag, or the first one seen, kept in `path`."""
+
+    path: Path
+    fixed: str | None = None
+
+    def check(self, key: str) -> None:
+        """Accept the key or refuse the server; the first key of an unpinned cell is kept.
+
+        Raises:
+            LinkRefused: another key is pinned, or the key cannot be kept.
+        """
+        try:
+            known = self.fixed or self._kept()
+            if known is None:
+                self._keep(key)
+                return
+        except OSError as error:
+            raise LinkRefused(f"cannot pin the server's key in `{self.path}`: {error.strerror}") from error
+        if known != key:
+            raise LinkRefused(f"the server signs with the key `{key}`; valid: `{known}`, pinned in `{self.path}`")
+
+    def _kept(self) -> str | None:
+        return self.path.read_text().strip() if self.path.exists() else None
+
+    def _keep(self, key: str) -> None:
+        draft = self.path.with_name(self.path.name + ".new")
+        draft.write_text(key + "\n")
+        draft.chmod(0o600)
+        draft.replace(self.path)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Identity:
+    """Who this cell is; `boot` names this run of the process, so that the server tells a restart from a reconnect."""
+
+    cell: str
+    boot: str
+    robot: str
+    token: str = field(repr=False)
+
+
+class Link:
+    """Keeps the cell connected. One asyncio task runs it; the control loop runs beside it on its own thread."""
+
+    def __init__(
+        self,
+        identity: Identity,
+        address: Callable[[], str],
+        pin: KeyPin,
+        build: Build,
+        inbox: Inbox,
+        outbox: Outbox,
+        lease: Lease,
+        say: Callable[[str], None],
+    ) -> None:
+        """Take the parts.
+
+        Args:
+            identity: who the cell is.
+            address: the server's base address, asked for before every dial. May raise `OSError` or `ValueError`.
+            pin: which kernel key is believed.
+            build: makes the control loop when the first policy is there.
+            inbox: orders for the loop.
+            outbox: what the loop reports.
+            lease: renewed by every frame.
+            say: writes one line for people.
+        """
+        self._identity, self._address, self._pin, self._build = identity, address, pin, build
+        self._inbox, self._outbox, self._lease, self._say = inbox, outbox, lease, say
+        self._loop: TickLoop | None = None
+        self._policy_digest: str | None = None
+        self._profile: str | None = None
+        self._kernel_key = ""
+        self._wake = asyncio.Event()
+        self._heard_ack = asyncio.Event()
+        self._acknowledged = 0
+        self._retry_s = FIRST_RETRY_S
+        self._last_word = ""
+
+    async def run(self, stop: asyncio.Event) -> None:
+        """Dial until told to stop; then bring the robot to rest and hand up what is left.
+
+        Raises:
+            RuntimeError: the control loop broke; the cell must not go on.
+        """
+        here = asyncio.get_running_loop()
+
+        def wake() -> None:
+            here.call_soon_threadsafe(self._wake.set)
+
+        self._outbox.wake = wake
+        stopping = asyncio.create_task(stop.wait())
+        try:
+            while not stop.is_set():
+                await self._connect_once(stopping)
+                self._check_loop()
+                await asyncio.wait({stopping}, timeout=self._pause_s())
+        finally:
+            stopping.cancel()
+            await self._end_loop()
+            self._outbox.wake = lambda: None
+
+    async def _connect_once(self, stopping: asyncio.Task[bool]) -> None:
+        try:
+            await self._converse(stopping)
+        except (OSError, ValueError, TimeoutError, WebSocketException, ProtocolError, LinkRefused, LinkLost) as error:
+            self._say_once(f"link down: {_plain(error)}")
+
+    def _pause_s(self) -> float:
+        """Return how long to wait before the next dial: doubling, bounded, and never two cells in step."""
+        retry_s, self._retry_s = self._retry_s, min(2 * self._retry_s, LAST_RETRY_S)
+        return retry_s * random.uniform(0.5, 1.0)  # noqa: S311  # jitter, no secret
+
+    async def _converse(self, stopping: asyncio.Task[bool]) -> None:
+        address = self._address().rstrip("/")
+        if not address.startswith(("http://", "https://")):
+            raise ValueError(f"`{address}` is no address of a server; valid is for instance `http://127.0.0.1:8000`")
+        dial = connect(
+            f"{address.replace('http', 'ws', 1)}/v1/cells/{self._identity.cell}/link",
+            additional_headers={"Authorization": f"Bearer {self._identity.token}"},
+            compression=None,
+            proxy=None,  # a lease of 300 ms is no errand for a proxy
+            ping_interval=None,  # beats do that, and sooner
+            open_timeout=PATIENCE_S,
+            close_timeout=FAREWELL_S,
+            max_size=MAX_FRAME_BYTES,
+        )
+        async with dial as socket:
+            await socket.send(protocol.encode(self._hello()))
+            await self._be_welcomed(socket)
+            self._retry_s = FIRST_RETRY_S
+            self._say_once(f"linked to {address}")
+            await self._keep_up(socket, stopping)
+
+    async def _keep_up(self, socket: ClientConnection, stopping: asyncio.Task[bool]) -> None:
+        """Run the connection's tasks until one ends, which none does without a reason, or the cell is told to stop."""
+        orders: asyncio.Queue[Down] = asyncio.Queue()
+        jobs = {
+            asyncio.create_task(self._listen(socket, orders)),
+            asyncio.create_task(self._take_in_order(orders)),
+            asyncio.create_task(self._report(socket)),
+            asyncio.create_task(self._mind()),
+        }
+        try:
+            done, _ = await asyncio.wait({*jobs, stopping}, return_when=asyncio.FIRST_COMPLETED)
+            if stopping in done:
+                await self._take_leave()
+            for job in done & jobs:
+                job.result()
+        finally:
+            for job in jobs:
+                job.cancel()
+            await asyncio.gather(*jobs, return_exceptions=True)
+
+    def _hello(self) -> Hello:
+        state = self._outbox.state
+        return Hello(
+            cell=self._identity.cell,
+            boot=self._identity.boot,
+            robot=self._identity.robot,
+            policy_digest=self._policy_digest,
+            profile=self._profile,
+            invocation=state.invocation if state else None,
+            latched=state.latched if state else False,
+            last_seq=self._outbox.last_seq,
+        )
+
+    async def _be_welcomed(self, socket: ClientConnection) -> None:
+        async with asyncio.timeout(PATIENCE_S):
+            first = protocol.decode_down(await socket.recv())
+            while isinstance(first, Estop | Human):  # a restraint overtakes even the welcome
+                self._inbox.put(first)
+                first = protocol.decode_down(await socket.recv())
+        match first:
+            case Welcome(version=protocol.VERSION):
+                self._pin.check(first.kernel_key)
+            case Welcome():
+                raise LinkRefused(f"the server speaks link version `{first.version}`; valid: `{protocol.VERSION}`")
+            case _:
+                raise LinkRefused(f"the server began with `{first.type}`; valid: `welcome`")
+        self._kernel_key = first.kernel_key
+        self._profile = first.profile
+        self._acknowledge(first.acknowledged)
+        self._lease.heard()
+        self._inbox.put(Welcomed(profile=first.profile))
+
+    async def _listen(self, socket: ClientConnection, orders: asyncio.Queue[Down]) -> NoReturn:
+        """Renew the lease with every frame. What restrains goes straight to the loop; the rest waits its turn."""
+        while True:
+            frame = await socket.recv()
+            self._lease.heard()
+            message = protocol.decode_down(frame)
+            match message:
+                case Beat():
+                    pass
+                case Ack():
+                    self._acknowledge(message.seq)
+                case Estop() | Human():
+                    self._inbox.put(message)
+                case _:
+                    orders.put_nowait(message)
+
+    async def _take_in_order(self, orders: asyncio.Queue[Down]) -> NoReturn:
+        """Take policies and launches one after the other: a policy may need a second to compile, a launch needs it."""
+        while True:
+            message = await orders.get()
+            match message:
+                case Policy():
+                    await self._take_policy(message)
+                case Launch() | Reset() | SetProfile():
+                    self._inbox.put(message)
+                case _:
+                    raise LinkRefused(f"the server said `{message.type}` in between; valid: once, first")
+
+    async def _take_policy(self, message: Policy) -> None:
+        try:
+            policies = await asyncio.to_thread(bundle.load_files, message.files)
+        except GovernanceError as error:
+            raise LinkRefused(f"the server's policy `{message.digest}` does not load: {error}") from error
+        if policies.digest != message.digest:
+            raise LinkRefused(f"the policy's files make the digest `{policies.digest}`, not `{message.digest}`")
+        self._policy_digest = message.digest
+        if self._loop is None:
+            self._loop = await asyncio.to_thread(self._build, policies, self._kernel_key, self._acknowledged)
+            self._loop.start()
+        else:
+            self._inbox.put(NewPolicy(policies=policies))
+
+    def _acknowledge(self, seq: int) -> None:
+        self._acknowledged = max(self._acknowledged, seq)
+        self._heard_ack.set()
+        self._outbox.acknowledge(seq)
+        self._inbox.put(Ack(seq=seq))
+        self._wake.set()
+
+    async def _report(self, socket: ClientConnection) -> NoReturn:
+        """Send what the loop hands over: events first, then telemetry, then the newest state if it is another."""
+        sent, shown = self._acknowledged, None
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            for event in self._outbox.after(sent):
+                await socket.send(protocol.encode(event))
+                sent = event.seq
+            while self._outbox.batches:
+                await socket.send(self._outbox.batches.popleft())
+            state = self._outbox.state
+            if state is not None and state is not shown:
+                await socket.send(protocol.encode(state))
+                shown = state
+
+    async def _mind(self) -> NoReturn:
+        """End the connection when the lease lapsed or the control loop ended."""
+        while True:
+            await asyncio.sleep(MIND_S)
+            if self._lease.lapsed():
+                raise LinkLost(f"nothing heard for {protocol.LEASE_MS} ms")
+            if self._loop is not None and not self._loop.alive():
+                raise LinkLost("the control loop ended")
+
+    async def _take_leave(self) -> None:
+        """Come to rest, then stay until the server holds the last event, but not for long."""
+        await self._end_loop()
+        self._wake.set()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(FAREWELL_S):
+                while self._acknowledged < self._outbox.last_seq:
+                    self._heard_ack.clear()
+                    await self._heard_ack.wait()
+
+    async def _end_loop(self) -> None:
+        if self._loop is not None and self._loop.alive():
+            self._inbox.put(Shutdown())
+            await asyncio.to_thread(self._loop.join, 2 * STOPPING_S)
+
+    def _check_loop(self) -> None:
+        if self._loop is not None and self._loop.broken is not None:
+            raise RuntimeError("the control loop broke; the cell ends") from self._loop.broken
+
+    def _say_once(self, word: str) -> None:
+        if word != self._last_word:
+            self._last_word = word
+            self._say(word)
+
+
+def _plain(error: Exception) -> str:
+    match error:
+        case InvalidStatus():
+            code = error.response.status_code
+            return f"the server answered {code}" + (": is the cell's token valid?" if code in {401, 403} else "")
+        case TimeoutError():
+            return "the server did not answer in time"
+        case _:
+            return str(error) or type(error).__name__

@@ -1,0 +1,223 @@
+"""The server's wiring: settings in, rooms put together, one process that serves until it is told to stop.
+
+Order at start: the policy (a broken one starts nothing), the address, the record, the runtime, the door, the cells.
+Order at the end: the cells come to rest and hand up what they hold, the door closes, the runtime, the record.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import secrets
+import signal
+import socket
+from typing import TYPE_CHECKING, Any, Final
+
+import orjson
+import uvicorn
+import uvloop
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+from app import __version__
+from app.api.application import create_app
+from app.api.auth import CELL_TOKEN_FILE, PrincipalsUnreadable, open_principals
+from app.audit.errors import AuditError
+from app.audit.store import AuditStore
+from app.children import Children
+from app.config import ConfigError, find_policies
+from app.governance.bundle import load
+from app.governance.errors import PolicyErrors
+from app.runtime.assembly import Runtime
+from app.terminal import FINE, MISUSE, err, say, say_error
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncGenerator, Generator
+    from pathlib import Path
+
+    from app.config import Settings
+    from app.governance.policy import PolicySet
+
+KEY_BYTES: Final = 32
+LEAVE_S: Final = 1  # for requests under way when the server stops
+
+
+class DoorServer(uvicorn.Server):
+    """Uvicorn that says when it listens and takes no signals: the cells stop before the door closes."""
+
+    def __init__(self, config: uvicorn.Config) -> None:
+        """Start closed."""
+        super().__init__(config)
+        self.up = asyncio.Event()
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Listen, and say so."""
+        await super().startup(sockets)
+        self.up.set()
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Generator[None]:
+        """Take no signals."""
+        yield
+
+
+def serve(settings: Settings) -> int:
+    """Run a server until it is told to stop; return the exit code.
+
+    Raises:
+        ConfigError: a setting cannot be used.
+    """
+    settings.layout.create()
+    policies = load_policies(find_policies(settings.policies))
+    if policies is None:
+        return MISUSE
+    if settings.profile not in policies.profiles:
+        raise ConfigError("profile", settings.profile, ", ".join(sorted(policies.profiles)))
+    with contextlib.closing(listen(settings.host, settings.port)) as listener:
+        try:
+            with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+                return runner.run(_serve(settings, policies, listener))
+        except (AuditError, PrincipalsUnreadable, OSError) as error:
+            say_error(f"the server cannot run: {error}")
+            return MISUSE
+
+
+def load_policies(folder: Path) -> PolicySet | None:
+    """Return the compiled policies, or None after printing what is wrong, with file and line."""
+    try:
+        return load(folder)
+    except PolicyErrors as found:
+        say_error(f"the policies in `{folder}` cannot be enforced, so nothing starts")
+        for problem in found.problems:
+            err.print(f"  {problem}", markup=False)
+        return None
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Return a listening socket; port 0 takes a free one.
+
+    Raises:
+        ConfigError: the address cannot be listened on.
+    """
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        return socket.create_server((host, port), family=family, backlog=2048)
+    except OSError as error:
+        valid = f"a free address of this machine ({error.strerror})"
+        raise ConfigError("host and port", f"{host}:{port}", valid) from error
+
+
+def kernel_key(path: Path) -> Ed25519PrivateKey:
+    """Return the key that authorizations are signed with; the first start makes it (mode 0600).
+
+    Raises:
+        ConfigError: the file is no key, or others may read it.
+        OSError: it cannot be read or written.
+    """
+    if not path.exists():
+        write_private(path, secrets.token_bytes(KEY_BYTES))
+    seed = path.read_bytes()
+    if path.stat().st_mode & 0o077 or len(seed) != KEY_BYTES:
+        raise ConfigError("kernel.key", path, f"{KEY_BYTES} bytes that only their owner may read (mode 600)")
+    return Ed25519PrivateKey.from_private_bytes(seed)
+
+
+def write_private(path: Path, content: bytes) -> None:
+    """Put a file in place in one step, readable by its owner alone. Raises `OSError`."""
+    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    with os.fdopen(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    draft.replace(path)
+
+
+async def _serve(settings: Settings, policies: PolicySet, listener: socket.socket) -> int:
+    layout = settings.layout
+    principals = open_principals(layout.root)
+    token = (layout.root / CELL_TOKEN_FILE).read_text().strip()
+    url = address(listener)
+    children = Children(settings, token, lambda cell, word: say(f"{cell}: {word}"))
+    async with open_house(settings, policies) as house:
+        door = DoorServer(_door(create_app(**house, principals=principals)))
+        serving = asyncio.create_task(door.serve(sockets=[listener]))
+        opened = asyncio.create_task(door.up.wait())
+        await asyncio.wait({serving, opened}, return_when=asyncio.FIRST_COMPLETED)
+        try:
+            write_private(layout.server, orjson.dumps({"url": url, "pid": os.getpid()}))
+            introduce(settings, policies, url)
+            children.start()
+            await _told_to_stop(serving)
+        finally:
+            await children.stop()
+            layout.server.unlink(missing_ok=True)
+            door.should_exit = True
+            await serving
+    return FINE
+
+
+@contextlib.asynccontextmanager
+async def open_house(settings: Settings, policies: PolicySet) -> AsyncGenerator[dict[str, Any]]:
+    """Open the record and run the governor on it; yields what the application serves, and closes in the other order."""
+    layout = settings.layout
+    store = AuditStore.open(layout.root)
+    try:
+        runtime = Runtime(store, policies, kernel_key(layout.kernel_key), default_profile=settings.profile)
+        async with runtime.running():
+            yield {
+                "governor": runtime.governor,
+                "desk": runtime.desk,
+                "fleet": runtime.fleet,
+                "feed": runtime.feed,
+                "store": store,
+                "policy": lambda: runtime.kernel.policy,
+            }
+    finally:
+        await store.close()
+
+
+def _door(app: Any) -> uvicorn.Config:  # noqa: ANN401  # an ASGI application
+    return uvicorn.Config(
+        app,
+        loop="none",
+        http="httptools",
+        ws="websockets-sansio",
+        ws_per_message_deflate=False,
+        ws_ping_interval=None,  # the link beats by itself
+        lifespan="on",
+        access_log=False,
+        log_level="warning",
+        server_header=False,
+        timeout_graceful_shutdown=LEAVE_S,
+    )
+
+
+async def _told_to_stop(serving: asyncio.Task[None]) -> None:
+    """Return on SIGINT or SIGTERM, or when serving ended by itself."""
+    told = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, told.set)
+    waiting = asyncio.create_task(told.wait())
+    await asyncio.wait({serving, waiting}, return_when=asyncio.FIRST_COMPLETED)
+    waiting.cancel()
+
+
+def address(listener: socket.socket) -> str:
+    """Return the address a listening socket is reached at from this machine."""
+    name: tuple[str, int] = listener.getsockname()[:2]
+    host, port = name
+    host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104  # what listens everywhere is here too
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
+def introduce(settings: Settings, policies: PolicySet, url: str) -> None:
+    """Print where the server is and how to come in."""
+    tokens = settings.layout.tokens
+    say(f"reins {__version__} serves {url}")
+    say(f"  profile  {settings.profile}")
+    say(f"  policy   {policies.digest}")
+    say(f"  data     {settings.layout.root}")
+    say(f"  tokens   {tokens}")
+    operator = orjson.loads(tokens.read_bytes())["operator"] if tokens.exists() else ""
+    say(f"  console  {url}/#token={operator}")

@@ -1,0 +1,270 @@
+"""The cell's end of the link, against a server made of a real socket and the protocol alone."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from queue import SimpleQueue
+
+import pytest
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+
+from app import protocol
+from app.cell.link import Identity, KeyPin, Link, LinkRefused
+from app.cell.loop import Lease, NewPolicy, Order, Outbox, TickLoop, Welcomed
+from app.governance import bundle
+from app.governance.policy import PolicySet
+from app.protocol import Ack, Beat, Down, Estop, Hello, Human, Launch, Policy, State, Up, UpEvent, Welcome
+from tests.cell.test_loop import Recorder, event
+
+POLICIES = Path(__file__).parents[2] / "policies"
+FILES = bundle.read_files(POLICIES)
+DIGEST = bundle.load(POLICIES).digest
+KEY = "a2V5"
+WITHIN_S = 15.0
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+@dataclass
+class Script:
+    """A server that a test plays by hand: what came in, and the socket to answer on."""
+
+    key: str = KEY
+    acknowledged: int = 0
+    greet: bool = True
+    beats: bool = True
+    heard: list[Up] = field(default_factory=list)
+    frames: list[bytes] = field(default_factory=list)
+    sockets: list[ServerConnection] = field(default_factory=list)
+    paths: list[str] = field(default_factory=list)
+
+    async def converse(self, socket: ServerConnection) -> None:
+        self.paths.append(socket.request.path if socket.request else "")
+        beating = asyncio.create_task(self._beat(socket))
+        try:
+            async for frame in socket:
+                if isinstance(frame, bytes):
+                    self.frames.append(frame)
+                    continue
+                message = protocol.decode_up(frame)
+                self.heard.append(message)
+                if isinstance(message, Hello) and self.greet:
+                    await self._welcome(socket, message)
+        except ConnectionClosed:
+            pass
+        finally:
+            beating.cancel()
+
+    async def _welcome(self, socket: ServerConnection, hello: Hello) -> None:
+        await self.say(
+            Welcome(kernel_key=self.key, policy_digest=DIGEST, profile="human-shared", acknowledged=self.acknowledged),
+            socket,
+        )
+        if hello.policy_digest != DIGEST:
+            await self.say(Policy(digest=DIGEST, files=FILES), socket)
+        self.sockets.append(socket)
+
+    async def _beat(self, socket: ServerConnection) -> None:
+        while True:
+            await asyncio.sleep(protocol.BEAT_MS / 1000)
+            if self.beats and self.sockets and self.sockets[-1] is socket:
+                await self.say(Beat(), socket)
+
+    async def say(self, message: Down, socket: ServerConnection | None = None) -> None:
+        await (socket or self.sockets[-1]).send(protocol.encode(message))
+
+    def of(self, kind: type) -> list[Up]:
+        return [message for message in self.heard if isinstance(message, kind)]
+
+
+@dataclass
+class Rig:
+    """A link under test with all its parts."""
+
+    script: Script
+    link: Link
+    runner: Recorder
+    inbox: SimpleQueue[Order]
+    outbox: Outbox
+    stop: asyncio.Event
+    said: list[str]
+    built: list[tuple[PolicySet, str, int]]
+
+    def orders(self, kind: type) -> list[Order]:
+        return [order for order in self.runner.orders if isinstance(order, kind)]
+
+
+async def until(condition: Callable[[], object], what: str = "") -> None:
+    try:
+        async with asyncio.timeout(WITHIN_S):
+            while not condition():
+                await asyncio.sleep(0.01)
+    except TimeoutError:
+        pytest.fail(f"not within {WITHIN_S} s: {what}")
+
+
+@asynccontextmanager
+async def rig(folder: Path, script: Script | None = None, *, server_key: str | None = None) -> AsyncIterator[Rig]:
+    script = script or Script()
+    server: Server = await serve(script.converse, "127.0.0.1", 0)
+    port = next(iter(server.sockets)).getsockname()[1]
+    runner = Recorder(period_s=0.01)
+    inbox: SimpleQueue[Order] = SimpleQueue()
+    outbox, lease, stop = Outbox(), Lease(), asyncio.Event()
+    said: list[str] = []
+    built: list[tuple[PolicySet, str, int]] = []
+
+    def build(policies: PolicySet, kernel_key: str, acknowledged: int) -> TickLoop:
+        built.append((policies, kernel_key, acknowledged))
+        return TickLoop(runner, inbox, outbox, lease, pace=1.0)
+
+    link = Link(
+        Identity(cell="workcell-1", boot="boot_1", robot="recorder", token="secret"),
+        lambda: f"http://127.0.0.1:{port}",
+        KeyPin(path=folder / "kernel.pub", fixed=server_key),
+        build,
+        inbox,
+        outbox,
+        lease,
+        said.append,
+    )
+    running = asyncio.create_task(link.run(stop))
+    try:
+        yield Rig(script, link, runner, inbox, outbox, stop, said, built)
+    finally:
+        stop.set()
+        await running
+        server.close()
+        await server.wait_closed()
+
+
+@pytest.mark.anyio
+async def test_says_hello_is_welcomed_and_builds_its_world_from_the_policy(tmp_path: Path) -> None:
+    async with rig(tmp_path) as cell:
+        await until(lambda: cell.script.of(State), "a state from the loop")
+        hello = cell.script.of(Hello)[0]
+        assert isinstance(hello, Hello)
+        assert (hello.cell, hello.boot, hello.policy_digest, hello.last_seq) == ("workcell-1", "boot_1", None, 0)
+        assert cell.script.paths == ["/v1/cells/workcell-1/link"]
+        assert [(policies.digest, key) for policies, key, _ in cell.built] == [(DIGEST, KEY)]
+        await until(lambda: cell.orders(Welcomed), "the welcome reaches the runner")
+        assert cell.runner.holds == []
+
+
+@pytest.mark.anyio
+async def test_passes_orders_to_the_runner_as_they_came(tmp_path: Path) -> None:
+    async with rig(tmp_path) as cell:
+        await until(lambda: cell.script.of(State))
+        launch = Launch(body="e30=", signature="c2ln")
+        stop = Human(invocation="inv_1", op="stop", actor="operator")
+        for message in (launch, stop, Estop(actor="planner")):
+            await cell.script.say(message)
+        await until(lambda: len(cell.orders(Launch | Human | Estop)) == 3)  # type: ignore[arg-type]
+        assert launch in cell.runner.orders
+        assert stop in cell.runner.orders
+
+
+@pytest.mark.anyio
+async def test_a_launch_does_not_overtake_the_policy_it_needs(tmp_path: Path) -> None:
+    async with rig(tmp_path) as cell:
+        await until(lambda: cell.script.of(State))
+        await cell.script.say(Policy(digest=DIGEST, files=FILES))
+        await cell.script.say(Launch(body="e30=", signature="c2ln"))
+        await until(lambda: cell.orders(Launch))
+        kinds = [type(order) for order in cell.runner.orders if isinstance(order, NewPolicy | Launch)]
+        assert kinds == [NewPolicy, Launch]
+
+
+@pytest.mark.anyio
+async def test_sends_reports_in_order_and_again_after_a_reconnect(tmp_path: Path) -> None:
+    async with rig(tmp_path) as cell:
+        await until(lambda: cell.script.of(State))
+        for seq in (1, 2, 3):
+            cell.outbox.event(event(seq))
+        await until(lambda: len(cell.script.of(UpEvent)) == 3)
+        await cell.script.say(Ack(seq=1))
+        await until(lambda: len(cell.outbox.events) == 2, "the first is forgotten")
+        cell.script.acknowledged = 1
+        await cell.script.sockets[-1].close()
+        await until(lambda: len(cell.script.of(UpEvent)) == 5)
+        assert [one.seq for one in cell.script.of(UpEvent) if isinstance(one, UpEvent)] == [1, 2, 3, 2, 3]
+        second = cell.script.of(Hello)[1]
+        assert isinstance(second, Hello)
+        assert (second.policy_digest, second.last_seq) == (DIGEST, 3)
+
+
+@pytest.mark.anyio
+async def test_holds_and_dials_again_when_the_server_falls_silent(tmp_path: Path) -> None:
+    async with rig(tmp_path) as cell:
+        await until(lambda: cell.orders(Welcomed))
+        cell.script.beats = False
+        await until(lambda: cell.runner.holds == ["link"], "the hold")
+        cell.script.beats = True
+        await until(lambda: len(cell.orders(Welcomed)) > 1, "the second welcome")
+
+
+@pytest.mark.anyio
+async def test_sends_telemetry_as_binary_frames(tmp_path: Path) -> None:
+    async with rig(tmp_path) as cell:
+        await until(lambda: cell.script.of(State))
+        row = protocol.ROW.pack(*range(len(protocol.CHANNELS)))
+        cell.outbox.batch(protocol.pack_batch("inv_1", row))
+        await until(lambda: cell.script.frames)
+        assert protocol.unpack_batch(cell.script.frames[0])[0] == "inv_1"
+
+
+@pytest.mark.anyio
+async def test_refuses_a_policy_that_is_not_its_digest(tmp_path: Path) -> None:
+    async with rig(tmp_path) as cell:
+        await until(lambda: cell.script.of(State))
+        await cell.script.say(Policy(digest="sha256:00", files=FILES))
+        await until(lambda: any("make the digest" in word for word in cell.said))
+        assert cell.orders(NewPolicy) == []
+
+
+@pytest.mark.anyio
+async def test_refuses_another_kernel_key_than_the_first(tmp_path: Path) -> None:
+    (tmp_path / "kernel.pub").write_text("b3RoZXI=\n")
+    async with rig(tmp_path) as cell:
+        await until(lambda: any("pinned" in word for word in cell.said))
+        assert cell.built == []
+        assert cell.script.of(State) == []
+
+
+@pytest.mark.anyio
+async def test_refuses_another_kernel_key_than_the_flag_names(tmp_path: Path) -> None:
+    async with rig(tmp_path, server_key="b3RoZXI=") as cell:
+        await until(lambda: any("pinned" in word for word in cell.said))
+        assert cell.built == []
+
+
+@pytest.mark.anyio
+async def test_hands_up_the_last_reports_before_it_leaves(tmp_path: Path) -> None:
+    async with rig(tmp_path) as cell:
+        await until(lambda: cell.script.of(State))
+        cell.outbox.event(event(1))
+        cell.stop.set()
+        await until(lambda: cell.script.of(UpEvent))
+        await until(lambda: cell.runner.holds == ["shutdown"])
+
+
+def test_keeps_the_first_key_it_trusts(tmp_path: Path) -> None:
+    pin = KeyPin(path=tmp_path / "kernel.pub")
+    pin.check(KEY)
+    pin.check(KEY)
+    assert (tmp_path / "kernel.pub").stat().st_mode & 0o777 == 0o600
+    with pytest.raises(LinkRefused, match="pinned"):
+        pin.check("b3RoZXI=")
+
+
+def test_refuses_the_server_when_the_key_cannot_be_kept(tmp_path: Path) -> None:
+    with pytest.raises(LinkRefused, match="cannot pin"):
+        KeyPin(path=tmp_path / "missing" / "kernel.pub").check(KEY)
