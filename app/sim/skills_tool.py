@@ -7,7 +7,7 @@ from math import cos, sin
 from typing import TYPE_CHECKING
 
 from app.cell.substrate import SubstrateError
-from app.sim.body import CONTACT_SPEED_MPS, Body, Moves, SkillFailed
+from app.sim.body import CONTACT_NEAR_M, CONTACT_SPEED_MPS, SOFT_CLOSE_N, Body, Moves, SkillFailed
 from app.sim.kinematics import ToolPose
 from app.sim.skills_arm import HOVER_M, number, within_reach
 from app.sim.world import LEVER_LENGTH_M, LEVER_SWING_RAD
@@ -15,6 +15,7 @@ from app.sim.world import LEVER_LENGTH_M, LEVER_SWING_RAD
 if TYPE_CHECKING:
     from app.governance.model import Json, Tool
 
+_CLEAR_M = 0.22  # above the tool's place: clear of a raised lever
 
 def operate_tool(body: Body, params: Mapping[str, Json]) -> Moves:
     """Work a lever or press a button, and check its switch."""
@@ -38,7 +39,8 @@ def _swing_lever(body: Body, tool: Tool, wanted: str, force_n: float, limit_mps:
     yield from body.open()
     x, y = body.relative(tool.x_m, tool.y_m)
     grips = [_handle(x, y, tool.z_m, begin + (end - begin) * k / 12) for k in range(13)]
-    yield from body.approach(grips[0]._replace(z_m=grips[0].z_m + HOVER_M), speed)
+    yield from body.approach(grips[0]._replace(z_m=tool.z_m + _CLEAR_M), speed)
+    yield from body.line(grips[0]._replace(z_m=grips[0].z_m + CONTACT_NEAR_M), speed)
     body.enter("descend", 0.3)
     yield from body.line(grips[0], slow, until=body.touched)
     body.enter("close", 0.4)
@@ -50,7 +52,8 @@ def _swing_lever(body: Body, tool: Tool, wanted: str, force_n: float, limit_mps:
     body.enter("release", 0.8)
     yield from body.open()
     here = body.pose
-    yield from body.line(here._replace(z_m=here.z_m + HOVER_M), speed)
+    yield from body.line(here._replace(z_m=here.z_m + 0.04), slow)
+    yield from body.line(here._replace(z_m=tool.z_m + _CLEAR_M), speed)
     yield from _check_tool(body, tool, wanted)
 
 
@@ -64,15 +67,18 @@ def _press_button(body: Body, tool: Tool, wanted: str, force_n: float, limit_mps
     body.enter("approach", 0.0)
     x, y = body.relative(tool.x_m, tool.y_m)
     above = ToolPose(x, y, tool.z_m + HOVER_M, 0.0)
-    yield from body.approach(above, speed)
-    body.grip_n = 8.0
+    yield from body.open()
+    yield from body.approach(above._replace(z_m=tool.z_m + _CLEAR_M), speed)
+    body.grip_n = SOFT_CLOSE_N
     yield from body.wait(1.0)
+    yield from body.line(above._replace(z_m=tool.z_m + CONTACT_NEAR_M), speed)
     body.enter("operate", 0.4)
     yield from body.line(
         above._replace(z_m=tool.z_m - 0.008), slow, until=lambda: body.touched(force_n) or body.senses.tool_state(tool.name) == wanted
     )
     body.enter("retreat", 0.8)
-    yield from body.line(above, speed)
+    yield from body.line(above, slow)
+    yield from body.line(above._replace(z_m=tool.z_m + _CLEAR_M), speed)
     yield from _check_tool(body, tool, wanted)
 
 

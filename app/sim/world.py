@@ -151,6 +151,10 @@ def _add_lever(spec: mujoco.MjSpec, name: str, at: tuple[float, float, float], f
         name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=(0, -1, 0), range=(-LEVER_SWING_RAD, LEVER_SWING_RAD), limited=True, frictionloss=0.6,
         damping=0.3, armature=0.01, ref=0.0,
     )  # fmt: skip
+    # A little play sideways, as every lever has: a stiff arm with a stiff handle would fight over millimetres.
+    body.add_joint(
+        name=f"{name}_play", type=mujoco.mjtJoint.mjJNT_HINGE, axis=(0, 0, 1), range=(-0.15, 0.15), limited=True, stiffness=4.0, damping=0.3, armature=0.01
+    )
     body.add_geom(
         name=f"{name}_bar", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=(0, 0, 0, LEVER_LENGTH_M + 0.03, 0, 0), size=(0.012, 0, 0), mass=0.4,
         contype=robot.OBJECT, conaffinity=0, condim=4, rgba=(0.85, 0.25, 0.15, 1),
