@@ -123,7 +123,7 @@ def show(type_: Type) -> str:
             return f"list<{show(element)}>"
         case MapType(value):
             return f"map<string, {show(value)}>"
-        case RecordType():
+        case _:
             return type_.name
 
 
