@@ -27,7 +27,7 @@ class CheckpointFile:
     """The writer's side: appends notes durably, and keeps the one it could not write until it can."""
 
     def __init__(self, path: Path) -> None:
-        """Open the file, create it where there is none, and cut off what a crash left half written.
+        """Open or create the file; what a crash left half written is cut off before the next note.
 
         Raises:
             OSError: the file cannot be opened for writing.
@@ -41,25 +41,23 @@ class CheckpointFile:
         self.missing: str | None = None
         self.last, torn = last_note(path)
         self._length = path.stat().st_size - torn
-        if torn:
-            os.ftruncate(self._descriptor, self._length)
+        self._torn = torn > 0
 
     def append(self, note: str) -> None:
-        """Write a note; where that fails it is kept as `missing` and the file is as it was.
+        """Write a note; where that fails it is kept as `missing`, and what got written is cut off before the next one.
 
         Raises:
             OSError: the disk did not take it all.
         """
         self.missing = note
         data = (note + "\n").encode()
-        try:
-            written = os.write(self._descriptor, data)
-        except OSError:
+        if self._torn:
             os.ftruncate(self._descriptor, self._length)
-            raise
+        self._torn = True
+        written = os.write(self._descriptor, data)
         if written != len(data):
-            os.ftruncate(self._descriptor, self._length)
             raise OSError(f"`{written}` of `{len(data)}` bytes of a checkpoint were written")
+        self._torn = False
         self._length += len(data)
         self.last = note
         self.missing = None

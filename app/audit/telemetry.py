@@ -260,7 +260,7 @@ class _Tape:
 
     def __init__(self, file: BinaryIO, channels: tuple[Channel, ...], start_wall_s: float) -> None:
         self._names = tuple(channel.name for channel in channels)
-        self._start_ns = round(start_wall_s * NANOSECONDS)
+        self._start_ns = round(start_wall_s * 1_000_000) * 1000  # wall times are good to the microsecond
         self._zero_s: float | None = None
         self._last_s: float | None = None
         self.row_count = 0

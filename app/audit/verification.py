@@ -72,7 +72,7 @@ class _Walk:
         self.verifier = verifier
         self.frontier = Frontier()
         self.note: str | None = None
-        self._not_outside: list[int] = []
+        self._not_outside: list[tuple[Frontier, str | None]] = []
 
     def result(self, first_bad: int | None, problem: str | None) -> Verification:
         return Verification(
@@ -95,9 +95,12 @@ class _Walk:
                 raise _Bad(min(extent.first, 1), f"the first event is `{extent.first}`")
             while self.frontier.size < extent.signed:
                 batches = reader.batches(after=self.frontier.size, until=extent.signed, limit=BATCHES_AT_A_TIME)
+                if not batches:
+                    raise _Bad(self.frontier.size + 1, "the checkpoints vanished while they were read")
                 for batch in batches:
-                    self._batch(reader, batch)
+                    grown = self._grow(reader, batch)
                     self._outside(batch, outside, before.signed)
+                    self.frontier, self.note = grown, batch.note
         finally:
             reader.close()
         self._end(extent, outside)
@@ -106,11 +109,12 @@ class _Walk:
         if extent.last > extent.signed:
             raise _Bad(extent.signed + 1, f"no checkpoint vouches for the events after `{extent.signed}`")
         if len(self._not_outside) > 1:
-            raise _Bad(self._not_outside[0], f"`{self.places.checkpoints}` lacks the last checkpoints")
+            self.frontier, self.note = self._not_outside[0]
+            raise _Bad(self.frontier.size + 1, f"`{self.places.checkpoints}` lacks the last checkpoints")
         if next(outside, None) is not None:
             raise _Bad(extent.signed + 1, f"`{self.places.checkpoints}` vouches for more events: the end was cut off")
 
-    def _batch(self, reader: Reader, batch: Batch) -> None:
+    def _grow(self, reader: Reader, batch: Batch) -> Frontier:
         size = self.frontier.size
         if batch.first != size + 1 or batch.size < batch.first:
             raise _Bad(size + 1, f"the checkpoint that covers event `{size + 1}` is missing")
@@ -122,7 +126,7 @@ class _Walk:
             raise _Bad(batch.first, f"the events `{batch.first}` to `{batch.size}` are not those that were signed")
         if vouched is None or batch.frontier != grown.pack():
             raise _Bad(batch.first, f"what stands beside the checkpoint at `{batch.size}` was altered")
-        self.frontier, self.note = grown, batch.note
+        return grown
 
     def _head(self, batch: Batch) -> Checkpoint:
         try:
@@ -168,7 +172,7 @@ class _Walk:
         note = next(outside, None)
         if note is None:
             if batch.size <= due:
-                self._not_outside.append(batch.first)
+                self._not_outside.append((self.frontier, self.note))
         elif note != batch.note:
             raise _Bad(batch.first, f"`{self.places.checkpoints}` holds another checkpoint than that at `{batch.size}`")
 

@@ -153,11 +153,11 @@ async def test_rows_alone_leave_the_tree_as_it_is(store: AuditStore) -> None:
         (invocation_row("inv_1", document="text"), "bytes"),
         (invocation_row("inv_1", agent="\ud800"), "UTF-8"),
         (
-            RowWrite(table="cell_progress", values={"cell": "a", "up_seq": 2**63, "journal": "", "updated_at": ""}),
+            progress_row(2**63),
             "64 bits",
         ),
         (
-            RowWrite(table="cell_progress", values={"cell": "a", "up_seq": True, "journal": "", "updated_at": ""}),
+            progress_row(True),
             "64 bits",
         ),
     ],

@@ -1,0 +1,131 @@
+"""The auditor's tools, with and without a server running on the directory."""
+
+from __future__ import annotations
+
+import hashlib
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from app.audit.archive import export, show, tail, telemetry_problems, verify_file
+from app.audit.checkpoint import Signer
+from app.audit.errors import RecordDamaged
+from app.audit.event import EventDraft
+from app.audit.merkle import Frontier, leaf_hash
+from app.audit.places import Places
+from app.audit.store import AuditStore
+from app.audit.telemetry import TelemetryWriter, channels
+from tests.audit.conftest import draft, fill
+
+pytestmark = pytest.mark.anyio
+
+
+async def test_verifies_beside_a_running_server(store: AuditStore, data: Path) -> None:
+    await fill(store)
+    assert verify_file(data).size == 12
+    await fill(store, 1)
+    assert (verify_file(data).ok, verify_file(data).size) == (True, 15)
+
+
+async def test_verifies_against_a_key_kept_elsewhere(store: AuditStore, data: Path) -> None:
+    await fill(store)
+    stranger = Signer(name=store.verifier.name, seed=bytes(32)).verifier
+    assert verify_file(data, store.verifier).ok
+    assert verify_file(data, stranger).first_bad == 1
+
+
+async def test_reads_a_closed_log_and_changes_nothing(data: Path) -> None:
+    store = AuditStore.open(data)
+    await fill(store)
+    await store.close()
+    before = contents(data)
+    assert verify_file(data).ok
+    assert len(tail(data)) == 12
+    after = contents(data)
+    assert {name: after[name] for name in before} == before
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+async def test_shows_an_invocation_beyond_one_page(store: AuditStore, data: Path) -> None:
+    await store.append([draft(invocation="inv_2", n=n) for n in range(1500)] + [draft(invocation="inv_3")])
+    events = show(data, "inv_2")
+    assert [event.seq for event in events] == list(range(1, 1501))
+    assert show(data, "inv_9") == []
+
+
+async def test_tail_gives_the_end_and_what_follows(store: AuditStore, data: Path) -> None:
+    await fill(store)
+    assert [event.seq for event in tail(data, limit=3)] == [10, 11, 12]
+    assert tail(data, after=12) == []
+    await fill(store, 1)
+    assert [event.seq for event in tail(data, after=12)] == [13, 14, 15]
+
+
+async def test_an_export_can_be_checked_without_this_program(store: AuditStore, data: Path, tmp_path: Path) -> None:
+    await store.append([draft(n=n) for n in range(1200)])
+    result = export(data, tmp_path / "log.jsonl")
+    content = result.events.read_bytes()
+    lines = content.splitlines()
+    assert (result.count, len(lines)) == (1200, 1200)
+    assert result.sha256 == hashlib.sha256(content).hexdigest()
+    head = store.verifier.open(result.checkpoint.read_text())
+    assert (head.size, head.root) == (1200, Frontier().extend(map(leaf_hash, lines)).root())
+
+
+async def test_an_export_of_an_empty_log_is_empty(store: AuditStore, data: Path, tmp_path: Path) -> None:
+    assert export(data, tmp_path / "log.jsonl").count == store.size == 0
+
+
+async def test_refuses_another_format(store: AuditStore, data: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="jsonl"):
+        export(data, tmp_path / "log.csv", "csv")  # pyright: ignore[reportArgumentType]
+    assert store.healthy
+
+
+@pytest.mark.parametrize("tool", [verify_file, tail, lambda data: show(data, "inv_1"), telemetry_problems])
+async def test_says_that_there_is_no_log(tmp_path: Path, tool: object) -> None:
+    assert callable(tool)
+    with pytest.raises(RecordDamaged, match="no such"):
+        tool(tmp_path / "nowhere")
+    with pytest.raises(RecordDamaged, match="no such"):
+        tool(tmp_path)
+
+
+async def test_says_that_a_file_is_no_log(data: Path) -> None:
+    await AuditStore.open(data).close()
+    places = Places(data)
+    places.database.unlink()
+    places.database.write_bytes(b"not a database at all" * 500)
+    with pytest.raises(RecordDamaged, match="cannot be read as a log"):
+        verify_file(data)
+    places.database.unlink()
+    sqlite3.connect(places.database).execute("CREATE TABLE other (a)").connection.close()
+    with pytest.raises(RecordDamaged, match="no such table"):
+        tail(data)
+
+
+async def test_says_that_a_key_is_none(store: AuditStore, data: Path) -> None:
+    await fill(store, 1)
+    Places(data).public_key.write_text("nothing")
+    with pytest.raises(RecordDamaged, match=r"log\.pub"):
+        verify_file(data)
+
+
+async def test_compares_telemetry_files_with_the_log(store: AuditStore, data: Path) -> None:
+    folder = Places(data).telemetry
+    for name in ("a", "b", "c"):
+        writer = TelemetryWriter(folder / f"{name}.mcap", channels(("time_s", "q1_rad")), start_wall_s=0)
+        writer.write_rows([(0.0, 1.0)])
+        summary = await writer.aclose()
+        await store.append([EventDraft(kind="telemetry", actor="server", invocation=name, body=summary.body())])
+    await store.append([EventDraft(kind="telemetry", actor="server", body={"lost": "disk full"})])
+    assert telemetry_problems(data) == []
+    (folder / "b.mcap").write_bytes(b"other")
+    (folder / "c.mcap").unlink()
+    changed, gone = telemetry_problems(data)
+    assert "b.mcap` is not the file that was recorded" in changed
+    assert "No such file" in gone

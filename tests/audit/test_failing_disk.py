@@ -1,0 +1,110 @@
+"""What the store does when the disk takes no more, and when it does again."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from app.audit.errors import RecordUnavailable
+from app.audit.store import AuditStore
+from app.clock import monotonic_s
+from tests.audit.conftest import draft, fill
+
+pytestmark = pytest.mark.anyio
+
+DEADLINE_S = 10.0
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    deadline = monotonic_s() + DEADLINE_S
+    while not condition():
+        assert monotonic_s() < deadline
+        await asyncio.sleep(0.01)
+
+
+def limit_pages(store: AuditStore, pages: int | None) -> None:
+    """Let the database have only so many pages, which SQLite answers as a full disk."""
+    connection = store._ledger._connection
+    used = connection.exec_driver_sql("PRAGMA page_count").scalar()
+    connection.exec_driver_sql(f"PRAGMA max_page_count={used if pages is None else pages}")
+
+
+async def test_a_full_database_refuses_everyone_in_the_batch_and_nothing_is_recorded(store: AuditStore) -> None:
+    await fill(store)
+    limit_pages(store, None)
+    answers = await asyncio.gather(
+        *(store.append([draft(filler="x" * 100_000)]) for _ in range(5)), return_exceptions=True
+    )
+    assert [type(answer) for answer in answers] == [RecordUnavailable] * 5
+    assert all(answer.__cause__ is not None for answer in answers if isinstance(answer, BaseException))
+    assert (store.healthy, store.reason) == (False, "database or disk is full")
+    assert store.size == 12
+    assert (await store.verify()).size == 12
+    limit_pages(store, 1_000_000)
+    assert await store.append([draft()]) == [13]
+    assert store.healthy
+    assert (await store.verify()).ok
+
+
+async def test_health_comes_back_by_itself(store: AuditStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.audit.store.PROBE_AFTER_S", 0.01)
+    limit_pages(store, None)
+    with pytest.raises(RecordUnavailable):
+        await store.append([draft(filler="x" * 100_000)])
+    probed = store._probe
+    await until(lambda: store._probe is not probed)  # it tried again, and the disk is still full
+    assert not store.healthy
+    limit_pages(store, 1_000_000)
+    await until(lambda: store.healthy)
+    assert store.size == 0
+    assert (await store.verify()).ok
+
+
+async def test_no_second_batch_is_committed_while_the_file_outside_lacks_the_first(store: AuditStore) -> None:
+    await fill(store, 1)
+    descriptor = store._ledger._file._descriptor
+    kept = os.dup(descriptor)
+    full = os.open("/dev/full", os.O_WRONLY)
+    os.dup2(full, descriptor)
+    assert await store.append([draft(n=1)]) == [4]  # it is durable, so it is acknowledged, but not unseen
+    assert not store.healthy
+    assert "No space left" in (store.reason or "")
+    with pytest.raises(RecordUnavailable):
+        await store.append([draft(n=2)])
+    assert store.size == 4
+    os.dup2(kept, descriptor)
+    os.close(kept)
+    os.close(full)
+    assert await store.append([draft(n=3)]) == [5]
+    assert store.healthy
+    assert store.places.checkpoints.read_text().count("\n\n— ") == 3
+    assert (await store.verify()).ok
+
+
+async def test_a_commit_that_failed_but_reached_the_disk_is_taken_in(
+    store: AuditStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The one thing a caller cannot be told exactly: refused, yet recorded. The log must stay one log."""
+    commit = store._ledger.commit
+
+    def fail_afterwards(staged: object) -> None:
+        commit(staged)  # pyright: ignore[reportArgumentType]
+        raise OSError("lost the answer")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(store._ledger, "commit", fail_afterwards)
+        with pytest.raises(RecordUnavailable, match="lost the answer"):
+            await store.append([draft(n=1)])
+    assert await store.append([draft(n=2)]) == [2]
+    assert (await store.verify()).ok
+
+
+async def test_a_data_directory_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    with pytest.raises(RecordUnavailable, match="file"):
+        AuditStore.open(blocked / "data")

@@ -1,0 +1,90 @@
+"""The tables the revisions make are the tables the program uses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import sqlalchemy as sa
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+from sqlalchemy.dialects import postgresql
+
+from app.audit.errors import RecordDamaged
+from app.audit.migrate import migrate, migrations_folder
+from app.audit.places import Places
+from app.audit.rows import replacement
+from app.audit.store import AuditStore
+from app.audit.tables import STATE, metadata
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+@pytest.fixture
+def connection(tmp_path: Path) -> Iterator[sa.Connection]:
+    engine = sa.create_engine(f"sqlite:///{tmp_path / 'a.db'}", isolation_level="AUTOCOMMIT")
+    with engine.connect() as opened:
+        yield opened
+    engine.dispose()
+
+
+def test_revisions_come_to_the_tables_in_use(connection: sa.Connection) -> None:
+    migrate(connection)
+    assert compare_metadata(MigrationContext.configure(connection), metadata) == []
+    indexes = {index.name for table in metadata.tables.values() for index in table.indexes}
+    found = {index["name"] for table in metadata.tables for index in sa.inspect(connection).get_indexes(table)}
+    assert found == indexes
+
+
+def test_running_them_again_changes_nothing(connection: sa.Connection) -> None:
+    migrate(connection)
+    before = connection.exec_driver_sql("SELECT sql FROM sqlite_master").all()
+    migrate(connection)
+    assert connection.exec_driver_sql("SELECT sql FROM sqlite_master").all() == before
+
+
+def test_works_from_any_directory(connection: sa.Connection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    migrate(connection)
+    assert sa.inspect(connection).has_table("events")
+
+
+def test_a_revision_that_fails_leaves_nothing_behind(connection: sa.Connection) -> None:
+    connection.exec_driver_sql("CREATE TABLE probes (id INTEGER)")  # stands in the way of the last table
+    with pytest.raises(sa.exc.OperationalError, match="probes"):
+        migrate(connection)
+    assert sa.inspect(connection).get_table_names() == ["probes"]
+
+
+def test_finds_the_revisions_an_installed_package_ships(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.audit.migrate.PACKAGE", tmp_path / "app")
+    with pytest.raises(FileNotFoundError, match="no migrations"):
+        migrations_folder()
+    for folder in (tmp_path / "migrations", tmp_path / "app" / "shipped" / "migrations"):
+        folder.mkdir(parents=True)
+        (folder / "env.py").write_text("")
+        assert migrations_folder() == folder
+
+
+@pytest.mark.anyio
+async def test_does_not_start_on_the_tables_of_a_newer_version(tmp_path: Path) -> None:
+    await AuditStore.open(tmp_path).close()
+    engine = sa.create_engine(f"sqlite:///{Places(tmp_path).database}")
+    with engine.begin() as connection:
+        connection.exec_driver_sql("UPDATE alembic_version SET version_num = '9999'")
+    engine.dispose()
+    with pytest.raises(RecordDamaged, match="another version"):
+        AuditStore.open(tmp_path)
+
+
+@pytest.mark.parametrize("table", [*metadata.tables.values()], ids=lambda table: table.name)
+def test_tables_can_be_said_to_postgresql(table: sa.Table) -> None:
+    text = str(sa.schema.CreateTable(table).compile(dialect=postgresql.dialect()))
+    assert "BIGINT" in text or "TEXT" in text
+    if table.name in STATE:
+        upsert = str(replacement(table, "postgresql").compile(dialect=postgresql.dialect()))
+        assert "ON CONFLICT" in upsert

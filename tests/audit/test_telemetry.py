@@ -1,0 +1,205 @@
+"""Telemetry files, read back with MCAP's own reader."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import struct
+from math import inf, nan, pi
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.reader import make_reader
+
+from app.audit.errors import RecordUnavailable
+from app.audit.telemetry import Channel, TelemetryWriter, channels
+
+NAMES = ("time_s", "base_x_m", "base_y_m", "base_yaw_rad", "tcp_x_m", "tcp_y_m", "tcp_z_m", "grip_force_n", "progress")
+ROW = struct.Struct("<d8f")
+START_S = 1_700_000_000.25
+
+
+def pack(count: int, start: int = 0) -> bytes:
+    """Rows of a robot that drives along x and turns."""
+    rows = [(5 + n / 100, n / 4, 0.5, pi / 2, 1.0, 2.0, 0.75, 40.0, n / 100) for n in range(start, start + count)]
+    return b"".join(ROW.pack(*row) for row in rows)
+
+
+def open_writer(path: Path) -> TelemetryWriter:
+    return TelemetryWriter(path, channels(NAMES), start_wall_s=START_S)
+
+
+def read(path: Path) -> dict[str, list[tuple[int, dict[str, Any]]]]:
+    topics: dict[str, list[tuple[int, dict[str, Any]]]] = {}
+    with path.open("rb") as file:
+        for _, channel, message in make_reader(file, validate_crcs=True).iter_messages():
+            topics.setdefault(channel.topic, []).append((message.log_time, json.loads(message.data)))
+    return topics
+
+
+def test_every_row_comes_back_with_its_time(tmp_path: Path) -> None:
+    writer = open_writer(tmp_path / "a.mcap")
+    for batch in range(10):
+        writer.write(pack(20, batch * 20))
+    summary = writer.close()
+    assert (summary.rows, summary.events, summary.dropped) == (200, 0, 0)
+    messages = read(tmp_path / "a.mcap")["/telemetry"]
+    assert len(messages) == 200
+    assert [message["base_x_m"] for _, message in messages] == [n / 4 for n in range(200)]
+    assert tuple(messages[0][1]) == NAMES
+    times = [time for time, _ in messages]
+    assert times[0] == 1_700_000_000_250_000_000
+    assert times[-1] - times[0] == pytest.approx(1.99e9, abs=1000)
+
+
+def test_the_digest_is_that_of_the_file(tmp_path: Path) -> None:
+    writer = open_writer(tmp_path / "a.mcap")
+    writer.write(pack(20))
+    summary = writer.close()
+    data = (tmp_path / "a.mcap").read_bytes()
+    assert (summary.sha256, summary.bytes, summary.file) == (hashlib.sha256(data).hexdigest(), len(data), "a.mcap")
+    assert summary.body()["sha256"] == summary.sha256
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_foxglove_finds_schemas_for_every_topic(tmp_path: Path) -> None:
+    writer = open_writer(tmp_path / "a.mcap")
+    writer.write(pack(1))
+    writer.close()
+    with (tmp_path / "a.mcap").open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    found = {
+        channel.topic: (channel.message_encoding, summary.schemas[channel.schema_id])
+        for channel in summary.channels.values()
+    }
+    assert {topic: (encoding, schema.name, schema.encoding) for topic, (encoding, schema) in found.items()} == {
+        "/telemetry": ("json", "reins.Telemetry", "jsonschema"),
+        "/events": ("json", "foxglove.Log", "jsonschema"),
+        "/base": ("json", "foxglove.PoseInFrame", "jsonschema"),
+        "/tcp": ("json", "foxglove.PoseInFrame", "jsonschema"),
+    }
+    properties = json.loads(found["/telemetry"][1].data)["properties"]
+    assert properties["grip_force_n"] == {"type": "number", "description": "N"}
+
+
+def test_poses_stand_in_the_world(tmp_path: Path) -> None:
+    writer = open_writer(tmp_path / "a.mcap")
+    writer.write(pack(3))
+    writer.close()
+    topics = read(tmp_path / "a.mcap")
+    time, base = topics["/base"][2]
+    assert base["pose"]["position"] == {"x": 0.5, "y": 0.5, "z": 0.0}
+    assert base["pose"]["orientation"] == pytest.approx({"x": 0, "y": 0, "z": 0.5**0.5, "w": 0.5**0.5}, abs=1e-6)
+    assert base["timestamp"]["sec"] * 1_000_000_000 + base["timestamp"]["nsec"] == time
+    assert topics["/tcp"][0][1]["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 0.75}
+
+
+def test_without_pose_channels_there_are_no_pose_topics(tmp_path: Path) -> None:
+    writer = TelemetryWriter(tmp_path / "a.mcap", [Channel("time_s", "s"), Channel("q1_rad", "rad")], start_wall_s=0)
+    writer.write_rows([(0.0, 1.0), (0.01, 2.0)])
+    writer.close()
+    topics = read(tmp_path / "a.mcap")
+    assert topics.keys() == {"/telemetry"}
+    assert [message for _, message in topics["/telemetry"]] == [
+        {"time_s": 0.0, "q1_rad": 1.0},
+        {"time_s": 0.01, "q1_rad": 2.0},
+    ]
+
+
+def test_events_stand_at_their_tick(tmp_path: Path) -> None:
+    writer = open_writer(tmp_path / "a.mcap")
+    writer.event("launch", "launched")
+    writer.write(pack(20))
+    writer.event("separation", "pause", time_s=5.1, level="warning", detail={"value": 0.4})
+    writer.event("outcome", "succeeded")
+    assert writer.close().events == 3
+    (first, launched), (second, paused), (third, _) = read(tmp_path / "a.mcap")["/events"]
+    assert (launched["level"], launched["message"]) == (2, "launched")
+    assert [first, second, third] == sorted([first, second, third])
+    assert second == pytest.approx(first + 100_000_000, abs=1000)
+    assert (launched["level"], paused["level"], paused["name"], paused["detail"]) == (
+        2,
+        3,
+        "separation",
+        {"value": 0.4},
+    )
+
+
+def test_what_is_not_finite_is_null(tmp_path: Path) -> None:
+    writer = TelemetryWriter(tmp_path / "a.mcap", channels(("time_s", "a_m", "b_m")), start_wall_s=0)
+    writer.write_rows([(0.0, nan, inf)])
+    writer.close()
+    assert read(tmp_path / "a.mcap")["/telemetry"][0][1] == {"time_s": 0.0, "a_m": None, "b_m": None}
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("time_s", "s"),
+        ("tcp_speed_mps", "m/s"),
+        ("residual_nm", "N·m"),
+        ("q1_rad", "rad"),
+        ("lag_ms", "ms"),
+        ("rate", "1"),
+    ],
+)
+def test_a_name_tells_its_unit(name: str, unit: str) -> None:
+    assert channels([name]) == (Channel(name, unit),)
+
+
+def test_refuses_rows_that_do_not_fit(tmp_path: Path) -> None:
+    writer = open_writer(tmp_path / "a.mcap")
+    with pytest.raises(ValueError, match="rows of `40` bytes"):
+        writer.write(pack(1)[:-1])
+    with pytest.raises(ValueError, match="`9` values"):
+        writer.write_rows([(0.0, 1.0)])
+    assert writer.close().rows == 0
+
+
+@pytest.mark.parametrize(
+    ("names", "row_format"), [(("time_s", "time_s"), None), (("time_s", "a"), "<d"), (("a",), "<ff")]
+)
+def test_refuses_a_format_for_other_channels(tmp_path: Path, names: tuple[str, ...], row_format: str | None) -> None:
+    with pytest.raises(ValueError, match="pack one value"):
+        TelemetryWriter(tmp_path / "a.mcap", channels(names), start_wall_s=0, row_format=row_format)
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RecordUnavailable, match="telemetry"):
+        open_writer(tmp_path / "file" / "a.mcap")
+
+
+def test_a_full_disk_is_reported_at_the_end(tmp_path: Path) -> None:
+    draft = tmp_path / "a.mcap.partial"
+    draft.symlink_to("/dev/full")
+    writer = open_writer(tmp_path / "a.mcap")
+    for start in range(0, 4000, 20):
+        writer.write(pack(20, start))
+    with pytest.raises(RecordUnavailable, match="No space left"):
+        writer.close()
+    assert not (tmp_path / "a.mcap").exists()
+
+
+def test_rows_beyond_what_may_wait_are_dropped_and_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.audit.telemetry.MAX_WAITING", 3)
+    os.mkfifo(tmp_path / "a.mcap.partial")
+    reader = os.open(tmp_path / "a.mcap.partial", os.O_RDONLY | os.O_NONBLOCK)  # takes 64 kB, then stalls
+    writer = open_writer(tmp_path / "a.mcap")
+    for start in range(0, 40_000, 1000):
+        writer.write(pack(1000, start))
+    assert writer._dropped > 0
+    assert writer._dropped % 1000 == 0
+    os.close(reader)
+    with pytest.raises(RecordUnavailable, match="telemetry"):
+        writer.close()
+
+
+@pytest.mark.anyio
+async def test_closing_does_not_block_the_loop(tmp_path: Path) -> None:
+    writer = open_writer(tmp_path / "a.mcap")
+    writer.write(pack(20))
+    assert (await writer.aclose()).rows == 20

@@ -1,0 +1,267 @@
+"""Whoever changes the record is found out: every way to tamper, done to a real log, and the event it must point at.
+
+The log holds 12 events in 4 batches of 3, unless a test says otherwise.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sqlite3
+from base64 import b64encode
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from app.audit.checkpoint import Signer
+from app.audit.errors import RecordDamaged
+from app.audit.merkle import Frontier, leaf_hash
+from app.audit.places import Places, load_key, load_verifier
+from app.audit.store import AuditStore
+from app.audit.verification import Verification, verify_log
+from tests.audit.conftest import draft, fill
+
+pytestmark = pytest.mark.anyio
+Tamper = Callable[[Places], None]
+
+
+def sql(*statements: str) -> Tamper:
+    """Change the database as someone with the file can: without triggers in the way."""
+
+    def tamper(places: Places) -> None:
+        connection = sqlite3.connect(places.database)
+        for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall():
+            connection.execute(f"DROP TRIGGER {name}")
+        for statement in statements:
+            connection.execute(statement)
+        connection.commit()
+        connection.close()
+
+    return tamper
+
+
+def outside(change: Callable[[str], str]) -> Tamper:
+    def tamper(places: Places) -> None:
+        places.checkpoints.write_text(change(places.checkpoints.read_text()))
+
+    return tamper
+
+
+def notes(text: str) -> list[str]:
+    lines = text.splitlines(keepends=True)
+    return ["".join(lines[start : start + 6]) for start in range(0, len(lines), 6)]
+
+
+def rewrite_history(places: Places) -> None:
+    """Alter event 5 and make everything in the database agree with it, checkpoints signed with a key of one's own."""
+    connection = sqlite3.connect(places.database)
+    sql("UPDATE events SET body = CAST(replace(body, '\"n\":4', '\"n\":9') AS BLOB) WHERE seq = 5")(places)
+    signer = Signer(name=load_verifier(places).name, seed=bytes(32))
+    frontier = Frontier()
+    for size, first in connection.execute("SELECT size, first FROM checkpoints ORDER BY size").fetchall():
+        query = "SELECT body FROM events WHERE seq BETWEEN ? AND ? ORDER BY seq"
+        leaves = [leaf_hash(body) for (body,) in connection.execute(query, (first, size))]
+        frontier = frontier.extend(leaves)
+        connection.execute(
+            "UPDATE checkpoints SET note = ?, leaves = ?, frontier = ? WHERE size = ?",
+            (signer.sign(size, frontier.root()), b"".join(leaves), frontier.pack(), size),
+        )
+    connection.commit()
+    connection.close()
+
+
+def take_the_end_off_everywhere(places: Places) -> None:
+    sql("DELETE FROM events WHERE seq > 9", "DELETE FROM checkpoints WHERE size > 9")(places)
+
+
+SWAP_ROWS = (
+    "UPDATE events SET seq = -5 WHERE seq = 5",
+    "UPDATE events SET seq = 5 WHERE seq = 6",
+    "UPDATE events SET seq = 6 WHERE seq = -5",
+)
+FORGED_LEAVES = "UPDATE checkpoints SET leaves = zeroblob(96) WHERE size = 6"
+OTHER_BODY = "UPDATE events SET body = CAST(replace(body, '\"n\":4', '\"n\":9') AS BLOB) WHERE seq = 5"
+
+TAMPERING: dict[str, tuple[Tamper, int, str]] = {
+    "altered body": (sql(OTHER_BODY), 5, "bytes of event `5`"),
+    "altered body and its leaf": (sql(OTHER_BODY, FORGED_LEAVES), 4, "`4` to `6` are not those"),
+    "altered leaf": (sql(FORGED_LEAVES), 4, "beside the checkpoint"),
+    "leaf cut short": (sql("UPDATE checkpoints SET leaves = x'00' WHERE size = 6"), 4, "beside the checkpoint"),
+    "altered frontier": (sql("UPDATE checkpoints SET frontier = zeroblob(64) WHERE size = 6"), 4, "beside"),
+    "body of another type": (sql("UPDATE events SET body = CAST(body AS TEXT) WHERE seq = 5"), 5, "event `5`"),
+    "altered actor": (sql("UPDATE events SET actor = 'nobody' WHERE seq = 7"), 7, "columns of event `7`"),
+    "altered kind": (sql("UPDATE events SET kind = 'outcome' WHERE seq = 7"), 7, "columns of event `7`"),
+    "altered time": (sql("UPDATE events SET at = '2000-01-01T00:00:00.000Z' WHERE seq = 12"), 12, "columns"),
+    "altered invocation": (sql("UPDATE events SET invocation = NULL WHERE seq = 1"), 1, "columns of event `1`"),
+    "deleted row": (sql("DELETE FROM events WHERE seq = 8"), 8, "event `8` is missing"),
+    "deleted first row": (sql("DELETE FROM events WHERE seq = 1"), 1, "the first event is `2`"),
+    "deleted last row": (sql("DELETE FROM events WHERE seq = 12"), 12, "event `12` is missing"),
+    "deleted everything": (sql("DELETE FROM events", "DELETE FROM checkpoints"), 1, "the end was cut off"),
+    "swapped rows": (sql(*SWAP_ROWS), 5, "bytes of event `5`"),
+    "row before the first": (
+        sql("INSERT INTO events SELECT -1, at, kind, invocation, actor, body FROM events WHERE seq = 3"),
+        -1,
+        "the first event is `-1`",
+    ),
+    "row after the last": (
+        sql("INSERT INTO events SELECT 13, at, kind, invocation, actor, body FROM events WHERE seq = 3"),
+        13,
+        "no checkpoint vouches",
+    ),
+    "end cut off": (take_the_end_off_everywhere, 10, "the end was cut off"),
+    "deleted checkpoint": (sql("DELETE FROM checkpoints WHERE size = 6"), 4, "covers event `4` is missing"),
+    "deleted last checkpoint": (sql("DELETE FROM checkpoints WHERE size = 12"), 10, "no checkpoint vouches"),
+    "forged checkpoint": (
+        sql("UPDATE checkpoints SET note = replace(note, char(10) || '6' || char(10), char(10) || '5' || char(10))"),
+        4,
+        "does not hold",
+    ),
+    "checkpoint of another size": (
+        sql("UPDATE checkpoints SET note = (SELECT note FROM checkpoints WHERE size = 9) WHERE size = 6"),
+        4,
+        "signed for `9` events",
+    ),
+    "history rewritten with another key": (rewrite_history, 1, "no signature by"),
+    "outside: last two cut off": (outside(lambda text: "".join(notes(text)[:-2])), 7, "lacks the last checkpoints"),
+    "outside: one taken out": (outside(lambda text: "".join(notes(text)[:1] + notes(text)[2:])), 4, "another"),
+    "outside: order changed": (outside(lambda text: "".join(reversed(notes(text)))), 1, "another checkpoint"),
+    "outside: emptied": (outside(lambda _: ""), 1, "lacks the last checkpoints"),
+    "outside: garbled": (outside(lambda text: text.replace("reins/", "raids/", 1)), 1, "another checkpoint"),
+    "outside: gone": (lambda places: places.checkpoints.unlink(), 1, "No such file"),
+}
+
+
+@pytest.fixture
+async def log(data: Path) -> Places:
+    """A closed log of 12 events in 4 batches."""
+    store = AuditStore.open(data)
+    await fill(store)
+    await store.close()
+    return Places(data)
+
+
+def verify(places: Places) -> Verification:
+    return verify_log(places, load_verifier(places))
+
+
+async def test_an_untouched_log_verifies(log: Places) -> None:
+    result = verify(log)
+    assert (result.ok, result.size, result.first_bad, result.problem) == (True, 12, None, None)
+    assert result.checkpoint is not None
+    assert b64encode(load_verifier(log).open(result.checkpoint).root).decode() == result.root
+
+
+async def test_an_empty_log_verifies(store: AuditStore) -> None:
+    result = await store.verify()
+    assert (result.ok, result.size, result.checkpoint) == (True, 0, None)
+
+
+@pytest.mark.parametrize("name", TAMPERING)
+async def test_finds_tampering_and_names_the_event(log: Places, name: str) -> None:
+    tamper, first_bad, problem = TAMPERING[name]
+    tamper(log)
+    result = verify(log)
+    assert not result.ok
+    assert problem in (result.problem or "")
+    assert result.first_bad == first_bad
+    assert result.size < max(first_bad, 1)
+
+
+async def test_finds_a_history_rewritten_with_the_stolen_key(log: Places) -> None:
+    """Even the log's own key cannot make the file outside agree with another history."""
+    rewrite_history(log)
+    signer = load_key(log)
+    connection = sqlite3.connect(log.database)
+    for size, packed in connection.execute("SELECT size, frontier FROM checkpoints").fetchall():
+        note = signer.sign(size, Frontier.unpack(size, packed).root())
+        connection.execute("UPDATE checkpoints SET note = ? WHERE size = ?", (note, size))
+    connection.commit()
+    connection.close()
+    result = verify(log)
+    assert (result.ok, result.first_bad) == (False, 4)
+    assert "holds another checkpoint" in (result.problem or "")
+
+
+DAMAGE_AT_THE_END = [
+    "altered time",
+    "deleted last row",
+    "deleted everything",
+    "row after the last",
+    "end cut off",
+    "deleted last checkpoint",
+    "altered body",
+    "outside: last two cut off",
+    "outside: emptied",
+    "outside: gone",
+]
+
+
+@pytest.mark.parametrize("name", sorted(set(DAMAGE_AT_THE_END) - {"altered time"}))
+async def test_does_not_start_on_a_log_whose_end_was_changed(log: Places, name: str) -> None:
+    TAMPERING[name][0](log)
+    with pytest.raises(RecordDamaged):
+        AuditStore.open(log.folder)
+
+
+async def test_a_checkpoint_a_crash_kept_from_the_file_outside_is_no_damage(log: Places) -> None:
+    whole = log.checkpoints.read_text()
+    outside(lambda text: "".join(notes(text)[:-1]))(log)
+    assert verify(log).ok
+    store = AuditStore.open(log.folder)
+    assert log.checkpoints.read_text() == whole
+    await store.close()
+
+
+async def test_a_checkpoint_torn_by_a_crash_is_written_again(log: Places) -> None:
+    whole = log.checkpoints.read_text()
+    log.checkpoints.write_text(whole[:-40])
+    assert verify(log).ok
+    store = AuditStore.open(log.folder)
+    assert log.checkpoints.read_text() == whole
+    await store.append([draft()])
+    assert (await store.verify()).ok
+    await store.close()
+
+
+async def test_refuses_a_file_outside_that_ends_in_garbage(log: Places) -> None:
+    with log.checkpoints.open("a") as file:
+        file.write("garbage" * 1000)
+    with pytest.raises(RecordDamaged, match="no checkpoint"):
+        AuditStore.open(log.folder)
+
+
+async def test_verifies_while_others_append(store: AuditStore) -> None:
+    await fill(store, batches=20)
+    appending = asyncio.gather(*(fill(store, batches=20, each=1) for _ in range(4)))
+    results = [await store.verify() for _ in range(5)]
+    await appending
+    assert [result.problem for result in results] == [None] * 5
+    assert all(result.size >= 60 for result in results)
+    assert (await store.verify()).size == 140
+
+
+async def test_verifies_a_batch_larger_than_a_page(store: AuditStore) -> None:
+    await store.append([draft(n=n) for n in range(2500)])
+    assert (await store.verify()).size == 2500
+
+
+async def test_reports_a_database_that_cannot_be_read(log: Places) -> None:
+    log.database.write_bytes(log.database.read_bytes()[:8192] + bytes(60000))
+    result = verify(log)
+    assert not result.ok
+    assert result.first_bad == 1
+    assert str(log.database) in (result.problem or "")
+
+
+async def test_starts_from_a_checkpoint_some_way_back(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.audit.ledger.TAIL_EVENTS", 5)
+    store = AuditStore.open(data)
+    await fill(store)
+    await store.close()
+    sql("UPDATE events SET body = x'00' WHERE seq = 2")(Places(data))
+    store = AuditStore.open(data)  # far from the end, which is all that a start looks at
+    assert (await store.verify()).first_bad == 2
+    await store.close()
+    sql("UPDATE events SET body = x'00' WHERE seq = 8")(Places(data))
+    with pytest.raises(RecordDamaged, match="after `6`"):
+        AuditStore.open(data)

@@ -1,0 +1,47 @@
+"""Times as texts."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.clock import monotonic_s, parse_rfc3339, rfc3339, wall_s
+
+milliseconds = st.integers(0, 4_102_444_800_000)  # 1970 to 2100, where floats hold a millisecond well
+
+
+@given(milliseconds)
+def test_what_was_written_reads_back_to_the_millisecond(ms: int) -> None:
+    text = rfc3339(ms / 1000)
+    assert len(text) == 24
+    assert parse_rfc3339(text) == pytest.approx(ms / 1000, abs=0.001)
+    assert rfc3339(parse_rfc3339(text)) == text
+
+
+@given(milliseconds, milliseconds)
+def test_texts_sort_like_times(first: int, second: int) -> None:
+    if first < second:
+        assert rfc3339(first / 1000) <= rfc3339(second / 1000)
+
+
+def test_reads_any_offset() -> None:
+    assert parse_rfc3339("2026-03-01T10:30:00+01:00") == parse_rfc3339("2026-03-01T09:30:00.000Z")
+    assert rfc3339(0) == "1970-01-01T00:00:00.000Z"
+
+
+@pytest.mark.parametrize("text", ["", "yesterday", "2026-03-01T09:30:00", "2026-13-01T00:00:00Z"])
+def test_refuses_what_is_no_time_anywhere(text: str) -> None:
+    with pytest.raises(ValueError, match="valid is"):
+        parse_rfc3339(text)
+
+
+@pytest.mark.parametrize("seconds", [float("nan"), float("inf"), 1e300, -1e12])
+def test_refuses_a_time_outside_the_calendar(seconds: float) -> None:
+    with pytest.raises(ValueError, match="valid are"):
+        rfc3339(seconds)
+
+
+def test_clocks_move_forward() -> None:
+    assert wall_s() > parse_rfc3339("2025-01-01T00:00:00Z")
+    assert monotonic_s() <= monotonic_s()
