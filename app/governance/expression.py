@@ -550,6 +550,7 @@ def to_python(typed: Typed, names: Mapping[str, str]) -> str:
         typed: What `check` yielded.
         names: Python text that reads a variable (`target`), or a field of one by its dotted path (`target.fragile`),
             for instance a local that was read before. Text for an optional field yields `None` where it is absent.
+            It is trusted, goes in as it is, and must not use a name of `INTRINSICS` for anything else.
 
     Raises:
         DeclarationError: A variable has no text in `names`.
