@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from fastapi.routing import APIRoute
 
+from app.api.parts import parts_of
 from app.api.problems import Problem
 from app.governance.model import Role
 
@@ -109,7 +110,10 @@ class GuardedRoute(APIRoute):
         allowed = allowed_roles(method, self.path)
 
         async def guarded(request: Request) -> Response:
-            authorize(request, request.app.state.parts.principals, allowed)
+            parts = parts_of(request)
+            authorize(request, parts.principals, allowed)
+            if allowed is not PUBLIC:
+                parts.governor.kernel.heard(caller(request))  # whoever speaks is on duty
             return await handler(request)
 
         return guarded

@@ -96,13 +96,17 @@ async def invocation(request: Request, id: Identifier, query: Annotated[WaitQuer
     """Return an invocation, with `wait` at its next change or after so many seconds (at most 60)."""
     governor = parts_of(request).governor
     if not query.wait:
-        return answer(await governor.invocation(caller(request), id))
-    return answer(await governor.wait(caller(request), id, query.wait, query.seen))
+        return answer(await governor.invocation(id, caller(request)))
+    return answer(await governor.wait(id, caller(request), query.wait, query.seen))
 
 
 async def invocations(request: Request, query: Annotated[InvocationQuery, Query()]) -> Response:
     """List invocations, newest first; an agent's list holds its own."""
-    return answer(await parts_of(request).governor.list(caller(request), **query.model_dump()))
+    filters = query.model_dump(mode="json", include={"status", "capability", "agent", "cell"})
+    items, following = await parts_of(request).governor.list(
+        caller(request), filters, limit=query.limit, cursor=query.cursor
+    )
+    return answer({"items": items, "next": following})
 
 
 async def trace(request: Request, id: Identifier) -> Response:
@@ -110,7 +114,7 @@ async def trace(request: Request, id: Identifier) -> Response:
 
     What an operator wrote in words is left out for agents.
     """
-    return answer(await parts_of(request).governor.trace(caller(request), id))
+    return answer({"items": await parts_of(request).governor.trace(id, caller(request)), "next": None})
 
 
 async def cancel(request: Request, id: Identifier) -> Response:
@@ -119,7 +123,7 @@ async def cancel(request: Request, id: Identifier) -> Response:
     For the agent that proposed it, or an operator.
     """
     await read_optional(request, EmptyBody)
-    return answer(await parts_of(request).governor.cancel(caller(request), id))
+    return answer(await parts_of(request).governor.cancel(id, caller(request)))
 
 
 def to_request(body: ProposalBody) -> ProposalRequest:
@@ -167,7 +171,7 @@ def register(router: APIRouter) -> None:
         router,
         "GET /v1/invocations",
         invocations,
-        Answers(model=documents.InvocationList, codes=("request_invalid", "not_yours")),
+        Answers(model=documents.InvocationList, codes=("request_invalid",)),
     )
     declare(
         router,

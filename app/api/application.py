@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import gc
 from contextlib import asynccontextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import orjson
 from fastapi import FastAPI
@@ -102,12 +102,10 @@ async def healthz(request: Request) -> Response:
 async def readyz(request: Request) -> Response:
     """Say whether a proposal could launch; 503 while not.
 
-    `broken` says what is in the way: the record, each cell, the policy.
+    `broken` says what is in the way: the store, each cell, the policy.
     """
     parts = parts_of(request)
-    broken: dict[str, Any] = dict(parts.fleet.problems())
-    if parts.store.reason is not None:
-        broken["record"] = parts.store.reason
+    broken = parts.governor.ready()
     for name, question in parts.checks.items():
         if (trouble := question()) is not None:
             broken[name] = trouble

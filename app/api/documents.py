@@ -246,6 +246,7 @@ class CellDocument(Document):
     policy_version: str | None
     facts: dict[str, Any] | None
     gauges: dict[str, float]
+    recorded: bool | None = Field(default=None, description="Stands in the answer to an emergency stop alone.")
 
 
 class CellList(Document):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import orjson
 from fastapi.openapi.utils import get_openapi
 from pydantic.json_schema import models_json_schema
-from starlette.responses import Response
+from starlette.responses import JSONResponse, Response
 
 from app.api import documents, wire
 from app.api.access import PUBLIC, allowed_roles
@@ -94,7 +94,8 @@ def declare(
         methods=[method],
         status_code=answers.status,
         response_model=None,
-        response_class=type("Answer", (Json,), {"media_type": answers.media_type}),
+        # Never used to answer; as a JSON class it keeps FastAPI from describing every answer as a text.
+        response_class=type("Described", (JSONResponse,), {"media_type": answers.media_type}),
         description=_description(endpoint, roles),
         responses={**_answers({answers.status: answers.model, **answers.also}), **_refusals(codes)},
         openapi_extra=operation,

@@ -60,46 +60,49 @@ async def resolve(request: Request, id: Identifier) -> Response:
 
 async def pause(request: Request, id: Identifier) -> Response:
     """Pause a running invocation (category 2: controlled, power kept). Any body is ignored."""
-    return answer(await parts_of(request).governor.pause(caller(request), id))
+    return answer(await parts_of(request).governor.pause(id, caller(request)))
 
 
 async def stop(request: Request, id: Identifier) -> Response:
     """Stop an invocation for good (category 1). Any body is ignored."""
-    return answer(await parts_of(request).governor.stop(caller(request), id))
+    return answer(await parts_of(request).governor.stop(id, caller(request)))
 
 
 async def resume(request: Request, id: Identifier) -> Response:
     """Let a paused invocation go on."""
     await read_optional(request, EmptyBody)
-    return answer(await parts_of(request).governor.resume(caller(request), id))
+    return answer(await parts_of(request).governor.resume(id, caller(request)))
 
 
 async def rollback(request: Request, id: Identifier) -> Response:
     """Have an invocation undone, along the path it came."""
     await read_optional(request, EmptyBody)
-    return answer(await parts_of(request).governor.rollback(caller(request), id))
+    return answer(await parts_of(request).governor.rollback(id, caller(request)))
 
 
 async def estop(request: Request, id: Identifier) -> Response:
-    """Stop a cell at once (category 0) and latch it. For every role; any body is ignored."""
-    return answer(await parts_of(request).governor.estop(caller(request), id))
+    """Stop a cell at once (category 0) and latch it.
+
+    For every role; any body is ignored. `recorded` says whether the record took it: the stop is sent either way.
+    """
+    return answer(await parts_of(request).governor.estop(id, caller(request)))
 
 
 async def reset(request: Request, id: Identifier) -> Response:
     """Leave a latched emergency stop. Moves nothing."""
     await read_optional(request, EmptyBody)
-    return answer(await parts_of(request).governor.reset(caller(request), id))
+    return answer(await parts_of(request).governor.reset(id, caller(request)))
 
 
 async def set_profile(request: Request, id: Identifier) -> Response:
     """Put a cell under another environment profile; what runs keeps the one it was authorized under."""
     body = await read_body(request, ProfileBody)
-    return answer(await parts_of(request).governor.set_profile(caller(request), id, body.profile))
+    return answer(await parts_of(request).governor.set_profile(id, body.profile, caller(request)))
 
 
 async def cells(request: Request) -> Response:
     """List the cells the server knows, with what each says of itself."""
-    return answer({"items": await parts_of(request).governor.cells(caller(request)), "next": None})
+    return answer({"items": parts_of(request).governor.cells(), "next": None})
 
 
 def register(router: APIRouter) -> None:
@@ -164,7 +167,7 @@ def register(router: APIRouter) -> None:
         router,
         "PUT /v1/cells/{id}/profile",
         set_profile,
-        Answers(model=documents.CellDocument, codes=(*cell, "profile_unknown", "cell_offline", "cell_busy")),
+        Answers(model=documents.CellDocument, codes=(*cell, "params_invalid")),
         body=ProfileBody,
     )
     declare(router, "GET /v1/cells", cells, Answers(model=documents.CellList))

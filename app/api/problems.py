@@ -66,7 +66,7 @@ CODES: Mapping[str, tuple[int, str]] = {
     "cursor_invalid": (422, "the cursor is not one this server gave out"),
     "idempotency_key_invalid": (422, "the header `Idempotency-Key` is not 1 to 255 printable ASCII characters"),
     "internal": (500, "the server failed; its log says why"),
-    "record_unavailable": (503, "the record cannot be written, so nothing was done"),
+    "record_unavailable": (503, "the record cannot be written, so nothing is let move"),
     **{code: (status, f"refused by the runtime: {code.replace('_', ' ')}") for code, status in CONFLICTS.items()},
 }
 
@@ -165,7 +165,8 @@ def _from_conflict(error: Conflict) -> Problem:
 
 
 def _from_record(error: RecordUnavailable) -> Problem:
-    return Problem("record_unavailable", f"nothing was done: {error}", headers={"Retry-After": "5"})
+    detail = f"{error}; nothing was let move, while a pause, stop or cancel was sent to the cell all the same"
+    return Problem("record_unavailable", detail, headers={"Retry-After": "5"})
 
 
 # The one place where the exceptions of the house become HTTP.

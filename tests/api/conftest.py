@@ -1,0 +1,309 @@
+"""The real door on a real socket over the real runtime and a real database; only the cell is a puppet that dials in."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import contextlib
+import json
+import re
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import httpx
+import jsonschema_rs
+import orjson
+import pytest
+import uvicorn
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from fastapi import FastAPI
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed
+
+from app.api.application import create_app
+from app.api.auth import CELL_TOKEN_FILE, TOKENS_FILE, open_principals
+from app.api.problems import MEDIA_TYPE
+from app.audit.store import AuditStore
+from app.clock import monotonic_s, wall_s
+from app.governance.bundle import load
+from app.protocol import Ack, Beat, Estop, Hello, Human, Launch, Reset, State, UpEvent, decode_down, encode
+from app.runtime.assembly import Runtime
+
+POLICIES = Path(__file__).resolve().parents[2] / "policies"
+CELL = "workcell-1"
+FACTS: dict[str, Any] = {
+    "stamp_s": 1.0,
+    "arm_ready": True,
+    "arm_retracted": True,
+    "gripper_empty": True,
+    "holding": None,
+    "base": [0.0, 0.0, 0.0],
+    "objects": {
+        name: {"visible": True, "reachable": True, "x_m": 0.5, "y_m": 0.0, "z_m": 0.8, "stamp_s": 1.0}
+        for name in ("mug_1", "glass_1", "driver_1")
+    },
+    "tools": {},
+    "inspected": {},
+    "people_count": 0,
+    "people_nearest_m": 99.0,
+    "sensors_fresh": True,
+}
+SPOKEN_STATUS = {"pause": "paused", "resume": "running"}
+SPOKEN_OUTCOME = {
+    "stop": "stopped",
+    "cancel": "cancelled",
+    "rollback": "rolled_back",
+    "resolve_terminate": "terminated",
+}
+
+
+@pytest.fixture(scope="session")
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+async def eventually(condition: Callable[[], Any], within_s: float = 10.0) -> Any:
+    """Return the condition's first true value; fail when the deadline passes."""
+    deadline = monotonic_s() + within_s
+    while not (value := condition()):
+        assert monotonic_s() < deadline, "the condition did not come true in time"
+        await asyncio.sleep(0.01)
+    return value
+
+
+@dataclass
+class Puppet:
+    """A cell without a robot: says it is there, takes launches and people's words, and does nothing by itself."""
+
+    socket: ClientConnection
+    cell: str = CELL
+    invocation: str | None = None
+    latched: bool = False
+    seq: int = 0
+    launches: list[dict[str, Any]] = field(default_factory=list)
+    words: list[str] = field(default_factory=list)
+
+    async def tell(self, kind: str, **body: Any) -> None:
+        self.seq += 1
+        event = UpEvent(
+            seq=self.seq,
+            at_s=wall_s(),
+            tick=0,
+            kind=kind,
+            invocation=self.invocation,
+            actor=self.cell,
+            body=body,
+        )
+        await self.socket.send(encode(event))
+
+    async def end(self, outcome: str) -> None:
+        await self.tell("outcome", outcome=outcome)
+        self.invocation = None
+        await self.say_state()
+
+    async def say_state(self) -> None:
+        state = State(
+            at_s=wall_s(),
+            tick=0,
+            invocation=self.invocation,
+            status="running" if self.invocation else None,
+            latched=self.latched,
+            holding=False,
+            policy_digest=None,
+            profile=None,
+            facts=FACTS,
+            gauges={},
+        )
+        await self.socket.send(encode(state))
+
+    async def take(self, frame: str | bytes) -> None:
+        match decode_down(frame):
+            case Launch(body=body):
+                authorization = json.loads(base64.b64decode(body))
+                self.launches.append(authorization)
+                self.invocation = authorization["invocation"]
+                await self.tell("launch")
+                await self.tell("status", status="running")
+                await self.say_state()
+            case Human(op=op):
+                self.words.append(op)
+                if op in SPOKEN_STATUS:
+                    await self.tell("status", status=SPOKEN_STATUS[op])
+                elif op in SPOKEN_OUTCOME:
+                    await self.end(SPOKEN_OUTCOME[op])
+            case Estop():
+                self.latched = True
+                await self.say_state()
+            case Reset():
+                self.latched = False
+                await self.say_state()
+            case Ack() | Beat():
+                pass
+            case _:
+                pass
+
+    async def live(self) -> None:
+        """Follow the server's words and repeat the state, until the link ends."""
+        with contextlib.suppress(ConnectionClosed):
+            while True:
+                try:
+                    async with asyncio.timeout(0.1):
+                        frame = await self.socket.recv()
+                except TimeoutError:
+                    await self.say_state()
+                else:
+                    await self.take(frame)
+
+
+@dataclass
+class Described:
+    """The OpenAPI document; every answer a test gets is held against it."""
+
+    document: dict[str, Any]
+    validators: dict[tuple[str, str, str, str], Any] = field(default_factory=dict)
+
+    def template(self, path: str) -> str | None:
+        for template in self.document["paths"]:
+            if re.fullmatch(re.sub(r"\{[a-z]+\}", "[^/]+", template), path):
+                return template
+        return None
+
+    async def check(self, response: httpx.Response) -> None:
+        template = self.template(response.request.url.path)
+        method, status = response.request.method.lower(), str(response.status_code)
+        if template is None or method not in self.document["paths"][template]:
+            assert response.status_code in {404, 405}
+            return
+        documented = self.document["paths"][template][method]["responses"]
+        assert status in documented, f"{method} {template} answers {status}, described are {sorted(documented)}"
+        media_type = response.headers["content-type"].partition(";")[0]
+        content = documented[status]["content"]
+        assert media_type in content, f"{method} {template} {status} answers {media_type}, not {sorted(content)}"
+        if media_type == "text/event-stream":
+            return
+        await response.aread()
+        place = (template, method, status, media_type)
+        if place not in self.validators:
+            schema = {**content[media_type]["schema"], "components": self.document["components"]}
+            self.validators[place] = jsonschema_rs.Draft202012Validator(schema)
+        for error in self.validators[place].iter_errors(response.json()):
+            pytest.fail(f"{place}: {error.instance_path}: {error.message}")
+        if media_type == MEDIA_TYPE:
+            code = response.json()["code"]
+            assert code in content[media_type]["examples"], f"{method} {template} does not describe the code `{code}`"
+
+
+@dataclass
+class House:
+    """A server under test."""
+
+    url: str
+    folder: Path
+    runtime: Runtime
+    app: FastAPI
+    tokens: dict[str, str]
+    cell_token: str
+    described: Described
+
+    def client(self, key: str | None = "agent") -> httpx.AsyncClient:
+        token = self.cell_token if key == "cell" else None if key is None else self.tokens[key]
+        headers = {} if token is None else {"Authorization": f"Bearer {token}"}
+        hooks: dict[str, list[Any]] = {"response": [self.described.check]}
+        return httpx.AsyncClient(base_url=self.url, headers=headers, timeout=30.0, trust_env=False, event_hooks=hooks)
+
+    @asynccontextmanager
+    async def cell(self, name: str = CELL) -> AsyncIterator[Puppet]:
+        """Have a cell dial in; leaves with its link closed and the server knowing it."""
+        headers = {"Authorization": f"Bearer {self.cell_token}"}
+        fleet = self.runtime.fleet
+        last_seq = fleet.cell(name).up_seq if fleet.knows(name) else 0
+        url = self.url.replace("http:", "ws:") + f"/v1/cells/{name}/link"
+        async with connect(url, additional_headers=headers, proxy=None, compression=None) as socket:
+            puppet = Puppet(socket, cell=name, seq=last_seq)
+            await socket.send(
+                encode(
+                    Hello(
+                        cell=name,
+                        boot="boot-1",
+                        robot="puppet",
+                        policy_digest=self.runtime.kernel.policy.digest,
+                        profile=None,
+                        invocation=None,
+                        latched=False,
+                        last_seq=last_seq,
+                    )
+                )
+            )
+            await puppet.say_state()
+            living = asyncio.create_task(puppet.live())
+            await eventually(lambda: fleet.knows(name) and fleet.cell(name).fresh)
+            try:
+                yield puppet
+            finally:
+                living.cancel()
+                await asyncio.wait({living})
+        await eventually(lambda: not fleet.attached(fleet.cell(name)))
+
+
+@asynccontextmanager
+async def open_house(folder: Path, profile: str) -> AsyncIterator[House]:
+    """Serve a data directory on a free port of this machine."""
+    store = AuditStore.open(folder)
+    principals = open_principals(folder)
+    runtime = Runtime(store, load(POLICIES), Ed25519PrivateKey.generate(), default_profile=profile)
+    async with runtime.running() as governor:
+        app = create_app(
+            governor=governor,
+            desk=runtime.desk,
+            fleet=runtime.fleet,
+            feed=runtime.feed,
+            store=store,
+            policy=lambda: runtime.kernel.policy,
+            principals=principals,
+        )
+        server = Door(
+            uvicorn.Config(
+                app, port=0, log_level="warning", ws="websockets-sansio", ws_per_message_deflate=False, http="httptools"
+            )
+        )
+        serving = asyncio.create_task(server.serve())
+        await eventually(lambda: server.started)
+        port = server.servers[0].sockets[0].getsockname()[1]
+        yield House(
+            url=f"http://127.0.0.1:{port}",
+            folder=folder,
+            runtime=runtime,
+            app=app,
+            tokens=orjson.loads((folder / TOKENS_FILE).read_bytes()),
+            cell_token=(folder / CELL_TOKEN_FILE).read_text().strip(),
+            described=Described(orjson.loads(app.state.openapi)),
+        )
+        runtime.feed.close()
+        server.should_exit = True
+        await serving
+    await store.close()
+
+
+class Door(uvicorn.Server):
+    """Uvicorn without signal handlers: the test runner keeps its own."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Any:
+        yield
+
+
+@pytest.fixture(scope="module")
+async def house(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[House]:
+    """Serve profile sim-relaxed, where low risk launches without asking; no cell yet."""
+    async with open_house(tmp_path_factory.mktemp("house"), "sim-relaxed") as house:
+        yield house
+
+
+@pytest.fixture(scope="module")
+async def shared_house(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[House]:
+    """Serve profile human-shared, where medium risk asks a human."""
+    async with open_house(tmp_path_factory.mktemp("shared"), "human-shared") as house:
+        yield house
