@@ -13,13 +13,13 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from app.governance.intervention import NOTHING, InterventionState, Responses
-from app.governance.model import Alert, Outcome, Status
+from app.governance.model import Outcome, Status
 from app.governance.recovery import Budgets, RecoveryDecision
 from app.governance.watcher import Watcher, WatchState, compile_watch
 
 if TYPE_CHECKING:
     from app.cell.substrate import Skill
-    from app.governance.model import Command, Observation, Params, RecoveryPlan, WatchPlan, WorldFacts
+    from app.governance.model import Command, CoveredRecovery, Observation, Params, RecoveryPlan, WatchPlan, WorldFacts
     from app.governance.permit import Grant
 
 ARM_DECELERATION_MPS2: Final = 2.5
@@ -43,9 +43,8 @@ class Bind:
     """Once still: bind this and go on."""
 
     doing: Doing
-    capability: str
-    params: Params
     careful: bool
+    cover: CoveredRecovery | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +84,7 @@ class Run:
     deciding: RecoveryDecision | None = None
     paused_by: set[str] = field(default_factory=set[str])
     escalated_by: str = ""
-    failed: Alert | None = None
+    failed: str = ""
     confirmed: set[str] = field(default_factory=set[str])
     settling_ticks: int = 0
     unmet: tuple[str, ...] = ()
@@ -93,7 +92,6 @@ class Run:
     speaking: dict[str, int] = field(default_factory=dict[str, int])
     hold_after_recovery: bool = False
     rows: bytearray = field(default_factory=bytearray)
-    row_count: int = 0
 
     @property
     def id(self) -> str:
@@ -102,8 +100,19 @@ class Run:
 
     @property
     def recovering(self) -> bool:
-        """Say whether what is bound is a recovery rather than the capability itself."""
-        return self.doing is not Doing.ATTEMPT
+        """Say whether a recovery is bound, or about to be, rather than the capability itself."""
+        return self.doing is not Doing.ATTEMPT or isinstance(self.next, Bind)
+
+    def waits_for_confirmation(self, phase: str) -> bool:
+        """Say whether a phase may not begin before a human has confirmed it."""
+        phases = self.grant.authorization.confirm_before
+        return phase in phases and phase not in self.confirmed and self.doing is Doing.ATTEMPT and self.moves()
+
+    def confirm(self) -> None:
+        """Note that a human let the phase begin that was asked about, if that was the question."""
+        if self.escalated_by.startswith("confirm:"):
+            self.confirmed.add(self.escalated_by.removeprefix("confirm:"))
+        self.escalated_by = ""
 
     def watch_with(self, plan: WatchPlan, period_s: float) -> None:
         """Go on under another plan, with timers of its own; estimates live on."""

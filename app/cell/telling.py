@@ -1,4 +1,4 @@
-"""What a cell says about a session: the bodies of its events, and the rows of its telemetry.
+"""What a cell says about a session: the bodies of its events, the rows of its telemetry, and the way to the journal.
 
 One function per kind of event, so that the whole vocabulary of a trace can be read here. Bodies are JSON objects; a
 number that is not finite becomes null, because JSON has none and a guard's broken reading must not break its record.
@@ -7,32 +7,94 @@ number that is not finite becomes null, because JSON has none and a guard's brok
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
-from app.governance.model import EventKind, Signal, Strategy
+from app.cell.journal import Entry, Journal, JournalUnavailable
+from app.governance.model import EMPTY, EventKind, Signal, Strategy
 from app.protocol import ROW, ROWS_PER_BATCH
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from app.governance.detectors import Signals
-    from app.governance.model import Alert, Authorization, Intervention, Json, Observation, Outcome, Status, WatchPlan
+    from app.governance.model import (
+        Alert,
+        Authorization,
+        Intervention,
+        Json,
+        Observation,
+        Outcome,
+        Params,
+        Status,
+        WatchPlan,
+    )
     from app.governance.recovery import RecoveryDecision
 
-__all__ = ["ROWS_PER_BATCH", "Saying", "row"]
-
-CELL = "cell"
+CELL: Final = "cell"
+BATCH_BYTES: Final = ROW.size * ROWS_PER_BATCH
 
 
 class Saying(NamedTuple):
     """One entry before it has a number and a time."""
 
-    tick: int
     kind: str
     invocation: str | None
     actor: str
     body: dict[str, Json]
 
 
-def launch(permit: Authorization, tick: int) -> Saying:
+class Recorder:
+    """Writes what is said to the journal; what cannot be written is kept until it can be, and `fault` says why."""
+
+    __slots__ = ("_emit", "_journal", "_unsaid", "_wall", "fault", "tick")
+
+    def __init__(self, journal: Journal, wall: Callable[[], float], emit: Callable[[Entry], None]) -> None:
+        """Take the journal, a wall clock, and who is told every entry once it is written."""
+        self._journal, self._wall, self._emit = journal, wall, emit
+        self._unsaid: list[tuple[Saying, Params]] = []
+        self.fault = ""
+        self.tick = 0
+
+    def say(self, saying: Saying, marks: Params = EMPTY) -> None:
+        """Write one entry.
+
+        Raises:
+            JournalUnavailable: it is not written, and what it was to permit must not happen.
+        """
+        try:
+            entry = self._journal.append(at_s=self._wall(), tick=self.tick, marks=marks, **saying._asdict())
+        except JournalUnavailable as error:
+            self.fault = str(error)
+            raise
+        self._emit(entry)
+
+    def say_anyway(self, saying: Saying, marks: Params = EMPTY) -> None:
+        """Write one entry, or keep it until that is possible: for what restrains, and for what has happened already."""
+        try:
+            self.say(saying, marks)
+        except JournalUnavailable:
+            self._unsaid.append((saying, marks))
+
+    def sync(self) -> None:
+        """Return once everything said is on the disk. Raises `JournalUnavailable`."""
+        try:
+            self._journal.sync()
+        except JournalUnavailable as error:
+            self.fault = str(error)
+            raise
+
+    def catch_up(self) -> None:
+        """Write what was kept; all is well again when everything could be."""
+        while self._unsaid:
+            try:
+                self.say(*self._unsaid[0])
+            except JournalUnavailable:
+                return
+            self._unsaid.pop(0)
+        self.fault = ""
+
+
+def launch(permit: Authorization) -> Saying:
     """The permit is used up and its capability is about to be bound."""
     body: dict[str, Json] = {
         "permit": permit.id,
@@ -43,34 +105,34 @@ def launch(permit: Authorization, tick: int) -> Saying:
         "mode": permit.mode.value,
         "recoveries": [f"{one.strategy}:{one.capability}" for one in permit.recoveries],
     }
-    return Saying(tick, EventKind.LAUNCH, permit.invocation, CELL, body)
+    return Saying(EventKind.LAUNCH, permit.invocation, CELL, body)
 
 
-def launch_refused(invocation: str | None, code: str, detail: str, tick: int) -> Saying:
+def launch_refused(invocation: str | None, code: str, detail: str) -> Saying:
     """An authorization was not good enough; nothing moved."""
-    return Saying(tick, EventKind.LAUNCH, invocation, CELL, {"refused": code, "detail": detail})
+    return Saying(EventKind.LAUNCH, invocation, CELL, {"refused": code, "detail": detail})
 
 
-def status(invocation: str, now: Status, before: Status | None, reason: str, tick: int) -> Saying:
+def status(invocation: str, now: Status, before: Status | None, reason: str) -> Saying:
     """The session has another status."""
     body: dict[str, Json] = {"status": now.value, "before": None if before is None else before.value, "reason": reason}
-    return Saying(tick, EventKind.STATUS, invocation, CELL, body)
+    return Saying(EventKind.STATUS, invocation, CELL, body)
 
 
-def alert(invocation: str, said: Alert, stale: tuple[str, ...], tick: int) -> Saying:
+def alert(invocation: str, said: Alert, stale: tuple[str, ...]) -> Saying:
     """A watch rule has begun to be violated."""
     body = _alert(said)
     if stale:
         body["stale"] = list(stale)
-    return Saying(tick, EventKind.ALERT, invocation, CELL, body)
+    return Saying(EventKind.ALERT, invocation, CELL, body)
 
 
-def quiet(invocation: str, rule: str, tick: int) -> Saying:
+def quiet(invocation: str, rule: str) -> Saying:
     """A watch rule has not been violated for a while."""
-    return Saying(tick, EventKind.ALERT, invocation, CELL, {"signal": Signal.NORMAL.value, "rule": rule})
+    return Saying(EventKind.ALERT, invocation, CELL, {"signal": Signal.NORMAL.value, "rule": rule})
 
 
-def completion(invocation: str, doing: str, plan: WatchPlan, tick: int) -> Saying:
+def completion(invocation: str, doing: str, plan: WatchPlan) -> Saying:
     """What was bound is done, and its postconditions were verified."""
     body: dict[str, Json] = {
         "signal": Signal.COMPLETION.value,
@@ -79,22 +141,22 @@ def completion(invocation: str, doing: str, plan: WatchPlan, tick: int) -> Sayin
         "capability": plan.capability,
         "verified": list(plan.postconditions),
     }
-    return Saying(tick, EventKind.ALERT, invocation, CELL, body)
+    return Saying(EventKind.ALERT, invocation, CELL, body)
 
 
-def intervention(invocation: str, what: Intervention, because: Alert, tick: int) -> Saying:
+def intervention(invocation: str, what: Intervention, because: Alert) -> Saying:
     """The watcher's word has a consequence."""
     body: dict[str, Json] = {"intervention": what.value, **_alert(because)}
-    return Saying(tick, EventKind.INTERVENTION, invocation, CELL, body)
+    return Saying(EventKind.INTERVENTION, invocation, CELL, body)
 
 
-def escalation(invocation: str, reason: str, failed: Alert | None, tick: int) -> Saying:
+def escalation(invocation: str, reason: str, failed: str) -> Saying:
     """The session waits for a human."""
-    body: dict[str, Json] = {"reason": reason, "failure": None if failed is None else failed.failure or failed.rule}
-    return Saying(tick, EventKind.ESCALATION, invocation, CELL, body)
+    body: dict[str, Json] = {"reason": reason, "failure": failed or None}
+    return Saying(EventKind.ESCALATION, invocation, CELL, body)
 
 
-def recovery(invocation: str, decision: RecoveryDecision, unmet: tuple[str, ...], tick: int) -> Saying:
+def recovery(invocation: str, decision: RecoveryDecision, unmet: tuple[str, ...]) -> Saying:
     """What is tried about a failure, decided before it moves."""
     cover = decision.covered
     body: dict[str, Json] = {
@@ -106,32 +168,32 @@ def recovery(invocation: str, decision: RecoveryDecision, unmet: tuple[str, ...]
         "retries": decision.used.retries,
         "unmet": list(unmet),
     }
-    return Saying(tick, EventKind.RECOVERY, invocation, CELL, body)
+    return Saying(EventKind.RECOVERY, invocation, CELL, body)
 
 
-def asked_again(invocation: str, failed: Alert, tick: int) -> Saying:
+def asked_again(invocation: str, failed: str) -> Saying:
     """A human let a session that had failed try again."""
     body: dict[str, Json] = {
-        "failure": failed.failure or failed.rule,
+        "failure": failed,
         "strategy": Strategy.RETRY.value,
         "reason": "operator",
     }
-    return Saying(tick, EventKind.RECOVERY, invocation, CELL, body)
+    return Saying(EventKind.RECOVERY, invocation, CELL, body)
 
 
-def human(invocation: str, op: str, actor: str, refused: str | None, tick: int) -> Saying:
+def human(invocation: str, op: str, actor: str, refused: str | None) -> Saying:
     """An operator said something, and whether it was done."""
-    return Saying(tick, EventKind.HUMAN, invocation, actor, {"op": op, "done": refused is None, "refused": refused})
+    return Saying(EventKind.HUMAN, invocation, actor, {"op": op, "done": refused is None, "refused": refused})
 
 
-def cell(what: str, actor: str, tick: int, detail: str = "") -> Saying:
+def cell(what: str, actor: str, detail: str = "") -> Saying:
     """Something about the cell itself."""
-    return Saying(tick, EventKind.CELL, None, actor, {"what": what, "detail": detail})
+    return Saying(EventKind.CELL, None, actor, {"what": what, "detail": detail})
 
 
-def outcome(invocation: str, label: Outcome, code: str, tick: int, **facts: Json) -> Saying:
+def outcome(invocation: str, label: Outcome, code: str, **facts: Json) -> Saying:
     """The session has ended."""
-    return Saying(tick, EventKind.OUTCOME, invocation, CELL, {"outcome": label.value, "code": code, **facts})
+    return Saying(EventKind.OUTCOME, invocation, CELL, {"outcome": label.value, "code": code, **facts})
 
 
 def _alert(said: Alert) -> dict[str, Json]:

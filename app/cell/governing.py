@@ -1,0 +1,429 @@
+"""One governed session, from the first tick after its launch to its outcome.
+
+A failure goes the same way whatever found it (a watch rule, the skill, a postcondition): hold, ask `recover`, write the
+decision to the journal *and to the disk*, come to rest, and only then bind what it names. What restrains acts first and
+records afterwards; everything else records first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
+
+from app.cell import telling
+from app.cell.journal import JournalUnavailable
+from app.cell.run import Bind, Doing, End, Run, not_restored
+from app.cell.substrate import SubstrateError
+from app.governance.clamp import clamp, hold
+from app.governance.intervention import NOTHING, Decision, recovering, released
+from app.governance.model import Alert, Intervention, Mode, Outcome, SkillReport, SkillState, Status, Strategy
+from app.governance.recovery import RecoveryDecision, recover, roll_back
+from app.governance.session import Event, final_status, step
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from app.cell.substrate import Substrate
+    from app.cell.telling import Recorder
+    from app.governance.model import (
+        Command,
+        CoveredRecovery,
+        Observation,
+        Params,
+        RecoveryPlan,
+        WatchPlan,
+        WorldFacts,
+    )
+    from app.governance.permit import Grant
+
+Verify: TypeAlias = "Callable[[tuple[str, ...], Params, WorldFacts], tuple[str, ...]]"
+
+SETTLE_TICKS: Final = 50
+VERIFY_EVERY: Final = 5
+QUIET_TICKS: Final = 50
+FAILED: Final = SkillState.FAILED
+
+
+class PlanOf(Protocol):
+    """Compiles what a grant is watched by, from the policy the cell holds; for a recovery it covers, what that is."""
+
+    def __call__(self, grant: Grant, recovery: CoveredRecovery | None = None) -> tuple[WatchPlan, RecoveryPlan]:
+        """Return the plans. Raises `ValueError` where policy does not know what the grant names."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ports:
+    """What a session works with: the substrate, the policy's answers, the record, and where telemetry goes."""
+
+    substrate: Substrate
+    plan_of: PlanOf
+    verify: Verify
+    recorder: Recorder
+    on_telemetry: Callable[[str, bytes], None]
+
+
+class Governing:
+    """Governs one run. `over` holds how it ended once it has."""
+
+    __slots__ = ("_ports", "_substrate", "_tell", "_tell_anyway", "over", "run", "seen")
+
+    def __init__(self, ports: Ports, run: Run, seen: Observation) -> None:
+        """Take a bound run over."""
+        self._ports, self._substrate = ports, ports.substrate
+        self._tell, self._tell_anyway = ports.recorder.say, ports.recorder.say_anyway
+        self.run = run
+        self.seen = seen
+        self.over: End | None = None
+
+    # -- the tick ------------------------------------------------------------------------------------------------------
+
+    def tick(self) -> Observation:
+        """Do one control period and return what the sensors saw."""
+        run, substrate = self.run, self._substrate
+        report, command = self._ask(run.ramp(substrate.period_s))
+        command, _ = clamp(command, run.previous, run.plan.bounds, self.seen.jacobian, substrate.period_s)
+        self.seen = seen = substrate.step(command)
+        run.previous = command
+        run.watching, alerts = run.watcher.watch(
+            run.watching, seen, report, command, run.rate, run.used.retries, len(run.unmet)
+        )
+        run.rows += telling.row(seen, run.watching.signals, report.progress, run.rate)
+        if len(run.rows) >= telling.BATCH_BYTES:
+            self._send_rows()
+        try:
+            self._consider(alerts, report)
+        except JournalUnavailable:
+            self.end(End(Outcome.FAULT, "journal_unavailable", 1))
+        return seen
+
+    def _ask(self, rate: float) -> tuple[SkillReport, Command]:
+        """Return the skill's word and command. At rate 0 it is not asked to move; one that breaks has failed."""
+        run = self.run
+        if rate == 0.0:
+            return run.skill.report(), hold(run.previous)
+        try:
+            command, report = run.skill.act(self.seen, rate), run.skill.report()
+        except SubstrateError as error:
+            return SkillReport("failed", 0.0, FAILED, error.failure), hold(run.previous)
+        except Exception as error:  # whatever a skill does wrong must not take the watcher along
+            self._tell_anyway(telling.cell("skill_error", telling.CELL, repr(error)))
+            return SkillReport("failed", 0.0, FAILED, "skill_error"), hold(run.previous)
+        if run.waits_for_confirmation(report.phase):
+            run.rate = 0.0
+            self.escalate(f"confirm:{report.phase}")
+            return report, hold(run.previous)
+        return report, command
+
+    def _consider(self, alerts: tuple[Alert, ...], report: SkillReport) -> None:
+        run = self.run
+        if alerts or run.speaking or run.responding is not NOTHING:
+            self._answer(alerts)
+        if self._ports.recorder.fault and not isinstance(run.next, End):
+            self.end(End(Outcome.FAULT, "journal_unavailable", 1))
+        if run.next is not None:
+            self._go_on(run.next)
+        elif report.state is not SkillState.RUNNING and run.moves():
+            self._conclude(report)
+
+    # -- what the watcher says -----------------------------------------------------------------------------------------
+
+    def _answer(self, alerts: tuple[Alert, ...]) -> None:
+        """Do what the declared responses ask for."""
+        run = self.run
+        self._report(alerts)
+        run.responding, decision = run.responses.intervene(run.responding, alerts, self._ports.recorder.tick)
+        if isinstance(run.next, End) or run.status is Status.ESCALATED:
+            return
+        alert = decision.alert
+        if alert is None or decision.intervention is Intervention.CONTINUE:
+            self._clear()
+        elif decision.intervention is Intervention.STOP and not alert.failure:
+            self._tell(telling.intervention(run.id, decision.intervention, alert))
+            self.end(End(Outcome.STOPPED, alert.rule, 1))
+        elif decision.holding is not None:
+            self._hold_for(decision.holding)  # whoever is in the way has to leave before anything recovers
+        elif run.next is None and "operator" not in run.paused_by:
+            self._end_attempt(decision.intervention, alert)
+
+    def _report(self, alerts: tuple[Alert, ...]) -> None:
+        """Say which rules began to be violated, and which have been quiet for a while."""
+        run, tick = self.run, self._ports.recorder.tick
+        for alert in alerts:
+            if alert.rule not in run.speaking:
+                self._tell(telling.alert(run.id, alert, run.watcher.measure.stale_sensors(self.seen)))
+            run.speaking[alert.rule] = tick
+        for rule in [rule for rule, last in run.speaking.items() if tick - last >= QUIET_TICKS]:
+            del run.speaking[rule]
+            self._tell(telling.quiet(run.id, rule))
+
+    def _clear(self) -> None:
+        if "watch" in self.run.paused_by:
+            self.run.paused_by.discard("watch")
+            self._resume("clear")
+
+    def _hold_for(self, decision: Decision) -> None:
+        run, alert = self.run, decision.alert
+        if alert is None:
+            raise AssertionError("a decision to hold names its alert")
+        if decision.intervention is Intervention.ESCALATE:
+            self._tell_anyway(telling.intervention(run.id, decision.intervention, alert))
+            self.escalate(alert.rule)
+        elif "watch" not in run.paused_by:
+            run.paused_by.add("watch")
+            run.brake(self.seen)
+            self._tell_anyway(telling.intervention(run.id, decision.intervention, alert))
+            self._become(Event.PAUSE, alert.rule)
+
+    def _end_attempt(self, intervention: Intervention, alert: Alert) -> None:
+        run = self.run
+        run.paused_by.discard("watch")
+        self._tell_anyway(telling.intervention(run.id, intervention, alert))
+        if intervention is Intervention.ROLLBACK:
+            self._roll_back(alert.failure or alert.rule)
+        else:
+            self._follow(self._choose(alert.failure))
+
+    # -- completion and failure ----------------------------------------------------------------------------------------
+
+    def _conclude(self, report: SkillReport) -> None:
+        """Verify what a skill claims, or take its failure up."""
+        run = self.run
+        if report.state is FAILED:
+            self._follow(self._choose(report.failure or "skill_failed"))
+            return
+        run.settling_ticks += 1
+        if run.settling_ticks % VERIFY_EVERY:
+            return
+        unmet = self._unmet()
+        if not unmet:
+            self._verified()
+        elif run.settling_ticks > SETTLE_TICKS + QUIET_TICKS:
+            self._follow(self._choose("postcondition_failed"))  # policy only warns of it; that makes it no success
+        elif run.settling_ticks >= SETTLE_TICKS:
+            run.unmet = unmet  # the watcher takes it from here
+
+    def _unmet(self) -> tuple[str, ...]:
+        run, facts = self.run, self._substrate.facts()
+        unmet = self._ports.verify(run.plan.postconditions, run.plan.params, facts)
+        if run.doing is Doing.ROLLBACK:
+            unmet += not_restored(run.began, facts, run.grant.authorization.params)
+        return unmet
+
+    def _verified(self) -> None:
+        run = self.run
+        self._tell(telling.completion(run.id, run.doing, run.plan))
+        if run.doing is Doing.ATTEMPT:
+            self.end(End(Outcome.RECOVERED if run.recoveries else Outcome.SUCCEEDED, "verified"))
+        elif run.doing is Doing.ROLLBACK:
+            self.end(End(Outcome.ROLLED_BACK, "verified"))
+        else:
+            self._follow(self._choose("recovery_incomplete", after=run.deciding))
+
+    def _choose(self, failure: str, after: RecoveryDecision | None = None) -> RecoveryDecision:
+        run = self.run
+        covered = run.grant.authorization.recoveries
+        return recover(failure, run.recovery, run.used, risk=None, can_ask=True, covered=covered, after=after)
+
+    def _roll_back(self, failure: str) -> str | None:
+        run = self.run
+        decision = roll_back(failure, run.recovery, run.used, run.grant.authorization.recoveries)
+        if decision is None:
+            self.escalate("rollback_unavailable")
+            return "rollback_unavailable"
+        self._follow(decision)
+        return None
+
+    def _follow(self, decision: RecoveryDecision) -> None:
+        """Hold, record the decision on the disk, and prepare what it says for when everything stands still."""
+        run = self.run
+        run.used, run.deciding = decision.used, decision
+        run.brake(self.seen)
+        self._tell(telling.recovery(run.id, decision, run.unmet))
+        if decision.strategy is Strategy.TERMINATE:
+            self.end(End(Outcome.TERMINATED, decision.failure))
+        elif decision.strategy is Strategy.ASK_HUMAN:
+            run.failed = decision.failure
+            self.escalate(decision.failure)
+        else:
+            self._ports.recorder.sync()
+            self._prepare(_bound(decision), decision.strategy.value)
+
+    def _prepare(self, then: Bind, reason: str) -> None:
+        self.run.recoveries += 1
+        self.run.next = then
+        self._become(Event.RECOVER, reason)
+
+    # -- at standstill -------------------------------------------------------------------------------------------------
+
+    def _go_on(self, then: Bind | End) -> None:
+        """Do what was waiting for standstill; a recovery also waits for whatever else holds the session."""
+        run = self.run
+        if not run.still(self.seen):
+            return
+        if isinstance(then, End):
+            self.finish(then)
+        elif run.status is Status.RECOVERING:
+            run.next = None
+            if run.hold_after_recovery and then.doing is Doing.ATTEMPT:
+                run.hold_after_recovery, run.failed = False, "link_lost"
+                self.escalate("link")
+            else:
+                self._bind(then)
+
+    def _bind(self, then: Bind) -> None:
+        run, substrate = self.run, self._substrate
+        what = then.cover or run.grant.authorization
+        try:
+            plan, _ = self._ports.plan_of(run.grant, then.cover)
+            run.skill = substrate.bind(run.grant, what.capability, what.params, careful=then.careful)
+            run.watch_with(plan, substrate.period_s)
+        except SubstrateError as error:
+            self._follow(self._choose(error.failure))
+            return
+        except ValueError as error:
+            self._tell(telling.cell("no_plan", telling.CELL, str(error)))
+            self.end(End(Outcome.FAULT, "no_plan", 1))
+            return
+        run.doing, run.previous = then.doing, substrate.hold()
+        run.responding = recovering(tuple(run.speaking), self._ports.recorder.tick, substrate.period_s)
+        run.settling_ticks, run.unmet, run.failed = 0, (), ""
+        if then.doing is Doing.ATTEMPT:
+            self._become(Event.RECOVERED, "new_attempt")
+
+    def end(self, end: End) -> None:
+        """Come to rest, then end; an end that is under way already is not replaced by a milder one."""
+        run = self.run
+        if not isinstance(run.next, End):
+            run.brake(self.seen)
+            run.next = end
+
+    def finish(self, end: End) -> None:
+        """Lock the actuators, then say how it ended."""
+        run = self.run
+        if end.category is not None:
+            self._substrate.stop(end.category)
+        self._substrate.unbind()
+        self.over = end
+        self._send_rows()
+        completed = final_status(end.outcome) is Status.COMPLETED
+        self._become(Event.COMPLETE if completed else Event.FAIL, end.code)
+        self._tell_anyway(
+            telling.outcome(
+                run.id,
+                end.outcome,
+                end.code,
+                ticks=self._ports.recorder.tick - run.first_tick,
+                recoveries=run.recoveries,
+                retries=run.used.retries,
+            ),
+            marks={"open": None},
+        )
+
+    # -- moving between statuses ---------------------------------------------------------------------------------------
+
+    def _become(self, event: Event, reason: str) -> None:
+        run = self.run
+        before, run.status = run.status, step(run.status, event)
+        if run.status is not before:
+            self._tell_anyway(telling.status(run.id, run.status, before, reason))
+
+    def escalate(self, reason: str) -> None:
+        """Hold and wait for a human."""
+        run = self.run
+        run.brake(self.seen)
+        run.escalated_by = reason
+        self._become(Event.ESCALATE, reason)
+        self._tell_anyway(telling.escalation(run.id, reason, run.failed))
+
+    def _resume(self, reason: str) -> None:
+        run = self.run
+        if not run.paused_by and run.status is Status.PAUSED:
+            self._become(Event.RESUME_RECOVERY if run.recovering else Event.RESUME, reason)
+
+    def _send_rows(self) -> None:
+        run = self.run
+        if run.rows:
+            self._ports.on_telemetry(run.id, bytes(run.rows))
+            run.rows.clear()
+
+    # -- what operators may say ----------------------------------------------------------------------------------------
+
+    def pause(self) -> str | None:
+        """Hold until an operator resumes."""
+        self.run.paused_by.add("operator")
+        self.run.brake(self.seen)
+        self._become(Event.PAUSE, "operator")
+        return None
+
+    def resume(self) -> str | None:
+        """Let a paused (or escalated) session go on; what is still violated pauses it again at once."""
+        run = self.run
+        if run.status is Status.ESCALATED:
+            return self.go_on()
+        if run.status is not Status.PAUSED:
+            return "not_paused"
+        run.paused_by.clear()
+        run.responding = released(run.responding)
+        self._resume("operator")
+        return None
+
+    def go_on(self) -> str | None:
+        """Let an escalated session go on: where it was held, or with a new attempt where one had failed."""
+        run = self.run
+        if run.status is not Status.ESCALATED:
+            return "not_escalated"
+        permit, failed = run.grant.authorization, run.failed
+        if failed:
+            self._tell(telling.asked_again(run.id, failed))
+            self._ports.recorder.sync()
+        run.deciding, run.failed = None, ""
+        run.confirm()
+        run.paused_by.clear()
+        run.responding = released(run.responding)
+        if failed:
+            self._prepare(Bind(Doing.ATTEMPT, permit.mode is Mode.CAREFUL), "operator")
+        else:
+            self._become(Event.CONTINUE_RECOVERY if run.recovering else Event.CONTINUE, "operator")
+        return None
+
+    def confirm(self) -> str | None:
+        """Let the phase begin that waits for a confirmation."""
+        return self.go_on() if self.run.escalated_by.startswith("confirm:") else "nothing_to_confirm"
+
+    def stop(self) -> str | None:
+        """Stop by category 1 and end."""
+        self.end(End(Outcome.STOPPED, "operator", 1))
+        return None
+
+    def cancel(self) -> str | None:
+        """Come to rest and end: the work is not wanted any more."""
+        self.end(End(Outcome.CANCELLED, "cancelled"))
+        return None
+
+    def terminate(self) -> str | None:
+        """Come to rest and end: a human decided so."""
+        self.end(End(Outcome.TERMINATED, "operator"))
+        return None
+
+    def roll_back(self) -> str | None:
+        """Undo what the session did, by the rollback its authorization covers."""
+        self.run.paused_by.clear()
+        self.run.responding = released(self.run.responding)
+        return self._roll_back("operator")
+
+
+def _bound(decision: RecoveryDecision) -> Bind:
+    cover = decision.covered
+    if cover is None:
+        raise AssertionError("a recovery that moves is covered")
+    careful = cover.mode is Mode.CAREFUL
+    match decision.strategy:
+        case Strategy.SAFER_MODE:
+            return Bind(Doing.ATTEMPT, True, cover)
+        case Strategy.RETRY:
+            return Bind(Doing.ATTEMPT, careful, cover)
+        case Strategy.ROLLBACK:
+            return Bind(Doing.ROLLBACK, careful, cover)
+        case _:
+            return Bind(Doing.RECOVERY, careful, cover)
