@@ -349,7 +349,7 @@ def settled(examples: int) -> settings:
 def test_agrees_with_cel_python_on_five_thousand_evaluations() -> None:
     tally: Counter[str] = Counter()
 
-    @settled(760)
+    @settled(850)
     @given(cases())
     def compare(case: Case) -> None:
         if promotes(case.source, case.typed):
