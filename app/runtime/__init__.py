@@ -1,1 +1,1 @@
-"""The asyncio shell: takes proposals through the pipeline, owns escalations and cells; performs effects, decides nothing."""
+"""The asyncio shell: takes proposals through the pipeline, owns questions and cells; decides nothing."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from app.audit.event import EventDraft
 from app.clock import wall_s as wall_clock_s
-from app.governance.model import EventKind
+from app.governance.model import EventKind, Outcome
 from app.runtime.desk import Desk
 from app.runtime.feed import Feed
 from app.runtime.fleet import Fleet
@@ -19,13 +19,14 @@ from app.runtime.sessions import ABSENT_S, Sessions
 from app.runtime.telemetry import Telemetry
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable
+    from collections.abc import AsyncGenerator, Callable
     from pathlib import Path
 
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
     from app.audit.store import AuditStore
     from app.governance.policy import PolicySet
+    from app.runtime.invocation import Invocation
 
 
 class Runtime:
@@ -62,10 +63,14 @@ class Runtime:
         self.telemetry = Telemetry(telemetry_folder or store.places.telemetry, wall_s)
         self.sessions = Sessions(self.register, self.fleet, self.desk, self.telemetry, absent_s=absent_s)
         self.fleet.report_to(self.sessions)
-        self.register.on_final = lambda invocation: self.fleet.release(invocation.cell, invocation.id)
+        self.register.on_final = self._release
         self.governor = Governor(
             register=self.register, kernel=self.kernel, fleet=self.fleet, desk=self.desk, feed=self.feed
         )
+
+    def _release(self, invocation: Invocation) -> None:
+        ended = invocation.outcome is not Outcome.FAULT  # a fault is the server's word; the cell may hold it still
+        self.fleet.release(invocation.cell, invocation.id, ended=ended)
 
     async def start(self) -> None:
         """Read back what an earlier run left, close what is overdue, and record that the server is there.
@@ -91,7 +96,7 @@ class Runtime:
         await self.desk.expire_due()
 
     @asynccontextmanager
-    async def running(self) -> AsyncIterator[Governor]:
+    async def running(self) -> AsyncGenerator[Governor]:
         """Start, and keep beats, deadlines and cells tended inside the context."""
         await self.start()
         tasks = [

@@ -77,7 +77,8 @@ class Desk:
     def session_question(self, invocation: Invocation, reasons: Sequence[Mapping[str, str]]) -> Escalation:
         """Return the question whether a held session may go on; `hold` it once it is recorded."""
         risk = self.kernel.risk(invocation.capability)
-        return self._build(invocation, kind=SESSION_QUESTION, risk=risk, reasons=reasons, needed=1, expires_at=None)
+        until = rfc3339(self.register.now_s() + self.kernel.policy.authority.within_s)
+        return self._build(invocation, kind=SESSION_QUESTION, risk=risk, reasons=reasons, needed=1, expires_at=until)
 
     def _build(self, invocation: Invocation, **fields: Any) -> Escalation:  # noqa: ANN401  # fields of an escalation
         effective = invocation.requested if invocation.effective is None else invocation.effective
@@ -234,6 +235,20 @@ class Desk:
         return deadline_s is not None and self.register.now_s() >= deadline_s
 
     async def _expire(self, present: Escalation, invocation: Invocation) -> None:
+        if present.kind == SESSION_QUESTION:
+            await self._expire_session(present, invocation)
+        else:
+            await self._expire_approval(present, invocation)
+
+    async def _expire_session(self, present: Escalation, invocation: Invocation) -> None:
+        """End a held session that nobody spoke for: sent first, as any restraint."""
+        op = Human(invocation=invocation.id, op="resolve_terminate", actor=SERVER)
+        self.fleet.restrain(self.fleet.cell(invocation.cell or ""), op)
+        now = self.register.now()
+        closed = present.evolve(now, status=EXPIRED)
+        await self.commit([_escalation_event(closed)], closed, invocation.evolve(now, escalation=closed.reference()))
+
+    async def _expire_approval(self, present: Escalation, invocation: Invocation) -> None:
         now = self.register.now()
         closed = present.evolve(now, status=EXPIRED)
         reason = _reason("approval_expired", "nobody answered in time", "propose again when somebody is on duty")
@@ -244,19 +259,7 @@ class Desk:
             escalation=closed.reference(),
             policy=with_reason(invocation.policy, reason),
         )
-        await self.commit(
-            [
-                EventDraft(
-                    kind=EventKind.ESCALATION,
-                    actor=SERVER,
-                    invocation=invocation.id,
-                    body={"escalation": closed.public()},
-                ),
-                outcome_event(ended, SERVER, reason),
-            ],
-            closed,
-            ended,
-        )
+        await self.commit([_escalation_event(closed), outcome_event(ended, SERVER, reason)], closed, ended)
 
     async def watch_deadlines(self) -> None:
         """Close questions when their time is over, for ever."""
@@ -326,9 +329,7 @@ class _Answer:
         if full != present.effective:
             return await self._approve_edit(full)
         if any(approval["by"] == self._principal.name for approval in present.approvals):
-            raise Conflict(
-                "already_approved", f"`{self._principal.name}` approved this already: it takes another person"
-            )
+            raise Conflict("already_approved", f"`{self._principal.name}` approved this: it takes another person")
         return await self._count(present, None)
 
     async def _approve_edit(self, full: Mapping[str, Any]) -> Escalation:
@@ -429,6 +430,15 @@ class _Answer:
             invocation=self._invocation.id,
             body={"decision": decision, "escalation": escalation.public(), "comment": self._comment},
         )
+
+
+def _escalation_event(escalation: Escalation) -> EventDraft:
+    return EventDraft(
+        kind=EventKind.ESCALATION,
+        actor=SERVER,
+        invocation=escalation.invocation,
+        body={"escalation": escalation.public()},
+    )
 
 
 def outcome_event(invocation: Invocation, actor: str, *reasons: Mapping[str, str]) -> EventDraft:

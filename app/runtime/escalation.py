@@ -1,7 +1,7 @@
 """A question to a human: what is asked, bound by digest to exactly what was shown, and what became of it.
 
-Two kinds. `approval` is asked before launch; silence answers it when its time is over. `session` is asked while a
-session is held in mid-execution; it has no deadline, because a held robot can wait, and no answer is safer than one.
+Two kinds. `approval` is asked before launch, `session` while a session is held in mid-execution. Both have a deadline
+that policy sets; silence denies the one and terminates the other, and is reported as what it is.
 
 Three versions of the parameters are kept: as requested, as policy constrained them (`constrained`), and as approved
 (`effective`, which an approver may have edited).

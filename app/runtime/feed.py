@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable, Iterator
+    from collections.abc import AsyncIterator, Callable, Generator
 
     from app.audit.event import Event
     from app.audit.store import AuditStore
@@ -22,7 +22,7 @@ PAGE: Final = 500
 
 
 class Subscription:
-    """One listener: iterate it for batches of events in order; it ends when the listener fell behind or the feed closed."""
+    """One listener: iterate it for batches of events in order; it ends when it fell behind or the feed closed."""
 
     def __init__(self, store: AuditStore, after: int | None) -> None:
         """Listen from the event behind `after`; None is from now on."""
@@ -90,7 +90,7 @@ class Feed:
             subscription.push(events)
 
     @contextmanager
-    def subscribe(self, *, after: int | None = None) -> Iterator[Subscription]:
+    def subscribe(self, *, after: int | None = None) -> Generator[Subscription]:
         """Listen inside the context: from the event behind `after` (a `seq`), or from now on."""
         subscription = Subscription(self._store, after)
         self._subscriptions.add(subscription)

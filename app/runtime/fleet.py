@@ -11,6 +11,7 @@ has just started knows whom it waits for.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
@@ -20,7 +21,7 @@ from pydantic import TypeAdapter, ValidationError
 from app.audit.event import RowWrite
 from app.clock import monotonic_s
 from app.governance.model import SESSION, CellFacts, WorldFacts
-from app.protocol import BEAT_MS, Estop, Human, ProtocolError
+from app.protocol import BEAT_MS, LEASE_MS, Estop, Human, ProtocolError
 from app.runtime.errors import Conflict, NotFound
 from app.runtime.link import DEAD_S, SILENT_S, TRY_LATER, Attachment
 
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 
 FRESH_S: Final = 1.0  # a state older than this says nothing
 TEND_S: Final = 0.25
+SETTLE_S: Final = 0.3
 _WORLD: Final = TypeAdapter(WorldFacts)
 _WORLD_NAMES: Final = frozenset(WorldFacts.__dataclass_fields__)
 
@@ -84,7 +86,12 @@ class Cell:
     state_at_s: float = 0.0
     world: WorldFacts | None = None
     trouble: str | None = None
+    recalled: bool = False  # known from an earlier run of the server, and not seen in this one
     absent_since_s: float | None = None
+    lapsed: bool = True  # it was away for longer than a lease before it attached, or nobody knows
+    ended: str | None = None  # the last session that ended here, and when
+    ended_at_s: float = 0.0
+    stated: asyncio.Event = field(default_factory=asyncio.Event)
     owed: dict[tuple[str, str], Message] = field(default_factory=dict[tuple[str, str], "Message"])
     unreconciled: Hello | None = None
 
@@ -98,6 +105,12 @@ class Cell:
             and self.state is not None
             and monotonic_s() - self.state_at_s <= FRESH_S
         )
+
+    def away_s(self) -> float | None:
+        """Return for how long the cell has been away; None where nobody knows."""
+        if self.recalled or self.absent_since_s is None:
+            return None
+        return monotonic_s() - self.absent_since_s
 
 
 class Fleet:
@@ -154,17 +167,16 @@ class Fleet:
     def choose(self) -> Cell | None:
         """Return the cell for a proposal that names none: one that is free, else one that is there, else any."""
         cells = self.cells()
-        for wanted in (lambda cell: cell.fresh and self.busy(cell) is None, lambda cell: cell.fresh):
-            for cell in cells:
-                if wanted(cell):
-                    return cell
-        return cells[0] if cells else None
+        fresh = [cell for cell in cells if cell.fresh]
+        free = [cell for cell in fresh if self.busy(cell) is None]
+        return next(iter(free or fresh or cells), None)
 
     def busy(self, cell: Cell) -> str | None:
         """Return the invocation that has the cell: claimed by the server, or held by the cell itself."""
         if cell.claim is not None:
             return cell.claim
-        return None if cell.state is None else cell.state.invocation
+        held = None if cell.state is None else cell.state.invocation
+        return None if held == cell.ended else held  # its state may be a little older than its last report
 
     def facts(self, cell: Cell | None) -> CellFacts:
         """Return what a decision may know of a cell, now; of no cell at all, that it is not there."""
@@ -191,12 +203,9 @@ class Fleet:
     def _world(self, cell: Cell, state: State) -> WorldFacts | None:
         if cell.world is None and cell.trouble is None:
             try:
-                if strange := state.facts.keys() - _WORLD_NAMES:
-                    raise ValueError(f"unknown fact `{sorted(strange)[0]}`")
-                # Through JSON, which has no NaN and no infinity: they become null, and null is no number.
-                cell.world = _WORLD.validate_json(orjson.dumps(state.facts))
-            except (ValidationError, ValueError) as error:
-                cell.trouble = f"the cell's facts are malformed: {str(error).splitlines()[0]}"
+                cell.world = read_world(state.facts)
+            except ValueError as error:
+                cell.trouble = f"the cell's facts are malformed: {error}"
         return cell.world
 
     def document(self, cell: Cell) -> dict[str, Any]:
@@ -245,17 +254,29 @@ class Fleet:
             raise RuntimeError(f"cell `{cell.id}` is claimed by `{cell.claim}` already")
         cell.claim = invocation
 
-    def release(self, cell_id: str | None, invocation: str) -> None:
-        """Let the cell go, if this invocation has it."""
+    def release(self, cell_id: str | None, invocation: str, *, ended: bool = False) -> None:
+        """Let the cell go, if this invocation has it; `ended` where the cell itself said that the session is over."""
         cell = self._cells.get(cell_id or "")
-        if cell is not None and cell.claim == invocation:
-            cell.claim = None
-            cell.owed = {key: message for key, message in cell.owed.items() if key[1] != invocation}
+        if cell is None or cell.claim != invocation:
+            return
+        cell.claim = None
+        cell.owed = {key: message for key, message in cell.owed.items() if key[1] != invocation}
+        if ended:
+            cell.ended = invocation
+            cell.ended_at_s = monotonic_s()
+
+    async def settle(self, cell: Cell | None) -> None:
+        """Wait, shortly, for facts newer than the last session's end: what it changed counts for the next decision."""
+        if cell is None or cell.state_at_s >= cell.ended_at_s or not cell.fresh:
+            return
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(SETTLE_S):
+                await cell.stated.wait()
 
     # -- speaking to a cell ------------------------------------------------------------------------------------------
 
     def restrain(self, cell: Cell, message: Human | Estop) -> bool:
-        """Send a restraint at once, ahead of everything; a cell that is away is owed it. Returns whether it is there."""
+        """Send a restraint at once, ahead of everything; a cell that is away is owed it. Returns whether it is."""
         attachment = cell.attachment
         if attachment is not None and attachment.welcomed:
             attachment.post(message, urgent=True)
@@ -305,9 +326,14 @@ class Fleet:
         present = cell.attachment
         if present is not None and not present.closed and present.silent_s() < DEAD_S:
             raise ProtocolError(f"the cell `{cell.id}` has a live link already: one link per cell")
+        away_s = cell.away_s() if present is None else present.silent_s()
+        cell.lapsed = away_s is None or away_s >= LEASE_MS / 1000
+        if hello.last_seq < cell.up_seq:  # another journal than the one the log knows: it counts from the start again
+            cell.up_seq = 0
         cell.attachment = attachment
         cell.state = None
         cell.absent_since_s = None
+        cell.recalled = False
         if present is not None:
             present.shut(TRY_LATER, "another link took this one's place")
 
@@ -358,6 +384,8 @@ class Fleet:
         """Keep the newest state."""
         cell.state = state
         cell.state_at_s = monotonic_s()
+        cell.stated.set()
+        cell.stated = asyncio.Event()
         cell.world = None
         cell.trouble = None
 
@@ -400,7 +428,11 @@ class Fleet:
         """Read back which cells there are, their profiles and latched stops, and who had them when the server ended."""
         for row in await self._register.store.rows("cell_progress"):
             self._cells[row["cell"]] = Cell(
-                id=row["cell"], profile=self._default_profile, up_seq=row["up_seq"], absent_since_s=monotonic_s()
+                id=row["cell"],
+                profile=self._default_profile,
+                up_seq=row["up_seq"],
+                recalled=True,
+                absent_since_s=monotonic_s(),
             )
         for row in await self._register.store.rows("settings"):
             name, _, cell_id = row["name"].partition("/")
@@ -442,3 +474,19 @@ class Fleet:
                 attachment.shut(TRY_LATER, f"nothing heard for {SILENT_S} s")
             absent_s = None if cell.absent_since_s is None else monotonic_s() - cell.absent_since_s
             await self._desk.overdue(cell.id, absent_s)
+
+
+def read_world(facts: Mapping[str, Any]) -> WorldFacts:
+    """Read a cell's facts, strictly.
+
+    Raises:
+        ValueError: a fact that is unknown, missing or of another type, or a number that is not finite.
+    """
+    if strange := facts.keys() - _WORLD_NAMES:
+        raise ValueError(f"unknown fact `{sorted(strange)[0]}`")
+    try:
+        # Through JSON, which has no NaN and no infinity: they become null, and null is no number.
+        return _WORLD.validate_json(orjson.dumps(facts))
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ValueError(f"`{'.'.join(str(part) for part in first['loc'])}`: {first['msg']}") from error

@@ -61,7 +61,7 @@ OPERATIONS: Final[Mapping[str, tuple[frozenset[Status], bool]]] = {
 def _uncut(
     method: Callable[Concatenate[Governor, P], Coroutine[Any, Any, T]],
 ) -> Callable[Concatenate[Governor, P], Coroutine[Any, Any, T]]:
-    """Let a method run to its end even if its caller is cancelled: half of it must not be recorded and half not done."""
+    """Let a method run to its end even if its caller is cancelled: nothing is to be recorded and then not done."""
 
     @wraps(method)
     async def run(self: Governor, *args: P.args, **kwargs: P.kwargs) -> T:
@@ -130,6 +130,7 @@ class Governor:
     ) -> Invocation:
         params = self.kernel.fill_in(request.capability, request.params)
         cell = self._aim(request)
+        await self.fleet.settle(cell)
         judgement = self.kernel.judge(request.proposal(params), principal.name, cell)
         invocation = self._decided(principal, request, params, cell, judgement)
         proposal = EventDraft(
@@ -371,7 +372,7 @@ class Governor:
         return (await self.register.load(invocation_id)).public()
 
     async def _restrain(self, op: str, present: Invocation, principal: Principal) -> dict[str, Any]:
-        """Send a restraint, then record it; with no record it has been sent all the same, and the caller learns both."""
+        """Send a restraint, then record it; without a record it has been sent all the same."""
         self.fleet.restrain(self.fleet.cell(present.cell or UNNAMED), _message(op, present, principal))
         await self.register.append([_human(op, present, principal)])
         return (await self.register.load(present.id)).public()
@@ -418,14 +419,12 @@ class Governor:
         """Put a cell under another environment profile; what runs keeps the one it was authorized under.
 
         Raises:
-            NotFound: no such cell.
-            InvalidParams: no such profile.
+            NotFound: no such cell, no such profile.
             RecordUnavailable: nothing was recorded, the profile stays.
         """
         cell = self.fleet.cell(cell_id)
         if profile not in self.kernel.profiles():
-            valid = ", ".join(f"`{name}`" for name in sorted(self.kernel.profiles()))
-            raise InvalidParams([{"path": "profile", "message": f"no profile `{profile}`; valid: {valid}"}])
+            raise NotFound("profile", profile)
         draft = EventDraft(
             kind=EventKind.PROFILE_CHANGED,
             actor=principal.name,

@@ -7,7 +7,7 @@ to go on with it after a restart.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import orjson
 
@@ -196,9 +196,11 @@ def read_invocation(document: bytes) -> Invocation:
     """Read a stored document back."""
     fields: dict[str, Any] = orjson.loads(document)
     terms = fields.pop(PRIVATE, None)
+    status = Status(fields.pop("status"))
     outcome = fields.pop("outcome")
     return Invocation(
-        **{**fields, "status": Status(fields["status"])},
+        **fields,
+        status=status,
         outcome=None if outcome is None else Outcome(outcome),
         terms=Terms() if terms is None else Terms.read(terms),
     )
@@ -225,8 +227,9 @@ def without_free_text(value: Any) -> Any:  # noqa: ANN401  # JSON
     """Return JSON without what an operator wrote in words, at any depth."""
     match value:
         case dict():
-            return {key: without_free_text(item) for key, item in value.items() if key not in FREE_TEXT}
+            fields = cast("dict[str, Any]", value)
+            return {key: without_free_text(item) for key, item in fields.items() if key not in FREE_TEXT}
         case list():
-            return [without_free_text(item) for item in value]
+            return [without_free_text(item) for item in cast("list[Any]", value)]
         case _:
             return value

@@ -42,7 +42,7 @@ from app.runtime.invocation import reasons_document
 from app.runtime.link import key_text
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Mapping
+    from collections.abc import AsyncGenerator, Mapping
 
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
@@ -264,7 +264,7 @@ class Kernel:
     @asynccontextmanager
     async def launch(
         self, invocation: Invocation, judgement: Judgement, approvals: tuple[str, ...] = ()
-    ) -> AsyncIterator[Launching]:
+    ) -> AsyncGenerator[Launching]:
         """Claim the cell, mint, let the caller make it durable inside, and only then send it.
 
         Nothing is awaited between the decision and the claim, so one cell cannot be promised twice. If the inside
@@ -375,10 +375,12 @@ class Kernel:
         proposal = Proposal(capability=capability, params=params, metadata=invocation.terms.metadata, mode=mode)
         decision = decide(policy, proposal, context)
         # A new attempt at what a human approved needs no second approval; any other recovery must need none at all.
-        admitted = {AdmissionOutcome.ACCEPT, AdmissionOutcome.ESCALATE} if again else {AdmissionOutcome.ACCEPT}
-        allowed = {PolicyOutcome.ALLOW, PolicyOutcome.MODIFY} | ({PolicyOutcome.ESCALATE} if again else set())
         verdict = decision.verdict
-        if decision.admission.outcome not in admitted or verdict is None or verdict.outcome not in allowed:
+        if verdict is None or verdict.outcome is PolicyOutcome.DENY:
+            return None
+        admission = decision.admission.outcome
+        asks = AdmissionOutcome.ESCALATE is admission or verdict.outcome is PolicyOutcome.ESCALATE
+        if admission in (AdmissionOutcome.REJECT, AdmissionOutcome.DEFER) or (asks and not again):
             return None
         return CoveredRecovery(strategy=strategy, capability=capability, params=dict(verdict.effective), mode=mode)
 

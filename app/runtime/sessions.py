@@ -21,24 +21,22 @@ has given up.
 from __future__ import annotations
 
 from contextlib import AsyncExitStack, suppress
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft
 from app.governance.model import SESSION, EventKind, Outcome, Status
-from app.governance.session import final_status
 from app.protocol import Human, ProtocolError
 from app.runtime.desk import SERVER, outcome_event
 from app.runtime.kernel import LAUNCH_WITHIN_S
+from app.runtime.story import Story, reason
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from app.audit.event import RowWrite
     from app.protocol import Hello, UpEvent
     from app.runtime.desk import Desk
-    from app.runtime.escalation import Escalation
     from app.runtime.fleet import Fleet
     from app.runtime.invocation import Invocation
     from app.runtime.register import Register
@@ -46,6 +44,8 @@ if TYPE_CHECKING:
 
 LOST_S: Final = 1.0
 ABSENT_S: Final = 30.0
+UNCONFIRMED_S: Final = LAUNCH_WITHIN_S + 1.0  # by then the permit has run out
+LIVED_THROUGH: Final = SESSION | {Status.COMPLETED, Status.FAILED}
 REPORTABLE: Final = frozenset({
     EventKind.LAUNCH, EventKind.ALERT, EventKind.INTERVENTION, EventKind.RECOVERY, EventKind.STATUS, EventKind.HUMAN,
     EventKind.ESCALATION, EventKind.OUTCOME, EventKind.CELL,
@@ -79,7 +79,7 @@ class Sessions:
             raise ProtocolError(f"a cell does not report `{event.kind}`: valid are {', '.join(sorted(REPORTABLE))}")
         match event.kind:
             case EventKind.STATUS:
-                _member("status", event.body.get("status"), SESSION)
+                _member("status", event.body.get("status"), LIVED_THROUGH)
             case EventKind.OUTCOME:
                 _member("outcome", event.body.get("outcome"), Outcome)
             case _:
@@ -101,7 +101,7 @@ class Sessions:
                 if entry is not None:
                     await locks.enter_async_context(entry.lock)
                     versions[name] = entry.newest
-            story = _Story(self._desk, versions)
+            story = Story(self._desk, versions)
             for event in events:
                 story.tell(cell, event, self._register.now())
             ended = story.ended()
@@ -162,10 +162,10 @@ class Sessions:
         if hello.invocation is not None and self._register.newest(hello.invocation) is None:
             self._fleet.restrain(place, Human(invocation=hello.invocation, op="stop", actor=SERVER))
         for invocation in self._sessions_of(cell):
-            if invocation.id == hello.invocation:
-                await self._ask(invocation.id, "link_returned", "the cell is back and has held the session meanwhile")
-            else:
+            if invocation.id != hello.invocation:
                 await self._fault(invocation.id, "session_lost", "the cell is back without the session")
+            elif place.lapsed:
+                await self._ask(invocation.id, "link_returned", "the cell is back and has held the session meanwhile")
 
     async def overdue(self, cell: str, absent_s: float | None) -> None:
         """See to a session whose cell is away, and to a launch that nobody confirmed."""
@@ -181,12 +181,9 @@ class Sessions:
             await self._fault(invocation.id, "cell_lost", f"the cell has been away for more than {self._absent_s} s")
         elif absent_s is not None and absent_s > LOST_S:
             await self._ask(invocation.id, "link_lost", "the link to the cell is lost; the cell holds by itself")
-        elif (
-            absent_s is None and unconfirmed and self._register.now_s() > (launched_s or 0.0) + LAUNCH_WITHIN_S + LOST_S
-        ):
-            self._fleet.restrain(
-                self._fleet.cell(invocation.cell or ""), Human(invocation=invocation.id, op="stop", actor=SERVER)
-            )
+        elif absent_s is None and unconfirmed and self._register.now_s() > (launched_s or 0.0) + UNCONFIRMED_S:
+            place = self._fleet.cell(invocation.cell or "")
+            self._fleet.restrain(place, Human(invocation=invocation.id, op="stop", actor=SERVER))
             await self._fault(invocation.id, "launch_unconfirmed", "the cell never confirmed the launch")
 
     def _sessions_of(self, cell: str) -> list[Invocation]:
@@ -202,7 +199,7 @@ class Sessions:
             if present.status not in SESSION or self._desk.pending_for(name) is not None:
                 return
             now = self._register.now()
-            question = self._desk.session_question(present, [_reason(code, message)])
+            question = self._desk.session_question(present, [reason(code, message)])
             asked = present.evolve(now, status=Status.ESCALATED, escalation=question.reference())
             draft = EventDraft(
                 kind=EventKind.ESCALATION, actor=SERVER, invocation=name, body={"escalation": question.public()}
@@ -221,111 +218,12 @@ class Sessions:
             open_question = self._desk.withdrawal(name)
             changes: dict[str, Any] = {} if open_question is None else {"escalation": open_question.reference()}
             ended = present.evolve(self._register.now(), status=Status.FAILED, outcome=Outcome.FAULT, **changes)
-            drafts = [*await self._telemetry.finish([name]), outcome_event(ended, SERVER, _reason(code, message))]
+            drafts = [*await self._telemetry.finish([name]), outcome_event(ended, SERVER, reason(code, message))]
             rows = [] if open_question is None else [open_question.row()]
             await self._register.append(drafts, rows, [ended])
             self._telemetry.recorded([name])
             if open_question is not None:
                 self._desk.hold(open_question)
-
-
-class _Story:
-    """A batch of reports on its way into the record: drafts in order, and the newest version of what they change."""
-
-    def __init__(self, desk: Desk, versions: dict[str, Invocation]) -> None:
-        self._desk = desk
-        self._before = dict(versions)
-        self._versions = versions
-        self.drafts: list[EventDraft] = []
-        self.questions: dict[str, Escalation] = {}
-
-    def changed(self) -> list[Invocation]:
-        return [version for name, version in self._versions.items() if version is not self._before[name]]
-
-    def ended(self) -> list[str]:
-        return [version.id for version in self.changed() if version.final]
-
-    def tell(self, cell: str, event: UpEvent, at: str) -> None:
-        name = event.invocation
-        version = None if name is None else self._versions.get(name)
-        extra: Mapping[str, Any] = {}
-        if version is not None and not version.final:
-            extra = self._follow(version, event, at)
-        body = {**event.body, **extra, "cell_seq": event.seq, "cell_at_s": event.at_s, "tick": event.tick}
-        if event.actor != cell:
-            body["actor"] = event.actor
-        self.drafts.append(EventDraft(kind=event.kind, actor=cell, invocation=name, body=body))
-
-    def _follow(self, version: Invocation, event: UpEvent, at: str) -> Mapping[str, Any]:
-        """Change the invocation as the report says; returns what the record adds to the report."""
-        match event.kind:
-            case EventKind.LAUNCH:
-                self._versions[version.id] = version.evolve(at, terms=replace(version.terms, confirmed=True))
-            case EventKind.STATUS:
-                return self._status(version, Status(str(event.body["status"])), event, at)
-            case EventKind.ESCALATION:
-                return self._status(version, Status.ESCALATED, event, at)
-            case EventKind.OUTCOME:
-                outcome = Outcome(str(event.body["outcome"]))
-                return self._end(version, outcome, at)
-            case _:
-                pass
-        return {}
-
-    def _status(self, version: Invocation, status: Status, event: UpEvent, at: str) -> Mapping[str, Any]:
-        question = self._open(version.id)
-        if status is Status.ESCALATED and question is None:
-            question = self._desk.session_question(version, _reasons_of(event))
-            self.questions[question.id] = question
-            self._versions[version.id] = version.evolve(at, status=status, escalation=question.reference())
-            return {"escalation": question.public()}
-        if status is not Status.ESCALATED and question is not None:
-            return self._withdraw(version, question, at, status=status)
-        if status is not version.status:
-            self._versions[version.id] = version.evolve(at, status=status)
-        return {}
-
-    def _end(self, version: Invocation, outcome: Outcome, at: str) -> Mapping[str, Any]:
-        question = self._open(version.id)
-        status = final_status(outcome)
-        if question is not None:
-            return self._withdraw(version, question, at, status=status, outcome=outcome)
-        self._versions[version.id] = version.evolve(at, status=status, outcome=outcome)
-        return {}
-
-    def _withdraw(self, version: Invocation, question: Escalation, at: str, **changes: Any) -> Mapping[str, Any]:  # noqa: ANN401
-        closed = question.evolve(at, status="withdrawn")
-        self.questions[closed.id] = closed
-        self._versions[version.id] = version.evolve(at, escalation=closed.reference(), **changes)
-        return {"withdrawn": closed.id}
-
-    def _open(self, name: str) -> Escalation | None:
-        for question in self.questions.values():
-            if question.invocation == name:
-                return question if question.status == "pending" else None
-        return self._desk.pending_for(name)
-
-
-def _reasons_of(event: UpEvent) -> list[dict[str, str]]:
-    """Return why the cell asks, as reasons; a cell says it as `reasons`, or as a code with a message."""
-    given = event.body.get("reasons")
-    if isinstance(given, list) and given and all(isinstance(item, dict) for item in given):
-        return [_reason_from(item) for item in given if isinstance(item, dict)]
-    code = str(event.body.get("code") or event.body.get("reason") or "escalated")
-    return [_reason(code, str(event.body.get("message") or "the session is held and asks for a human"))]
-
-
-def _reason_from(item: Mapping[str, Any]) -> dict[str, str]:
-    return {
-        "rule": str(item.get("rule", "session")),
-        "code": str(item.get("code", "escalated")),
-        "message": str(item.get("message", "")),
-        "remedy": str(item.get("remedy", "")),
-    }
-
-
-def _reason(code: str, message: str) -> dict[str, str]:
-    return {"rule": "runtime/session", "code": code, "message": message, "remedy": ""}
 
 
 def _member(what: str, value: object, valid: Any) -> None:  # noqa: ANN401  # an enumeration or a set of one

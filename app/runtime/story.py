@@ -1,0 +1,144 @@
+"""A batch of a cell's reports on its way into the record: drafts in order, and what follows for invocations.
+
+Nothing is changed here; a story holds the newest versions until the record has taken all of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final
+
+from app.audit.event import EventDraft
+from app.governance.model import TERMINAL, EventKind, Outcome, Status
+from app.governance.session import final_status
+from app.runtime.desk import SERVER, outcome_event
+from app.runtime.escalation import PENDING, WITHDRAWN
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from app.protocol import UpEvent
+    from app.runtime.desk import Desk
+    from app.runtime.escalation import Escalation
+    from app.runtime.invocation import Invocation
+
+ITSELF: Final = "cell"  # how a cell names itself as an actor
+NOTHING: Final[Mapping[str, Any]] = {}
+
+
+class Story:
+    """Reports in order, and the versions they make of the live invocations they are about."""
+
+    def __init__(self, desk: Desk, versions: dict[str, Invocation]) -> None:
+        """Begin with versions whose locks are held."""
+        self._desk = desk
+        self._before = dict(versions)
+        self._versions = versions
+        self.drafts: list[EventDraft] = []
+        self.questions: dict[str, Escalation] = {}
+
+    def changed(self) -> list[Invocation]:
+        """Return the new versions."""
+        return [version for name, version in self._versions.items() if version is not self._before[name]]
+
+    def ended(self) -> list[str]:
+        """Return which invocations are final now."""
+        return [version.id for version in self.changed() if version.final]
+
+    def tell(self, cell: str, event: UpEvent, at: str) -> None:
+        """Take one report."""
+        name = event.invocation
+        version = None if name is None else self._versions.get(name)
+        live = (
+            version is not None and not version.final
+        )  # a late word cannot raise the dead; it is recorded all the same
+        added = self._follow(version, event, at) if version is not None and live else NOTHING
+        body = {**event.body, **added, "cell_seq": event.seq, "cell_at_s": event.at_s, "tick": event.tick}
+        if event.actor not in (cell, ITSELF):
+            body["actor"] = event.actor
+        self.drafts.append(EventDraft(kind=event.kind, actor=cell, invocation=name, body=body))
+        if version is not None and live and event.kind == EventKind.LAUNCH and self._versions[version.id].final:
+            refusal = reason(str(event.body["refused"]), str(event.body.get("detail", "")))
+            self.drafts.append(outcome_event(self._versions[version.id], SERVER, refusal))
+
+    def _follow(self, version: Invocation, event: UpEvent, at: str) -> Mapping[str, Any]:
+        """Change the invocation as the report says; returns what the record adds to the report."""
+        match event.kind:
+            case EventKind.LAUNCH if "refused" not in event.body:
+                self._versions[version.id] = version.evolve(at, terms=replace(version.terms, confirmed=True))
+            case EventKind.LAUNCH if not version.terms.confirmed:  # nothing moved, and nothing will on this permit
+                return self._end(version, Outcome.FAULT, at)
+            case EventKind.STATUS:
+                return self._status(version, Status(str(event.body["status"])), event, at)
+            case EventKind.ESCALATION:
+                return self._status(version, Status.ESCALATED, event, at)
+            case EventKind.OUTCOME:
+                return self._end(version, Outcome(str(event.body["outcome"])), at)
+            case _:
+                pass
+        return NOTHING
+
+    def _status(self, version: Invocation, status: Status, event: UpEvent, at: str) -> Mapping[str, Any]:
+        if status in TERMINAL:  # the outcome follows, and says more
+            return NOTHING
+        question = self._open(version.id)
+        if status is Status.ESCALATED:
+            return self._escalated(version, question, event, at)
+        if question is not None:
+            return self._withdraw(version, question, at, status=status)
+        if status is not version.status:
+            self._versions[version.id] = version.evolve(at, status=status)
+        return NOTHING
+
+    def _escalated(
+        self, version: Invocation, question: Escalation | None, event: UpEvent, at: str
+    ) -> Mapping[str, Any]:
+        """Ask a human, or say better why one was asked."""
+        reasons = _reasons_of(event)
+        if question is None:
+            asked = self._desk.session_question(version, reasons)
+        else:
+            asked = question.evolve(at, reasons=reasons)
+        self.questions[asked.id] = asked
+        if question is None or version.status is not Status.ESCALATED:
+            self._versions[version.id] = version.evolve(at, status=Status.ESCALATED, escalation=asked.reference())
+        return {"escalation": asked.public()} if event.kind == EventKind.ESCALATION else NOTHING
+
+    def _end(self, version: Invocation, outcome: Outcome, at: str) -> Mapping[str, Any]:
+        question = self._open(version.id)
+        status = final_status(outcome)
+        if question is not None:
+            return self._withdraw(version, question, at, status=status, outcome=outcome)
+        self._versions[version.id] = version.evolve(at, status=status, outcome=outcome)
+        return NOTHING
+
+    def _withdraw(
+        self,
+        version: Invocation,
+        question: Escalation,
+        at: str,
+        **changes: Any,  # noqa: ANN401  # fields of an invocation
+    ) -> Mapping[str, Any]:
+        closed = question.evolve(at, status=WITHDRAWN)
+        self.questions[closed.id] = closed
+        self._versions[version.id] = version.evolve(at, escalation=closed.reference(), **changes)
+        return {"withdrawn": closed.id}
+
+    def _open(self, name: str) -> Escalation | None:
+        known = [question for question in self.questions.values() if question.invocation == name]
+        if known:
+            return known[-1] if known[-1].status == PENDING else None
+        return self._desk.pending_for(name)
+
+
+def reason(code: str, message: str) -> dict[str, str]:
+    """Return a reason of the runtime's own."""
+    return {"rule": "runtime/session", "code": code, "message": message, "remedy": ""}
+
+
+def _reasons_of(event: UpEvent) -> list[dict[str, str]]:
+    """Return why a cell asks, as reasons: its `reason` is a code, `failure` what had gone wrong before."""
+    code = str(event.body.get("reason") or "escalated")
+    failure = event.body.get("failure")
+    because = f" after `{failure}`" if failure else ""
+    return [reason(code, f"the session is held (`{code}`){because} and waits for a human")]
