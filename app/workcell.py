@@ -11,10 +11,14 @@ import os
 import secrets
 import signal
 import sys
+import traceback
+from importlib.util import find_spec
+from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Final
 
 import orjson
+import yaml
 
 from app.cell.governed import GovernedCell
 from app.cell.journal import Journal, JournalUnavailable
@@ -22,6 +26,9 @@ from app.cell.link import Identity, KeyPin, Link
 from app.cell.loop import Lease, Outbox, TickLoop
 from app.children import CellRuns, cell_lock
 from app.clock import wall_s
+from app.config import ConfigError
+from app.sim.faults import Scenario
+from app.sim.workcell import make_workcell
 from app.terminal import FINDING, FINE, MISUSE, say, say_error
 
 if TYPE_CHECKING:
@@ -31,6 +38,7 @@ if TYPE_CHECKING:
     from app.config import CellSettings
     from app.governance.policy import PolicySet
 
+SCENARIOS: Final = Path(__file__).resolve().parent / "sim" / "scenarios"
 ROBOT: Final = "mobile-ur5e"
 ORPHAN_S: Final = 60.0  # an idle child whose server is gone for so long leaves as well
 LOOK_S: Final = 1.0
@@ -56,6 +64,7 @@ def run_cell(settings: CellSettings) -> int:
 
 
 async def _run(settings: CellSettings) -> int:
+    scenario, robot = read_scenario(settings.scenario), robot_model(settings.robot)
     boot = f"boot_{secrets.token_hex(8)}"
     inbox: SimpleQueue[Order] = SimpleQueue()
     outbox, lease = Outbox(), Lease()
@@ -63,11 +72,13 @@ async def _run(settings: CellSettings) -> int:
     journal = Journal(settings.data / "journal", boot=boot)
 
     def build(policies: PolicySet, kernel_key: str, acknowledged: int) -> TickLoop:
-        from app.sim import make_workcell
-
         journal.number_behind(acknowledged)
         substrate = make_workcell(
-            policies.site, cell_id=settings.id, seed=settings.seed, scenario=settings.scenario, robot=settings.robot
+            policies.site,
+            cell_id=settings.id,
+            seed=settings.seed,
+            scenario=scenario,
+            robot_mjcf=robot,
         )
         runner = GovernedCell(substrate, policies, kernel_key=kernel_key, journal=journal, outbox=outbox, wall=wall_s)
         return TickLoop(runner, inbox, outbox, lease, pace=settings.pace)
@@ -95,11 +106,46 @@ async def _run(settings: CellSettings) -> int:
     try:
         await link.run(stop)
     except RuntimeError as error:
-        say_error(f"{settings.id}: {error}: {error.__cause__}")
+        say_error(f"{settings.id}: {error}")
+        traceback.print_exception(error)
         return FINDING
     finally:
         orphaned.cancel()
     return FINE
+
+
+def read_scenario(name: str | None) -> Scenario | None:
+    """Return what happens in the simulated world: a scenario that comes with Reins, by name, or a YAML file.
+
+    Raises:
+        ConfigError: there is no such scenario, or it says something that means nothing.
+    """
+    if name is None:
+        return None
+    path = Path(name) if name.endswith((".yaml", ".yml")) else SCENARIOS / f"{name}.yaml"
+    try:
+        return Scenario.read(yaml.safe_load(path.read_text()))
+    except (OSError, yaml.YAMLError, ValueError) as error:
+        shipped = ", ".join(sorted(known.stem for known in SCENARIOS.glob("*.yaml")))
+        raise ConfigError("scenario", name, f"a YAML file, or one of {shipped} ({error})") from error
+
+
+def robot_model(name: str | None) -> Path | None:
+    """Return the MJCF file of another robot: a path, or a name from an installed menagerie.
+
+    Raises:
+        ConfigError: there is no such model.
+    """
+    if name is None:
+        return None
+    path = Path(name)
+    if path.suffix == ".xml" and path.is_file():
+        return path.resolve()
+    menagerie = find_spec("mujoco_menagerie")
+    for folder in menagerie.submodule_search_locations or [] if menagerie else []:
+        for found in sorted(Path(folder).glob(f"**/{name}/{name}.xml")):
+            return found
+    raise ConfigError("robot", name, "the path of an MJCF file, or a model's name where a menagerie is installed")
 
 
 def _address(settings: CellSettings) -> Callable[[], str]:

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import base64
 import binascii
-from dataclasses import asdict
+from contextlib import suppress
 from math import isfinite
 from typing import TYPE_CHECKING, Final, assert_never
 
+import orjson
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from app.cell.journal import JournalUnavailable
@@ -131,8 +132,9 @@ class GovernedCell:
         """Return the newest state, with its facts and the watcher's signals."""
         view = self._runner.view()
         gauges = {name: value for name, value in view.signals._asdict().items() if isfinite(value)}
-        # Not validated here: JSON has no NaN, it goes out as null, and the server says that the facts are malformed.
-        return State.model_construct(
+        # Through JSON, which has no NaN: it becomes null, and the server says that the facts are malformed.
+        facts = orjson.loads(orjson.dumps(self._runner.substrate.facts()))
+        return State(
             at_s=self._wall(),
             tick=view.tick,
             invocation=view.invocation,
@@ -141,7 +143,7 @@ class GovernedCell:
             holding=bool(view.holding),
             policy_digest=self._policies_digest,
             profile=self._profile,
-            facts=asdict(self._runner.substrate.facts()),
+            facts=facts,
             gauges={**gauges, "late_ticks": float(overruns)},
         )
 
@@ -153,11 +155,10 @@ class GovernedCell:
         self._runner.adopt(policy_digest=policies.digest, key=self._key)
 
     def _keep_house(self, acknowledged: int) -> None:
-        try:
+        # A journal that cannot be made smaller is whole all the same; the next thing to be recorded says what is wrong.
+        with suppress(JournalUnavailable):
             self._journal.acknowledge(acknowledged)
             self._journal.forget_permits(self._wall())
-        except JournalUnavailable as error:
-            self._runner.fault = str(error)
 
     def _plan_of(self, grant: Grant, recovery: CoveredRecovery | None = None) -> tuple[WatchPlan, RecoveryPlan]:
         permit = grant.authorization

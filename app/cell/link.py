@@ -27,6 +27,7 @@ from websockets.exceptions import InvalidStatus, WebSocketException
 
 from app import protocol
 from app.cell.loop import STOPPING_S, NewPolicy, Shutdown, Welcomed
+from app.clock import monotonic_s
 from app.governance import bundle
 from app.governance.errors import GovernanceError
 from app.protocol import (
@@ -55,6 +56,7 @@ if TYPE_CHECKING:
 
 FIRST_RETRY_S: Final = 0.05
 LAST_RETRY_S: Final = 2.0
+STABLE_S: Final = 1.0
 PATIENCE_S: Final = 5.0  # for the handshake and the welcome
 FAREWELL_S: Final = 0.5  # for the last events to be acknowledged
 MIND_S: Final = 0.05
@@ -162,6 +164,7 @@ class Link:
         self._heard_ack = asyncio.Event()
         self._acknowledged = 0
         self._retry_s = FIRST_RETRY_S
+        self._welcomed_s = float("inf")
         self._last_word = ""
 
     async def run(self, stop: asyncio.Event) -> None:
@@ -195,6 +198,9 @@ class Link:
 
     def _pause_s(self) -> float:
         """Return how long to wait before the next dial: doubling, bounded, and never two cells in step."""
+        if monotonic_s() - self._welcomed_s > STABLE_S:  # a server that greets and hangs up is no server yet
+            self._retry_s = FIRST_RETRY_S
+        self._welcomed_s = float("inf")
         retry_s, self._retry_s = self._retry_s, min(2 * self._retry_s, LAST_RETRY_S)
         return retry_s * random.uniform(0.5, 1.0)  # noqa: S311  # jitter, no secret
 
@@ -215,7 +221,7 @@ class Link:
         async with dial as socket:
             await socket.send(protocol.encode(self._hello()))
             await self._be_welcomed(socket)
-            self._retry_s = FIRST_RETRY_S
+            self._welcomed_s = monotonic_s()
             self._say_once(f"linked to {address}")
             await self._keep_up(socket, stopping)
 
