@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from app.governance.model import Json
 
-CANONICAL = orjson.OPT_SORT_KEYS
+CANONICAL = orjson.OPT_SORT_KEYS | orjson.OPT_NON_STR_KEYS  # enums are keys too
 MAX_BODY_BYTES = 4 * 1024 * 1024
 
 
@@ -101,7 +101,7 @@ def prepare(draft: EventDraft, at: str) -> Prepared:
     """Encode a draft's payload.
 
     Raises:
-        EventMalformed: a value JSON cannot say, a key that is no text, an integer beyond 64 bits, text with lone
+        EventMalformed: a value or key JSON cannot say, an integer beyond 64 bits, text with lone
         surrogates, over 4 MiB.
     """
     try:

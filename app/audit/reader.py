@@ -180,14 +180,16 @@ class Reader:
         rows = self._all(query.limit(1))
         return as_dict(STATE[table], rows[0]) if rows else None
 
-    def rows(self, table: str, filters: Mapping[str, Any] | None = None, *, limit: int = MAX_LIMIT) -> list[Row]:
-        """Return rows of a state table by primary key; a filter's tuple of values means any of them.
+    def rows(self, table: str, filters: Mapping[str, Any] | None = None) -> list[Row]:
+        """Return all rows of a state table by primary key; a filter's tuple of values means any of them.
+
+        For what is small or filtered to be so; `page` is for the rest.
 
         Raises:
             KeyError: no such table or column.
             RecordDamaged: the database cannot be read.
         """
-        query = filtered(STATE[table], filters).order_by(*STATE[table].primary_key.columns).limit(bounded(limit))
+        query = filtered(STATE[table], filters).order_by(*STATE[table].primary_key.columns)
         return [as_dict(STATE[table], row) for row in self._all(query)]
 
     def page(

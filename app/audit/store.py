@@ -34,6 +34,7 @@ T = TypeVar("T")
 MAX_BATCH_EVENTS = 512  # bounds how long one batch keeps the event loop
 MAX_WAITING = 10_000
 PROBE_AFTER_S = 1.0
+VERIFY_PAUSE_S = 0.0005
 PROBE_BYTES = 32 * 1024
 
 
@@ -231,9 +232,20 @@ class AuditStore:
 
     # -- reading -----------------------------------------------------------------------------------------------------
 
-    async def events(self, **filters: Any) -> list[Event]:  # noqa: ANN401  # checked by the reader it goes to
+    async def events(
+        self,
+        *,
+        invocation: str | None = None,
+        kind: str | None = None,
+        actor: str | None = None,
+        since: float | None = None,
+        until: float | None = None,
+        after: int = 0,
+        limit: int = 100,
+    ) -> list[Event]:
         """Return events in order of `seq`; arguments and errors as `Reader.events`."""
-        return await self._read(partial(self._reader.events, **filters))
+        filters = {"invocation": invocation, "kind": kind, "actor": actor, "since": since, "until": until}
+        return await self._read(partial(self._reader.events, **filters, after=after, limit=limit))
 
     async def invocation(self, key: str) -> bytes | None:
         """Return the document of an invocation, if there is one."""
@@ -261,7 +273,7 @@ class AuditStore:
 
     async def verify(self) -> Verification:
         """Recompute the log from its stored bytes, in a thread with a connection of its own."""
-        return await asyncio.to_thread(verify_log, self.places, self.verifier)
+        return await asyncio.to_thread(verify_log, self.places, self.verifier, pause_s=VERIFY_PAUSE_S)
 
     async def _read(self, query: Callable[[], T]) -> T:
         if self._closed:

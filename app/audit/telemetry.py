@@ -2,7 +2,7 @@
 
     /telemetry   one message a tick, a number for every channel
     /events      what the watcher said and what was done about it, as `foxglove.Log`
-    /base, /tcp  poses in the world frame, as `foxglove.PoseInFrame`, where the channels they need are there
+    /base, /tcp  poses in the world frame at every fifth tick, as `foxglove.PoseInFrame`, where channels make them up
 
 Rows arrive packed in batches and are written by a thread of the file's own, so that the event loop never waits for
 compression or the disk. A channel that was not finite at a tick is null there. The file appears under its name only
@@ -36,6 +36,7 @@ Values = tuple[float, ...]
 
 CHUNK_BYTES: Final = 64 * 1024  # a larger chunk stalls whoever shares the interpreter while it is compressed
 MAX_WAITING: Final = 4096
+POSE_EVERY: Final = 5  # rows; poses are for looking at, every tick stands in /telemetry
 NANOSECONDS: Final = 1_000_000_000
 LEVELS: Mapping[Level, int] = {"info": 2, "warning": 3, "error": 4}  # as foxglove.Log counts them
 
@@ -280,7 +281,7 @@ class _Tape:
             self._last_s = row[0]
             at = self._at(row[0])
             self._add(self._telemetry, at, self.row_count, dict(zip(self._names, row, strict=True)))
-            for topic, columns in self._poses:
+            for topic, columns in self._poses if self.row_count % POSE_EVERY == 0 else ():
                 self._add(topic, at, self.row_count, pose_message(at, row, columns))
             self.row_count += 1
 

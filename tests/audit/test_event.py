@@ -56,6 +56,7 @@ def test_says_governance_s_types_as_json_does() -> None:
             reason=Reason("rule", "limit", "message"),
             status=Status.RUNNING,
             params=MappingProxyType({"b": 1, Status.PAUSED: 2}),
+            counts={Status.RUNNING: 3, "b": 1},
             ids=frozenset({"b", "a"}),
             gap=float("nan"),
         ),
@@ -65,6 +66,7 @@ def test_says_governance_s_types_as_json_does() -> None:
         "reason": {"rule": "rule", "code": "limit", "message": "message", "remedy": ""},
         "status": "running",
         "params": {"b": 1, "paused": 2},
+        "counts": {"b": 1, "running": 3},
         "ids": ["a", "b"],
         "gap": None,
     }
@@ -77,7 +79,7 @@ def test_a_draft_changed_after_it_was_handed_over_is_recorded_as_it_was() -> Non
     assert prepared.seal(1).payload() == {"force_n": 60}
 
 
-@pytest.mark.parametrize("value", [2**64, "\ud800", {1: 2}, object(), b"raw", "x" * (MAX_BODY_BYTES + 1)])
+@pytest.mark.parametrize("value", [2**64, "\ud800", {(1,): 2}, object(), b"raw", "x" * (MAX_BODY_BYTES + 1)])
 def test_refuses_what_json_cannot_say(value: object) -> None:
     with pytest.raises(EventMalformed, match="`proposal`"):
         prepare(draft(value=value), TIME)

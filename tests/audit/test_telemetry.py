@@ -87,11 +87,12 @@ def test_foxglove_finds_schemas_for_every_topic(tmp_path: Path) -> None:
 
 def test_poses_stand_in_the_world(tmp_path: Path) -> None:
     writer = open_writer(tmp_path / "a.mcap")
-    writer.write(pack(3))
+    writer.write(pack(11))
     writer.close()
     topics = read(tmp_path / "a.mcap")
+    assert len(topics["/base"]) == len(topics["/tcp"]) == 3
     time, base = topics["/base"][2]
-    assert base["pose"]["position"] == {"x": 0.5, "y": 0.5, "z": 0.0}
+    assert base["pose"]["position"] == {"x": 2.5, "y": 0.5, "z": 0.0}
     assert base["pose"]["orientation"] == pytest.approx({"x": 0, "y": 0, "z": 0.5**0.5, "w": 0.5**0.5}, abs=1e-6)
     assert base["timestamp"]["sec"] * 1_000_000_000 + base["timestamp"]["nsec"] == time
     assert topics["/tcp"][0][1]["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 0.75}
