@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import orjson
 from fastapi import FastAPI
+from fastapi.middleware.asyncexitstack import AsyncExitStackMiddleware
+from starlette.middleware.exceptions import ExceptionMiddleware
 from starlette.requests import Request
 from starlette.responses import Response
 
@@ -22,6 +24,8 @@ from app.api.parts import Parts, parts_of
 
 if TYPE_CHECKING:
     from collections.abc import AsyncGenerator, Callable, Mapping
+
+    from starlette.types import ASGIApp
 
     from app.api.auth import Principals
     from app.audit.store import AuditStore
@@ -39,6 +43,19 @@ answer with reasons; a refusal of a *request* is a problem (RFC 9457) with a sta
 most 256 kB: unknown fields, keys given twice, NaN and numbers beyond double precision are refused. Lists are `{items,
 next}`; give `next` back as `cursor` (or `after`, in the log).
 """
+
+
+class Application(FastAPI):
+    """FastAPI without the layers that this application does for itself."""
+
+    def build_middleware_stack(self) -> ASGIApp:
+        """Return the routes inside three layers: the frame, the exceptions that have problems, FastAPI's exit stack.
+
+        Starlette's error page is the frame's work here, body limits are `wire`'s, and nothing is traced.
+        """
+        handlers = dict(self.exception_handlers)
+        inner = AsyncExitStackMiddleware(self.router)
+        return problems.Frame(ExceptionMiddleware(inner, handlers=handlers))
 
 
 def create_app(
@@ -67,7 +84,7 @@ def create_app(
     Raises:
         RouteUnguarded: a route and the table of roles do not match.
     """
-    app = FastAPI(
+    app = Application(
         title="Reins", version=__version__, openapi_url=None, docs_url=None, redoc_url=None, lifespan=_lifespan
     )
     app.router.route_class = GuardedRoute
@@ -83,7 +100,6 @@ def create_app(
         checks=dict(checks or {}),
     )
     problems.install(app)
-    app.add_middleware(problems.Frame)
     for room in (agents, operators, policies, audits, links):
         room.register(app.router)
     declare(app.router, "GET /healthz", healthz, Answers(model=documents.Health))
