@@ -30,6 +30,7 @@ UPRIGHT = 0.9
 MIN_HEIGHT_M = 0.2  # what fell to the floor is out of every camera's sight
 _CRATE_RANGE_M = 1.8
 _AREA_GRID_M = 0.1
+_BLEND, _BLEND_S, _BLEND_M = 0.3, 0.5, 0.05
 
 
 class Glimpse(NamedTuple):
@@ -79,7 +80,8 @@ class Perception:
             glimpse = self.glimpse(plant, name)
             if glimpse is not None:
                 x, y = to_world(pose, glimpse.x_m, glimpse.y_m)
-                self.memory[name] = Seen(x, y, glimpse.z_m, wrapped(glimpse.yaw_rad + pose[2]), glimpse.upright, self.stamp_s)
+                now = Seen(x, y, glimpse.z_m, wrapped(glimpse.yaw_rad + pose[2]), glimpse.upright, self.stamp_s)
+                self.memory[name] = _blended(self.memory.get(name), now)
         for x, y in plant.crates():
             if hypot(x - pose[0], y - pose[1]) < _CRATE_RANGE_M and (x, y) not in self.crates:
                 self.crates.append((x, y))
@@ -144,6 +146,16 @@ class Perception:
         """Start an inspection afresh."""
         self._unseen[area.name] = _grid(area)
         self.inspected.pop(area.name, None)
+
+
+def _blended(before: Seen | None, now: Seen) -> Seen:
+    """Average what stays where it was; take at once what moved, turned over, or was long out of sight."""
+    if before is None or now.stamp_s - before.stamp_s > _BLEND_S or now.upright != before.upright:
+        return now
+    if max(abs(now.x_m - before.x_m), abs(now.y_m - before.y_m), abs(now.z_m - before.z_m)) > _BLEND_M:
+        return now
+    x, y, z = (a + _BLEND * (b - a) for a, b in zip(before[:3], now[:3], strict=True))
+    return Seen(x, y, z, wrapped(before.yaw_rad + _BLEND * wrapped(now.yaw_rad - before.yaw_rad)), now.upright, now.stamp_s)
 
 
 def _grid(area: Area) -> list[Point]:

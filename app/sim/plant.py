@@ -30,6 +30,8 @@ _FEED_FORWARD_S = np.array(robot.ARM_KV) / np.array(robot.ARM_KP)
 _BRAKE_ARM_NM, _BRAKE_BASE_N = 400.0, 3000.0
 _BASE_HOLD_PER_S, _BASE_HOLD_MAX = 5.0, 0.05
 _SCALING_LEAK_S = 1.5
+_WAKE_M, _RESTING_MPS = 0.25, 1e-3  # around the tool; checked every few ticks, between which the tool moves some centimetres
+_AVERAGE = np.full(SUBSTEPS, 1.0 / SUBSTEPS)
 # Model fields that faults and brakes edit; a snapshot carries them beside the integration state.
 _EDITED = ("dof_frictionloss", "actuator_gainprm", "actuator_biasprm", "body_gravcomp", "geom_friction", "geom_priority", "body_mass", "body_inertia",
            "body_ipos", "geom_contype", "geom_conaffinity")  # fmt: skip
@@ -168,8 +170,8 @@ class Plant:
         c, s = cos(pose[2]), sin(pose[2])
         force = self._force[SUBSTEPS:]
         return Tick(
-            joint_rad=data.qpos[self._arm_q], joint_speed=data.qvel[self._arm_v], joint_torque=self._torque.mean(axis=0), wrist_force=force[:, 0:3],
-            wrist_acceleration=force[:, 3:6], pad_force_n=force[:, 6:8].mean(axis=0), width_m=float(data.qpos[self._finger_q].sum()), base_pose=pose,
+            joint_rad=data.qpos[self._arm_q], joint_speed=data.qvel[self._arm_v], joint_torque=_AVERAGE @ self._torque, wrist_force=force[:, 0:3],
+            wrist_acceleration=force[:, 3:6], pad_force_n=_AVERAGE @ force[:, 6:8], width_m=float(data.qpos[self._finger_q[0]] + data.qpos[self._finger_q[1]]), base_pose=pose,
             base_velocity=np.array((c * vx + s * vy, c * vy - s * vx, wz)),
         )  # fmt: skip
 
@@ -233,6 +235,7 @@ class Plant:
 
     def place_object(self, name: str, x_m: float, y_m: float, z_m: float, yaw_rad: float = 0.0) -> None:
         """Put an object somewhere before a run starts, or take it away (under the floor it is hung up, not falling)."""
+        self._set_asleep(name, asleep=False)
         q, v = self._object_q[name], self._object_v[name]
         self.data.qpos[q : q + 7] = (x_m, y_m, z_m, cos(yaw_rad / 2), 0.0, 0.0, sin(yaw_rad / 2))
         self.data.qvel[v : v + 6] = 0.0
@@ -319,19 +322,17 @@ class Plant:
         """Mass of everything beyond the wrist sensor, without a load."""
         return self._gripper_kg
 
-    def doze(self, near_m: float = 2.0) -> None:
-        """Spare the solver objects that lie still far from the robot: without contacts they neither move nor cost."""
-        x, y = self.data.qpos[self._base_q[:2]]
-        for name in self.objects:
-            at = self.data.xpos[self._object_body[name]]
-            far = at[2] > 0 and hypot(at[0] - x, at[1] - y) > near_m
+    def doze(self) -> None:
+        """Spare the solver objects that lie still away from the gripper: without contacts they neither move nor cost."""
+        x, y, _ = self.data.site_xpos[self._tcp].tolist()
+        for name, body in self._object_body.items():
+            ax, ay, az = self.data.xpos[body].tolist()
+            far = az > 0 and hypot(ax - x, ay - y) > _WAKE_M
             if far == (name in self._asleep):
                 continue
             v = self._object_v[name]
-            if far and np.abs(self.data.qvel[v : v + 6]).max() < 1e-3:
-                self._set_asleep(name, asleep=True)
-            elif not far:
-                self._set_asleep(name, asleep=False)
+            if not far or np.abs(self.data.qvel[v : v + 6]).max() < _RESTING_MPS:
+                self._set_asleep(name, asleep=far)
 
     def _set_asleep(self, name: str, *, asleep: bool) -> None:
         body, v = self._object_body[name], self._object_v[name]

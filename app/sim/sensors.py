@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from math import cos, hypot, sin
+from math import cos, hypot, sin, sqrt
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -30,10 +30,12 @@ PEOPLE_PERIOD_TICKS, PEOPLE_DELAY_TICKS, PEOPLE_SIGMA_M, PEOPLE_DROPOUT = 5, 6, 
 PEOPLE_RANGE_M, PEOPLE_KEEP_S = 8.0, 1.0
 ENCODER_SIGMA_RAD, DRIVE_SIGMA_RADPS, TORQUE_SIGMA_NM = 2e-5, 2e-3, 0.15
 WRIST_SIGMA_N, PAD_SIGMA_N, WIDTH_SIGMA_M, SLIP_SIGMA_M = 0.6, 0.15, 1e-4, 1e-4
-BASE_SIGMA = (0.002, 0.002, 0.002)
 PAD_LOADED_N = 1.0
 SENSORS = ("arm", "wrist", "gripper", "odometry", "fix", "people", "objects")
 _COLUMNS, _ROWS = 64, 512
+_BASE_SIGMA, _WHEELS_STILL = np.array((0.002, 0.002, 0.002)), 1e-3
+_BODY_SIGMA = np.repeat((ENCODER_SIGMA_RAD, DRIVE_SIGMA_RADPS, TORQUE_SIGMA_NM, WRIST_SIGMA_N, PAD_SIGMA_N, WIDTH_SIGMA_M), (6, 6, 6, 3, 2, 1))
+_THIRDS, _AVERAGE = np.zeros(3), np.full(5, 0.2)
 
 
 class Noise:
@@ -126,21 +128,23 @@ class Sensors:
         """
         now = tick * CONTROL_PERIOD_S
         n = self._noise.row()
-        arm = np.concatenate((
-            physical.joint_rad + ENCODER_SIGMA_RAD * n[0:6],
-            physical.joint_speed + DRIVE_SIGMA_RADPS * n[6:12],
-            physical.joint_torque + TORQUE_SIGMA_NM * n[12:18],
-        ))  # fmt: skip
+        raw = np.concatenate((physical.joint_rad, physical.joint_speed, physical.joint_torque, _THIRDS, physical.pad_force_n, (physical.width_m,)))
         outer = physical.wrist_force - (self._gripper_kg + self.load_kg) * physical.wrist_acceleration
-        mean = outer.mean(axis=0) + WRIST_SIGMA_N * n[18:21]
-        wrist = np.array((np.sqrt(mean @ mean), np.sqrt(np.einsum("ij,ij->i", outer, outer).max())))
-        pads = np.maximum(physical.pad_force_n + PAD_SIGMA_N * n[21:23], 0.0)
-        slip = self._measure_slip(pads, nearest) + abs(SLIP_SIGMA_M * n[23])
-        gripper = np.array((physical.width_m + WIDTH_SIGMA_M * n[24], pads[0], pads[1], slip))
-        velocity = physical.base_velocity + np.array(BASE_SIGMA) * n[25:28] * (np.abs(physical.base_velocity).max() > 1e-3)
+        raw[18:21] = _AVERAGE @ outer
+        raw += _BODY_SIGMA * n[: len(raw)]
+        mean, pads = raw[18:21], np.maximum(raw[21:23], 0.0)
+        wrist = np.array((sqrt(mean @ mean), sqrt((outer * outer).sum(axis=1).max())))
+        slip = self._measure_slip(pads, nearest) + abs(SLIP_SIGMA_M * n[24])
+        gripper = np.array((raw[23], pads[0], pads[1], slip))
+        velocity = physical.base_velocity
+        if np.abs(velocity).max() > _WHEELS_STILL:
+            velocity = velocity + _BASE_SIGMA * n[25:28]
         odometry = np.concatenate((self._dead_reckon(velocity), velocity))
+        arm = raw[0:18]
         values = {"arm": arm, "wrist": wrist, "gripper": gripper, "odometry": odometry}
-        return Reading(**{name: self._deliver(name, now, value, n[32:]) for name, value in values.items()})
+        if not self.faults:
+            return Reading(*((now, value) for value in values.values()))
+        return Reading(*(self._deliver(name, now, value, n[32:]) for name, value in values.items()))
 
     def _deliver(self, name: str, stamp_s: float, value: Floats, noise: Floats) -> tuple[float, Floats]:
         fault = self.faults.get(name)
@@ -171,8 +175,8 @@ class Sensors:
 
     def _dead_reckon(self, velocity: Floats) -> Floats:
         pose, dt = self.odometry, CONTROL_PERIOD_S
-        vx, vy, wz = velocity * self.odometry_scale
-        yaw = pose[2] + 0.5 * wz * dt
+        vx, vy, wz = (velocity * self.odometry_scale).tolist()
+        yaw = float(pose[2]) + 0.5 * wz * dt
         pose[0] += (cos(yaw) * vx - sin(yaw) * vy + self.odometry_bias[0]) * dt
         pose[1] += (sin(yaw) * vx + cos(yaw) * vy + self.odometry_bias[1]) * dt
         pose[2] += (wz + self.odometry_turn_radpm * hypot(vx, vy)) * dt

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 _WARM_UP_TICKS = 40
 _MARK_TICKS, _MARK_RAD, _MARK_MAX = 5, 0.004, 20000
-_DOZE_TICKS = 25
+_DOZE_TICKS = 5
 _FRESH_S, _VISIBLE_S, _RETRACTED_RAD, _READY_RAD, _READY_RADPS = 0.5, 1.0, 0.08, 0.05, 0.05
 _LEVER_STATE_RAD, _BUTTON_PRESSED_M, _BUTTON_LATCH_S = 0.33, 0.012, 60.0
 _TALL_TOOL_M = 0.1
@@ -310,6 +310,12 @@ class Workcell:
             upright={name: found[2] > 0.9 for name, found in objects.items()},  # noqa: PLR2004  # cosine of the lean
             tools={name: plant.tool_angle(name) for name in self.site.tools},
         )  # fmt: skip
+
+    def gauges(self) -> tuple[float, float, float, float]:
+        """Return true tool speed, base speed, contact force (20 ms mean) and its peak, without the cost of the whole truth."""
+        tick = self.plant.read()
+        held = self._state.hand.name if self._state.hand and tick.pad_force_n.min() > PAD_LOADED_N else None
+        return (self._self_model.tcp_speed(tick.joint_rad, tick.joint_speed), float(np.hypot(*tick.base_velocity[:2])), *self.plant.true_contact_n(held))
 
     # -- inside ------------------------------------------------------------------------------------------------------------------------
 
