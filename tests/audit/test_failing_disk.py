@@ -108,3 +108,12 @@ async def test_a_data_directory_that_cannot_be_made_is_named(tmp_path: Path) -> 
     blocked.write_text("")
     with pytest.raises(RecordUnavailable, match="file"):
         AuditStore.open(blocked / "data")
+
+
+async def test_a_connection_beyond_undoing_still_answers_its_callers(store: AuditStore) -> None:
+    await fill(store, 1)
+    store._ledger._connection.close()
+    with pytest.raises(RecordUnavailable):
+        await store.append([draft()])
+    assert "taking it back" in (store.reason or "")
+    assert (store.size, (await store.verify()).ok) == (3, True)

@@ -353,3 +353,10 @@ async def test_too_many_waiting_callers_are_refused_at_once(store: AuditStore, m
     monkeypatch.setattr("app.audit.store.MAX_WAITING", 3)
     answers = await asyncio.gather(*(store.append([draft()]) for _ in range(5)), return_exceptions=True)
     assert [isinstance(answer, RecordUnavailable) for answer in answers] == [False, False, False, True, True]
+
+
+async def test_refuses_a_key_file_that_holds_none(data: Path) -> None:
+    await AuditStore.open(data).close()
+    Places(data).secret_key.write_text("nothing")
+    with pytest.raises(RecordDamaged, match="PRIVATE"):
+        AuditStore.open(data)

@@ -265,3 +265,19 @@ async def test_starts_from_a_checkpoint_some_way_back(data: Path, monkeypatch: p
     sql("UPDATE events SET body = x'00' WHERE seq = 8")(Places(data))
     with pytest.raises(RecordDamaged, match="after `6`"):
         AuditStore.open(data)
+
+
+@pytest.mark.parametrize(
+    ("tamper", "problem"),
+    [
+        (sql("UPDATE checkpoints SET frontier = x'00' WHERE size = 12"), "the checkpoint at `12`"),
+        (sql("UPDATE checkpoints SET frontier = zeroblob(64) WHERE size = 12"), "not those that were signed"),
+        (sql("UPDATE checkpoints SET note = replace(note, 'reins', 'raids') WHERE size = 12"), "its checkpoints"),
+        (outside(lambda text: text.replace("reins", "raids")), "not one of this log"),
+        (outside(lambda text: text.split("\n\nreins")[0] + "\n\n"), "not among the database's last"),
+    ],
+)
+async def test_says_at_the_start_what_was_changed(log: Places, tamper: Tamper, problem: str) -> None:
+    tamper(log)
+    with pytest.raises(RecordDamaged, match=problem):
+        AuditStore.open(log.folder)
