@@ -113,4 +113,4 @@ class Runtime:
                 with suppress(asyncio.CancelledError):
                     await task
             self.feed.close()
-            await self.telemetry.close()
+            await self.sessions.close()

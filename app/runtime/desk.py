@@ -34,6 +34,7 @@ from app.runtime.escalation import (
     read_escalation,
 )
 from app.runtime.invocation import Principal
+from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -148,6 +149,7 @@ class Desk:
 
     # -- answering ---------------------------------------------------------------------------------------------------
 
+    @uncut
     async def resolve(
         self,
         escalation_id: str,

@@ -250,7 +250,7 @@ class Fleet:
         Raises:
             RuntimeError: somebody has it; a decision on fresh facts would have said so.
         """
-        if cell.claim is not None:
+        if cell.claim not in (None, invocation):
             raise RuntimeError(f"cell `{cell.id}` is claimed by `{cell.claim}` already")
         cell.claim = invocation
 

@@ -9,10 +9,8 @@ reset) is recorded before it is sent.
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import replace
-from functools import wraps
-from typing import TYPE_CHECKING, Any, Concatenate, Final, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft, RowWrite
@@ -31,9 +29,10 @@ from app.runtime.invocation import (
     without_free_text,
 )
 from app.runtime.kernel import REFUSED_OUTCOME
+from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from app.audit.event import Event
     from app.audit.store import AuditStore
@@ -42,9 +41,6 @@ if TYPE_CHECKING:
     from app.runtime.fleet import Cell, Fleet
     from app.runtime.kernel import Judgement, Kernel
     from app.runtime.register import Register
-
-P = ParamSpec("P")
-T = TypeVar("T")
 
 TRACE_PAGE: Final = 1000
 UNNAMED: Final = ""
@@ -56,18 +52,6 @@ OPERATIONS: Final[Mapping[str, tuple[frozenset[Status], bool]]] = {
     "resume": (frozenset({Status.PAUSED}), False),
     "rollback": (frozenset({Status.RUNNING, Status.PAUSED, Status.ESCALATED}), False),
 }
-
-
-def _uncut(
-    method: Callable[Concatenate[Governor, P], Coroutine[Any, Any, T]],
-) -> Callable[Concatenate[Governor, P], Coroutine[Any, Any, T]]:
-    """Let a method run to its end even if its caller is cancelled: nothing is to be recorded and then not done."""
-
-    @wraps(method)
-    async def run(self: Governor, *args: P.args, **kwargs: P.kwargs) -> T:
-        return await asyncio.shield(asyncio.ensure_future(method(self, *args, **kwargs)))
-
-    return run
 
 
 class Governor:
@@ -151,9 +135,11 @@ class Governor:
         if invocation.final:
             await self.register.append([*drafts, _ended(invocation)], rows, [invocation])
             return invocation
+        if judgement.need is None and cell is not None:  # at once: nothing else may be decided on the cell's being free
+            self.fleet.claim(cell, invocation.id)
         return await self._open(invocation, judgement, drafts, rows)
 
-    @_uncut
+    @uncut
     async def _open(
         self, invocation: Invocation, judgement: Judgement, drafts: Sequence[EventDraft], rows: Sequence[RowWrite]
     ) -> Invocation:
@@ -322,7 +308,7 @@ class Governor:
         """Take a session back to where it began; recorded first. Errors as `cancel`, and Conflict `cell_offline`."""
         return await self._operate("rollback", invocation_id, principal)
 
-    @_uncut
+    @uncut
     async def cancel(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
         """Withdraw an invocation: before launch it ends here, a session is told to stop.
 
@@ -354,7 +340,7 @@ class Governor:
         await self.desk.commit(drafts, question, ended)
         return ended.public()
 
-    @_uncut
+    @uncut
     async def _operate(self, op: str, invocation_id: str, principal: Principal) -> dict[str, Any]:
         legal, restrains = OPERATIONS[op]
         present = self.register.newest(invocation_id) or await self._visible(invocation_id, principal)
@@ -379,7 +365,7 @@ class Governor:
 
     # -- people's words on a cell ------------------------------------------------------------------------------------
 
-    @_uncut
+    @uncut
     async def estop(self, cell_id: str, principal: Principal) -> dict[str, Any]:
         """Stop a cell at once and latch it; anyone may. The answer's `recorded` says whether the record took it.
 
@@ -395,7 +381,7 @@ class Governor:
             return {**self.fleet.document(cell), "recorded": False}
         return {**self.fleet.document(cell), "recorded": True}
 
-    @_uncut
+    @uncut
     async def reset(self, cell_id: str, principal: Principal) -> dict[str, Any]:
         """Leave a latched stop; recorded first, moves nothing.
 
@@ -414,7 +400,7 @@ class Governor:
         self.fleet.order(cell, Reset(actor=principal.name))
         return self.fleet.document(cell)
 
-    @_uncut
+    @uncut
     async def set_profile(self, cell_id: str, profile: str, principal: Principal) -> dict[str, Any]:
         """Put a cell under another environment profile; what runs keeps the one it was authorized under.
 

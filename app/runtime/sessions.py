@@ -20,6 +20,7 @@ has given up.
 
 from __future__ import annotations
 
+import asyncio
 from contextlib import AsyncExitStack, suppress
 from typing import TYPE_CHECKING, Any, Final
 
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
 
 LOST_S: Final = 1.0
 ABSENT_S: Final = 30.0
+LAST_ROWS_S: Final = 0.5
 UNCONFIRMED_S: Final = LAUNCH_WITHIN_S + 1.0  # by then the permit has run out
 LIVED_THROUGH: Final = SESSION | {Status.COMPLETED, Status.FAILED}
 REPORTABLE: Final = frozenset({
@@ -65,6 +67,8 @@ class Sessions:
         self._telemetry = telemetry
         self._absent_s = absent_s
         self._unsaid: list[EventDraft] = []  # notices the record could not take yet
+        self._sealing: dict[str, str] = {}
+        self._seals: set[asyncio.Task[None]] = set()
 
     # -- reports -----------------------------------------------------------------------------------------------------
 
@@ -104,12 +108,11 @@ class Sessions:
             story = Story(self._desk, versions)
             for event in events:
                 story.tell(cell, event, self._register.now())
-            ended = story.ended()
-            drafts = [*story.drafts, *await self._telemetry.finish(ended)]
             questions = story.questions.values()
-            await self._register.append(drafts, [*rows, *(item.row() for item in questions)], story.changed())
-            self._telemetry.recorded(ended)
+            await self._register.append(story.drafts, [*rows, *(item.row() for item in questions)], story.changed())
             self._desk.hold(*questions)
+        for name in story.ended():
+            self._seal_soon(name, cell)
 
     def telemetry(self, cell: str, invocation: str, rows: Sequence[tuple[float, ...]]) -> None:
         """Keep rows of a session of this cell; rows of anything else are refused.
@@ -120,8 +123,35 @@ class Sessions:
         known = self._register.newest(invocation)
         if known is not None and known.cell != cell:
             raise ProtocolError(f"telemetry of `{invocation}`, which is not an invocation of the cell `{cell}`")
-        if known is not None:
+        if known is not None or self._sealing.get(invocation) == cell:
             self._telemetry.write(invocation, rows)
+
+    def _seal_soon(self, invocation: str, cell: str) -> None:
+        self._sealing[invocation] = cell
+        task = asyncio.create_task(self._seal(invocation, cell), name=f"seal-{invocation}")
+        self._seals.add(task)
+        task.add_done_callback(self._seals.discard)
+
+    async def _seal(self, invocation: str, cell: str) -> None:
+        """Seal a session's telemetry once its last rows are in: they precede the cell's next state."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(LAST_ROWS_S):
+                await self._fleet.cell(cell).stated.wait()
+        await self._sealed(invocation)
+
+    async def _sealed(self, invocation: str) -> None:
+        self._sealing.pop(invocation, None)
+        draft = await self._telemetry.seal(invocation)
+        if draft is not None:
+            await self._say(draft)
+
+    async def close(self) -> None:
+        """Seal what is open and say what was left unsaid; what a session reports later goes into another file."""
+        if self._seals:
+            await asyncio.wait(self._seals)
+        for invocation in self._telemetry.open():
+            await self._sealed(invocation)
+        await self._say_unsaid()
 
     # -- coming and going --------------------------------------------------------------------------------------------
 
@@ -218,12 +248,11 @@ class Sessions:
             open_question = self._desk.withdrawal(name)
             changes: dict[str, Any] = {} if open_question is None else {"escalation": open_question.reference()}
             ended = present.evolve(self._register.now(), status=Status.FAILED, outcome=Outcome.FAULT, **changes)
-            drafts = [*await self._telemetry.finish([name]), outcome_event(ended, SERVER, reason(code, message))]
             rows = [] if open_question is None else [open_question.row()]
-            await self._register.append(drafts, rows, [ended])
-            self._telemetry.recorded([name])
+            await self._register.append([outcome_event(ended, SERVER, reason(code, message))], rows, [ended])
             if open_question is not None:
                 self._desk.hold(open_question)
+        await self._sealed(name)
 
 
 def _member(what: str, value: object, valid: Any) -> None:  # noqa: ANN401  # an enumeration or a set of one

@@ -1,0 +1,455 @@
+"""One invocation's way, seen from the governor."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+from typing import Any
+
+import orjson
+import pytest
+
+from app.audit.errors import RecordUnavailable
+from app.governance.permit import SignedAuthorization, verify
+from app.runtime.assembly import Runtime
+from app.runtime.errors import Conflict, InvalidParams, NotFound
+from app.runtime.invocation import ProposalRequest
+
+from .conftest import AGENT, AUDITOR, CELL, ENGINEER, KEY, OPERATOR, STRANGER, HandCell, grasp, navigate, until
+
+pytestmark = pytest.mark.anyio
+
+
+async def kinds(runtime: Runtime, invocation: str) -> list[str]:
+    return [event["kind"] for event in await runtime.governor.trace(invocation, AUDITOR)]
+
+
+# -- the pipeline ----------------------------------------------------------------------------------------------------
+
+
+async def test_launches_what_needs_no_approval(runtime: Runtime, cell: HandCell) -> None:
+    document, created = await runtime.governor.propose(AGENT, navigate())
+    assert created
+    assert document["status"] == "running"
+    assert document["outcome"] is None
+    assert document["cell"] == CELL
+    launch = await cell.expect("launch")
+    grant = verify(
+        SignedAuthorization(base64.b64decode(launch.body), base64.b64decode(launch.signature)),
+        key=KEY.public_key(),
+        cell=CELL,
+        policy_digest=runtime.kernel.policy.digest,
+        now_s=runtime.register.now_s(),
+        used=frozenset(),
+    )
+    assert dict(grant.authorization.params) == document["effective"]
+    assert grant.authorization.invocation == document["id"]
+    assert await kinds(runtime, document["id"]) == ["proposal", "admission", "policy", "authorization"]
+
+
+async def test_the_document_has_the_agreed_fields_and_survives_json(runtime: Runtime, cell: HandCell) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    assert list(document) == [
+        "id", "status", "capability", "agent", "cell", "profile", "policy_version", "requested", "effective",
+        "admission", "policy", "escalation", "outcome", "created_at", "updated_at",
+    ]  # fmt: skip
+    assert orjson.loads(orjson.dumps(document)) == await runtime.governor.invocation(document["id"], AGENT)
+
+
+async def test_an_authorization_covers_constrained_recoveries(runtime: Runtime, cell: HandCell) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    launch = await cell.expect("launch")
+    authorization = orjson.loads(base64.b64decode(launch.body))
+    covered = {(item["strategy"], item["capability"]): item["params"] for item in authorization["recoveries"]}
+    assert ("ROLLBACK", "retrace") in covered
+    limit = runtime.kernel.policy.profiles["human-shared"].limits["tcp_speed_mps"].maximum
+    assert covered["ROLLBACK", "retrace"]["speed_mps"] <= limit
+    assert document["status"] == "running"
+
+
+async def test_rejects_what_nobody_registered_and_records_it(runtime: Runtime, cell: HandCell) -> None:
+    document, created = await runtime.governor.propose(AGENT, ProposalRequest(capability="fly", params={"up": 1}))
+    assert created
+    assert (document["status"], document["outcome"]) == ("rejected", "rejected")
+    assert document["admission"]["reasons"][0]["code"] == "unknown_capability"
+    assert document["policy"] is None
+    assert await kinds(runtime, document["id"]) == ["proposal", "admission", "outcome"]
+    assert not cell.all("launch")
+
+
+async def test_denies_by_rule_and_says_which(runtime: Runtime, cell: HandCell) -> None:
+    cell.facts["objects"] = {
+        "solvent_1": {"visible": True, "reachable": True, "x_m": 7.3, "y_m": 2.8, "z_m": 0.8, "stamp_s": 1.0}
+    }
+    await cell.state()
+    request = ProposalRequest(capability="grasp_object", params={"object_id": "solvent_1"})
+    document, _ = await runtime.governor.propose(AGENT, request)
+    assert (document["status"], document["outcome"]) == ("denied", "denied")
+    assert document["policy"]["outcome"] == "deny"
+    assert any("hazard" in reason["rule"] for reason in document["policy"]["reasons"])
+
+
+async def test_defers_while_the_cell_is_away_and_says_when_to_come_back(runtime: Runtime) -> None:
+    cell = await HandCell(runtime).dial()
+    await cell.hang_up()
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    assert (document["status"], document["outcome"]) == ("deferred", "deferred")
+    assert document["admission"]["retry_after_s"] > 0
+    assert document["admission"]["reasons"][0]["code"] == "cell_offline"
+
+
+async def test_defers_where_no_cell_was_ever_seen(runtime: Runtime) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    assert document["status"] == "deferred"
+    assert document["cell"] is None
+
+
+async def test_defers_on_an_unmet_precondition(runtime: Runtime, cell: HandCell) -> None:
+    cell.facts["objects"] = {}
+    await cell.state()
+    document, _ = await runtime.governor.propose(AGENT, grasp())
+    assert document["status"] == "deferred"
+    assert document["admission"]["reasons"][0]["code"] == "precondition_unmet"
+
+
+async def test_modifies_and_reports_every_change(runtime: Runtime, cell: HandCell) -> None:
+    request = ProposalRequest(capability="navigate_to", params={"target": "dock", "speed_mps": 1.5})
+    document, _ = await runtime.governor.propose(AGENT, request)
+    assert document["status"] == "running"
+    assert document["policy"]["outcome"] == "modify"
+    assert document["effective"]["speed_mps"] <= 0.3
+    assert "speed_mps" in {change["param"] for change in document["policy"]["changes"]}
+    assert document["requested"]["speed_mps"] == 1.5
+
+
+@pytest.mark.parametrize(
+    "params",
+    [
+        {"target": 7},
+        {"target": "dock", "unknown": 1},
+        {"target": "dock", "speed_mps": float("nan")},
+        {"target": "dock", "speed_mps": 1e308},
+        {},
+    ],
+)
+async def test_refuses_params_that_do_not_fit_the_schema(
+    runtime: Runtime, cell: HandCell, params: dict[str, Any]
+) -> None:
+    before = runtime.store.size
+    with pytest.raises(InvalidParams) as refusal:
+        await runtime.governor.propose(AGENT, ProposalRequest(capability="navigate_to", params=params))
+    assert all(problem["path"].startswith("params") for problem in refusal.value.problems)
+    assert runtime.store.size == before
+
+
+async def test_refuses_a_cell_nobody_knows(runtime: Runtime, cell: HandCell) -> None:
+    with pytest.raises(InvalidParams, match="workcell-1"):
+        await runtime.governor.propose(AGENT, navigate(cell="nowhere"))
+
+
+async def test_facts_that_are_malformed_count_as_none(runtime: Runtime, cell: HandCell) -> None:
+    cell.facts["surprise"] = 1
+    await cell.state()
+    document, _ = await runtime.governor.propose(AGENT, grasp())
+    assert document["status"] == "deferred"
+    assert "surprise" in runtime.governor.ready()[f"cell/{CELL}"]
+
+
+async def test_only_one_of_two_racing_proposals_gets_the_cell(runtime: Runtime, cell: HandCell) -> None:
+    answers = await asyncio.gather(*(runtime.governor.propose(AGENT, navigate()) for _ in range(8)))
+    statuses = sorted(document["status"] for document, _ in answers)
+    assert statuses == ["deferred"] * 7 + ["running"]
+    deferred = next(document for document, _ in answers if document["status"] == "deferred")
+    assert deferred["admission"]["reasons"][0]["code"] == "cell_busy"
+    await cell.expect("launch")
+    assert len(cell.all("launch")) == 1
+
+
+async def test_the_cell_is_free_again_after_the_outcome(runtime: Runtime, cell: HandCell) -> None:
+    for count in (1, 2):
+        document, _ = await runtime.governor.propose(AGENT, navigate())
+        assert document["status"] == "running"
+        await cell.expect("launch", count)
+        await cell.launched(document["id"])
+        await cell.ended(document["id"], "succeeded")
+
+
+async def test_a_cancelled_caller_leaves_nothing_half_done(runtime: Runtime, cell: HandCell) -> None:
+    task = asyncio.create_task(runtime.governor.propose(AGENT, navigate()))
+    await asyncio.sleep(0)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    await cell.expect("launch")
+    (live,) = runtime.register.live()
+    assert live.status == "running"
+
+
+# -- checking --------------------------------------------------------------------------------------------------------
+
+
+async def test_check_records_nothing_and_says_allowed(runtime: Runtime, cell: HandCell) -> None:
+    before = runtime.store.size
+    verdict = await runtime.governor.check(AGENT, navigate())
+    assert verdict["status"] == "allowed"
+    assert "id" not in verdict
+    assert (await runtime.governor.check(AGENT, grasp()))["status"] == "awaiting_approval"
+    assert runtime.store.size == before
+    assert not cell.all("launch")
+
+
+# -- idempotency -----------------------------------------------------------------------------------------------------
+
+
+async def test_the_same_key_and_body_give_the_same_invocation(runtime: Runtime, cell: HandCell) -> None:
+    first, created = await runtime.governor.propose(AGENT, navigate(), "key-1")
+    again, created_again = await runtime.governor.propose(AGENT, navigate(), "key-1")
+    assert (created, created_again) == (True, False)
+    assert again["id"] == first["id"]
+    await cell.expect("launch")
+    assert len(cell.all("launch")) == 1
+
+
+async def test_the_same_key_with_another_body_is_refused(runtime: Runtime, cell: HandCell) -> None:
+    await runtime.governor.propose(AGENT, navigate(), "key-1")
+    with pytest.raises(Conflict) as refusal:
+        await runtime.governor.propose(AGENT, grasp(), "key-1")
+    assert (refusal.value.code, refusal.value.status) == ("idempotency_mismatch", 422)
+
+
+async def test_a_key_in_flight_is_refused(runtime: Runtime, cell: HandCell) -> None:
+    answers = await asyncio.gather(
+        *(runtime.governor.propose(AGENT, navigate(), "key-1") for _ in range(3)), return_exceptions=True
+    )
+    refusals = [answer for answer in answers if isinstance(answer, Conflict)]
+    assert [refusal.code for refusal in refusals] == ["in_flight", "in_flight"]
+    assert refusals[0].status == 409
+
+
+async def test_a_key_is_its_agents_own(runtime: Runtime, cell: HandCell) -> None:
+    first, _ = await runtime.governor.propose(AGENT, navigate(), "key-1")
+    other, created = await runtime.governor.propose(STRANGER, navigate(), "key-1")
+    assert created
+    assert other["id"] != first["id"]
+
+
+# -- the record ------------------------------------------------------------------------------------------------------
+
+
+async def test_nothing_is_sent_when_the_record_fails(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def broken(*_: Any) -> list[int]:
+        raise RecordUnavailable("disk full")
+
+    monkeypatch.setattr(runtime.store, "append", broken)
+    with pytest.raises(RecordUnavailable):
+        await runtime.governor.propose(AGENT, navigate())
+    monkeypatch.undo()
+    assert not cell.all("launch")
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    assert document["status"] == "running", "the claim was given back"
+
+
+async def test_a_stop_is_sent_even_when_the_record_fails(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    await cell.launched(document["id"])
+
+    async def broken(*_: Any) -> list[int]:
+        raise RecordUnavailable("disk full")
+
+    monkeypatch.setattr(runtime.store, "append", broken)
+    with pytest.raises(RecordUnavailable):
+        await runtime.governor.stop(document["id"], OPERATOR)
+    await until(lambda: cell.ops() == ["stop"])
+    answer = await runtime.governor.estop(CELL, ENGINEER)
+    assert answer["latched"]
+    assert answer["recorded"] is False
+    await cell.expect("estop")
+
+
+async def test_what_loosens_is_not_sent_when_the_record_fails(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    await cell.launched(document["id"])
+    await cell.report("status", document["id"], status="paused")
+
+    async def broken(*_: Any) -> list[int]:
+        raise RecordUnavailable("disk full")
+
+    monkeypatch.setattr(runtime.store, "append", broken)
+    with pytest.raises(RecordUnavailable):
+        await runtime.governor.resume(document["id"], OPERATOR)
+    assert cell.ops() == []
+
+
+# -- people's words --------------------------------------------------------------------------------------------------
+
+
+async def test_an_operator_pauses_resumes_rolls_back_and_stops(runtime: Runtime, cell: HandCell) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    name = document["id"]
+    await cell.launched(name)
+    await runtime.governor.pause(name, OPERATOR)
+    await cell.report("status", name, status="paused")
+    await runtime.governor.resume(name, OPERATOR)
+    await cell.report("status", name, status="running")
+    await runtime.governor.rollback(name, OPERATOR)
+    await cell.report("status", name, status="recovering")
+    assert (await runtime.governor.invocation(name, AGENT))["status"] == "recovering"
+    await runtime.governor.stop(name, OPERATOR)
+    await until(lambda: cell.ops() == ["pause", "resume", "rollback", "stop"])
+    await cell.ended(name, "stopped")
+    final = await runtime.governor.invocation(name, AGENT)
+    assert (final["status"], final["outcome"]) == ("failed", "stopped")
+    said = [event for event in await runtime.governor.trace(name, AUDITOR) if event["kind"] == "human"]
+    assert [(event["actor"], event["body"]["op"]) for event in said] == [
+        ("olivia", "pause"), ("olivia", "resume"), ("olivia", "rollback"), ("olivia", "stop")
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("op", "status"),
+    [("resume", "running"), ("resume", "escalated"), ("pause", "escalated"), ("rollback", "recovering")],
+)
+async def test_a_word_out_of_place_is_refused(runtime: Runtime, cell: HandCell, op: str, status: str) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    await cell.launched(document["id"])
+    await cell.report("status", document["id"], status=status)
+    with pytest.raises(Conflict) as refusal:
+        await getattr(runtime.governor, op)(document["id"], OPERATOR)
+    assert (refusal.value.code, refusal.value.status) == ("wrong_status", 409)
+    assert cell.ops() == []
+
+
+@pytest.mark.parametrize("op", ["pause", "resume", "stop", "rollback", "cancel"])
+async def test_nothing_can_be_done_to_what_is_over(runtime: Runtime, cell: HandCell, op: str) -> None:
+    document, _ = await runtime.governor.propose(AGENT, ProposalRequest(capability="fly", params={}))
+    with pytest.raises(Conflict) as refusal:
+        await getattr(runtime.governor, op)(document["id"], OPERATOR)
+    assert refusal.value.code == "wrong_status"
+
+
+async def test_an_agent_cancels_its_own_session_and_nobody_elses(runtime: Runtime, cell: HandCell) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    await cell.launched(document["id"])
+    with pytest.raises(NotFound):
+        await runtime.governor.cancel(document["id"], STRANGER)
+    assert cell.ops() == []
+    await runtime.governor.cancel(document["id"], AGENT)
+    await until(lambda: cell.ops() == ["cancel"])
+    await cell.ended(document["id"], "cancelled")
+    assert (await runtime.governor.invocation(document["id"], AGENT))["outcome"] == "cancelled"
+
+
+async def test_an_emergency_stop_is_latched_and_launches_are_rejected(runtime: Runtime, cell: HandCell) -> None:
+    answer = await runtime.governor.estop(CELL, AGENT)
+    assert answer["latched"]
+    assert answer["recorded"]
+    await cell.expect("estop")
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    assert document["status"] == "rejected"
+    assert document["admission"]["reasons"][0]["code"] == "estop_latched"
+    reset = await runtime.governor.reset(CELL, OPERATOR)
+    assert not reset["latched"]
+    await cell.expect("reset")
+    with pytest.raises(Conflict) as refusal:
+        await runtime.governor.reset(CELL, OPERATOR)
+    assert refusal.value.code == "not_latched"
+
+
+async def test_an_emergency_stop_overtakes_everything_that_waits(runtime: Runtime, cell: HandCell) -> None:
+    for _ in range(20):
+        await runtime.governor.set_profile(CELL, "human-shared", OPERATOR)
+    gate = asyncio.Event()
+    send, cell.send = cell.send, None  # type: ignore[method-assign,assignment]
+
+    async def slow(frame: str) -> None:
+        await gate.wait()
+        await send(frame)
+
+    cell.send = slow  # type: ignore[method-assign]
+    await until(lambda: len(cell.heard) > 20)
+    cell.heard.clear()
+    for _ in range(5):
+        await runtime.governor.set_profile(CELL, "human-shared", OPERATOR)
+    await runtime.governor.estop(CELL, OPERATOR)
+    gate.set()
+    await until(lambda: len([m for m in cell.heard if m.type == "profile"]) == 5)
+    first = [message.type for message in cell.heard].index("estop")
+    assert first <= 1, "only the frame already handed to the socket may precede it"
+
+
+async def test_the_profile_changes_what_is_decided(runtime: Runtime, cell: HandCell) -> None:
+    with pytest.raises(NotFound):
+        await runtime.governor.set_profile(CELL, "lax", OPERATOR)
+    await runtime.governor.set_profile(CELL, "sim-relaxed", ENGINEER)
+    assert (await cell.expect("profile")).profile == "sim-relaxed"
+    document, _ = await runtime.governor.propose(AGENT, grasp())
+    assert (document["status"], document["profile"]) == ("running", "sim-relaxed")
+    (event,) = await runtime.store.events(kind="profile_changed")
+    assert event.payload() == {"cell": CELL, "before": "human-shared", "profile": "sim-relaxed"}
+
+
+# -- who sees what ---------------------------------------------------------------------------------------------------
+
+
+async def test_an_agent_sees_its_own_invocations_alone(runtime: Runtime, cell: HandCell) -> None:
+    mine, _ = await runtime.governor.propose(AGENT, navigate())
+    theirs, _ = await runtime.governor.propose(STRANGER, navigate())
+    for principal in (OPERATOR, ENGINEER, AUDITOR):
+        items, following = await runtime.governor.list(principal, {})
+        assert [item["id"] for item in items] == [theirs["id"], mine["id"]]
+        assert following is None
+        assert (await runtime.governor.invocation(mine["id"], principal))["id"] == mine["id"]
+    assert [item["id"] for item in (await runtime.governor.list(AGENT, {}))[0]] == [mine["id"]]
+    assert (await runtime.governor.list(AGENT, {"agent": "stranger"}))[0] == []
+    for read in (runtime.governor.invocation, runtime.governor.trace):
+        with pytest.raises(NotFound):
+            await read(theirs["id"], AGENT)
+    with pytest.raises(NotFound):
+        await runtime.governor.wait(theirs["id"], AGENT, 0.1)
+
+
+async def test_lists_page_newest_first_and_filter(runtime: Runtime, cell: HandCell) -> None:
+    names = [(await runtime.governor.propose(STRANGER, navigate()))[0]["id"] for _ in range(5)]
+    assert names == sorted(names), "identifiers sort by time"
+    seen: list[str] = []
+    cursor = None
+    for _ in range(3):
+        items, cursor = await runtime.governor.list(OPERATOR, {"status": "rejected"}, limit=2, cursor=cursor)
+        seen += [item["id"] for item in items]
+    assert seen == names[::-1]
+    assert cursor is None
+    assert (await runtime.governor.list(OPERATOR, {"status": "running"}))[0] == []
+
+
+async def test_a_long_poll_returns_at_the_next_change(runtime: Runtime, cell: HandCell) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    waiting = asyncio.create_task(runtime.governor.wait(document["id"], AGENT, 30.0, document["updated_at"]))
+    await asyncio.sleep(0)
+    await cell.launched(document["id"])
+    changed = await waiting
+    assert changed["updated_at"] > document["updated_at"]
+    at_once = await runtime.governor.wait(document["id"], AGENT, 30.0, document["updated_at"])
+    assert at_once["updated_at"] >= changed["updated_at"]
+    again = await runtime.governor.invocation(document["id"], AGENT)
+    unchanged = await runtime.governor.wait(document["id"], AGENT, 0.01, again["updated_at"])
+    assert unchanged == again
+    await cell.ended(document["id"], "succeeded")
+    final = await runtime.governor.wait(document["id"], AGENT, 30.0)
+    assert (final["status"], final["outcome"]) == ("completed", "succeeded")
+
+
+async def test_readiness_names_what_is_broken(runtime: Runtime) -> None:
+    assert runtime.governor.ready() == {"cells": "no cell has ever attached"}
+    cell = await HandCell(runtime).dial()
+    await cell.state()
+    assert runtime.governor.ready() == {}
+    await cell.state(holding=True)
+    assert "lease" in runtime.governor.ready()[f"cell/{CELL}"]
+    await cell.hang_up()
+    assert "not attached" in runtime.governor.ready()[f"cell/{CELL}"]
