@@ -1,0 +1,371 @@
+"""Questions to humans: asking, answering, editing, silence."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import orjson
+import pytest
+
+from app.audit.errors import RecordUnavailable
+from app.runtime.assembly import Runtime
+from app.runtime.errors import Conflict, Forbidden, InvalidParams, NotFound
+from app.runtime.invocation import Principal, ProposalRequest
+
+from .conftest import (
+    AGENT,
+    AT_BENCH,
+    AT_TOOLS,
+    AUDITOR,
+    CELL,
+    OPERATOR,
+    OPERATOR_2,
+    HandCell,
+    House,
+    grasp,
+    navigate,
+    press,
+    until,
+)
+
+pytestmark = pytest.mark.anyio
+
+
+async def asked(runtime: Runtime, request: ProposalRequest | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Propose what needs approval; return the invocation and its escalation."""
+    document, _ = await runtime.governor.propose(AGENT, request or grasp())
+    assert document["status"] == "awaiting_approval", document
+    return document, await runtime.desk.get(document["escalation"]["id"])
+
+
+async def answer(
+    runtime: Runtime, question: dict[str, Any], who: Principal = OPERATOR, decision: str = "approve", **more: Any
+) -> dict[str, Any]:
+    return await runtime.desk.resolve(question["id"], who, decision, more.pop("digest", question["digest"]), **more)
+
+
+async def refusal(runtime: Runtime, question: dict[str, Any], **more: Any) -> str:
+    with pytest.raises(Conflict) as found:
+        await answer(runtime, question, **more)
+    assert found.value.status == 409
+    return found.value.code
+
+
+async def test_asks_before_launch_and_shows_what_policy_left(runtime: Runtime, cell: HandCell) -> None:
+    request = ProposalRequest(capability="grasp_object", params={"object_id": "mug_1", "force_n": 80, "speed_mps": 0.5})
+    document, question = await asked(runtime, request)
+    assert document["policy"]["outcome"] == "modify"
+    assert question["kind"] == "approval"
+    assert question["status"] == "pending"
+    assert question["risk"] == "medium"
+    assert question["requested"]["force_n"] == 80
+    assert question["effective"] == document["effective"]
+    assert question["effective"]["force_n"] == 60
+    assert question["effective"]["speed_mps"] == 0.25
+    assert question["needed"] == 1
+    assert document["escalation"] == {key: question[key] for key in ("id", "status", "expires_at")}
+    assert not cell.all("launch")
+    assert (await runtime.desk.list(status="pending"))[0] == [question]
+
+
+async def test_an_approval_launches_exactly_what_was_shown(runtime: Runtime, cell: HandCell) -> None:
+    document, question = await asked(runtime)
+    closed = await answer(runtime, question)
+    assert closed["status"] == "approved"
+    assert [approval["by"] for approval in closed["approvals"]] == ["olivia"]
+    launch = await cell.expect("launch")
+    assert launch
+    now = await runtime.governor.invocation(document["id"], AGENT)
+    assert now["status"] == "running"
+    assert now["escalation"]["status"] == "approved"
+    assert now["effective"] == question["effective"]
+    trace = await runtime.governor.trace(document["id"], AUDITOR)
+    assert [event["kind"] for event in trace] == [
+        "proposal", "admission", "policy", "escalation", "approval", "admission", "policy", "authorization"
+    ]  # fmt: skip
+    assert trace[-1]["body"]["authorization"]["approvals"] == ["olivia"]
+
+
+async def test_a_denial_ends_it_and_the_agent_gets_a_code_and_no_words(runtime: Runtime, cell: HandCell) -> None:
+    document, question = await asked(runtime)
+    closed = await answer(runtime, question, decision="deny", comment="not while I am in the cell, idiot")
+    assert closed["status"] == "denied"
+    seen = await runtime.governor.invocation(document["id"], AGENT)
+    assert (seen["status"], seen["outcome"]) == ("denied", "denied")
+    assert seen["policy"]["reasons"][-1]["code"] == "denied_by_human"
+    theirs = orjson.dumps([seen, await runtime.governor.trace(document["id"], AGENT)])
+    assert b"idiot" not in theirs
+    ours = orjson.dumps(await runtime.governor.trace(document["id"], OPERATOR))
+    assert b"idiot" in ours, "the record keeps it"
+    assert not cell.all("launch")
+
+
+async def test_a_second_answer_is_refused(runtime: Runtime, cell: HandCell) -> None:
+    _, question = await asked(runtime)
+    await answer(runtime, question)
+    assert await refusal(runtime, question, who=OPERATOR_2) == "already_resolved"
+
+
+async def test_two_answers_at_once_are_one_answer(runtime: Runtime, cell: HandCell) -> None:
+    _, question = await asked(runtime)
+    answers = await asyncio.gather(
+        answer(runtime, question), answer(runtime, question, who=OPERATOR_2, decision="deny"), return_exceptions=True
+    )
+    refused = [item for item in answers if isinstance(item, Conflict)]
+    assert [item.code for item in refused] == ["already_resolved"]
+
+
+async def test_another_digest_is_refused(runtime: Runtime, cell: HandCell) -> None:
+    _, question = await asked(runtime)
+    assert await refusal(runtime, question, digest="sha256:0") == "digest_mismatch"
+    assert (await runtime.desk.get(question["id"]))["status"] == "pending"
+
+
+async def test_nobody_answers_for_their_own_proposal(runtime: Runtime, cell: HandCell) -> None:
+    _, question = await asked(runtime)
+    with pytest.raises(Forbidden) as found:
+        await answer(runtime, question, who=Principal(name="planner", role=OPERATOR.role))
+    assert found.value.code == "own_proposal"
+
+
+async def test_an_unknown_question_is_not_found(runtime: Runtime) -> None:
+    with pytest.raises(NotFound):
+        await runtime.desk.resolve("esc_0", OPERATOR, "approve", "sha256:0")
+    with pytest.raises(NotFound):
+        await runtime.desk.get("esc_0")
+
+
+# -- several people --------------------------------------------------------------------------------------------------
+
+
+async def test_two_different_people_are_needed_where_the_rule_says_so(runtime: Runtime, cell: HandCell) -> None:
+    cell.facts = dict(AT_TOOLS)
+    await cell.state()
+    document, question = await asked(runtime, press())
+    assert question["needed"] == 2
+    once = await answer(runtime, question)
+    assert once["status"] == "pending"
+    assert await refusal(runtime, question) == "already_approved"
+    assert not cell.all("launch")
+    twice = await answer(runtime, question, who=OPERATOR_2)
+    assert twice["status"] == "approved"
+    await cell.expect("launch")
+    assert (await runtime.governor.invocation(document["id"], AGENT))["status"] == "running"
+
+
+async def test_an_edit_voids_earlier_approvals_and_gets_a_new_digest(runtime: Runtime, cell: HandCell) -> None:
+    cell.facts = dict(AT_TOOLS)
+    await cell.state()
+    document, question = await asked(runtime, press())
+    await answer(runtime, question)
+    edited = await answer(runtime, question, who=OPERATOR_2, params={"force_n": 30})
+    assert edited["status"] == "pending"
+    assert edited["digest"] != question["digest"]
+    assert [approval["by"] for approval in edited["approvals"]] == ["oskar"]
+    assert edited["effective"]["force_n"] == 30
+    assert await refusal(runtime, question) == "digest_mismatch"
+    assert (await answer(runtime, edited))["status"] == "approved"
+    assert (await runtime.governor.invocation(document["id"], AGENT))["effective"]["force_n"] == 30
+
+
+# -- edits -----------------------------------------------------------------------------------------------------------
+
+
+async def test_an_edit_within_policy_launches_as_edited(runtime: Runtime, cell: HandCell) -> None:
+    document, question = await asked(runtime)
+    closed = await answer(runtime, question, params={"speed_mps": 0.1})
+    assert closed["status"] == "approved"
+    assert closed["requested"] == question["requested"]
+    assert closed["effective"]["speed_mps"] == 0.1
+    await cell.expect("launch")
+    assert (await runtime.governor.invocation(document["id"], AGENT))["effective"]["speed_mps"] == 0.1
+
+
+async def test_an_edit_beyond_policy_is_constrained_and_asked_again(runtime: Runtime, cell: HandCell) -> None:
+    _, question = await asked(runtime)
+    edited = await answer(runtime, question, params={"force_n": 139.0})
+    assert edited["status"] == "pending"
+    assert edited["approvals"] == []
+    assert edited["effective"]["force_n"] == 60
+    assert not cell.all("launch")
+    assert (await answer(runtime, edited))["status"] == "approved"
+
+
+async def test_an_edit_that_policy_denies_is_refused_with_its_reasons(runtime: Runtime, cell: HandCell) -> None:
+    seen = {"visible": True, "reachable": True, "x_m": 1.5, "y_m": 5.25, "z_m": 0.8, "stamp_s": 1.0}
+    cell.facts = {**AT_BENCH, "objects": {"mug_1": seen, "solvent_1": seen}}
+    await cell.state()
+    _, question = await asked(runtime)
+    with pytest.raises(Conflict) as found:
+        await answer(runtime, question, params={"object_id": "solvent_1"})
+    assert found.value.code == "edit_refused"
+    assert found.value.reasons
+    assert (await runtime.desk.get(question["id"]))["status"] == "pending"
+
+
+async def test_an_edit_that_does_not_fit_the_schema_is_refused(runtime: Runtime, cell: HandCell) -> None:
+    _, question = await asked(runtime)
+    with pytest.raises(InvalidParams):
+        await answer(runtime, question, params={"force_n": "much"})
+
+
+# -- the world went on -----------------------------------------------------------------------------------------------
+
+
+async def test_an_approval_that_finds_the_cell_busy_defers(runtime: Runtime, cell: HandCell) -> None:
+    document, question = await asked(runtime)
+    await runtime.governor.propose(AGENT, navigate())
+    closed = await answer(runtime, question)
+    assert closed["status"] == "approved"
+    late = await runtime.governor.invocation(document["id"], AGENT)
+    assert (late["status"], late["outcome"]) == ("deferred", "deferred")
+    assert late["admission"]["reasons"][0]["code"] == "cell_busy"
+    assert late["admission"]["retry_after_s"] > 0
+    assert len(cell.all("launch")) == 1
+
+
+async def test_an_approval_under_a_stricter_profile_does_not_launch_the_laxer_one(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    await runtime.governor.set_profile(CELL, "real-restricted", OPERATOR)
+    request = ProposalRequest(
+        capability="grasp_object", params={"object_id": "mug_1", "force_n": 75}, metadata={"confidence": 0.2}
+    )
+    document, question = await asked(runtime, request)
+    assert question["effective"]["force_n"] == 75
+    await runtime.governor.set_profile(CELL, "human-shared", OPERATOR)
+    await answer(runtime, question)
+    late = await runtime.governor.invocation(document["id"], AGENT)
+    assert late["status"] == "deferred"
+    assert late["admission"]["reasons"][-1]["code"] == "conditions_changed"
+    assert not cell.all("launch")
+
+
+async def test_nothing_launches_when_the_approval_cannot_be_recorded(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, question = await asked(runtime)
+
+    async def broken(*_: Any) -> list[int]:
+        raise RecordUnavailable("disk full")
+
+    monkeypatch.setattr(runtime.store, "append", broken)
+    with pytest.raises(RecordUnavailable):
+        await answer(runtime, question)
+    monkeypatch.undo()
+    assert not cell.all("launch")
+    assert (await answer(runtime, question))["status"] == "approved"
+    await cell.expect("launch")
+
+
+# -- silence and withdrawal ------------------------------------------------------------------------------------------
+
+
+async def test_silence_expires_and_is_nobodys_answer(house: House, runtime: Runtime, cell: HandCell) -> None:
+    document, question = await asked(runtime)
+    house.wall_s.offset_s = 119.0
+    await runtime.desk.expire_due()
+    assert (await runtime.desk.get(question["id"]))["status"] == "pending"
+    house.wall_s.offset_s = 120.5
+    assert await refusal(runtime, question) == "escalation_expired"
+    ended = await runtime.governor.invocation(document["id"], AGENT)
+    assert (ended["status"], ended["outcome"]) == ("denied", "expired")
+    assert ended["escalation"]["status"] == "expired"
+    assert await refusal(runtime, question) == "escalation_expired"
+    trace = await runtime.governor.trace(document["id"], AUDITOR)
+    assert "approval" not in [event["kind"] for event in trace]
+    assert {event["actor"] for event in trace[3:]} == {"server"}
+
+
+async def test_the_deadline_is_kept_without_anybody_asking(house: House, runtime: Runtime, cell: HandCell) -> None:
+    document, _ = await asked(runtime)
+    waiting = asyncio.create_task(runtime.governor.wait(document["id"], AGENT, 5.0))
+    await asyncio.sleep(0)
+    house.wall_s.offset_s = 120.5
+    assert (await waiting)["outcome"] == "expired"
+
+
+async def test_cancelling_withdraws_the_question(runtime: Runtime, cell: HandCell) -> None:
+    document, question = await asked(runtime)
+    ended = await runtime.governor.cancel(document["id"], AGENT)
+    assert (ended["status"], ended["outcome"]) == ("denied", "cancelled")
+    assert ended["escalation"]["status"] == "withdrawn"
+    assert await refusal(runtime, question) == "already_resolved"
+    assert (await runtime.desk.list(status="pending"))[0] == []
+
+
+# -- in mid-execution ------------------------------------------------------------------------------------------------
+
+
+async def held(runtime: Runtime, cell: HandCell) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Bring a session to where it waits for a human."""
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    await cell.launched(document["id"])
+    cell.status = "escalated"
+    await cell.report("status", document["id"], status="escalated", reason="separation")
+    await cell.report("escalation", document["id"], reason="separation", failure="zone")
+    document = await runtime.governor.invocation(document["id"], AGENT)
+    assert document["status"] == "escalated"
+    return document, await runtime.desk.get(document["escalation"]["id"])
+
+
+async def test_a_held_session_asks_once_and_says_why(runtime: Runtime, cell: HandCell) -> None:
+    document, question = await held(runtime, cell)
+    assert question["kind"] == "session"
+    assert question["reasons"][0]["code"] == "separation"
+    assert "zone" in question["reasons"][0]["message"]
+    assert len((await runtime.desk.list())[0]) == 1
+    trace = await runtime.governor.trace(document["id"], AUDITOR)
+    recorded = next(event for event in trace if event["kind"] == "escalation")
+    assert recorded["body"]["escalation"]["id"] == question["id"]
+    assert recorded["actor"] == CELL
+
+
+async def test_approving_lets_a_held_session_go_on(runtime: Runtime, cell: HandCell) -> None:
+    document, question = await held(runtime, cell)
+    assert (await answer(runtime, question))["status"] == "approved"
+    await until(lambda: cell.ops() == ["resolve_continue"])
+    await cell.report("status", document["id"], status="running")
+    assert (await runtime.governor.invocation(document["id"], AGENT))["status"] == "running"
+
+
+async def test_denying_terminates_a_held_session(runtime: Runtime, cell: HandCell) -> None:
+    document, question = await held(runtime, cell)
+    assert (await answer(runtime, question, decision="deny"))["status"] == "denied"
+    await until(lambda: cell.ops() == ["resolve_terminate"])
+    await cell.ended(document["id"], "terminated")
+    assert (await runtime.governor.invocation(document["id"], AGENT))["outcome"] == "terminated"
+
+
+async def test_a_held_session_is_not_let_go_while_its_cell_is_away(runtime: Runtime, cell: HandCell) -> None:
+    _, question = await held(runtime, cell)
+    await cell.hang_up()
+    assert await refusal(runtime, question) == "cell_offline"
+    assert (await runtime.desk.get(question["id"]))["status"] == "pending"
+
+
+async def test_a_denial_reaches_a_cell_that_was_away(runtime: Runtime, cell: HandCell) -> None:
+    document, question = await held(runtime, cell)
+    await cell.hang_up()
+    await answer(runtime, question, decision="deny")
+    back = await HandCell(runtime, seq=cell.seq, invocation=document["id"], status="escalated").dial()
+    await until(lambda: "resolve_terminate" in back.ops())
+    assert "resolve_continue" not in back.ops()
+
+
+async def test_a_question_is_withdrawn_when_its_session_ends(runtime: Runtime, cell: HandCell) -> None:
+    document, question = await held(runtime, cell)
+    await cell.ended(document["id"], "stopped")
+    assert (await runtime.desk.get(question["id"]))["status"] == "withdrawn"
+    assert await refusal(runtime, question) == "already_resolved"
+
+
+async def test_silence_about_a_held_session_terminates_it(house: House, runtime: Runtime, cell: HandCell) -> None:
+    document, question = await held(runtime, cell)
+    house.wall_s.offset_s = runtime.kernel.policy.authority.within_s + 1.0
+    await until(lambda: cell.ops() == ["resolve_terminate"])
+    await until(lambda: runtime.desk.pending_for(document["id"]) is None)
+    assert (await runtime.desk.get(question["id"]))["status"] == "expired"
+    await cell.ended(document["id"], "terminated")
+    assert (await runtime.governor.invocation(document["id"], AGENT))["outcome"] == "terminated"

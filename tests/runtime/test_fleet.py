@@ -1,0 +1,391 @@
+"""Cells and their links: greeting, reports, coming and going."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from app.audit.errors import RecordUnavailable
+from app.protocol import BEAT_MS, CHANNELS, ROW, Beat, Hello, encode, pack_batch
+from app.runtime import fleet as fleet_module
+from app.runtime import sessions as sessions_module
+from app.runtime.assembly import Runtime
+
+from .conftest import AGENT, AUDITOR, CELL, OPERATOR, HandCell, House, navigate, until
+
+pytestmark = pytest.mark.anyio
+
+
+async def running(runtime: Runtime, cell: HandCell) -> str:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    await cell.launched(document["id"])
+    return str(document["id"])
+
+
+async def outcome_codes(runtime: Runtime, invocation: str) -> list[str]:
+    trace = await runtime.governor.trace(invocation, AUDITOR)
+    return [
+        reason["code"] for event in trace if event["kind"] == "outcome" for reason in event["body"].get("reasons", [])
+    ]
+
+
+def row(progress: float) -> bytes:
+    return ROW.pack(progress, *([progress] * (len(CHANNELS) - 1)))
+
+
+# -- greeting --------------------------------------------------------------------------------------------------------
+
+
+async def test_welcomes_with_key_policy_and_progress(runtime: Runtime) -> None:
+    cell = await HandCell(runtime).dial()
+    welcome = await cell.expect("welcome")
+    assert cell.heard[0] is welcome
+    assert welcome.kernel_key == runtime.fleet.kernel_key
+    assert welcome.profile == "human-shared"
+    assert welcome.acknowledged == 0
+    policy = await cell.expect("policy")
+    assert policy.digest == welcome.policy_digest
+    assert dict(policy.files) == dict(runtime.kernel.policy.files)
+
+
+async def test_sends_no_policy_that_the_cell_has_already(runtime: Runtime) -> None:
+    cell = await HandCell(runtime).dial(policy_digest=runtime.kernel.policy.digest)
+    await cell.expect("beat")
+    assert not cell.all("policy")
+
+
+async def test_beats_well_within_the_lease(runtime: Runtime, cell: HandCell) -> None:
+    began = asyncio.get_running_loop().time()
+    await cell.expect("beat", 5)
+    assert asyncio.get_running_loop().time() - began >= 3 * BEAT_MS / 1000, "it paces itself"
+
+
+@pytest.mark.parametrize(
+    ("frame", "why"),
+    [
+        ("{", "bad message"),
+        ('{"type": "beat"}', "begins with `hello`"),
+        (b"RTM1", "begins with `hello`"),
+        (encode(Hello(cell="other", boot="b", robot="r", policy_digest=None, profile=None, invocation=None,
+                      latched=False, last_seq=0)), "says it is `other`"),
+        (encode(Hello(version=99, cell=CELL, boot="b", robot="r", policy_digest=None, profile=None, invocation=None,
+                      latched=False, last_seq=0)), "version `99`"),
+    ],
+)  # fmt: skip
+async def test_a_bad_first_word_closes_the_link(runtime: Runtime, frame: str | bytes, why: str) -> None:
+    cell = HandCell(runtime)
+    attachment = await runtime.fleet.attach(CELL, cell)
+    await attachment.receive(frame)
+    await until(lambda: cell.closed is not None)
+    assert cell.closed is not None
+    assert why in cell.closed[1]
+    await attachment.detach()
+
+
+async def test_a_cell_has_one_link(runtime: Runtime, cell: HandCell) -> None:
+    second = await HandCell(runtime, boot="boot-2").dial()
+    await until(lambda: second.closed is not None)
+    assert "live link already" in second.closed[1]
+    assert cell.closed is None
+    await second.hang_up()
+    assert runtime.fleet.attached(runtime.fleet.cell(CELL))
+
+
+async def test_a_dead_link_is_replaced(runtime: Runtime, cell: HandCell) -> None:
+    assert cell.attachment is not None
+    cell.attachment.heard_s -= 2.0
+    second = await HandCell(runtime).dial()
+    await second.expect("welcome")
+    await until(lambda: cell.closed is not None)
+    await cell.attachment.detach()
+    assert runtime.fleet.cell(CELL).attachment is second.attachment
+
+
+async def test_a_link_that_hangs_is_closed(runtime: Runtime, cell: HandCell) -> None:
+    assert cell.attachment is not None
+    cell.attachment.heard_s -= 60.0
+    await runtime.fleet.tend_once()
+    await until(lambda: cell.closed is not None)
+
+
+async def test_a_stale_state_says_nothing(runtime: Runtime, cell: HandCell) -> None:
+    known = runtime.fleet.cell(CELL)
+    assert runtime.fleet.facts(known).online
+    known.state_at_s -= fleet_module.FRESH_S + 0.1
+    facts = runtime.fleet.facts(known)
+    assert not facts.online
+    assert facts.facts is None
+
+
+async def test_a_beat_counts_as_life(runtime: Runtime, cell: HandCell) -> None:
+    assert cell.attachment is not None
+    cell.attachment.heard_s -= 5.0
+    await cell.attachment.receive(encode(Beat()))
+    assert cell.attachment.silent_s() < 1.0
+
+
+# -- reports ---------------------------------------------------------------------------------------------------------
+
+
+async def test_reports_are_recorded_once_and_in_order(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    alert = cell.event("alert", name, signal="WARNING", rule="human-shared/separation")
+    for _ in range(3):
+        await cell.say(alert)
+    await cell.report("intervention", name, intervention="PAUSE")
+    await cell.say(alert)
+    trace = await runtime.governor.trace(name, AUDITOR)
+    assert [event["kind"] for event in trace[-2:]] == ["alert", "intervention"]
+    assert [event["kind"] for event in trace].count("alert") == 1
+    assert trace[-1]["actor"] == CELL
+    assert trace[-1]["body"]["tick"] == 7
+    assert trace[-1]["body"]["cell_seq"] == cell.seq
+
+
+async def test_what_was_not_acknowledged_is_taken_after_a_reconnect(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    recorded = cell.seq
+    unsent = cell.event("alert", name, signal="WARNING", rule="r")
+    await cell.hang_up()
+    back = await HandCell(runtime, seq=cell.seq, invocation=name, status="running").dial()
+    assert (await back.expect("welcome")).acknowledged == recorded
+    await back.say(unsent)
+    await back.acknowledged(unsent.seq)
+
+
+async def test_a_gap_closes_the_link(runtime: Runtime, cell: HandCell) -> None:
+    cell.seq += 5
+    await cell.say(cell.event("cell", what="started"))
+    await until(lambda: cell.closed is not None)
+    assert cell.closed is not None
+    assert "gap" in cell.closed[1]
+    assert runtime.fleet.cell(CELL).up_seq == 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "body"),
+    [
+        ("authorization", {}),
+        ("approval", {}),
+        ("boot", {}),
+        ("nonsense", {}),
+        ("status", {"status": "awaiting_approval"}),
+        ("status", {}),
+        ("outcome", {"outcome": "fine"}),
+    ],
+)
+async def test_a_cell_reports_only_what_a_cell_may(
+    runtime: Runtime, cell: HandCell, kind: str, body: dict[str, Any]
+) -> None:
+    name = await running(runtime, cell)
+    before = runtime.fleet.cell(CELL).up_seq
+    await cell.say(cell.event(kind, name, **body))
+    await until(lambda: cell.closed is not None)
+    assert runtime.fleet.cell(CELL).up_seq == before
+    assert (await runtime.governor.invocation(name, AGENT))["status"] == "running"
+
+
+async def test_a_cell_cannot_speak_for_anothers_session(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    other = await HandCell(runtime, id="workcell-2").dial()
+    await other.say(other.event("outcome", name, outcome="succeeded"))
+    await until(lambda: other.closed is not None)
+    third = await HandCell(runtime, id="workcell-3").dial()
+    assert third.attachment is not None
+    await third.attachment.receive(pack_batch(name, row(0.0)))
+    await until(lambda: third.closed is not None)
+    assert (await runtime.governor.invocation(name, AGENT))["status"] == "running"
+
+
+async def test_terminal_statuses_absorb_late_words(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    await cell.report("status", name, status="completed")
+    assert (await runtime.governor.invocation(name, AGENT))["status"] == "running", "the outcome says it"
+    await cell.ended(name, "succeeded")
+    await cell.report("status", name, status="running")
+    await cell.report("outcome", name, outcome="stopped")
+    final = await runtime.governor.invocation(name, AGENT)
+    assert (final["status"], final["outcome"]) == ("completed", "succeeded")
+
+
+@pytest.mark.parametrize(
+    ("outcome", "status"),
+    [
+        ("succeeded", "completed"),
+        ("recovered", "completed"),
+        ("rolled_back", "failed"),
+        ("terminated", "failed"),
+        ("stopped", "failed"),
+        ("cancelled", "failed"),
+        ("fault", "failed"),
+    ],
+)
+async def test_every_outcome_ends_in_its_status(runtime: Runtime, cell: HandCell, outcome: str, status: str) -> None:
+    name = await running(runtime, cell)
+    for step in ("paused", "running", "recovering", "running"):
+        await cell.report("status", name, status=step)
+        assert (await runtime.governor.invocation(name, AGENT))["status"] == step
+    await cell.ended(name, outcome)
+    final = await runtime.governor.invocation(name, AGENT)
+    assert (final["status"], final["outcome"]) == (status, outcome)
+    assert runtime.fleet.busy(runtime.fleet.cell(CELL)) is None
+
+
+async def test_a_refused_launch_ends_as_a_fault(runtime: Runtime, cell: HandCell) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    await cell.report("launch", document["id"], refused="holding", detail="the cell holds")
+    final = await runtime.governor.invocation(document["id"], AGENT)
+    assert (final["status"], final["outcome"]) == ("failed", "fault")
+    assert await outcome_codes(runtime, document["id"]) == ["holding"]
+    assert runtime.fleet.cell(CELL).claim is None
+
+
+async def test_reports_wait_for_a_record_that_fails_and_the_link_stays(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = await running(runtime, cell)
+    tried = asyncio.Event()
+
+    async def broken(*_: Any) -> list[int]:
+        tried.set()
+        raise RecordUnavailable("disk full")
+
+    monkeypatch.setattr(runtime.store, "append", broken)
+    event = cell.event("status", name, status="paused")
+    await cell.say(event)
+    await asyncio.wait_for(tried.wait(), 5.0)
+    assert (await runtime.governor.invocation(name, AGENT))["status"] == "running"
+    assert cell.closed is None
+    monkeypatch.undo()
+    await cell.acknowledged(event.seq)
+    assert (await runtime.governor.invocation(name, AGENT))["status"] == "paused"
+
+
+# -- telemetry -------------------------------------------------------------------------------------------------------
+
+
+async def test_telemetry_is_sealed_after_the_outcome_and_vouched_for(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    assert cell.attachment is not None
+    await cell.attachment.receive(pack_batch(name, row(0.1) + row(0.2)))
+    await cell.report("outcome", name, outcome="succeeded", code="done")
+    await cell.attachment.receive(pack_batch(name, row(0.3)))  # the last rows follow the outcome
+    cell.invocation = cell.status = None
+    await cell.state()
+    async with asyncio.timeout(5.0):
+        while not (sealed := await runtime.store.events(kind="telemetry")):
+            await asyncio.sleep(0.005)
+    body = sealed[0].payload()
+    assert body["rows"] == 3
+    assert (runtime.store.places.telemetry / str(body["file"])).is_file()
+    await cell.attachment.receive(pack_batch(name, row(0.4)))
+    assert runtime.telemetry.open() == []
+
+
+async def test_bad_telemetry_closes_the_link(runtime: Runtime, cell: HandCell) -> None:
+    assert cell.attachment is not None
+    await cell.attachment.receive(b"RTM1" + bytes(60))
+    await until(lambda: cell.closed is not None)
+
+
+# -- coming and going ------------------------------------------------------------------------------------------------
+
+
+async def test_a_cell_that_restarted_without_the_session_is_a_fault(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    await cell.hang_up()
+    await HandCell(runtime, boot="boot-2", seq=cell.seq).dial()
+    final = await runtime.governor.invocation(name, AGENT)
+    assert (final["status"], final["outcome"]) == ("failed", "fault")
+    assert await outcome_codes(runtime, name) == ["session_lost"]
+
+
+async def test_a_session_that_ended_while_away_is_told_and_no_fault(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    end = cell.event("outcome", name, outcome="succeeded", code="done")
+    await cell.hang_up()
+    back = await HandCell(runtime, seq=cell.seq).dial()
+    assert (await runtime.governor.invocation(name, AGENT))["status"] == "running", "its reports are not in yet"
+    await back.say(end)
+    await back.acknowledged(end.seq)
+    assert (await runtime.governor.invocation(name, AGENT))["outcome"] == "succeeded"
+
+
+async def test_a_cell_that_held_its_session_waits_for_a_human(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    await cell.hang_up()
+    away = runtime.fleet.cell(CELL)
+    assert away.absent_since_s is not None
+    away.absent_since_s -= 0.5
+    back = await HandCell(runtime, seq=cell.seq, invocation=name, status="escalated").dial()
+    document = await runtime.governor.invocation(name, AGENT)
+    assert document["status"] == "escalated"
+    question = await runtime.desk.get(document["escalation"]["id"])
+    assert question["kind"] == "session"
+    assert question["reasons"][0]["code"] == "link_returned"
+    assert not back.all("human")
+    await runtime.desk.resolve(question["id"], OPERATOR, "approve", question["digest"])
+    await until(lambda: back.ops() == ["resolve_continue"])
+
+
+async def test_a_blink_within_the_lease_changes_nothing(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    await cell.hang_up()
+    back = await HandCell(runtime, seq=cell.seq, invocation=name, status="running").dial()
+    await back.state()
+    assert (await runtime.governor.invocation(name, AGENT))["status"] == "running"
+
+
+async def test_a_cell_that_stays_away_is_shown_and_then_given_up(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    await cell.hang_up()
+    away = runtime.fleet.cell(CELL)
+    assert away.absent_since_s is not None
+    away.absent_since_s -= sessions_module.LOST_S + 0.1
+    await runtime.fleet.tend_once()
+    document = await runtime.governor.invocation(name, AGENT)
+    assert document["status"] == "escalated"
+    assert (await runtime.desk.get(document["escalation"]["id"]))["reasons"][0]["code"] == "link_lost"
+    away.absent_since_s -= sessions_module.ABSENT_S
+    await runtime.fleet.tend_once()
+    final = await runtime.governor.invocation(name, AGENT)
+    assert (final["status"], final["outcome"]) == ("failed", "fault")
+    assert final["escalation"]["status"] == "withdrawn"
+    assert await outcome_codes(runtime, name) == ["cell_lost"]
+    late = await HandCell(runtime, seq=cell.seq, invocation=name, status="escalated").dial()
+    await until(lambda: late.ops() == ["stop"])
+
+
+async def test_a_launch_nobody_confirms_is_a_fault(house: House, runtime: Runtime, cell: HandCell) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    await runtime.fleet.tend_once()
+    assert (await runtime.governor.invocation(document["id"], AGENT))["status"] == "running"
+    house.wall_s.offset_s = sessions_module.UNCONFIRMED_S + 1.0
+    await runtime.fleet.tend_once()
+    final = await runtime.governor.invocation(document["id"], AGENT)
+    assert (final["status"], final["outcome"]) == ("failed", "fault")
+    assert await outcome_codes(runtime, document["id"]) == ["launch_unconfirmed"]
+    await until(lambda: cell.ops() == ["stop"])
+
+
+async def test_a_stop_reaches_a_cell_that_was_away(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    await cell.hang_up()
+    await runtime.governor.stop(name, OPERATOR)
+    await runtime.governor.estop(CELL, OPERATOR)
+    back = await HandCell(runtime, seq=cell.seq, invocation=name, status="escalated").dial()
+    await back.expect("estop")
+    await until(lambda: back.ops() == ["stop"])
+
+
+async def test_an_emptied_journal_counts_from_the_start(runtime: Runtime, cell: HandCell) -> None:
+    for _ in range(3):
+        await cell.report("cell", what="something")
+    await cell.hang_up()
+    fresh = await HandCell(runtime, boot="boot-2").dial()
+    assert (await fresh.expect("welcome")).acknowledged == 0
+    await fresh.report("cell", what="started")
+    said = [event.payload().get("what") for event in await runtime.store.events(kind="cell")]
+    assert said.count("started") == 1

@@ -1,0 +1,133 @@
+"""A server that ends at any moment, and another that comes up on what it left."""
+
+from __future__ import annotations
+
+import pytest
+
+from app.runtime.errors import Conflict
+
+from .conftest import AGENT, CELL, OPERATOR, HandCell, House, grasp, navigate, until
+
+pytestmark = pytest.mark.anyio
+
+
+async def test_a_pending_approval_survives_and_can_be_answered(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        document, _ = await first.governor.propose(AGENT, grasp())
+        question = await first.desk.get(document["escalation"]["id"])
+    async with house.open() as second:
+        assert (await second.desk.list(status="pending"))[0] == [question]
+        cell = await HandCell(second).dial()
+        await cell.state()
+        closed = await second.desk.resolve(question["id"], OPERATOR, "approve", question["digest"])
+        assert closed["status"] == "approved"
+        await cell.expect("launch")
+        assert (await second.governor.invocation(document["id"], AGENT))["status"] == "running"
+
+
+async def test_what_is_overdue_at_start_has_expired(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        document, _ = await first.governor.propose(AGENT, grasp())
+    house.wall_s.offset_s = 121.0
+    async with house.open() as second:
+        ended = await second.governor.invocation(document["id"], AGENT)
+        assert (ended["status"], ended["outcome"]) == ("denied", "expired")
+        with pytest.raises(Conflict) as refusal:
+            await second.desk.resolve(document["escalation"]["id"], OPERATOR, "approve", "sha256:0")
+        assert refusal.value.code == "escalation_expired"
+
+
+async def test_a_session_whose_cell_held_on_waits_for_a_human_and_nothing_moves(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        document, _ = await first.governor.propose(AGENT, navigate())
+        await cell.launched(document["id"])
+    async with house.open() as second:
+        assert (await second.governor.invocation(document["id"], AGENT))["status"] == "running"
+        back = await HandCell(second, seq=cell.seq, invocation=document["id"], status="escalated").dial()
+        await back.state()
+        now = await second.governor.invocation(document["id"], AGENT)
+        assert now["status"] == "escalated"
+        busy, _ = await second.governor.propose(AGENT, navigate())
+        assert busy["admission"]["reasons"][0]["code"] == "cell_busy"
+        assert not back.all("launch")
+        assert not back.all("human")
+
+
+async def test_a_session_whose_cell_died_is_a_fault(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        document, _ = await first.governor.propose(AGENT, navigate())
+        await cell.launched(document["id"])
+    async with house.open() as second:
+        back = await HandCell(second, boot="boot-2", seq=cell.seq).dial()
+        await back.state()
+        final = await second.governor.invocation(document["id"], AGENT)
+        assert (final["status"], final["outcome"]) == ("failed", "fault")
+        again, _ = await second.governor.propose(AGENT, navigate())
+        assert again["status"] == "running", "the cell is free"
+
+
+async def test_a_launch_the_cell_never_got_is_a_fault_when_the_cell_says_so(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        document, _ = await first.governor.propose(AGENT, navigate())
+    async with house.open() as second:
+        back = await HandCell(second).dial()
+        final = await second.governor.invocation(document["id"], AGENT)
+        assert (final["status"], final["outcome"]) == ("failed", "fault")
+        assert not back.all("launch"), "an old authorization is never sent again"
+
+
+async def test_profile_latch_and_progress_survive(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        await cell.report("cell", what="started")
+        await first.governor.set_profile(CELL, "test-audit", OPERATOR)
+        await first.governor.estop(CELL, OPERATOR)
+    async with house.open() as second:
+        (known,) = second.governor.cells()
+        assert (known["id"], known["profile"], known["latched"], known["online"]) == (CELL, "test-audit", True, False)
+        back = await HandCell(second, seq=cell.seq).dial()
+        welcome = await back.expect("welcome")
+        assert (welcome.profile, welcome.acknowledged) == ("test-audit", cell.seq)
+        await back.expect("estop")
+
+
+async def test_an_idempotency_key_survives(house: House) -> None:
+    async with house.open() as first:
+        document, _ = await first.governor.propose(AGENT, navigate(), "key-1")
+    async with house.open() as second:
+        again, created = await second.governor.propose(AGENT, navigate(), "key-1")
+        assert not created
+        assert again == document
+        with pytest.raises(Conflict) as refusal:
+            await second.governor.propose(AGENT, grasp(), "key-1")
+        assert refusal.value.code == "idempotency_mismatch"
+
+
+async def test_every_start_is_recorded_and_the_log_verifies(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        document, _ = await first.governor.propose(AGENT, navigate())
+    async with house.open() as second:
+        boots = await second.store.events(kind="boot")
+        assert [event.payload()["unfinished"] for event in boots] == [[], [document["id"]]]
+        assert (await second.store.verify()).ok
+
+
+async def test_a_second_file_of_telemetry_does_not_overwrite_the_first(house: House) -> None:
+    async with house.open() as first:
+        first.telemetry.write("inv_1", [])
+    async with house.open() as second:
+        second.telemetry.write("inv_1", [])
+        await until(lambda: len(list(second.store.places.telemetry.iterdir())) == 2)
