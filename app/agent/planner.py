@@ -26,7 +26,7 @@ from app.agent.client import AsyncReinsClient, NotCompleted, OnUpdate, Problem, 
 Site: TypeAlias = Mapping[str, Any]
 
 AMBITION: Mapping[str, Mapping[str, Any]] = {
-    "navigate_to": {"speed_mps": 0.3},
+    "navigate_to": {"speed_mps": 0.3, "clearance_m": 0.3},
     "transport_object": {"speed_mps": 0.8},
     "grasp_object": {"force_n": 80.0, "speed_mps": 0.5},
     "place_object": {"speed_mps": 0.5},
