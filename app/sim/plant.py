@@ -28,10 +28,11 @@ if TYPE_CHECKING:
 
 _FEED_FORWARD_S = np.array(robot.ARM_KV) / np.array(robot.ARM_KP)
 _BRAKE_ARM_NM, _BRAKE_BASE_N = 400.0, 3000.0
-_BASE_HOLD_PER_S, _BASE_HOLD_MAX = 5.0, 0.05
+_BASE_HOLD_PER_S, _BASE_HOLD_MAX, _STANDING_MPS = 5.0, 0.05, 0.01
 _SCALING_LEAK_S = 1.5
 _WAKE_M, _RESTING_MPS = 0.25, 1e-3  # around the tool; checked every few ticks, between which the tool moves some centimetres
 _AVERAGE = np.full(SUBSTEPS, 1.0 / SUBSTEPS)
+_LYING = 0.7
 # Model fields that faults and brakes edit; a snapshot carries them beside the integration state.
 _EDITED = ("dof_frictionloss", "actuator_gainprm", "actuator_biasprm", "body_gravcomp", "geom_friction", "geom_priority", "body_mass", "body_inertia",
            "body_ipos", "geom_contype", "geom_conaffinity")  # fmt: skip
@@ -44,7 +45,7 @@ class Drives:
     joint_rad: Floats
     grip_force_n: float = 0.0
     powered: bool = True
-    base_hold: Floats | None = None
+    base_hold: tuple[float, ...] | None = None
     scaling_offset_rad: Floats = field(default_factory=lambda: np.zeros(6))
     grip_gain: float = 1.0
     speed_gain: float = 1.0
@@ -81,12 +82,12 @@ class Plant:
         self._look_up(site)
         start = site.targets[site.start]
         self.drives = Drives(joint_rad=np.array(robot.HOME_RAD))
-        self.data.qpos[self._base_q] = (start.x_m, start.y_m, start.yaw_rad)
-        self.data.qpos[self._arm_q] = robot.HOME_RAD
-        self.data.qpos[self._finger_q] = robot.FINGER_STROKE_M
+        self._qpos[self._base_q] = (start.x_m, start.y_m, start.yaw_rad)
+        self._qpos[self._arm_q] = robot.HOME_RAD
+        self._qpos[self._finger_q] = robot.FINGER_STROKE_M
         for tool in site.tools.values():
             if tool.kind == "lever":
-                self.data.qpos[self._tool_q[tool.name]] = LEVER_SWING_RAD
+                self._qpos[self._tool_q[tool.name]] = LEVER_SWING_RAD
         self._force = np.zeros((2 * SUBSTEPS, self.model.nsensordata))  # this tick's rows after the last one's
         self._torque = np.zeros((SUBSTEPS, 6))
         self._asleep: set[str] = set()
@@ -94,13 +95,18 @@ class Plant:
 
     def _look_up(self, site: Site) -> None:
         model = self.model
-        self._base_q = np.array([model.joint(n).qposadr[0] for n in robot.BASE_JOINTS])
-        self._arm_q = np.array([model.joint(n).qposadr[0] for n in robot.ARM_JOINTS])
-        self._finger_q = np.array([model.joint(n).qposadr[0] for n in robot.FINGER_JOINTS])
-        self._base_v = np.array([model.joint(n).dofadr[0] for n in robot.BASE_JOINTS])
-        self._arm_v = np.array([model.joint(n).dofadr[0] for n in robot.ARM_JOINTS])
-        self._arm_u = np.array([model.actuator(n).id for n in robot.ARM_JOINTS])
-        self._base_u = np.array([model.actuator(n).id for n in robot.BASE_JOINTS])
+        # Views once, not per tick: every access to a field of `MjData` makes a new array object.
+        data = self.data
+        self._qpos, self._qvel, self._ctrl, self._sensed = data.qpos, data.qvel, data.ctrl, data.sensordata
+        self._xpos, self._xmat, self._site_xpos, self._site_xmat = data.xpos, data.xmat, data.site_xpos, data.site_xmat
+        self._pushed = data.qfrc_actuator
+        self._base_q = _run_of([model.joint(n).qposadr[0] for n in robot.BASE_JOINTS])
+        self._arm_q = _run_of([model.joint(n).qposadr[0] for n in robot.ARM_JOINTS])
+        self._finger_q = _run_of([model.joint(n).qposadr[0] for n in robot.FINGER_JOINTS])
+        self._base_v = _run_of([model.joint(n).dofadr[0] for n in robot.BASE_JOINTS])
+        self._arm_v = _run_of([model.joint(n).dofadr[0] for n in robot.ARM_JOINTS])
+        self._arm_u = _run_of([model.actuator(n).id for n in robot.ARM_JOINTS])
+        self._base_u = _run_of([model.actuator(n).id for n in robot.BASE_JOINTS])
         self._grip_u = int(model.actuator(robot.GRIP_ACTUATOR).id)
         self._object_body = {n: int(model.body(n).id) for n in site.objects}
         self._object_q = {n: int(model.joint(n).qposadr[0]) for n in site.objects}
@@ -122,11 +128,12 @@ class Plant:
             self._drive_base(command)
         self._drive_grip(command.grip_force_n)
         model, data = self.model, self.data
-        self._force[:SUBSTEPS] = self._force[SUBSTEPS:]
+        force, torque, sensed, pushed = self._force, self._torque, self._sensed, self._pushed[self._arm_v]
+        force[:SUBSTEPS] = force[SUBSTEPS:]
         for k in range(SUBSTEPS):
             mujoco.mj_step(model, data)
-            self._force[SUBSTEPS + k] = data.sensordata
-            self._torque[k] = data.qfrc_actuator[self._arm_v]
+            force[SUBSTEPS + k] = sensed
+            torque[k] = pushed
         mujoco.mj_kinematics(model, data)  # poses of now, not of the last substep's beginning: the same that a restored state has
         return self.read()
 
@@ -139,39 +146,41 @@ class Plant:
             drives.scaling_offset_rad += (drives.speed_gain - 1.0) * (wanted - drives.joint_rad)
         drives.joint_rad = wanted
         speed = np.array(command.joint_speed_radps) * drives.speed_gain
-        self.data.ctrl[self._arm_u] = wanted + drives.scaling_offset_rad + _FEED_FORWARD_S * speed
+        self._ctrl[self._arm_u] = wanted + drives.scaling_offset_rad + _FEED_FORWARD_S * speed
 
     def _drive_base(self, command: Command) -> None:
-        drives, data = self.drives, self.data
+        drives = self.drives
         vx, vy, wz = command.base_velocity
         if vx == 0.0 and vy == 0.0 and wz == 0.0:
-            # Standing still is a position loop of the wheel drives: a push does not move the base away for good.
-            if drives.base_hold is None and np.abs(data.qvel[self._base_v]).max() < 0.01:
-                drives.base_hold = data.qpos[self._base_q].copy()
-            target = np.zeros(3)
-            if drives.base_hold is not None:
-                target = np.clip(_BASE_HOLD_PER_S * (drives.base_hold - data.qpos[self._base_q]), -_BASE_HOLD_MAX, _BASE_HOLD_MAX)
-            data.ctrl[self._base_u] = target
+            self._ctrl[self._base_u] = self._stand_still()
             return
         drives.base_hold = None
-        yaw = float(data.qpos[self._base_q[2]])
-        gain = drives.speed_gain
-        data.ctrl[self._base_u] = (gain * (cos(yaw) * vx - sin(yaw) * vy), gain * (sin(yaw) * vx + cos(yaw) * vy), gain * wz)
+        yaw, gain = float(self._qpos[self._base_q][2]), drives.speed_gain
+        self._ctrl[self._base_u] = (gain * (cos(yaw) * vx - sin(yaw) * vy), gain * (sin(yaw) * vx + cos(yaw) * vy), gain * wz)
+
+    def _stand_still(self) -> tuple[float, ...]:
+        """Standing still is a position loop of the wheel drives: a push does not move the base away for good."""
+        drives, at = self.drives, self._qpos[self._base_q].tolist()
+        if drives.base_hold is None and max(map(abs, self._qvel[self._base_v].tolist())) < _STANDING_MPS:
+            drives.base_hold = tuple(at)
+        if drives.base_hold is None:
+            return (0.0, 0.0, 0.0)
+        return tuple(max(-_BASE_HOLD_MAX, min(_BASE_HOLD_MAX, _BASE_HOLD_PER_S * (a - b))) for a, b in zip(drives.base_hold, at, strict=True))
 
     def _drive_grip(self, force_n: float) -> None:
         self.drives.grip_force_n = force_n
-        self.data.ctrl[self._grip_u] = force_n * (self.drives.grip_gain if force_n > 0 else 1.0)
+        self._ctrl[self._grip_u] = force_n * (self.drives.grip_gain if force_n > 0 else 1.0)
 
     def read(self) -> Tick:
         """Return what the last tick physically was."""
-        data = self.data
-        pose = data.qpos[self._base_q]
-        vx, vy, wz = data.qvel[self._base_v]
-        c, s = cos(pose[2]), sin(pose[2])
+        pose, fingers = self._qpos[self._base_q], self._qpos[self._finger_q]
+        vx, vy, wz = self._qvel[self._base_v].tolist()
+        yaw = float(pose[2])
+        c, s = cos(yaw), sin(yaw)
         force = self._force[SUBSTEPS:]
         return Tick(
-            joint_rad=data.qpos[self._arm_q], joint_speed=data.qvel[self._arm_v], joint_torque=_AVERAGE @ self._torque, wrist_force=force[:, 0:3],
-            wrist_acceleration=force[:, 3:6], pad_force_n=_AVERAGE @ force[:, 6:8], width_m=float(data.qpos[self._finger_q[0]] + data.qpos[self._finger_q[1]]), base_pose=pose,
+            joint_rad=self._qpos[self._arm_q], joint_speed=self._qvel[self._arm_v], joint_torque=_AVERAGE @ self._torque, wrist_force=force[:, 0:3],
+            wrist_acceleration=force[:, 3:6], pad_force_n=_AVERAGE @ force[:, 6:8], width_m=float(fingers[0] + fingers[1]), base_pose=pose,
             base_velocity=np.array((c * vx + s * vy, c * vy - s * vx, wz)),
         )  # fmt: skip
 
@@ -198,11 +207,11 @@ class Plant:
         self.weaken(drives.strength)
         model.dof_frictionloss[self._arm_v] = 0.0
         model.dof_frictionloss[self._base_v] = 0.0
-        drives.powered, drives.base_hold = True, self.data.qpos[self._base_q].copy()
-        drives.joint_rad = self.data.qpos[self._arm_q].copy()
+        drives.powered, drives.base_hold = True, tuple(self._qpos[self._base_q].tolist())
+        drives.joint_rad = self._qpos[self._arm_q].copy()
         drives.scaling_offset_rad = np.zeros(6)
-        self.data.ctrl[self._arm_u] = drives.joint_rad
-        self.data.ctrl[self._base_u] = 0.0
+        self._ctrl[self._arm_u] = drives.joint_rad
+        self._ctrl[self._base_u] = 0.0
 
     # -- changing the world (faults, people) -------------------------------------------------------------------------------------------
 
@@ -237,8 +246,8 @@ class Plant:
         """Put an object somewhere before a run starts, or take it away (under the floor it is hung up, not falling)."""
         self._set_asleep(name, asleep=False)
         q, v = self._object_q[name], self._object_v[name]
-        self.data.qpos[q : q + 7] = (x_m, y_m, z_m, cos(yaw_rad / 2), 0.0, 0.0, sin(yaw_rad / 2))
-        self.data.qvel[v : v + 6] = 0.0
+        self._qpos[q : q + 7] = (x_m, y_m, z_m, cos(yaw_rad / 2), 0.0, 0.0, sin(yaw_rad / 2))
+        self._qvel[v : v + 6] = 0.0
         self.model.body_gravcomp[self._object_body[name]] = 1.0 if z_m < 0 else 0.0
 
     def place_crate(self, name: str, x_m: float, y_m: float) -> None:
@@ -264,30 +273,32 @@ class Plant:
     def true_object(self, name: str) -> tuple[Floats, float, float]:
         """Return an object's true position, its yaw, and how upright it stands (1 upright, 0 lying)."""
         body = self._object_body[name]
-        matrix = self.data.xmat[body].reshape(3, 3)
-        return self.data.xpos[body], float(np.arctan2(matrix[1, 0], matrix[0, 0])), abs(float(matrix[2, 2]))
+        matrix = self._xmat[body].reshape(3, 3)
+        # Lying down, what is left of a heading is the direction of the long axis.
+        column = 0 if abs(matrix[2, 2]) > _LYING else 2
+        return self._xpos[body], float(np.arctan2(matrix[1, column], matrix[0, column])), abs(float(matrix[2, 2]))
 
     def read_base(self) -> tuple[float, float, float]:
         """Return the true pose of the base: x_m, y_m, yaw_rad."""
-        x, y, yaw = self.data.qpos[self._base_q]
+        x, y, yaw = self._qpos[self._base_q]
         return float(x), float(y), float(yaw)
 
     def between_pads(self) -> tuple[str, Floats] | None:
         """Return the object whose middle line passes between the pads, with its position in the tool frame; by geometry alone."""
         tcp, frame = self.true_tcp(), self.tool_frame()
         for name, body in self._object_body.items():
-            at = frame.T @ (self.data.xpos[body] - tcp)
+            at = frame.T @ (self._xpos[body] - tcp)
             if abs(at[0]) < 0.05 and abs(at[1]) < 0.06 and abs(at[2]) < 0.14:
                 return name, at
         return None
 
     def true_tcp(self) -> Floats:
         """Return the true position of the tool centre point, world frame."""
-        return self.data.site_xpos[self._tcp]
+        return self._site_xpos[self._tcp]
 
     def tool_frame(self) -> Floats:
         """Return the 3 × 3 orientation of the tool, world frame."""
-        return self.data.site_xmat[self._tcp].reshape(3, 3)
+        return self._site_xmat[self._tcp].reshape(3, 3)
 
     def true_held(self) -> str | None:
         """Return the object that both pads touch, if one."""
@@ -310,7 +321,7 @@ class Plant:
 
     def tool_angle(self, name: str) -> float:
         """Return a tool's joint: lever angle in radians, or button travel in metres."""
-        return float(self.data.qpos[self._tool_q[name]])
+        return float(self._qpos[self._tool_q[name]])
 
     def crates(self) -> list[tuple[float, float]]:
         """Return where crates stand on the floor."""
@@ -324,14 +335,14 @@ class Plant:
 
     def doze(self) -> None:
         """Spare the solver objects that lie still away from the gripper: without contacts they neither move nor cost."""
-        x, y, _ = self.data.site_xpos[self._tcp].tolist()
+        x, y, _ = self._site_xpos[self._tcp].tolist()
         for name, body in self._object_body.items():
-            ax, ay, az = self.data.xpos[body].tolist()
+            ax, ay, az = self._xpos[body].tolist()
             far = az > 0 and hypot(ax - x, ay - y) > _WAKE_M
             if far == (name in self._asleep):
                 continue
             v = self._object_v[name]
-            if not far or np.abs(self.data.qvel[v : v + 6]).max() < _RESTING_MPS:
+            if not far or np.abs(self._qvel[v : v + 6]).max() < _RESTING_MPS:
                 self._set_asleep(name, asleep=far)
 
     def _set_asleep(self, name: str, *, asleep: bool) -> None:
@@ -340,7 +351,7 @@ class Plant:
         for bits in ("geom_contype", "geom_conaffinity"):
             getattr(self.model, bits)[geoms] = 0 if asleep else self._powered[bits][geoms]
         self.model.body_gravcomp[body] = 1.0 if asleep else 0.0
-        self.data.qvel[v : v + 6] = 0.0
+        self._qvel[v : v + 6] = 0.0
         (self._asleep.add if asleep else self._asleep.discard)(name)
 
     # -- keeping and bringing back -----------------------------------------------------------------------------------------------------
@@ -362,3 +373,15 @@ class Plant:
         mujoco.mj_setState(self.model, self.data, physics, mujoco.mjtState.mjSTATE_INTEGRATION)
         mujoco.mj_forward(self.model, self.data)
         mujoco.mj_setState(self.model, self.data, physics, mujoco.mjtState.mjSTATE_INTEGRATION)  # forward touched the warm start
+
+
+def _run_of(indices: list[int]) -> slice:
+    """Return consecutive indices as a slice, which makes views instead of copies.
+
+    Raises:
+        ValueError: they are not consecutive.
+    """
+    first = int(indices[0])
+    if [int(i) for i in indices] != list(range(first, first + len(indices))):
+        raise ValueError(f"the robot's joints and actuators must stand in order, base, arm and fingers each together; found `{indices}`")
+    return slice(first, first + len(indices))

@@ -109,8 +109,10 @@ def _grasp(body: Body, thing: SiteObject, guess: Glimpse, force_n: float, limit_
     body.enter("lift", 0.75)
     here = body.pose
     lost = _loss_of(body)
-    yield from body.line(here._replace(z_m=here.z_m + 0.02), slow, until=lost)
-    yield from body.line(here._replace(z_m=here.z_m + LIFT_M), speed, until=lost)
+    for height, pace in ((0.02, slow), (LIFT_M, speed)):
+        yield from body.line(here._replace(z_m=here.z_m + height), pace, until=lost)
+        if lost():
+            raise SkillFailed("object_lost", f"`{thing.name}` slipped out of the grip")
     body.enter("verify", 0.95)
     yield from body.wait(0.3)
     if not body.holding:
