@@ -2,7 +2,7 @@
 
 | the profile's modes | asks |
 |---|---|
-| approval-required | at the risks it lists, for capabilities its manifest marks `approval-required`, and on every escalation |
+| approval-required | at the risks it lists, for capabilities marked `approval-required`, and on every escalation |
 | approval-on-escalation | for capabilities marked `approval-required`, and on every escalation |
 | neither | never; nobody could answer, so that an escalation becomes a denial (`decision`) |
 """

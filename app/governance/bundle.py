@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 import jsonschema_rs
 
-from app.governance import bundle_build, bundle_checks, bundle_shapes
+from app.governance import bundle_build, bundle_checks, bundle_checks_profile, bundle_checks_site, bundle_shapes
 from app.governance.bundle_checks import Known, Reader
 from app.governance.bundle_yaml import parse
 from app.governance.conditions import TESTS
@@ -170,7 +170,7 @@ class _Source:
 
 def _shape_of(name: str) -> type[Any] | None:
     path = PurePosixPath(name)
-    if len(path.parts) == 2 and path.suffix == ".yaml":  # noqa: PLR2004  # folder and file
+    if len(path.parts) == 2 and path.suffix == ".yaml":
         return _FOLDERS.get(path.parts[0])
     return _SINGLE.get(name)
 
@@ -213,15 +213,15 @@ def _check(source: _Source, known: Known) -> list[PolicyError]:
     for reader, shape in source.capabilities:
         problems += bundle_checks.capability(reader, shape, known)
     for reader, shape in source.profiles:
-        problems += bundle_checks.profile(reader, shape, known)
+        problems += bundle_checks_profile.profile(reader, shape, known)
         problems += bundle_checks.rules(reader, shape.rules, known)
     reader, organization = source.organization
-    problems += bundle_checks.organization(reader, organization)
+    problems += bundle_checks_site.organization(reader, organization)
     problems += bundle_checks.rules(reader, organization.rules, known)
     reader, authority = source.authority
-    problems += bundle_checks.authority(reader, authority, known)
+    problems += bundle_checks_site.authority(reader, authority, known)
     problems += bundle_checks.rules(reader, authority.rules, known)
-    problems += bundle_checks.site(*source.site)
+    problems += bundle_checks_site.site(*source.site)
     return problems
 
 

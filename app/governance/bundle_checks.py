@@ -1,4 +1,4 @@
-"""What a policy directory has to mean before it is used: every name exists, every bound holds something, nothing is uncovered.
+"""What a policy directory has to mean before it is used: names exist, bounds hold something, nothing is uncovered.
 
 Each check yields problems; none stops at the first, so that one run of `reins policy check` shows everything.
 """
@@ -17,18 +17,13 @@ from app.governance.conditions import TESTS
 from app.governance.errors import DeclarationError, ExpressionError, PolicyError
 from app.governance.expression import BOOL, STRING
 from app.governance.policy_model import (
-    FAILURES,
-    GOVERNANCE,
     LIMIT_UNITS,
-    NAMED_THRESHOLDS,
     REFERENCES,
-    SENSORS,
-    SIGNAL_UNITS,
 )
 from app.governance.vocabulary import Vocabulary, always_there, properties
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Collection, Iterable, Sequence
 
     from app.governance import bundle_shapes as shapes
     from app.governance.model import Capability, Json
@@ -54,10 +49,10 @@ class Reader:
             file=document.file, line=document.line(path), key=dotted(path), message=message, valid=tuple(valid)
         )
 
-    def unknown(self, path: Path, what: str, name: object, known: Iterable[str]) -> Iterator[PolicyError]:
+    def unknown(self, path: Path, what: str, name: object, known: Collection[str]) -> Iterator[PolicyError]:
         """Yield a problem unless the name is known; the nearest names come first."""
-        names = sorted(known)
-        if name not in names:
+        if name not in known:
+            names = sorted(known)
             near = get_close_matches(str(name), names, n=3, cutoff=0.5)
             yield self.problem(path, f"there is no {what} `{name}`", [*near, *(n for n in names if n not in near)])
 
@@ -89,6 +84,10 @@ def capability(reader: Reader, shape: shapes.CapabilityShape, known: Known) -> I
         yield reader.problem(("permissions",), "a capability that agents propose needs a permission", known.permissions)
     if shape.rollback is not None:
         yield from reader.unknown(("rollback",), "recovery capability", shape.rollback, known.recoveries)
+    yield from _coverage(reader, shape, known)
+
+
+def _coverage(reader: Reader, shape: shapes.CapabilityShape, known: Known) -> Iterator[PolicyError]:
     for name in shape.env_profile:
         yield from reader.unknown(("env_profile", name), "profile", name, known.profiles)
     for name in sorted(known.profiles - shape.env_profile.keys()):
@@ -97,7 +96,7 @@ def capability(reader: Reader, shape: shapes.CapabilityShape, known: Known) -> I
 
 
 def inputs(reader: Reader, shape: shapes.CapabilityShape) -> Iterator[PolicyError]:
-    """Check an input schema: valid JSON Schema, closed, every parameter of a known kind, numbers with unit and bounds."""
+    """Check an input schema: valid, closed, every parameter of a known kind, numbers with unit and bounds."""
     schema = shape.inputs
     try:
         jsonschema_rs.validator_for(schema)
@@ -155,6 +154,14 @@ _PARAM_CHECKS: Final = {"number": _number, "integer": _plain, "string": _string,
 def _default(reader: Reader, path: Path, spec: Mapping[str, Json]) -> Iterator[PolicyError]:
     if "default" in spec and not jsonschema_rs.is_valid(spec, spec["default"]):
         yield reader.problem((*path, "default"), f"default `{spec['default']}` is not valid for the parameter itself")
+
+
+def vocabulary(reader: Reader, found: Capability) -> Iterator[PolicyError]:
+    """Check that a capability's parameters can be spoken of in conditions."""
+    try:
+        Vocabulary({found.name: found})
+    except DeclarationError as error:
+        yield reader.problem(("inputs", "properties", error.name), error.message)
 
 
 # Rules ---------------------------------------------------------------------------------------------------------------
@@ -245,181 +252,3 @@ def _named_setting(reader: Reader, path: Path, param: str, holders: Sequence[Cap
         spec = properties(holder)[param]
         if spec.get("type") != "string":
             yield reader.problem(path, f"`{param}` of `{holder.name}` is a {spec.get('type')}", ["min", "max"])
-
-
-# Profiles ------------------------------------------------------------------------------------------------------------
-
-
-def profile(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[PolicyError]:
-    """Check a profile: watch rules, recovery table, authority, and that limits leave every capability room."""
-    if f"{shape.profile}.yaml" != reader.document.file.rpartition("/")[2]:
-        message = f"`{shape.profile}` stands in `{reader.document.file}`"
-        yield reader.problem(("profile",), message, [f"{shape.profile}.yaml"])
-    for name in shape.stale_after_ms:
-        yield from reader.unknown(("stale_after_ms", name), "sensor", name, SENSORS)
-    yield from _watch(reader, shape, known)
-    yield from _recovery(reader, shape, known)
-    yield from _authority(reader, shape, known)
-    yield from _room(reader, shape, known)
-
-
-def _watch(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[PolicyError]:
-    seen: set[str] = set()
-    for index, row in enumerate(shape.watch):
-        path: Path = ("watch", index)
-        if row.id in seen:
-            yield reader.problem((*path, "id"), f"watch rule `{row.id}` stands twice")
-        seen.add(row.id)
-        for at, name in enumerate(row.applies_to or ()):
-            yield from reader.unknown((*path, "applies_to", at), "capability", name, known.capabilities)
-        yield from reader.unknown((*path, "signal"), "signal", row.signal, SIGNAL_UNITS)
-        if row.failure:
-            yield from reader.unknown((*path, "failure"), "failure", row.failure, FAILURES)
-        yield from _threshold(reader, path, row, shape)
-        yield from _response(reader, path, row, shape)
-
-
-def _threshold(reader: Reader, path: Path, row: shapes.WatchShape, shape: shapes.ProfileShape) -> Iterator[PolicyError]:
-    if (row.above is None) == (row.below is None):
-        yield reader.problem(path, "a watch rule has one threshold", ["above", "below"])
-        return
-    side = "below" if row.above is None else "above"
-    threshold = row.below if row.above is None else row.above
-    unit = SIGNAL_UNITS.get(row.signal)
-    if isinstance(threshold, str):
-        fitting = [name for name, signal in NAMED_THRESHOLDS.items() if signal == row.signal]
-        yield from reader.unknown((*path, side), f"threshold for `{row.signal}` called", threshold, fitting)
-        if threshold == "protective_separation_m" and shape.separation is None:
-            yield reader.problem((*path, side), "the profile declares no `separation` to compute it from")
-    elif threshold is not None and not isinstance(threshold, (int, float)) and LIMIT_UNITS[threshold.limit] != unit:
-        message = (
-            f"unit mismatch: `{row.signal}` is in `{unit}`, `{threshold.limit}` in `{LIMIT_UNITS[threshold.limit]}`"
-        )
-        yield reader.problem((*path, side), message)
-
-
-def _response(reader: Reader, path: Path, row: shapes.WatchShape, shape: shapes.ProfileShape) -> Iterator[PolicyError]:
-    response, here = row.response, (*path, "response")
-    if response.otherwise is not None and response.persist_ms is None:
-        yield reader.problem((*here, "else"), "`else` follows `persist_ms`, which is missing", ["persist_ms"])
-    if response.then == "resume" and response.enter != "pause":
-        yield reader.problem((*here, "then"), "only a pause can resume", ["stay"])
-    asks = "escalate" in (response.enter, response.otherwise) or (
-        response.persist_ms is not None and response.otherwise is None
-    )
-    if asks and HUMANS.isdisjoint(shape.authority.modes):
-        yield reader.problem(here, "nobody could answer an escalation in this profile", sorted(HUMANS))
-
-
-def _recovery(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[PolicyError]:
-    for index, row in enumerate(shape.recovery):
-        path: Path = ("recovery", index)
-        yield from reader.unknown((*path, "on"), "failure", row.on, FAILURES | {"any"})
-        for at, name in enumerate(row.applies_to or ()):
-            yield from reader.unknown((*path, "applies_to", at), "capability", name, known.capabilities)
-        needs = "recovery_capability" in row.do
-        if needs and row.capability is None:
-            yield reader.problem(path, "`recovery_capability` needs `capability`", sorted(known.recoveries))
-        if row.capability is not None:
-            yield from reader.unknown((*path, "capability"), "recovery capability", row.capability, known.recoveries)
-        for step in row.budget:
-            if step not in row.do:
-                yield reader.problem((*path, "budget", step), f"`{step}` is no step of this row", row.do)
-        if "ask_human" in row.do and HUMANS.isdisjoint(shape.authority.modes):
-            yield reader.problem((*path, "do"), "nobody could be asked in this profile", sorted(HUMANS))
-        if "safer_mode" in row.do and "careful" not in shape.modes:
-            yield reader.problem((*path, "do"), "`safer_mode` needs the mode `careful`", ["modes: [normal, careful]"])
-    if not any(row.on == "any" and row.applies_to is None and row.risks is None for row in shape.recovery):
-        yield reader.problem(("recovery",), "failures are left uncovered: the table needs a last row", ["on: any"])
-
-
-def _authority(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[PolicyError]:
-    modes, approval = shape.authority.modes, shape.authority.approval
-    asks = not ASKING.isdisjoint(modes)
-    if asks and approval is None:
-        yield reader.problem(("authority",), "modes that ask for approval need `approval`", ["approval"])
-    if not asks and approval is not None:
-        yield reader.problem(("authority", "approval"), "no mode of this profile asks for approval", sorted(ASKING))
-    for name, found in known.capabilities.items():
-        if found.env_profile.get(shape.profile) == "approval-required" and not asks:
-            message = f"`{name}` requires approval here, but no mode of this profile asks for it"
-            yield reader.problem(("authority", "modes"), message, sorted(ASKING))
-        if shape.rollback == "required" and MANIPULATION in found.permissions and found.rollback is None:
-            message = f"rollback is required for manipulation, and `{name}` has none"
-            yield reader.problem(("rollback",), message, ["optional", "always"])
-
-
-def _room(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[PolicyError]:
-    limits = {name: (LIMIT_UNITS[name], cast("float", getattr(shape.limits, name).max)) for name in LIMIT_UNITS}
-    for name, found in known.capabilities.items():
-        for param, spec in properties(found).items():
-            named = spec.get("x-limit")
-            same = [(value, key) for key, (unit, value) in limits.items() if unit == spec.get("unit")]
-            value, key = (limits[str(named)][1], str(named)) if named in limits else min(same, default=(None, ""))
-            low = spec.get("minimum")
-            if value is not None and isinstance(low, (int, float)) and low > value:
-                message = f"`{value}` leaves `{param}` of `{name}` no room: its minimum is `{low}`"
-                yield reader.problem(("limits", key, "max"), message)
-            if value is not None and param not in always_there(found):
-                message = f"`{param}` of `{name}` is limited by `{key}` but may be left out: give it a default"
-                yield reader.problem(("limits", key), message)
-
-
-# Organization, authority, site ---------------------------------------------------------------------------------------
-
-
-def organization(reader: Reader, shape: shapes.OrganizationShape) -> Iterator[PolicyError]:
-    """Check the agents: known permissions, and none that governance keeps for itself."""
-    for name, agent in shape.agents.items():
-        if name == GOVERNANCE:
-            yield reader.problem(("agents", name), f"`{GOVERNANCE}` is reserved")
-        for key, names in (("permissions", agent.permissions), ("supervised", agent.supervised)):
-            for index, permission in enumerate(names):
-                path = ("agents", name, key, index)
-                yield from reader.unknown(path, "permission", permission, shape.permissions)
-        for permission in sorted(set(agent.permissions) & set(agent.supervised)):
-            yield reader.problem(("agents", name), f"`{permission}` is both granted and supervised")
-    if GOVERNANCE in shape.permissions:
-        yield reader.problem(("permissions",), f"`{GOVERNANCE}` is reserved")
-
-
-def authority(reader: Reader, shape: shapes.AuthorityFileShape, known: Known) -> Iterator[PolicyError]:
-    """Check what authority names."""
-    for index, entry in enumerate(shape.confirm_before):
-        path = ("confirm_before", index)
-        yield from reader.unknown((*path, "capability"), "capability", entry.capability, known.capabilities)
-        yield from reader.unknown((*path, "profile"), "profile", entry.profile, known.profiles)
-
-
-def site(reader: Reader, shape: shapes.SiteShape) -> Iterator[PolicyError]:
-    """Check the site: references, bounds that are not empty, polygons with an area."""
-    x0, y0, x1, y1 = shape.bounds_m
-    if x0 >= x1 or y0 >= y1:
-        yield reader.problem(("bounds_m",), "empty bounds: x0 < x1 and y0 < y1 are needed", ["[x0, y0, x1, y1]"])
-    yield from reader.unknown(("start",), "target", shape.start, shape.targets)
-    for name, target in shape.targets.items():
-        if target.corridor is not None:
-            path = ("targets", name, "corridor")
-            yield from reader.unknown(path, "corridor", target.corridor, shape.corridors)
-    for key, held in (("surfaces", shape.surfaces), ("areas", shape.areas), ("tools", shape.tools)):
-        for name, found in held.items():
-            yield from reader.unknown((key, name, "target"), "target", found.target, shape.targets)
-    for name, found in shape.objects.items():
-        yield from reader.unknown(("objects", name, "surface"), "surface", found.surface, shape.surfaces)
-    for key, held in (("zones", shape.zones), ("areas", shape.areas)):
-        for name, found in held.items():
-            if not _area(found.polygon) > 0.0:
-                yield reader.problem((key, name, "polygon"), "a polygon runs counter-clockwise around some area")
-
-
-def _area(polygon: Sequence[Sequence[float]]) -> float:
-    corners = list(polygon)
-    return sum(x1 * y2 - x2 * y1 for (x1, y1), (x2, y2) in zip(corners, [*corners[1:], corners[0]], strict=True)) / 2
-
-
-def vocabulary(reader: Reader, found: Capability) -> Iterator[PolicyError]:
-    """Check that a capability's parameters can be spoken of in conditions."""
-    try:
-        Vocabulary({found.name: found})
-    except DeclarationError as error:
-        yield reader.problem(("inputs", "properties", error.name), error.message)

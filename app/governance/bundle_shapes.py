@@ -1,4 +1,4 @@
-"""The shape of every policy file, as strict pydantic models: unknown keys, wrong types and non-finite numbers are errors.
+"""The shape of every policy file, as strict pydantic models: unknown keys, wrong types, non-finite numbers are errors.
 
 Shapes say what a file may contain; `bundle_checks` says what it may mean; `bundle` builds the policy set from both.
 """

@@ -1,7 +1,7 @@
 """Pre- and postconditions by name: pure predicates over what a cell's sensors say.
 
-Each returns None where the condition is met, else what is missing, in words an agent can act on. Without facts nothing is
-met. Paper: preconditions and postconditions of a Capability Package.
+Each returns None where the condition is met, else what is missing, in words an agent can act on. Without facts nothing
+is met. Paper: preconditions and postconditions of a Capability Package.
 """
 
 from __future__ import annotations

@@ -16,16 +16,16 @@ reject > deny > defer > escalate > modify > allow
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from app.governance.admission import admit
 from app.governance.authority import need
 from app.governance.guard import check
-from app.governance.model import AdmissionOutcome, PolicyOutcome, Reason, Status
+from app.governance.model import AdmissionOutcome, PolicyOutcome, Reason, Status, Verdict
 
 if TYPE_CHECKING:
-    from app.governance.model import Admission, ApprovalNeed, Context, Proposal, Verdict
+    from app.governance.model import Admission, ApprovalNeed, Context, Proposal
     from app.governance.policy import PolicySet
 
 Decided: TypeAlias = Status | Literal["allowed"]
@@ -61,12 +61,13 @@ def decide(policy: PolicySet | None, proposal: Proposal, context: Context) -> De
     if wanted is not None:
         return Decision(status=Status.AWAITING_APPROVAL, admission=admission, verdict=verdict, need=wanted)
     if admission.outcome is AdmissionOutcome.ESCALATE or verdict.outcome is PolicyOutcome.ESCALATE:
-        return Decision(status=Status.DENIED, admission=admission, verdict=_unanswerable(verdict, context), need=None)
+        refusal = _unanswerable(verdict, proposal, context)
+        return Decision(status=Status.DENIED, admission=admission, verdict=refusal, need=None)
     return Decision(status="allowed", admission=admission, verdict=verdict, need=None)
 
 
-def _unanswerable(verdict: Verdict, context: Context) -> Verdict:
+def _unanswerable(verdict: Verdict, proposal: Proposal, context: Context) -> Verdict:
     """A human would have to decide, and the profile has nobody who could: the safe answer is no."""
     message = f"a human would have to decide, and {context.profile} asks nobody before execution"
     reason = Reason(f"{context.profile}/authority", "no_authority", message, "propose it where a human can approve")
-    return replace(verdict, outcome=PolicyOutcome.DENY, reasons=(*verdict.reasons, reason))
+    return Verdict(outcome=PolicyOutcome.DENY, effective=proposal.params, reasons=(*verdict.reasons, reason))

@@ -2,8 +2,8 @@
 
 ```
 GovernanceError
-├── PolicyErrors       everything wrong with a policy directory, together
 ├── PolicyError        a policy file does not say something that can be enforced (file, line, key)
+│   └── PolicyErrors   all that is wrong with a policy directory, together
 ├── ExpressionError    a condition does not parse or does not type-check (source, column)
 ├── DeclarationError   a variable or record is declared in a way no expression could use (name)
 └── EvaluationError    a condition that type-checks met values it has no answer for (code, detail)
@@ -108,14 +108,16 @@ class EvaluationError(GovernanceError):
         super().__init__(f"{code}: {detail}")
 
 
-class PolicyErrors(GovernanceError):
-    """Everything that is wrong with a policy directory, in order of file and line.
+class PolicyErrors(PolicyError):
+    """Everything that is wrong with a policy directory; its own facts are those of the first problem.
 
     Attributes:
-        problems: One `PolicyError` per fault, never empty.
+        problems: One `PolicyError` per fault, in order of file and line, never empty.
     """
 
     def __init__(self, problems: Iterable[PolicyError]) -> None:
         """Keep the problems, sorted; the message lists them, one per line."""
         self.problems = tuple(sorted(problems, key=lambda problem: (problem.file, problem.line, problem.key)))
-        super().__init__("\n".join(str(problem) for problem in self.problems))
+        first = self.problems[0]
+        super().__init__(file=first.file, line=first.line, key=first.key, message=first.message, valid=first.valid)
+        self.args = ("\n".join(map(str, self.problems)),)

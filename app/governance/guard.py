@@ -1,7 +1,7 @@
-"""Stage 3, second half: what may this proposal do, concretely? p_t = Check(q_t, Π_t, Γ_t), q_t' = Constrain(q_t, Π_t, Γ_t).
+"""Stage 3, second half: what may this proposal do? p_t = Check(q_t, Π_t, Γ_t) and q_t' = Constrain(q_t, Π_t, Γ_t).
 
-The rules of the pair are compiled into one function (`policy_code`); this module is where a decision asks for it. Without
-policy, or without a compiled pair, the answer is a denial: no rule is no permission.
+The rules of the pair are compiled into one function (`policy_code`); this module is where a decision asks for it.
+Without policy, or without a compiled pair, the answer is a denial: no rule is no permission.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 def check(policy: PolicySet | None, proposal: Proposal, context: Context) -> Verdict:
     """Evaluate every rule that applies to the proposal; the most restrictive outcome wins.
 
-    Deny > escalate > modify > allow. Modifications intersect; an empty intersection denies with `empty_intersection`. A rule
-    that raises denies with `rule_error`. All determining rules are reported, the strongest first. What is denied keeps its
-    requested parameters; what escalates carries the constrained ones.
+    Deny > escalate > modify > allow. Modifications intersect; an empty intersection denies with `empty_intersection`.
+    A rule that raises denies with `rule_error`. All determining rules are reported, the strongest first. What is denied
+    keeps its requested parameters; what escalates carries the constrained ones.
 
     Args:
         policy: The active policy; None denies.

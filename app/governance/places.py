@@ -1,4 +1,4 @@
-"""Where a proposal leads and what it handles, resolved from names and perception: the `place` and `target` of conditions.
+"""Where a proposal leads and what it handles, from names and perception: the `place` and `target` of conditions.
 
 Pure geometry over the site. Points are world frame, metres.
 """
@@ -60,16 +60,37 @@ def centre(polygon: Sequence[Point]) -> Point:
     return sum(x for x, _ in polygon) / len(polygon), sum(y for _, y in polygon) / len(polygon)
 
 
+class _Keepout(NamedTuple):
+    """A forbidden polygon behind its bounding box."""
+
+    x0: float
+    y0: float
+    x1: float
+    y1: float
+    polygon: tuple[Point, ...]
+
+
 class _Map(NamedTuple):
     """The site as places: whatever has a name, resolved once."""
 
     site: Site
-    forbidden: tuple[tuple[Point, ...], ...]
+    keepouts: tuple[_Keepout, ...]
+
+    def forbids(self, x: float, y: float) -> bool:
+        for x0, y0, x1, y1, polygon in self.keepouts:
+            if x0 <= x <= x1 and y0 <= y <= y1 and inside((x, y), polygon):
+                return True
+        return False
 
     def point(self, name: str, kind: str, point: Point, corridor: str | None = None) -> Place:
+        x, y = point
         x0, y0, x1, y1 = self.site.bounds_m
-        out = not (x0 <= point[0] <= x1 and y0 <= point[1] <= y1)
-        return Place(name, kind, any(inside(point, polygon) for polygon in self.forbidden), out, corridor)
+        return Place(name, kind, self.forbids(x, y), not (x0 <= x <= x1 and y0 <= y <= y1), corridor)
+
+
+def _keepout(polygon: tuple[Point, ...]) -> _Keepout:
+    xs, ys = [x for x, _ in polygon], [y for _, y in polygon]
+    return _Keepout(min(xs), min(ys), max(xs), max(ys), polygon)
 
 
 def locator(references: Mapping[str, str], site: Site) -> Locate:
@@ -77,7 +98,7 @@ def locator(references: Mapping[str, str], site: Site) -> Locate:
 
     The function raises `KeyError` on a name the site does not know; admission has rejected such a proposal before.
     """
-    ground = _Map(site, tuple(zone.polygon for zone in site.zones.values() if zone.kind == "forbidden"))
+    ground = _Map(site, tuple(_keepout(zone.polygon) for zone in site.zones.values() if zone.kind == "forbidden"))
     for kind, make in _LOCATORS.items():
         if kind in references:
             return make(references[kind], ground)
@@ -127,12 +148,21 @@ def _fixed(kind: str) -> Callable[[str, _Map], Locate]:
 
 
 def _object(param: str, ground: _Map) -> Locate:
-    known = {name: ground.point(name, "object", (found.x_m, found.y_m)) for name, found in ground.site.objects.items()}
+    objects = ground.site.objects
+    known = {name: ground.point(name, "object", (found.x_m, found.y_m)) for name, found in objects.items()}
+    clear = {name: Place(name, "object") for name in objects}
+    x0, y0, x1, y1 = ground.site.bounds_m
+    forbids = ground.forbids
 
     def locate(params: Params, facts: WorldFacts | None) -> Place:
         name = cast("str", params[param])
         seen = None if facts is None else facts.objects.get(name)
-        return known[name] if seen is None else ground.point(name, "object", (seen.x_m, seen.y_m))
+        if seen is None:
+            return known[name]
+        x, y = seen.x_m, seen.y_m
+        if x0 <= x <= x1 and y0 <= y <= y1 and not forbids(x, y):
+            return clear[name]
+        return ground.point(name, "object", (x, y))
 
     return locate
 
@@ -153,8 +183,8 @@ _LOCATORS: Final[Mapping[str, Callable[[str, _Map], Locate]]] = {
 def finder(references: Mapping[str, str], site: Site) -> Find:
     """Make the function that says what a proposal handles: the object it names, else what the gripper holds.
 
-    Nothing named and nothing held is `NOTHING`: no mass, not fragile, not hazardous. The function raises `KeyError` on an
-    object the site does not know, so that rules about it fail closed.
+    Nothing named and nothing held is `NOTHING`: no mass, not fragile, not hazardous. The function raises `KeyError` on
+    an object the site does not know, so that rules about it fail closed.
     """
     objects = site.objects
     param = references.get("object")

@@ -1,4 +1,4 @@
-"""The compiled policy set Π and the questions it answers: parameters, agents, watch plans, recovery plans, descriptions.
+"""The compiled policy set Π and what it answers: parameters, agents, watch plans, recovery plans, descriptions.
 
 A `PolicySet` is immutable and identified by the digest of the files it was made of; `app.governance.bundle` makes it.
 """
@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias, cast
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias, cast
+
+import orjson
 
 from app.governance.model import AgentFacts, Bounds, Mode, RecoveryPlan, WatchPlan, WatchRule
 from app.governance.policy_code import limit_for
@@ -23,6 +25,12 @@ if TYPE_CHECKING:
     from app.governance.model import Authorization, Capability, Json, Params, Site
     from app.governance.policy_code import Check
     from app.governance.policy_model import Agent, Authority, Profile, Rule, WatchRow
+
+
+CAREFUL_SPEED: Final = 0.5
+"""What `careful` leaves of a speed; skills drive at 0.95 of it, as they do with every limit."""
+
+MANIPULATION: Final = "manipulation"
 
 
 class ParamProblem(NamedTuple):
@@ -98,8 +106,8 @@ class PolicySet:
     def validate_params(self, capability: str, params: Mapping[str, Json]) -> Params | tuple[ParamProblem, ...]:
         """Hold parameters to the capability's input schema; return them with defaults filled in, or what is wrong.
 
-        Numbers come back as floats. Names that the site does not know are no problem here: admission rejects them. For an
-        unknown capability there is nothing to hold the parameters to, and admission rejects the proposal.
+        Numbers come back as floats. Names that the site does not know are no problem here: admission rejects them. For
+        an unknown capability there is nothing to hold the parameters to, and admission rejects the proposal.
         """
         problems = tuple(_unsafe(params, ()))
         inputs = self.inputs.get(capability)
@@ -125,7 +133,7 @@ class PolicySet:
         """Describe the active policy (`GET /v1/policies/active`)."""
         return {
             "version": self.digest,
-            "capabilities": [name for name in sorted(self.capabilities)],
+            "capabilities": sorted(self.capabilities),
             "profiles": {name: _describe_profile(profile) for name, profile in sorted(self.profiles.items())},
             "rules": [_describe_rule(rule) for rule in self.rules.values()],
             "agents": {
@@ -133,11 +141,17 @@ class PolicySet:
                 for name, agent in sorted(self.agents.items())
             },
             "files": sorted(self.files),
+            "site": _describe_site(self.site),
         }
 
     def manifests(self) -> list[dict[str, Json]]:
         """Describe every capability (`GET /v1/capabilities`), in order of name."""
         return [_manifest(self.capabilities[name]) for name in sorted(self.capabilities)]
+
+
+def _describe_site(site: Site) -> Json:
+    """Describe everything in the site that has a name, for whoever has to name it: agents and displays."""
+    return cast("Json", orjson.loads(orjson.dumps(site, default=dict)))
 
 
 # Parameters ----------------------------------------------------------------------------------------------------------
@@ -146,7 +160,7 @@ _MAX_DEPTH = 16
 
 
 def _unsafe(value: object, path: tuple[str, ...]) -> list[ParamProblem]:
-    """Find what no schema needs to see: NaN, infinities, half surrogates, things that are not JSON, bottomless nesting."""
+    """Find what no schema needs to see: NaN, infinities, half surrogates, bottomless nesting, what is not JSON."""
     where = ".".join(path)
     if len(path) > _MAX_DEPTH:
         return [ParamProblem(where, "too_deep", f"nested deeper than {_MAX_DEPTH} levels")]
@@ -182,7 +196,7 @@ def _schema_problems(validator: Draft202012Validator, params: Mapping[str, Json]
     problems: list[ParamProblem] = []
     for error in validator.iter_errors(params):
         where = ".".join(str(step) for step in error.instance_path)
-        message = error.message if len(error.message) <= 300 else error.message[:297] + "…"  # noqa: PLR2004
+        message = error.message if len(error.message) <= 300 else error.message[:297] + "…"
         problems.append(ParamProblem(where, "schema", message[:1].lower() + message[1:]))
     return problems
 
@@ -191,20 +205,20 @@ def _schema_problems(validator: Draft202012Validator, params: Mapping[str, Json]
 
 
 def watch_plan(policy: PolicySet, capability: str, profile: str, params: Params, mode: Mode = Mode.NORMAL) -> WatchPlan:
-    """Bind a profile's watch rules to one session: the bounds are the smaller of the profile's limits and the parameters.
+    """Bind a profile's watch rules to one session; its bounds are the smaller of limit and parameter.
 
     Args:
         policy: The policy set.
         capability: What is run.
         profile: Under which profile.
         params: Effective parameters.
-        mode: How carefully; `careful` shows in the parameters already, as rules about `mode` have constrained them.
+        mode: How carefully; `careful` halves the speeds that the parameters ask for.
 
     Raises:
         KeyError: Capability or profile is unknown.
     """
     package, environment = policy.capabilities[capability], policy.profiles[profile]
-    bounds = _bounds(package, environment, params)
+    bounds = _bounds(package, environment, params, mode)
     held = params.get("object_id")
     known = policy.site.objects.get(held) if isinstance(held, str) else None
     return WatchPlan(
@@ -238,16 +252,17 @@ def watch_plan_for(policy: PolicySet, authorization: Authorization) -> WatchPlan
     return watch_plan(policy, authorization.capability, authorization.profile, authorization.params, authorization.mode)
 
 
-def _bounds(capability: Capability, profile: Profile, params: Params) -> Bounds:
+def _bounds(capability: Capability, profile: Profile, params: Params, mode: Mode) -> Bounds:
     bounds = {name: limit.maximum for name, limit in profile.limits.items()}
     for name, spec in properties(capability).items():
         limit = limit_for(spec, profile.limits)
         value = params.get(name)
         if limit is not None and isinstance(value, (int, float)):
             bounds[limit.name] = min(bounds[limit.name], float(value))
+    share = CAREFUL_SPEED if mode is Mode.CAREFUL else 1.0
     return Bounds(
-        tcp_speed_mps=bounds["tcp_speed_mps"],
-        base_speed_mps=bounds["base_speed_mps"],
+        tcp_speed_mps=bounds["tcp_speed_mps"] * share,
+        base_speed_mps=bounds["base_speed_mps"] * share,
         grip_force_n=bounds["grip_force_n"],
         contact_force_n=bounds["contact_force_n"],
     )
@@ -288,10 +303,13 @@ def _watch_rule(row: WatchRow, capability: Capability, profile: Profile, bounds:
 def recovery_plan(policy: PolicySet, capability: str, profile: str) -> RecoveryPlan:
     """Return what recovery may do in a session of this capability under this profile.
 
+    A profile that requires rollback requires it of manipulation; elsewhere it is optional.
+
     Raises:
         KeyError: Capability or profile is unknown.
     """
     package, environment = policy.capabilities[capability], policy.profiles[profile]
+    spared = environment.rollback == "required" and MANIPULATION not in package.permissions
     return RecoveryPlan(
         rules=tuple(
             row.rule
@@ -299,7 +317,7 @@ def recovery_plan(policy: PolicySet, capability: str, profile: str) -> RecoveryP
             if (row.applies_to is None or capability in row.applies_to) and package.risk in row.rule.risks
         ),
         retry_budget=environment.retry_budget,
-        rollback=environment.rollback,
+        rollback="optional" if spared else environment.rollback,
         rollback_capability=package.rollback,
         careful_admitted=Mode.CAREFUL in environment.admits,
     )

@@ -24,7 +24,7 @@ from app.governance.errors import EvaluationError
 from app.governance.expression import BOOL, INTRINSICS, STRING, references, to_python
 from app.governance.model import Change, PolicyOutcome, Reason, Verdict
 from app.governance.places import finder, locator
-from app.governance.policy_model import LIMIT_UNITS, Effect
+from app.governance.policy_model import Effect
 from app.governance.vocabulary import NAMES, always_there, properties, referring
 
 if TYPE_CHECKING:
@@ -272,11 +272,11 @@ class Generator:
             yield from self._clamp(bounded)
         for name in self.names:
             yield f"if n_{name} is not None and params.get({name!r}) != n_{name}:"
-            yield f"    effective, changes = changed(effective, changes, params, {name!r}, n_{name}, nb_{name})"
-        yield "if denied: return Verdict(outcome=DENY, effective=params, reasons=denied + asked + bound)"
-        yield "if asked: return Verdict(outcome=ESCALATE, effective=effective, reasons=asked + bound, changes=changes)"
-        yield "if changes: return Verdict(outcome=MODIFY, effective=effective, reasons=bound, changes=changes)"
-        yield "return Verdict(outcome=ALLOW, effective=params)"
+            yield from self._change(name, f"params.get({name!r})", f"n_{name}", f"nb_{name}")
+        yield "if denied: return verdict(DENY, params, denied + asked + bound, ())"
+        yield "if asked: return verdict(ESCALATE, effective, asked + bound, changes)"
+        yield "if changes: return verdict(MODIFY, effective, bound, changes)"
+        yield "return verdict(ALLOW, params, (), ())"
 
     def _clamp(self, bounded: _Bounded) -> Iterator[str]:
         name, limit = bounded.name, bounded.limit
@@ -289,10 +289,15 @@ class Generator:
             return
         if bounded.has_high:
             yield f"if not v_{name} <= {high}:"
-            yield f"    effective, changes = changed(effective, changes, params, {name!r}, {high}, {by})"
+            yield from self._change(name, f"v_{name}", high, by)
         if bounded.has_low:
             yield f"if not v_{name} >= l_{name}:"
-            yield f"    effective, changes = changed(effective, changes, params, {name!r}, l_{name}, lb_{name})"
+            yield from self._change(name, f"v_{name}", f"l_{name}", f"lb_{name}")
+
+    def _change(self, name: str, requested: str, value: str, by: str) -> Iterator[str]:
+        yield "    if effective is params: effective = {**params}"
+        yield f"    effective[{name!r}] = {value}"
+        yield f"    changes += (new(Change, ({name!r}, {requested}, {value}, {by})),)"
 
     def _emptiness(self, bounded: _Bounded) -> Iterator[str]:
         if not bounded.has_high:
@@ -325,10 +330,25 @@ class Generator:
         return cast("Check", namespace["check"])
 
 
-def _changed(
-    effective: Params, changes: tuple[Change, ...], params: Params, name: str, value: Json, rule: str
-) -> tuple[Params, tuple[Change, ...]]:
-    return {**effective, name: value}, (*changes, Change(name, params.get(name), value, rule))
+_set_outcome = Verdict.outcome.__set__  # pyright: ignore[reportAttributeAccessIssue]  # slots are descriptors
+_set_effective = Verdict.effective.__set__  # pyright: ignore[reportAttributeAccessIssue]
+_set_reasons = Verdict.reasons.__set__  # pyright: ignore[reportAttributeAccessIssue]
+_set_changes = Verdict.changes.__set__  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def _verdict(
+    outcome: PolicyOutcome, effective: Params, reasons: tuple[Reason, ...], changes: tuple[Change, ...]
+) -> Verdict:
+    """Make a verdict past the frozen dataclass's own constructor, which takes a third of the whole decision.
+
+    The generated text has established what that constructor would check: a modify has changes.
+    """
+    made = object.__new__(Verdict)
+    _set_outcome(made, outcome)
+    _set_effective(made, effective)
+    _set_reasons(made, reasons)
+    _set_changes(made, changes)
+    return made
 
 
 def _two_names(rule: str, param: str, one: str, other: str, by: str) -> Reason:
@@ -351,8 +371,9 @@ _SUPPORT: Final[Mapping[str, object]] = {
     "DENY": PolicyOutcome.DENY,
     "LOWEST": float("-inf"),
     "HIGHEST": float("inf"),
-    "Verdict": Verdict,
-    "changed": _changed,
+    "Change": Change,
+    "new": tuple.__new__,
+    "verdict": _verdict,
     "empty_intersection": empty_intersection,
     "failed": _failed,
     "not_finite": _not_finite,

@@ -1,6 +1,7 @@
-"""What a policy set is made of once its files are read: rules, limits, profiles, authority; names resolved, units known.
+"""What a policy set is made of once its files are read: rules, limits, profiles, authority.
 
-Paper: Π(E, O, H). `Profile` is E with the part of H that belongs to it, organization rules are O, `Authority` the rest of H.
+Paper: Π(E, O, H). `Profile` is E with the part of H that belongs to it, organization rules are O, `Authority` the rest
+of H.
 """
 
 from __future__ import annotations
@@ -52,8 +53,8 @@ NAMED_THRESHOLDS: Final[Mapping[str, str]] = {
 
 FAILURES: Final = frozenset({
     "object_not_found", "grasp_failed", "object_lost", "no_path", "blocked", "unreachable", "placement_failed",
-    "tool_failed", "perception_mismatch", "timeout", "postcondition_failed", "contact", "overspeed", "zone", "instability",
-    "sensor_fault", "stall", "retries_exhausted",
+    "tool_failed", "perception_mismatch", "timeout", "postcondition_failed", "contact", "overspeed", "zone",
+    "instability", "sensor_fault", "stall", "retries_exhausted",
 })  # fmt: skip
 
 REFERENCES: Final = ("object", "target", "surface", "area", "corridor", "tool", "action")
@@ -192,7 +193,7 @@ class Confirmation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Authority:
-    """H as far as every profile shares it: how long a session may wait for a human, and what it does when nobody comes."""
+    """H as far as every profile shares it: how long a session may wait for a human, and what silence then means."""
 
     within_s: float
     on_timeout: str

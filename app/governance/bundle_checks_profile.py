@@ -1,0 +1,139 @@
+"""What a profile has to mean: signals and thresholds that exist, failures that are covered, people to ask."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, cast
+
+from app.governance.policy_model import FAILURES, LIMIT_UNITS, NAMED_THRESHOLDS, SENSORS, SIGNAL_UNITS
+from app.governance.vocabulary import always_there, properties
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from app.governance import bundle_shapes as shapes
+    from app.governance.bundle_checks import Known, Reader
+    from app.governance.bundle_yaml import Path
+    from app.governance.errors import PolicyError
+
+ASKING: Final = frozenset({"approval-required", "approval-on-escalation"})
+HUMANS: Final = ASKING | {"takeover-enabled"}
+MANIPULATION: Final = "manipulation"
+
+
+def profile(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[PolicyError]:
+    """Check a profile: watch rules, recovery table, authority, and that limits leave every capability room."""
+    if f"{shape.profile}.yaml" != reader.document.file.rpartition("/")[2]:
+        message = f"`{shape.profile}` stands in `{reader.document.file}`"
+        yield reader.problem(("profile",), message, [f"{shape.profile}.yaml"])
+    for name in shape.stale_after_ms:
+        yield from reader.unknown(("stale_after_ms", name), "sensor", name, SENSORS)
+    yield from _watch(reader, shape, known)
+    yield from _recovery(reader, shape, known)
+    yield from _authority(reader, shape, known)
+    yield from _room(reader, shape, known)
+
+
+def _watch(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[PolicyError]:
+    seen: set[str] = set()
+    for index, row in enumerate(shape.watch):
+        path: Path = ("watch", index)
+        if row.id in seen:
+            yield reader.problem((*path, "id"), f"watch rule `{row.id}` stands twice")
+        seen.add(row.id)
+        for at, name in enumerate(row.applies_to or ()):
+            yield from reader.unknown((*path, "applies_to", at), "capability", name, known.capabilities)
+        yield from reader.unknown((*path, "signal"), "signal", row.signal, SIGNAL_UNITS)
+        if row.failure:
+            yield from reader.unknown((*path, "failure"), "failure", row.failure, FAILURES)
+        yield from _threshold(reader, path, row, shape)
+        yield from _response(reader, path, row, shape)
+
+
+def _threshold(reader: Reader, path: Path, row: shapes.WatchShape, shape: shapes.ProfileShape) -> Iterator[PolicyError]:
+    if (row.above is None) == (row.below is None):
+        yield reader.problem(path, "a watch rule has one threshold", ["above", "below"])
+        return
+    side = "below" if row.above is None else "above"
+    threshold = row.below if row.above is None else row.above
+    unit = SIGNAL_UNITS.get(row.signal)
+    if isinstance(threshold, str):
+        fitting = [name for name, signal in NAMED_THRESHOLDS.items() if signal == row.signal]
+        yield from reader.unknown((*path, side), f"threshold for `{row.signal}` called", threshold, fitting)
+        if threshold == "protective_separation_m" and shape.separation is None:
+            yield reader.problem((*path, side), "the profile declares no `separation` to compute it from")
+    elif threshold is not None and not isinstance(threshold, (int, float)) and LIMIT_UNITS[threshold.limit] != unit:
+        message = (
+            f"unit mismatch: `{row.signal}` is in `{unit}`, `{threshold.limit}` in `{LIMIT_UNITS[threshold.limit]}`"
+        )
+        yield reader.problem((*path, side), message)
+
+
+def _response(reader: Reader, path: Path, row: shapes.WatchShape, shape: shapes.ProfileShape) -> Iterator[PolicyError]:
+    response, here = row.response, (*path, "response")
+    if response.otherwise is not None and response.persist_ms is None:
+        yield reader.problem((*here, "else"), "`else` follows `persist_ms`, which is missing", ["persist_ms"])
+    if response.then == "resume" and response.enter != "pause":
+        yield reader.problem((*here, "then"), "only a pause can resume", ["stay"])
+    asks = "escalate" in (response.enter, response.otherwise) or (
+        response.persist_ms is not None and response.otherwise is None
+    )
+    if asks and HUMANS.isdisjoint(shape.authority.modes):
+        yield reader.problem(here, "nobody could answer an escalation in this profile", sorted(HUMANS))
+
+
+def _recovery(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[PolicyError]:
+    for index, row in enumerate(shape.recovery):
+        path: Path = ("recovery", index)
+        yield from reader.unknown((*path, "on"), "failure", row.on, FAILURES | {"any"})
+        for at, name in enumerate(row.applies_to or ()):
+            yield from reader.unknown((*path, "applies_to", at), "capability", name, known.capabilities)
+        needs = "recovery_capability" in row.do
+        if needs and row.capability is None:
+            yield reader.problem(path, "`recovery_capability` needs `capability`", sorted(known.recoveries))
+        if row.capability is not None:
+            yield from reader.unknown((*path, "capability"), "recovery capability", row.capability, known.recoveries)
+        for step in row.budget:
+            if step not in row.do:
+                yield reader.problem((*path, "budget", step), f"`{step}` is no step of this row", row.do)
+        yield from _steps(reader, path, row, shape)
+    if not any(row.on == "any" and row.applies_to is None and row.risks is None for row in shape.recovery):
+        yield reader.problem(("recovery",), "failures are left uncovered: the table needs a last row", ["on: any"])
+
+
+def _steps(reader: Reader, path: Path, row: shapes.RecoveryShape, shape: shapes.ProfileShape) -> Iterator[PolicyError]:
+    if "ask_human" in row.do and HUMANS.isdisjoint(shape.authority.modes):
+        yield reader.problem((*path, "do"), "nobody could be asked in this profile", sorted(HUMANS))
+    if "safer_mode" in row.do and "careful" not in shape.modes:
+        yield reader.problem((*path, "do"), "`safer_mode` needs the mode `careful`", ["modes: [normal, careful]"])
+
+
+def _authority(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[PolicyError]:
+    modes, approval = shape.authority.modes, shape.authority.approval
+    asks = not ASKING.isdisjoint(modes)
+    if asks and approval is None:
+        yield reader.problem(("authority",), "modes that ask for approval need `approval`", ["approval"])
+    if not asks and approval is not None:
+        yield reader.problem(("authority", "approval"), "no mode of this profile asks for approval", sorted(ASKING))
+    for name, found in known.capabilities.items():
+        if found.env_profile.get(shape.profile) == "approval-required" and not asks:
+            message = f"`{name}` requires approval here, but no mode of this profile asks for it"
+            yield reader.problem(("authority", "modes"), message, sorted(ASKING))
+        if shape.rollback == "required" and MANIPULATION in found.permissions and found.rollback is None:
+            message = f"rollback is required for manipulation, and `{name}` has none"
+            yield reader.problem(("rollback",), message, ["optional", "always"])
+
+
+def _room(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[PolicyError]:
+    limits = {name: (LIMIT_UNITS[name], cast("float", getattr(shape.limits, name).max)) for name in LIMIT_UNITS}
+    for name, found in known.capabilities.items():
+        for param, spec in properties(found).items():
+            named = spec.get("x-limit")
+            same = [(value, key) for key, (unit, value) in limits.items() if unit == spec.get("unit")]
+            value, key = (limits[str(named)][1], str(named)) if named in limits else min(same, default=(None, ""))
+            low = spec.get("minimum")
+            if value is not None and isinstance(low, (int, float)) and low > value:
+                message = f"`{value}` leaves `{param}` of `{name}` no room: its minimum is `{low}`"
+                yield reader.problem(("limits", key, "max"), message)
+            if value is not None and param not in always_there(found):
+                message = f"`{param}` of `{name}` is limited by `{key}` but may be left out: give it a default"
+                yield reader.problem(("limits", key), message)

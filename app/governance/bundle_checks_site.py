@@ -1,0 +1,67 @@
+"""What the organization, authority and site have to mean: known names, nothing reserved, areas with an inside."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from app.governance.policy_model import GOVERNANCE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from app.governance import bundle_shapes as shapes
+    from app.governance.bundle_checks import Known, Reader
+    from app.governance.errors import PolicyError
+
+
+def organization(reader: Reader, shape: shapes.OrganizationShape) -> Iterator[PolicyError]:
+    """Check the agents: known permissions, and none that governance keeps for itself."""
+    for name, agent in shape.agents.items():
+        if name == GOVERNANCE:
+            yield reader.problem(("agents", name), f"`{GOVERNANCE}` is reserved")
+        for key, names in (("permissions", agent.permissions), ("supervised", agent.supervised)):
+            for index, permission in enumerate(names):
+                path = ("agents", name, key, index)
+                yield from reader.unknown(path, "permission", permission, shape.permissions)
+        for permission in sorted(set(agent.permissions) & set(agent.supervised)):
+            yield reader.problem(("agents", name), f"`{permission}` is both granted and supervised")
+    if GOVERNANCE in shape.permissions:
+        yield reader.problem(("permissions",), f"`{GOVERNANCE}` is reserved")
+
+
+def authority(reader: Reader, shape: shapes.AuthorityFileShape, known: Known) -> Iterator[PolicyError]:
+    """Check what authority names."""
+    for index, entry in enumerate(shape.confirm_before):
+        path = ("confirm_before", index)
+        yield from reader.unknown((*path, "capability"), "capability", entry.capability, known.capabilities)
+        yield from reader.unknown((*path, "profile"), "profile", entry.profile, known.profiles)
+
+
+def site(reader: Reader, shape: shapes.SiteShape) -> Iterator[PolicyError]:
+    """Check the site: references, bounds that are not empty, polygons with an area."""
+    x0, y0, x1, y1 = shape.bounds_m
+    if x0 >= x1 or y0 >= y1:
+        yield reader.problem(("bounds_m",), "empty bounds: x0 < x1 and y0 < y1 are needed", ["[x0, y0, x1, y1]"])
+    yield from reader.unknown(("start",), "target", shape.start, shape.targets)
+    for name, target in shape.targets.items():
+        if target.corridor is not None:
+            path = ("targets", name, "corridor")
+            yield from reader.unknown(path, "corridor", target.corridor, shape.corridors)
+    for key, held in (("surfaces", shape.surfaces), ("areas", shape.areas), ("tools", shape.tools)):
+        for name, found in held.items():
+            yield from reader.unknown((key, name, "target"), "target", found.target, shape.targets)
+    for name, found in shape.objects.items():
+        yield from reader.unknown(("objects", name, "surface"), "surface", found.surface, shape.surfaces)
+    yield from _polygons(reader, shape)
+
+
+def _polygons(reader: Reader, shape: shapes.SiteShape) -> Iterator[PolicyError]:
+    for key, held in (("zones", shape.zones), ("areas", shape.areas)):
+        for name, found in held.items():
+            if not _area(found.polygon) > 0.0:
+                yield reader.problem((key, name, "polygon"), "a polygon runs counter-clockwise around some area")
+
+
+def _area(polygon: Sequence[Sequence[float]]) -> float:
+    corners = list(polygon)
+    return sum(x1 * y2 - x2 * y1 for (x1, y1), (x2, y2) in zip(corners, [*corners[1:], corners[0]], strict=True)) / 2
