@@ -1,12 +1,8 @@
 """The desk: questions to humans, from asking to the answer, the deadline or the withdrawal.
 
-Every change is made under the lock of the invocation it is about, and is durable before anybody learns of it. What is
-approved is exactly what was shown: an answer names the digest of the effective proposal. An edit is decided again; it
-voids earlier approvals, and where policy constrains the edit further, the constrained proposal is a new question. With
-the last approval the proposal is decided once more, because the world went on while people thought.
-
-Answering a session's question: *approve* lets it go on (recorded first, and only to a cell that is there), *deny* ends
-it (sent first).
+Every change is made under the lock of the invocation it is about, and is durable before anybody learns of it. An answer
+names the digest of what was shown; `app.runtime.answer` says what it leads to. Silence is closed by the wall clock,
+also across restarts, and is never reported as anybody's answer.
 """
 
 from __future__ import annotations
@@ -16,15 +12,14 @@ import contextlib
 from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.errors import RecordUnavailable
-from app.audit.event import EventDraft
 from app.clock import rfc3339
-from app.governance.model import EventKind, Outcome, Status
+from app.governance.model import Outcome, Status
 from app.protocol import Human
+from app.runtime.answer import RULE, Answer
+from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason, with_reason
 from app.runtime.errors import Conflict, Forbidden, NotFound
 from app.runtime.escalation import (
     APPROVAL,
-    APPROVED,
-    DENIED,
     EXPIRED,
     PENDING,
     SESSION_QUESTION,
@@ -33,21 +28,19 @@ from app.runtime.escalation import (
     bound_digest,
     read_escalation,
 )
-from app.runtime.invocation import Principal
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from app.audit.event import RowWrite
+    from app.audit.event import EventDraft, RowWrite
     from app.governance.model import ApprovalNeed
     from app.runtime.fleet import Fleet
-    from app.runtime.invocation import Invocation
-    from app.runtime.kernel import Judgement, Kernel
+    from app.runtime.invocation import Invocation, Principal
+    from app.runtime.kernel import Kernel
     from app.runtime.register import Register
 
 POLL_S: Final = 0.5  # the wall clock may step; a deadline is met within this all the same
-SERVER: Final = "server"
 
 
 class Desk:
@@ -179,7 +172,7 @@ class Desk:
             if present is None:
                 raise _gone(await self._load(escalation_id))
             await self._check_answer(present, principal, digest, entry.newest)
-            answer = _Answer(self, entry.newest, present, principal, comment)
+            answer = Answer(self, entry.newest, present, principal, comment)
             match present.kind, decision:
                 case "session", "approve":
                     final = await answer.go_on()
@@ -248,20 +241,20 @@ class Desk:
         self.fleet.restrain(self.fleet.cell(invocation.cell or ""), op)
         now = self.register.now()
         closed = present.evolve(now, status=EXPIRED)
-        await self.commit([_escalation_event(closed)], closed, invocation.evolve(now, escalation=closed.reference()))
+        await self.commit([escalation_event(closed)], closed, invocation.evolve(now, escalation=closed.reference()))
 
     async def _expire_approval(self, present: Escalation, invocation: Invocation) -> None:
         now = self.register.now()
         closed = present.evolve(now, status=EXPIRED)
-        reason = _reason("approval_expired", "nobody answered in time", "propose again when somebody is on duty")
+        because = reason(RULE, "approval_expired", "nobody answered in time", "propose again when somebody is on duty")
         ended = invocation.evolve(
             now,
             status=Status.DENIED,
             outcome=Outcome.EXPIRED,
             escalation=closed.reference(),
-            policy=with_reason(invocation.policy, reason),
+            policy=with_reason(invocation.policy, because),
         )
-        await self.commit([_escalation_event(closed), outcome_event(ended, SERVER, reason)], closed, ended)
+        await self.commit([escalation_event(closed), outcome_event(ended, SERVER, because)], closed, ended)
 
     async def watch_deadlines(self) -> None:
         """Close questions when their time is over, for ever."""
@@ -288,178 +281,6 @@ class Desk:
             cursor = page.next
             if cursor is None:
                 return
-
-
-class _Answer:
-    """One person's answer to one question, under the invocation's lock."""
-
-    def __init__(
-        self, desk: Desk, invocation: Invocation, escalation: Escalation, principal: Principal, comment: str | None
-    ) -> None:
-        self._desk = desk
-        self._register = desk.register
-        self._fleet = desk.fleet
-        self._kernel = desk.kernel
-        self._invocation = invocation
-        self._escalation = escalation
-        self._principal = principal
-        self._comment = comment
-
-    # -- before launch -----------------------------------------------------------------------------------------------
-
-    async def deny(self) -> Escalation:
-        """End the invocation: one denial is enough."""
-        now = self._register.now()
-        closed = self._escalation.evolve(now, status=DENIED)
-        reason = _reason("denied_by_human", "a human denied this", "propose something else")
-        ended = self._invocation.evolve(
-            now,
-            status=Status.DENIED,
-            outcome=Outcome.DENIED,
-            escalation=closed.reference(),
-            policy=with_reason(self._invocation.policy, reason),
-        )
-        await self._desk.commit(
-            [self._event("deny", closed), outcome_event(ended, self._principal.name, reason)], closed, ended
-        )
-        return closed
-
-    async def approve(self, params: Mapping[str, Any] | None) -> Escalation:
-        """Count this approval, of the question as shown or as edited, and launch with the last one needed."""
-        present = self._escalation
-        full = {**present.effective, **(params or {})}
-        if full != present.effective:
-            return await self._approve_edit(full)
-        if any(approval["by"] == self._principal.name for approval in present.approvals):
-            raise Conflict("already_approved", f"`{self._principal.name}` approved this: it takes another person")
-        return await self._count(present, None)
-
-    async def _approve_edit(self, full: Mapping[str, Any]) -> Escalation:
-        filled = self._kernel.fill_in(self._invocation.capability, full)
-        judgement = self._judge(filled)
-        if judgement.refused:
-            reasons = [reason._asdict() for reason in judgement.reasons()]
-            raise Conflict("edit_refused", "policy refuses the edited proposal", reasons=reasons)
-        effective = judgement.effective(filled)
-        edited = self._escalation.evolve(
-            self._register.now(), effective=effective, digest=bound_digest(self._invocation, effective), approvals=()
-        )
-        if effective == filled:
-            return await self._count(edited, judgement)
-        # Policy constrained the edit further: nobody has seen that, so nobody has approved it.
-        await self._commit_pending(edited, "edit")
-        return edited
-
-    async def _count(self, present: Escalation, judgement: Judgement | None) -> Escalation:
-        approval = {"by": self._principal.name, "at": self._register.now(), "digest": present.digest}
-        counted = present.evolve(self._register.now(), approvals=(*present.approvals, approval))
-        if len(counted.approvals) < counted.needed:
-            await self._commit_pending(counted, "approve")
-            return counted
-        return await self._conclude(counted, judgement or self._judge(counted.effective))
-
-    async def _conclude(self, counted: Escalation, judgement: Judgement) -> Escalation:
-        """Launch, if the proposal still conforms in the world as it is now; otherwise say what changed."""
-        need = judgement.need
-        if need is not None and need.approvers > len(counted.approvals):
-            stricter = counted.evolve(self._register.now(), needed=need.approvers)
-            await self._commit_pending(stricter, "approve")
-            return stricter
-        now = self._register.now()
-        closed = counted.evolve(now, status=APPROVED)
-        invocation = self._invocation.evolve(now, escalation=closed.reference(), **judgement.parts())
-        approved = self._event("approve", closed)
-        if not judgement.conforms(counted.effective):
-            ended = judgement.refuse(invocation)
-            await self._desk.commit(
-                [approved, *judgement.events(ended), outcome_event(ended, SERVER, *judgement.ending_reasons())],
-                closed,
-                ended,
-            )
-            return closed
-        approvers = tuple(str(approval["by"]) for approval in closed.approvals)
-        launching = invocation.evolve(now, effective=dict(counted.effective))
-        async with self._kernel.launch(launching, judgement, approvers) as launch:
-            await self._desk.commit(
-                [approved, *judgement.events(launch.invocation), *launch.events], closed, launch.invocation, launch.rows
-            )
-        return closed
-
-    async def _commit_pending(self, escalation: Escalation, decision: str) -> None:
-        invocation = self._invocation.evolve(
-            self._register.now(), effective=dict(escalation.effective), escalation=escalation.reference()
-        )
-        await self._desk.commit([self._event(decision, escalation)], escalation, invocation)
-
-    def _judge(self, params: Mapping[str, Any]) -> Judgement:
-        invocation = self._invocation
-        cell = self._fleet.cell(invocation.cell) if invocation.cell else None
-        return self._kernel.judge(invocation.proposal(params), invocation.agent, cell)
-
-    # -- in mid-execution --------------------------------------------------------------------------------------------
-
-    async def go_on(self) -> Escalation:
-        """Let the session go on: recorded first, and not at all while the cell is away."""
-        cell = self._fleet.cell(self._invocation.cell or "")
-        if not self._fleet.attached(cell):
-            raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to go on")
-        closed = await self._commit_session("approve", APPROVED)
-        self._fleet.order(cell, self._human("resolve_continue"))
-        return closed
-
-    async def terminate(self) -> Escalation:
-        """End the session: sent first."""
-        cell = self._fleet.cell(self._invocation.cell or "")
-        self._fleet.restrain(cell, self._human("resolve_terminate"))
-        return await self._commit_session("deny", DENIED)
-
-    async def _commit_session(self, decision: str, status: str) -> Escalation:
-        now = self._register.now()
-        approval = {"by": self._principal.name, "at": now, "digest": self._escalation.digest}
-        approvals = (approval,) if status == APPROVED else ()
-        closed = self._escalation.evolve(now, status=status, approvals=approvals)
-        invocation = self._invocation.evolve(now, escalation=closed.reference())
-        await self._desk.commit([self._event(decision, closed)], closed, invocation)
-        return closed
-
-    def _human(self, op: str) -> Human:
-        return Human.model_validate({"invocation": self._invocation.id, "op": op, "actor": self._principal.name})
-
-    def _event(self, decision: str, escalation: Escalation) -> EventDraft:
-        return EventDraft(
-            kind=EventKind.APPROVAL,
-            actor=self._principal.name,
-            invocation=self._invocation.id,
-            body={"decision": decision, "escalation": escalation.public(), "comment": self._comment},
-        )
-
-
-def _escalation_event(escalation: Escalation) -> EventDraft:
-    return EventDraft(
-        kind=EventKind.ESCALATION,
-        actor=SERVER,
-        invocation=escalation.invocation,
-        body={"escalation": escalation.public()},
-    )
-
-
-def outcome_event(invocation: Invocation, actor: str, *reasons: Mapping[str, str]) -> EventDraft:
-    """Return the event that says how an invocation ended."""
-    return EventDraft(
-        kind=EventKind.OUTCOME,
-        actor=actor,
-        invocation=invocation.id,
-        body={"status": invocation.status, "outcome": invocation.outcome, "reasons": list(reasons)},
-    )
-
-
-def with_reason(policy: Mapping[str, Any] | None, reason: Mapping[str, str]) -> Mapping[str, Any] | None:
-    """Return what policy said with one more reason: the agent learns why by code, never in a person's words."""
-    return None if policy is None else {**policy, "reasons": [*policy["reasons"], reason]}
-
-
-def _reason(code: str, message: str, remedy: str) -> dict[str, str]:
-    return {"rule": "authority/approval", "code": code, "message": message, "remedy": remedy}
 
 
 def _gone(escalation: Escalation) -> Conflict:

@@ -12,16 +12,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import orjson
-from pydantic import TypeAdapter, ValidationError
 
 from app.audit.event import RowWrite
 from app.clock import monotonic_s
-from app.governance.model import SESSION, CellFacts, WorldFacts
+from app.governance.model import SESSION, CellFacts
 from app.protocol import BEAT_MS, LEASE_MS, Estop, Human, ProtocolError
+from app.runtime.cells import Cell, read_world
 from app.runtime.errors import Conflict, NotFound
 from app.runtime.link import DEAD_S, SILENT_S, TRY_LATER, Attachment
 
@@ -29,15 +28,13 @@ if TYPE_CHECKING:
     from collections.abc import Coroutine, Mapping, Sequence
 
     from app.audit.event import EventDraft
+    from app.governance.model import WorldFacts
     from app.protocol import Hello, Message, State, UpEvent
     from app.runtime.link import Link
     from app.runtime.register import Register
 
-FRESH_S: Final = 1.0  # a state older than this says nothing
 TEND_S: Final = 0.25
 SETTLE_S: Final = 0.3
-_WORLD: Final = TypeAdapter(WorldFacts)
-_WORLD_NAMES: Final = frozenset(WorldFacts.__dataclass_fields__)
 
 
 class Reports(Protocol):
@@ -70,47 +67,6 @@ class Reports(Protocol):
     def telemetry(self, cell: str, invocation: str, rows: Sequence[tuple[float, ...]]) -> None:
         """Keep rows of telemetry."""
         ...
-
-
-@dataclass(slots=True, kw_only=True)
-class Cell:
-    """What the server knows of one cell. Times are monotonic seconds."""
-
-    id: str
-    profile: str
-    latched: bool = False
-    up_seq: int = 0
-    claim: str | None = None
-    attachment: Attachment | None = None
-    state: State | None = None
-    state_at_s: float = 0.0
-    world: WorldFacts | None = None
-    trouble: str | None = None
-    recalled: bool = False  # known from an earlier run of the server, and not seen in this one
-    absent_since_s: float | None = None
-    lapsed: bool = True  # it was away for longer than a lease before it attached, or nobody knows
-    ended: str | None = None  # the last session that ended here, and when
-    ended_at_s: float = 0.0
-    stated: asyncio.Event = field(default_factory=asyncio.Event)
-    owed: dict[tuple[str, str], Message] = field(default_factory=dict[tuple[str, str], "Message"])
-    unreconciled: Hello | None = None
-
-    @property
-    def fresh(self) -> bool:
-        """Say whether the cell's state may be relied on."""
-        attachment = self.attachment
-        return (
-            attachment is not None
-            and attachment.welcomed
-            and self.state is not None
-            and monotonic_s() - self.state_at_s <= FRESH_S
-        )
-
-    def away_s(self) -> float | None:
-        """Return for how long the cell has been away; None where nobody knows."""
-        if self.recalled or self.absent_since_s is None:
-            return None
-        return monotonic_s() - self.absent_since_s
 
 
 class Fleet:
@@ -474,19 +430,3 @@ class Fleet:
                 attachment.shut(TRY_LATER, f"nothing heard for {SILENT_S} s")
             absent_s = None if cell.absent_since_s is None else monotonic_s() - cell.absent_since_s
             await self._desk.overdue(cell.id, absent_s)
-
-
-def read_world(facts: Mapping[str, Any]) -> WorldFacts:
-    """Read a cell's facts, strictly.
-
-    Raises:
-        ValueError: a fact that is unknown, missing or of another type, or a number that is not finite.
-    """
-    if strange := facts.keys() - _WORLD_NAMES:
-        raise ValueError(f"unknown fact `{sorted(strange)[0]}`")
-    try:
-        # Through JSON, which has no NaN and no infinity: they become null, and null is no number.
-        return _WORLD.validate_json(orjson.dumps(facts))
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise ValueError(f"`{'.'.join(str(part) for part in first['loc'])}`: {first['msg']}") from error

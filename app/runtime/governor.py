@@ -2,9 +2,6 @@
 
 `propose` is the pipeline of design section 4: held to the schema, decided, recorded with its decision in one append,
 and launched only behind that record. Nothing is awaited between the decision and the claim on the cell.
-
-What restrains (pause, stop, emergency stop, cancel) is sent before it is recorded; what loosens (resume, rollback,
-reset) is recorded before it is sent.
 """
 
 from __future__ import annotations
@@ -12,19 +9,17 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
-from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft, RowWrite
-from app.governance.model import SESSION, EventKind, Outcome, Role, Status
-from app.protocol import Estop, Human, Reset, SetProfile
-from app.runtime.desk import outcome_event
-from app.runtime.errors import Conflict, InvalidParams, NotFound
+from app.governance.model import EventKind, Role, Status
+from app.runtime.controls import Controls
+from app.runtime.drafts import SERVER, escalation_event, outcome_event
+from app.runtime.errors import Conflict, InvalidParams
 from app.runtime.identity import digest
 from app.runtime.invocation import (
     Invocation,
     Principal,
     ProposalRequest,
     Terms,
-    may_see,
     public_document,
     without_free_text,
 )
@@ -43,18 +38,9 @@ if TYPE_CHECKING:
     from app.runtime.register import Register
 
 TRACE_PAGE: Final = 1000
-UNNAMED: Final = ""
-
-# Which statuses an operator's word is legal in, and whether it restrains.
-OPERATIONS: Final[Mapping[str, tuple[frozenset[Status], bool]]] = {
-    "pause": (frozenset({Status.RUNNING, Status.RECOVERING, Status.PAUSED}), True),
-    "stop": (SESSION, True),
-    "resume": (frozenset({Status.PAUSED}), False),
-    "rollback": (frozenset({Status.RUNNING, Status.PAUSED, Status.ESCALATED}), False),
-}
 
 
-class Governor:
+class Governor(Controls):
     """Takes proposals and people's words through the pipeline. Performs effects, decides nothing."""
 
     def __init__(self, *, register: Register, kernel: Kernel, fleet: Fleet, desk: Desk, feed: Feed) -> None:
@@ -148,13 +134,7 @@ class Governor:
         if need is not None:
             question = self.desk.question(invocation, need, self.kernel.risk(invocation.capability))
             asking = replace(invocation, escalation=question.reference())
-            asked = EventDraft(
-                kind=EventKind.ESCALATION,
-                actor="server",
-                invocation=invocation.id,
-                body={"escalation": question.public()},
-            )
-            await self.desk.commit([*drafts, asked], question, asking, rows)
+            await self.desk.commit([*drafts, escalation_event(question)], question, asking, rows)
             return asking
         async with self.kernel.launch(invocation, judgement) as launch:
             await self.register.append([*drafts, *launch.events], [*rows, *launch.rows], [launch.invocation])
@@ -223,7 +203,7 @@ class Governor:
         Raises:
             NotFound: there is none that this principal may see.
         """
-        return (await self._visible(invocation_id, principal)).public()
+        return (await self.visible(invocation_id, principal)).public()
 
     async def wait(
         self, invocation_id: str, principal: Principal, seconds: float, known_updated_at: str | None = None
@@ -233,7 +213,7 @@ class Governor:
         Raises:
             NotFound: there is none that this principal may see.
         """
-        await self._visible(invocation_id, principal)
+        await self.visible(invocation_id, principal)
         return (await self.register.wait(invocation_id, seconds, known_updated_at)).public()
 
     async def list(
@@ -265,7 +245,7 @@ class Governor:
         Raises:
             NotFound: there is none that this principal may see.
         """
-        await self._visible(invocation_id, principal)
+        await self.visible(invocation_id, principal)
         trace: list[dict[str, Any]] = []
         after = 0
         while True:
@@ -275,12 +255,6 @@ class Governor:
                 return trace
             after = events[-1].seq
 
-    async def _visible(self, invocation_id: str, principal: Principal) -> Invocation:
-        found = await self.register.load(invocation_id)
-        if not may_see(principal, found.agent):
-            raise NotFound("invocation", invocation_id)
-        return found
-
     def ready(self) -> dict[str, str]:
         """Return what is in the way of a launch, by part (`store`, `policy`, `cell/…`); empty when nothing is."""
         broken = self.fleet.problems()
@@ -289,138 +263,6 @@ class Governor:
         if not self.kernel.policy.gates:
             broken["policy"] = "no capability is enabled in any profile"
         return broken
-
-    # -- people's words on an invocation -----------------------------------------------------------------------------
-
-    async def pause(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
-        """Hold a session in place; sent first. Errors as `cancel`."""
-        return await self._operate("pause", invocation_id, principal)
-
-    async def resume(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
-        """Let a paused session go on; recorded first. Errors as `cancel`, and Conflict `cell_offline`."""
-        return await self._operate("resume", invocation_id, principal)
-
-    async def stop(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
-        """End a session by a controlled stop; sent first. Errors as `cancel`."""
-        return await self._operate("stop", invocation_id, principal)
-
-    async def rollback(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
-        """Take a session back to where it began; recorded first. Errors as `cancel`, and Conflict `cell_offline`."""
-        return await self._operate("rollback", invocation_id, principal)
-
-    @uncut
-    async def cancel(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
-        """Withdraw an invocation: before launch it ends here, a session is told to stop.
-
-        Raises:
-            NotFound: there is none that this principal may see.
-            Conflict: `wrong_status`, it is over.
-            RecordUnavailable: nothing was recorded; what restrains has been sent all the same.
-        """
-        await self._visible(invocation_id, principal)
-        entry = self.register.entry(invocation_id)
-        if entry is not None and entry.newest.status in SESSION:
-            return await self._restrain("cancel", entry.newest, principal)
-        if entry is not None:
-            async with entry.lock:
-                if entry.newest.status is Status.AWAITING_APPROVAL:
-                    return await self._withdraw(entry.newest, principal)
-            if entry.newest.status in SESSION:  # it was approved while this waited
-                return await self._restrain("cancel", entry.newest, principal)
-        raise _wrong_status("cancel", (await self.register.load(invocation_id)).status)
-
-    async def _withdraw(self, present: Invocation, principal: Principal) -> dict[str, Any]:
-        question = self.desk.withdrawal(present.id)
-        if question is None:
-            raise _wrong_status("cancel", present.status)
-        ended = present.evolve(
-            self.register.now(), status=Status.DENIED, outcome=Outcome.CANCELLED, escalation=question.reference()
-        )
-        drafts = [_human("cancel", ended, principal), outcome_event(ended, principal.name)]
-        await self.desk.commit(drafts, question, ended)
-        return ended.public()
-
-    @uncut
-    async def _operate(self, op: str, invocation_id: str, principal: Principal) -> dict[str, Any]:
-        legal, restrains = OPERATIONS[op]
-        present = self.register.newest(invocation_id) or await self._visible(invocation_id, principal)
-        if not may_see(principal, present.agent):
-            raise NotFound("invocation", invocation_id)
-        if present.status not in legal:
-            raise _wrong_status(op, present.status)
-        if restrains:
-            return await self._restrain(op, present, principal)
-        cell = self.fleet.cell(present.cell or UNNAMED)
-        if not self.fleet.attached(cell):
-            raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to {op}")
-        await self.register.append([_human(op, present, principal)])
-        self.fleet.order(cell, _message(op, present, principal))
-        return (await self.register.load(invocation_id)).public()
-
-    async def _restrain(self, op: str, present: Invocation, principal: Principal) -> dict[str, Any]:
-        """Send a restraint, then record it; without a record it has been sent all the same."""
-        self.fleet.restrain(self.fleet.cell(present.cell or UNNAMED), _message(op, present, principal))
-        await self.register.append([_human(op, present, principal)])
-        return (await self.register.load(present.id)).public()
-
-    # -- people's words on a cell ------------------------------------------------------------------------------------
-
-    @uncut
-    async def estop(self, cell_id: str, principal: Principal) -> dict[str, Any]:
-        """Stop a cell at once and latch it; anyone may. The answer's `recorded` says whether the record took it.
-
-        Raises:
-            NotFound: no such cell.
-        """
-        cell = self.fleet.cell(cell_id)
-        cell.latched = True
-        self.fleet.restrain(cell, Estop(actor=principal.name))
-        try:
-            await self.fleet.keep(cell, [_cell_event("estop", cell, principal)], estop=True)
-        except RecordUnavailable:
-            return {**self.fleet.document(cell), "recorded": False}
-        return {**self.fleet.document(cell), "recorded": True}
-
-    @uncut
-    async def reset(self, cell_id: str, principal: Principal) -> dict[str, Any]:
-        """Leave a latched stop; recorded first, moves nothing.
-
-        Raises:
-            NotFound: no such cell.
-            Conflict: `not_latched`, `cell_offline`.
-            RecordUnavailable: nothing was recorded, it stays latched.
-        """
-        cell = self.fleet.cell(cell_id)
-        if not self.fleet.latched(cell):
-            raise Conflict("not_latched", f"the cell `{cell.id}` is not latched")
-        if not self.fleet.attached(cell):
-            raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be reset")
-        await self.fleet.keep(cell, [_cell_event("reset", cell, principal)], estop=False)
-        cell.latched = False
-        self.fleet.order(cell, Reset(actor=principal.name))
-        return self.fleet.document(cell)
-
-    @uncut
-    async def set_profile(self, cell_id: str, profile: str, principal: Principal) -> dict[str, Any]:
-        """Put a cell under another environment profile; what runs keeps the one it was authorized under.
-
-        Raises:
-            NotFound: no such cell, no such profile.
-            RecordUnavailable: nothing was recorded, the profile stays.
-        """
-        cell = self.fleet.cell(cell_id)
-        if profile not in self.kernel.profiles():
-            raise NotFound("profile", profile)
-        draft = EventDraft(
-            kind=EventKind.PROFILE_CHANGED,
-            actor=principal.name,
-            body={"cell": cell.id, "before": cell.profile, "profile": profile},
-        )
-        await self.fleet.keep(cell, [draft], profile=profile)
-        cell.profile = profile
-        if self.fleet.attached(cell):
-            self.fleet.order(cell, SetProfile(profile=profile))
-        return self.fleet.document(cell)
 
     def cells(self) -> list[dict[str, Any]]:
         """Return every cell as a document."""
@@ -441,22 +283,4 @@ def event_document(event: Event, role: Role) -> dict[str, Any]:
 
 
 def _ended(invocation: Invocation) -> EventDraft:
-    return outcome_event(invocation, "server", *invocation.admission["reasons"])
-
-
-def _message(op: str, invocation: Invocation, principal: Principal) -> Human:
-    return Human.model_validate({"invocation": invocation.id, "op": op, "actor": principal.name})
-
-
-def _human(op: str, invocation: Invocation, principal: Principal) -> EventDraft:
-    body = {"op": op, "role": principal.role, "cell": invocation.cell, "status": invocation.status}
-    return EventDraft(kind=EventKind.HUMAN, actor=principal.name, invocation=invocation.id, body=body)
-
-
-def _cell_event(op: str, cell: Cell, principal: Principal) -> EventDraft:
-    body = {"op": op, "role": principal.role, "cell": cell.id}
-    return EventDraft(kind=EventKind.HUMAN, actor=principal.name, invocation=cell.claim, body=body)
-
-
-def _wrong_status(op: str, status: Status) -> Conflict:
-    return Conflict("wrong_status", f"`{op}` is not possible while the invocation is `{status}`")
+    return outcome_event(invocation, SERVER, *invocation.admission["reasons"])

@@ -36,6 +36,7 @@ from app.governance.model import (
 from app.governance.permit import mint
 from app.governance.policy import confirm_before, recovery_plan
 from app.protocol import Launch
+from app.runtime.drafts import SERVER
 from app.runtime.errors import InvalidParams
 from app.runtime.identity import Identities
 from app.runtime.invocation import reasons_document
@@ -47,13 +48,13 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
     from app.governance.policy import ParamProblem, PolicySet
-    from app.runtime.fleet import Cell, Fleet
+    from app.runtime.cells import Cell
+    from app.runtime.fleet import Fleet
     from app.runtime.invocation import Invocation, Principal
     from app.runtime.register import Register
 
 ON_DUTY_S: Final = 120.0  # an operator who was heard within this is on duty
 LAUNCH_WITHIN_S: Final = 10.0  # a permit not bound by then is worth nothing
-SERVER: Final = "server"
 REFUSED_OUTCOME: Final[Mapping[Status, Outcome]] = {
     Status.REJECTED: Outcome.REJECTED,
     Status.DEFERRED: Outcome.DEFERRED,

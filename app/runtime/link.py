@@ -37,7 +37,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from app.protocol import Message
-    from app.runtime.fleet import Cell, Fleet
+    from app.runtime.cells import Cell
+    from app.runtime.fleet import Fleet
 
 MAX_WAITING_FRAMES: Final = 256
 MAX_WAITING_EVENTS: Final = 4096

@@ -28,9 +28,9 @@ from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft
 from app.governance.model import SESSION, EventKind, Outcome, Status
 from app.protocol import Human, ProtocolError
-from app.runtime.desk import SERVER, outcome_event
+from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
 from app.runtime.kernel import LAUNCH_WITHIN_S
-from app.runtime.story import Story, reason
+from app.runtime.story import RULE, Story
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -229,12 +229,9 @@ class Sessions:
             if present.status not in SESSION or self._desk.pending_for(name) is not None:
                 return
             now = self._register.now()
-            question = self._desk.session_question(present, [reason(code, message)])
+            question = self._desk.session_question(present, [reason(RULE, code, message)])
             asked = present.evolve(now, status=Status.ESCALATED, escalation=question.reference())
-            draft = EventDraft(
-                kind=EventKind.ESCALATION, actor=SERVER, invocation=name, body={"escalation": question.public()}
-            )
-            await self._desk.commit([draft], question, asked)
+            await self._desk.commit([escalation_event(question)], question, asked)
 
     async def _fault(self, name: str, code: str, message: str) -> None:
         """End a session as a fault."""
@@ -249,7 +246,7 @@ class Sessions:
             changes: dict[str, Any] = {} if open_question is None else {"escalation": open_question.reference()}
             ended = present.evolve(self._register.now(), status=Status.FAILED, outcome=Outcome.FAULT, **changes)
             rows = [] if open_question is None else [open_question.row()]
-            await self._register.append([outcome_event(ended, SERVER, reason(code, message))], rows, [ended])
+            await self._register.append([outcome_event(ended, SERVER, reason(RULE, code, message))], rows, [ended])
             if open_question is not None:
                 self._desk.hold(open_question)
         await self._sealed(name)

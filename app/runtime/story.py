@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from app.audit.event import EventDraft
 from app.governance.model import TERMINAL, EventKind, Outcome, Status
 from app.governance.session import final_status
-from app.runtime.desk import SERVER, outcome_event
+from app.runtime.drafts import SERVER, outcome_event, reason
 from app.runtime.escalation import PENDING, WITHDRAWN
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from app.runtime.escalation import Escalation
     from app.runtime.invocation import Invocation
 
+RULE: Final = "runtime/session"
 ITSELF: Final = "cell"  # how a cell names itself as an actor
 NOTHING: Final[Mapping[str, Any]] = {}
 
@@ -58,7 +59,7 @@ class Story:
             body["actor"] = event.actor
         self.drafts.append(EventDraft(kind=event.kind, actor=cell, invocation=name, body=body))
         if version is not None and live and event.kind == EventKind.LAUNCH and self._versions[version.id].final:
-            refusal = reason(str(event.body["refused"]), str(event.body.get("detail", "")))
+            refusal = reason(RULE, str(event.body["refused"]), str(event.body.get("detail", "")))
             self.drafts.append(outcome_event(self._versions[version.id], SERVER, refusal))
 
     def _follow(self, version: Invocation, event: UpEvent, at: str) -> Mapping[str, Any]:
@@ -131,14 +132,9 @@ class Story:
         return self._desk.pending_for(name)
 
 
-def reason(code: str, message: str) -> dict[str, str]:
-    """Return a reason of the runtime's own."""
-    return {"rule": "runtime/session", "code": code, "message": message, "remedy": ""}
-
-
 def _reasons_of(event: UpEvent) -> list[dict[str, str]]:
     """Return why a cell asks, as reasons: its `reason` is a code, `failure` what had gone wrong before."""
     code = str(event.body.get("reason") or "escalated")
     failure = event.body.get("failure")
     because = f" after `{failure}`" if failure else ""
-    return [reason(code, f"the session is held (`{code}`){because} and waits for a human")]
+    return [reason(RULE, code, f"the session is held (`{code}`){because} and waits for a human")]

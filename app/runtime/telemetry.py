@@ -5,19 +5,18 @@ A telemetry file is evidence, not permission: if it cannot be written the sessio
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft
 from app.audit.telemetry import TelemetryWriter, channels
 from app.governance.model import EventKind
 from app.protocol import CHANNELS
+from app.runtime.drafts import SERVER
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
-
-SERVER: Final = "server"
 
 
 class Telemetry:

@@ -9,7 +9,7 @@ import pytest
 
 from app.audit.errors import RecordUnavailable
 from app.protocol import BEAT_MS, CHANNELS, ROW, Beat, Hello, encode, pack_batch
-from app.runtime import fleet as fleet_module
+from app.runtime import cells as cells_module
 from app.runtime import sessions as sessions_module
 from app.runtime.assembly import Runtime
 
@@ -113,7 +113,7 @@ async def test_a_link_that_hangs_is_closed(runtime: Runtime, cell: HandCell) -> 
 async def test_a_stale_state_says_nothing(runtime: Runtime, cell: HandCell) -> None:
     known = runtime.fleet.cell(CELL)
     assert runtime.fleet.facts(known).online
-    known.state_at_s -= fleet_module.FRESH_S + 0.1
+    known.state_at_s -= cells_module.FRESH_S + 0.1
     facts = runtime.fleet.facts(known)
     assert not facts.online
     assert facts.facts is None

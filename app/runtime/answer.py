@@ -1,0 +1,175 @@
+"""One person's answer to one question.
+
+What is approved is exactly what was shown. An edit is decided again; it voids earlier approvals, and where policy
+constrains the edit further, the constrained proposal is a new question. With the last approval the proposal is decided
+once more, because the world went on while people thought.
+
+Answering a session's question: *approve* lets it go on (recorded first, and only to a cell that is there), *deny* ends
+it (sent first).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from app.audit.event import EventDraft
+from app.governance.model import EventKind, Outcome, Status
+from app.protocol import Human
+from app.runtime.drafts import SERVER, outcome_event, reason, with_reason
+from app.runtime.errors import Conflict
+from app.runtime.escalation import APPROVED, DENIED, bound_digest
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from app.runtime.desk import Desk
+    from app.runtime.escalation import Escalation
+    from app.runtime.invocation import Invocation, Principal
+    from app.runtime.kernel import Judgement
+
+RULE: Final = "authority/approval"
+
+
+class Answer:
+    """One person's answer to one question, under the invocation's lock."""
+
+    def __init__(
+        self, desk: Desk, invocation: Invocation, escalation: Escalation, principal: Principal, comment: str | None
+    ) -> None:
+        """Take the question and its invocation as they stand, and who answers."""
+        self._desk = desk
+        self._register = desk.register
+        self._fleet = desk.fleet
+        self._kernel = desk.kernel
+        self._invocation = invocation
+        self._escalation = escalation
+        self._principal = principal
+        self._comment = comment
+
+    # -- before launch -----------------------------------------------------------------------------------------------
+
+    async def deny(self) -> Escalation:
+        """End the invocation: one denial is enough."""
+        now = self._register.now()
+        closed = self._escalation.evolve(now, status=DENIED)
+        because = reason(RULE, "denied_by_human", "a human denied this", "propose something else")
+        ended = self._invocation.evolve(
+            now,
+            status=Status.DENIED,
+            outcome=Outcome.DENIED,
+            escalation=closed.reference(),
+            policy=with_reason(self._invocation.policy, because),
+        )
+        await self._desk.commit(
+            [self._event("deny", closed), outcome_event(ended, self._principal.name, because)], closed, ended
+        )
+        return closed
+
+    async def approve(self, params: Mapping[str, Any] | None) -> Escalation:
+        """Count this approval, of the question as shown or as edited, and launch with the last one needed."""
+        present = self._escalation
+        full = {**present.effective, **(params or {})}
+        if full != present.effective:
+            return await self._approve_edit(full)
+        if any(approval["by"] == self._principal.name for approval in present.approvals):
+            raise Conflict("already_approved", f"`{self._principal.name}` approved this: it takes another person")
+        return await self._count(present, None)
+
+    async def _approve_edit(self, full: Mapping[str, Any]) -> Escalation:
+        filled = self._kernel.fill_in(self._invocation.capability, full)
+        judgement = self._judge(filled)
+        if judgement.refused:
+            reasons = [reason._asdict() for reason in judgement.reasons()]
+            raise Conflict("edit_refused", "policy refuses the edited proposal", reasons=reasons)
+        effective = judgement.effective(filled)
+        edited = self._escalation.evolve(
+            self._register.now(), effective=effective, digest=bound_digest(self._invocation, effective), approvals=()
+        )
+        if effective == filled:
+            return await self._count(edited, judgement)
+        # Policy constrained the edit further: nobody has seen that, so nobody has approved it.
+        await self._commit_pending(edited, "edit")
+        return edited
+
+    async def _count(self, present: Escalation, judgement: Judgement | None) -> Escalation:
+        approval = {"by": self._principal.name, "at": self._register.now(), "digest": present.digest}
+        counted = present.evolve(self._register.now(), approvals=(*present.approvals, approval))
+        if len(counted.approvals) < counted.needed:
+            await self._commit_pending(counted, "approve")
+            return counted
+        return await self._conclude(counted, judgement or self._judge(counted.effective))
+
+    async def _conclude(self, counted: Escalation, judgement: Judgement) -> Escalation:
+        """Launch, if the proposal still conforms in the world as it is now; otherwise say what changed."""
+        need = judgement.need
+        if need is not None and need.approvers > len(counted.approvals):
+            stricter = counted.evolve(self._register.now(), needed=need.approvers)
+            await self._commit_pending(stricter, "approve")
+            return stricter
+        now = self._register.now()
+        closed = counted.evolve(now, status=APPROVED)
+        invocation = self._invocation.evolve(now, escalation=closed.reference(), **judgement.parts())
+        approved = self._event("approve", closed)
+        if not judgement.conforms(counted.effective):
+            ended = judgement.refuse(invocation)
+            await self._desk.commit(
+                [approved, *judgement.events(ended), outcome_event(ended, SERVER, *judgement.ending_reasons())],
+                closed,
+                ended,
+            )
+            return closed
+        approvers = tuple(str(approval["by"]) for approval in closed.approvals)
+        launching = invocation.evolve(now, effective=dict(counted.effective))
+        async with self._kernel.launch(launching, judgement, approvers) as launch:
+            await self._desk.commit(
+                [approved, *judgement.events(launch.invocation), *launch.events], closed, launch.invocation, launch.rows
+            )
+        return closed
+
+    async def _commit_pending(self, escalation: Escalation, decision: str) -> None:
+        invocation = self._invocation.evolve(
+            self._register.now(), effective=dict(escalation.effective), escalation=escalation.reference()
+        )
+        await self._desk.commit([self._event(decision, escalation)], escalation, invocation)
+
+    def _judge(self, params: Mapping[str, Any]) -> Judgement:
+        invocation = self._invocation
+        cell = self._fleet.cell(invocation.cell) if invocation.cell else None
+        return self._kernel.judge(invocation.proposal(params), invocation.agent, cell)
+
+    # -- in mid-execution --------------------------------------------------------------------------------------------
+
+    async def go_on(self) -> Escalation:
+        """Let the session go on: recorded first, and not at all while the cell is away."""
+        cell = self._fleet.cell(self._invocation.cell or "")
+        if not self._fleet.attached(cell):
+            raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to go on")
+        closed = await self._commit_session("approve", APPROVED)
+        self._fleet.order(cell, self._human("resolve_continue"))
+        return closed
+
+    async def terminate(self) -> Escalation:
+        """End the session: sent first."""
+        cell = self._fleet.cell(self._invocation.cell or "")
+        self._fleet.restrain(cell, self._human("resolve_terminate"))
+        return await self._commit_session("deny", DENIED)
+
+    async def _commit_session(self, decision: str, status: str) -> Escalation:
+        now = self._register.now()
+        approval = {"by": self._principal.name, "at": now, "digest": self._escalation.digest}
+        approvals = (approval,) if status == APPROVED else ()
+        closed = self._escalation.evolve(now, status=status, approvals=approvals)
+        invocation = self._invocation.evolve(now, escalation=closed.reference())
+        await self._desk.commit([self._event(decision, closed)], closed, invocation)
+        return closed
+
+    def _human(self, op: str) -> Human:
+        return Human.model_validate({"invocation": self._invocation.id, "op": op, "actor": self._principal.name})
+
+    def _event(self, decision: str, escalation: Escalation) -> EventDraft:
+        return EventDraft(
+            kind=EventKind.APPROVAL,
+            actor=self._principal.name,
+            invocation=self._invocation.id,
+            body={"decision": decision, "escalation": escalation.public(), "comment": self._comment},
+        )

@@ -1,0 +1,80 @@
+"""What the server knows of one cell: its link, its newest state, who has it, and what it is owed."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+import orjson
+from pydantic import TypeAdapter, ValidationError
+
+from app.clock import monotonic_s
+from app.governance.model import WorldFacts
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from app.protocol import Hello, Message, State
+    from app.runtime.link import Attachment
+
+FRESH_S: Final = 1.0  # a state older than this says nothing
+_WORLD: Final = TypeAdapter(WorldFacts)
+_WORLD_NAMES: Final = frozenset(WorldFacts.__dataclass_fields__)
+
+
+@dataclass(slots=True, kw_only=True)
+class Cell:
+    """What the server knows of one cell. Times are monotonic seconds."""
+
+    id: str
+    profile: str
+    latched: bool = False
+    up_seq: int = 0
+    claim: str | None = None
+    attachment: Attachment | None = None
+    state: State | None = None
+    state_at_s: float = 0.0
+    world: WorldFacts | None = None
+    trouble: str | None = None
+    recalled: bool = False  # known from an earlier run of the server, and not seen in this one
+    absent_since_s: float | None = None
+    lapsed: bool = True  # it was away for longer than a lease before it attached, or nobody knows
+    ended: str | None = None  # the last session that ended here, and when
+    ended_at_s: float = 0.0
+    stated: asyncio.Event = field(default_factory=asyncio.Event)
+    owed: dict[tuple[str, str], Message] = field(default_factory=dict[tuple[str, str], "Message"])
+    unreconciled: Hello | None = None
+
+    @property
+    def fresh(self) -> bool:
+        """Say whether the cell's state may be relied on."""
+        attachment = self.attachment
+        return (
+            attachment is not None
+            and attachment.welcomed
+            and self.state is not None
+            and monotonic_s() - self.state_at_s <= FRESH_S
+        )
+
+    def away_s(self) -> float | None:
+        """Return for how long the cell has been away; None where nobody knows."""
+        if self.recalled or self.absent_since_s is None:
+            return None
+        return monotonic_s() - self.absent_since_s
+
+
+def read_world(facts: Mapping[str, Any]) -> WorldFacts:
+    """Read a cell's facts, strictly.
+
+    Raises:
+        ValueError: a fact that is unknown, missing or of another type, or a number that is not finite.
+    """
+    if strange := facts.keys() - _WORLD_NAMES:
+        raise ValueError(f"unknown fact `{sorted(strange)[0]}`")
+    try:
+        # Through JSON, which has no NaN and no infinity: they become null, and null is no number.
+        return _WORLD.validate_json(orjson.dumps(facts))
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ValueError(f"`{'.'.join(str(part) for part in first['loc'])}`: {first['msg']}") from error

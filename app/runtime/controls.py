@@ -1,0 +1,197 @@
+"""What people may do to invocations and cells.
+
+What restrains (pause, stop, emergency stop, cancel) is sent before it is recorded; what loosens (resume, rollback,
+reset) is recorded before it is sent.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from app.audit.errors import RecordUnavailable
+from app.audit.event import EventDraft
+from app.governance.model import SESSION, EventKind, Outcome, Status
+from app.protocol import Estop, Human, Reset, SetProfile
+from app.runtime.drafts import cell_word, human_event, outcome_event
+from app.runtime.errors import Conflict, NotFound
+from app.runtime.invocation import may_see
+from app.runtime.uncut import uncut
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from app.runtime.desk import Desk
+    from app.runtime.fleet import Fleet
+    from app.runtime.invocation import Invocation, Principal
+    from app.runtime.kernel import Kernel
+    from app.runtime.register import Register
+
+UNNAMED: Final = ""
+
+# Which statuses an operator's word is legal in, and whether it restrains.
+OPERATIONS: Final[Mapping[str, tuple[frozenset[Status], bool]]] = {
+    "pause": (frozenset({Status.RUNNING, Status.RECOVERING, Status.PAUSED}), True),
+    "stop": (SESSION, True),
+    "resume": (frozenset({Status.PAUSED}), False),
+    "rollback": (frozenset({Status.RUNNING, Status.PAUSED, Status.ESCALATED}), False),
+}
+
+
+class Controls:
+    """The words of people, carried to cells and into the record."""
+
+    register: Register
+    kernel: Kernel
+    fleet: Fleet
+    desk: Desk
+
+    async def visible(self, invocation_id: str, principal: Principal) -> Invocation:
+        """Return an invocation's newest version.
+
+        Raises:
+            NotFound: there is none that this principal may see.
+        """
+        found = await self.register.load(invocation_id)
+        if not may_see(principal, found.agent):
+            raise NotFound("invocation", invocation_id)
+        return found
+
+    # -- on an invocation -----------------------------------------------------------------------------
+
+    async def pause(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
+        """Hold a session in place; sent first. Errors as `cancel`."""
+        return await self._operate("pause", invocation_id, principal)
+
+    async def resume(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
+        """Let a paused session go on; recorded first. Errors as `cancel`, and Conflict `cell_offline`."""
+        return await self._operate("resume", invocation_id, principal)
+
+    async def stop(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
+        """End a session by a controlled stop; sent first. Errors as `cancel`."""
+        return await self._operate("stop", invocation_id, principal)
+
+    async def rollback(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
+        """Take a session back to where it began; recorded first. Errors as `cancel`, and Conflict `cell_offline`."""
+        return await self._operate("rollback", invocation_id, principal)
+
+    @uncut
+    async def cancel(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
+        """Withdraw an invocation: before launch it ends here, a session is told to stop.
+
+        Raises:
+            NotFound: there is none that this principal may see.
+            Conflict: `wrong_status`, it is over.
+            RecordUnavailable: nothing was recorded; what restrains has been sent all the same.
+        """
+        await self.visible(invocation_id, principal)
+        entry = self.register.entry(invocation_id)
+        if entry is not None and entry.newest.status in SESSION:
+            return await self._restrain("cancel", entry.newest, principal)
+        if entry is not None:
+            async with entry.lock:
+                if entry.newest.status is Status.AWAITING_APPROVAL:
+                    return await self._withdraw(entry.newest, principal)
+            if entry.newest.status in SESSION:  # it was approved while this waited
+                return await self._restrain("cancel", entry.newest, principal)
+        raise _wrong_status("cancel", (await self.register.load(invocation_id)).status)
+
+    async def _withdraw(self, present: Invocation, principal: Principal) -> dict[str, Any]:
+        question = self.desk.withdrawal(present.id)
+        if question is None:
+            raise _wrong_status("cancel", present.status)
+        ended = present.evolve(
+            self.register.now(), status=Status.DENIED, outcome=Outcome.CANCELLED, escalation=question.reference()
+        )
+        drafts = [human_event("cancel", ended, principal), outcome_event(ended, principal.name)]
+        await self.desk.commit(drafts, question, ended)
+        return ended.public()
+
+    @uncut
+    async def _operate(self, op: str, invocation_id: str, principal: Principal) -> dict[str, Any]:
+        legal, restrains = OPERATIONS[op]
+        present = self.register.newest(invocation_id) or await self.visible(invocation_id, principal)
+        if not may_see(principal, present.agent):
+            raise NotFound("invocation", invocation_id)
+        if present.status not in legal:
+            raise _wrong_status(op, present.status)
+        if restrains:
+            return await self._restrain(op, present, principal)
+        cell = self.fleet.cell(present.cell or UNNAMED)
+        if not self.fleet.attached(cell):
+            raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to {op}")
+        await self.register.append([human_event(op, present, principal)])
+        self.fleet.order(cell, _message(op, present, principal))
+        return (await self.register.load(invocation_id)).public()
+
+    async def _restrain(self, op: str, present: Invocation, principal: Principal) -> dict[str, Any]:
+        """Send a restraint, then record it; without a record it has been sent all the same."""
+        self.fleet.restrain(self.fleet.cell(present.cell or UNNAMED), _message(op, present, principal))
+        await self.register.append([human_event(op, present, principal)])
+        return (await self.register.load(present.id)).public()
+
+    # -- on a cell ------------------------------------------------------------------------------------
+
+    @uncut
+    async def estop(self, cell_id: str, principal: Principal) -> dict[str, Any]:
+        """Stop a cell at once and latch it; anyone may. The answer's `recorded` says whether the record took it.
+
+        Raises:
+            NotFound: no such cell.
+        """
+        cell = self.fleet.cell(cell_id)
+        cell.latched = True
+        self.fleet.restrain(cell, Estop(actor=principal.name))
+        try:
+            await self.fleet.keep(cell, [cell_word("estop", cell, principal)], estop=True)
+        except RecordUnavailable:
+            return {**self.fleet.document(cell), "recorded": False}
+        return {**self.fleet.document(cell), "recorded": True}
+
+    @uncut
+    async def reset(self, cell_id: str, principal: Principal) -> dict[str, Any]:
+        """Leave a latched stop; recorded first, moves nothing.
+
+        Raises:
+            NotFound: no such cell.
+            Conflict: `not_latched`, `cell_offline`.
+            RecordUnavailable: nothing was recorded, it stays latched.
+        """
+        cell = self.fleet.cell(cell_id)
+        if not self.fleet.latched(cell):
+            raise Conflict("not_latched", f"the cell `{cell.id}` is not latched")
+        if not self.fleet.attached(cell):
+            raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be reset")
+        await self.fleet.keep(cell, [cell_word("reset", cell, principal)], estop=False)
+        cell.latched = False
+        self.fleet.order(cell, Reset(actor=principal.name))
+        return self.fleet.document(cell)
+
+    @uncut
+    async def set_profile(self, cell_id: str, profile: str, principal: Principal) -> dict[str, Any]:
+        """Put a cell under another environment profile; what runs keeps the one it was authorized under.
+
+        Raises:
+            NotFound: no such cell, no such profile.
+            RecordUnavailable: nothing was recorded, the profile stays.
+        """
+        cell = self.fleet.cell(cell_id)
+        if profile not in self.kernel.profiles():
+            raise NotFound("profile", profile)
+        draft = EventDraft(
+            kind=EventKind.PROFILE_CHANGED,
+            actor=principal.name,
+            body={"cell": cell.id, "before": cell.profile, "profile": profile},
+        )
+        await self.fleet.keep(cell, [draft], profile=profile)
+        cell.profile = profile
+        if self.fleet.attached(cell):
+            self.fleet.order(cell, SetProfile(profile=profile))
+        return self.fleet.document(cell)
+
+
+def _message(op: str, invocation: Invocation, principal: Principal) -> Human:
+    return Human.model_validate({"invocation": invocation.id, "op": op, "actor": principal.name})
+
+
+def _wrong_status(op: str, status: Status) -> Conflict:
+    return Conflict("wrong_status", f"`{op}` is not possible while the invocation is `{status}`")
