@@ -8,12 +8,12 @@ from __future__ import annotations
 import platform
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
-from app import __version__
-from app.config import DEFAULT_PROFILE, CellSettings, ConfigError, Settings, cell_token
+from app import __version__, cli_audit, cli_policy, cli_sim
+from app.config import DEFAULT_PROFILE, CellSettings, ConfigError, Settings, cell_token, check_pace
 from app.governance.model import Role
 from app.terminal import MISUSE, say_error
 
@@ -27,6 +27,9 @@ app = typer.Typer(
 )
 token = typer.Typer(help="Bearer tokens.", no_args_is_help=True)
 app.add_typer(token, name="token")
+app.add_typer(cli_policy.app, name="policy")
+app.add_typer(cli_audit.app, name="audit")
+app.add_typer(cli_sim.app, name="sim")
 
 Data = Annotated[Path, typer.Option(help="Data directory.", envvar="REINS_DATA", file_okay=False)]
 Policies = Annotated[
@@ -128,6 +131,45 @@ def cell(  # noqa: PLR0913  # its options
         parent=parent,
     )
     raise typer.Exit(run_cell(settings))
+
+
+@app.command()
+def demo(
+    *,
+    approver: Annotated[
+        Literal["scripted", "console"], typer.Option(help="Who answers: nobody is needed, or a human in the console.")
+    ] = "scripted",
+    pace: Pace = 1.0,
+    keep: Annotated[bool, typer.Option(help="Keep the server running afterwards.")] = False,
+    port: Annotated[int, typer.Option(help="Port; 0 takes a free one.")] = 0,
+    folder: Annotated[Path, typer.Option(help="Where the demo keeps its data directories.")] = Path(".demo"),
+) -> None:
+    """Run the paper's Algorithm 1 on a server of its own: fetch in a shared workspace, a person walks in.
+
+    [bold]reins demo[/]                       needs nobody; exit 0 only if the record shows every step
+
+    [bold]reins demo --approver console[/]    waits for a human to approve
+    """
+    from app.demo import demo as play
+
+    check_pace(pace)
+    raise typer.Exit(play(folder, scripted=approver == "scripted", keep=keep, pace=pace, port=port))
+
+
+@app.command()
+def approver(
+    *,
+    policy: Annotated[Path, typer.Option(help="Habits: who, how fast, approves what, at which error rate (YAML).")],
+    server: Annotated[str, typer.Option(help="The server's address.")] = "http://127.0.0.1:8000",
+    data: Data = Path("data"),
+) -> None:
+    """Answer escalations as a simulated person of given habits would; Ctrl-C ends. Never in front of a real robot.
+
+    The token is taken from the data directory's tokens.json, under the key that the habits name as `approver`.
+    """
+    from app.demo import approve
+
+    raise typer.Exit(approve(policy, server, data))
 
 
 @token.command("issue")

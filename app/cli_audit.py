@@ -1,0 +1,119 @@
+"""`reins audit`: what an auditor does with a data directory, whether or not a server runs on it. Reads only."""
+
+from __future__ import annotations
+
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import orjson
+import typer
+
+from app.audit import archive
+from app.audit.checkpoint import NoteInvalid, parse_verifier
+from app.audit.errors import RecordDamaged
+from app.terminal import FINDING, MISUSE, out, say, say_error
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Iterable
+
+    from app.audit.event import Event
+
+app = typer.Typer(
+    help="Verify, show, export and follow the record of a data directory; works beside a running server.",
+    no_args_is_help=True,
+)
+
+Data = Annotated[Path, typer.Option(help="The server's data directory.", envvar="REINS_DATA")]
+FOLLOW_S = 0.5
+PAGE = 500
+
+
+@app.command()
+def verify(
+    data: Data = Path("data"),
+    key: Annotated[Path | None, typer.Option(help="The log's public key as kept elsewhere; default: log.pub.")] = None,
+) -> None:
+    """Recompute the whole log from the stored bytes, and compare telemetry files with their recorded digests.
+
+    [bold]reins audit verify --data data --key log.pub.copy[/]
+    """
+    with _said(data):
+        verifier = None if key is None else parse_verifier(key.read_text())
+        with out.status("verifying …"):
+            found = archive.verify_file(data, verifier)
+            telemetry = archive.telemetry_problems(data) if found.ok else []
+    if not found.ok:
+        say_error(f"event {found.first_bad}: {found.problem}", hint=f"the {found.size} events before it are good")
+        raise typer.Exit(FINDING)
+    for problem in telemetry:
+        say_error(problem)
+    say(f"{found.size} events, root {found.root}: every byte is as it was signed")
+    if telemetry:
+        raise typer.Exit(FINDING)
+
+
+@app.command()
+def show(
+    invocation: Annotated[str, typer.Argument(help="An invocation, for instance inv_01M7…")], data: Data = Path("data")
+) -> None:
+    """Print everything recorded under one invocation, in order."""
+    with _said(data):
+        events = archive.show(data, invocation)
+    if not events:
+        say_error(f"nothing is recorded under `{invocation}`")
+        raise typer.Exit(FINDING)
+    _print(events)
+
+
+@app.command()
+def export(
+    file: Annotated[Path, typer.Argument(help="Where to write; the checkpoint is written beside it.")],
+    data: Data = Path("data"),
+    format: Annotated[Literal["jsonl"], typer.Option("--format", help="One event a line, exact bytes.")] = "jsonl",
+) -> None:
+    """Write the log as a file that can be checked without this program."""
+    with _said(data), out.status("exporting …"):
+        written = archive.export(data, file, format)
+    say(f"{written.count} events in {written.events} (sha256 {written.sha256}), signed by {written.checkpoint}")
+
+
+@app.command()
+def tail(
+    data: Data = Path("data"),
+    limit: Annotated[int, typer.Option("--limit", "-n", help="How many.", min=1, max=PAGE)] = 20,
+    *,
+    follow: Annotated[bool, typer.Option("--follow", "-f", help="Go on as events come; Ctrl-C ends.")] = False,
+) -> None:
+    """Print the newest events."""
+    with _said(data):
+        events = archive.tail(data, limit=limit)
+        _print(events)
+        after = events[-1].seq if events else 0
+        while follow:
+            time.sleep(FOLLOW_S)
+            events = archive.tail(data, limit=PAGE, after=after)
+            _print(events)
+            after = events[-1].seq if events else after
+
+
+def _print(events: Iterable[Event]) -> None:
+    for event in events:
+        body = orjson.dumps(event.payload()).decode()
+        say(f"{event.seq:>6}  {event.at}  {event.kind:<16} {event.invocation or '-':<30} {event.actor:<12} {body}")
+
+
+@contextmanager
+def _said(data: Path) -> Generator[None]:
+    """Say what is wrong in a line: a damaged record is a finding, a directory without one is misuse."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise typer.Exit from None
+    except RecordDamaged as error:
+        say_error(str(error), hint="" if data.is_dir() else "name the data directory of a server with --data")
+        raise typer.Exit(FINDING if (data / "reins.db").exists() else MISUSE) from error
+    except (OSError, ValueError, NoteInvalid) as error:
+        say_error(str(error))
+        raise typer.Exit(MISUSE) from error

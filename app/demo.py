@@ -1,0 +1,176 @@
+"""`reins demo`: the paper's Algorithm 1 on a server of its own, told as it happens, and examined in the record."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Final
+
+import httpx
+import orjson
+import yaml
+
+from app.agent.approver import ScriptedApprover, load_habits, parse_habits
+from app.agent.client import AsyncReinsClient, ReinsError
+from app.agent.story import fetch
+from app.clock import monotonic_s, rfc3339, wall_s
+from app.config import DEFAULT_PROFILE, DataDir
+from app.terminal import FINDING, FINE, MISUSE, err, out, say, say_error
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Mapping
+    from pathlib import Path
+
+    from app.agent.approver import Habits
+    from app.agent.story import Fetched, Line
+
+START_S: Final = 60.0
+END_S: Final = 8.0
+LOOK_S: Final = 0.1
+SCENARIO: Final = "fetch_shared"
+STYLES: Final[Mapping[str, str]] = {
+    "agent": "cyan", "policy": "yellow", "human": "magenta", "warn": "bold yellow", "act": "white", "good": "green",
+}  # fmt: skip
+HABITS: Final = {
+    "approver": "operator",
+    "reads_s": {"min": 0.5, "max": 1.0},
+    "seed": 7,
+    "rules": [{"match": {}, "decision": "approve"}],
+}
+
+
+class ServerFailed(Exception):
+    """The demo's server ended, or was not ready in time."""
+
+
+def demo(folder: Path, *, scripted: bool, keep: bool, pace: float, port: int) -> int:
+    """Run the demo in a new directory under `folder`; return 0 only if the record shows every step."""
+    data = DataDir(root=(folder / rfc3339(wall_s()).replace(":", "-")).resolve())
+    data.create()
+    habits = parse_habits(HABITS) if scripted else None
+    try:
+        with _server(data, pace=pace, port=port) as (process, url):
+            code = _play(data, url, habits)
+            if keep and code == FINE:
+                say(f"\nthe server keeps running at {url}; Ctrl-C ends it")
+                process.wait()
+    except KeyboardInterrupt:
+        return FINE if keep else FINDING
+    except ServerFailed as error:
+        say_error(str(error), hint=f"its own words: {data.root / 'server.log'}")
+        return FINDING
+    return code
+
+
+def approve(habits_file: Path, url: str, data: Path) -> int:
+    """Answer escalations by habit until interrupted; return the exit code."""
+    try:
+        habits = load_habits(habits_file)
+        token = orjson.loads(DataDir(root=data).tokens.read_bytes())[habits.name]
+    except (OSError, ValueError, TypeError, KeyError, yaml.YAMLError) as error:
+        say_error(f"no approver: {error}")
+        return MISUSE
+    try:
+        asyncio.run(_approve(url, str(token), habits))
+    except KeyboardInterrupt:
+        return FINE
+    except (ReinsError, ExceptionGroup) as error:
+        say_error(f"the approver leaves: {error}")
+        return FINDING
+    return FINE
+
+
+async def _approve(url: str, token: str, habits: Habits) -> None:
+    async with AsyncReinsClient(url, token) as client:
+        approver = ScriptedApprover(
+            client,
+            habits,
+            on_answer=lambda asked, answer: say(f"{answer.decision} {asked['capability']} {asked['id']}"),
+        )
+        await approver.run()
+
+
+def _play(data: DataDir, url: str, habits: Habits | None) -> int:
+    tokens = orjson.loads(data.tokens.read_bytes())
+    say(f"server  {url}")
+    say(f"console {url}/#token={tokens['operator']}")
+    if habits is None:
+        say(f"tokens  {data.tokens}\nwaiting for a human to approve; by hand: POST {url}/v1/escalations/ID/resolve")
+    say("")
+    found = asyncio.run(fetch(url, tokens, data.root / "agent.json", habits=habits, on_line=_tell))
+    return _conclude(data, found)
+
+
+def _conclude(data: DataDir, found: Fetched) -> int:
+    say("\nAlgorithm 1, step by step, as the record shows it:")
+    for step in found.steps:
+        mark = "[green]✓[/]" if step.seq is not None else "[bold red]✗[/]"
+        out.print(f"  {mark} {step.words}" + ("" if step.seq is None else f" [dim](event {step.seq})[/]"))
+    say(f"\nthe trace lies in {data.root}; look at it with")
+    for invocation in found.invocations[-1:]:
+        say(f"  reins audit show {invocation} --data {data.root}")
+    say(f"  reins audit verify --data {data.root}")
+    say(f"  {data.root / 'telemetry'}/*.mcap open in Foxglove")
+    if found.failure:
+        say_error(found.failure)
+    return FINE if found.complete else FINDING
+
+
+def _tell(line: Line) -> None:
+    style = STYLES.get(line.mood, "white")
+    out.print(f"{line.who:>12}  ", style="dim", end="", markup=False)
+    out.print(line.words, style=style, markup=False)
+
+
+@contextmanager
+def _server(data: DataDir, *, pace: float, port: int) -> Generator[tuple[subprocess.Popen[bytes], str]]:
+    """Start a server with one cell, wait until it is ready, and end it afterwards."""
+    words = ["serve", "--port", str(port), "--data", str(data.root), "--profile", DEFAULT_PROFILE]
+    words += ["--pace", str(pace), "--scenario", SCENARIO]
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("REINS_")}
+    with (data.root / "server.log").open("wb") as log:
+        process = subprocess.Popen(  # noqa: S603  # this program itself
+            [sys.executable, "-m", "app.cli", *words],
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            stdin=subprocess.DEVNULL,
+            env=environment,
+            start_new_session=True,
+        )
+    try:
+        with err.status("starting a server and a simulated cell …"):
+            url = _await_ready(process, data)
+        yield process, url
+    finally:
+        process.send_signal(signal.SIGTERM)
+        try:
+            process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _await_ready(process: subprocess.Popen[bytes], data: DataDir) -> str:
+    end_s = monotonic_s() + START_S
+    while monotonic_s() < end_s:
+        try:
+            code = process.wait(LOOK_S)
+        except subprocess.TimeoutExpired:
+            if data.server.exists():
+                url = str(orjson.loads(data.server.read_bytes())["url"])
+                if _ready(url):
+                    return url
+        else:
+            raise ServerFailed(f"the server ended with `{code}`")
+    raise ServerFailed(f"the server was not ready within {START_S:.0f} s")
+
+
+def _ready(url: str) -> bool:
+    try:
+        return httpx.get(f"{url}/readyz", trust_env=False).is_success
+    except httpx.TransportError:
+        return False
