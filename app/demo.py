@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import httpx
 import orjson
@@ -35,7 +35,7 @@ SCENARIO: Final = "fetch_shared"
 STYLES: Final[Mapping[str, str]] = {
     "agent": "cyan", "policy": "yellow", "human": "magenta", "warn": "bold yellow", "act": "white", "good": "green",
 }  # fmt: skip
-HABITS: Final = {
+HABITS: Final[Mapping[str, Any]] = {
     "approver": "operator",
     "reads_s": {"min": 0.5, "max": 1.0},
     "seed": 7,
@@ -51,7 +51,7 @@ def demo(folder: Path, *, scripted: bool, keep: bool, pace: float, port: int) ->
     """Run the demo in a new directory under `folder`; return 0 only if the record shows every step."""
     data = DataDir(root=(folder / rfc3339(wall_s()).replace(":", "-")).resolve())
     data.create()
-    habits = parse_habits(HABITS) if scripted else None
+    habits = parse_habits(dict(HABITS)) if scripted else None
     try:
         with _server(data, pace=pace, port=port) as (process, url):
             code = _play(data, url, habits)
