@@ -23,6 +23,14 @@ _WORLD: Final = TypeAdapter(WorldFacts)
 _WORLD_NAMES: Final = frozenset(WorldFacts.__dataclass_fields__)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reunion:
+    """A cell's `Hello`, and the session it was believed to have just then."""
+
+    hello: Hello
+    believed: str | None
+
+
 @dataclass(slots=True, kw_only=True)
 class Cell:
     """What the server knows of one cell. Times are monotonic seconds."""
@@ -44,7 +52,7 @@ class Cell:
     ended_at_s: float = 0.0
     stated: asyncio.Event = field(default_factory=asyncio.Event)
     owed: dict[tuple[str, str], Message] = field(default_factory=dict[tuple[str, str], "Message"])
-    unreconciled: Hello | None = None
+    unreconciled: Reunion | None = None
 
     @property
     def fresh(self) -> bool:

@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import orjson
 
+from app.audit.errors import RecordUnavailable
 from app.audit.event import RowWrite
 from app.clock import monotonic_s
 from app.governance.model import SESSION, CellFacts
 from app.protocol import BEAT_MS, LEASE_MS, Estop, Human, ProtocolError
-from app.runtime.cells import Cell, read_world
+from app.runtime.cells import Cell, Reunion, read_world
 from app.runtime.errors import Conflict, NotFound
 from app.runtime.link import DEAD_S, SILENT_S, TRY_LATER, Attachment
 
@@ -52,8 +53,8 @@ class Reports(Protocol):
         """Record that a cell is there."""
         ...
 
-    async def reconcile(self, cell: str, hello: Hello) -> None:
-        """Compare what the cell holds with what the server believes, once every older report is in."""
+    async def reconcile(self, cell: str, hello: Hello, believed: str | None) -> None:
+        """Compare what the cell held at `Hello` with the session it was believed to have, older reports being in."""
         ...
 
     async def left(self, cell: str) -> None:
@@ -301,18 +302,23 @@ class Fleet:
         for message in cell.owed.values():
             attachment.post(message)
         cell.owed.clear()
-        cell.unreconciled = hello
+        # Only what is believed now: a session launched on this very link must not be held against its `Hello`.
+        cell.unreconciled = Reunion(hello=hello, believed=cell.claim)
         await self._desk.attached(cell.id, hello)
         await self.caught_up(attachment)
 
     async def caught_up(self, attachment: Attachment) -> None:
         """Compare what the cell holds with what the server believes, as soon as every older report is in."""
         cell = attachment.cell
-        hello = cell.unreconciled
-        if hello is None or cell.attachment is not attachment or cell.up_seq < hello.last_seq:
+        reunion = cell.unreconciled
+        if reunion is None or cell.attachment is not attachment or cell.up_seq < reunion.hello.last_seq:
             return
-        cell.unreconciled = None
-        await self._desk.reconcile(cell.id, hello)
+        try:
+            await self._desk.reconcile(cell.id, reunion.hello, reunion.believed)
+        except RecordUnavailable:
+            return  # `tend` tries again
+        if cell.unreconciled is reunion:
+            cell.unreconciled = None
 
     async def leave(self, attachment: Attachment) -> None:
         """Forget a link whose socket is gone; the cell stays known."""
@@ -428,5 +434,7 @@ class Fleet:
             attachment = cell.attachment
             if attachment is not None and attachment.silent_s() > SILENT_S:
                 attachment.shut(TRY_LATER, f"nothing heard for {SILENT_S} s")
+            if attachment is not None and attachment.welcomed:
+                await self.caught_up(attachment)
             absent_s = None if cell.absent_since_s is None else monotonic_s() - cell.absent_since_s
             await self._desk.overdue(cell.id, absent_s)

@@ -48,6 +48,7 @@ DEAD_S: Final = 1.0  # a link that has been silent so long may be replaced
 SILENT_S: Final = 6.0  # and after this it is closed: the socket may hang half open
 NORMAL_CLOSURE: Final = 1000
 PROTOCOL_VIOLATION: Final = 1002
+INTERNAL_ERROR: Final = 1011
 TRY_LATER: Final = 1013
 BEAT: Final = encode(Beat())
 
@@ -173,6 +174,8 @@ class Attachment:
         self.hello = hello
         self._next_seq = self.cell.up_seq + 1
         self._tasks = [asyncio.create_task(self._drain()), asyncio.create_task(self._record())]
+        for task in self._tasks:
+            task.add_done_callback(self._broke)
         self.post(
             Welcome(
                 kernel_key=self._fleet.kernel_key,
@@ -230,6 +233,14 @@ class Attachment:
             return
         self.closed = True
         self._fleet.closing(self._link.close(code, reason[:120]))
+
+    def _broke(self, task: asyncio.Task[None]) -> None:
+        """Let a bug end the link, not hide behind it: the cell holds, and the loop's handler hears of it."""
+        error = None if task.cancelled() else task.exception()
+        if error is not None:
+            self.shut(INTERNAL_ERROR, f"the server failed: {type(error).__name__}")
+            context = {"message": f"the link of `{self.cell.id}` failed", "exception": error}
+            asyncio.get_running_loop().call_exception_handler(context)
 
     async def detach(self) -> None:
         """Take the link out of the fleet, once the socket is gone."""

@@ -186,16 +186,21 @@ class Sessions:
         except RecordUnavailable:
             self._unsaid = [*unsaid, *self._unsaid][-1000:]
 
-    async def reconcile(self, cell: str, hello: Hello) -> None:
-        """Compare what the cell holds with what the server believes, every older report being in."""
+    async def reconcile(self, cell: str, hello: Hello, believed: str | None) -> None:
+        """Compare what the cell held with what the server believed, every older report being in.
+
+        Raises:
+            RecordUnavailable: not all of it is recorded; asking again does the rest.
+        """
         place = self._fleet.cell(cell)
         if hello.invocation is not None and self._register.newest(hello.invocation) is None:
             self._fleet.restrain(place, Human(invocation=hello.invocation, op="stop", actor=SERVER))
-        for invocation in self._sessions_of(cell):
-            if invocation.id != hello.invocation:
-                await self._fault(invocation.id, "session_lost", "the cell is back without the session")
-            elif place.lapsed:
-                await self._ask(invocation.id, "link_returned", "the cell is back and has held the session meanwhile")
+        if believed is None:
+            return
+        if believed != hello.invocation:
+            await self._fault(believed, "session_lost", "the cell is back without the session")
+        elif place.lapsed:
+            await self._ask(believed, "link_returned", "the cell is back and has held the session meanwhile")
 
     async def overdue(self, cell: str, absent_s: float | None) -> None:
         """See to a session whose cell is away, and to a launch that nobody confirmed."""

@@ -389,3 +389,36 @@ async def test_an_emptied_journal_counts_from_the_start(runtime: Runtime, cell: 
     await fresh.report("cell", what="started")
     said = [event.payload().get("what") for event in await runtime.store.events(kind="cell")]
     assert said.count("started") == 1
+
+
+async def test_a_session_launched_on_a_link_is_not_held_against_its_first_word(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    owed = cell.event("cell", what="old news")
+    await cell.hang_up()
+    back = await HandCell(runtime, seq=cell.seq).dial()
+    await back.state()
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    assert document["status"] == "running"
+    await back.say(owed)
+    await back.acknowledged(owed.seq)
+    await runtime.fleet.tend_once()
+    assert (await runtime.governor.invocation(document["id"], AGENT))["status"] == "running"
+
+
+async def test_a_reunion_that_cannot_be_recorded_is_seen_to_later(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = await running(runtime, cell)
+    await cell.hang_up()
+
+    async def broken(*_: Any) -> list[int]:
+        raise RecordUnavailable("disk full")
+
+    monkeypatch.setattr(runtime.store, "append", broken)
+    await HandCell(runtime, boot="boot-2", seq=cell.seq).dial()
+    monkeypatch.undo()
+    assert (await runtime.governor.invocation(name, AGENT))["status"] == "running"
+    await runtime.fleet.tend_once()
+    assert (await runtime.governor.invocation(name, AGENT))["outcome"] == "fault"
+    assert "attached" in [event.payload().get("link") for event in await runtime.store.events(kind="cell")]
