@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from app.audit.event import EventDraft, RowWrite
 from app.governance.model import EventKind, Role, Status
 from app.runtime.controls import Controls
-from app.runtime.drafts import SERVER, escalation_event, outcome_event
+from app.runtime.drafts import escalation_event
 from app.runtime.errors import Conflict, InvalidParams
 from app.runtime.identity import digest
 from app.runtime.invocation import (
@@ -119,7 +119,7 @@ class Governor(Controls):
             for slot in slots
         ]
         if invocation.final:
-            await self.register.append([*drafts, _ended(invocation)], rows, [invocation])
+            await self.register.append(drafts, rows, [invocation])  # its outcome is the decision, and stands in it
             return invocation
         if judgement.need is None and cell is not None:  # at once: nothing else may be decided on the cell's being free
             self.fleet.claim(cell, invocation.id)
@@ -280,7 +280,3 @@ def event_document(event: Event, role: Role) -> dict[str, Any]:
         "actor": event.actor,
         "body": without_free_text(body) if role is Role.AGENT else body,
     }
-
-
-def _ended(invocation: Invocation) -> EventDraft:
-    return outcome_event(invocation, SERVER, *invocation.admission["reasons"])

@@ -147,7 +147,12 @@ class Judgement(NamedTuple):
                 kind=EventKind.ADMISSION,
                 actor=SERVER,
                 invocation=invocation.id,
-                body={**invocation.admission, "cell": invocation.cell, "profile": self.profile},
+                body={
+                    **invocation.admission,
+                    "cell": invocation.cell,
+                    "profile": self.profile,
+                    "status": invocation.status,  # what admission and guard come to together
+                },
             )
         ]
         if invocation.policy is not None:

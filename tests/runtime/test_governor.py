@@ -73,7 +73,7 @@ async def test_rejects_what_nobody_registered_and_records_it(runtime: Runtime, c
     assert (document["status"], document["outcome"]) == ("rejected", "rejected")
     assert document["admission"]["reasons"][0]["code"] == "unknown_capability"
     assert document["policy"] is None
-    assert await kinds(runtime, document["id"]) == ["proposal", "admission", "outcome"]
+    assert await kinds(runtime, document["id"]) == ["proposal", "admission"]
     assert not cell.all("launch")
 
 
