@@ -288,6 +288,7 @@ class PolicySetDocument(Document):
     rules: list[dict[str, Any]]
     agents: dict[str, Any]
     files: list[str]
+    site: dict[str, Any]
 
 
 class Health(Document):

@@ -234,9 +234,8 @@ def _kind(value: object) -> str:
 
 
 def _too_large() -> Problem:
-    return Problem(
-        "body_too_large", f"valid are bodies of at most {MAX_BODY_BYTES} bytes", headers={"Connection": "close"}
-    )
+    # The connection stays: closing it over an unread body would reset it, and take this answer along.
+    return Problem("body_too_large", f"valid are bodies of at most {MAX_BODY_BYTES} bytes")
 
 
 def _malformed(what: str, position: int, line: int, column: int) -> Problem:

@@ -1,0 +1,105 @@
+from __future__ import annotations
+
+import json
+from collections.abc import AsyncIterator
+
+import pytest
+
+from tests.api.conftest import House
+from tests.api.test_wire import MALFORMED
+
+pytestmark = pytest.mark.anyio
+
+ROUTES = {
+    "/v1/invocations": "agent",
+    "/v1/check": "agent",
+    "/v1/escalations/esc_1/resolve": "operator",
+}
+REFUSED = {"rejected", "denied", "deferred"}
+JSON = {"content-type": "application/json"}
+
+
+def proposal(**params: object) -> bytes:
+    return json.dumps({"capability": "grasp_object", "params": {"object_id": "mug_1", **params}}).encode()
+
+
+STRANGE = {
+    **MALFORMED,
+    "wrong type": proposal(force_n="much"),
+    "unknown field": b'{"capability": "grasp_object", "params": {"object_id": "mug_1"}, "profile": "sim-relaxed"}',
+    "unknown parameter": proposal(colour="red"),
+    "no object": b'["grasp_object"]',
+    "1e308": proposal(force_n=1e308),
+    "minus 1e308": proposal(speed_mps=-1e308),
+    "huge integer": b'{"capability": "grasp_object", "params": {"object_id": "mug_1", "force_n": 1'
+    + b"0" * 300
+    + b"}}",
+    "endless integer": b'{"capability": "x", "params": {"force_n": 1' + b"0" * 5000 + b"}}",
+    "empty name": b'{"capability": ""}',
+    "empty object": proposal(object_id=""),
+    "NUL": proposal(object_id="a\x00b"),
+    "long text": proposal(object_id="x" * 5000),
+    "1 MB text": proposal(object_id="x" * 1_000_000),
+    "over 256 kB": proposal(note="x" * 300_000),
+    "unknown capability": b'{"capability": "fly_to"}',
+    "unknown object": proposal(object_id="unicorn"),
+    "unknown zone": b'{"capability": "inspect_area", "params": {"area": "attic"}}',
+    "unknown cell": b'{"capability": "navigate_to", "params": {"target": "dock"}, "cell": "nowhere"}',
+    "metadata nobody can store": b'{"capability": "x", "metadata": {"n": 99999999999999999999}}',
+}
+
+
+@pytest.fixture
+async def watched(house: House) -> AsyncIterator[House]:
+    """Let a cell stand ready, so that a launch would be seen."""
+    async with house.cell() as cell:
+        yield house
+        assert not cell.launches
+
+
+@pytest.mark.parametrize("raw", STRANGE.values(), ids=STRANGE.keys())
+async def test_strange_input_is_refused_and_launches_nothing(watched: House, raw: bytes) -> None:
+    for path, key in ROUTES.items():
+        async with watched.client(key) as client:
+            answer = await client.post(path, content=raw, headers=JSON)
+        if answer.is_success:
+            assert answer.json()["status"] in REFUSED, f"{path}: {answer.text}"
+        else:
+            assert 400 <= answer.status_code < 500, f"{path}: {answer.text}"
+
+
+async def test_a_body_without_declared_length_is_cut_off_too(house: House) -> None:
+    async def endless() -> AsyncIterator[bytes]:
+        for _ in range(20):
+            yield b" " * 32_768
+
+    async with house.client() as agent:
+        answer = await agent.post("/v1/invocations", content=endless(), headers=JSON)
+    assert (answer.status_code, answer.json()["code"]) == (413, "body_too_large")
+
+
+async def test_the_server_is_well_and_the_log_holds_afterwards(house: House) -> None:
+    async with house.client("auditor") as auditor:
+        assert (await auditor.get("/healthz")).status_code == 200
+        verdict = (await auditor.get("/v1/audit/verify")).json()
+    assert (verdict["ok"], verdict["first_bad"]) == (True, None)
+
+
+async def test_every_answer_bears_the_security_headers(house: House) -> None:
+    async with house.client() as agent:
+        for path in ("/healthz", "/v1/capabilities", "/nowhere", "/v1/check"):
+            headers = (await agent.get(path)).headers
+            assert (headers["x-content-type-options"], headers["cache-control"]) == ("nosniff", "no-store")
+
+
+async def test_a_failure_of_the_server_says_nothing_of_its_inside(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def break_down() -> None:
+        raise RuntimeError("secret detail")
+
+    monkeypatch.setattr(house.runtime.governor, "cells", break_down)
+    async with house.client() as agent:
+        answer = await agent.get("/v1/cells")
+    assert (answer.status_code, answer.json()["code"]) == (500, "internal")
+    assert "secret" not in answer.text
