@@ -1,0 +1,150 @@
+"""Cases for policy: a proposal in a context, and what must come of it (`reins policy test`).
+
+A case says what differs from the ordinary: an idle cell at bench A whose sensors see every object within reach. What
+`expect` does not name is not compared; `changes` names the parameters that must be changed, and to what.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from app.governance.bundle_shapes import CasesShape, ContextShape, read
+from app.governance.bundle_yaml import parse
+from app.governance.decision import decide
+from app.governance.errors import PolicyError, PolicyErrors
+from app.governance.model import CellFacts, Context, Mode, ObjectFact, Proposal, WorldFacts
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from app.governance.bundle_shapes import CaseShape
+    from app.governance.decision import Decision
+    from app.governance.policy import PolicySet
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CaseResult:
+    """How one case came out; `differences` is empty where everything expected was found."""
+
+    file: str
+    line: int
+    name: str
+    differences: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Return whether everything expected was found."""
+        return not self.differences
+
+
+def run(policy: PolicySet, files: Mapping[str, str]) -> list[CaseResult]:
+    """Run the cases of these files (`bundle.read_cases`), in order of file and place.
+
+    Raises:
+        PolicyErrors: A file of cases is not readable, or names a place or profile that does not exist.
+    """
+    results: list[CaseResult] = []
+    problems: list[PolicyError] = []
+    for file in sorted(files):
+        document, found = parse(file, files[file])
+        shape, misfits = read(CasesShape, document) if not found else (None, [])
+        problems += [*found, *misfits]
+        for index, case in enumerate(shape.cases if shape is not None else ()):
+            line = document.line(("cases", index))
+            profile = case.profile or shape.profile
+            if profile not in policy.profiles:
+                message = f"there is no profile `{profile}`"
+                problems.append(
+                    PolicyError(file=file, line=line, key="profile", message=message, valid=sorted(policy.profiles))
+                )
+                continue
+            stand = (case.context or ContextShape()).stand or policy.site.start
+            if stand not in policy.site.targets:
+                message, valid = f"there is no target `{stand}`", sorted(policy.site.targets)
+                problems.append(PolicyError(file=file, line=line, key="stand", message=message, valid=valid))
+                continue
+            differences = tuple(_differences(case, *_decide(policy, profile, case)))
+            results.append(CaseResult(file=file, line=line, name=case.name, differences=differences))
+    if problems:
+        raise PolicyErrors(problems)
+    return results
+
+
+def _decide(policy: PolicySet, profile: str, case: CaseShape) -> tuple[str, Decision | None]:
+    params: Any = policy.validate_params(case.capability, case.params)  # pyright: ignore[reportArgumentType]
+    if isinstance(params, tuple):
+        return "invalid", None
+    proposal = Proposal(
+        capability=case.capability,
+        params=params,
+        metadata=case.metadata,  # pyright: ignore[reportArgumentType]  # pydantic's JsonValue is our Json
+        mode=Mode(case.mode),
+        preconditions=tuple(case.preconditions),
+    )
+    decision = decide(policy, proposal, context(policy, profile, case.context or ContextShape()))
+    return str(decision.status), decision
+
+
+def context(policy: PolicySet, profile: str, shape: ContextShape) -> Context:
+    """Make Γ_t: the ordinary, but for what the shape says."""
+    stand = policy.site.targets[shape.stand or policy.site.start]
+    objects = {
+        name: ObjectFact(
+            visible=name not in shape.unseen,
+            reachable=name not in shape.unreachable,
+            x_m=found.x_m,
+            y_m=found.y_m,
+            z_m=policy.site.surfaces[found.surface].z_m + found.size_m[2],
+            stamp_s=0.0,
+        )
+        for name, found in policy.site.objects.items()
+    }
+    facts = WorldFacts(
+        stamp_s=0.0,
+        arm_ready=shape.arm_ready,
+        arm_retracted=True,
+        gripper_empty=shape.holding is None,
+        holding=shape.holding,
+        base=(stand.x_m, stand.y_m, stand.yaw_rad),
+        objects=objects,
+        sensors_fresh=shape.sensors_fresh,
+    )
+    return Context(
+        time_s=0.0,
+        profile=profile,
+        agent=policy.agent(shape.agent),
+        cell=CellFacts(id="case", online=shape.online, latched=shape.latched, busy=shape.busy, facts=facts),
+        operator_on_duty=shape.operator_on_duty,
+    )
+
+
+def _differences(case: CaseShape, status: str, decision: Decision | None) -> list[str]:
+    found: dict[str, object] = {"status": status, **_found(decision)}
+    wanted = case.expect.model_dump(exclude_none=True)
+    return [
+        f"{key}: expected `{value}`, found `{found.get(key)}`"
+        for key, value in wanted.items()
+        if not _matches(key, value, found.get(key))
+    ]
+
+
+def _matches(key: str, wanted: object, found: object) -> bool:
+    if key in ("codes", "rules") and isinstance(wanted, list) and isinstance(found, list):
+        return set(wanted) <= set(found)  # pyright: ignore[reportUnknownArgumentType]  # both are lists of names
+    return wanted == found
+
+
+def _found(decision: Decision | None) -> dict[str, object]:
+    if decision is None:
+        return {}
+    verdict = decision.verdict
+    reasons = [*decision.admission.reasons, *(() if verdict is None else verdict.reasons)]
+    return {
+        "admission": decision.admission.outcome.value,
+        "policy": None if verdict is None else verdict.outcome.value,
+        "codes": [reason.code for reason in reasons],
+        "rules": [reason.rule for reason in reasons],
+        "changes": {} if verdict is None else {change.param: change.effective for change in verdict.changes},
+        "approvers": 0 if decision.need is None else decision.need.approvers,
+    }
