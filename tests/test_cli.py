@@ -1,0 +1,90 @@
+"""The command line in this process: words, settings, exit codes."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from app import __version__
+from app.api.auth import open_principals
+from app.cli import app
+from app.config import CellSettings, ConfigError, Settings, find_policies
+
+COMMANDS = [
+    "serve",
+    "cell",
+    "demo",
+    "approver",
+    "policy check",
+    "audit verify",
+    "audit tail",
+    "sim soak",
+    "token issue",
+]
+
+
+def run(*words: str) -> tuple[int, str]:
+    found = CliRunner().invoke(app, list(words), env={"COLUMNS": "200", "TERM": "dumb"})
+    return found.exit_code, found.output
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_itself(command: str) -> None:
+    code, said = run(*command.split(), "--help")
+    assert code == 0
+    assert "Usage" in said
+
+
+def test_says_its_version() -> None:
+    assert __version__ in run("version")[1]
+
+
+def test_issues_a_token_that_is_kept_as_a_digest_only(tmp_path: Path) -> None:
+    open_principals(tmp_path)
+    code, said = run("token", "issue", "planner_2", "--role", "agent", "--data", str(tmp_path))
+    assert code == 0
+    assert re.fullmatch(r"reins_agent_\S+", said.strip())
+    assert said.strip() not in (tmp_path / "principals.json").read_text()
+
+
+def test_a_token_needs_a_data_directory(tmp_path: Path) -> None:
+    assert run("token", "issue", "x", "--role", "agent", "--data", str(tmp_path / "none"))[0] == 2
+
+
+def test_there_is_nothing_to_verify_where_no_log_is(tmp_path: Path) -> None:
+    assert run("audit", "verify", "--data", str(tmp_path))[0] == 2
+
+
+def test_the_shipped_policies_check() -> None:
+    assert run("policy", "check")[0] == 0
+
+
+@pytest.mark.parametrize("pace", [-1.0, float("nan"), float("inf"), 0.001, 1e9])
+def test_refuses_a_pace_that_is_none(pace: float) -> None:
+    with pytest.raises(ConfigError, match="pace"):
+        Settings(pace=pace)
+
+
+@pytest.mark.parametrize("name", ["", "UPPER", "../up", "a" * 41])
+def test_refuses_a_cell_name_that_is_no_file_name(name: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="id"):
+        CellSettings(id=name, token="t", data=tmp_path, server="http://127.0.0.1:8000")
+
+
+def test_refuses_a_cell_without_token_or_server(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="token"):
+        CellSettings(id="c", token="", data=tmp_path, server="http://127.0.0.1:8000")
+    with pytest.raises(ConfigError, match="server"):
+        CellSettings(id="c", token="t", data=tmp_path)
+
+
+def test_a_token_stays_out_of_what_is_printed(tmp_path: Path) -> None:
+    assert "secret" not in repr(CellSettings(id="c", token="secret", data=tmp_path, server="http://x"))
+
+
+def test_refuses_a_policy_directory_that_is_none(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="policies"):
+        find_policies(tmp_path / "none")

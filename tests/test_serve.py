@@ -1,0 +1,75 @@
+"""Starting and ending a server."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ServerProcess, Servers
+
+pytestmark = [pytest.mark.process, pytest.mark.timeout(120)]
+POLICIES = Path(__file__).parents[1] / "policies"
+
+
+def reins(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-m", "app.cli", *words], capture_output=True, text=True, timeout=60)
+
+
+def test_says_how_to_come_in_and_keeps_secrets_to_its_owner(server: ServerProcess) -> None:
+    said = server.log.read_text()
+    assert f"serves {server.url}" in said
+    assert f"{server.url}/#token={server.tokens['operator']}" in said
+    assert set(server.tokens) == {"agent", "operator", "operator_2", "engineer", "auditor"}
+    for name in ("tokens.json", "kernel.key", "cell.token", "server.json"):
+        assert (server.data / name).stat().st_mode & 0o077 == 0
+
+
+def test_the_cells_token_is_in_no_command_line(server: ServerProcess) -> None:
+    token = (server.data / "cell.token").read_text().strip()
+    pid = server.cell_pid()
+    assert token not in Path(f"/proc/{pid}/cmdline").read_text()
+
+
+def test_a_second_server_on_the_same_data_does_not_start(server: ServerProcess) -> None:
+    second = reins("serve", "--port", "0", "--data", str(server.data))
+    assert second.returncode == 2
+    assert "in use" in second.stderr
+
+
+def test_a_taken_port_is_misuse(server: ServerProcess, tmp_path: Path) -> None:
+    port = server.url.rsplit(":", 1)[1]
+    second = reins("serve", "--port", port, "--data", str(tmp_path / "other"))
+    assert second.returncode == 2
+    assert "a free address" in second.stderr
+
+
+def test_leaves_with_its_cells_when_told_to(servers: Servers) -> None:
+    server = servers.start()
+    assert server.stop() == 0
+    assert server.cell_pid() is None
+
+
+def test_a_broken_policy_does_not_start_and_says_where(tmp_path: Path) -> None:
+    folder = tmp_path / "policies"
+    shutil.copytree(POLICIES, folder)
+    profile = folder / "profiles" / "human-shared.yaml"
+    lines = profile.read_text().splitlines()
+    place = next(number for number, line in enumerate(lines) if line.startswith("sensitivity"))
+    lines[place] = "sensitivity: lots"
+    profile.write_text("\n".join(lines))
+    broken = reins("serve", "--port", "0", "--data", str(tmp_path / "data"), "--policies", str(folder))
+    assert broken.returncode == 2
+    assert f"profiles/human-shared.yaml:{place + 1}" in broken.stderr
+    checked = reins("policy", "check", str(folder))
+    assert checked.returncode == 1
+    assert f"profiles/human-shared.yaml:{place + 1}" in checked.stderr
+
+
+def test_an_auditor_verifies_beside_the_running_server(server: ServerProcess) -> None:
+    found = reins("audit", "verify", "--data", str(server.data))
+    assert found.returncode == 0
+    assert "as it was signed" in found.stdout
