@@ -167,7 +167,7 @@ def register(router: APIRouter) -> None:
         router,
         "PUT /v1/cells/{id}/profile",
         set_profile,
-        Answers(model=documents.CellDocument, codes=(*cell, "params_invalid")),
+        Answers(model=documents.CellDocument, codes=(*cell, "profile_unknown")),
         body=ProfileBody,
     )
     declare(router, "GET /v1/cells", cells, Answers(model=documents.CellList))

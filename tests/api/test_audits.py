@@ -1,0 +1,129 @@
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator
+from typing import Any
+
+import httpx
+import pytest
+
+from app.api import audits
+from tests.api.conftest import House
+
+pytestmark = pytest.mark.anyio
+
+UNKNOWN: dict[str, Any] = {"capability": "fly_to"}
+
+
+async def refuse(house: House, times: int = 1) -> list[str]:
+    async with house.client() as agent:
+        return [(await agent.post("/v1/invocations", json=UNKNOWN)).json()["id"] for _ in range(times)]
+
+
+async def events_of(answer: httpx.Response) -> AsyncIterator[dict[str, Any]]:
+    """Yield what a stream of server-sent events says, comments as `{}`."""
+    event: dict[str, Any] = {}
+    async for line in answer.aiter_lines():
+        name, _, value = line.partition(": ")
+        if name == "id":
+            event["id"] = int(value)
+        elif name == "data":
+            event["data"] = json.loads(value)
+        elif line.startswith(":"):
+            yield {}
+        elif not line and event:
+            yield event
+            event = {}
+
+
+async def test_pages_through_the_log_without_gap(house: House) -> None:
+    await refuse(house, 3)
+    async with house.client("auditor") as auditor:
+        seen: list[int] = []
+        page = (await auditor.get("/v1/audit/events?limit=4")).json()
+        while page["items"]:
+            seen += [event["seq"] for event in page["items"]]
+            if page["next"] is None:
+                break
+            page = (await auditor.get(f"/v1/audit/events?limit=4&after={page['next']}")).json()
+    assert seen == list(range(1, len(seen) + 1))
+
+
+async def test_filters_the_log(house: House) -> None:
+    (name,) = await refuse(house)
+    async with house.client("auditor") as auditor:
+        mine = (await auditor.get(f"/v1/audit/events?invocation={name}&kind=proposal&actor=planner")).json()["items"]
+        future = (await auditor.get("/v1/audit/events?since=2999-01-01T00:00:00Z")).json()["items"]
+        past = (await auditor.get("/v1/audit/events?until=2001-01-01T00:00:00%2B01:00")).json()["items"]
+    assert [(event["invocation"], event["kind"]) for event in mine] == [(name, "proposal")]
+    assert (future, past) == ([], [])
+
+
+@pytest.mark.parametrize(
+    "query",
+    ["since=yesterday", "until=2026-01-01T00:00:00", "after=-1", "after=9223372036854775808", "limit=1001", "a=b"],
+)
+async def test_refuses_a_filter_it_cannot_read(house: House, query: str) -> None:
+    async with house.client("auditor") as auditor:
+        answer = await auditor.get(f"/v1/audit/events?{query}")
+    assert (answer.status_code, answer.json()["code"]) == (422, "request_invalid")
+
+
+async def test_the_checkpoint_is_that_of_the_verified_log(house: House) -> None:
+    await refuse(house)
+    async with house.client("auditor") as auditor:
+        verdict = (await auditor.get("/v1/audit/verify")).json()
+        head = (await auditor.get("/v1/audit/checkpoint")).json()
+    assert verdict["ok"]
+    assert (head["size"], head["root"], head["checkpoint"]) == (verdict["size"], verdict["root"], verdict["checkpoint"])
+    assert house.runtime.store.verifier.open(head["checkpoint"]).size == head["size"]
+
+
+async def test_streams_events_as_they_are_recorded(house: House) -> None:
+    async with house.client("operator") as operator, operator.stream("GET", "/v1/events") as answer:
+        assert answer.headers["content-type"].startswith("text/event-stream")
+        (name,) = await refuse(house)
+        async with asyncio.timeout(10):
+            async for event in events_of(answer):
+                if event:
+                    assert event["data"]["invocation"] == name
+                    assert event["id"] == event["data"]["seq"]
+                    break
+
+
+async def test_a_stream_resumes_behind_the_last_event_seen(house: House) -> None:
+    await refuse(house, 4)
+    last = house.runtime.store.size
+    after = last - 7
+    headers = {"Last-Event-ID": str(after)}
+    seen: list[int] = []
+    async with (
+        house.client("auditor") as auditor,
+        auditor.stream("GET", "/v1/events?after=0", headers=headers) as answer,
+        asyncio.timeout(10),
+    ):
+        async for event in events_of(answer):
+            seen += [event["id"]] if event else []
+            if len(seen) == 7:
+                break
+    assert seen == list(range(after + 1, last + 1))
+
+
+@pytest.mark.parametrize("last", ["x", "-1", "1" * 19, "1.5"])
+async def test_refuses_a_last_event_that_is_none(house: House, last: str) -> None:
+    async with house.client("auditor") as auditor:
+        answer = await auditor.get("/v1/events", headers={"Last-Event-ID": last})
+    assert (answer.status_code, answer.json()["code"]) == (422, "cursor_invalid")
+
+
+async def test_a_quiet_stream_says_that_it_is_there(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(audits, "HEARTBEAT_S", 0.05)
+    async with (
+        house.client("auditor") as auditor,
+        auditor.stream("GET", "/v1/events") as answer,
+        asyncio.timeout(10),
+    ):
+        async for event in events_of(answer):
+            if not event:
+                break

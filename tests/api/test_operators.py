@@ -1,0 +1,112 @@
+from __future__ import annotations
+
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.api.conftest import CELL, House, eventually
+
+pytestmark = pytest.mark.anyio
+
+DRIVE: dict[str, Any] = {"capability": "navigate_to", "params": {"target": "dock"}}
+GRASP: dict[str, Any] = {"capability": "grasp_object", "params": {"object_id": "mug_1"}}
+
+
+async def ask(house: House) -> dict[str, Any]:
+    async with house.client() as agent:
+        document = (await agent.post("/v1/invocations", json=GRASP)).json()
+    assert document["status"] == "awaiting_approval", document
+    async with house.client("operator") as operator:
+        return (await operator.get(f"/v1/escalations/{document['escalation']['id']}")).json()
+
+
+async def resolve(operator: httpx.AsyncClient, question: dict[str, Any], **answer: Any) -> httpx.Response:
+    body = {"digest": question["digest"], "decision": "approve", **answer}
+    return await operator.post(f"/v1/escalations/{question['id']}/resolve", json=body)
+
+
+async def test_an_approval_launches_what_was_shown(shared_house: House) -> None:
+    async with shared_house.cell() as cell, shared_house.client("operator") as operator:
+        question = await ask(shared_house)
+        pending = (await operator.get("/v1/escalations?status=pending")).json()["items"]
+        assert question in pending
+        answer = await resolve(operator, question)
+        assert (answer.status_code, answer.json()["status"]) == (200, "approved")
+        await eventually(lambda: cell.launches)
+        assert cell.launches[0]["params"] == question["effective"]
+        second = await resolve(operator, question)
+        assert (second.status_code, second.json()["code"]) == (409, "already_resolved")
+        await cell.end("succeeded")
+        await eventually(lambda: shared_house.runtime.register.newest(question["invocation"]) is None)
+
+
+async def test_a_denial_ends_it_and_its_words_never_reach_the_agent(shared_house: House) -> None:
+    async with shared_house.cell() as cell, shared_house.client("operator") as operator:
+        question = await ask(shared_house)
+        wrong = await resolve(operator, {**question, "digest": "sha256:00"})
+        assert (wrong.status_code, wrong.json()["code"]) == (409, "digest_mismatch")
+        assert (await resolve(operator, question, decision="deny", comment="the boss is coming")).status_code == 200
+        assert not cell.launches
+    async with shared_house.client() as agent:
+        final = (await agent.get(f"/v1/invocations/{question['invocation']}")).json()
+        trace = await agent.get(f"/v1/invocations/{question['invocation']}/trace")
+    assert (final["status"], final["outcome"]) == ("denied", "denied")
+    assert "the boss" not in trace.text
+    async with shared_house.client("auditor") as auditor:
+        assert "the boss" in (await auditor.get(f"/v1/invocations/{question['invocation']}/trace")).text
+
+
+async def test_an_operator_pauses_resumes_and_stops_what_runs(house: House) -> None:
+    async with house.cell() as cell, house.client() as agent, house.client("operator") as operator:
+        document = (await agent.post("/v1/invocations", json=DRIVE)).json()
+        assert document["status"] == "running", document
+        place = f"/v1/invocations/{document['id']}"
+        newest = house.runtime.register.newest
+        assert (await operator.post(f"{place}/pause", content=b"{ broken")).status_code == 200
+        await eventually(lambda: newest(document["id"]).status == "paused")
+        assert (await operator.post(f"{place}/resume", json={"faster": True})).status_code == 422
+        assert (await operator.post(f"{place}/resume")).status_code == 200
+        await eventually(lambda: newest(document["id"]).status == "running")
+        assert (await operator.post(f"{place}/stop")).status_code == 200
+        await eventually(lambda: newest(document["id"]) is None)
+        late = await operator.post(f"{place}/stop")
+        assert (late.status_code, late.json()["code"]) == (409, "wrong_status")
+    assert cell.words == ["pause", "resume", "stop"]
+
+
+@pytest.mark.parametrize("key", ["agent", "operator", "engineer", "auditor", "cell"])
+async def test_anyone_may_stop_a_cell_and_only_a_reset_leaves_it(house: House, key: str) -> None:
+    async with house.cell() as cell, house.client() as agent, house.client("operator") as operator:
+        async with house.client(key) as anyone:
+            answer = await anyone.post(f"/v1/cells/{CELL}/estop", content=b"\xff not json")
+        assert (answer.status_code, answer.json()["latched"], answer.json()["recorded"]) == (200, True, True)
+        await eventually(lambda: cell.latched)
+        refused = (await agent.post("/v1/invocations", json=DRIVE)).json()
+        assert refused["status"] == "rejected"
+        assert [reason["code"] for reason in refused["admission"]["reasons"]] == ["estop_latched"]
+        assert (await operator.post(f"/v1/cells/{CELL}/reset", json={})).status_code == 200
+        await eventually(lambda: not house.runtime.fleet.latched(house.runtime.fleet.cell(CELL)))
+        again = await operator.post(f"/v1/cells/{CELL}/reset")
+        assert (again.status_code, again.json()["code"]) == (409, "not_latched")
+        assert not cell.launches
+
+
+async def test_an_engineer_changes_the_profile_of_a_cell(house: House) -> None:
+    async with house.cell(), house.client("engineer") as engineer:
+        answer = await engineer.put(f"/v1/cells/{CELL}/profile", json={"profile": "human-shared"})
+        assert (answer.status_code, answer.json()["profile"]) == (200, "human-shared")
+        unknown = await engineer.put(f"/v1/cells/{CELL}/profile", json={"profile": "anything-goes"})
+        assert (unknown.status_code, unknown.json()["code"]) == (404, "profile_unknown")
+        assert (await engineer.put(f"/v1/cells/{CELL}/profile", json={"profile": "sim-relaxed"})).status_code == 200
+        assert [cell["id"] for cell in (await engineer.get("/v1/cells")).json()["items"]] == [CELL]
+
+
+async def test_says_what_is_broken_while_nothing_could_launch(house: House) -> None:
+    async with house.client(None) as anyone:
+        away = await anyone.get("/readyz")
+        async with house.cell():
+            there = await anyone.get("/readyz")
+    assert (away.status_code, away.json()["ready"]) == (503, False)
+    assert away.json()["broken"]
+    assert (there.status_code, there.json()) == (200, {"ready": True, "broken": {}})
