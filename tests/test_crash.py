@@ -1,0 +1,114 @@
+"""Ends server and cell in the middle of things, and looks at what is there afterwards."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.audit.archive import verify_file
+from tests.conftest import ServerProcess, Servers, until
+
+pytestmark = [pytest.mark.process, pytest.mark.timeout(180)]
+FAR = "tool_stand"
+
+
+def drive(server: ServerProcess) -> str:
+    """Set the robot going, and return the invocation once it moves."""
+    made = server.propose("navigate_to", target=FAR)
+    moving = lambda: (server.cell()["gauges"] or {}).get("base_speed_mps", 0.0) > 0.05  # noqa: E731
+    until(moving, what="the robot moves")
+    return made["id"]
+
+
+def restarted(servers: Servers, server: ServerProcess) -> ServerProcess:
+    return servers.start(server.data, "--pace", "3", wait_cells=False)
+
+
+def test_a_session_outlives_its_server_and_waits_for_a_human(servers: Servers) -> None:
+    server = servers.start(None, "--pace", "3")
+    invocation = drive(server)
+    before = server.get("/v1/audit/events?limit=500")["items"]
+    pid = server.cell_pid()
+    server.kill()
+    again = restarted(servers, server)
+    found = again.await_status(invocation, "escalated")
+    assert again.cell_pid() == pid
+    assert found["escalation"]["status"] == "pending"
+    after = {event["seq"]: event for event in again.get("/v1/audit/events?limit=500")["items"]}
+    assert all(after[event["seq"]] == event for event in before)
+    until(lambda: again.cell()["online"])
+    resting = again.cell()["facts"]
+    until(lambda: again.cell()["facts"]["stamp_s"] > resting["stamp_s"] + 1.0, what="a second of its time")
+    assert again.cell()["facts"]["base"][:2] == pytest.approx(resting["base"][:2], abs=0.05)
+    assert verify_file(again.data).ok
+    question = again.get(f"/v1/escalations/{found['escalation']['id']}")
+    answer = {"decision": "approve", "digest": question["digest"]}
+    assert again.post(f"/v1/escalations/{question['id']}/resolve", answer).is_success
+    assert again.await_status(invocation, "completed")["outcome"] in {"succeeded", "recovered"}
+
+
+def test_a_cell_that_died_leaves_a_fault_and_comes_back_idle(servers: Servers) -> None:
+    server = servers.start(None, "--pace", "3")
+    invocation = drive(server)
+    pid = server.cell_pid()
+    assert pid is not None
+    os.kill(pid, signal.SIGKILL)
+    assert server.await_status(invocation, "failed")["outcome"] == "fault"
+    until(lambda: server.cell()["online"] and server.cell()["busy"] is None, what="the cell is back, idle")
+    assert server.cell_pid() not in {None, pid}
+    assert server.get("/v1/audit/verify")["ok"]
+
+
+def test_a_pending_approval_keeps_its_deadline_across_a_restart(servers: Servers) -> None:
+    server = servers.start()
+    made = server.propose("grasp_object", object_id="mug_1")
+    assert made["status"] == "awaiting_approval"
+    (before,) = server.get("/v1/escalations?status=pending")["items"]
+    server.kill()
+    again = servers.start(server.data)
+    (after,) = again.get("/v1/escalations?status=pending")["items"]
+    assert (after["id"], after["digest"], after["expires_at"]) == (before["id"], before["digest"], before["expires_at"])
+    answer = {"decision": "approve", "digest": after["digest"]}
+    assert again.post(f"/v1/escalations/{after['id']}/resolve", answer).is_success
+    again.await_status(made["id"], "completed")
+
+
+def test_a_full_disk_launches_nothing_and_stops_all_the_same(servers: Servers) -> None:
+    server = servers.start(None, "--pace", "3")
+    invocation = drive(server)
+    hard = resource.prlimit(server.process.pid, resource.RLIMIT_FSIZE)[1]
+    resource.prlimit(server.process.pid, resource.RLIMIT_FSIZE, (1024, hard))
+    server.post(f"/v1/invocations/{invocation}/stop")
+    until(lambda: server.cell()["status"] is None, what="the cell has ended its session")
+    refused = server.post("/v1/invocations", {"capability": "navigate_to", "params": {"target": FAR}}, key="agent")
+    assert refused.status_code == 503
+    with server.client() as client:
+        health = client.get("/readyz")
+    assert health.status_code == 503
+    assert "disk" in health.json()["broken"]["store"]
+    resource.prlimit(server.process.pid, resource.RLIMIT_FSIZE, (hard, hard))
+    assert server.await_status(invocation, "failed")["outcome"] == "stopped"
+    until(lambda: httpx_ready(server), what="the server is ready again")
+    assert server.get("/v1/audit/verify")["ok"]
+
+
+def httpx_ready(server: ServerProcess) -> bool:
+    with server.client() as client:
+        return client.get("/readyz").is_success
+
+
+def test_a_damaged_journal_starts_no_cell_and_says_so(servers: Servers, tmp_path: Path) -> None:
+    folder = tmp_path / "damaged" / "cells" / "workcell-1"
+    folder.mkdir(parents=True)
+    (folder / "journal").write_bytes(b"nonsense\nmore\n")
+    server = servers.start(tmp_path / "damaged", wait_cells=False)
+    until(lambda: "is damaged" in server.log.read_text(), what="the complaint")
+    health: Any = None
+    with server.client() as client:
+        health = client.get("/readyz")
+    assert health.status_code == 503
