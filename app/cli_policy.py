@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from app.config import find_policies
-from app.governance.bundle import load
+from app.governance.bundle import load, read_cases
+from app.governance.cases import run as run_cases
 from app.governance.errors import PolicyErrors
 from app.terminal import FINDING, err, say, say_error
 
@@ -34,11 +35,37 @@ def check(directory: Directory = None) -> None:
     say(policy.digest)
 
 
+@app.command()
+def test(directory: Directory = None) -> None:
+    """Run the cases in the directory's `tests`: proposal and context in, decision out; print every difference.
+
+    [bold]reins policy test policies[/]
+    """
+    folder = find_policies(directory)
+    policy = _load(folder)
+    try:
+        results = run_cases(policy, read_cases(folder))
+    except PolicyErrors as found:
+        raise _finding(found, folder) from found
+    failed = [result for result in results if not result.passed]
+    for result in failed:
+        err.print(f"{result.file}:{result.line}: {result.name}", markup=False)
+        for difference in result.differences:
+            err.print(f"    {difference}", markup=False)
+    say(f"{len(results) - len(failed)} of {len(results)} cases passed")
+    if failed or not results:
+        raise typer.Exit(FINDING)
+
+
+def _finding(found: PolicyErrors, folder: Path) -> typer.Exit:
+    for problem in found.problems:
+        err.print(str(problem), markup=False)
+    say_error(f"{len(found.problems)} in `{folder}`")
+    return typer.Exit(FINDING)
+
+
 def _load(folder: Path) -> PolicySet:
     try:
         return load(folder)
     except PolicyErrors as found:
-        for problem in found.problems:
-            err.print(str(problem), markup=False)
-        say_error(f"{len(found.problems)} in `{folder}`")
-        raise typer.Exit(FINDING) from found
+        raise _finding(found, folder) from found
