@@ -35,8 +35,8 @@ def check(directory: Directory = None) -> None:
     say(policy.digest)
 
 
-@app.command()
-def test(directory: Directory = None) -> None:
+@app.command("test")
+def run_tests(directory: Directory = None) -> None:
     """Run the cases in the directory's `tests`: proposal and context in, decision out; print every difference.
 
     [bold]reins policy test policies[/]
