@@ -152,7 +152,7 @@ _PARAM_CHECKS: Final = {"number": _number, "integer": _plain, "string": _string,
 
 
 def _default(reader: Reader, path: Path, spec: Mapping[str, Json]) -> Iterator[PolicyError]:
-    if "default" in spec and not jsonschema_rs.is_valid(spec, spec["default"]):
+    if "default" in spec and not jsonschema_rs.is_valid(dict(spec), spec["default"]):
         yield reader.problem((*path, "default"), f"default `{spec['default']}` is not valid for the parameter itself")
 
 

@@ -50,7 +50,9 @@ def run(policy: PolicySet, files: Mapping[str, str]) -> list[CaseResult]:
         document, found = parse(file, files[file])
         shape, misfits = read(CasesShape, document) if not found else (None, [])
         problems += [*found, *misfits]
-        for index, case in enumerate(shape.cases if shape is not None else ()):
+        if shape is None:
+            continue
+        for index, case in enumerate(shape.cases):
             line = document.line(("cases", index))
             profile = case.profile or shape.profile
             if profile not in policy.profiles:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, cast
 
 import orjson
 
@@ -129,7 +129,7 @@ class PolicySet:
         """Return the identity under which recoveries are proposed; nobody can claim it, policy grants it to none."""
         return AgentFacts(name=GOVERNANCE, permissions=self.permissions | {GOVERNANCE})
 
-    def describe(self) -> dict[str, Json]:
+    def describe(self) -> dict[str, Any]:
         """Describe the active policy (`GET /v1/policies/active`)."""
         return {
             "version": self.digest,
@@ -144,7 +144,7 @@ class PolicySet:
             "site": _describe_site(self.site),
         }
 
-    def manifests(self) -> list[dict[str, Json]]:
+    def manifests(self) -> list[dict[str, Any]]:
         """Describe every capability (`GET /v1/capabilities`), in order of name."""
         return [_manifest(self.capabilities[name]) for name in sorted(self.capabilities)]
 
@@ -336,7 +336,7 @@ def confirm_before(policy: PolicySet, capability: str, profile: str) -> tuple[st
 # Descriptions --------------------------------------------------------------------------------------------------------
 
 
-def _manifest(capability: Capability) -> dict[str, Json]:
+def _manifest(capability: Capability) -> dict[str, Any]:
     return {
         "name": capability.name,
         "version": capability.version,
@@ -353,7 +353,7 @@ def _manifest(capability: Capability) -> dict[str, Json]:
     }
 
 
-def _describe_profile(profile: Profile) -> dict[str, Json]:
+def _describe_profile(profile: Profile) -> dict[str, Any]:
     approval = profile.approval
     return {
         "sensitivity": profile.sensitivity,
@@ -383,7 +383,7 @@ def _describe_profile(profile: Profile) -> dict[str, Json]:
     }
 
 
-def _describe_rule(rule: Rule) -> dict[str, Json]:
+def _describe_rule(rule: Rule) -> dict[str, Any]:
     return {
         "id": rule.id,
         "applies_to": None if rule.applies_to is None else sorted(rule.applies_to),

@@ -330,10 +330,14 @@ class Generator:
         return cast("Check", namespace["check"])
 
 
-_set_outcome = Verdict.outcome.__set__  # pyright: ignore[reportAttributeAccessIssue]  # slots are descriptors
-_set_effective = Verdict.effective.__set__  # pyright: ignore[reportAttributeAccessIssue]
-_set_reasons = Verdict.reasons.__set__  # pyright: ignore[reportAttributeAccessIssue]
-_set_changes = Verdict.changes.__set__  # pyright: ignore[reportAttributeAccessIssue]
+def _setter(name: str) -> Callable[[Verdict, object], None]:
+    return cast("Callable[[Verdict, object], None]", vars(Verdict)[name].__set__)  # slots are descriptors
+
+
+_set_outcome = _setter("outcome")
+_set_effective = _setter("effective")
+_set_reasons = _setter("reasons")
+_set_changes = _setter("changes")
 
 
 def _verdict(
@@ -372,7 +376,7 @@ _SUPPORT: Final[Mapping[str, object]] = {
     "LOWEST": float("-inf"),
     "HIGHEST": float("inf"),
     "Change": Change,
-    "new": tuple.__new__,
+    "new": tuple.__new__,  # pyright: ignore[reportUnknownMemberType]
     "verdict": _verdict,
     "empty_intersection": empty_intersection,
     "failed": _failed,

@@ -1,0 +1,177 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.governance import bundle
+from app.governance.admission import admit
+from app.governance.decision import decide
+from app.governance.guard import check, constrain
+from app.governance.model import AdmissionOutcome, PolicyOutcome, Status
+from tests.governance.policy_world import PROFILES, context, files, proposal, shipped
+
+grasps = st.builds(
+    lambda name, force, speed: proposal("grasp_object", object_id=name, force_n=force, speed_mps=speed),
+    st.sampled_from(["mug_1", "glass_1", "driver_1", "box_1", "solvent_1"]),
+    st.floats(2, 140),
+    st.floats(0.02, 2),
+)
+drives = st.builds(
+    lambda name, speed, clearance: proposal("navigate_to", target=name, speed_mps=speed, clearance_m=clearance),
+    st.sampled_from(["dock", "bench_a_stand", "bench_b_stand", "shelf_stand", "tool_stand"]),
+    st.floats(0.05, 2),
+    st.floats(0.1, 1),
+)
+SEVERITY = {PolicyOutcome.ALLOW: 0, PolicyOutcome.MODIFY: 0, PolicyOutcome.ESCALATE: 1, PolicyOutcome.DENY: 2}
+
+
+@given(grasps | drives, st.sampled_from(PROFILES))
+def test_a_constrained_proposal_rechecks_to_allow(proposed, profile):
+    gamma = context(profile)
+    if check(shipped(), proposed, gamma).outcome is PolicyOutcome.MODIFY:
+        assert check(shipped(), constrain(shipped(), proposed, gamma), gamma).outcome is PolicyOutcome.ALLOW
+
+
+@given(grasps | drives)
+def test_a_stricter_profile_never_permits_more(proposed):
+    verdicts = [check(shipped(), proposed, context(profile)) for profile in PROFILES]
+    for wider, stricter in pairwise(verdicts):
+        assert SEVERITY[stricter.outcome] >= SEVERITY[wider.outcome]
+        if stricter.outcome is not PolicyOutcome.DENY:
+            assert stricter.effective["speed_mps"] <= wider.effective["speed_mps"]
+
+
+def test_adding_a_deny_rule_never_permits_more():
+    text = files()
+    rule = '\n  - {id: no-mugs, when: target.kind == "mug", then: deny, because: No mugs today.}\n'
+    narrowed = bundle.load_files({**text, "organization.yaml": text["organization.yaml"] + rule})
+    for name in shipped().site.objects:
+        proposed = proposal("grasp_object", object_id=name)
+        before, after = (check(p, proposed, context("sim-relaxed")).outcome for p in (shipped(), narrowed))
+        assert SEVERITY[after] >= SEVERITY[before]
+    assert check(narrowed, proposal("grasp_object", object_id="mug_1"), context("sim-relaxed")).outcome == "deny"
+
+
+def test_no_policy_rejects_and_denies():
+    proposed = proposal("navigate_to", target="dock")
+    decision = decide(None, proposed, context("sim-relaxed"))
+    assert (decision.status, decision.admission.reasons[0].code) == (Status.REJECTED, "no_policy")
+    assert check(None, proposed, context("sim-relaxed")).reasons[0].code == "no_policy"
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_numbers_that_are_not_finite_are_refused_by_schema_and_guard(bad):
+    found = shipped().validate_params("grasp_object", {"object_id": "mug_1", "force_n": bad})
+    assert [problem.code for problem in found] == ["not_finite"]
+    proposed = proposal("grasp_object", object_id="mug_1")
+    forced = replace(proposed, params={**proposed.params, "force_n": bad})
+    verdict = check(shipped(), forced, context("sim-relaxed"))
+    assert (verdict.outcome, verdict.reasons[0].code) == (PolicyOutcome.DENY, "rule_error")
+
+
+def test_denies_when_a_rule_raises_and_names_it():
+    text = files()
+    rule = "\n  - {id: by-priority, when: metadata.priority > 3, then: escalate, because: Important.}\n"
+    policy = bundle.load_files({**text, "organization.yaml": text["organization.yaml"] + rule})
+    verdict = check(policy, proposal("navigate_to", target="dock"), context("sim-relaxed"))
+    assert verdict.outcome is PolicyOutcome.DENY
+    assert (verdict.reasons[0].rule, verdict.reasons[0].code) == ("organization/by-priority", "rule_error")
+
+
+def test_an_empty_intersection_denies():
+    text = files()
+    rule = "\n  - {id: firm, then: modify, set: {force_n: {min: 130}}, because: Firmly.}\n"
+    policy = bundle.load_files({**text, "organization.yaml": text["organization.yaml"] + rule})
+    verdict = check(policy, proposal("grasp_object", object_id="mug_1"), context("human-shared"))
+    assert (verdict.outcome, verdict.reasons[0].code) == (PolicyOutcome.DENY, "empty_intersection")
+
+
+def test_two_rules_that_name_different_corridors_deny():
+    text = files()
+    rule = """
+  - {id: other-way, applies_to: [navigate_to], then: modify, set: {corridor: {to: '"dock"'}}, because: No.}
+"""
+    policy = bundle.load_files({**text, "organization.yaml": text["organization.yaml"] + rule})
+    verdict = check(policy, proposal("navigate_to", target="bench_b_stand"), context("human-shared"))
+    assert "empty_intersection" in [reason.code for reason in verdict.reasons]
+
+
+def test_what_escalates_carries_constrained_parameters():
+    proposed = proposal("grasp_object", object_id="box_1", force_n=140, speed_mps=2)
+    decision = decide(shipped(), proposed, context("real-restricted"))
+    assert decision.status is Status.AWAITING_APPROVAL
+    assert decision.verdict is not None
+    assert (decision.verdict.effective["force_n"], decision.verdict.effective["speed_mps"]) == (80.0, 0.5)
+
+
+def test_an_escalation_nobody_can_answer_is_a_denial_of_what_was_requested():
+    proposed = proposal("grasp_object", object_id="mug_1", force_n=140, metadata={"confidence": 0.2})
+    decision = decide(shipped(), proposed, context("sim-relaxed"))
+    assert decision.status is Status.DENIED
+    assert decision.verdict is not None
+    assert decision.verdict.effective["force_n"] == 140.0
+    assert decision.verdict.reasons[-1].code == "no_authority"
+
+
+def test_a_permission_under_supervision_escalates_at_admission():
+    text = files()
+    supervised = text["organization.yaml"].replace(
+        "permissions: [navigation, perception, manipulation, tool_operation]}",
+        "permissions: [navigation], supervised: [manipulation]}",
+    )
+    policy = bundle.load_files({**text, "organization.yaml": supervised})
+    gamma = replace(context("real-restricted"), agent=policy.agent("planner"))
+    decision = decide(policy, proposal("grasp_object", object_id="mug_1"), gamma)
+    assert decision.admission.outcome is AdmissionOutcome.ESCALATE
+    assert (decision.status, decision.need is not None) == (Status.AWAITING_APPROVAL, True)
+    relaxed = decide(policy, proposal("grasp_object", object_id="mug_1"), replace(gamma, profile="sim-relaxed"))
+    assert relaxed.status is Status.DENIED
+
+
+@pytest.mark.parametrize(
+    ("differs", "outcome", "code"),
+    [
+        ({"latched": True}, "reject", "estop_latched"),
+        ({"online": False}, "defer", "cell_offline"),
+        ({"busy": "inv_1"}, "defer", "cell_busy"),
+        ({"arm_ready": False}, "defer", "precondition_unmet"),
+        ({"sensors_fresh": False}, "defer", "precondition_unmet"),
+        ({"agent": "stranger"}, "reject", "permission_missing"),
+    ],
+)
+def test_admission_names_what_is_in_the_way(differs, outcome, code):
+    found = admit(shipped(), proposal("grasp_object", object_id="mug_1"), context("sim-relaxed", **differs))
+    assert (found.outcome, found.reasons[0].code) == (outcome, code)
+    assert (found.retry_after_s is not None) == (outcome == "defer")
+
+
+@pytest.mark.parametrize(
+    ("extra", "code"),
+    [
+        ({"metadata": {"confidence": "high"}}, "invalid_metadata"),
+        ({"metadata": {"confidence": math.nan}}, "invalid_metadata"),
+        ({"preconditions": ["full_moon"]}, "unknown_precondition"),
+    ],
+)
+def test_admission_rejects_what_it_cannot_judge(extra, code):
+    found = admit(shipped(), proposal("grasp_object", object_id="mug_1", **extra), context("sim-relaxed"))
+    assert (found.outcome, found.reasons[0].code) == ("reject", code)
+
+
+def test_governance_may_start_recoveries_and_agents_may_not():
+    proposed = proposal("release_and_retract")
+    by_agent = decide(shipped(), proposed, context("human-shared"))
+    assert by_agent.admission.reasons[0].code == "recovery_only"
+    gamma = replace(context("human-shared"), agent=shipped().governance())
+    assert decide(shipped(), proposed, gamma).status == "allowed"
+
+
+def test_without_facts_nothing_that_has_preconditions_is_admitted():
+    gamma = context("sim-relaxed")
+    blind = replace(gamma, cell=replace(gamma.cell, facts=None))
+    assert decide(shipped(), proposal("navigate_to", target="dock"), blind).status is Status.DEFERRED

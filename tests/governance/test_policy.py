@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+import orjson
+import pytest
+
+from app.governance.model import Mode, Strategy
+from app.governance.policy import confirm_before, recovery_plan, watch_plan
+from app.governance.watcher import compile_watch
+from tests.governance.policy_world import PROFILES, proposal, shipped
+
+LIMITS = {  # design, section 5
+    "sim-relaxed": (0.3, 1.5, 1.5, 120, 250, 5, 5),
+    "test-audit": (0.5, 1.0, 1.0, 100, 200, 5, 3),
+    "real-restricted": (0.7, 0.5, 0.6, 80, 150, 4, 2),
+    "human-shared": (0.9, 0.25, 0.3, 60, 100, 3, 1),
+}
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_profiles_have_the_designs_numbers(name):
+    profile = shipped().profiles[name]
+    limits = tuple(limit.maximum for limit in profile.limits.values())
+    assert (profile.sensitivity, *limits, profile.retry_budget) == LIMITS[name]
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("capability", sorted(shipped().capabilities))
+def test_every_pair_has_a_watch_plan_that_compiles(capability, profile):
+    plan = watch_plan(shipped(), capability, profile, {})
+    assert compile_watch(plan).rules == plan.rules
+
+
+def test_bounds_are_the_smaller_of_limit_and_parameter_and_careful_halves_speed():
+    params = proposal("grasp_object", object_id="mug_1", force_n=30, speed_mps=0.2).params
+    normal = watch_plan(shipped(), "grasp_object", "human-shared", params).bounds
+    assert (normal.grip_force_n, normal.tcp_speed_mps, normal.contact_force_n) == (30.0, 0.2, 100.0)
+    careful = watch_plan(shipped(), "grasp_object", "human-shared", params, Mode.CAREFUL).bounds
+    assert (careful.grip_force_n, careful.tcp_speed_mps) == (30.0, 0.1)
+
+
+def test_a_violation_is_more_than_five_percent_above_the_bound():
+    plan = watch_plan(shipped(), "grasp_object", "human-shared", {"speed_mps": 0.2})
+    thresholds = {rule.id: rule.threshold for rule in plan.rules}
+    assert thresholds["tcp-speed"] == pytest.approx(0.21)
+    assert thresholds["contact-force"] == pytest.approx(105.0)
+    assert (thresholds["timeout"], thresholds["separation"]) == (20.0, None)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_a_lost_object_is_grasped_afresh_after_release_and_retract(profile):
+    rows = [row for row in recovery_plan(shipped(), "grasp_object", profile).rules if row.on == "object_lost"]
+    assert rows[0].do[:2] == (Strategy.RECOVERY_CAPABILITY, Strategy.RETRY)
+    assert rows[0].capability == "release_and_retract"
+
+
+def test_a_drop_while_driving_asks_a_human():
+    rows = [
+        row for row in recovery_plan(shipped(), "transport_object", "human-shared").rules if row.on == "object_lost"
+    ]
+    assert rows[0].do == (Strategy.ASK_HUMAN,)
+
+
+def test_rollback_is_required_of_manipulation_only():
+    assert recovery_plan(shipped(), "grasp_object", "human-shared").rollback == "required"
+    assert recovery_plan(shipped(), "navigate_to", "human-shared").rollback == "optional"
+
+
+def test_nothing_waits_for_confirmation_as_shipped():
+    assert confirm_before(shipped(), "place_object", "human-shared") == ()
+
+
+@pytest.mark.parametrize(
+    ("params", "code"),
+    [
+        ({"object_id": "mug_1", "force_n": 10**400}, "out_of_range"),
+        ({"object_id": "mug_1", "force_n": 1e308}, "schema"),
+        ({"object_id": "\ud800"}, "bad_text"),
+        ({"object_id": ""}, "schema"),
+        ({"object_id": "m" * 1_000_000}, "schema"),
+        ({}, "schema"),
+        ({"object_id": {"a"}}, "not_json"),
+    ],
+)
+def test_bad_parameters_are_problems(params, code):
+    assert shipped().validate_params("grasp_object", params)[0].code == code
+
+
+def test_bottomless_nesting_is_a_problem():
+    deep: object = "x"
+    for _ in range(40):
+        deep = [deep]
+    assert shipped().validate_params("grasp_object", {"object_id": deep})[0].code == "too_deep"
+
+
+def test_an_unknown_capability_leaves_parameters_to_admission():
+    assert shipped().validate_params("fly", {"height": 3}) == {"height": 3}
+
+
+def test_descriptions_are_json():
+    assert orjson.loads(orjson.dumps(shipped().describe()))["version"] == shipped().digest
+    assert len(orjson.loads(orjson.dumps(shipped().manifests()))) == len(shipped().capabilities)
