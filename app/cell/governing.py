@@ -212,7 +212,7 @@ class Governing:
 
     def _verified(self) -> None:
         run = self.run
-        self._tell(telling.completion(run.id, run.doing, run.plan))
+        self._tell(telling.completion(run.id, run.doing.value, run.plan))
         if run.doing is Doing.ATTEMPT:
             self.end(End(Outcome.RECOVERED if run.recoveries else Outcome.SUCCEEDED, "verified"))
         elif run.doing is Doing.ROLLBACK:

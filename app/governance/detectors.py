@@ -25,6 +25,7 @@ STUCK_TICKS: Final = 20
 HELD_TICKS: Final = 10
 LOST_TICKS: Final = 3
 PROGRESS_STEP: Final = 1e-4
+CREEP_MPS: Final = 0.01
 FIX_JUMP_M: Final = 0.3
 
 LARGEST_JOINT_RAD: Final = 2 * math.pi + 0.1
@@ -162,7 +163,8 @@ class Measure:
         elapsed, stall, progress = senses.elapsed_ticks, senses.stall_ticks, senses.progress
         if rate > 0.0:
             elapsed += 1
-            stall += 1
+            # What visibly moves is not stalled, however coarsely it tells its progress; the timeout is for that.
+            stall += speed < CREEP_MPS and seen.tcp_speed_mps < CREEP_MPS
         if abs(report.progress - progress) > PROGRESS_STEP:
             stall, progress = 0, report.progress
 

@@ -1,0 +1,129 @@
+from __future__ import annotations
+
+import math
+import random
+
+import pytest
+
+from app.governance.estimation import (
+    FORGET_S,
+    HISTORY,
+    BaseEstimate,
+    PersonEstimate,
+    cusum,
+    now,
+    track_base,
+    track_people,
+)
+from app.governance.model import Fix, PersonTrack
+
+PERIOD_S = 0.01
+
+
+def drive(*, seconds: float, bias_mps: float, latency_s: float, speed_mps: float = 0.5, sigma_m: float = 0.02) -> float:
+    """Drive along x with an odometry that drifts; return the largest error in the second half."""
+    noise = random.Random(3)  # noqa: S311  # repeatable noise, no secret
+    estimate, fix, worst = BaseEstimate(), None, 0.0
+    ticks = round(seconds / PERIOD_S)
+    for tick in range(ticks):
+        now_s = tick * PERIOD_S
+        true_x, odometry = speed_mps * now_s, (speed_mps * now_s - bias_mps * now_s, 2.0, 0.3)
+        if tick % 5 == 0 and now_s >= latency_s:
+            then_s = now_s - latency_s
+            fix = Fix(then_s, speed_mps * then_s + noise.gauss(0, sigma_m), 2.0 + noise.gauss(0, sigma_m), 0.3)
+        estimate = track_base(estimate, now_s, PERIOD_S, odometry, fix)
+        if tick > ticks / 2:
+            worst = max(worst, abs(odometry[0] + estimate.x_m - true_x))
+    return worst
+
+
+def test_a_good_odometry_is_left_alone() -> None:
+    assert drive(seconds=6.0, bias_mps=0.0, latency_s=0.05, sigma_m=0.0) < 1e-6
+
+
+def test_a_drifting_odometry_is_followed() -> None:
+    assert drive(seconds=10.0, bias_mps=0.15, latency_s=0.05) < 0.04
+
+
+def test_the_latency_of_the_fix_is_compensated() -> None:
+    # Uncompensated, 0.2 s at 0.5 m/s would be an error of 0.1 m.
+    assert drive(seconds=10.0, bias_mps=0.0, latency_s=0.2, sigma_m=0.0) < 0.01
+
+
+def test_a_fix_counts_once() -> None:
+    fix = Fix(0.0, 1.0, 0.0, 0.0)
+    once = track_base(BaseEstimate(), 0.0, PERIOD_S, (0.0, 0.0, 0.0), fix)
+    again = track_base(once, 0.01, PERIOD_S, (0.0, 0.0, 0.0), fix)
+    assert again.x_m == pytest.approx(once.x_m, abs=0.01)
+    assert again.p_oo > once.p_oo
+
+
+def test_the_first_fix_is_believed_and_a_later_jump_is_told() -> None:
+    first = track_base(BaseEstimate(), 0.0, PERIOD_S, (0.0, 0.0, 0.0), Fix(0.0, 0.4, 0.0, 0.1))
+    assert first.x_m == pytest.approx(0.4, abs=0.01)
+    assert first.yaw_rad == pytest.approx(0.1)
+    assert first.miss_m == 0.0
+    jump = track_base(first, 0.05, PERIOD_S, (0.0, 0.0, 0.0), Fix(0.05, 1.4, 0.0, 0.1))
+    assert jump.miss_m == pytest.approx(1.0, abs=0.05)
+
+
+def test_yaw_is_compared_the_short_way_round() -> None:
+    first = track_base(BaseEstimate(), 0.0, PERIOD_S, (0.0, 0.0, math.pi - 0.01), Fix(0.0, 0.0, 0.0, -math.pi + 0.01))
+    assert first.yaw_rad == pytest.approx(0.02)
+
+
+def test_the_history_is_bounded_and_a_fix_older_than_it_takes_the_oldest() -> None:
+    estimate = BaseEstimate()
+    for tick in range(3 * HISTORY):
+        estimate = track_base(estimate, tick * PERIOD_S, PERIOD_S, (0.0, 0.0, 0.0), None)
+    assert len(estimate.history) == HISTORY
+    late = track_base(estimate, 1.5, PERIOD_S, (0.0, 0.0, 0.0), Fix(-9.0, 0.1, 0.0, 0.0))
+    assert math.isfinite(late.x_m)
+
+
+def test_a_nan_stays_visible_in_the_estimate() -> None:
+    sick = track_base(BaseEstimate(), 0.0, PERIOD_S, (0.0, 0.0, 0.0), Fix(0.0, math.nan, 0.0, 0.0))
+    assert math.isnan(sick.x_m)
+
+
+def test_a_walker_is_seen_where_they_are_by_now() -> None:
+    people: tuple[PersonEstimate, ...] = ()
+    for sample in range(40):
+        stamp_s = sample * 0.05
+        people = track_people(people, (PersonTrack(7, stamp_s, 5.0 - 1.6 * stamp_s, 1.0),), stamp_s + 0.06)
+    at_s = people[0].stamp_s + 0.06
+    x, y = now(people[0], at_s)
+    assert x == pytest.approx(5.0 - 1.6 * at_s, abs=0.01)
+    assert y == pytest.approx(1.0)
+
+
+def test_the_same_sample_counts_once() -> None:
+    track = PersonTrack(1, 0.0, 3.0, 3.0)
+    first = track_people((), (track,), 0.0)
+    assert track_people(first, (track,), 0.01) == first
+
+
+def test_a_person_out_of_sight_is_kept_for_a_while_and_then_forgotten() -> None:
+    known = track_people((), (PersonTrack(1, 0.0, 3.0, 3.0),), 0.0)
+    assert track_people(known, (), FORGET_S) == known
+    assert track_people(known, (), FORGET_S + 0.02) == ()
+    other = (PersonTrack(2, 1.0, 6.0, 3.0),)
+    assert {one.person for one in track_people(known, other, 1.0)} == {1, 2}
+    assert {one.person for one in track_people(known, (PersonTrack(2, 3.0, 6.0, 3.0),), 3.0)} == {2}
+    assert track_people((), (), 9.0) == ()
+
+
+def test_nobody_is_extrapolated_far_nor_faster_than_people_run() -> None:
+    people = track_people((), (PersonTrack(1, 0.0, 0.0, 0.0),), 0.0)
+    for sample in range(1, 10):
+        people = track_people(people, (PersonTrack(1, sample * 0.05, sample * 3.0, 0.0),), sample * 0.05)
+    assert math.hypot(people[0].vx_mps, people[0].vy_mps) <= 2.5 + 1e-9
+    x, _ = now(people[0], people[0].stamp_s + 60.0)
+    assert x <= people[0].x_m + 2.5 * 0.3 + 1e-9
+
+
+def test_a_sum_never_falls_below_zero_nor_rises_beyond_twice_the_limit() -> None:
+    assert cusum(0.0, 0.9, 1.0, 0.1) == 0.0
+    assert cusum(0.0, 1.05, 1.0, 0.1) == pytest.approx(0.05)
+    assert cusum(0.1, 9.0, 1.0, 0.1) == pytest.approx(0.2)
+    assert math.isnan(cusum(0.0, math.nan, 1.0, 0.1))

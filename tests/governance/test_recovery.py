@@ -1,0 +1,172 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.governance.model import CoveredRecovery, Mode, RecoveryPlan, RecoveryRule, Risk, Strategy
+from app.governance.recovery import Budgets, RecoveryDecision, recover, roll_back
+
+S = Strategy
+COVERED = (
+    CoveredRecovery(strategy=S.RETRY, capability="grasp_object", params={}),
+    CoveredRecovery(strategy=S.SAFER_MODE, capability="grasp_object", params={}, mode=Mode.CAREFUL),
+    CoveredRecovery(strategy=S.RECOVERY_CAPABILITY, capability="release_and_retract", params={}),
+    CoveredRecovery(strategy=S.ROLLBACK, capability="retrace", params={}),
+)
+PLAN = RecoveryPlan(
+    rules=(
+        RecoveryRule(on="slip", do=(S.RECOVERY_CAPABILITY, S.RETRY, S.ASK_HUMAN), capability="release_and_retract"),
+        RecoveryRule(on="miss", do=(S.RETRY, S.ROLLBACK, S.ASK_HUMAN), budget={S.RETRY: 2}),
+        RecoveryRule(on="speed", do=(S.SAFER_MODE, S.TERMINATE)),
+        RecoveryRule(on="blocked", do=(S.RECOVERY_CAPABILITY, S.RETRY), capability="reposition_base"),
+        RecoveryRule(on="risky", do=(S.TERMINATE,), risks=frozenset({Risk.HIGH})),
+        RecoveryRule(on="any", do=(S.ASK_HUMAN,)),
+    ),
+    retry_budget=3,
+    rollback="optional",
+    rollback_capability="retrace",
+    careful_admitted=True,
+)
+
+
+def ask(failure: str, used: Budgets | None = None, plan: RecoveryPlan = PLAN, **changes: object) -> RecoveryDecision:
+    given_: dict[str, object] = {"risk": None, "can_ask": True, "covered": COVERED, "after": None}
+    return recover(failure, plan, used or Budgets(), **(given_ | changes))  # type: ignore[arg-type]
+
+
+def test_the_first_step_of_the_matching_row_is_taken_with_the_parameters_it_is_covered_with() -> None:
+    decision = ask("slip")
+    assert decision.strategy is S.RECOVERY_CAPABILITY
+    assert decision.covered is COVERED[2]
+    assert decision.reason == "table"
+
+
+def test_after_a_recovery_capability_the_row_is_read_on() -> None:
+    first = ask("slip")
+    second = ask("slip", first.used, after=first)
+    assert second.strategy is S.RETRY
+    assert second.used.retries == 1
+
+
+def test_steps_are_used_up_one_after_the_other_and_budgets_are_never_given_back() -> None:
+    used, taken = Budgets(), []
+    for _ in range(4):
+        decision = ask("miss", used)
+        used = decision.used
+        taken.append(decision.strategy)
+    assert taken == [S.RETRY, S.RETRY, S.ROLLBACK, S.ASK_HUMAN]
+
+
+def test_a_recovery_that_fails_differently_meets_the_same_retry_budget() -> None:
+    plan = replace(PLAN, retry_budget=1)
+    first = ask("miss", plan=plan)
+    assert first.strategy is S.RETRY
+    assert ask("speed", first.used, plan).strategy is S.TERMINATE
+    assert ask("slip", ask("slip", first.used, plan).used, plan).strategy is S.ASK_HUMAN
+
+
+def test_an_unknown_failure_is_any_failure_and_without_such_a_row_a_human_is_asked() -> None:
+    assert ask("unheard_of").strategy is S.ASK_HUMAN
+    nothing = ask("unheard_of", plan=replace(PLAN, rules=()))
+    assert (nothing.strategy, nothing.reason) == (S.ASK_HUMAN, "no_row")
+
+
+@pytest.mark.parametrize(("risk", "strategy"), [(Risk.HIGH, S.TERMINATE), (Risk.LOW, S.ASK_HUMAN), (None, S.TERMINATE)])
+def test_a_row_holds_for_its_risks(risk: Risk | None, strategy: Strategy) -> None:
+    assert ask("risky", risk=risk).strategy is strategy
+
+
+def test_a_step_that_is_not_covered_asks_a_human_instead_of_trying_something_lesser() -> None:
+    decision = ask("blocked")
+    assert (decision.strategy, decision.reason) == (S.ASK_HUMAN, "not_covered")
+    assert ask("slip", covered=()).reason == "not_covered"
+
+
+def test_a_row_that_ends_asks_a_human() -> None:
+    plan = replace(PLAN, rules=(RecoveryRule(on="miss", do=(S.RETRY,)),))
+    first = ask("miss", plan=plan)
+    assert (ask("miss", first.used, plan).strategy, ask("miss", first.used, plan).reason) == (
+        S.ASK_HUMAN,
+        "row_exhausted",
+    )
+
+
+def test_careful_mode_is_skipped_where_the_profile_does_not_admit_it() -> None:
+    assert ask("speed").strategy is S.SAFER_MODE
+    assert ask("speed", plan=replace(PLAN, careful_admitted=False)).strategy is S.TERMINATE
+
+
+def test_rollback_is_skipped_where_nothing_can_roll_back() -> None:
+    used = Budgets(((1, S.RETRY), (1, S.RETRY)), 2)
+    assert ask("miss", used).strategy is S.ROLLBACK
+    assert ask("miss", used, replace(PLAN, rollback_capability=None)).strategy is S.ASK_HUMAN
+
+
+@pytest.mark.parametrize("rollback", ["required", "always"])
+def test_before_the_end_comes_the_rollback_the_profile_requires_and_only_once(rollback: str) -> None:
+    plan = replace(PLAN, rollback=rollback, careful_admitted=False)
+    first = ask("speed", plan=plan)
+    assert (first.strategy, first.reason) == (S.ROLLBACK, "rollback_required")
+    assert ask("speed", first.used, plan).strategy is S.TERMINATE
+
+
+def test_a_required_rollback_that_is_not_covered_asks_a_human() -> None:
+    plan = replace(PLAN, rollback="required", careful_admitted=False)
+    assert ask("speed", plan=plan, covered=()).strategy is S.ASK_HUMAN
+    assert ask("speed", plan=plan, covered=(), can_ask=False).strategy is S.TERMINATE
+    assert ask("speed", plan=replace(plan, rollback_capability=None)).strategy is S.TERMINATE
+
+
+def test_where_nobody_can_be_asked_asking_is_the_end() -> None:
+    decision = ask("unheard_of", can_ask=False)
+    assert (decision.strategy, decision.reason) == (S.TERMINATE, "nobody_to_ask")
+
+
+def test_a_rollback_that_is_asked_for_outright_is_taken_once_and_only_if_covered() -> None:
+    decision = roll_back("operator", PLAN, Budgets(), COVERED)
+    assert decision is not None
+    assert (decision.strategy, decision.covered) == (S.ROLLBACK, COVERED[3])
+    assert roll_back("operator", PLAN, decision.used, COVERED) is None
+    assert roll_back("operator", PLAN, Budgets(), ()) is None
+    assert roll_back("operator", replace(PLAN, rollback_capability=None), Budgets(), COVERED) is None
+
+
+rows = st.lists(
+    st.builds(
+        RecoveryRule,
+        on=st.sampled_from(["slip", "miss", "any"]),
+        do=st.lists(st.sampled_from(list(S)), min_size=1, max_size=5).map(tuple),
+        capability=st.sampled_from(["release_and_retract", "other"]),
+        budget=st.dictionaries(st.sampled_from(list(S)), st.integers(0, 3)),
+    ),
+    max_size=4,
+)
+
+
+@given(
+    rows=rows,
+    retries=st.integers(0, 3),
+    rollback=st.sampled_from(["required", "optional", "always"]),
+    failures=st.lists(st.sampled_from(["slip", "miss", "odd"]), min_size=60, max_size=60),
+    can_ask=st.booleans(),
+)
+def test_whatever_fails_again_and_again_motion_ends_after_a_bounded_number_of_recoveries(
+    rows: list[RecoveryRule], retries: int, rollback: str, failures: list[str], can_ask: bool
+) -> None:
+    plan = replace(PLAN, rules=tuple(rows), retry_budget=retries, rollback=rollback)
+    used, moved = Budgets(), 0
+    for failure in failures:
+        decision = ask(failure, used, plan, can_ask=can_ask)
+        assert decision.strategy is not S.ASK_HUMAN or can_ask
+        if decision.strategy in (S.TERMINATE, S.ASK_HUMAN):
+            continue
+        moved += 1
+        assert decision.covered is not None
+        assert decision.used != used
+        used = decision.used
+    capability_budget = sum(row.budget.get(S.RECOVERY_CAPABILITY, 1) for row in rows)
+    assert used.retries <= retries
+    assert moved <= retries + 1 + capability_budget
