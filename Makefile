@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
+TYPINGS := typings/mujoco/__init__.pyi
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo run test check bench format lock clean
@@ -27,12 +28,16 @@ demo: $(STAMP)  ## the paper's Algorithm 1, live, in a simulated workcell
 	@$(BIN)/reins demo --approver scripted
 
 run: $(STAMP)  ## a server with one simulated cell and a demo agent; keeps running
-	@$(BIN)/reins demo --approver console --keep
+	@$(BIN)/reins demo --keep --port 8000
 
 test: $(STAMP)  ## the whole test suite
 	@$(BIN)/python -m pytest
 
-check: $(STAMP)  ## format, lint, types, import contracts, policy check and tests
+$(TYPINGS): $(STAMP)
+	@$(BIN)/pybind11-stubgen mujoco --ignore-all-errors -o typings >/dev/null 2>&1
+	@touch $(TYPINGS)
+
+check: $(STAMP) $(TYPINGS)  ## format, lint, types, import contracts, policy check and tests
 	@$(BIN)/ruff format --check .
 	@$(BIN)/ruff check .
 	@$(BIN)/lint-imports --no-cache
@@ -54,4 +59,4 @@ lock: $(STAMP)  ## resolve the dependencies anew (needs uv)
 	  --custom-compile-command "make lock" pyproject.toml --group dev -o requirements/dev.txt
 
 clean:  ## remove everything the other targets made
-	rm -rf $(VENV) .demo build dist .pytest_cache .ruff_cache .hypothesis *.egg-info
+	rm -rf $(VENV) .demo build dist typings .pytest_cache .ruff_cache .hypothesis *.egg-info

@@ -23,6 +23,8 @@ from app.agent.planner import Goal, GoalFailed, ReferenceAgent
 
 Event: TypeAlias = Mapping[str, Any]
 
+_LAST_WORDS = 20
+
 FETCH = Goal(kind="fetch", subject="mug_1", destination="bench_b")
 
 
@@ -279,12 +281,22 @@ async def fetch(
             failure = str(given_up)
             on_line(Line(who="agent", mood="warn", words=failure))
         finally:
+            await _heard_all(operator_client, seen)
             for bystander in bystanders:
                 bystander.cancel()
             await asyncio.gather(*bystanders, return_exceptions=True)
         recorded = await _recorded(operator_client, start)
     invocations = tuple(dict.fromkeys(event["invocation"] for event in recorded if event["kind"] == "proposal"))
     return Fetched(steps=examine(recorded), invocations=invocations, failure=failure)
+
+
+async def _heard_all(client: AsyncReinsClient, seen: list[Event]) -> None:
+    """Wait until the narrator has come to the end of the record, or has had long enough to."""
+    size = (await client.call("GET", "/v1/audit/checkpoint"))["size"]
+    for _ in range(_LAST_WORDS):
+        if seen and seen[-1]["seq"] >= size:
+            return
+        await asyncio.sleep(0.1)
 
 
 async def _recorded(client: AsyncReinsClient, after: int) -> list[Document]:
