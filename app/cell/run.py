@@ -136,10 +136,12 @@ class Run:
     def brake(self, seen: Observation) -> None:
         """Choose the ramp down: the base at its declared deceleration, the arm at its own, the slower of the two."""
         vx, vy, _ = seen.base_velocity
-        base_s = math.hypot(vx, vy) / self.plan.base_deceleration_mps2
-        arm_s = seen.tcp_speed_mps / ARM_DECELERATION_MPS2
-        # max() over values that may be NaN: the constant goes first, so that it wins against what is no number.
-        self.ramp_s = max(SHORTEST_RAMP_S, base_s, arm_s) / max(self.rate, 0.1)
+        bounds = self.plan.bounds
+        # The constants go first in min() and max(): there they win against a reading that is no number.
+        base_mps = min(2.0 * bounds.base_speed_mps, math.hypot(vx, vy))
+        arm_mps = min(2.0 * bounds.tcp_speed_mps, seen.tcp_speed_mps)
+        stopping_s = max(SHORTEST_RAMP_S, base_mps / self.plan.base_deceleration_mps2, arm_mps / ARM_DECELERATION_MPS2)
+        self.ramp_s = stopping_s / max(self.rate, 0.1)
         self.still_ticks = 0
 
     def still(self, seen: Observation) -> bool:

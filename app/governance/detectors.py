@@ -143,21 +143,25 @@ class Measure:
         """
         before = senses.before or seen
         period_s = self._period_s
-        base = track_base(senses.base, seen.time_s, period_s, seen.odometry, seen.fix)
-        people = track_people(senses.people, seen.people, seen.time_s) if seen.people or senses.people else ()
+        placed = _placing(seen)
+        sound = placed - placed == 0.0
+        base, people = senses.base, senses.people
         vx, vy, _ = seen.base_velocity
         cx, cy, _ = command.base_velocity
-        odo_x, odo_y, odo_yaw = seen.odometry
-        x, y, yaw = odo_x + base.x_m, odo_y + base.y_m, odo_yaw + base.yaw_rad
         speed = math.sqrt(vx * vx + vy * vy)
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        wx, wy = cos * vx - sin * vy, sin * vx + cos * vy
-
-        margin_m = self._zone_margin(x, y, wx, wy, base) if self._zones else FAR_M
-        if people:
-            gap_m, needed_m, gap_margin_m = self._separation(people, seen, x, y, cos, sin, wx, wy)
-        else:
-            gap_m, needed_m, gap_margin_m = FAR_M, self._fixed_m, FAR_M
+        x = y = yaw = margin_m = gap_m = gap_margin_m = math.nan
+        needed_m = self._fixed_m
+        if sound:  # otherwise the estimates stay as they were, and every signal that needs them is unknown
+            base = track_base(base, seen.time_s, period_s, seen.odometry, seen.fix)
+            people = track_people(people, seen.people, seen.time_s) if seen.people or people else ()
+            odo_x, odo_y, odo_yaw = seen.odometry
+            x, y, yaw = odo_x + base.x_m, odo_y + base.y_m, odo_yaw + base.yaw_rad
+            cos, sin = math.cos(yaw), math.sin(yaw)
+            wx, wy = cos * vx - sin * vy, sin * vx + cos * vy
+            margin_m = self._zone_margin(x, y, wx, wy, base) if self._zones else FAR_M
+            gap_m = gap_margin_m = FAR_M
+            if people:
+                gap_m, needed_m, gap_margin_m = self._separation(people, seen, x, y, cos, sin, wx, wy)
         age_ms, age_margin_ms = self._staleness(seen)
 
         elapsed, stall, progress = senses.elapsed_ticks, senses.stall_ticks, senses.progress
@@ -175,7 +179,7 @@ class Measure:
             or stuck_base >= STUCK_TICKS
             or base.miss_m > FIX_JUMP_M
             or (seen.time_s <= before.time_s and seen is not before)
-            or _implausible(seen)
+            or _implausible(seen, placed)
         )
         signals = Signals(
             0.5 * (seen.contact_force_n + before.contact_force_n),
@@ -371,25 +375,28 @@ def _arm_unchanged(seen: Observation, before: Observation) -> bool:
     ) and seen is not before
 
 
-def _implausible(seen: Observation) -> bool:
-    """Say whether a reading is not finite or cannot be: one sum finds every NaN and infinity, whatever its field."""
-    total = (
-        sum(seen.joint_rad)
-        + sum(seen.joint_speed_radps)
-        + sum(seen.joint_torque_nm)
-        + sum(seen.residual_nm)
-        + sum(seen.tcp_m)
-        + sum(seen.jacobian)
-        + sum(seen.odometry)
-        + sum(seen.base_velocity)
-        + sum(seen.stamps_s)
-        + (seen.time_s + seen.tcp_speed_mps + seen.contact_force_n + seen.peak_force_n)
-        + (seen.grip_width_m + seen.grip_force_n + seen.slip_m)
-    )
+def _placing(seen: Observation) -> float:
+    """Return a sum that is finite only if every reading is that says where base, hand and people are."""
+    total = sum(seen.odometry) + sum(seen.base_velocity) + sum(seen.tcp_m) + sum(seen.jacobian) + seen.time_s
+    total += sum(seen.joint_speed_radps)
     if seen.fix is not None:
         total += sum(seen.fix)
     for track in seen.people:
         total += sum(track)
+    return total
+
+
+def _implausible(seen: Observation, placed: float) -> bool:
+    """Say whether a reading is not finite or cannot be: one sum finds every NaN and infinity, whatever its field."""
+    total = (
+        placed
+        + sum(seen.joint_rad)
+        + sum(seen.joint_torque_nm)
+        + sum(seen.residual_nm)
+        + sum(seen.stamps_s)
+        + (seen.tcp_speed_mps + seen.contact_force_n + seen.peak_force_n)
+        + (seen.grip_width_m + seen.grip_force_n + seen.slip_m)
+    )
     if total - total != 0.0:
         return True
     return not (

@@ -158,5 +158,5 @@ def cusum(total: float, value: float, reference: float, limit: float) -> float:
     total += value - reference
     if total <= 0.0:
         return 0.0
-    # A NaN fails both comparisons and stays: it must alarm, not vanish.
-    return 2.0 * limit if total > 2.0 * limit else total
+    # Written so that a NaN alarms, and is forgotten again like any large excess.
+    return total if total <= 2.0 * limit else 2.0 * limit

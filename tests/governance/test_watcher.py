@@ -1,0 +1,530 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from app.governance.detectors import SIGNAL_NAMES, Signals
+from app.governance.model import (
+    Alert,
+    Bounds,
+    Command,
+    Fix,
+    Intervention,
+    Observation,
+    PersonTrack,
+    Response,
+    SensorStamps,
+    Separation,
+    Signal,
+    SkillReport,
+    WatchPlan,
+    WatchRule,
+    Zone,
+)
+from app.governance.watcher import Watcher, WatchState, compile_watch
+
+STILL = (0.0,) * 6
+AT = (0.1, -1.0, 1.2, -0.3, 1.0, 0.2)
+HOLD = Command(AT, STILL, (0.0, 0.0, 0.0), 0.0)
+STOP = Response(enter=Intervention.STOP)
+GAP = Separation(
+    human_speed_mps=1.6,
+    reaction_s=0.1,
+    stopping_s=0.3,
+    intrusion_m=0.2,
+    position_uncertainty_m=0.08,
+    robot_uncertainty_m=0.05,
+)
+PRESS = Zone(name="press_area", kind="forbidden", polygon=((4.6, 0.4), (6.2, 0.4), (6.2, 1.6), (4.6, 1.6)))
+PLAN = WatchPlan(
+    capability="navigate_to",
+    profile="human-shared",
+    sensitivity=0.5,
+    bounds=Bounds(tcp_speed_mps=0.25, base_speed_mps=0.3, grip_force_n=60.0, contact_force_n=100.0),
+    rules=(),
+    zones=(PRESS,),
+    separation=GAP,
+    stale_after_ms={"arm": 50, "wrist": 50, "fix": 300, "people": 300},
+    timeout_s=2.0,
+    postconditions=(),
+    params={},
+)
+
+
+def rule(signal: str, *, above: bool = True, threshold: float | None = None, **changes: object) -> WatchRule:
+    made = WatchRule(id=signal, signal=signal, emits=Signal.VIOLATION, response=STOP, above=above, threshold=threshold)
+    return replace(made, **changes)  # type: ignore[arg-type]
+
+
+def seen(tick: int, **changes: object) -> Observation:
+    """A healthy robot at (2, 2) that stands still; every noisy reading differs from tick to tick."""
+    now_s, wobble = tick * 0.01, 1e-6 * (tick % 97)
+    healthy = Observation(
+        tick=tick,
+        time_s=now_s,
+        joint_rad=tuple(joint + wobble for joint in AT),  # type: ignore[arg-type]
+        joint_speed_radps=(wobble,) * 6,
+        joint_torque_nm=(10.0 + wobble,) * 6,
+        residual_nm=(0.5 + wobble,) * 6,
+        tcp_m=(0.4, 0.0, 0.9),
+        tcp_speed_mps=wobble,
+        jacobian=(0.1,) * 18,
+        contact_force_n=2.0 + wobble,
+        peak_force_n=3.0,
+        grip_width_m=0.05,
+        grip_force_n=0.0,
+        slip_m=0.0,
+        pads_loaded=False,
+        odometry=(2.0, 2.0, 0.0),
+        base_velocity=(wobble, 0.0, 0.0),
+        fix=Fix(now_s, 2.0, 2.0, 0.0),
+        people=(),
+        stamps_s=SensorStamps(*(now_s,) * 7),
+    )
+    return healthy._replace(**changes)  # type: ignore[arg-type]
+
+
+def run(
+    plan: WatchPlan,
+    stream: Sequence[Observation],
+    *,
+    command: Command = HOLD,
+    report: SkillReport | None = None,
+    **given_: object,
+) -> tuple[list[tuple[Alert, ...]], WatchState, Watcher]:
+    watcher = compile_watch(plan)
+    state, said = watcher.begin(), []
+    for tick, one in enumerate(stream):
+        word = report or SkillReport("move", min(0.9, 0.001 * tick))
+        state, alerts = watcher.watch(state, one, word, command, **given_)  # type: ignore[arg-type]
+        said.append(alerts)
+    return said, state, watcher
+
+
+def first_alert(plan: WatchPlan, stream: Sequence[Observation], **given_: object) -> tuple[int | None, Alert | None]:
+    said, _, _ = run(plan, stream, **given_)  # type: ignore[arg-type]
+    for tick, alerts in enumerate(said):
+        if alerts:
+            return tick, alerts[0]
+    return None, None
+
+
+def watching(*rules: WatchRule, **changes: object) -> WatchPlan:
+    return replace(PLAN, rules=rules, **changes)  # type: ignore[arg-type]
+
+
+# -- each detector ---------------------------------------------------------------------------------------------------
+
+
+def test_a_healthy_robot_is_quiet_under_every_rule() -> None:
+    plan = watching(
+        rule("contact_force_n"),
+        rule("residual_nm", threshold=40.0),
+        rule("tcp_speed_mps"),
+        rule("base_speed_mps", method="cusum"),
+        rule("zone_margin_m", above=False),
+        rule("separation_m", above=False),
+        rule("stall_s", threshold=5.0),
+        rule("elapsed_s"),
+        rule("retries", threshold=1.0),
+        rule("slip_m", threshold=0.005),
+        rule("grip_lost"),
+        rule("tracking_error_rad", threshold=0.05),
+        rule("base_tracking_error_mps", threshold=0.1),
+        rule("sensor_age_ms"),
+    )
+    assert first_alert(plan, [seen(tick) for tick in range(150)]) == (None, None)
+
+
+def test_contact_force_is_judged_by_its_20_ms_mean() -> None:
+    plan = watching(rule("contact_force_n", threshold=100.0))
+    spike = [seen(tick, contact_force_n=190.0 if tick == 5 else 2.0 + tick * 1e-6) for tick in range(10)]
+    assert first_alert(plan, spike) == (None, None)
+    press = [seen(tick, contact_force_n=130.0 + tick * 1e-6 if tick >= 5 else 2.0) for tick in range(10)]
+    tick, alert = first_alert(plan, press)
+    assert tick == 6
+    assert alert is not None
+    assert alert.value == pytest.approx(130.0, abs=0.1)
+    assert alert.threshold == 100.0
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_external_torque_counts_whatever_its_direction(sign: float) -> None:
+    plan = watching(rule("residual_nm", threshold=40.0))
+    pushed = [seen(tick, residual_nm=(0.0, 0.0, sign * 50.0, 0.0, 0.0, 0.0)) for tick in range(3)]
+    assert first_alert(plan, pushed)[0] == 0
+
+
+def test_speed_limits_left_to_the_watcher_have_the_declared_headroom() -> None:
+    plan = watching(rule("tcp_speed_mps"))
+    assert first_alert(plan, [seen(tick, tcp_speed_mps=0.25 * 1.04) for tick in range(5)]) == (None, None)
+    assert first_alert(plan, [seen(tick, tcp_speed_mps=0.25 * 1.06) for tick in range(5)])[0] == 0
+
+
+def test_base_speed_is_its_norm() -> None:
+    plan = watching(rule("base_speed_mps", threshold=0.32))
+    fast = [seen(tick, base_velocity=(0.25, -0.25, 0.0)) for tick in range(3)]
+    assert first_alert(plan, fast)[0] == 0
+
+
+def test_a_cusum_adds_up_small_excesses_and_jumps_at_large_ones() -> None:
+    plan = watching(rule("tcp_speed_mps", threshold=0.25, method="cusum"))
+    slightly = [seen(tick, tcp_speed_mps=0.254) for tick in range(20)]  # 0.004 a tick against 0.0125
+    assert first_alert(plan, slightly)[0] == 3
+    assert first_alert(plan, [seen(tick, tcp_speed_mps=0.30) for tick in range(5)])[0] == 0
+    assert first_alert(plan, [seen(tick, tcp_speed_mps=0.249) for tick in range(500)]) == (None, None)
+
+
+def test_the_zone_margin_includes_the_way_to_standstill() -> None:
+    plan = watching(rule("zone_margin_m", above=False), base_radius_m=0.45, base_deceleration_mps2=1.0)
+    here = {"odometry": (3.9, 1.0, 0.0), "fix": None}  # 0.25 m from the hull to the zone
+    _, state, _ = run(plan, [seen(0, **here)])
+    assert state.signals.zone_margin_m == pytest.approx(0.25)
+    slow = [seen(tick, base_velocity=(0.3, 0.0, 0.0), **here) for tick in range(3)]  # needs 0.06 m
+    assert first_alert(plan, slow) == (None, None)
+    fast = [seen(tick, base_velocity=(0.8, 0.0, 0.0), **here) for tick in range(3)]  # needs 0.36 m
+    assert first_alert(plan, fast)[0] == 0
+    away = [seen(tick, base_velocity=(-0.8, 0.0, 0.0), **here) for tick in range(3)]
+    assert first_alert(plan, away) == (None, None)
+
+
+def test_the_zone_margin_is_negative_inside_and_sees_a_corner_on_the_way() -> None:
+    plan = watching(rule("zone_margin_m", above=False), base_radius_m=0.1)
+    _, inside, _ = run(plan, [seen(0, odometry=(5.0, 1.0, 0.0), fix=None)])
+    assert inside.signals.zone_margin_m < -0.4
+    # From north-west of the corner (4.6, 1.6) to its east: both ends are farther off than the corner is from the way.
+    past = seen(0, odometry=(4.2, 1.75, 0.0), base_velocity=(1.2, 0.0, 0.0), fix=None)
+    _, state, _ = run(plan, [past])
+    assert state.signals.zone_margin_m == pytest.approx(0.05, abs=0.02)
+
+
+def test_the_zone_is_judged_by_the_fix_where_odometry_drifts() -> None:
+    plan = watching(rule("zone_margin_m", above=False))
+    stream = [
+        seen(tick, odometry=(2.0, 1.0, 0.0), fix=Fix(tick * 0.01, 2.0 + 0.003 * tick, 1.0, 0.0)) for tick in range(900)
+    ]
+    tick, _ = first_alert(plan, stream)
+    assert tick is not None
+    true_x = 2.0 + 0.003 * tick
+    assert 4.6 - 0.45 - true_x == pytest.approx(0.0, abs=0.1)
+
+
+def expected_gap(closing_mps: float) -> float:
+    """S_p = v_h (T_r + T_s) + v_r T_r + v_r T_s / 2 + C + Z_d + Z_r."""
+    return 1.6 * (0.1 + 0.3) + closing_mps * 0.1 + closing_mps * 0.3 / 2 + 0.2 + 0.08 + 0.05
+
+
+@pytest.mark.parametrize(("vx", "closing"), [(0.0, 0.0), (0.3, 0.3), (-0.3, 0.0)])
+def test_the_protective_separation_follows_the_standard_with_directed_robot_speed(vx: float, closing: float) -> None:
+    plan = watching(rule("separation_m", above=False))
+    person = (PersonTrack(1, 0.0, 4.0, 2.0),)
+    _, state, _ = run(plan, [seen(0, people=person, base_velocity=(vx, 0.0, 0.0), joint_speed_radps=STILL)])
+    assert state.signals.protective_separation_m == pytest.approx(expected_gap(closing))
+    assert state.signals.separation_m == pytest.approx(2.0 - 0.45)
+
+
+def test_the_hand_counts_where_it_is_nearer_than_the_hull() -> None:
+    plan = watching(rule("separation_m", above=False))
+    person = (PersonTrack(1, 0.0, 4.0, 2.0),)
+    _, state, _ = run(plan, [seen(0, people=person, tcp_m=(0.9, 0.0, 0.9))])
+    assert state.signals.separation_m == pytest.approx(4.0 - 2.9)
+
+
+def test_separation_alarms_below_the_computed_distance_and_reports_it() -> None:
+    plan = watching(rule("separation_m", above=False))
+    need = expected_gap(0.0) + 0.45
+    near = [
+        seen(t, people=(PersonTrack(1, t * 0.01, 2.0 + need - 0.02, 2.0),), joint_speed_radps=STILL) for t in range(3)
+    ]
+    far = [
+        seen(t, people=(PersonTrack(1, t * 0.01, 2.0 + need + 0.02, 2.0),), joint_speed_radps=STILL) for t in range(3)
+    ]
+    assert first_alert(plan, far) == (None, None)
+    tick, alert = first_alert(plan, near)
+    assert tick == 0
+    assert alert is not None
+    assert alert.threshold == pytest.approx(expected_gap(0.0), abs=1e-3)
+
+
+def test_the_person_with_the_least_margin_counts() -> None:
+    plan = watching(rule("separation_m", above=False))
+    people = (PersonTrack(1, 0.0, 7.0, 2.0), PersonTrack(2, 0.0, 2.9, 2.0), PersonTrack(3, 0.0, 2.0, 5.0))
+    assert first_alert(plan, [seen(0, people=people)])[0] == 0
+
+
+def test_whoever_is_hidden_for_a_moment_is_still_there() -> None:
+    plan = watching(rule("separation_m", above=False))
+    stream = [seen(t, people=(PersonTrack(1, t * 0.01, 2.9, 2.0),) if t < 10 else ()) for t in range(60)]
+    said, _, _ = run(plan, stream)
+    assert said[59]
+
+
+def test_a_numeric_separation_needs_no_constants() -> None:
+    plan = watching(rule("separation_m", above=False, threshold=0.5), separation=None)
+    assert first_alert(plan, [seen(0, people=(PersonTrack(1, 0.0, 2.9, 2.0),))])[0] == 0
+    assert first_alert(plan, [seen(0, people=(PersonTrack(1, 0.0, 3.1, 2.0),))]) == (None, None)
+
+
+def test_a_stall_is_no_progress_and_no_motion_and_a_pause_is_none() -> None:
+    plan = watching(rule("stall_s", threshold=1.0))
+    stuck = SkillReport("press", 0.4)
+    assert first_alert(plan, [seen(tick) for tick in range(200)], report=stuck)[0] == 101
+    assert first_alert(plan, [seen(tick) for tick in range(200)], report=stuck, rate=0.0) == (None, None)
+    moving = [seen(tick, tcp_speed_mps=0.1) for tick in range(200)]
+    assert first_alert(plan, moving, report=stuck) == (None, None)
+
+
+def test_the_timeout_counts_the_time_a_session_may_move() -> None:
+    plan = watching(rule("elapsed_s", emits=Signal.TIMEOUT, failure="timeout"))
+    tick, alert = first_alert(plan, [seen(tick) for tick in range(250)])
+    assert tick == 200
+    assert alert is not None
+    assert (alert.signal, alert.failure, alert.threshold) == (Signal.TIMEOUT, "timeout", 2.0)
+    assert first_alert(plan, [seen(tick) for tick in range(250)], rate=0.0) == (None, None)
+
+
+def test_retries_and_unmet_postconditions_are_what_governance_counted() -> None:
+    plan = watching(rule("retries", threshold=1.0))
+    assert first_alert(plan, [seen(0)], retries=1) == (None, None)
+    assert first_alert(plan, [seen(0)], retries=2)[0] == 0
+    tick, alert = first_alert(plan, [seen(0)], unmet=1)
+    assert tick == 0
+    assert alert is not None
+    assert alert.failure == "postcondition_failed"
+
+
+GRIPPING = HOLD._replace(grip_force_n=30.0)
+
+
+def test_slip_counts_from_the_grip_and_starts_anew_with_the_next_one() -> None:
+    plan = watching(rule("slip_m", threshold=0.005))
+    slipping = [seen(t, slip_m=0.002 + 0.001 * t, pads_loaded=True) for t in range(20)]
+    assert first_alert(plan, slipping, command=GRIPPING)[0] == 6
+    assert first_alert(plan, slipping, command=HOLD) == (None, None)
+    anew = [seen(t, slip_m=0.004 if t < 10 else 0.0, pads_loaded=True) for t in range(20)]
+    assert first_alert(plan, anew, command=GRIPPING) == (None, None)
+
+
+def test_a_grip_is_lost_when_it_was_held_and_the_pads_are_empty() -> None:
+    plan = watching(rule("grip_lost"))
+    dropped = [seen(t, pads_loaded=t < 20) for t in range(40)]
+    assert first_alert(plan, dropped, command=GRIPPING)[0] == 22
+    assert first_alert(plan, dropped, command=HOLD._replace(grip_force_n=-20.0)) == (None, None)
+    bouncing = [seen(t, pads_loaded=t % 2 == 0) for t in range(40)]
+    assert first_alert(plan, bouncing, command=GRIPPING) == (None, None)
+
+
+def test_tracking_compares_what_was_told_with_what_is_seen() -> None:
+    plan = watching(rule("tracking_error_rad", threshold=0.05))
+    off = HOLD._replace(joint_rad=(AT[0], AT[1] + 0.1, *AT[2:]))
+    assert first_alert(plan, [seen(0)], command=off)[0] == 0
+    plan = watching(rule("base_tracking_error_mps", threshold=0.1))
+    told = HOLD._replace(base_velocity=(0.2, 0.0, 0.0))
+    assert first_alert(plan, [seen(0)], command=told)[0] == 0
+
+
+def test_each_sensor_has_its_own_age_and_the_stale_ones_are_named() -> None:
+    plan = watching(rule("sensor_age_ms"))
+    stale = [seen(t, stamps_s=SensorStamps(*(t * 0.01,) * 7)._replace(wrist=0.0)) for t in range(20)]
+    tick, alert = first_alert(plan, stale)
+    assert tick == 6
+    assert alert is not None
+    assert alert.value == pytest.approx(60.0)
+    assert alert.threshold == pytest.approx(50.0)
+    _, _, watcher = run(plan, stale)
+    assert watcher.measure.stale_sensors(stale[-1]) == ("wrist",)
+    assert first_alert(
+        plan, [seen(t, stamps_s=SensorStamps(*(t * 0.01,) * 7)._replace(fix=0.0)) for t in range(20)]
+    ) == (None, None)
+
+
+MOVING = HOLD._replace(joint_speed_radps=(0.1,) * 6, base_velocity=(0.1, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    "field", ["contact_force_n", "joint_torque_nm", "joint_rad", "joint_speed_radps", "base_velocity"]
+)
+def test_a_reading_that_repeats_bit_by_bit_while_moving_is_implausible(field: str) -> None:
+    frozen = getattr(seen(0), field)
+    stream = [seen(tick, **{field: frozen}) for tick in range(40)]
+    assert first_alert(PLAN, stream, command=MOVING)[0] == 20
+    assert first_alert(PLAN, stream, command=HOLD) == (None, None)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"joint_rad": (9.0, *AT[1:])},
+        {"joint_speed_radps": (0.0, -30.0, 0.0, 0.0, 0.0, 0.0)},
+        {"joint_torque_nm": (5000.0,) * 6},
+        {"contact_force_n": -1.0},
+        {"contact_force_n": 1e6},
+        {"grip_width_m": 3.0},
+        {"tcp_m": (9.0, 0.0, 0.0)},
+        {"base_velocity": (50.0, 0.0, 0.0)},
+        {"stamps_s": SensorStamps(9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)},
+        {"time_s": 0.0},
+        {"fix": Fix(0.05, 9.0, 2.0, 0.0)},
+    ],
+)
+def test_a_reading_that_cannot_be_is_implausible(changes: dict[str, object]) -> None:
+    stream = [seen(tick, fix=Fix(0.0, 2.0, 2.0, 0.0)) for tick in range(5)]
+    tick, alert = first_alert(PLAN, [*stream, seen(5, **changes)])
+    assert tick == 5
+    assert alert is not None
+    assert alert.rule == "watch/implausible"
+
+
+FLOATS = [name for name in Observation._fields if name not in ("tick", "pads_loaded", "fix", "people")]
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("field", FLOATS)
+def test_a_reading_that_is_not_finite_is_never_all_is_well(field: str, bad: float) -> None:
+    healthy = getattr(seen(5), field)
+    sick: object = bad if isinstance(healthy, float) else (*healthy[:-1], bad)
+    if field == "stamps_s":
+        sick = SensorStamps(*sick)  # type: ignore[misc]
+    stream = [seen(tick) for tick in range(5)] + [seen(5, **{field: sick})]
+    assert first_alert(PLAN, stream)[0] == 5
+
+
+@pytest.mark.parametrize(
+    "sick", [{"fix": Fix(0.05, math.nan, 2.0, 0.0)}, {"people": (PersonTrack(1, 0.05, math.nan, 0.0),)}]
+)
+def test_a_fix_or_a_person_that_is_nowhere_is_never_all_is_well(sick: dict[str, object]) -> None:
+    assert first_alert(PLAN, [seen(tick) for tick in range(5)] + [seen(5, **sick)])[0] == 5
+
+
+def test_where_the_base_is_stays_known_after_a_reading_that_was_none() -> None:
+    stream = [seen(tick) for tick in range(9)]
+    stream[5] = seen(5, odometry=(math.inf, math.nan, 0.0))
+    said, state, _ = run(watching(rule("zone_margin_m", above=False)), stream)
+    assert {alert.rule for alert in said[5]} == {"zone_margin_m", "watch/implausible"}
+    assert said[8] == ()
+    assert state.signals.base_x_m == pytest.approx(2.0)
+
+
+def test_a_signal_that_is_nan_violates_its_rule_in_both_directions() -> None:
+    plan = watching(rule("tcp_speed_mps", id="above"), rule("tcp_speed_mps", id="below", above=False, threshold=-1.0))
+    said, _, _ = run(plan, [seen(0, tcp_speed_mps=math.nan)])
+    assert {alert.rule for alert in said[0]} == {"above", "below", "watch/implausible"}
+    summed = watching(rule("tcp_speed_mps", method="cusum"))
+    assert "tcp_speed_mps" in {alert.rule for alert in run(summed, [seen(0, tcp_speed_mps=math.nan)])[0][0]}
+
+
+# -- debounce, attempts, plans that cannot be watched ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("sensitivity", "first"), [(0.0, 9), (0.5, 4), (0.9, 0), (1.0, 0)])
+def test_a_violation_must_last_for_its_debounce_scaled_by_sensitivity(sensitivity: float, first: int) -> None:
+    plan = watching(rule("tcp_speed_mps", threshold=0.2, for_ms=50), sensitivity=sensitivity)
+    assert first_alert(plan, [seen(tick, tcp_speed_mps=0.3) for tick in range(20)])[0] == first
+
+
+def test_an_interruption_starts_the_debounce_anew() -> None:
+    plan = watching(rule("tcp_speed_mps", threshold=0.2, for_ms=50))
+    broken = [seen(tick, tcp_speed_mps=0.1 if tick % 4 == 3 else 0.3) for tick in range(40)]
+    assert first_alert(plan, broken) == (None, None)
+
+
+def test_an_attempt_begins_with_fresh_timers_and_known_positions() -> None:
+    plan = watching(rule("elapsed_s"))
+    stream = [seen(tick, fix=Fix(tick * 0.01, 2.5, 2.0, 0.0)) for tick in range(190)]
+    _, state, watcher = run(plan, stream)
+    fresh = watcher.begin(state)
+    assert fresh.senses.elapsed_ticks == 0
+    assert fresh.senses.base == state.senses.base
+    assert fresh.senses.base.x_m == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("plan", "message"),
+    [
+        (watching(rule("mood", threshold=1.0)), "unknown signal `mood`"),
+        (watching(rule("slip_m", threshold=1.0, method="magic")), "unknown method `magic`"),
+        (watching(rule("slip_m", threshold=math.nan)), "finite"),
+        (watching(rule("slip_m")), "needs a threshold"),
+        (watching(rule("separation_m", above=False), separation=None), "needs a threshold"),
+        (watching(rule("slip_m", threshold=1.0), rule("slip_m", threshold=2.0)), "appear twice"),
+        (replace(PLAN, sensitivity=1.5), "sensitivity"),
+        (replace(PLAN, sensitivity=math.nan), "sensitivity"),
+        (replace(PLAN, stale_after_ms={"nose": 5}), "unknown sensor `nose`"),
+        (replace(PLAN, base_deceleration_mps2=0.0), "deceleration"),
+    ],
+)
+def test_a_plan_that_cannot_be_watched_is_refused(plan: WatchPlan, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        compile_watch(plan)
+
+
+# -- raising s never detects less ------------------------------------------------------------------------------------
+
+readings = st.fixed_dictionaries(
+    {
+        "contact_force_n": st.floats(0.0, 200.0),
+        "tcp_speed_mps": st.floats(0.0, 0.6) | st.just(math.nan),
+        "base_velocity": st.tuples(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.just(0.0)),
+        "residual_nm": st.tuples(*[st.floats(-60.0, 60.0)] * 6),
+        "people": st.just(())
+        | st.tuples(st.builds(PersonTrack, st.just(1), st.floats(0, 1), st.floats(0, 8), st.floats(0, 6))),
+        "slip_m": st.floats(0.0, 0.02),
+        "pads_loaded": st.booleans(),
+    }
+)
+watched = st.lists(
+    st.tuples(
+        st.sampled_from([*SIGNAL_NAMES[:6], *SIGNAL_NAMES[9:13]]),
+        st.booleans(),
+        st.floats(0.0, 120.0),
+        st.integers(0, 120),
+        st.sampled_from(["threshold", "cusum"]),
+    ),
+    min_size=1,
+    max_size=6,
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    rules=watched,
+    stream=st.lists(readings, min_size=10, max_size=40),
+    low=st.floats(0.0, 1.0),
+    high=st.floats(0.0, 1.0),
+)
+def test_raising_sensitivity_never_detects_less_nor_later(
+    rules: list[tuple[str, bool, float, int, str]], stream: list[dict[str, object]], low: float, high: float
+) -> None:
+    low, high = sorted((low, high))
+    made = tuple(
+        rule(signal, above=above, threshold=threshold, for_ms=for_ms, method=method, id=f"{signal}-{number}")
+        for number, (signal, above, threshold, for_ms, method) in enumerate(rules)
+    )
+    observations = [seen(tick, **one) for tick, one in enumerate(stream)]
+    lax, _, _ = run(watching(*made, sensitivity=low), observations, command=GRIPPING)
+    strict, _, _ = run(watching(*made, sensitivity=high), observations, command=GRIPPING)
+    threshold_rules = {one.id for one in made if one.method == "threshold"}
+    found: set[str] = set()
+    for few, many in zip(lax, strict, strict=True):
+        found |= {alert.rule for alert in many}
+        assert {alert.rule for alert in few} & threshold_rules <= {alert.rule for alert in many}
+        assert {alert.rule for alert in few} <= found
+
+
+def test_watching_is_pure() -> None:
+    watcher = compile_watch(watching(rule("slip_m", threshold=0.001, for_ms=30)))
+    state = watcher.begin()
+    one = seen(3, slip_m=0.01, pads_loaded=True)
+    word = SkillReport("move", 0.1)
+    assert watcher.watch(state, one, word, GRIPPING) == watcher.watch(state, one, word, GRIPPING)
+    assert state == watcher.begin()
+
+
+def test_every_signal_has_a_name_policy_can_use() -> None:
+    assert SIGNAL_NAMES[-1] == "postcondition"
+    assert set(SIGNAL_NAMES) <= set(Signals._fields)

@@ -1,0 +1,176 @@
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.governance.intervention import (
+    GO_ON,
+    NOTHING,
+    SEVERITY,
+    Decision,
+    InterventionState,
+    Responses,
+    ends_attempt,
+    recovering,
+    released,
+)
+from app.governance.model import Alert, Intervention, Response, Signal, WatchRule
+
+CONTINUE, PAUSE, STOP, ROLLBACK, ESCALATE = (
+    Intervention.CONTINUE,
+    Intervention.PAUSE,
+    Intervention.STOP,
+    Intervention.ROLLBACK,
+    Intervention.ESCALATE,
+)
+
+
+def rule(name: str, response: Response, failure: str = "") -> WatchRule:
+    return WatchRule(
+        id=name,
+        signal="slip_m",
+        emits=Signal.VIOLATION,
+        response=response,
+        above=True,
+        threshold=1.0,
+        failure=failure,
+    )
+
+
+def said(*names: str) -> tuple[Alert, ...]:
+    return tuple(Alert(Signal.VIOLATION, name, 2.0, 1.0) for name in names)
+
+
+def play(rules: tuple[WatchRule, ...], *alerts: tuple[Alert, ...]) -> list[Decision]:
+    responses, state, decisions = Responses(rules, 0.01), NOTHING, []
+    for tick, spoken in enumerate(alerts):
+        state, decision = responses.intervene(state, spoken, tick)
+        decisions.append(decision)
+    return decisions
+
+
+KEEP_AWAY = rule("gap", Response(enter=PAUSE, clear_after_ms=30, then="resume", persist_ms=50, otherwise=ESCALATE))
+
+
+def test_nothing_said_is_go_on() -> None:
+    assert play((KEEP_AWAY,), ()) == [GO_ON]
+
+
+def test_a_pause_holds_until_it_has_been_quiet_long_enough() -> None:
+    decisions = play((KEEP_AWAY,), said("gap"), said("gap"), (), (), (), ())
+    assert [one.intervention for one in decisions] == [PAUSE, PAUSE, PAUSE, PAUSE, CONTINUE, CONTINUE]
+
+
+def test_a_violation_that_returns_while_waiting_starts_the_wait_anew() -> None:
+    decisions = play((KEEP_AWAY,), said("gap"), (), (), said("gap"), (), (), ())
+    assert [one.intervention for one in decisions][-3:] == [PAUSE, PAUSE, CONTINUE]
+
+
+def test_a_violation_that_persists_becomes_what_the_response_says_and_stays_that() -> None:
+    decisions = play((KEEP_AWAY,), *[said("gap")] * 7, *[()] * 20)
+    assert [one.intervention for one in decisions[:7]] == [PAUSE] * 5 + [ESCALATE] * 2
+    assert decisions[-1].intervention is ESCALATE
+
+
+def test_a_pause_that_stays_waits_for_a_human() -> None:
+    responses = Responses((rule("slip", Response(enter=PAUSE)),), 0.01)
+    state, _ = responses.intervene(NOTHING, said("slip"), 0)
+    for tick in range(1, 500):
+        state, decision = responses.intervene(state, (), tick)
+        assert decision.intervention is PAUSE
+    assert responses.intervene(released(state), (), 500) == (NOTHING, GO_ON)
+
+
+def test_what_a_human_let_go_on_and_is_still_violated_speaks_again() -> None:
+    responses = Responses((KEEP_AWAY,), 0.01)
+    state, _ = responses.intervene(NOTHING, said("gap"), 0)
+    _, decision = responses.intervene(released(state), said("gap"), 1)
+    assert decision.intervention is PAUSE
+
+
+@pytest.mark.parametrize(("one", "two"), list(itertools.combinations(Intervention, 2)))
+def test_the_most_severe_wins(one: Intervention, two: Intervention) -> None:
+    rules = (rule("one", Response(enter=one)), rule("two", Response(enter=two)))
+    (decision,) = play(rules, said("one", "two"))
+    assert decision.intervention is max(one, two, key=SEVERITY.__getitem__)
+
+
+def test_severity_is_stop_rollback_escalate_pause_continue() -> None:
+    assert sorted(SEVERITY, key=SEVERITY.__getitem__) == [CONTINUE, PAUSE, ESCALATE, ROLLBACK, STOP]
+
+
+@pytest.mark.parametrize(
+    ("response", "failure", "ends"),
+    [
+        (Response(enter=STOP), "contact", True),
+        (Response(enter=STOP), "", True),
+        (Response(enter=ROLLBACK), "zone", True),
+        (Response(enter=PAUSE), "slip", True),
+        (Response(enter=PAUSE), "", False),
+        (Response(enter=PAUSE, then="resume"), "gap", False),
+        (Response(enter=PAUSE, persist_ms=100), "gap", False),
+        (Response(enter=ESCALATE), "fault", False),
+        (Response(enter=CONTINUE), "fault", False),
+    ],
+)
+def test_which_responses_end_the_attempt(response: Response, failure: str, ends: bool) -> None:
+    made = rule("it", response, failure)
+    assert ends_attempt(made) is ends
+    assert play((made,), said("it"))[0].ends_attempt is ends
+
+
+def test_a_persisting_pause_may_end_the_attempt() -> None:
+    stale = rule("stale", Response(enter=PAUSE, then="resume", persist_ms=10, otherwise=STOP), "sensor_fault")
+    decisions = play((stale,), said("stale"), said("stale"))
+    assert [one.ends_attempt for one in decisions] == [False, True]
+
+
+def test_whatever_only_holds_is_told_beside_what_ends_the_attempt() -> None:
+    lost = rule("lost", Response(enter=STOP), "object_lost")
+    (decision,) = play((lost, KEEP_AWAY), said("lost", "gap"))
+    assert decision.intervention is STOP
+    assert decision.holding is not None
+    assert decision.holding.intervention is PAUSE
+    assert play((lost,), said("lost"))[0].holding is None
+
+
+def test_a_recovery_is_not_ended_by_what_it_was_started_for_until_grace_is_over() -> None:
+    lost = rule("lost", Response(enter=STOP), "object_lost")
+    responses = Responses((lost,), 0.01)
+    state = recovering(("lost",), 100, 0.01)
+    for tick in range(100, 200):
+        state, decision = responses.intervene(state, said("lost"), tick)
+        assert decision == GO_ON
+    _, decision = responses.intervene(state, said("lost"), 200)
+    assert decision.intervention is STOP
+
+
+def test_grace_ends_with_the_violation() -> None:
+    lost = rule("lost", Response(enter=STOP), "object_lost")
+    responses = Responses((lost,), 0.01)
+    state, _ = responses.intervene(recovering(("lost",), 0, 0.01), (), 0)
+    assert state is NOTHING
+    _, decision = responses.intervene(state, said("lost"), 1)
+    assert decision.intervention is STOP
+
+
+def test_grace_spares_only_what_the_recovery_was_started_for() -> None:
+    lost = rule("lost", Response(enter=STOP), "object_lost")
+    responses = Responses((lost, KEEP_AWAY), 0.01)
+    _, decision = responses.intervene(recovering(("lost",), 0, 0.01), said("lost", "gap"), 0)
+    assert decision.intervention is PAUSE
+    assert released(InterventionState(grace=(("lost", 9),))).grace == (("lost", 9),)
+
+
+@given(st.lists(st.sets(st.sampled_from(["gap", "stop", "warn"])), max_size=60))
+def test_a_violation_is_answered_in_the_tick_it_is_told(stream: list[set[str]]) -> None:
+    rules = (KEEP_AWAY, rule("stop", Response(enter=STOP)), rule("warn", Response(enter=CONTINUE)))
+    decisions = play(rules, *[said(*sorted(names)) for names in stream])
+    for names, decision in zip(stream, decisions, strict=True):
+        if "stop" in names:
+            assert decision.intervention is STOP
+        if "gap" in names:
+            assert decision.intervention is not CONTINUE
