@@ -223,6 +223,11 @@ class Governing:
     def _choose(self, failure: str, after: RecoveryDecision | None = None) -> RecoveryDecision:
         run = self.run
         covered = run.grant.authorization.recoveries
+        # Undoing that fails is a failure of its own: nothing may make a new attempt of it.
+        if run.doing is Doing.ROLLBACK:
+            failure = "rollback_failed"
+        elif run.doing is Doing.RECOVERY and failure == "postcondition_failed":
+            failure = "recovery_failed"
         return recover(failure, run.recovery, run.used, risk=None, can_ask=True, covered=covered, after=after)
 
     def _roll_back(self, failure: str) -> str | None:

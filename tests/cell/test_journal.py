@@ -1,0 +1,225 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from app.cell import journal as module
+from app.cell.journal import Entry, Journal, JournalUnavailable
+from app.governance.model import Json
+from tests.conftest import until
+
+
+def write(journal: Journal, count: int = 1, **changes: Json) -> list[Entry]:
+    return [
+        journal.append(
+            at_s=1.5, tick=number, kind="alert", invocation="inv-1", actor="cell", body={"n": number, **changes}
+        )
+        for number in range(count)
+    ]
+
+
+def test_what_was_written_is_there_again_in_order(tmp_path: Path) -> None:
+    first = Journal(tmp_path / "journal", boot="a")
+    written = write(first, 5, text="öl\nzwei")
+    first.close()
+    again = Journal(tmp_path / "journal", boot="b")
+    assert list(again.unacknowledged()) == written
+    assert again.unacknowledged(after=3) == tuple(written[3:])
+    assert (again.last_seq, again.torn_bytes) == (5, 0)
+    assert write(again)[0].seq == 6
+
+
+def test_numbers_go_on_after_everything_was_acknowledged_and_compacted(tmp_path: Path) -> None:
+    first = Journal(tmp_path / "journal", boot="a")
+    write(first, 7)
+    first.acknowledge(7)
+    first.compact()
+    assert first.unacknowledged() == ()
+    assert write(first)[0].seq == 8
+    first.close()
+    assert Journal(tmp_path / "journal", boot="b").last_seq == 8
+
+
+def test_an_acknowledgement_beyond_what_was_said_forgets_nothing_to_come(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "journal", boot="a")
+    write(journal, 2)
+    journal.acknowledge(99)
+    assert write(journal)[0].seq == 3
+    assert [entry.seq for entry in journal.unacknowledged()] == [3]
+
+
+def test_compaction_keeps_marks_and_what_is_not_acknowledged(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "journal", boot="a")
+    journal.mark({"latched": True, "used:auth-1": 50.0, "gone": 1})
+    journal.mark({"gone": None})
+    written = write(journal, 6)
+    journal.acknowledge(4)
+    before = (tmp_path / "journal").stat().st_size
+    journal.compact()
+    assert (tmp_path / "journal").stat().st_size < before
+    write(journal)
+    journal.close()
+    again = Journal(tmp_path / "journal", boot="b")
+    assert again.unacknowledged()[:2] == tuple(written[4:])
+    assert again.marks == {"latched": True, "used:auth-1": 50.0}
+    assert again.acknowledged == 4
+
+
+def test_the_file_is_compacted_by_itself_when_it_has_grown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "COMPACT_BYTES", 2000)
+    journal = Journal(tmp_path / "journal", boot="a")
+    for _ in range(10):
+        journal.acknowledge(write(journal, 20)[-1].seq)
+    assert (tmp_path / "journal").stat().st_size < 4000
+
+
+def test_marks_become_durable_with_the_entry_that_carries_them(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "journal", boot="a")
+    journal.append(
+        at_s=0.0, tick=0, kind="launch", invocation="inv-1", actor="cell", body={}, marks={"used:auth-1": 99.0}
+    )
+    journal.close()
+    again = Journal(tmp_path / "journal", boot="b")
+    assert again.used_permits() == {"auth-1"}
+
+
+def test_used_permits_are_forgotten_only_once_time_refuses_them(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "journal", boot="a")
+    journal.mark({"used:auth-1": 50.0, "used:auth-2": 70.0})
+    journal.forget_permits(60.0)
+    assert journal.used_permits() == {"auth-2"}
+    journal.close()
+    assert Journal(tmp_path / "journal", boot="b").used_permits() == {"auth-2"}
+
+
+@pytest.mark.parametrize("cut", [1, 5, 12, 30])
+def test_a_torn_last_line_is_cut_off_and_said(tmp_path: Path, cut: int) -> None:
+    path = tmp_path / "journal"
+    journal = Journal(path, boot="a")
+    written = write(journal, 3)
+    journal.close()
+    path.write_bytes(path.read_bytes()[:-cut])
+    again = Journal(path, boot="b")
+    assert list(again.unacknowledged()) == written[:2]
+    assert again.torn_bytes > 0
+    assert write(again)[0].seq == 3
+    again.close()
+    assert Journal(path, boot="c").torn_bytes == 0
+
+
+@pytest.mark.parametrize("at", [0, 12, 40])
+def test_damage_before_the_last_line_is_refused(tmp_path: Path, at: int) -> None:
+    path = tmp_path / "journal"
+    journal = Journal(path, boot="a")
+    write(journal, 3)
+    journal.close()
+    data = bytearray(path.read_bytes())
+    data[at] ^= 0x01
+    path.write_bytes(data)
+    with pytest.raises(JournalUnavailable, match="damaged at byte `0`"):
+        Journal(path, boot="b")
+
+
+def test_a_repeated_line_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    journal = Journal(path, boot="a")
+    write(journal, 2)
+    journal.close()
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join([*lines, lines[1]]))
+    with pytest.raises(JournalUnavailable, match="repeats sequence number `2`"):
+        Journal(path, boot="b")
+
+
+def test_a_directory_that_is_missing_or_no_directory_is_unavailable(tmp_path: Path) -> None:
+    with pytest.raises(JournalUnavailable, match="cannot open"):
+        Journal(tmp_path / "nowhere" / "journal", boot="a")
+    with pytest.raises(JournalUnavailable, match="cannot open"):
+        Journal(tmp_path, boot="a")
+
+
+def test_a_body_that_is_no_json_is_unavailable_and_writes_nothing(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "journal", boot="a")
+    with pytest.raises(JournalUnavailable):
+        write(journal, bad=object())  # type: ignore[arg-type]
+    assert write(journal)[0].seq == 1
+
+
+def test_a_closed_journal_is_out_of_use(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "journal", boot="a")
+    assert journal.healthy
+    journal.close()
+    assert not journal.healthy
+    for deed in (lambda: write(journal), journal.sync, journal.compact, lambda: journal.mark({"a": 1})):
+        with pytest.raises(JournalUnavailable, match="out of use"):
+            deed()
+
+
+LIMITED = """
+import resource, signal, sys
+from pathlib import Path
+from app.cell.journal import Journal, JournalUnavailable
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+path = Path(sys.argv[1])
+journal = Journal(path, boot="a")
+resource.setrlimit(resource.RLIMIT_FSIZE, (2000, resource.RLIM_INFINITY))
+done = 0
+try:
+    while True:
+        journal.append(at_s=0.0, tick=done, kind="alert", invocation=None, actor="cell", body={"n": done})
+        done += 1
+except JournalUnavailable as error:
+    assert "cannot write" in str(error), error
+assert path.stat().st_size <= 2000
+resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+entry = journal.append(at_s=0.0, tick=done, kind="alert", invocation=None, actor="cell", body={"n": done})
+assert entry.seq == done + 1
+print(done + 1)
+"""
+
+
+@pytest.mark.process
+def test_a_full_disk_is_unavailable_leaves_no_half_line_and_goes_on_when_there_is_room(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    child = subprocess.run([sys.executable, "-c", LIMITED, str(path)], capture_output=True, text=True, timeout=60)
+    assert child.returncode == 0, child.stderr
+    again = Journal(path, boot="b")
+    assert again.torn_bytes == 0
+    assert [entry.body["n"] for entry in again.unacknowledged()] == list(range(int(child.stdout)))
+
+
+WRITING = """
+import sys
+from pathlib import Path
+from app.cell.journal import Journal
+journal = Journal(Path(sys.argv[1]), boot="a")
+number = 0
+while True:
+    number += 1
+    body = {"n": number, "pad": "x" * 200}
+    journal.append(at_s=0.0, tick=number, kind="alert", invocation=None, actor="cell", body=body)
+    journal.sync()
+    print(number, flush=True)
+"""
+
+
+@pytest.mark.process
+def test_what_was_synced_survives_a_kill_in_the_middle_of_writing(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    out = tmp_path / "out"
+    with out.open("wb") as told:
+        child = subprocess.Popen([sys.executable, "-c", WRITING, str(path)], stdout=told)
+        until(lambda: len(out.read_bytes().splitlines()) > 20, what="the child writes")
+        os.kill(child.pid, signal.SIGKILL)
+        child.wait(10)
+    synced = int(out.read_bytes().rsplit(b"\n", 2)[-2])
+    again = Journal(path, boot="b")
+    numbers = [entry.body["n"] for entry in again.unacknowledged()]
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert len(numbers) >= synced
+    assert write(again)[0].seq == len(numbers) + 1

@@ -1,0 +1,642 @@
+"""The runner on a kinematic robot: launch, pause, stop, hold, humans, and what is recorded before what moves."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+from app.cell.journal import Journal, JournalUnavailable
+from app.cell.runner import Runner, run_session
+from app.governance.model import Outcome
+from app.governance.permit import SignedAuthorization, mint
+from app.protocol import CHANNELS, ROW
+from tests.cell.rig import COVERED, DIGEST, KEY, NOW_S, PERMIT, PLAN, RULES, Rig, rule, signed
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Iterator[Rig]:
+    made = Rig(tmp_path)
+    yield made
+    if made.journal.healthy:
+        made.journal.close()
+
+
+class BrokenDisk:
+    """Makes every write of a journal fail until it is mended."""
+
+    def __init__(self, rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.broken = False
+        append, sync, mark = rig.journal.append, rig.journal.sync, rig.journal.mark
+
+        def failing(deed: object) -> object:
+            def do(*args: object, **kwargs: object) -> object:
+                if self.broken:
+                    raise JournalUnavailable("cannot write journal: no space left on device")
+                return deed(*args, **kwargs)  # type: ignore[operator]
+
+            return do
+
+        monkeypatch.setattr(rig.journal, "append", failing(append))
+        monkeypatch.setattr(rig.journal, "sync", failing(sync))
+        monkeypatch.setattr(rig.journal, "mark", failing(mark))
+
+
+# -- launching -------------------------------------------------------------------------------------------------------
+
+
+def test_a_session_runs_to_its_verified_end(rig: Rig) -> None:
+    rig.launch()
+    assert rig.runner.status is not None
+    assert rig.finish()["outcome"] == "succeeded"
+    assert rig.statuses() == ["running", "completed"]
+    assert [body for body in rig.of("alert") if body["signal"] == "COMPLETION"]
+    assert rig.cell.x_m > 2.05
+    assert not rig.moving()
+
+
+def test_run_session_needs_no_server(rig: Rig) -> None:
+    outcome, told = run_session(rig.runner, signed())
+    assert outcome is Outcome.SUCCEEDED
+    assert [entry.kind for entry in told] == ["launch", "status", "alert", "status", "outcome"]
+    refused, told = run_session(rig.runner, signed())
+    assert refused is None
+    assert [entry.kind for entry in told] == ["launch"]
+
+
+def test_nothing_moves_without_a_session(rig: Rig) -> None:
+    rig.ticks(50)
+    assert not any(any(command.base_velocity) for command in rig.cell.commands)
+
+
+@pytest.mark.parametrize(
+    ("permit", "code"),
+    [
+        (signed(cell="elsewhere"), "wrong_cell"),
+        (signed(policy_digest="sha256:other"), "wrong_policy"),
+        (signed(expires_at_s=NOW_S), "expired"),
+        (signed(issued_at_s=NOW_S + 60.0), "not_yet_valid"),
+        (mint(PERMIT, Ed25519PrivateKey.generate()), "bad_signature"),
+        (SignedAuthorization(b"", b""), "bad_signature"),
+    ],
+)
+def test_a_bad_permit_is_refused_recorded_and_moves_nothing(rig: Rig, permit: SignedAuthorization, code: str) -> None:
+    assert rig.runner.launch(permit) == code
+    assert rig.last("launch")["refused"] == code
+    rig.ticks(20)
+    assert rig.cell.bound == []
+    assert not rig.moving()
+
+
+def test_a_cell_without_a_policy_launches_nothing(rig: Rig, tmp_path: Path) -> None:
+    bare = Runner(
+        rig.cell,  # type: ignore[arg-type]
+        plan_of=rig.plan_of,
+        verify=lambda *_: (),
+        journal=rig.journal,
+        wall=lambda: NOW_S + 1.0,
+    )
+    assert bare.launch(signed()) == "wrong_policy"
+
+
+def test_a_permit_is_good_once_even_after_a_restart(rig: Rig, tmp_path: Path) -> None:
+    rig.launch()
+    rig.finish()
+    assert rig.runner.launch(signed()) == "used"
+    rig.journal.close()
+    rig.journal = Journal(tmp_path / "journal", boot="boot-2")
+    rig.runner = rig.start()
+    assert rig.runner.launch(signed()) == "used"
+    rig.launch(id="auth-2")
+
+
+def test_a_second_launch_while_one_runs_is_refused(rig: Rig) -> None:
+    rig.launch()
+    assert rig.runner.launch(signed(id="auth-2", invocation="inv-2")) == "busy"
+    assert rig.finish()["outcome"] == "succeeded"
+
+
+def test_what_the_substrate_cannot_prepare_ends_as_a_fault_with_its_reason(rig: Rig) -> None:
+    rig.cell.refuses["grasp_object"] = "no_path"
+    assert rig.runner.launch(signed()) == "no_path"
+    assert rig.last("outcome")["outcome"] == "fault"
+    assert rig.last("outcome")["code"] == "no_path"
+    assert rig.runner.invocation is None
+
+
+def test_a_grant_policy_has_no_plan_for_does_not_run(rig: Rig) -> None:
+    rig.plan = replace(PLAN, sensitivity=7.0)
+    assert rig.runner.launch(signed()) == "no_plan"
+    assert rig.cell.bound == []
+
+
+def test_the_launch_is_on_the_disk_before_anything_is_bound(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    order: list[str] = []
+    bind, sync = rig.cell.bind, rig.journal.sync
+    monkeypatch.setattr(rig.cell, "bind", lambda *a, **k: (order.append("bind"), bind(*a, **k))[1])
+    monkeypatch.setattr(rig.journal, "sync", lambda: (order.append("sync"), sync())[1])
+    rig.launch()
+    assert order == ["sync", "bind"]
+
+
+# -- the loop --------------------------------------------------------------------------------------------------------
+
+
+def test_telemetry_holds_every_tick(rig: Rig) -> None:
+    rig.launch()
+    rig.finish()
+    rows = list(ROW.iter_unpack(bytes(rig.telemetry)))
+    assert len(rows) == rig.last("outcome")["ticks"]
+    rates = [row[CHANNELS.index("rate")] for row in rows]
+    assert rates[0] < 0.1
+    assert max(rates) == 1.0
+    assert [row[0] for row in rows] == sorted(row[0] for row in rows)
+    with pytest.raises(struct.error):
+        ROW.unpack(bytes(rig.telemetry)[:-1])
+
+
+def test_a_skill_that_asks_too_much_is_clamped(rig: Rig) -> None:
+    rig.cell.script.base_mps = 5.0
+    rig.cell.script.grip_n = 500.0
+    rig.launch()
+    rig.ticks(60)
+    assert max(math.hypot(*command.base_velocity[:2]) for command in rig.cell.commands) <= 0.3 + 1e-9
+    assert max(command.grip_force_n for command in rig.cell.commands) <= 60.0
+
+
+@pytest.mark.parametrize("error", [RuntimeError("boom"), ZeroDivisionError(), ValueError("x")])
+def test_a_skill_that_raises_has_failed_and_the_watcher_lives_on(rig: Rig, error: Exception) -> None:
+    rig.cell.script.raises = error
+    rig.launch()
+    rig.until_status("escalated")
+    assert rig.last("recovery")["failure"] == "skill_error"
+    assert "skill_error" in [body["what"] for body in rig.of("cell")]
+    rig.ticks(100)
+    assert not rig.moving()
+
+
+def test_a_substrate_that_breaks_is_cut_off_and_latched(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig.launch()
+    rig.ticks(20)
+    with monkeypatch.context() as broken:
+        broken.setattr(rig.cell, "step", lambda _command: 1 / 0)
+        rig.runner.tick()
+    assert rig.cell.stops == [0]
+    assert rig.runner.latched
+    assert "broken" in [body["what"] for body in rig.of("cell")]
+    assert rig.runner.launch(signed(id="auth-2")) == "estop_latched"
+
+
+# -- pause, resume, escalate -----------------------------------------------------------------------------------------
+
+
+def walking_in(rig: Rig, *, from_s: float, until_s: float) -> None:
+    rig.cell.script.base_mps = 0.0
+    rig.cell.script.ticks = 300
+    rig.cell.people = lambda now_s: ((2.9, 2.0),) if from_s <= now_s < until_s else ((7.5, 2.0),)
+
+
+def test_a_person_pauses_and_their_leaving_resumes(rig: Rig) -> None:
+    walking_in(rig, from_s=1.0, until_s=2.0)
+    rig.launch()
+    rig.until_status("paused")
+    entered = rig.last("intervention")
+    assert (entered["intervention"], entered["rule"]) == ("PAUSE", "separation_m")
+    rig.until_status("running")
+    assert rig.finish()["outcome"] == "succeeded"
+    assert rig.statuses() == ["running", "paused", "running", "completed"]
+
+
+def test_a_pause_ramps_down_as_declared_and_then_the_skill_is_not_asked_any_more(rig: Rig) -> None:
+    rig.cell.script.ticks = 400
+    rig.launch()
+    rig.ticks(100)
+    assert rig.cell.commands[-1].base_velocity[0] == pytest.approx(0.2)
+    before = len(rig.cell.commands)
+    assert rig.runner.human("inv-1", "pause", "operator") is None
+    rig.ticks(60)
+    speeds = [command.base_velocity[0] for command in rig.cell.commands[before:]]
+    assert speeds[0] < 0.2
+    assert all(later <= earlier for earlier, later in itertools.pairwise(speeds))
+    steepest = max(earlier - later for earlier, later in zip([0.2, *speeds], speeds, strict=False)) / 0.01
+    assert steepest <= 1.0 * 1.1  # base_deceleration_mps2
+    assert speeds[-1] == 0.0
+    assert speeds.index(0.0) <= 25
+    assert not rig.moving()
+    assert rig.runner.human("inv-1", "resume", "operator") is None
+    assert rig.finish()["outcome"] == "succeeded"
+
+
+def test_a_person_who_stays_becomes_a_question_to_a_human(rig: Rig) -> None:
+    walking_in(rig, from_s=1.0, until_s=6.0)
+    rig.launch()
+    rig.until_status("escalated")
+    assert rig.last("escalation")["reason"] == "separation_m"
+    rig.until(lambda: rig.cell.observe().time_s > 8.0)
+    assert rig.runner.status == "escalated"
+    assert not rig.moving()
+    assert rig.runner.human("inv-1", "resolve_continue", "operator") is None
+    assert rig.finish()["outcome"] == "succeeded"
+
+
+def test_a_human_s_resume_does_not_overrule_a_person_who_still_stands_there(rig: Rig) -> None:
+    walking_in(rig, from_s=1.0, until_s=3.0)
+    rig.launch()
+    rig.until_status("paused")
+    rig.ticks(50)
+    at = rig.cell.x_m
+    assert rig.runner.human("inv-1", "resume", "operator") is None
+    rig.ticks(2)
+    assert rig.runner.status == "paused"
+    assert rig.cell.x_m == pytest.approx(at, abs=1e-3)
+
+
+def test_an_operator_s_pause_outlasts_the_person(rig: Rig) -> None:
+    walking_in(rig, from_s=1.0, until_s=2.0)
+    rig.launch()
+    rig.until_status("paused")
+    rig.runner.human("inv-1", "pause", "operator")
+    rig.ticks(300)
+    assert rig.runner.status == "paused"
+    rig.runner.human("inv-1", "resume", "operator")
+    assert rig.finish()["outcome"] == "succeeded"
+
+
+# -- violations and recovery -----------------------------------------------------------------------------------------
+
+
+def test_slip_is_released_retracted_and_grasped_again(rig: Rig) -> None:
+    rig.cell.script.grip_n = 20.0
+    rig.cell.lie = lambda seen: seen._replace(
+        slip_m=0.02 if rig.cell.runs == {"grasp_object": 1} and seen.time_s > 0.5 else 0.0
+    )
+    rig.launch()
+    assert rig.finish()["outcome"] == "recovered"
+    assert [name for name, _, _ in rig.cell.bound] == ["grasp_object", "release_and_retract", "grasp_object"]
+    assert [body["strategy"] for body in rig.of("recovery")] == ["RECOVERY_CAPABILITY", "RETRY"]
+    assert rig.statuses() == ["running", "recovering", "running", "completed"]
+    assert rig.last("outcome")["retries"] == 1
+
+
+def test_a_recovery_waits_for_whoever_is_in_the_way(rig: Rig) -> None:
+    rig.cell.script.grip_n = 20.0
+    walking_in(rig, from_s=0.9, until_s=3.0)
+    rig.cell.lie = lambda seen: seen._replace(
+        slip_m=0.02 if rig.cell.runs == {"grasp_object": 1} and seen.time_s > 1.0 else 0.0
+    )
+    rig.plan = replace(
+        PLAN, rules=(replace(RULES[0], response=replace(RULES[0].response, persist_ms=None)), *RULES[1:])
+    )
+    rig.launch()
+    rig.until(lambda: rig.cell.observe().time_s > 2.9)
+    assert rig.cell.runs == {"grasp_object": 1}
+    assert rig.runner.status == "paused"
+    assert rig.finish()["outcome"] == "recovered"
+
+
+def test_the_recovery_is_on_the_disk_before_it_is_bound(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig.cell.script.fails[("grasp_object", 1)] = "grasp_failed"
+    rig.launch()
+    order: list[str] = []
+    bind, sync = rig.cell.bind, rig.journal.sync
+    monkeypatch.setattr(rig.cell, "bind", lambda *a, **k: (order.append("bind"), bind(*a, **k))[1])
+    monkeypatch.setattr(rig.journal, "sync", lambda: (order.append("sync"), sync())[1])
+    assert rig.finish()["outcome"] == "recovered"
+    assert order == ["sync", "bind"]
+
+
+def test_safer_mode_runs_carefully(rig: Rig) -> None:
+    rig.cell.lie = lambda seen: seen._replace(tcp_speed_mps=0.6) if seen.tick == 60 else seen
+    rig.launch()
+    assert rig.finish()["outcome"] == "recovered"
+    assert [careful for _, _, careful in rig.cell.bound] == [False, True]
+
+
+def test_what_is_not_covered_asks_a_human_and_his_word_tries_again(rig: Rig) -> None:
+    rig.cell.script.fails[("grasp_object", 1)] = "grasp_failed"
+    rig.launch(recoveries=COVERED[2:])
+    rig.until_status("escalated")
+    assert rig.last("recovery")["reason"] == "not_covered"
+    rig.ticks(200)
+    assert not rig.moving()
+    assert rig.runner.human("inv-1", "resolve_continue", "operator") is None
+    assert rig.finish()["outcome"] == "recovered"
+
+
+def test_a_human_may_let_it_end_instead(rig: Rig) -> None:
+    rig.cell.script.fails[("grasp_object", 1)] = "grasp_failed"
+    rig.launch(recoveries=())
+    rig.until_status("escalated")
+    assert rig.runner.human("inv-1", "resolve_terminate", "operator") is None
+    assert rig.finish()["outcome"] == "terminated"
+
+
+def test_a_claim_that_sensors_do_not_confirm_is_a_failure(rig: Rig) -> None:
+    rig.cell.unmet = ("object_secured",)
+    rig.launch()
+    rig.until(lambda: len(rig.of("recovery")) >= 2)
+    assert [body["strategy"] for body in rig.of("recovery")][:2] == ["RETRY", "ROLLBACK"]
+    assert rig.of("recovery")[0]["unmet"] == ["object_secured"]
+    rig.until_status("escalated")
+    assert rig.of("outcome") == []
+
+
+def test_a_rollback_that_sensors_confirm_ends_as_rolled_back(rig: Rig) -> None:
+    rig.cell.script.base_mps = 0.0
+    rig.launch()
+    rig.ticks(40)
+    assert rig.runner.human("inv-1", "rollback", "operator") is None
+    assert rig.finish()["outcome"] == "rolled_back"
+    assert [name for name, _, _ in rig.cell.bound] == ["grasp_object", "retrace"]
+    assert rig.statuses()[-1] == "failed"
+
+
+def test_a_rollback_that_did_not_bring_the_base_back_is_a_failure(rig: Rig) -> None:
+    rig.cell.script.base_mps = 0.25
+    rig.launch()
+    rig.ticks(90)
+    rig.runner.human("inv-1", "rollback", "operator")
+    rig.until_status("escalated")
+    assert "base_pose" in rig.last("recovery")["unmet"]
+    assert rig.last("recovery")["failure"] == "rollback_failed"
+    assert rig.of("outcome") == []
+
+
+def test_a_rollback_that_is_not_covered_holds_and_asks(rig: Rig) -> None:
+    rig.launch(recoveries=())
+    rig.ticks(40)
+    assert rig.runner.human("inv-1", "rollback", "operator") == "rollback_unavailable"
+    rig.ticks(60)
+    assert rig.runner.status == "escalated"
+    assert not rig.moving()
+
+
+def test_a_timeout_terminates(rig: Rig) -> None:
+    rig.plan = replace(PLAN, timeout_s=0.5)
+    rig.launch()
+    assert rig.finish()["outcome"] == "terminated"
+    assert rig.last("recovery")["failure"] == "timeout"
+
+
+def test_a_stop_without_a_failure_ends_by_category_1(rig: Rig) -> None:
+    rig.plan = replace(PLAN, rules=(rule("contact_force_n", threshold=100.0),))
+    rig.cell.lie = lambda seen: seen._replace(contact_force_n=400.0 + seen.time_s) if seen.tick > 50 else seen
+    rig.launch()
+    assert rig.finish()["outcome"] == "stopped"
+    assert rig.cell.stops == [1]
+    rig.cell.lie = lambda seen: seen
+    rig.launch(id="auth-2", invocation="inv-2")  # power comes back with a new launch, not by itself
+    assert rig.finish()["outcome"] == "succeeded"
+
+
+def test_a_sensor_that_says_nan_holds_and_asks(rig: Rig) -> None:
+    rig.cell.lie = lambda seen: seen._replace(residual_nm=(math.nan,) * 6) if seen.tick > 50 else seen
+    rig.launch()
+    rig.until_status("escalated")
+    assert rig.last("escalation")["reason"] == "watch/implausible"
+    rig.ticks(100)
+    assert not rig.moving()
+
+
+@pytest.mark.parametrize(
+    "lie",
+    [{"contact_force_n": 400.0}, {"base_velocity": (0.6, 0.0, 0.0)}, {"tcp_speed_mps": 0.9}],
+    ids=["force", "base speed", "tcp speed"],
+)
+def test_the_command_changes_in_the_tick_after_a_violation_is_seen(rig: Rig, lie: dict[str, object]) -> None:
+    rig.cell.script.ticks = 500
+    rig.launch()
+    rig.ticks(100)
+    steady = rig.cell.commands[-1].base_velocity[0]
+    start = len(rig.cell.commands)
+    rig.cell.lie = lambda seen: seen._replace(**lie)  # type: ignore[arg-type]
+    rig.ticks(3)
+    changed = [number for number, c in enumerate(rig.cell.commands[start:]) if c.base_velocity[0] < steady - 1e-6]
+    assert changed[0] <= 2  # the first tick still sees it
+
+
+# -- confirmations ---------------------------------------------------------------------------------------------------
+
+
+def test_a_phase_that_needs_a_confirmation_does_not_begin_without(rig: Rig) -> None:
+    rig.cell.script.releases = True
+    rig.launch(confirm_before=("release",))
+    rig.until_status("escalated")
+    assert rig.last("escalation")["reason"] == "confirm:release"
+    assert not rig.moving()
+    rig.ticks(200)
+    assert not rig.moving()
+    assert rig.runner.human("inv-1", "confirm", "operator") is None
+    assert rig.finish()["outcome"] == "succeeded"
+    assert len(rig.of("escalation")) == 1
+
+
+def test_there_is_nothing_to_confirm_where_nothing_waits(rig: Rig) -> None:
+    rig.launch()
+    rig.ticks(20)
+    assert rig.runner.human("inv-1", "confirm", "operator") == "nothing_to_confirm"
+
+
+# -- orders ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("op", "outcome", "stops"), [("stop", "stopped", [1]), ("cancel", "cancelled", [])])
+def test_stop_and_cancel_come_to_rest_first(rig: Rig, op: str, outcome: str, stops: list[int]) -> None:
+    rig.launch()
+    rig.ticks(60)
+    assert rig.runner.human("inv-1", op, "operator") is None
+    assert rig.finish()["outcome"] == outcome
+    assert rig.cell.stops == stops
+    assert rig.last("human") == {"op": op, "done": True, "refused": None}
+    human = next(entry for entry in rig.entries if entry.kind == "human")
+    assert human.actor == "operator"
+
+
+@pytest.mark.parametrize(
+    ("op", "refused"), [("resume", "not_paused"), ("resolve_continue", "not_escalated"), ("dance", "unknown_op")]
+)
+def test_a_word_that_does_not_fit_is_refused_and_recorded(rig: Rig, op: str, refused: str) -> None:
+    rig.launch()
+    rig.ticks(20)
+    assert rig.runner.human("inv-1", op, "operator") == refused
+    assert rig.last("human")["refused"] == refused
+    assert rig.runner.human("inv-9", op, "operator") == "no_such_session"
+
+
+def test_nothing_takes_back_a_stop(rig: Rig) -> None:
+    rig.launch()
+    rig.ticks(60)
+    rig.runner.human("inv-1", "stop", "operator")
+    for op in ("resume", "resolve_continue", "rollback", "cancel"):
+        assert rig.runner.human("inv-1", op, "operator") == "ending"
+    assert rig.finish()["outcome"] == "stopped"
+
+
+def test_an_emergency_stop_is_at_once_latched_and_its_reset_moves_nothing(rig: Rig, tmp_path: Path) -> None:
+    rig.launch()
+    rig.ticks(60)
+    rig.runner.estop("anyone")
+    assert rig.cell.stops == [0]
+    assert rig.last("outcome")["code"] == "estop"
+    assert rig.runner.invocation is None
+    assert rig.runner.launch(signed(id="auth-2")) == "estop_latched"
+    rig.journal.close()
+    rig.journal = Journal(tmp_path / "journal", boot="boot-2")
+    rig.runner = rig.start()
+    assert rig.runner.latched
+    assert rig.runner.launch(signed(id="auth-3")) == "estop_latched"
+    assert rig.runner.reset("operator") is None
+    at = rig.cell.x_m
+    rig.ticks(50)
+    assert rig.cell.x_m == at
+    assert rig.runner.reset("operator") == "not_latched"
+    rig.launch(id="auth-4", invocation="inv-4")
+    assert rig.finish()["outcome"] == "succeeded"
+
+
+# -- the link --------------------------------------------------------------------------------------------------------
+
+
+def test_a_lost_link_holds_and_only_a_human_lets_it_go_on(rig: Rig) -> None:
+    rig.launch()
+    rig.ticks(60)
+    rig.runner.hold("link")
+    rig.ticks(60)
+    assert (rig.runner.status, rig.moving()) == ("escalated", False)
+    assert rig.runner.view().holding == "link"
+    assert rig.runner.standing()
+    assert rig.runner.human("inv-1", "resolve_continue", "operator") == "holding"
+    rig.runner.welcomed()
+    rig.ticks(200)
+    assert (rig.runner.status, rig.moving()) == ("escalated", False)
+    assert rig.runner.human("inv-1", "resolve_continue", "operator") is None
+    assert rig.finish()["outcome"] == "succeeded"
+
+
+def test_nothing_launches_while_the_cell_holds(rig: Rig) -> None:
+    rig.runner.hold("link")
+    assert rig.runner.launch(signed()) == "holding"
+    rig.runner.welcomed()
+    rig.launch()
+
+
+def test_a_pause_does_not_end_by_itself_while_the_link_is_lost(rig: Rig) -> None:
+    walking_in(rig, from_s=1.0, until_s=2.0)
+    rig.launch()
+    rig.until_status("paused")
+    rig.runner.hold("link")
+    rig.ticks(400)
+    assert (rig.runner.status, rig.moving()) == ("escalated", False)
+
+
+def test_a_recovery_under_way_is_finished_without_the_link_but_no_new_attempt_begins(rig: Rig) -> None:
+    rig.cell.script.grip_n = 20.0
+    rig.cell.lie = lambda seen: seen._replace(
+        slip_m=0.02 if rig.cell.runs == {"grasp_object": 1} and seen.time_s > 0.5 else 0.0
+    )
+    rig.launch()
+    rig.until(lambda: "release_and_retract" in rig.cell.runs)
+    rig.runner.hold("link")
+    rig.until_status("escalated")
+    assert [name for name, _, _ in rig.cell.bound] == ["grasp_object", "release_and_retract"]
+    rig.ticks(100)
+    assert not rig.moving()
+
+
+def test_a_shutdown_brings_the_session_to_its_end(rig: Rig) -> None:
+    rig.launch()
+    rig.ticks(60)
+    assert not rig.runner.standing()
+    rig.runner.hold("shutdown")
+    rig.until(rig.runner.standing)
+    assert rig.last("outcome")["code"] == "shutdown"
+
+
+# -- the journal -----------------------------------------------------------------------------------------------------
+
+
+def test_what_was_open_when_the_cell_died_is_told_as_a_fault_and_stays_over(rig: Rig, tmp_path: Path) -> None:
+    rig.launch()
+    rig.ticks(60)
+    rig.journal.close()
+    for boot in ("boot-2", "boot-3"):
+        rig.journal = Journal(tmp_path / "journal", boot=boot)
+        rig.runner = rig.start()
+        rig.ticks(20)
+        rig.journal.close()
+    ends = [entry for entry in rig.entries if entry.kind == "outcome"]
+    assert [(entry.invocation, entry.body["outcome"], entry.body["code"]) for entry in ends] == [
+        ("inv-1", "fault", "cell_restarted")
+    ]
+
+
+def test_without_a_journal_nothing_launches(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    disk = BrokenDisk(rig, monkeypatch)
+    disk.broken = True
+    assert rig.runner.launch(signed()) == "journal_unavailable"
+    assert "no space" in rig.runner.fault
+    assert rig.cell.bound == []
+
+
+def test_a_session_stops_when_its_record_fails_and_says_so_once_it_can(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = BrokenDisk(rig, monkeypatch)
+    rig.cell.script.fails[("grasp_object", 1)] = "grasp_failed"
+    rig.launch()
+    rig.ticks(20)
+    disk.broken = True
+    rig.until(lambda: rig.runner.invocation is None)
+    assert not rig.moving()
+    assert rig.cell.bound == [("grasp_object", {"object_id": "mug_1"}, False)]
+    assert rig.cell.stops == [1]
+    assert "no space" in rig.runner.view().fault
+    disk.broken = False
+    rig.ticks(200)
+    assert rig.runner.fault == ""
+    assert rig.last("outcome")["code"] == "journal_unavailable"
+
+
+@pytest.mark.parametrize("op", ["pause", "stop", "cancel"])
+def test_restraint_does_not_wait_for_the_record(rig: Rig, monkeypatch: pytest.MonkeyPatch, op: str) -> None:
+    disk = BrokenDisk(rig, monkeypatch)
+    rig.launch()
+    rig.ticks(60)
+    disk.broken = True
+    rig.runner.human("inv-1", op, "operator")
+    rig.ticks(80)
+    assert not rig.moving()
+
+
+def test_an_emergency_stop_does_not_wait_for_the_record_and_cannot_be_left_without_one(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = BrokenDisk(rig, monkeypatch)
+    rig.launch()
+    rig.ticks(60)
+    disk.broken = True
+    rig.runner.estop("anyone")
+    assert rig.cell.stops == [0]
+    assert rig.runner.reset("operator") == "journal_unavailable"
+    assert rig.runner.latched
+    disk.broken = False
+    rig.ticks(200)
+    assert "estop" in [body["what"] for body in rig.of("cell")]
+
+
+def test_acknowledged_entries_are_forgotten(rig: Rig) -> None:
+    rig.launch()
+    rig.finish()
+    rig.runner.acknowledged(3)
+    assert [entry.seq for entry in rig.journal.unacknowledged()] == [4, 5]
+
+
+def test_the_digest_a_test_signs_is_the_one_the_cell_believes() -> None:
+    assert PERMIT.policy_digest == DIGEST
+    assert KEY.public_key() is not None
