@@ -368,7 +368,7 @@ def _not_finite(param: str) -> EvaluationError:
     return EvaluationError("not_finite", f"params.{param}")
 
 
-_SUPPORT: Final[Mapping[str, object]] = {
+_SUPPORT: Final[Mapping[str, object]] = {  # pyright: ignore[reportUnknownVariableType]  # tuple.__new__
     "ALLOW": PolicyOutcome.ALLOW,
     "MODIFY": PolicyOutcome.MODIFY,
     "ESCALATE": PolicyOutcome.ESCALATE,
