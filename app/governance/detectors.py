@@ -10,6 +10,7 @@ NaN never passes as well: every sensor field goes into one sum, and a sum that i
 from __future__ import annotations
 
 import math
+from math import cos, hypot, sin, sqrt
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from app.governance.estimation import BaseEstimate, PersonEstimate, now, track_base, track_people
@@ -148,7 +149,7 @@ class Measure:
         base, people = senses.base, senses.people
         vx, vy, _ = seen.base_velocity
         cx, cy, _ = command.base_velocity
-        speed = math.sqrt(vx * vx + vy * vy)
+        speed = sqrt(vx * vx + vy * vy)
         x = y = yaw = margin_m = gap_m = gap_margin_m = math.nan
         needed_m = self._fixed_m
         if sound:  # otherwise the estimates stay as they were, and every signal that needs them is unknown
@@ -156,12 +157,12 @@ class Measure:
             people = track_people(people, seen.people, seen.time_s) if seen.people or people else ()
             odo_x, odo_y, odo_yaw = seen.odometry
             x, y, yaw = odo_x + base.x_m, odo_y + base.y_m, odo_yaw + base.yaw_rad
-            cos, sin = math.cos(yaw), math.sin(yaw)
-            wx, wy = cos * vx - sin * vy, sin * vx + cos * vy
+            c, s = cos(yaw), sin(yaw)
+            wx, wy = c * vx - s * vy, s * vx + c * vy
             margin_m = self._zone_margin(x, y, wx, wy, base) if self._zones else FAR_M
             gap_m = gap_margin_m = FAR_M
             if people:
-                gap_m, needed_m, gap_margin_m = self._separation(people, seen, x, y, cos, sin, wx, wy)
+                gap_m, needed_m, gap_margin_m = self._separation(people, seen, x, y, c, s, wx, wy)
         age_ms, age_margin_ms = self._staleness(seen)
 
         elapsed, stall, progress = senses.elapsed_ticks, senses.stall_ticks, senses.progress
@@ -181,38 +182,41 @@ class Measure:
             or (seen.time_s <= before.time_s and seen is not before)
             or _implausible(seen, placed)
         )
-        signals = Signals(
-            0.5 * (seen.contact_force_n + before.contact_force_n),
-            _largest(seen.residual_nm),
-            seen.tcp_speed_mps,
-            speed,
-            margin_m,
-            gap_m,
-            stall * period_s,
-            elapsed * period_s,
-            float(retries),
-            slip_m,
-            1.0 if lost >= LOST_TICKS else 0.0,
-            _farthest(command.joint_rad, seen.joint_rad),
-            math.sqrt((cx - vx) ** 2 + (cy - vy) ** 2),
-            age_ms,
-            1.0 if odd else 0.0,
-            float(unmet),
-            needed_m,
-            gap_margin_m,
-            age_margin_ms,
-            x,
-            y,
-            yaw,
+        signals = Signals._make(
+            (
+                0.5 * (seen.contact_force_n + before.contact_force_n),
+                _largest(seen.residual_nm),
+                seen.tcp_speed_mps,
+                speed,
+                margin_m,
+                gap_m,
+                stall * period_s,
+                elapsed * period_s,
+                float(retries),
+                slip_m,
+                1.0 if lost >= LOST_TICKS else 0.0,
+                _farthest(command.joint_rad, seen.joint_rad),
+                sqrt((cx - vx) ** 2 + (cy - vy) ** 2),
+                age_ms,
+                1.0 if odd else 0.0,
+                float(unmet),
+                needed_m,
+                gap_margin_m,
+                age_margin_ms,
+                x,
+                y,
+                yaw,
+            ),
         )
-        return Senses(base, people, seen, elapsed, stall, progress, held, lost, slip_from_m, stuck, stuck_base), signals
+        after = Senses._make((base, people, seen, elapsed, stall, progress, held, lost, slip_from_m, stuck, stuck_base))
+        return after, signals
 
     def _zone_margin(self, x: float, y: float, wx: float, wy: float, base: BaseEstimate) -> float:
         """Return the least clearance between the hull and a zone on the way to standstill, if braking began now."""
-        speed = math.hypot(wx, wy)
+        speed = hypot(wx, wy)
         if speed > 0.01:
             wx, wy = wx + base.drift_x_mps, wy + base.drift_y_mps
-            speed = math.hypot(wx, wy)
+            speed = hypot(wx, wy)
         reach_s = REACTION_S + speed / (2.0 * self._deceleration)
         return min([zone.clearance(x, y, wx * reach_s, wy * reach_s) for zone in self._zones]) - self._base_radius_m
 
@@ -222,22 +226,22 @@ class Measure:
         seen: Observation,
         x: float,
         y: float,
-        cos: float,
-        sin: float,
+        c: float,
+        s: float,
         wx: float,
         wy: float,
     ) -> tuple[float, float, float]:
         """Return distance, protective separation and margin of the person with the least margin."""
         tx, ty, _ = seen.tcp_m
-        hand_x, hand_y = x + cos * tx - sin * ty, y + sin * tx + cos * ty
+        hand_x, hand_y = x + c * tx - s * ty, y + s * tx + c * ty
         jx, jy = _tcp_velocity(seen.jacobian, seen.joint_speed_radps)
-        hand_wx, hand_wy = wx + cos * jx - sin * jy, wy + sin * jx + cos * jy
+        hand_wx, hand_wy = wx + c * jx - s * jy, wy + s * jx + c * jy
         worst = (FAR_M, self._fixed_m, math.inf)
         for person in people:
             px, py = now(person, seen.time_s)
             to_x, to_y = px - x, py - y
             reach_x, reach_y = px - hand_x, py - hand_y
-            far, near = math.hypot(to_x, to_y), math.hypot(reach_x, reach_y)
+            far, near = hypot(to_x, to_y), hypot(reach_x, reach_y)
             # Directed: only speed towards the person shortens the time they have.
             closing = max(
                 0.0,
@@ -290,7 +294,7 @@ class _Keepout(NamedTuple):
         Far off the distance to the bounding box stands in: it is never more than the true one.
         """
         dx, dy = max(self.x0 - x, x - self.x1, 0.0), max(self.y0 - y, y - self.y1, 0.0)
-        rough = math.sqrt(dx * dx + dy * dy) - math.sqrt(ahead_x * ahead_x + ahead_y * ahead_y)
+        rough = sqrt(dx * dx + dy * dy) - sqrt(ahead_x * ahead_x + ahead_y * ahead_y)
         if rough > NEAR_ZONE_M:
             return rough
         here, there = self._signed(x, y), self._signed(x + ahead_x, y + ahead_y)
@@ -315,7 +319,7 @@ def _to_segment(x: float, y: float, x0: float, y0: float, x1: float, y1: float) 
     length = ex * ex + ey * ey
     along = ((x - x0) * ex + (y - y0) * ey) / length if length > 0.0 else 0.0
     along = 0.0 if along < 0.0 else min(along, 1.0)
-    return math.hypot(x - x0 - along * ex, y - y0 - along * ey)
+    return hypot(x - x0 - along * ex, y - y0 - along * ey)
 
 
 def _tcp_velocity(jacobian: tuple[float, ...], speeds: Vec6) -> tuple[float, float]:
@@ -330,6 +334,19 @@ def _tcp_velocity(jacobian: tuple[float, ...], speeds: Vec6) -> tuple[float, flo
 def _largest(values: Vec6) -> float:
     high, low = max(values), min(values)
     return high if high > -low else -low
+
+
+def _within(values: Vec6, limit: float) -> bool:
+    a, b, c, d, e, f = values
+    low = -limit
+    return (
+        low <= a <= limit
+        and low <= b <= limit
+        and low <= c <= limit
+        and low <= d <= limit
+        and low <= e <= limit
+        and low <= f <= limit
+    )
 
 
 def _farthest(told: Vec6, seen: Vec6) -> float:
@@ -400,9 +417,9 @@ def _implausible(seen: Observation, placed: float) -> bool:
     if total - total != 0.0:
         return True
     return not (
-        _largest(seen.joint_rad) <= LARGEST_JOINT_RAD
-        and _largest(seen.joint_speed_radps) <= LARGEST_JOINT_SPEED_RADPS
-        and _largest(seen.joint_torque_nm) <= LARGEST_TORQUE_NM
+        _within(seen.joint_rad, LARGEST_JOINT_RAD)
+        and _within(seen.joint_speed_radps, LARGEST_JOINT_SPEED_RADPS)
+        and _within(seen.joint_torque_nm, LARGEST_TORQUE_NM)
         and 0.0 <= seen.contact_force_n <= LARGEST_FORCE_N
         and -0.05 <= seen.grip_width_m <= LARGEST_WIDTH_M
         and abs(seen.tcp_m[0]) + abs(seen.tcp_m[1]) <= LONGEST_REACH_M

@@ -66,7 +66,7 @@ def track_base(estimate: BaseEstimate, time_s: float, period_s: float, odometry:
     p_od += period_s * p_dd
     p_dd += DRIFT_NOISE * period_s
     if fix is None or fix.stamp_s == fix_s:
-        return BaseEstimate(x, y, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, 0.0, history)
+        return BaseEstimate._make((x, y, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, 0.0, history))
     age_s = time_s - fix.stamp_s
     _, then_x, then_y, then_yaw = _at(history, fix.stamp_s)
     off_x = fix.x_m - then_x - (x - dx * age_s)

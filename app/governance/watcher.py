@@ -89,7 +89,7 @@ class _Sum(NamedTuple):
 class Watcher:
     """Watches one session. Immutable: all that changes is in the `WatchState` that goes in and comes out."""
 
-    __slots__ = ("_quick", "_rows", "_sums", "measure", "plan", "rules")
+    __slots__ = ("_above", "_below", "_rows", "_sums", "measure", "plan", "rules")
 
     def __init__(self, plan: WatchPlan, measure: Measure, rows: tuple[_Row, ...]) -> None:
         """Arrange compiled rows; use `compile_watch`."""
@@ -97,11 +97,9 @@ class Watcher:
         self.measure = measure
         self.rules = tuple(row.rule for row in rows)
         self._rows = rows
-        self._quick = tuple(
-            (number, row.place, row.sign, row.limit)
-            for number, row in enumerate(rows)
-            if row.rule.method == "threshold"
-        )
+        plain = [(number, row) for number, row in enumerate(rows) if row.rule.method == "threshold"]
+        self._above = tuple((number, row.place, row.limit) for number, row in plain if row.rule.above)
+        self._below = tuple((number, row.place, -row.limit) for number, row in plain if not row.rule.above)
         self._sums = tuple(
             _Sum(row.place, row.sign, row.sign * row.limit, _sum_limit(row), number)
             for number, row in enumerate(rows)
@@ -132,11 +130,11 @@ class Watcher:
         what the actuators were told, `rate` how fast the skill was let run (see `Measure`).
         """
         senses, signals = self.measure(state.senses, observation, report, command, rate, retries, unmet)
-        violated = [
-            number for number, place, sign, limit in self._quick if not sign * signals[place] <= limit
-        ]  # `not … <=`, so that a NaN is a violation
+        # `not … <=`, so that a NaN is a violation.
+        violated = [number for number, place, limit in self._above if not signals[place] <= limit]
+        violated += [number for number, place, limit in self._below if not signals[place] >= limit]
         if not violated and not self._sums:
-            return WatchState(senses, signals, (), ()), QUIET
+            return WatchState._make((senses, signals, (), ())), QUIET
         sums = tuple(
             [
                 cusum(total, row.sign * signals[row.place], row.reference, row.limit)
@@ -145,7 +143,7 @@ class Watcher:
         )
         violated += [row.row for total, row in zip(sums, self._sums, strict=True) if not total <= row.limit]
         if not violated:
-            return WatchState(senses, signals, (), sums), QUIET
+            return WatchState._make((senses, signals, (), sums)), QUIET
         before = dict(state.lasting)
         lasting = tuple([(number, before.get(number, 0) + 1) for number in violated])
         return WatchState(senses, signals, lasting, sums), tuple(self._alerts(lasting, signals))
@@ -153,7 +151,7 @@ class Watcher:
     def _alerts(self, lasting: tuple[tuple[int, int], ...], signals: Signals) -> Iterator[Alert]:
         for number, ticks in lasting:
             row = self._rows[number]
-            if ticks >= row.ticks:
+            if ticks >= row.ticks or row.rule.method == "cusum":  # a sum that has passed its limit has lasted
                 limit = row.sign * row.limit if row.computed is None else signals[row.computed]
                 if row.rule.signal == "sensor_age_ms" and row.computed is not None:
                     limit = signals.sensor_age_ms - signals.sensor_margin_ms

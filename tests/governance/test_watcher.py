@@ -180,6 +180,14 @@ def test_a_cusum_adds_up_small_excesses_and_jumps_at_large_ones() -> None:
     assert first_alert(plan, [seen(tick, tcp_speed_mps=0.249) for tick in range(500)]) == (None, None)
 
 
+def test_a_cusum_waits_for_its_sum_and_not_for_its_debounce_as_well() -> None:
+    plan = watching(rule("tcp_speed_mps", threshold=0.2, for_ms=100, method="cusum"))
+    assert first_alert(plan, [seen(tick, tcp_speed_mps=0.5) for tick in range(20)])[0] == 0
+    assert (
+        first_alert(plan, [seen(tick, tcp_speed_mps=0.23) for tick in range(20)])[0] == 3
+    )  # 4 × 0.03 > 0.05 · 0.2 · 10
+
+
 def test_the_zone_margin_includes_the_way_to_standstill() -> None:
     plan = watching(rule("zone_margin_m", above=False), base_radius_m=0.45, base_deceleration_mps2=1.0)
     here = {"odometry": (3.9, 1.0, 0.0), "fix": None}  # 0.25 m from the hull to the zone
