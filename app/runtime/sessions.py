@@ -111,6 +111,8 @@ class Sessions:
             questions = story.questions.values()
             await self._register.append(story.drafts, [*rows, *(item.row() for item in questions)], story.changed())
             self._desk.hold(*questions)
+        for event in events:
+            self._telemetry.note(event)
         for name in story.ended():
             self._seal_soon(name, cell)
 

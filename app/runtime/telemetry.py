@@ -5,7 +5,7 @@ A telemetry file is evidence, not permission: if it cannot be written the sessio
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft
@@ -15,8 +15,18 @@ from app.protocol import CHANNELS
 from app.runtime.drafts import SERVER
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
+
+    from app.audit.telemetry import Level
+    from app.protocol import UpEvent
+
+LEVELS: Final[Mapping[str, Level]] = {
+    EventKind.ALERT: "warning",
+    EventKind.INTERVENTION: "error",
+    EventKind.RECOVERY: "warning",
+}
+"""What of a session's reports goes beside its rows, and how loudly."""
 
 
 class Telemetry:
@@ -48,6 +58,16 @@ class Telemetry:
                 return
             self._writers[invocation] = writer
         writer.write_rows(rows)
+
+    def note(self, event: UpEvent) -> None:
+        """Set what the watcher said and what followed beside the rows, at the newest row's time."""
+        writer = None if event.invocation is None else self._writers.get(event.invocation)
+        level = LEVELS.get(event.kind)
+        if writer is None or level is None:
+            return
+        said = event.body.get("intervention") or event.body.get("strategy") or event.body.get("signal") or event.kind
+        about = event.body.get("rule") or event.body.get("failure") or ""
+        writer.event(event.kind, f"{said} {about}".strip(), level=level, detail={**event.body, "tick": event.tick})
 
     async def seal(self, invocation: str) -> EventDraft | None:
         """Close a session's file and return the event that vouches for it; None where there was no telemetry."""
