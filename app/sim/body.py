@@ -14,9 +14,9 @@ import numpy as np
 
 from app.governance.model import CONTROL_PERIOD_S, Command, Observation
 from app.sim import robot
+from app.sim.hand import Hand, Mark, support
 from app.sim.kinematics import ArmSolver, ToolPose
 from app.sim.localisation import to_base, to_world, wrapped
-from app.sim.hand import Hand, Mark, support
 from app.sim.motion import ARM_ACCELERATION, ARM_JERK, BASE_ACCELERATION, BASE_JERK, MARGIN, Limits, Path, Travel
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ _BLOCKED_ERROR_M, _LOOKAHEAD_M = 0.20, 0.9
 _TURN_SPEED_RADPS = 0.8
 
 
-class SkillFailed(Exception):  # noqa: N818  # a fact about the skill, not an error of the program
+class SkillFailed(Exception):  # a fact about the skill, not an error of the program
     """A skill gives up; `failure` is a failure name recovery knows."""
 
     def __init__(self, failure: str, detail: str) -> None:
@@ -151,7 +151,10 @@ class Body:
             )
             solved = self.senses.solver.solve(seed, pose)
             if solved is None or np.abs(solved - seed).max() > 0.5:
-                raise SkillFailed("unreachable", f"the arm does not reach ({pose.x_m:.2f}, {pose.y_m:.2f}, {pose.z_m:.2f}) from the base")
+                raise SkillFailed(
+                    "unreachable",
+                    f"the arm does not reach ({pose.x_m:.2f}, {pose.y_m:.2f}, {pose.z_m:.2f}) from the base",
+                )
             seed = solved
             out.append(seed)
             if k % _SOLVES_PER_TICK == 0:
@@ -252,7 +255,13 @@ class Body:
         first, last = self.progress, 0.95
         for k, (a, b) in enumerate(zip(way, way[1:], strict=False)):
             after = yaw + (turn * lengths[k] / over if k in turning else 0.0)
-            yield from self._leg((*a, yaw), (*b, after), speed_mps, first + (last - first) * done / total, (last - first) * lengths[k] / total)
+            yield from self._leg(
+                (*a, yaw),
+                (*b, after),
+                speed_mps,
+                first + (last - first) * done / total,
+                (last - first) * lengths[k] / total,
+            )
             yaw, done = after, done + lengths[k]
         yield from self._settle((*way[-1], yaw_rad), speed_mps)
 
@@ -261,7 +270,9 @@ class Body:
         metres = max(length, abs(end[2] - start[2]) * speed_mps / _TURN_SPEED_RADPS)
         if metres < 1e-6:
             return
-        travel = Travel(Path([np.array(start), np.array(end)], [metres]), Limits(speed_mps * 0.97, BASE_ACCELERATION, BASE_JERK))
+        travel = Travel(
+            Path([np.array(start), np.array(end)], [metres]), Limits(speed_mps * 0.97, BASE_ACCELERATION, BASE_JERK)
+        )
         while not travel.done:
             point, velocity = travel.advance(self.rate)
             self._check_way(point, end)
@@ -292,7 +303,12 @@ class Body:
         if fast > speed_mps:
             vx, vy = vx * speed_mps / fast, vy * speed_mps / fast
         c, s = cos(yaw), sin(yaw)
-        return Command(tuple(self.joints.tolist()), self._still, (float(c * vx + s * vy), float(c * vy - s * vx), float(wz)), self.grip_n)
+        return Command(
+            tuple(self.joints.tolist()),
+            self._still,
+            (float(c * vx + s * vy), float(c * vy - s * vx), float(wz)),
+            self.grip_n,
+        )
 
     def _settle(self, goal: Vec3, speed_mps: float) -> Moves:
         point, calm, passed = np.array(goal), 0, 0.0
@@ -311,7 +327,10 @@ class Body:
         """Drive through poses in one journey (retracing); no corner is sharper than it was when recorded."""
         start = self.senses.believed_pose()
         points = [np.array((*p[:2], start[2] + wrapped(p[2] - start[2]))) for p in (start, *poses)]
-        lengths = [float(np.hypot(*(b - a)[:2])) + abs(float(b[2] - a[2])) * 0.3 for a, b in zip(points, points[1:], strict=False)]
+        lengths = [
+            float(np.hypot(*(b - a)[:2])) + abs(float(b[2] - a[2])) * 0.3
+            for a, b in zip(points, points[1:], strict=False)
+        ]
         travel = Travel(Path(points, lengths), Limits(speed_mps * 0.97, BASE_ACCELERATION, BASE_JERK))
         while not travel.done:
             point, velocity = travel.advance(self.rate)

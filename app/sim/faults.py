@@ -54,8 +54,12 @@ class Fault:
         wanted = _KINDS[self.kind][1]
         for name in sorted(set(self.sizes) - set(wanted)):
             raise ValueError(f"fault `{self.kind}` has no size `{name}`: valid are {', '.join(wanted)}")
-        if self.kind == "sensor" and (self.sizes.get("sensor") not in SENSORS or self.sizes.get("fault") not in SENSOR_FAULTS):
-            raise ValueError(f"sensor fault needs `sensor` ({', '.join(SENSORS)}) and `fault` ({', '.join(SENSOR_FAULTS)})")
+        if self.kind == "sensor" and (
+            self.sizes.get("sensor") not in SENSORS or self.sizes.get("fault") not in SENSOR_FAULTS
+        ):
+            raise ValueError(
+                f"sensor fault needs `sensor` ({', '.join(SENSORS)}) and `fault` ({', '.join(SENSOR_FAULTS)})"
+            )
 
     @classmethod
     def read(cls, data: Json) -> Fault:
@@ -92,9 +96,10 @@ class Scenario:
         if not isinstance(faults, list) or not isinstance(people, list):
             raise ValueError("a scenario's `faults` and `people` are lists")
         return cls(
-            faults=tuple(Fault.read(entry) for entry in faults), people=tuple(Walk.read(entry) for entry in people),
+            faults=tuple(Fault.read(entry) for entry in faults),
+            people=tuple(Walk.read(entry) for entry in people),
             summary=str(fields.get("summary", "")),
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +169,9 @@ def _blocked(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> None:
 
 
 def _odometry_bias(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> None:
-    victim.sensors.odometry_bias[:] = (_number(sizes, "x_mps", 0.0), _number(sizes, "y_mps", 0.0)) if begin else (0.0, 0.0)
+    victim.sensors.odometry_bias[:] = (
+        (_number(sizes, "x_mps", 0.0), _number(sizes, "y_mps", 0.0)) if begin else (0.0, 0.0)
+    )
 
 
 def _payload_shift(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> None:

@@ -43,7 +43,9 @@ class SelfModel:
         self._tcp = int(self._model.site(robot.TCP_SITE).id)
         self._jacp = np.zeros((3, self._model.nv))
 
-    def update(self, joint_rad: Floats, speed: Floats, acceleration: Floats, base_velocity: Floats, base_acceleration: Floats) -> Floats:
+    def update(
+        self, joint_rad: Floats, speed: Floats, acceleration: Floats, base_velocity: Floats, base_acceleration: Floats
+    ) -> Floats:
         """Take the measured motion and return the joint torques it needs (one inverse dynamics call)."""
         data = self._data
         data.qpos[3:9] = joint_rad

@@ -66,7 +66,11 @@ class Travel:
         if path.length_m > 1e-9:
             wish = ruckig.InputParameter(1)
             wish.current_position, wish.target_position = [0.0], [path.length_m]
-            wish.max_velocity, wish.max_acceleration, wish.max_jerk = [limits.speed_mps], [limits.acceleration_mps2], [limits.jerk_mps3]
+            wish.max_velocity, wish.max_acceleration, wish.max_jerk = (
+                [limits.speed_mps],
+                [limits.acceleration_mps2],
+                [limits.jerk_mps3],
+            )
             result = ruckig.Ruckig(1).calculate(wish, self._trajectory)
             if result not in (ruckig.Result.Working, ruckig.Result.Finished):
                 raise ValueError(f"no timing for {path.length_m:.3f} m within {limits}: {result}")

@@ -40,8 +40,15 @@ class FloorMap:
         keep = BASE_RADIUS_M + max(clearance_m, MIN_CLEARANCE_M)
         outlines = [(outline, keep) for outline in furniture(site)]
         half = CRATE_HALF_M[0]
-        outlines += [(((x - half, y - half), (x + half, y - half), (x + half, y + half), (x - half, y + half)), keep) for x, y in crates]
-        outlines += [(zone.polygon, max(keep, BASE_RADIUS_M + ZONE_MARGIN_M)) for zone in site.zones.values() if _shut(zone, goal)]
+        outlines += [
+            (((x - half, y - half), (x + half, y - half), (x + half, y + half), (x - half, y + half)), keep)
+            for x, y in crates
+        ]
+        outlines += [
+            (zone.polygon, max(keep, BASE_RADIUS_M + ZONE_MARGIN_M))
+            for zone in site.zones.values()
+            if _shut(zone, goal)
+        ]
         x0, y0, x1, y1 = self._bounds
         self._nx, self._ny = round((x1 - x0) / CELL_M) + 1, round((y1 - y0) / CELL_M) + 1
         xs, ys = np.meshgrid(x0 + CELL_M * np.arange(self._nx), y0 + CELL_M * np.arange(self._ny), indexing="ij")
@@ -64,7 +71,9 @@ class FloorMap:
         steps = max(2, int(hypot(end[0] - start[0], end[1] - start[1]) / (CELL_M / 2)) + 1)
         share = np.linspace(0.0, 1.0, steps)
         xs, ys = start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1])
-        return all(bool((distance_to(outline, xs, ys) >= distance - 1e-9).all()) for outline, distance in self._outlines)
+        return all(
+            bool((distance_to(outline, xs, ys) >= distance - 1e-9).all()) for outline, distance in self._outlines
+        )
 
     def search(self, start: Point, end: Point) -> list[Point] | None:
         """Return way points from start to end, both included, or None where no way is free."""
@@ -115,7 +124,9 @@ class FloorMap:
         return kept
 
 
-def plan_way(site: Site, start: Vec3, goal: Vec3, *, clearance_m: float, corridor: str | None, crates: Iterable[Point] = ()) -> list[Point]:
+def plan_way(
+    site: Site, start: Vec3, goal: Vec3, *, clearance_m: float, corridor: str | None, crates: Iterable[Point] = ()
+) -> list[Point]:
     """Return way points for the middle of the base, start and goal included.
 
     Raises:
@@ -127,14 +138,20 @@ def plan_way(site: Site, start: Vec3, goal: Vec3, *, clearance_m: float, corrido
         return [here, there]
     leave, arrive = _back_off(floor, start), _back_off(floor, goal)
     if leave is None or arrive is None:
-        raise SubstrateError("no_path", f"with {clearance_m:.2f} m clearance the base cannot {'leave' if leave is None else 'reach'} its stand")
+        raise SubstrateError(
+            "no_path",
+            f"with {clearance_m:.2f} m clearance the base cannot {'leave' if leave is None else 'reach'} its stand",
+        )
     via = _along(site.corridors[corridor], leave, arrive) if corridor else []
     stops = [leave, *via, arrive]
     way: list[Point] = [here]
     for begin, end in zip(stops, stops[1:], strict=False):
         leg = floor.search(begin, end)
         if leg is None:
-            raise SubstrateError("no_path", f"no way from ({begin[0]:.1f}, {begin[1]:.1f}) to ({end[0]:.1f}, {end[1]:.1f}) with {clearance_m:.2f} m clearance")
+            raise SubstrateError(
+                "no_path",
+                f"no way from ({begin[0]:.1f}, {begin[1]:.1f}) to ({end[0]:.1f}, {end[1]:.1f}) with {clearance_m:.2f} m clearance",
+            )
         way += leg
     return _tidy([*way, there])
 
@@ -144,10 +161,22 @@ def furniture(site: Site) -> list[tuple[Point, ...]]:
     outlines: list[tuple[Point, ...]] = []
     for s in site.surfaces.values():
         c, n = cos(s.yaw_rad), sin(s.yaw_rad)
-        corners = ((-s.half_x_m, -s.half_y_m), (s.half_x_m, -s.half_y_m), (s.half_x_m, s.half_y_m), (-s.half_x_m, s.half_y_m))
+        corners = (
+            (-s.half_x_m, -s.half_y_m),
+            (s.half_x_m, -s.half_y_m),
+            (s.half_x_m, s.half_y_m),
+            (-s.half_x_m, s.half_y_m),
+        )
         outlines.append(tuple((s.x_m + c * x - n * y, s.y_m + n * x + c * y) for x, y in corners))
     for t in site.tools.values():
-        outlines.append(((t.x_m - 0.12, t.y_m - 0.30), (t.x_m + 0.12, t.y_m - 0.30), (t.x_m + 0.12, t.y_m + 0.08), (t.x_m - 0.12, t.y_m + 0.08)))
+        outlines.append(
+            (
+                (t.x_m - 0.12, t.y_m - 0.30),
+                (t.x_m + 0.12, t.y_m - 0.30),
+                (t.x_m + 0.12, t.y_m + 0.08),
+                (t.x_m - 0.12, t.y_m + 0.08),
+            )
+        )
     return outlines
 
 
@@ -183,8 +212,19 @@ def _back_off(floor: FloorMap, pose: Vec3) -> Point | None:
 def _along(corridor: Corridor, start: Point, end: Point) -> list[Point]:
     """Return the part of the corridor's centre line between the points nearest to start and end."""
     (s0, p0), (s1, p1) = _project(corridor.line, start), _project(corridor.line, end)
-    marks = np.concatenate(([0.0], np.cumsum([hypot(b[0] - a[0], b[1] - a[1]) for a, b in zip(corridor.line, corridor.line[1:], strict=False)])))
-    between = [(float(m), point) for m, point in zip(marks, corridor.line, strict=True) if min(s0, s1) + 1e-6 < m < max(s0, s1) - 1e-6]
+    marks = np.concatenate(
+        (
+            [0.0],
+            np.cumsum(
+                [hypot(b[0] - a[0], b[1] - a[1]) for a, b in zip(corridor.line, corridor.line[1:], strict=False)]
+            ),
+        )
+    )
+    between = [
+        (float(m), point)
+        for m, point in zip(marks, corridor.line, strict=True)
+        if min(s0, s1) + 1e-6 < m < max(s0, s1) - 1e-6
+    ]
     middle = [point for _, point in sorted(between, reverse=s0 > s1)]
     return [p0, *middle, p1]
 

@@ -30,7 +30,9 @@ class Trigger:
         if isinstance(data, (int, float)) and not isinstance(data, bool):
             return cls(time_s=float(data))
         if not isinstance(data, dict) or not data:
-            raise ValueError(f"trigger `{data}`: valid is a time in seconds or a mapping with capability, phase, run, after_s")
+            raise ValueError(
+                f"trigger `{data}`: valid is a time in seconds or a mapping with capability, phase, run, after_s"
+            )
         unknown = set(data) - {"time_s", "capability", "phase", "run", "after_s"}
         if unknown:
             raise ValueError(f"trigger key `{min(unknown)}`: valid are time_s, capability, phase, run, after_s")

@@ -101,6 +101,8 @@ class People:
                 continue
             x, y, heading, walked = at
             if self.present.get(index) != (x, y):
-                plant.place_person(index, x, y, heading, _SWING_RAD * sin(6.28318 * walked / (2 * _STRIDE_M)), present=True)
+                plant.place_person(
+                    index, x, y, heading, _SWING_RAD * sin(6.28318 * walked / (2 * _STRIDE_M)), present=True
+                )
             self.present[index] = (x, y)
             self._moved.add(index)

@@ -155,7 +155,9 @@ def _blended(before: Seen | None, now: Seen) -> Seen:
     if max(abs(now.x_m - before.x_m), abs(now.y_m - before.y_m), abs(now.z_m - before.z_m)) > _BLEND_M:
         return now
     x, y, z = (a + _BLEND * (b - a) for a, b in zip(before[:3], now[:3], strict=True))
-    return Seen(x, y, z, wrapped(before.yaw_rad + _BLEND * wrapped(now.yaw_rad - before.yaw_rad)), now.upright, now.stamp_s)
+    return Seen(
+        x, y, z, wrapped(before.yaw_rad + _BLEND * wrapped(now.yaw_rad - before.yaw_rad)), now.upright, now.stamp_s
+    )
 
 
 def _grid(area: Area) -> list[Point]:

@@ -15,7 +15,17 @@ import mujoco
 import numpy as np
 
 from app.sim import robot
-from app.sim.world import CRATE_HALF_M, CRATES, HIP_M, LEVER_SWING_RAD, PERSON_PARTS, PHYSICS_STEP_S, SUBSTEPS, UNDER_FLOOR_M, build_world
+from app.sim.world import (
+    CRATE_HALF_M,
+    CRATES,
+    HIP_M,
+    LEVER_SWING_RAD,
+    PERSON_PARTS,
+    PHYSICS_STEP_S,
+    SUBSTEPS,
+    UNDER_FLOOR_M,
+    build_world,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,12 +40,26 @@ _FEED_FORWARD_S = np.array(robot.ARM_KV) / np.array(robot.ARM_KP)
 _BRAKE_ARM_NM, _BRAKE_BASE_N = 400.0, 3000.0
 _BASE_HOLD_PER_S, _BASE_HOLD_MAX, _STANDING_MPS = 5.0, 0.05, 0.01
 _SCALING_LEAK_S = 1.5
-_WAKE_M, _RESTING_MPS = 0.25, 1e-3  # around the tool; checked every few ticks, between which the tool moves some centimetres
+_WAKE_M, _RESTING_MPS = (
+    0.25,
+    1e-3,
+)  # around the tool; checked every few ticks, between which the tool moves some centimetres
 _AVERAGE = np.full(SUBSTEPS, 1.0 / SUBSTEPS)
 _LYING = 0.7
 # Model fields that faults and brakes edit; a snapshot carries them beside the integration state.
-_EDITED = ("dof_frictionloss", "actuator_gainprm", "actuator_biasprm", "body_gravcomp", "geom_friction", "geom_priority", "body_mass", "body_inertia",
-           "body_ipos", "geom_contype", "geom_conaffinity")  # fmt: skip
+_EDITED = (
+    "dof_frictionloss",
+    "actuator_gainprm",
+    "actuator_biasprm",
+    "body_gravcomp",
+    "geom_friction",
+    "geom_priority",
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "geom_contype",
+    "geom_conaffinity",
+)
 
 
 @dataclass(slots=True)
@@ -134,7 +158,9 @@ class Plant:
             mujoco.mj_step(model, data)
             force[SUBSTEPS + k] = sensed
             torque[k] = pushed
-        mujoco.mj_kinematics(model, data)  # poses of now, not of the last substep's beginning: the same that a restored state has
+        mujoco.mj_kinematics(
+            model, data
+        )  # poses of now, not of the last substep's beginning: the same that a restored state has
         return self.read()
 
     def _drive_arm(self, command: Command) -> None:
@@ -156,7 +182,11 @@ class Plant:
             return
         drives.base_hold = None
         yaw, gain = float(self._qpos[self._base_q][2]), drives.speed_gain
-        self._ctrl[self._base_u] = (gain * (cos(yaw) * vx - sin(yaw) * vy), gain * (sin(yaw) * vx + cos(yaw) * vy), gain * wz)
+        self._ctrl[self._base_u] = (
+            gain * (cos(yaw) * vx - sin(yaw) * vy),
+            gain * (sin(yaw) * vx + cos(yaw) * vy),
+            gain * wz,
+        )
 
     def _stand_still(self) -> tuple[float, ...]:
         """Standing still is a position loop of the wheel drives: a push does not move the base away for good."""
@@ -165,7 +195,10 @@ class Plant:
             drives.base_hold = tuple(at)
         if drives.base_hold is None:
             return (0.0, 0.0, 0.0)
-        return tuple(max(-_BASE_HOLD_MAX, min(_BASE_HOLD_MAX, _BASE_HOLD_PER_S * (a - b))) for a, b in zip(drives.base_hold, at, strict=True))
+        return tuple(
+            max(-_BASE_HOLD_MAX, min(_BASE_HOLD_MAX, _BASE_HOLD_PER_S * (a - b)))
+            for a, b in zip(drives.base_hold, at, strict=True)
+        )
 
     def _drive_grip(self, force_n: float) -> None:
         self.drives.grip_force_n = force_n
@@ -179,10 +212,16 @@ class Plant:
         c, s = cos(yaw), sin(yaw)
         force = self._force[SUBSTEPS:]
         return Tick(
-            joint_rad=self._qpos[self._arm_q], joint_speed=self._qvel[self._arm_v], joint_torque=_AVERAGE @ self._torque, wrist_force=force[:, 0:3],
-            wrist_acceleration=force[:, 3:6], pad_force_n=_AVERAGE @ force[:, 6:8], width_m=float(fingers[0] + fingers[1]), base_pose=pose,
+            joint_rad=self._qpos[self._arm_q],
+            joint_speed=self._qvel[self._arm_v],
+            joint_torque=_AVERAGE @ self._torque,
+            wrist_force=force[:, 0:3],
+            wrist_acceleration=force[:, 3:6],
+            pad_force_n=_AVERAGE @ force[:, 6:8],
+            width_m=float(fingers[0] + fingers[1]),
+            base_pose=pose,
             base_velocity=np.array((c * vx + s * vy, c * vy - s * vx, wz)),
-        )  # fmt: skip
+        )
 
     def cut_power(self) -> None:
         """Take power from arm and base: the brakes fall in. The gripper locks itself and keeps its grip."""
@@ -258,7 +297,9 @@ class Plant:
         """Take a crate away."""
         self.data.mocap_pos[self.model.body(name).mocapid[0]] = (0.0, 0.0, UNDER_FLOOR_M)
 
-    def place_person(self, index: int, x_m: float, y_m: float, heading_rad: float, swing_rad: float, *, present: bool) -> None:
+    def place_person(
+        self, index: int, x_m: float, y_m: float, heading_rad: float, swing_rad: float, *, present: bool
+    ) -> None:
         """Move a figure; one that is not present waits under the floor."""
         half, z = heading_rad / 2, HIP_M if present else UNDER_FLOOR_M
         turn = np.array((cos(half), 0.0, 0.0, sin(half)))
@@ -372,7 +413,9 @@ class Plant:
         self.drives, self._force, self._torque, self._asleep = own
         mujoco.mj_setState(self.model, self.data, physics, mujoco.mjtState.mjSTATE_INTEGRATION)
         mujoco.mj_forward(self.model, self.data)
-        mujoco.mj_setState(self.model, self.data, physics, mujoco.mjtState.mjSTATE_INTEGRATION)  # forward touched the warm start
+        mujoco.mj_setState(
+            self.model, self.data, physics, mujoco.mjtState.mjSTATE_INTEGRATION
+        )  # forward touched the warm start
 
 
 def _run_of(indices: list[int]) -> slice:
@@ -383,5 +426,7 @@ def _run_of(indices: list[int]) -> slice:
     """
     first = int(indices[0])
     if [int(i) for i in indices] != list(range(first, first + len(indices))):
-        raise ValueError(f"the robot's joints and actuators must stand in order, base, arm and fingers each together; found `{indices}`")
+        raise ValueError(
+            f"the robot's joints and actuators must stand in order, base, arm and fingers each together; found `{indices}`"
+        )
     return slice(first, first + len(indices))

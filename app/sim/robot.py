@@ -124,7 +124,9 @@ def _add_base(spec: mujoco.MjSpec, *, mobile: bool) -> mujoco.MjsBody:
             base.add_joint(name=name, type=kind, axis=axis)
             _add_velocity_servo(spec, name, kv, force)
     _add_shape(base, "chassis", mujoco.mjtGeom.mjGEOM_BOX, (0.33, 0.25, 0.20), (0, 0, 0.26), BASE_MASS_KG * 0.8, _DARK)
-    _add_shape(base, "column", mujoco.mjtGeom.mjGEOM_BOX, (0.14, 0.14, 0.12), (0.08, 0, 0.58), BASE_MASS_KG * 0.2, _SHELL)
+    _add_shape(
+        base, "column", mujoco.mjtGeom.mjGEOM_BOX, (0.14, 0.14, 0.12), (0.08, 0, 0.58), BASE_MASS_KG * 0.2, _SHELL
+    )
     return base
 
 
@@ -135,14 +137,27 @@ def _add_arm(spec: mujoco.MjSpec, base: mujoco.MjsBody) -> mujoco.MjsBody:
         body = parent.add_body(name=f"{name}_link", pos=position, quat=quat, gravcomp=1.0)
         limit = pi if name == "elbow" else 2 * pi
         body.add_joint(
-            name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=(0, 0, 1), range=(-limit, limit), limited=True, armature=ARM_ARMATURE[i],
-            actgravcomp=True, actfrcrange=(-TORQUE_LIMIT_NM[i], TORQUE_LIMIT_NM[i]), actfrclimited=True,
-        )  # fmt: skip
+            name=name,
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            axis=(0, 0, 1),
+            range=(-limit, limit),
+            limited=True,
+            armature=ARM_ARMATURE[i],
+            actgravcomp=True,
+            actfrcrange=(-TORQUE_LIMIT_NM[i], TORQUE_LIMIT_NM[i]),
+            actfrclimited=True,
+        )
         for k, link in enumerate(_LINKS[i]):
             body.add_geom(
-                name=f"{name}_shell_{k}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=(*link.start_m, *link.end_m), size=(link.radius_m, 0, 0),
-                mass=LINK_MASS_KG[i] / len(_LINKS[i]), contype=ROBOT, conaffinity=ENVIRONMENT | OBJECT, rgba=_SHELL if i % 2 else _DARK,
-            )  # fmt: skip
+                name=f"{name}_shell_{k}",
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+                fromto=(*link.start_m, *link.end_m),
+                size=(link.radius_m, 0, 0),
+                mass=LINK_MASS_KG[i] / len(_LINKS[i]),
+                contype=ROBOT,
+                conaffinity=ENVIRONMENT | OBJECT,
+                rgba=_SHELL if i % 2 else _DARK,
+            )
         _add_position_servo(spec, name, ARM_KP[i], ARM_KV[i])
         parent, position = body, (DH_A_M[i], 0.0, DH_D_M[i])
         quat = (cos(DH_ALPHA_RAD[i] / 2), sin(DH_ALPHA_RAD[i] / 2), 0.0, 0.0)
@@ -151,24 +166,59 @@ def _add_arm(spec: mujoco.MjSpec, base: mujoco.MjsBody) -> mujoco.MjsBody:
 
 def _add_gripper(spec: mujoco.MjSpec, wrist: mujoco.MjsBody, *, fingers: bool) -> None:
     palm = wrist.add_body(name="gripper", pos=(0, 0, DH_D_M[5]), gravcomp=1.0)
-    _add_shape(palm, "palm", mujoco.mjtGeom.mjGEOM_BOX, (0.035, 0.07, 0.035), (0, 0, 0.035), GRIPPER_MASS_KG - 2 * FINGER_MASS_KG, _DARK)
+    _add_shape(
+        palm,
+        "palm",
+        mujoco.mjtGeom.mjGEOM_BOX,
+        (0.035, 0.07, 0.035),
+        (0, 0, 0.035),
+        GRIPPER_MASS_KG - 2 * FINGER_MASS_KG,
+        _DARK,
+    )
     palm.add_site(name=WRIST_SITE, pos=(0, 0, 0.06))
     palm.add_site(name=TCP_SITE, pos=(0, 0, FLANGE_TO_TCP_M))
     for name, pad, side in zip(FINGER_JOINTS, PAD_GEOMS, (1.0, -1.0), strict=True):
         finger = palm.add_body(name=name, pos=(0, 0 if fingers else side * FINGER_STROKE_M / 2, 0), gravcomp=1.0)
         if fingers:
             finger.add_joint(
-                name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(0, side, 0), range=(0.0, FINGER_STROKE_M), limited=True, damping=80.0,
+                name=name,
+                type=mujoco.mjtJoint.mjJNT_SLIDE,
+                axis=(0, side, 0),
+                range=(0.0, FINGER_STROKE_M),
+                limited=True,
+                damping=80.0,
                 armature=0.05,
-            )  # fmt: skip
-        _add_shape(finger, f"{name}_rod", mujoco.mjtGeom.mjGEOM_BOX, (0.010, 0.006, 0.05), (0, side * 0.016, 0.115), FINGER_MASS_KG * 0.7, _SHELL)
+            )
+        _add_shape(
+            finger,
+            f"{name}_rod",
+            mujoco.mjtGeom.mjGEOM_BOX,
+            (0.010, 0.006, 0.05),
+            (0, side * 0.016, 0.115),
+            FINGER_MASS_KG * 0.7,
+            _SHELL,
+        )
         finger.add_geom(
-            name=pad, type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.011, 0.005, 0.014), pos=(0, side * 0.005, FLANGE_TO_TCP_M), mass=FINGER_MASS_KG * 0.3,
-            contype=ROBOT, conaffinity=ENVIRONMENT | OBJECT, condim=4, priority=1, friction=PAD_FRICTION, solimp=(0.95, 0.99, 0.001, 0.5, 2),
-            solref=(0.02, 1.0), rgba=(0.1, 0.1, 0.1, 1),
-        )  # fmt: skip
+            name=pad,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=(0.011, 0.005, 0.014),
+            pos=(0, side * 0.005, FLANGE_TO_TCP_M),
+            mass=FINGER_MASS_KG * 0.3,
+            contype=ROBOT,
+            conaffinity=ENVIRONMENT | OBJECT,
+            condim=4,
+            priority=1,
+            friction=PAD_FRICTION,
+            solimp=(0.95, 0.99, 0.001, 0.5, 2),
+            solref=(0.02, 1.0),
+            rgba=(0.1, 0.1, 0.1, 1),
+        )
         finger.add_site(
-            name=f"{pad}_touch", type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.013, 0.007, 0.016), pos=(0, side * 0.005, FLANGE_TO_TCP_M), rgba=(0, 0, 0, 0)
+            name=f"{pad}_touch",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=(0.013, 0.007, 0.016),
+            pos=(0, side * 0.005, FLANGE_TO_TCP_M),
+            rgba=(0, 0, 0, 0),
         )
     if fingers:
         _couple_fingers(spec)
@@ -186,18 +236,39 @@ def _couple_fingers(spec: mujoco.MjSpec) -> None:
     motor.gear[0] = -1.0  # positive closes, newtons per pad
 
 
-def _add_shape(body: mujoco.MjsBody, name: str, kind: mujoco.mjtGeom, size: tuple[float, ...], pos: tuple[float, ...], mass_kg: float, rgba: tuple[float, ...]) -> None:  # fmt: skip
-    body.add_geom(name=name, type=kind, size=size, pos=pos, mass=mass_kg, contype=ROBOT, conaffinity=ENVIRONMENT | OBJECT, rgba=rgba)
+def _add_shape(
+    body: mujoco.MjsBody,
+    name: str,
+    kind: mujoco.mjtGeom,
+    size: tuple[float, ...],
+    pos: tuple[float, ...],
+    mass_kg: float,
+    rgba: tuple[float, ...],
+) -> None:
+    body.add_geom(
+        name=name,
+        type=kind,
+        size=size,
+        pos=pos,
+        mass=mass_kg,
+        contype=ROBOT,
+        conaffinity=ENVIRONMENT | OBJECT,
+        rgba=rgba,
+    )
 
 
 def _add_position_servo(spec: mujoco.MjSpec, joint: str, kp: float, kv: float) -> None:
-    servo = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT, biastype=mujoco.mjtBias.mjBIAS_AFFINE)
+    servo = spec.add_actuator(
+        name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT, biastype=mujoco.mjtBias.mjBIAS_AFFINE
+    )
     servo.gainprm[0] = kp
     servo.biasprm[1], servo.biasprm[2] = -kp, -kv
 
 
 def _add_velocity_servo(spec: mujoco.MjSpec, joint: str, kv: float, force: float) -> None:
-    servo = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT, biastype=mujoco.mjtBias.mjBIAS_AFFINE)
+    servo = spec.add_actuator(
+        name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT, biastype=mujoco.mjtBias.mjBIAS_AFFINE
+    )
     servo.gainprm[0] = kv
     servo.biasprm[2] = -kv
     servo.forcelimited = True

@@ -34,7 +34,10 @@ PAD_LOADED_N = 1.0
 SENSORS = ("arm", "wrist", "gripper", "odometry", "fix", "people", "objects")
 _COLUMNS, _ROWS = 64, 512
 _BASE_SIGMA, _WHEELS_STILL = np.array((0.002, 0.002, 0.002)), 1e-3
-_BODY_SIGMA = np.repeat((ENCODER_SIGMA_RAD, DRIVE_SIGMA_RADPS, TORQUE_SIGMA_NM, WRIST_SIGMA_N, PAD_SIGMA_N, WIDTH_SIGMA_M), (6, 6, 6, 3, 2, 1))
+_BODY_SIGMA = np.repeat(
+    (ENCODER_SIGMA_RAD, DRIVE_SIGMA_RADPS, TORQUE_SIGMA_NM, WRIST_SIGMA_N, PAD_SIGMA_N, WIDTH_SIGMA_M),
+    (6, 6, 6, 3, 2, 1),
+)
 _THIRDS, _AVERAGE = np.zeros(3), np.full(5, 0.2)
 
 
@@ -128,7 +131,16 @@ class Sensors:
         """
         now = tick * CONTROL_PERIOD_S
         n = self._noise.row()
-        raw = np.concatenate((physical.joint_rad, physical.joint_speed, physical.joint_torque, _THIRDS, physical.pad_force_n, (physical.width_m,)))
+        raw = np.concatenate(
+            (
+                physical.joint_rad,
+                physical.joint_speed,
+                physical.joint_torque,
+                _THIRDS,
+                physical.pad_force_n,
+                (physical.width_m,),
+            )
+        )
         outer = physical.wrist_force - (self._gripper_kg + self.load_kg) * physical.wrist_acceleration
         raw[18:21] = _AVERAGE @ outer
         raw += _BODY_SIGMA * n[: len(raw)]
@@ -189,7 +201,9 @@ class Sensors:
         if tick % FIX_PERIOD_TICKS == 0:
             n = self._noise.row()
             x, y = pose[0] + FIX_SIGMA_M * n[0], pose[1] + FIX_SIGMA_M * n[1]
-            stamp, value = self._deliver("fix", tick * CONTROL_PERIOD_S, np.array((x, y, pose[2] + FIX_SIGMA_RAD * n[2])), n[3:])
+            stamp, value = self._deliver(
+                "fix", tick * CONTROL_PERIOD_S, np.array((x, y, pose[2] + FIX_SIGMA_RAD * n[2])), n[3:]
+            )
             self._fixes.append((tick + FIX_DELAY_TICKS, Fix(stamp, *map(float, value))))
         if self._fixes and self._fixes[0][0] <= tick:
             fix = self._fixes.popleft()[1]
@@ -200,7 +214,9 @@ class Sensors:
 
     # -- people ----------------------------------------------------------------------------------------------------------------------
 
-    def people(self, tick: int, present: Iterable[tuple[int, Point]], eye: Point, walls: Sequence[tuple[Point, ...]]) -> tuple[PersonTrack, ...]:
+    def people(
+        self, tick: int, present: Iterable[tuple[int, Point]], eye: Point, walls: Sequence[tuple[Point, ...]]
+    ) -> tuple[PersonTrack, ...]:
         """Track people from the robot's mast: 20 Hz, 60 ms late, with dropout, and not through furniture.
 
         A person who drops out keeps the last sighting, with its old stamp, for a second.
@@ -215,19 +231,32 @@ class Sensors:
         self._tracks = {k: track for k, track in self._tracks.items() if now - track.stamp_s < PEOPLE_KEEP_S}
         return tuple(self._tracks.values())
 
-    def _sight(self, tick: int, now: float, present: Iterable[tuple[int, Point]], eye: Point, walls: Sequence[tuple[Point, ...]]) -> None:
+    def _sight(
+        self,
+        tick: int,
+        now: float,
+        present: Iterable[tuple[int, Point]],
+        eye: Point,
+        walls: Sequence[tuple[Point, ...]],
+    ) -> None:
         n = self._noise.row()
         seen: list[tuple[int, Floats]] = []
         for person, (x, y) in present:
             k = 4 * (person % 8)
             dropped = abs(n[k + 2]) > 2.17  # two-sided 3 %
-            if dropped or hypot(x - eye[0], y - eye[1]) > PEOPLE_RANGE_M or any(_crosses(eye, (x, y), wall) for wall in walls):
+            if (
+                dropped
+                or hypot(x - eye[0], y - eye[1]) > PEOPLE_RANGE_M
+                or any(_crosses(eye, (x, y), wall) for wall in walls)
+            ):
                 continue
             seen.append((person, np.array((x + PEOPLE_SIGMA_M * n[k], y + PEOPLE_SIGMA_M * n[k + 1]))))
         stamp, values = self._deliver("people", now, np.array([value for _, value in seen]).ravel(), n[32:])
         values = values.reshape(-1, 2)
         ids = [person for person, _ in seen][: len(values)]
-        tracks = tuple(PersonTrack(person, stamp, float(v[0]), float(v[1])) for person, v in zip(ids, values, strict=False))
+        tracks = tuple(
+            PersonTrack(person, stamp, float(v[0]), float(v[1])) for person, v in zip(ids, values, strict=False)
+        )
         self._sightings.append((tick + PEOPLE_DELAY_TICKS, stamp, tracks))
 
 

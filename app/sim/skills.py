@@ -68,6 +68,14 @@ class Run:
         return SkillReport(self._body.phase, self._body.progress, self._state, self._failure)
 
 
-def start(capability: str, params: Mapping[str, Json], senses: Senses, observation: Observation, held: Command, *, careful: bool) -> Run:
+def start(
+    capability: str,
+    params: Mapping[str, Json],
+    senses: Senses,
+    observation: Observation,
+    held: Command,
+    *,
+    careful: bool,
+) -> Run:
     """Prepare a run of a skill from the command that is being held."""
     return Run(capability, params, Body(senses, observation, held, careful=careful))

@@ -16,7 +16,7 @@ from app.sim.localisation import to_world, wrapped
 from app.sim.perception import Glimpse
 
 if TYPE_CHECKING:
-    from app.governance.model import Command, Json, Point, Site, SiteObject, Surface, Tool
+    from app.governance.model import Command, Json, Point, SiteObject, Surface
 
 HOVER_M, LIFT_M, GRIP_DEPTH_M = 0.10, 0.12, 0.06
 REACH_MIN_M, REACH_MAX_M = 0.42, 0.95
@@ -81,9 +81,17 @@ def grasp_object(body: Body, params: Mapping[str, Json]) -> Moves:
         raise SubstrateError("object_not_found", f"`{name}` has not been seen yet: inspect the area where it may be")
     x, y = body.relative(seen.x_m, seen.y_m)
     if not within_reach(x, y):
-        raise SubstrateError("unreachable", f"`{name}` is {hypot(x, y):.2f} m from the base: drive to where it is in reach")
+        raise SubstrateError(
+            "unreachable", f"`{name}` is {hypot(x, y):.2f} m from the base: drive to where it is in reach"
+        )
     force = number(params, "force_n", 40.0) * 0.98
-    return _grasp(body, thing, Glimpse(x, y, seen.z_m, wrapped(seen.yaw_rad - body.senses.believed_pose()[2]), seen.upright, 0.01), force, number(params, "speed_mps", 0.3))  # fmt: skip
+    return _grasp(
+        body,
+        thing,
+        Glimpse(x, y, seen.z_m, wrapped(seen.yaw_rad - body.senses.believed_pose()[2]), seen.upright, 0.01),
+        force,
+        number(params, "speed_mps", 0.3),
+    )
 
 
 def _grasp(body: Body, thing: SiteObject, guess: Glimpse, force_n: float, limit_mps: float) -> Moves:
@@ -145,7 +153,14 @@ def localise(body: Body, name: str) -> Generator[Command, None, Glimpse]:
         raise SkillFailed("object_not_found", f"`{name}` is not where it was remembered")
     turn = shots[0].yaw_rad
     mean = np.array([(s.x_m, s.y_m, s.z_m, wrapped(s.yaw_rad - turn)) for s in shots]).mean(axis=0)
-    return Glimpse(float(mean[0]), float(mean[1]), float(mean[2]), wrapped(turn + float(mean[3])), shots[-1].upright, shots[-1].sigma_m)
+    return Glimpse(
+        float(mean[0]),
+        float(mean[1]),
+        float(mean[2]),
+        wrapped(turn + float(mean[3])),
+        shots[-1].upright,
+        shots[-1].sigma_m,
+    )
 
 
 def grip_for(thing: SiteObject, at: Glimpse) -> Grip:
@@ -184,16 +199,23 @@ def place_object(body: Body, params: Mapping[str, Json]) -> Moves:
     x, y = number(params, "x_m", float("nan")), number(params, "y_m", float("nan"))
     spot = free_spot(body, surface) if isnan(x) or isnan(y) else (x, y)
     if spot is None or not on_surface(surface, *spot, margin_m=0.03):
-        raise SubstrateError("placement_failed", f"no such place on `{surface.name}`" if spot else f"no free place on `{surface.name}` in reach")
+        raise SubstrateError(
+            "placement_failed",
+            f"no such place on `{surface.name}`" if spot else f"no free place on `{surface.name}` in reach",
+        )
     if not within_reach(*body.relative(*spot)):
-        raise SubstrateError("unreachable", f"the place on `{surface.name}` is out of reach: drive to `{surface.target}` first")
+        raise SubstrateError(
+            "unreachable", f"the place on `{surface.name}` is out of reach: drive to `{surface.target}` first"
+        )
     return _place(body, surface.z_m, spot, hand, number(params, "speed_mps", 0.2))
 
 
 def _place(body: Body, support_z_m: float, spot: Point, hand: Hand, limit_mps: float) -> Moves:
     body.enter("approach", 0.0)
     speed = body.speed(limit_mps)
-    yield from body.approach(ToolPose(*body.relative(*spot), support_z_m + hand.above_support_m + LIFT_M, body.pose.yaw_rad), speed)
+    yield from body.approach(
+        ToolPose(*body.relative(*spot), support_z_m + hand.above_support_m + LIFT_M, body.pose.yaw_rad), speed
+    )
     yield from put_down(body, support_z_m, hand, limit_mps)
     body.enter("verify", 0.9)
     found = yield from localise(body, hand.name)
@@ -226,10 +248,16 @@ def put_down(body: Body, support_z_m: float, hand: Hand, limit_mps: float) -> Mo
 def free_spot(body: Body, surface: Surface) -> Point | None:
     """Return the nearest free place in reach, away from everything remembered."""
     senses = body.senses
-    others = [(s.x_m, s.y_m) for name, s in senses.perception.memory.items() if senses.hand is None or name != senses.hand.name]
+    others = [
+        (s.x_m, s.y_m)
+        for name, s in senses.perception.memory.items()
+        if senses.hand is None or name != senses.hand.name
+    ]
     for x, y in _SPOTS:
         at = to_world(senses.believed_pose(), x, y)
-        if on_surface(surface, *at, margin_m=SURFACE_MARGIN_M) and all(hypot(at[0] - ox, at[1] - oy) > SPOT_FREE_M for ox, oy in others):
+        if on_surface(surface, *at, margin_m=SURFACE_MARGIN_M) and all(
+            hypot(at[0] - ox, at[1] - oy) > SPOT_FREE_M for ox, oy in others
+        ):
             return at
     return None
 

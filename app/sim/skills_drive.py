@@ -44,7 +44,9 @@ def safe_retreat(body: Body, params: Mapping[str, Json]) -> Moves:
         raise SubstrateError("no_path", f"no room for {distance:.2f} m behind the base")
     goal = (x - distance * cos(yaw), y - distance * sin(yaw), yaw)
     body.carrying = body.holding
-    return _go(body, goal, [(x, y), goal[:2]], number(params, "speed_mps", RECOVERY_BASE_SPEED_MPS), RECOVERY_TCP_SPEED_MPS)
+    return _go(
+        body, goal, [(x, y), goal[:2]], number(params, "speed_mps", RECOVERY_BASE_SPEED_MPS), RECOVERY_TCP_SPEED_MPS
+    )
 
 
 def reposition_base(body: Body, params: Mapping[str, Json]) -> Moves:
@@ -78,9 +80,13 @@ def _plan(body: Body, goal: Vec3, params: Mapping[str, Json]) -> list[Point]:
     senses = body.senses
     corridor = params.get("corridor")
     return plan_way(
-        senses.site, senses.believed_pose(), goal, clearance_m=number(params, "clearance_m", 0.1), corridor=None if corridor is None else str(corridor),
+        senses.site,
+        senses.believed_pose(),
+        goal,
+        clearance_m=number(params, "clearance_m", 0.1),
+        corridor=None if corridor is None else str(corridor),
         crates=senses.perception.crates,
-    )  # fmt: skip
+    )
 
 
 def _go(body: Body, goal: Vec3, way: list[Point], limit_mps: float, tcp_mps: float = TRAVEL_SPEED_MPS) -> Moves:

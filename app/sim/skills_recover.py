@@ -95,7 +95,12 @@ def _back(body: Body, trail: list[Mark], limit_mps: float, *, gentle: bool) -> M
         if base:
             yield from body.drive_poses([mark.base for mark in marks[k : end + 1]], RECOVERY_BASE_SPEED_MPS)
         else:
-            yield from _back_arm(body, _thinned([mark.joints for mark in marks[k : end + 1]]), limit_mps, gentle=gentle and end == len(marks) - 1)
+            yield from _back_arm(
+                body,
+                _thinned([mark.joints for mark in marks[k : end + 1]]),
+                limit_mps,
+                gentle=gentle and end == len(marks) - 1,
+            )
         k = end
 
 

@@ -17,13 +17,16 @@ if TYPE_CHECKING:
 
 _CLEAR_M = 0.22  # above the tool's place: clear of a raised lever
 
+
 def operate_tool(body: Body, params: Mapping[str, Json]) -> Moves:
     """Work a lever or press a button, and check its switch."""
     site = body.senses.site
     tool = site.tools[str(params["tool"])]
     action = str(params["action"])
     if action not in tool.actions:
-        raise SubstrateError("tool_failed", f"`{tool.name}` has no action `{action}`: valid are {', '.join(sorted(tool.actions))}")
+        raise SubstrateError(
+            "tool_failed", f"`{tool.name}` has no action `{action}`: valid are {', '.join(sorted(tool.actions))}"
+        )
     if not within_reach(*body.relative(tool.x_m, tool.y_m)):
         raise SubstrateError("unreachable", f"`{tool.name}` is out of reach: drive to `{tool.target}` first")
     force, limit = number(params, "force_n", 30.0) * 0.98, number(params, "speed_mps", 0.15)
@@ -59,7 +62,9 @@ def _swing_lever(body: Body, tool: Tool, wanted: str, force_n: float, limit_mps:
 
 def _handle(x_m: float, y_m: float, pivot_z_m: float, angle_rad: float) -> ToolPose:
     """Return where to grip the lever's handle at an angle; the pivot lies a lever's length behind the tool's place."""
-    return ToolPose(x_m + LEVER_LENGTH_M * (1.0 - cos(angle_rad)), y_m, pivot_z_m + LEVER_LENGTH_M * sin(angle_rad), 0.0)
+    return ToolPose(
+        x_m + LEVER_LENGTH_M * (1.0 - cos(angle_rad)), y_m, pivot_z_m + LEVER_LENGTH_M * sin(angle_rad), 0.0
+    )
 
 
 def _press_button(body: Body, tool: Tool, wanted: str, force_n: float, limit_mps: float) -> Moves:
@@ -74,7 +79,9 @@ def _press_button(body: Body, tool: Tool, wanted: str, force_n: float, limit_mps
     yield from body.line(above._replace(z_m=tool.z_m + CONTACT_NEAR_M), speed)
     body.enter("operate", 0.4)
     yield from body.line(
-        above._replace(z_m=tool.z_m - 0.008), slow, until=lambda: body.touched(force_n) or body.senses.tool_state(tool.name) == wanted
+        above._replace(z_m=tool.z_m - 0.008),
+        slow,
+        until=lambda: body.touched(force_n) or body.senses.tool_state(tool.name) == wanted,
     )
     body.enter("retreat", 0.8)
     yield from body.line(above, slow)

@@ -110,7 +110,11 @@ class Chain:
     def run(self) -> list[Score]:
         """Run the chain until it breaks or ends."""
         tool = ("lever", "pull_down") if self.seed % 2 else ("press", "press")
-        grasp: dict[str, Json] = {"object_id": self.name, "force_n": PAYLOADS[self.name], "speed_mps": TCP_MPS if self.name != "glass_1" else 0.15}
+        grasp: dict[str, Json] = {
+            "object_id": self.name,
+            "force_n": PAYLOADS[self.name],
+            "speed_mps": TCP_MPS if self.name != "glass_1" else 0.15,
+        }
         drive: dict[str, Json] = {"speed_mps": BASE_MPS, "clearance_m": 0.3}
         home = self.cell.truth().objects[self.name]
         steps: Sequence[tuple[str, dict[str, Json], Callable[[], str]]] = (
@@ -120,13 +124,21 @@ class Chain:
             ("grasp_object", grasp, self._lifted),
             ("retrace", {}, lambda: self._back(home)),
             ("grasp_object", grasp, self._lifted),
-            ("transport_object", {**drive, "target": "bench_b_stand", "corridor": "aisle"}, lambda: self._stands("bench_b_stand") or self._lifted()),
+            (
+                "transport_object",
+                {**drive, "target": "bench_b_stand", "corridor": "aisle"},
+                lambda: self._stands("bench_b_stand") or self._lifted(),
+            ),
             ("place_object", {"surface": "bench_b", "speed_mps": TCP_MPS}, lambda: self._placed("bench_b")),
             ("safe_retreat", {"distance_m": 0.3}, self._retreated),
             ("reposition_base", {}, lambda: self._stands("bench_b_stand")),
             ("navigate_to", {**drive, "speed_mps": 0.6, "target": "tool_stand"}, lambda: self._stands("tool_stand")),
-            ("operate_tool", {"tool": tool[0], "action": tool[1], "force_n": 40.0, "speed_mps": TCP_MPS}, lambda: self._operated(tool[0])),
-        )  # fmt: skip
+            (
+                "operate_tool",
+                {"tool": tool[0], "action": tool[1], "force_n": 40.0, "speed_mps": TCP_MPS},
+                lambda: self._operated(tool[0]),
+            ),
+        )
         for skill, params, judge in steps:
             ran = run_skill(self.cell, skill, params)
             why = judge() if ran.done else f"{ran.failure}: {ran.detail}"
@@ -154,15 +166,23 @@ class Chain:
         truth = self.cell.truth()
         at = truth.objects[self.name]
         off = hypot(at[0] - home[0], at[1] - home[1], at[2] - home[2])
-        drawn_in = float(np.abs(np.array(self.cell.observe().joint_rad) - HOME_RAD).max()) < 0.1  # noqa: PLR2004  # radians
-        return "" if off < _BACK_M and truth.upright[self.name] and drawn_in and truth.held is None else f"{off:.3f} m from where it stood"
+        drawn_in = float(np.abs(np.array(self.cell.observe().joint_rad) - HOME_RAD).max()) < 0.1  # radians
+        return (
+            ""
+            if off < _BACK_M and truth.upright[self.name] and drawn_in and truth.held is None
+            else f"{off:.3f} m from where it stood"
+        )
 
     def _placed(self, name: str) -> str:
         truth, surface = self.cell.truth(), self.cell.site.surfaces[name]
         x, y, z = truth.objects[self.name]
-        on = abs(z - surface.z_m - self.cell.site.objects[self.name].size_m[2]) < 0.005  # noqa: PLR2004  # metres
+        on = abs(z - surface.z_m - self.cell.site.objects[self.name].size_m[2]) < 0.005  # metres
         within = abs(x - surface.x_m) < surface.half_x_m and abs(y - surface.y_m) < surface.half_y_m
-        return "" if on and within and truth.upright[self.name] and truth.held is None else f"it is at ({x:.2f}, {y:.2f}, {z:.3f})"
+        return (
+            ""
+            if on and within and truth.upright[self.name] and truth.held is None
+            else f"it is at ({x:.2f}, {y:.2f}, {z:.3f})"
+        )
 
     def _stands(self, target: str) -> str:
         x, y, _ = self.cell.truth().base
@@ -176,7 +196,7 @@ class Chain:
 
     def _operated(self, tool: str) -> str:
         position = self.cell.truth().tools[tool]
-        done = position < -0.3 if tool == "lever" else self.cell.tool_state(tool) == "pressed"  # noqa: PLR2004  # radians
+        done = position < -0.3 if tool == "lever" else self.cell.tool_state(tool) == "pressed"  # radians
         return "" if done else f"`{tool}` is at {position:.3f}"
 
 
@@ -185,7 +205,9 @@ def trial(site: Site, seed: int) -> list[Score]:
     return Chain(site, seed).run()
 
 
-def soak(site: Site, *, seeds: int, jobs: int = 1, first: int = 0, progress: Callable[[int, int], None] | None = None) -> Report:
+def soak(
+    site: Site, *, seeds: int, jobs: int = 1, first: int = 0, progress: Callable[[int, int], None] | None = None
+) -> Report:
     """Run many worlds and count.
 
     Args:
@@ -210,18 +232,26 @@ def count(scores: Sequence[Score], seeds: int) -> Report:
     for skill in dict.fromkeys(score.skill for score in scores):
         mine = [score for score in scores if score.skill == skill]
         good = sum(score.ok for score in mine)
-        tallies.append(Tally(
-            skill, len(mine), good, *wilson(good, len(mine)), max(s.ran.tcp_speed_mps for s in mine), max(s.ran.base_speed_mps for s in mine),
-            max(s.ran.contact_force_n for s in mine), tuple(f"seed {s.seed}: {s.why}" for s in mine if not s.ok),
-        ))  # fmt: skip
+        tallies.append(
+            Tally(
+                skill,
+                len(mine),
+                good,
+                *wilson(good, len(mine)),
+                max(s.ran.tcp_speed_mps for s in mine),
+                max(s.ran.base_speed_mps for s in mine),
+                max(s.ran.contact_force_n for s in mine),
+                tuple(f"seed {s.seed}: {s.why}" for s in mine if not s.ok),
+            )
+        )
     return Report(seeds, tuple(tallies))
 
 
 def main(arguments: Sequence[str]) -> int:
     """Run `python -m app.sim.soak [--seeds N] [--jobs N] [--policies DIR]`; 0 if every skill reaches 99 %."""
-    import argparse  # noqa: PLC0415  # only here
+    import argparse  # only here
 
-    from app.governance.bundle import load  # noqa: PLC0415  # only here: the soak itself takes a site
+    from app.governance.bundle import load  # only here: the soak itself takes a site
 
     parser = argparse.ArgumentParser(prog="app.sim.soak")
     parser.add_argument("--seeds", type=int, default=20)
@@ -233,9 +263,11 @@ def main(arguments: Sequence[str]) -> int:
     def progress(done: int, total: int) -> None:
         sys.stderr.write(f"\r{done}/{total}")
 
-    report = soak(load(chosen.policies).site, seeds=chosen.seeds, jobs=chosen.jobs, first=chosen.first, progress=progress)
+    report = soak(
+        load(chosen.policies).site, seeds=chosen.seeds, jobs=chosen.jobs, first=chosen.first, progress=progress
+    )
     sys.stdout.write("\n".join(["", *report.lines(), ""]))
-    return 0 if report.worst >= 0.99 else 1  # noqa: PLR2004  # the bar for nominal success
+    return 0 if report.worst >= 0.99 else 1  # the bar for nominal success
 
 
 if __name__ == "__main__":

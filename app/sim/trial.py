@@ -40,22 +40,47 @@ class Ran(NamedTuple):
         return self.state is SkillState.SUCCEEDED
 
 
-def grant_for(cell: str, capability: str, params: Mapping[str, Json], *, invocation: str = "trial", recoveries: Mapping[str, Mapping[str, Json]] | None = None) -> Grant:  # fmt: skip
+def grant_for(
+    cell: str,
+    capability: str,
+    params: Mapping[str, Json],
+    *,
+    invocation: str = "trial",
+    recoveries: Mapping[str, Mapping[str, Json]] | None = None,
+) -> Grant:
     """Mint and verify a permit for one capability, with the recoveries it covers."""
     permit = Authorization(
-        id=f"permit-{invocation}", invocation=invocation, cell=cell, capability=capability, version="1.0.0", params=params, mode=Mode.NORMAL,
-        profile="sim-relaxed", policy_digest=_POLICY, issued_at_s=0.0, expires_at_s=60.0,
+        id=f"permit-{invocation}",
+        invocation=invocation,
+        cell=cell,
+        capability=capability,
+        version="1.0.0",
+        params=params,
+        mode=Mode.NORMAL,
+        profile="sim-relaxed",
+        policy_digest=_POLICY,
+        issued_at_s=0.0,
+        expires_at_s=60.0,
         recoveries=tuple(
-            CoveredRecovery(strategy=Strategy.RECOVERY_CAPABILITY, capability=name, params=known) for name, known in (recoveries or {}).items()
+            CoveredRecovery(strategy=Strategy.RECOVERY_CAPABILITY, capability=name, params=known)
+            for name, known in (recoveries or {}).items()
         ),
-    )  # fmt: skip
-    return verify(mint(permit, _KEY), key=_KEY.public_key(), cell=cell, policy_digest=_POLICY, now_s=1.0, used=frozenset())
+    )
+    return verify(
+        mint(permit, _KEY), key=_KEY.public_key(), cell=cell, policy_digest=_POLICY, now_s=1.0, used=frozenset()
+    )
 
 
 def run_skill(
-    cell: Workcell, capability: str, params: Mapping[str, Json], *, grant: Grant | None = None, careful: bool = False, limit_s: float = 120.0,
+    cell: Workcell,
+    capability: str,
+    params: Mapping[str, Json],
+    *,
+    grant: Grant | None = None,
+    careful: bool = False,
+    limit_s: float = 120.0,
     each: Callable[[Observation, SkillReport], float | None] | None = None,
-) -> Ran:  # fmt: skip
+) -> Ran:
     """Bind a skill, run it to its end and unbind.
 
     Args:

@@ -21,6 +21,7 @@ from app.governance.model import CONTROL_PERIOD_S, Command, ObjectFact, Observat
 from app.sim import robot
 from app.sim.display import body_poses, describe
 from app.sim.faults import FaultClock, Scenario, Victim
+from app.sim.hand import Mark
 from app.sim.kinematics import ArmSolver, Residual, SelfModel
 from app.sim.localisation import Localiser, to_base
 from app.sim.navigation import distance_to
@@ -31,7 +32,6 @@ from app.sim.plant import Plant
 from app.sim.sensors import PAD_LOADED_N, Sensors
 from app.sim.skills import RECOVERIES, SKILLS, Run, start
 from app.sim.skills_arm import within_reach
-from app.sim.hand import Mark
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -94,7 +94,16 @@ class Truth(NamedTuple):
 class Workcell:
     """A simulated cell; implements `Substrate` and, for its skills, `Senses`."""
 
-    def __init__(self, site: Site, *, cell_id: str = "workcell-1", seed: int = 0, faults: Sequence[Fault] = (), people: Sequence[Walk] = (), robot_mjcf: Path | None = None) -> None:  # fmt: skip
+    def __init__(
+        self,
+        site: Site,
+        *,
+        cell_id: str = "workcell-1",
+        seed: int = 0,
+        faults: Sequence[Fault] = (),
+        people: Sequence[Walk] = (),
+        robot_mjcf: Path | None = None,
+    ) -> None:
         """Build the cell with the robot parked at the site's start.
 
         Args:
@@ -116,9 +125,15 @@ class Workcell:
         self._run: Run | None = None
         held = Command(robot.HOME_RAD, (0.0,) * 6, (0.0, 0.0, 0.0), 0.0)  # type: ignore[arg-type]  # six of them
         self._state = State(
-            sensors=Sensors(seed, at, self.plant.gripper_kg), localiser=Localiser(at), perception=Perception(seed, site), residual=Residual(),
-            people=People(people), clock=FaultClock(tuple(faults)), occasions=Occasions(), held=held,
-        )  # fmt: skip
+            sensors=Sensors(seed, at, self.plant.gripper_kg),
+            localiser=Localiser(at),
+            perception=Perception(seed, site),
+            residual=Residual(),
+            people=People(people),
+            clock=FaultClock(tuple(faults)),
+            occasions=Occasions(),
+            held=held,
+        )
         for _ in range(_WARM_UP_TICKS):
             self.step(held)
 
@@ -187,7 +202,7 @@ class Workcell:
         if category not in (0, 1, 2):
             raise ValueError(f"stop category `{category}`: valid are 0, 1, 2")
         self._state.held = self._state.held._replace(joint_speed_radps=(0.0,) * 6, base_velocity=(0.0, 0.0, 0.0))  # type: ignore[arg-type]
-        if category < 2:  # noqa: PLR2004  # category 2 keeps power
+        if category < 2:  # category 2 keeps power
             self.plant.cut_power()
 
     def reset(self) -> None:
@@ -205,7 +220,9 @@ class Workcell:
         tracks = [hypot(track.x_m - x, track.y_m - y) for track in seen.people]
         return WorldFacts(
             stamp_s=seen.time_s,
-            arm_ready=self.plant.drives.powered and still and float(np.abs(joints - state.held.joint_rad).max()) < _READY_RAD,
+            arm_ready=self.plant.drives.powered
+            and still
+            and float(np.abs(joints - state.held.joint_rad).max()) < _READY_RAD,
             arm_retracted=float(np.abs(joints - robot.HOME_RAD).max()) < _RETRACTED_RAD,
             gripper_empty=not seen.pads_loaded,
             holding=state.hand.name if state.hand and seen.pads_loaded else None,
@@ -302,26 +319,41 @@ class Workcell:
         at = (np.array([base[0]]), np.array([base[1]]))
         objects = {name: plant.true_object(name) for name in plant.objects}
         return Truth(
-            time_s=self._state.tick * CONTROL_PERIOD_S, base=base, base_speed_mps=float(np.hypot(*tick.base_velocity[:2])),
-            tcp_m=tuple(plant.true_tcp().tolist()), tcp_speed_mps=speed, contact_force_n=contact, peak_force_n=peak, held=held,
-            grip_force_n=float(tick.pad_force_n.mean()), people_m=min(people, default=99.0),
-            zones=tuple(name for name, zone in self.site.zones.items() if float(distance_to(zone.polygon, *at)[0]) == 0.0),
+            time_s=self._state.tick * CONTROL_PERIOD_S,
+            base=base,
+            base_speed_mps=float(np.hypot(*tick.base_velocity[:2])),
+            tcp_m=tuple(plant.true_tcp().tolist()),
+            tcp_speed_mps=speed,
+            contact_force_n=contact,
+            peak_force_n=peak,
+            held=held,
+            grip_force_n=float(tick.pad_force_n.mean()),
+            people_m=min(people, default=99.0),
+            zones=tuple(
+                name for name, zone in self.site.zones.items() if float(distance_to(zone.polygon, *at)[0]) == 0.0
+            ),
             objects={name: tuple(found[0].tolist()) for name, found in objects.items()},
-            upright={name: found[2] > 0.9 for name, found in objects.items()},  # noqa: PLR2004  # cosine of the lean
+            upright={name: found[2] > 0.9 for name, found in objects.items()},  # cosine of the lean
             tools={name: plant.tool_angle(name) for name in self.site.tools},
-        )  # fmt: skip
+        )
 
     def gauges(self) -> tuple[float, float, float, float]:
         """Return true tool speed, base speed, contact force (20 ms mean) and its peak, without the cost of the whole truth."""
         tick = self.plant.read()
         held = self._state.hand.name if self._state.hand and tick.pad_force_n.min() > PAD_LOADED_N else None
-        return (self._self_model.tcp_speed(tick.joint_rad, tick.joint_speed), float(np.hypot(*tick.base_velocity[:2])), *self.plant.true_contact_n(held))
+        return (
+            self._self_model.tcp_speed(tick.joint_rad, tick.joint_speed),
+            float(np.hypot(*tick.base_velocity[:2])),
+            *self.plant.true_contact_n(held),
+        )
 
     # -- inside ------------------------------------------------------------------------------------------------------------------------
 
     def _sense(self, physical: Tick, now: float) -> Observation:
         state, sensors = self._state, self._state.sensors
-        reading = sensors.read(state.tick, physical, self.plant.between_pads() if physical.pad_force_n.max() > 0.1 else None)
+        reading = sensors.read(
+            state.tick, physical, self.plant.between_pads() if physical.pad_force_n.max() > 0.1 else None
+        )
         fix = sensors.fix(state.tick, physical.base_pose)
         eye = (float(physical.base_pose[0]), float(physical.base_pose[1]))
         people = sensors.people(state.tick, state.people.present.items(), eye, self._walls)
@@ -336,15 +368,35 @@ class Workcell:
         if state.tick % LOOK_PERIOD_TICKS == 0:
             state.perception.look(self.plant, state.tick, state.localiser.pose)
         return Observation(
-            tick=state.tick, time_s=now, joint_rad=tuple(joint.tolist()), joint_speed_radps=tuple(speed.tolist()), joint_torque_nm=tuple(torque.tolist()),
-            residual_nm=tuple(residual.tolist()), tcp_m=tuple(tcp.tolist()), tcp_speed_mps=float(np.sqrt(tcp_speed @ tcp_speed)),
-            jacobian=tuple(jacobian.ravel().tolist()), contact_force_n=float(reading.wrist[1][0]), peak_force_n=float(reading.wrist[1][1]),
-            grip_width_m=float(gripper[0]), grip_force_n=float(0.5 * (gripper[1] + gripper[2])), slip_m=float(gripper[3]),
-            pads_loaded=bool(gripper[1] > PAD_LOADED_N and gripper[2] > PAD_LOADED_N), odometry=tuple(odometry[0:3].tolist()),
-            base_velocity=tuple(odometry[3:6].tolist()), fix=fix, people=people,
-            stamps_s=SensorStamps(reading.arm[0], reading.wrist[0], reading.gripper[0], reading.odometry[0], sensors.fix_stamp_s,
-                                  sensors.people_stamp_s, state.perception.stamp_s),
-        )  # fmt: skip
+            tick=state.tick,
+            time_s=now,
+            joint_rad=tuple(joint.tolist()),
+            joint_speed_radps=tuple(speed.tolist()),
+            joint_torque_nm=tuple(torque.tolist()),
+            residual_nm=tuple(residual.tolist()),
+            tcp_m=tuple(tcp.tolist()),
+            tcp_speed_mps=float(np.sqrt(tcp_speed @ tcp_speed)),
+            jacobian=tuple(jacobian.ravel().tolist()),
+            contact_force_n=float(reading.wrist[1][0]),
+            peak_force_n=float(reading.wrist[1][1]),
+            grip_width_m=float(gripper[0]),
+            grip_force_n=float(0.5 * (gripper[1] + gripper[2])),
+            slip_m=float(gripper[3]),
+            pads_loaded=bool(gripper[1] > PAD_LOADED_N and gripper[2] > PAD_LOADED_N),
+            odometry=tuple(odometry[0:3].tolist()),
+            base_velocity=tuple(odometry[3:6].tolist()),
+            fix=fix,
+            people=people,
+            stamps_s=SensorStamps(
+                reading.arm[0],
+                reading.wrist[0],
+                reading.gripper[0],
+                reading.odometry[0],
+                sensors.fix_stamp_s,
+                sensors.people_stamp_s,
+                state.perception.stamp_s,
+            ),
+        )
 
     def _remember(self, command: Command) -> None:
         """Latch tools, and extend the safe path while a primary skill moves."""
@@ -352,7 +404,12 @@ class Workcell:
         for name, tool in self.site.tools.items():
             if tool.kind == "button" and self.plant.tool_angle(name) > _BUTTON_PRESSED_M:
                 state.pressed_s[name] = state.tick * CONTROL_PERIOD_S
-        if self._run is None or self._run.capability in RECOVERIES or state.tick % _MARK_TICKS or len(state.trail) >= _MARK_MAX:
+        if (
+            self._run is None
+            or self._run.capability in RECOVERIES
+            or state.tick % _MARK_TICKS
+            or len(state.trail) >= _MARK_MAX
+        ):
             return
         mark, last = self._mark(driving=command.base_velocity != (0.0, 0.0, 0.0)), state.trail[-1]
         moved = float(np.abs(mark.joints - last.joints).max()) > _MARK_RAD
@@ -366,10 +423,19 @@ class Workcell:
     def _fact(self, name: str, now: float, pose: Vec3) -> ObjectFact:
         seen = self._state.perception.memory[name]
         reachable = within_reach(*to_base(pose, seen.x_m, seen.y_m))
-        return ObjectFact(visible=now - seen.stamp_s < _VISIBLE_S, reachable=reachable, x_m=seen.x_m, y_m=seen.y_m, z_m=seen.z_m, stamp_s=seen.stamp_s)
+        return ObjectFact(
+            visible=now - seen.stamp_s < _VISIBLE_S,
+            reachable=reachable,
+            x_m=seen.x_m,
+            y_m=seen.y_m,
+            z_m=seen.z_m,
+            stamp_s=seen.stamp_s,
+        )
 
 
-def make_workcell(site: Site, *, cell_id: str, seed: int = 0, scenario: Scenario | None = None, robot_mjcf: Path | None = None) -> Workcell:
+def make_workcell(
+    site: Site, *, cell_id: str, seed: int = 0, scenario: Scenario | None = None, robot_mjcf: Path | None = None
+) -> Workcell:
     """Build a simulated cell as the `cell` process wires it.
 
     Args:
@@ -391,13 +457,20 @@ def _still(command: Command) -> Command:
 
 
 def _finite(command: Command) -> bool:
-    return isfinite(sum(command.joint_rad) + sum(command.joint_speed_radps) + sum(command.base_velocity) + command.grip_force_n)
+    return isfinite(
+        sum(command.joint_rad) + sum(command.joint_speed_radps) + sum(command.base_velocity) + command.grip_force_n
+    )
 
 
 def _tall(site: Site) -> list[tuple[Point, ...]]:
     """Return outlines that people cannot be seen through: the tool station's posts; benches are lower than the mast."""
     half = _TALL_TOOL_M
     return [
-        ((t.x_m - half, t.y_m - half), (t.x_m + half, t.y_m - half), (t.x_m + half, t.y_m + half), (t.x_m - half, t.y_m + half))
+        (
+            (t.x_m - half, t.y_m - half),
+            (t.x_m + half, t.y_m - half),
+            (t.x_m + half, t.y_m + half),
+            (t.x_m - half, t.y_m + half),
+        )
         for t in site.tools.values()
     ]

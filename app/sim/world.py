@@ -87,28 +87,55 @@ def _configure(spec: mujoco.MjSpec) -> None:
 
 
 def _add_sensors(spec: mujoco.MjSpec) -> None:
-    for kind, name in ((mujoco.mjtSensor.mjSENS_FORCE, "wrist_force"), (mujoco.mjtSensor.mjSENS_ACCELEROMETER, "wrist_acceleration")):
+    for kind, name in (
+        (mujoco.mjtSensor.mjSENS_FORCE, "wrist_force"),
+        (mujoco.mjtSensor.mjSENS_ACCELEROMETER, "wrist_acceleration"),
+    ):
         spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=robot.WRIST_SITE)
     for pad in robot.PAD_GEOMS:
-        spec.add_sensor(name=pad, type=mujoco.mjtSensor.mjSENS_TOUCH, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=f"{pad}_touch")
+        spec.add_sensor(
+            name=pad, type=mujoco.mjtSensor.mjSENS_TOUCH, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=f"{pad}_touch"
+        )
 
 
-def _fixed(spec: mujoco.MjSpec, name: str, half: tuple[float, float, float], at: tuple[float, float, float], yaw_rad: float, rgba: tuple[float, ...]) -> None:  # fmt: skip
+def _fixed(
+    spec: mujoco.MjSpec,
+    name: str,
+    half: tuple[float, float, float],
+    at: tuple[float, float, float],
+    yaw_rad: float,
+    rgba: tuple[float, ...],
+) -> None:
     # Each piece is a body of its own: the broad phase then tells them apart.
     body = spec.worldbody.add_body(name=f"{name}_body", pos=at, quat=(cos(yaw_rad / 2), 0, 0, sin(yaw_rad / 2)))
     body.add_geom(
-        name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=half, rgba=rgba,
-        contype=robot.ENVIRONMENT, conaffinity=0, friction=_BENCH_FRICTION, condim=3,
-    )  # fmt: skip
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=half,
+        rgba=rgba,
+        contype=robot.ENVIRONMENT,
+        conaffinity=0,
+        friction=_BENCH_FRICTION,
+        condim=3,
+    )
 
 
 def _add_room(spec: mujoco.MjSpec, site: Site) -> None:
     x0, y0, x1, y1 = site.bounds_m
-    spec.worldbody.add_light(pos=((x0 + x1) / 2, (y0 + y1) / 2, 5.0), dir=(0, 0, -1), type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+    spec.worldbody.add_light(
+        pos=((x0 + x1) / 2, (y0 + y1) / 2, 5.0), dir=(0, 0, -1), type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    )
     spec.worldbody.add_geom(
-        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=((x1 - x0) / 2, (y1 - y0) / 2, 0.1), pos=((x0 + x1) / 2, (y0 + y1) / 2, 0),
-        rgba=(0.78, 0.79, 0.80, 1), contype=robot.ENVIRONMENT, conaffinity=0, friction=_BENCH_FRICTION, condim=3,
-    )  # fmt: skip
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=((x1 - x0) / 2, (y1 - y0) / 2, 0.1),
+        pos=((x0 + x1) / 2, (y0 + y1) / 2, 0),
+        rgba=(0.78, 0.79, 0.80, 1),
+        contype=robot.ENVIRONMENT,
+        conaffinity=0,
+        friction=_BENCH_FRICTION,
+        condim=3,
+    )
 
 
 def _add_surface(spec: mujoco.MjSpec, surface: Surface) -> None:
@@ -133,7 +160,14 @@ def _add_tool(spec: mujoco.MjSpec, tool: Tool, facing_rad: float) -> None:
         case "lever":
             back = LEVER_LENGTH_M
             at = (tool.x_m + c * back, tool.y_m + s * back, tool.z_m)
-            _fixed(spec, f"{tool.name}_post", (0.03, 0.06, tool.z_m / 2 + 0.03), (at[0] + c * 0.06, at[1] + s * 0.06, tool.z_m / 2 + 0.03), facing_rad, _STEEL)
+            _fixed(
+                spec,
+                f"{tool.name}_post",
+                (0.03, 0.06, tool.z_m / 2 + 0.03),
+                (at[0] + c * 0.06, at[1] + s * 0.06, tool.z_m / 2 + 0.03),
+                facing_rad,
+                _STEEL,
+            )
             _add_lever(spec, tool.name, at, facing_rad)
         case "button":
             # The cap's rest height is the tool's z; the post ends below its travel.
@@ -145,32 +179,68 @@ def _add_tool(spec: mujoco.MjSpec, tool: Tool, facing_rad: float) -> None:
 
 
 def _add_lever(spec: mujoco.MjSpec, name: str, at: tuple[float, float, float], facing_rad: float) -> None:
-    body = spec.worldbody.add_body(name=name, pos=at, quat=(cos((facing_rad + pi) / 2), 0, 0, sin((facing_rad + pi) / 2)), gravcomp=1.0)
+    body = spec.worldbody.add_body(
+        name=name, pos=at, quat=(cos((facing_rad + pi) / 2), 0, 0, sin((facing_rad + pi) / 2)), gravcomp=1.0
+    )
     # The body's x points at whoever operates it; raising the handle is a turn about -y.
     body.add_joint(
-        name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=(0, -1, 0), range=(-LEVER_SWING_RAD, LEVER_SWING_RAD), limited=True, frictionloss=0.6,
-        damping=0.3, armature=0.01, ref=0.0,
-    )  # fmt: skip
+        name=name,
+        type=mujoco.mjtJoint.mjJNT_HINGE,
+        axis=(0, -1, 0),
+        range=(-LEVER_SWING_RAD, LEVER_SWING_RAD),
+        limited=True,
+        frictionloss=0.6,
+        damping=0.3,
+        armature=0.01,
+        ref=0.0,
+    )
     # A little play sideways, as every lever has: a stiff arm with a stiff handle would fight over millimetres.
     body.add_joint(
-        name=f"{name}_play", type=mujoco.mjtJoint.mjJNT_HINGE, axis=(0, 0, 1), range=(-0.15, 0.15), limited=True, stiffness=4.0, damping=0.3, armature=0.01
+        name=f"{name}_play",
+        type=mujoco.mjtJoint.mjJNT_HINGE,
+        axis=(0, 0, 1),
+        range=(-0.15, 0.15),
+        limited=True,
+        stiffness=4.0,
+        damping=0.3,
+        armature=0.01,
     )
     body.add_geom(
-        name=f"{name}_bar", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=(0, 0, 0, LEVER_LENGTH_M + 0.03, 0, 0), size=(0.012, 0, 0), mass=0.4,
-        contype=robot.OBJECT, conaffinity=0, condim=4, rgba=(0.85, 0.25, 0.15, 1),
-    )  # fmt: skip
+        name=f"{name}_bar",
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+        fromto=(0, 0, 0, LEVER_LENGTH_M + 0.03, 0, 0),
+        size=(0.012, 0, 0),
+        mass=0.4,
+        contype=robot.OBJECT,
+        conaffinity=0,
+        condim=4,
+        rgba=(0.85, 0.25, 0.15, 1),
+    )
 
 
 def _add_button(spec: mujoco.MjSpec, tool: Tool) -> None:
     body = spec.worldbody.add_body(name=tool.name, pos=(tool.x_m, tool.y_m, tool.z_m - 0.015), gravcomp=1.0)
     body.add_joint(
-        name=tool.name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(0, 0, -1), range=(0.0, BUTTON_TRAVEL_M), limited=True, stiffness=500.0,
-        springref=-0.006, damping=8.0, armature=0.02,
-    )  # fmt: skip
+        name=tool.name,
+        type=mujoco.mjtJoint.mjJNT_SLIDE,
+        axis=(0, 0, -1),
+        range=(0.0, BUTTON_TRAVEL_M),
+        limited=True,
+        stiffness=500.0,
+        springref=-0.006,
+        damping=8.0,
+        armature=0.02,
+    )
     body.add_geom(
-        name=f"{tool.name}_cap", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=(0.045, 0.015, 0), mass=0.1, contype=robot.OBJECT, conaffinity=0,
-        condim=4, rgba=(0.80, 0.15, 0.15, 1),
-    )  # fmt: skip
+        name=f"{tool.name}_cap",
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        size=(0.045, 0.015, 0),
+        mass=0.1,
+        contype=robot.OBJECT,
+        conaffinity=0,
+        condim=4,
+        rgba=(0.80, 0.15, 0.15, 1),
+    )
 
 
 def _add_object(spec: mujoco.MjSpec, thing: SiteObject, surface: Surface) -> None:
@@ -179,18 +249,33 @@ def _add_object(spec: mujoco.MjSpec, thing: SiteObject, surface: Surface) -> Non
     cylinder = thing.shape == "cylinder"
     size = (thing.size_m[0], thing.size_m[2], 0.0) if cylinder else thing.size_m
     body.add_geom(
-        name=thing.name, type=mujoco.mjtGeom.mjGEOM_CYLINDER if cylinder else mujoco.mjtGeom.mjGEOM_BOX, size=size, mass=thing.mass_kg, condim=4,
-        contype=robot.OBJECT, conaffinity=robot.OBJECT, friction=_BENCH_FRICTION, rgba=_COLOURS.get(thing.kind, _STEEL),
-    )  # fmt: skip
+        name=thing.name,
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER if cylinder else mujoco.mjtGeom.mjGEOM_BOX,
+        size=size,
+        mass=thing.mass_kg,
+        condim=4,
+        contype=robot.OBJECT,
+        conaffinity=robot.OBJECT,
+        friction=_BENCH_FRICTION,
+        rgba=_COLOURS.get(thing.kind, _STEEL),
+    )
     # It stands, and when tipped lies, on small spheres in its corners: exact contacts at a third of the cost of shape against shape.
     rx, ry, rz = (thing.size_m[0] * 0.7071, thing.size_m[1] * 0.7071, thing.size_m[2]) if cylinder else thing.size_m
     for k in range(8):
         sx, sy, sz = (1 if k & bit else -1 for bit in (1, 2, 4))
         at = (sx * (rx - _FOOT_M), sy * (ry - _FOOT_M), sz * (rz - _FOOT_M))
         body.add_geom(
-            name=f"{thing.name}_foot_{k}", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(_FOOT_M, 0, 0), pos=at, mass=0, condim=3,
-            contype=0, conaffinity=robot.ENVIRONMENT, friction=_BENCH_FRICTION, group=4,
-        )  # fmt: skip
+            name=f"{thing.name}_foot_{k}",
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=(_FOOT_M, 0, 0),
+            pos=at,
+            mass=0,
+            condim=3,
+            contype=0,
+            conaffinity=robot.ENVIRONMENT,
+            friction=_BENCH_FRICTION,
+            group=4,
+        )
 
 
 def _add_person(spec: mujoco.MjSpec, index: int) -> None:
@@ -214,6 +299,11 @@ def _add_crates(spec: mujoco.MjSpec, names: Iterable[str]) -> None:
     for name in names:
         body = spec.worldbody.add_body(name=name, pos=(0, 0, UNDER_FLOOR_M), mocap=True)
         body.add_geom(
-            name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=CRATE_HALF_M, contype=robot.ENVIRONMENT, conaffinity=0, friction=_BENCH_FRICTION,
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=CRATE_HALF_M,
+            contype=robot.ENVIRONMENT,
+            conaffinity=0,
+            friction=_BENCH_FRICTION,
             rgba=_WOOD,
-        )  # fmt: skip
+        )
