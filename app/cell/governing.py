@@ -218,7 +218,8 @@ class Governing:
         elif run.doing is Doing.ROLLBACK:
             self.end(End(Outcome.ROLLED_BACK, "verified"))
         else:
-            self._follow(self._choose("recovery_incomplete", after=run.deciding))
+            failure = "recovery_incomplete" if run.deciding is None else run.deciding.failure
+            self._follow(self._choose(failure, after=run.deciding))
 
     def _choose(self, failure: str, after: RecoveryDecision | None = None) -> RecoveryDecision:
         run = self.run

@@ -1,0 +1,121 @@
+"""The runner on the simulated workcell under the shipped policy: each detector meets the fault it is for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from app.sim.faults import Fault
+from app.sim.occasions import Trigger
+from app.sim.people import Walk
+from tests.cell.workshop import Workshop
+
+pytestmark = pytest.mark.physics
+
+GRASP = {"object_id": "mug_1", "force_n": 40.0, "speed_mps": 0.25}
+DRIVE = {"target": "dock", "speed_mps": 0.3, "clearance_m": 0.3}
+
+
+def grasping(phase: str, *, after_s: float = 0.0, run: int = 1) -> Trigger:
+    return Trigger(capability="grasp_object", phase=phase, run=run, after_s=after_s)
+
+
+def driving(after_s: float) -> Trigger:
+    return Trigger(capability="navigate_to", phase="drive", after_s=after_s)
+
+
+def sensor(name: str, fault: str, at: Trigger, size: float = 0.0, for_s: float | None = None) -> Fault:
+    return Fault(kind="sensor", at=at, sizes={"sensor": name, "fault": fault, "size": size}, for_s=for_s)
+
+
+def test_a_nominal_grasp_is_quiet(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path)
+    shop.launch("grasp_object", **GRASP)
+    assert shop.finish()["outcome"] == "succeeded"
+    assert shop.rules() == []
+    assert shop.cell.truth().held == "mug_1"
+
+
+def test_a_person_on_the_floor_pauses_the_drive_and_their_leaving_resumes_it(tmp_path: Path) -> None:
+    walk = Walk(points=((1.0, 1.0), (1.0, 2.9), (1.0, 1.0)), start=driving(0.5), stay_s=((1, 1.5),))
+    shop = Workshop(tmp_path, people=(walk,))
+    shop.launch("navigate_to", **DRIVE)
+    shop.until("paused")
+    entered = shop.last("intervention")
+    assert (entered["rule"], entered["intervention"]) == ("separation", "PAUSE")
+    for _ in range(40):
+        shop.runner.tick()
+    assert shop.cell.truth().base_speed_mps < 0.02
+    shop.until("running")
+    assert shop.cell.truth().people_m > 1.0
+    assert shop.finish()["outcome"] == "succeeded"
+
+
+def test_a_grip_that_gives_way_is_released_retracted_and_closed_again(tmp_path: Path) -> None:
+    weak = Fault(kind="grip_gain", at=grasping("lift", after_s=0.6), sizes={"gain": 0.01}, for_s=2.0)
+    shop = Workshop(tmp_path, faults=(weak,))
+    shop.launch("grasp_object", **GRASP)
+    assert shop.finish()["outcome"] == "recovered"
+    assert set(shop.rules()) <= {"grip-lost", "slip"}
+    assert shop.strategies() == ["RECOVERY_CAPABILITY", "RETRY"]
+    assert shop.cell.truth().held == "mug_1"
+
+
+def test_drives_that_run_faster_than_told_are_stopped_and_tried_again_carefully(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path, faults=(Fault(kind="speed_scaling", at=driving(1.0), sizes={"gain": 1.6}),))
+    shop.launch("navigate_to", **DRIVE)
+    shop.until("escalated")
+    assert set(shop.rules()) == {"base-speed"}
+    assert shop.strategies() == ["SAFER_MODE", "ASK_HUMAN"]
+    for _ in range(60):
+        shop.runner.tick()
+    assert shop.cell.truth().base_speed_mps < 0.02
+
+
+def test_a_wrist_that_falls_silent_holds_until_it_speaks_again(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path, faults=(sensor("wrist", "stale", driving(0.5), for_s=0.5),))
+    shop.launch("navigate_to", **DRIVE)
+    shop.until("paused")
+    assert shop.of("alert")[0]["stale"] == ["wrist"]
+    assert shop.finish()["outcome"] == "succeeded"
+    assert shop.rules() == ["stale"]
+
+
+def test_encoders_that_stick_are_not_believed(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path, faults=(sensor("arm", "stuck", grasping("approach", after_s=0.5)),))
+    shop.launch("grasp_object", **GRASP)
+    shop.until("escalated")
+    assert "implausible" in shop.rules()
+    assert shop.last("escalation")["reason"] == "implausible"
+
+
+def test_a_position_fix_that_jumps_is_not_believed(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path, faults=(sensor("fix", "offset", driving(0.5), 1.0),))
+    shop.launch("navigate_to", **DRIVE)
+    shop.until("paused")
+    assert shop.rules() == ["implausible"]
+
+
+def test_an_odometry_that_drifts_changes_nothing_while_there_is_a_fix(tmp_path: Path) -> None:
+    drift = Fault(kind="odometry_bias", at=driving(0.1), sizes={"x_mps": 0.1, "y_mps": 0.1})
+    shop = Workshop(tmp_path, faults=(drift,))
+    shop.launch("navigate_to", **DRIVE)
+    assert shop.finish()["outcome"] == "succeeded"
+    signals, truth = shop.runner.view().signals, shop.cell.truth()
+    assert signals.base_x_m == pytest.approx(truth.base[0], abs=0.06)
+    assert signals.base_y_m == pytest.approx(truth.base[1], abs=0.06)
+
+
+def test_a_stop_in_mid_drive_is_final_and_power_comes_back_with_the_next_launch_alone(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path)
+    shop.launch("navigate_to", **DRIVE)
+    for _ in range(200):
+        shop.runner.tick()
+    shop.runner.human("inv-1", "stop", "operator")
+    assert shop.finish()["outcome"] == "stopped"
+    for _ in range(100):
+        shop.runner.tick()
+    assert shop.cell.truth().base_speed_mps < 0.01
+    shop.launch("navigate_to", 2, **DRIVE)
+    assert shop.finish()["outcome"] == "succeeded"
