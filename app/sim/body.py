@@ -1,11 +1,15 @@
-"""The movements skills are made of: generators that yield one command per tick and keep the robot on its path whatever the rate does.
+"""The movements skills are made of.
 
-A `Body` lives as long as one skill. It reads the observation it is given and what the robot perceives and believes, and has no other way
-to the actuators than the commands it yields. Planning yields hold commands between its steps, so that no tick waits for a long one.
+Generators that yield one command per tick and keep the robot on its path whatever the rate does.
+
+A `Body` lives as long as one skill. It reads the observation it is given and what the robot perceives and believes,
+and has no other way to the actuators than the commands it yields. Planning yields hold commands between its steps, so
+that no tick waits for a long one.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from math import cos, hypot, sin
 from typing import TYPE_CHECKING, Protocol, TypeAlias
@@ -103,7 +107,7 @@ class Body:
         self.grip_n = held.grip_force_n
         self._still: Vec6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
-    # -- small things ------------------------------------------------------------------------------------------------------------------
+    # -- small things ----------------------------------------------------------------------------------------
 
     def enter(self, phase: str, progress: float) -> None:
         """Say which phase begins and how far the skill is."""
@@ -134,7 +138,7 @@ class Body:
         """Whether the pads hold something, by their own sensors."""
         return self.seen.pads_loaded
 
-    # -- arm ---------------------------------------------------------------------------------------------------------------------------
+    # -- arm -------------------------------------------------------------------------------------------------
 
     def plan_line(self, target: ToolPose, out: list[Floats]) -> Moves:
         """Plan a straight line of the tool to `target` into `out`, a few solutions per tick."""
@@ -201,7 +205,7 @@ class Body:
         if np.abs(self.joints - np.array(robot.HOME_RAD)).max() < 1.0:
             yield from self.joints_to(robot.HOME_RAD, speed_mps)
 
-    # -- gripper -----------------------------------------------------------------------------------------------------------------------
+    # -- gripper ---------------------------------------------------------------------------------------------
 
     def open(self) -> Moves:
         """Open the fingers all the way."""
@@ -237,23 +241,24 @@ class Body:
         """Tell whether the wrist feels a contact."""
         return self.seen.contact_force_n > force_n
 
-    # -- base --------------------------------------------------------------------------------------------------------------------------
+    # -- base ------------------------------------------------------------------------------------------------
 
     def drive(self, way: Sequence[Point], yaw_rad: float, speed_mps: float) -> Moves:
-        """Drive along straight legs through `way`, turning to `yaw_rad` on the middle legs, and settle on the last point.
+        """Drive along straight legs through `way`, turning to `yaw_rad` on the middle legs, and settle at the end.
 
         Raises:
-            SkillFailed: `blocked`, something stands in the way or the base does not follow; `object_lost` while carrying.
+            SkillFailed: `blocked`, something stands in the way or the base does not follow; `object_lost` while
+                carrying.
         """
         start_yaw = self.senses.believed_pose()[2]
         turn = wrapped(yaw_rad - start_yaw)
-        lengths = [hypot(b[0] - a[0], b[1] - a[1]) for a, b in zip(way, way[1:], strict=False)]
+        lengths = [hypot(b[0] - a[0], b[1] - a[1]) for a, b in itertools.pairwise(way)]
         turning = set(range(1, len(lengths) - 1)) if len(lengths) > 2 else set(range(len(lengths)))
         turning = turning or {0}
         over = sum(lengths[k] for k in turning) or 1.0
         total, done, yaw = sum(lengths) or 1.0, 0.0, start_yaw
         first, last = self.progress, 0.95
-        for k, (a, b) in enumerate(zip(way, way[1:], strict=False)):
+        for k, (a, b) in enumerate(itertools.pairwise(way)):
             after = yaw + (turn * lengths[k] / over if k in turning else 0.0)
             yield from self._leg(
                 (*a, yaw),
@@ -327,10 +332,7 @@ class Body:
         """Drive through poses in one journey (retracing); no corner is sharper than it was when recorded."""
         start = self.senses.believed_pose()
         points = [np.array((*p[:2], start[2] + wrapped(p[2] - start[2]))) for p in (start, *poses)]
-        lengths = [
-            float(np.hypot(*(b - a)[:2])) + abs(float(b[2] - a[2])) * 0.3
-            for a, b in zip(points, points[1:], strict=False)
-        ]
+        lengths = [float(np.hypot(*(b - a)[:2])) + abs(float(b[2] - a[2])) * 0.3 for a, b in itertools.pairwise(points)]
         travel = Travel(Path(points, lengths), Limits(speed_mps * 0.97, BASE_ACCELERATION, BASE_JERK))
         while not travel.done:
             point, velocity = travel.advance(self.rate)
@@ -349,7 +351,10 @@ class Body:
 
 
 def joint_path(solver: ArmSolver, points: Sequence[Floats], speed_mps: float) -> Path:
-    """Measure joint way points by what bounds their speed: metres of the tool, or joint travel where that takes longer."""
+    """Measure joint way points by what bounds their speed.
+
+    Metres of the tool, or joint travel where that takes longer.
+    """
     poses = [solver.forward(point) for point in points]
     metres: list[float] = []
     for a, b, p, q in zip(poses, poses[1:], points, points[1:], strict=False):

@@ -22,9 +22,10 @@ _HIDDEN_GROUP = 4
 
 
 def describe(model: mujoco.MjModel, site: Site) -> Mapping[str, Json]:
-    """Return bounds, zones, and every visible shape with its body, pose within it, size (half sizes, radius first) and colour.
+    """Return bounds, zones, and every visible shape with its body, pose within it, size and colour.
 
-    Shapes: `plane`, `sphere`, `capsule`, `cylinder` (radius, half length along z), `box` (half sizes). Poses are x, y, z, qw, qx, qy, qz.
+    Shapes: `plane`, `sphere`, `capsule`, `cylinder` (radius, half length along z), `box` (half sizes). Poses are x,
+    y, z, qw, qx, qy, qz.
     """
     shapes: list[Json] = []
     for k in range(model.ngeom):

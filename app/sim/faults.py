@@ -1,4 +1,6 @@
-"""Faults from outside a skill, declared as data. They never tell the watcher; what they do shows in physics and sensors alone.
+"""Faults from outside a skill, declared as data.
+
+They never tell the watcher; what they do shows in physics and sensors alone.
 
 | kind | sizes | effect |
 |---|---|---|

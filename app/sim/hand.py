@@ -1,4 +1,7 @@
-"""What the robot remembers of its own doing: what it holds and from where, and the way it came; and which surface is where."""
+"""What the robot remembers of its own doing: what it holds and from where, and the way it came.
+
+And which surface is where.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,10 @@ if TYPE_CHECKING:
 
 
 class Hand(NamedTuple):
-    """What the robot believes to hold: how far the tool was above the support, and from where it took the object (world frame)."""
+    """What the robot believes to hold.
+
+    How far the tool was above the support, and from where it took the object (world frame).
+    """
 
     name: str
     above_support_m: float
@@ -25,7 +31,10 @@ class Hand(NamedTuple):
 
 
 class Mark(NamedTuple):
-    """One point of the recorded safe path: commanded joints, believed base pose, whether the base drove, whether the pads held something."""
+    """One point of the recorded safe path.
+
+    Commanded joints, believed base pose, whether the base drove, whether the pads held something.
+    """
 
     joints: NDArray[np.float64]
     base: Vec3

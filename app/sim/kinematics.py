@@ -1,4 +1,6 @@
-"""What the robot knows of its own body: forward and inverse kinematics (mink), Jacobian, expected torques and the residual.
+"""What the robot knows of its own body.
+
+Forward and inverse kinematics (mink), Jacobian, expected torques and the residual.
 
 The model is the robot's nominal one; the base is at the origin, so everything comes out relative to the base.
 """
@@ -66,7 +68,10 @@ class SelfModel:
 
 
 class Residual:
-    """Momentum residual: the torque that the nominal model does not explain, first-order filtered (De Luca's observer, discrete)."""
+    """Momentum residual: the torque that the nominal model does not explain.
+
+    First-order filtered (De Luca's observer, discrete).
+    """
 
     def __init__(self) -> None:
         """Start from zero."""

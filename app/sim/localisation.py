@@ -1,4 +1,7 @@
-"""Where the robot believes it stands: dead reckoning aligned with absolute fixes by an α-β filter, fixes compared at the time they were taken."""
+"""Where the robot believes it stands.
+
+Dead reckoning aligned with absolute fixes by an α-β filter, fixes compared at the time they were taken.
+"""
 
 from __future__ import annotations
 

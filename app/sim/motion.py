@@ -1,7 +1,8 @@
 """Paths and how they are travelled: geometry with one parameter, timed by ruckig along that parameter.
 
-One degree of freedom along the path keeps the robot on it whatever the rate does: `Travel.advance` moves time by `rate` control periods, so
-a rate of 0 stands still on the path and power stays on. Limits per axis would let a diagonal exceed the speed; along the path they cannot.
+One degree of freedom along the path keeps the robot on it whatever the rate does: `Travel.advance` moves time by
+`rate` control periods, so a rate of 0 stands still on the path and power stays on. Limits per axis would let a
+diagonal exceed the speed; along the path they cannot.
 """
 
 from __future__ import annotations

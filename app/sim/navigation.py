@@ -1,13 +1,14 @@
 """Ways for the base: around furniture, crates and zones with the clearance asked for, or along a corridor.
 
-The base drives sideways as well as it drives forward. It leaves a bench straight backwards and comes up to one straight ahead; in between
-it keeps `clearance_m` beyond its own circle. A grid search (A*, 0.1 m) finds the way, and its corners are then cut where the straight
-line is free.
+The base drives sideways as well as it drives forward. It leaves a bench straight backwards and comes up to one
+straight ahead; in between it keeps `clearance_m` beyond its own circle. A grid search (A*, 0.1 m) finds the way, and
+its corners are then cut where the straight line is free.
 """
 
 from __future__ import annotations
 
 import heapq
+import itertools
 from math import cos, hypot, sin
 from typing import TYPE_CHECKING
 
@@ -35,7 +36,10 @@ class FloorMap:
     """Where the middle of the base may be, for one clearance; distances are to outlines in metres."""
 
     def __init__(self, site: Site, crates: Iterable[Point], clearance_m: float, goal: Point) -> None:
-        """Draw the obstacles: walls, furniture, crates, forbidden zones, and restricted ones unless the goal lies within."""
+        """Draw the obstacles: walls, furniture, crates, forbidden zones.
+
+        And restricted ones unless the goal lies within.
+        """
         self._bounds = site.bounds_m
         keep = BASE_RADIUS_M + max(clearance_m, MIN_CLEARANCE_M)
         outlines = [(outline, keep) for outline in furniture(site)]
@@ -145,12 +149,13 @@ def plan_way(
     via = _along(site.corridors[corridor], leave, arrive) if corridor else []
     stops = [leave, *via, arrive]
     way: list[Point] = [here]
-    for begin, end in zip(stops, stops[1:], strict=False):
+    for begin, end in itertools.pairwise(stops):
         leg = floor.search(begin, end)
         if leg is None:
             raise SubstrateError(
                 "no_path",
-                f"no way from ({begin[0]:.1f}, {begin[1]:.1f}) to ({end[0]:.1f}, {end[1]:.1f}) with {clearance_m:.2f} m clearance",
+                f"no way from ({begin[0]:.1f}, {begin[1]:.1f}) to ({end[0]:.1f}, {end[1]:.1f}) "
+                f"with {clearance_m:.2f} m clearance",
             )
         way += leg
     return _tidy([*way, there])
@@ -231,7 +236,7 @@ def _along(corridor: Corridor, start: Point, end: Point) -> list[Point]:
 
 def _project(line: tuple[Point, ...], point: Point) -> tuple[float, Point]:
     best, along, done = (1e9, 0.0, line[0]), 0.0, 0.0
-    for a, b in zip(line, line[1:], strict=False):
+    for a, b in itertools.pairwise(line):
         dx, dy = b[0] - a[0], b[1] - a[1]
         length = hypot(dx, dy)
         share = min(max(((point[0] - a[0]) * dx + (point[1] - a[1]) * dy) / length**2, 0.0), 1.0)

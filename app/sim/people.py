@@ -1,4 +1,7 @@
-"""People: figures that walk scripted or recorded ways. They have no physical collision; the distance to them is what counts."""
+"""People: figures that walk scripted or recorded ways.
+
+They have no physical collision; the distance to them is what counts.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +26,8 @@ _STRIDE_M, _SWING_RAD = 0.75, 0.45
 class Walk:
     """One person's way: points in the world frame, walking speed, when it begins, how long to stay at which point.
 
-    `stay_s` maps the index of a point to a pause there. Before the start the person is away; after the last point they leave, unless
-    `leaves` is false.
+    `stay_s` maps the index of a point to a pause there. Before the start the person is away; after the last point
+    they leave, unless `leaves` is false.
     """
 
     points: tuple[Point, ...]

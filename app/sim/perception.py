@@ -1,7 +1,8 @@
 """What the cameras see of loose objects: a wide one on the mast, and one at the wrist that is exact from close by.
 
-The perception takes the truth from the plant and gives away only what a camera could have seen, with noise; the robot keeps what it saw
-in `Memory`. Poses are measured relative to the base and placed in the world by the robot's own localisation.
+The perception takes the truth from the plant and gives away only what a camera could have seen, with noise; the robot
+keeps what it saw in `Memory`. Poses are measured relative to the base and placed in the world by the robot's own
+localisation.
 """
 
 from __future__ import annotations
@@ -129,7 +130,10 @@ class Perception:
         return None
 
     def sweep(self, area: str, tick: int, pose: Vec3, tcp_m: Vec3, surface_z_m: float) -> float:
-        """Take off what the cameras see of an area and return the share seen so far; all of it seen makes it inspected."""
+        """Take off what the cameras see of an area and return the share seen so far.
+
+        All of it seen makes it inspected.
+        """
         left: list[Point] = []
         for point in self._unseen[area]:
             x, y = to_base(pose, *point)

@@ -1,7 +1,9 @@
-"""The physics below the sensors: actuators with their servos and brakes, five substeps per control tick, and what truly happened.
+"""The physics below the sensors.
 
-Nothing above this file touches `MjData`. Truth leaves it through `Tick` (what the sensors are made from) and the `true_*` queries
-(evaluation, perception); skills see neither.
+Actuators with their servos and brakes, five substeps per control tick, and what truly happened.
+
+Nothing above this file touches `MjData`. Truth leaves it through `Tick` (what the sensors are made from) and the
+`true_*` queries (evaluation, perception); skills see neither.
 """
 
 from __future__ import annotations
@@ -79,8 +81,8 @@ class Drives:
 class Tick(NamedTuple):
     """What physically happened in one control tick; arrays, noise-free.
 
-    `wrist_force` and `wrist_acceleration` are 5 × 3 in the wrist frame, one row per substep; `pad_force_n` is the mean of each pad;
-    `base_velocity` is in the base frame.
+    `wrist_force` and `wrist_acceleration` are 5 × 3 in the wrist frame, one row per substep; `pad_force_n` is the
+    mean of each pad; `base_velocity` is in the base frame.
     """
 
     joint_rad: Floats
@@ -142,7 +144,7 @@ class Plant:
         self._gripper_kg = float(model.body_subtreemass[model.body("gripper").id])
         self._powered = {name: getattr(model, name).copy() for name in _EDITED}
 
-    # -- moving ----------------------------------------------------------------------------------------------------------------------
+    # -- moving ----------------------------------------------------------------------------------------------
 
     def step(self, command: Command) -> Tick:
         """Apply a command for one control period."""
@@ -252,7 +254,7 @@ class Plant:
         self._ctrl[self._arm_u] = drives.joint_rad
         self._ctrl[self._base_u] = 0.0
 
-    # -- changing the world (faults, people) -------------------------------------------------------------------------------------------
+    # -- changing the world (faults, people) -----------------------------------------------------------------
 
     def weaken(self, strength: float) -> None:
         """Let the arm's servos have only this share of their stiffness and torque (actuator fade)."""
@@ -309,7 +311,7 @@ class Plant:
             c, s = cos(swing / 2), sin(swing / 2)
             self.data.mocap_quat[mocap] = (turn[0] * c, -turn[3] * s, turn[0] * s, turn[3] * c)
 
-    # -- truth -----------------------------------------------------------------------------------------------------------------------
+    # -- truth -----------------------------------------------------------------------------------------------
 
     def true_object(self, name: str) -> tuple[Floats, float, float]:
         """Return an object's true position, its yaw, and how upright it stands (1 upright, 0 lying)."""
@@ -325,7 +327,10 @@ class Plant:
         return float(x), float(y), float(yaw)
 
     def between_pads(self) -> tuple[str, Floats] | None:
-        """Return the object whose middle line passes between the pads, with its position in the tool frame; by geometry alone."""
+        """Return the object whose middle line passes between the pads, with its position in the tool frame.
+
+        By geometry alone.
+        """
         tcp, frame = self.true_tcp(), self.tool_frame()
         for name, body in self._object_body.items():
             at = frame.T @ (self._xpos[body] - tcp)
@@ -355,7 +360,10 @@ class Plant:
         return None
 
     def true_contact_n(self, held: str | None) -> tuple[float, float]:
-        """Return the exact force between gripper (with what it holds) and the rest: mean over 20 ms, highest substep."""
+        """Return the exact force between gripper (with what it holds) and the rest.
+
+        Mean over 20 ms, highest substep.
+        """
         mass = self._gripper_kg + (float(self.model.body_mass[self._object_body[held]]) if held else 0.0)
         outer = self._force[:, 0:3] - mass * self._force[:, 3:6]
         return float(np.linalg.norm(outer.mean(axis=0))), float(np.linalg.norm(outer, axis=1).max())
@@ -375,7 +383,10 @@ class Plant:
         return self._gripper_kg
 
     def doze(self) -> None:
-        """Spare the solver objects that lie still away from the gripper: without contacts they neither move nor cost."""
+        """Spare the solver objects that lie still away from the gripper.
+
+        Without contacts they neither move nor cost.
+        """
         x, y, _ = self._site_xpos[self._tcp].tolist()
         for name, body in self._object_body.items():
             ax, ay, az = self._xpos[body].tolist()
@@ -395,7 +406,7 @@ class Plant:
         self._qvel[v : v + 6] = 0.0
         (self._asleep.add if asleep else self._asleep.discard)(name)
 
-    # -- keeping and bringing back -----------------------------------------------------------------------------------------------------
+    # -- keeping and bringing back ---------------------------------------------------------------------------
 
     def snapshot(self) -> object:
         """Return the integration state, the edited model fields and the drives; `restore` brings it back bitwise."""
@@ -427,6 +438,7 @@ def _run_of(indices: list[int]) -> slice:
     first = int(indices[0])
     if [int(i) for i in indices] != list(range(first, first + len(indices))):
         raise ValueError(
-            f"the robot's joints and actuators must stand in order, base, arm and fingers each together; found `{indices}`"
+            "the robot's joints and actuators must stand in order, base, arm and fingers each together; "
+            f"found `{indices}`"
         )
     return slice(first, first + len(indices))

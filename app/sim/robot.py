@@ -1,7 +1,8 @@
 """The robot: a UR5e by its published DH parameters on a holonomic base, with a parallel gripper.
 
-`add_robot` writes it into a model spec; the workcell uses it twice, once in the whole world and once alone as the robot's own model of
-itself (inverse kinematics, Jacobian, expected torques). `load_robot` takes another robot's MJCF instead and says which parts it lacks.
+`add_robot` writes it into a model spec; the workcell uses it twice, once in the whole world and once alone as the
+robot's own model of itself (inverse kinematics, Jacobian, expected torques). `load_robot` takes another robot's MJCF
+instead and says which parts it lacks.
 
 Contact bits: environment 1, robot 2, objects 4; the robot does not collide with itself.
 """

@@ -1,7 +1,10 @@
-"""The robot's own sensors: arm, wrist, gripper, odometry, absolute fix, and the people tracker; seeded, delayed, and breakable.
+"""The robot's own sensors: arm, wrist, gripper, odometry, absolute fix, and the people tracker.
 
-Noise comes from blocks drawn in advance, one row per tick, so that a tick costs no call into the generator and a run is the same for the
-same seed. Nothing here holds a reference to the simulator: a deep copy of `Sensors` is its whole state.
+Seeded, delayed, and breakable.
+
+Noise comes from blocks drawn in advance, one row per tick, so that a tick costs no call into the generator and a run
+is the same for the same seed. Nothing here holds a reference to the simulator: a deep copy of `Sensors` is its whole
+state.
 """
 
 from __future__ import annotations
@@ -61,7 +64,10 @@ class Noise:
 
 @dataclass(slots=True)
 class SensorFault:
-    """How one sensor is broken: `stuck` (old value, new stamp), `stale` (nothing new), `noisy`, `offset` or `delayed`, by `size`."""
+    """How one sensor is broken.
+
+    `stuck` (old value, new stamp), `stale` (nothing new), `noisy`, `offset` or `delayed`, by `size`.
+    """
 
     kind: str
     size: float = 0.0
@@ -102,7 +108,10 @@ class Sensors:
     """Seeded sensors of one workcell."""
 
     def __init__(self, seed: int, start: Vec3, gripper_kg: float) -> None:
-        """Start with odometry at `start` (the robot knows where it was parked) and the wrist tared to the bare gripper."""
+        """Start with odometry at `start` (the robot knows where it was parked) and the wrist tared to the bare.
+
+        Gripper.
+        """
         self._noise = Noise((seed, 1))
         traits = np.random.default_rng((seed, 2)).standard_normal(4)
         self.odometry = np.array(start, dtype=np.float64)
@@ -119,7 +128,7 @@ class Sensors:
         self._tracks: dict[int, PersonTrack] = {}
         self.fix_stamp_s = self.people_stamp_s = 0.0
 
-    # -- body ------------------------------------------------------------------------------------------------------------------------
+    # -- body ------------------------------------------------------------------------------------------------
 
     def read(self, tick: int, physical: Tick, nearest: tuple[str, Floats] | None) -> Reading:
         """Return what the body sensors say.
@@ -163,7 +172,10 @@ class Sensors:
         return fault.distort(stamp_s, value, noise) if fault else (stamp_s, value)
 
     def _measure_slip(self, pads: Floats, nearest: tuple[str, Floats] | None) -> float:
-        """Watch how far the thing between the pads moves against them since the grip closed; keeps the last value once it is gone."""
+        """Watch how far the thing between the pads moves against them since the grip closed.
+
+        Keeps the last value once it is gone.
+        """
         if pads.min() < PAD_LOADED_N or nearest is None:
             if pads.max() < PAD_LOADED_N and self._slip_m == 0.0:
                 self._grip = None
@@ -194,7 +206,7 @@ class Sensors:
         pose[2] += (wz + self.odometry_turn_radpm * hypot(vx, vy)) * dt
         return pose.copy()
 
-    # -- absolute fix ----------------------------------------------------------------------------------------------------------------
+    # -- absolute fix ----------------------------------------------------------------------------------------
 
     def fix(self, tick: int, pose: Floats) -> Fix | None:
         """Take a fix every 50 ms and return the one that arrives in this tick, if one does."""
@@ -212,7 +224,7 @@ class Sensors:
                 return fix
         return None
 
-    # -- people ----------------------------------------------------------------------------------------------------------------------
+    # -- people ----------------------------------------------------------------------------------------------
 
     def people(
         self, tick: int, present: Iterable[tuple[int, Point]], eye: Point, walls: Sequence[tuple[Point, ...]]

@@ -69,7 +69,7 @@ def _look_over(body: Body, area: str, surface_z_m: float, dwell_s: float) -> Mov
     yield from body.retract(speed)
 
 
-# -- grasping ------------------------------------------------------------------------------------------------------------------------
+# -- grasping ------------------------------------------------------------------------------------------------
 
 
 def grasp_object(body: Body, params: Mapping[str, Json]) -> Moves:
@@ -186,7 +186,7 @@ def remember_grip(body: Body, thing: SiteObject, found: Glimpse) -> None:
     senses.hand = Hand(thing.name, body.pose.z_m - z, x, y, wrapped(body.pose.yaw_rad + pose[2]), z)
 
 
-# -- placing -------------------------------------------------------------------------------------------------------------------------
+# -- placing -------------------------------------------------------------------------------------------------
 
 
 def place_object(body: Body, params: Mapping[str, Json]) -> Moves:

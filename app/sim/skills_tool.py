@@ -1,4 +1,7 @@
-"""Operating the tool station: swinging the lever by its handle, pressing the button; the tool's own switch says whether it worked."""
+"""Operating the tool station: swinging the lever by its handle, pressing the button.
+
+The tool's own switch says whether it worked.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """Soak: every skill, many seeds, judged by the simulator's truth and not by the skill's word.
 
-One seed is one world (object poses ±5 cm and ±0.2 rad, pad friction 0.7–1.0, masses ±10 %) and one chain of skills through it. A skill's
-success is counted on the state that it found; a chain that breaks ends there and counts against the skill that broke it.
+One seed is one world (object poses ±5 cm and ±0.2 rad, pad friction 0.7–1.0, masses ±10 %) and one chain of skills
+through it. A skill's success is counted on the state that it found; a chain that breaks ends there and counts against
+the skill that broke it.
 """
 
 from __future__ import annotations
@@ -41,7 +42,10 @@ class Score(NamedTuple):
 
 
 class Tally(NamedTuple):
-    """One skill over all worlds: successes of runs, Wilson's 95 % interval, the worst truths, and what went wrong where."""
+    """One skill over all worlds.
+
+    Successes of runs, Wilson's 95 % interval, the worst truths, and what went wrong where.
+    """
 
     skill: str
     runs: int
@@ -69,7 +73,8 @@ class Report(NamedTuple):
         """Return the report as text, one skill per line."""
         head = f"{'skill':22}{'ok':>5}/{'runs':<6}{'95 % interval':>16}{'tcp m/s':>10}{'base m/s':>10}{'contact N':>11}"
         rows = [
-            f"{t.skill:22}{t.succeeded:5}/{t.runs:<6}{100 * t.low:7.1f}–{100 * t.high:5.1f} %{t.tcp_speed_mps:10.3f}{t.base_speed_mps:10.3f}{t.contact_force_n:11.1f}"
+            f"{t.skill:22}{t.succeeded:5}/{t.runs:<6}{100 * t.low:7.1f}–{100 * t.high:5.1f} %"
+            f"{t.tcp_speed_mps:10.3f}{t.base_speed_mps:10.3f}{t.contact_force_n:11.1f}"
             for t in self.tallies
         ]
         return [head, *rows, *(f"  {t.skill}: {failure}" for t in self.tallies for failure in t.failures)]

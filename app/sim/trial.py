@@ -1,4 +1,7 @@
-"""One skill run on a workcell, outside any server: for soak runs and tests. What it binds is a real grant from a throw-away key."""
+"""One skill run on a workcell, outside any server: for soak runs and tests.
+
+What it binds is a real grant from a throw-away key.
+"""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """The simulated workcell: the MuJoCo substrate behind the same protocol a real robot would have.
 
-One tick: command → drives and physics (5 × 2 ms) → people and faults take their turn → sensors → localisation and perception →
-`Observation`. Everything random hangs on the seed, so a run is the same for the same seed and the same commands. `snapshot` carries physics,
-drives, sensors, delay lines, generators, localisation, memory, people and faults; it does not carry a skill in flight (a generator cannot be
-copied): bind anew after `restore`.
+One tick: command → drives and physics (5 × 2 ms) → people and faults take their turn → sensors → localisation and
+perception → `Observation`. Everything random hangs on the seed, so a run is the same for the same seed and the same
+commands. `snapshot` carries physics, drives, sensors, delay lines, generators, localisation, memory, people and
+faults; it does not carry a skill in flight (a generator cannot be copied): bind anew after `restore`.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ class Workcell:
         for _ in range(_WARM_UP_TICKS):
             self.step(held)
 
-    # -- Substrate -------------------------------------------------------------------------------------------------------------------
+    # -- Substrate -------------------------------------------------------------------------------------------
 
     def bind(self, grant: Grant, capability: str, params: Mapping[str, Json], *, careful: bool = False) -> Run:
         """Unlock the actuators for a grant and prepare a skill (see `Substrate.bind`)."""
@@ -172,7 +172,10 @@ class Workcell:
         return self._state.held
 
     def step(self, command: Command) -> Observation:
-        """Apply a command for one control period and return what the sensors saw; without a bound grant it holds instead."""
+        """Apply a command for one control period and return what the sensors saw.
+
+        Without a bound grant it holds instead.
+        """
         state, plant = self._state, self.plant
         if self._grant is None or not plant.drives.powered or not _finite(command):
             command = state.held
@@ -253,7 +256,7 @@ class Workcell:
         self.plant.restore(physics)
         self._state, self._run = copy.deepcopy(own), None
 
-    # -- Senses: what skills may ask ---------------------------------------------------------------------------------------------------
+    # -- Senses: what skills may ask -------------------------------------------------------------------------
 
     @property
     def perception(self) -> Perception:
@@ -306,7 +309,7 @@ class Workcell:
         """Take the present grip as the one without slip."""
         self._state.sensors.zero_slip()
 
-    # -- evaluation --------------------------------------------------------------------------------------------------------------------
+    # -- evaluation ------------------------------------------------------------------------------------------
 
     def truth(self) -> Truth:
         """Return what truly is (evaluation and tests; no skill and no watcher sees it)."""
@@ -338,7 +341,10 @@ class Workcell:
         )
 
     def gauges(self) -> tuple[float, float, float, float]:
-        """Return true tool speed, base speed, contact force (20 ms mean) and its peak, without the cost of the whole truth."""
+        """Return true tool speed, base speed, contact force (20 ms mean) and its peak.
+
+        Without the cost of the whole truth.
+        """
         tick = self.plant.read()
         held = self._state.hand.name if self._state.hand and tick.pad_force_n.min() > PAD_LOADED_N else None
         return (
@@ -347,7 +353,7 @@ class Workcell:
             *self.plant.true_contact_n(held),
         )
 
-    # -- inside ------------------------------------------------------------------------------------------------------------------------
+    # -- inside ----------------------------------------------------------------------------------------------
 
     def _sense(self, physical: Tick, now: float) -> Observation:
         state, sensors = self._state, self._state.sensors

@@ -1,7 +1,9 @@
-"""The workshop as a MuJoCo model, built from the `Site`: furniture, tools, loose objects, people, crates that may block a way.
+"""The workshop as a MuJoCo model, built from the `Site`.
 
-Everything is made of primitive shapes written here; no assets. People are figures without physical collision, moved by the workcell:
-what counts is the distance to them. Crates are parked under the floor until a fault needs one.
+Furniture, tools, loose objects, people, crates that may block a way.
+
+Everything is made of primitive shapes written here; no assets. People are figures without physical collision, moved
+by the workcell: what counts is the distance to them. Crates are parked under the floor until a fault needs one.
 """
 
 from __future__ import annotations
@@ -259,7 +261,8 @@ def _add_object(spec: mujoco.MjSpec, thing: SiteObject, surface: Surface) -> Non
         friction=_BENCH_FRICTION,
         rgba=_COLOURS.get(thing.kind, _STEEL),
     )
-    # It stands, and when tipped lies, on small spheres in its corners: exact contacts at a third of the cost of shape against shape.
+    # It stands, and when tipped lies, on small spheres in its corners: exact contacts at a third of the cost of shape
+    # against shape.
     rx, ry, rz = (thing.size_m[0] * 0.7071, thing.size_m[1] * 0.7071, thing.size_m[2]) if cylinder else thing.size_m
     for k in range(8):
         sx, sy, sz = (1 if k & bit else -1 for bit in (1, 2, 4))
