@@ -278,6 +278,8 @@ class Plant:
         body = self._object_body[name]
         self.model.body_mass[body] *= factor
         self.model.body_inertia[body] *= factor
+        # The solver's softness follows inverse weights worked out at compile time; stale ones let a heavy thing creep.
+        mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
 
     def shift_mass(self, name: str, offset_m: tuple[float, float, float]) -> None:
         """Move an object's centre of mass within it."""

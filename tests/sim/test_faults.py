@@ -1,0 +1,120 @@
+"""Each fault has its physical effect, compared with the same seed without it; and none is told to anybody."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+
+from app.governance.model import Site
+from app.sim.faults import Fault
+from app.sim.occasions import Trigger
+from app.sim.people import Walk
+from app.sim.trial import Ran, run_skill
+from app.sim.workcell import Workcell
+
+pytestmark = pytest.mark.physics
+
+GRASP = {"object_id": "mug_1", "force_n": 40.0, "speed_mps": 0.25}
+DRIVE = {"x_m": 1.6, "y_m": 3.6, "yaw_rad": 1.57, "speed_mps": 0.4, "clearance_m": 0.1}
+AT_ONCE = Trigger(time_s=0.0)
+
+
+def cell_with(site: Site, *faults: Fault, people: Sequence[Walk] = ()) -> Workcell:
+    return Workcell(site, seed=5, faults=faults, people=people)
+
+
+def fault(kind: str, at: Trigger = AT_ONCE, **sizes: object) -> Fault:
+    return Fault(kind=kind, at=at, sizes=sizes)
+
+
+def drive(cell: Workcell, limit_s: float = 4.0) -> Ran:
+    return run_skill(cell, "navigate_to", DRIVE, limit_s=limit_s)
+
+
+def test_a_grip_that_loses_its_force_drops_the_object(site: Site):
+    lifting = Trigger(capability="grasp_object", phase="lift", after_s=0.5)
+    weak = cell_with(site, fault("grip_gain", lifting, gain=0.01))
+    run_skill(weak, "grasp_object", GRASP)
+    assert weak.truth().held is None
+
+
+def test_speed_scaling_moves_the_base_faster_than_it_was_told(site: Site):
+    told = drive(cell_with(site)).base_speed_mps
+    assert told < 0.42
+    assert drive(cell_with(site, fault("speed_scaling", gain=1.5))).base_speed_mps > 1.15 * told
+
+
+def test_a_missing_object_is_not_found(site: Site):
+    ran = run_skill(cell_with(site, fault("missing", object="mug_1")), "grasp_object", GRASP)
+    assert ran.failure in {"object_not_found", "grasp_failed", "perception_mismatch"}
+
+
+def test_a_slippery_object_slips_out(site: Site):
+    cell = cell_with(site, fault("slippery", object="mug_1", friction=0.01))
+    ran = run_skill(cell, "grasp_object", {**GRASP, "force_n": 10.0})
+    assert cell.truth().held is None
+    assert not ran.done
+
+
+def test_a_blocked_way_stops_the_drive(site: Site):
+    cell = cell_with(site, fault("blocked", x_m=1.6, y_m=3.8))
+    ran = drive(cell, limit_s=20.0)
+    assert ran.failure in {"blocked", "no_path"}
+
+
+def test_an_odometry_bias_takes_dead_reckoning_off_the_truth(site: Site):
+    def off(cell: Workcell) -> float:
+        drive(cell)
+        return abs(cell.observe().odometry[0] - cell.truth().base[0])
+
+    assert off(cell_with(site)) < 0.05
+    assert off(cell_with(site, fault("odometry_bias", x_mps=0.1))) > 0.2
+
+
+def test_a_shifted_payload_weighs_on_the_arm(site: Site):
+    def strain(cell: Workcell) -> float:
+        assert run_skill(cell, "grasp_object", GRASP).done
+        return max(abs(torque) for torque in cell.observe().joint_torque_nm)
+
+    held = Trigger(capability="grasp_object", phase="lift", after_s=0.3)
+    assert strain(cell_with(site, fault("payload_shift", held, object="mug_1", factor=3.0))) > 1.5 * strain(
+        cell_with(site)
+    )
+
+
+@pytest.mark.parametrize(
+    ("sensor", "stamp"),
+    [("arm", "arm"), ("wrist", "wrist"), ("odometry", "odometry"), ("fix", "fix"), ("people", "people")],
+)
+def test_a_stale_sensor_keeps_its_old_stamp(site: Site, sensor: str, stamp: str):
+    cell = cell_with(site, fault("sensor", Trigger(time_s=0.2), sensor=sensor, fault="stale"))
+    for _ in range(100):
+        seen = cell.step(cell.hold())
+    assert seen.time_s - getattr(seen.stamps_s, stamp) > 0.5
+    assert seen.time_s - getattr(cell_with(site).observe().stamps_s, stamp) >= 0.0
+
+
+def test_a_stuck_sensor_repeats_its_value_under_new_stamps(site: Site):
+    cell = cell_with(site, fault("sensor", Trigger(time_s=0.1), sensor="arm", fault="stuck"))
+    seen = [cell.step(cell.hold()) for _ in range(60)][30:]
+    assert len({one.joint_rad for one in seen}) == 1
+    assert seen[-1].time_s - seen[-1].stamps_s.arm < 0.05
+    free = cell_with(site)
+    assert len({free.step(free.hold()).joint_rad for _ in range(30)}) > 1
+
+
+def test_a_person_walks_where_they_were_sent_and_the_tracker_sees_them(site: Site):
+    walk = Walk(points=((3.0, 3.6), (1.6, 3.6)), speed_mps=1.2, start=AT_ONCE, leaves=False)
+    cell = cell_with(site, people=[walk])
+    seen = [cell.step(cell.hold()) for _ in range(250)][-1]
+    assert cell.truth().people_m == pytest.approx(1.0, abs=0.15)
+    assert seen.people
+    assert abs(seen.people[0].x_m - 1.6) < 0.3
+
+
+def test_an_unknown_fault_or_size_is_refused_by_name():
+    with pytest.raises(ValueError, match="fault `gremlin`: valid are"):
+        fault("gremlin")
+    with pytest.raises(ValueError, match="has no size `colour`"):
+        fault("grip_gain", colour=3)

@@ -1,0 +1,44 @@
+"""Every skill by contact physics over twenty seeded worlds: poses, turns, masses and friction vary, truth judges."""
+
+from __future__ import annotations
+
+import pytest
+
+from app.governance.model import Site
+from app.sim.soak import Report, count, soak, trial
+
+pytestmark = [pytest.mark.physics, pytest.mark.timeout(300)]
+
+SKILLS = (
+    "inspect_area", "grasp_object", "release_and_retract", "retrace", "transport_object", "place_object",
+    "safe_retreat", "reposition_base", "navigate_to", "operate_tool",
+)  # fmt: skip
+SEEDS = 20
+FIRST = 1000  # other worlds than those the skills were tuned on
+
+
+@pytest.fixture(scope="module")
+def report(site: Site) -> Report:
+    return soak(site, seeds=SEEDS, jobs=2, first=FIRST)
+
+
+@pytest.mark.parametrize("skill", SKILLS)
+def test_a_skill_succeeds_in_truth_in_nearly_every_world(report: Report, skill: str):
+    tally = next(tally for tally in report.tallies if tally.skill == skill)
+    assert tally.runs >= SEEDS - 1
+    assert tally.runs - tally.succeeded <= 1, tally.failures
+
+
+def test_skills_keep_to_the_limits_they_were_given(report: Report):
+    by_name = {tally.skill: tally for tally in report.tallies}
+    assert all(tally.tcp_speed_mps <= 0.25 * 1.05 for tally in report.tallies)
+    assert by_name["transport_object"].base_speed_mps <= 0.3 * 1.05
+    assert by_name["navigate_to"].base_speed_mps <= 0.6 * 1.05
+    assert all(tally.contact_force_n <= 100.0 for tally in report.tallies)
+
+
+def test_a_failed_skill_is_counted_with_its_seed_and_reason(site: Site):
+    scores = trial(site, FIRST)
+    broken = [score._replace(ok=False, why="dropped") for score in scores if score.skill == "place_object"]
+    (tally,) = count(broken, 1).tallies
+    assert (tally.succeeded, tally.failures) == (0, (f"seed {FIRST}: dropped",))

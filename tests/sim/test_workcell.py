@@ -1,0 +1,151 @@
+"""The workcell as a substrate: locked without a permit, the same for a seed, exact to restore, stopped when stopped."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from app.cell.substrate import SubstrateError
+from app.governance.model import Command, Site, SkillState
+from app.sim.trial import grant_for, run_skill
+from app.sim.workcell import Workcell, make_workcell
+
+pytestmark = pytest.mark.physics
+
+DRIVE = {"x_m": 1.6, "y_m": 4.2, "yaw_rad": 1.57, "speed_mps": 0.3, "clearance_m": 0.1}
+GO = (0.3, 0.0, 0.0)
+
+
+def cell_of(site: Site, seed: int = 0) -> Workcell:
+    return make_workcell(site, cell_id="cell", seed=seed)
+
+
+def pushing(cell: Workcell) -> Command:
+    return cell.hold()._replace(base_velocity=GO)
+
+
+def test_nothing_moves_without_a_bound_permit(site: Site):
+    cell = cell_of(site)
+    before = cell.truth().base
+    for _ in range(50):
+        cell.step(pushing(cell))
+    assert cell.truth().base == pytest.approx(before, abs=0.002)
+
+
+def test_an_unbound_cell_is_locked_again(site: Site):
+    cell = cell_of(site)
+    cell.bind(grant_for("cell", "navigate_to", DRIVE), "navigate_to", DRIVE)
+    for _ in range(30):
+        cell.step(pushing(cell))
+    assert cell.truth().base_speed_mps > 0.1
+    cell.unbind()
+    for _ in range(100):
+        cell.step(pushing(cell))
+    assert cell.truth().base_speed_mps < 0.01
+
+
+def test_a_permit_for_another_cell_binds_nothing(site: Site):
+    cell = cell_of(site)
+    with pytest.raises(SubstrateError, match="cell"):
+        cell.bind(grant_for("elsewhere", "navigate_to", DRIVE), "navigate_to", DRIVE)
+
+
+def test_a_permit_binds_only_what_it_covers(site: Site):
+    cell = cell_of(site)
+    grant = grant_for("cell", "navigate_to", DRIVE)
+    with pytest.raises(SubstrateError):
+        cell.bind(grant, "grasp_object", {"object_id": "mug_1", "force_n": 40.0, "speed_mps": 0.2})
+    with pytest.raises(SubstrateError):
+        cell.bind(grant, "navigate_to", {**DRIVE, "speed_mps": 1.5})
+
+
+def test_the_same_seed_gives_the_same_world_and_another_does_not(site: Site):
+    def walk(seed: int) -> tuple[object, ...]:
+        cell = cell_of(site, seed)
+        run_skill(cell, "navigate_to", DRIVE, limit_s=2.0)
+        return (cell.truth().base, cell.observe())
+
+    assert walk(3) == walk(3)
+    assert walk(3) != walk(4)
+
+
+def test_a_restored_snapshot_goes_on_bit_for_bit(site: Site):
+    cell = cell_of(site)
+    run_skill(cell, "navigate_to", DRIVE, limit_s=1.0)
+    state = cell.snapshot()
+
+    def play() -> list[object]:
+        return [(cell.step(cell.hold()), cell.truth()) for _ in range(60)]
+
+    first = play()
+    cell.restore(state)
+    assert play() == first
+
+
+def test_an_emergency_stop_ends_motion_and_a_reset_starts_none(site: Site):
+    cell = cell_of(site)
+    cell.bind(grant_for("cell", "navigate_to", DRIVE), "navigate_to", DRIVE)
+    for _ in range(40):
+        cell.step(pushing(cell))
+    cell.stop(0)
+    for _ in range(50):
+        cell.step(pushing(cell))
+    stood = cell.truth().base
+    assert cell.truth().base_speed_mps < 0.01
+    cell.unbind()
+    cell.reset()
+    for _ in range(50):
+        cell.step(pushing(cell))
+    assert cell.truth().base == pytest.approx(stood, abs=0.003)
+
+
+def test_a_skill_keeps_still_at_rate_zero_and_then_goes_on_to_the_same_place(site: Site):
+    cell = cell_of(site)
+    moving: list[float] = []
+
+    def hold_a_while(seen, report) -> float:
+        moving.append(cell.truth().base_speed_mps)
+        return 0.0 if 60 <= len(moving) < 160 else 1.0
+
+    ran = run_skill(cell, "navigate_to", DRIVE, each=hold_a_while)
+    assert ran.state is SkillState.SUCCEEDED
+    assert max(moving[110:160]) < 0.02
+    assert cell.truth().base[1] == pytest.approx(DRIVE["y_m"], abs=0.05)
+
+
+def test_facts_come_from_sensors_and_say_what_is_held(site: Site):
+    cell = cell_of(site)
+    before = cell.facts()
+    assert before.gripper_empty
+    assert before.objects["mug_1"].visible
+    assert before.objects["mug_1"].reachable
+    assert not ("box_1" in before.objects and before.objects["box_1"].reachable)
+    truth = cell.truth().objects["mug_1"]
+    assert before.objects["mug_1"].x_m == pytest.approx(truth[0], abs=0.03)
+    assert (before.objects["mug_1"].x_m, before.objects["mug_1"].y_m) != truth[:2]
+    assert run_skill(cell, "grasp_object", {"object_id": "mug_1", "force_n": 40.0, "speed_mps": 0.25}).done
+    after = cell.facts()
+    assert (after.holding, after.gripper_empty) == ("mug_1", False)
+
+
+def test_the_scene_and_the_poses_name_the_same_bodies(site: Site):
+    cell = cell_of(site)
+    poses = cell.poses()
+    assert {"mug_1", "glass_1", "box_1"} <= set(poses)
+    assert all(len(pose) == 7 for pose in poses.values())
+    assert cell.scene()
+
+
+def test_a_robot_model_without_the_needed_joints_is_refused(site: Site, tmp_path):
+    model = tmp_path / "robot.xml"
+    model.write_text("<mujoco><worldbody><body name='box'><geom size='0.1'/></body></worldbody></mujoco>")
+    with pytest.raises(ValueError, match="joint"):
+        make_workcell(site, cell_id="cell", robot_mjcf=model)
+
+
+def test_truth_is_a_value_of_its_own(site: Site):
+    truth = cell_of(site).truth()
+    assert truth.held is None
+    assert truth.people_m == 99.0
+    assert dataclasses.is_dataclass(truth) or truth._fields
