@@ -78,9 +78,8 @@ def test_a_shifted_payload_weighs_on_the_arm(site: Site):
         return max(abs(torque) for torque in cell.observe().joint_torque_nm)
 
     held = Trigger(capability="grasp_object", phase="lift", after_s=0.3)
-    assert strain(cell_with(site, fault("payload_shift", held, object="mug_1", factor=3.0))) > 1.5 * strain(
-        cell_with(site)
-    )
+    heavier = cell_with(site, fault("payload_shift", held, object="mug_1", factor=3.0))
+    assert strain(heavier) > strain(cell_with(site)) + 2.0  # 0.7 kg more, half a metre out
 
 
 @pytest.mark.parametrize(
