@@ -16,12 +16,14 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from app.cell import telling
+from app.cell import governing, telling
 from app.governance.clamp import clamp
-from app.governance.model import Command, Observation
+from app.governance.detectors import REACTION_S
+from app.governance.model import WatchPlan, Zone
 from app.governance.permit import Grant
 from app.governance.watcher import Watcher
 from app.sim.faults import Fault
@@ -33,8 +35,8 @@ TICKS = 1200
 DRIVE: dict[str, Any] = {"target": "dock", "speed_mps": 0.3, "clearance_m": 0.3}
 
 
-def shop(*faults: Fault, profile: str = "human-shared") -> Workshop:
-    return Workshop(Path(tempfile.mkdtemp(prefix="bench-watch-")), faults=faults, profile=profile)
+def shop(*faults: Fault) -> Workshop:
+    return Workshop(Path(tempfile.mkdtemp(prefix="bench-watch-")), faults=faults)
 
 
 def inside_the_loop() -> tuple[float, float, float]:
@@ -49,8 +51,6 @@ def inside_the_loop() -> tuple[float, float, float]:
             return done
 
         return do
-
-    from app.cell import governing
 
     kept = Watcher.watch, telling.row, governing.clamp
     Watcher.watch, telling.row, governing.clamp = (  # type: ignore[method-assign]
@@ -99,31 +99,66 @@ def ungoverned_s() -> float:
     return (time.perf_counter() - began) / TICKS
 
 
-def reaction_ticks(
-    capability: str, params: dict[str, Any], faults: tuple[Fault, ...], violated: Callable[[Workshop], bool]
-) -> int:
-    """Return control ticks from the first step that ends in a true violation to the first restrained command."""
-    one = shop(*faults)
-    one.launch(capability, **params)
-    sent: list[Command] = []
-    step = one.cell.step
+def reaction_ticks(one: Workshop, capability: str, params: dict[str, Any], violated: Callable[[], bool]) -> int:
+    """Return control ticks from the first step that ends in a true violation to the first restrained command.
 
-    def watched(command: Command) -> Observation:
-        sent.append(command)
-        return step(command)
-
-    one.cell.step = watched  # type: ignore[method-assign]
+    The rate at which the skill may run is what restrains, and it only falls when governance intervenes. Sensor noise
+    may cross a threshold before the truth does: that counts as 0.
+    """
+    one.launch(capability, 2, **params)
     since: int | None = None
+    before = 0.0
     for tick in range(6000):
-        rate = one.runner._session.run.rate if one.runner._session else 0.0  # what the loop does next
         one.runner.tick()
-        session = one.runner._session
-        now = session.run.rate if session else 0.0
-        if since is not None and now < rate:
-            return tick - since
-        if since is None and violated(one):
+        session = one.runner.session
+        rate = 0.0 if session is None else session.run.rate
+        if since is None and violated():
             since = tick
+        if rate < before:
+            return 0 if since is None else tick - since
+        before = rate
     raise RuntimeError(f"`{capability}`: nothing happened in 6000 ticks")
+
+
+def speed_ticks() -> int:
+    one = shop(Fault(kind="speed_scaling", at=driving(1.0), sizes={"gain": 1.6}))
+    return reaction_ticks(one, "navigate_to", DRIVE, lambda: one.cell.truth().base_speed_mps > 0.3 * 1.05)
+
+
+def force_ticks() -> int:
+    """A contact rule of 4 N, and a tool that takes more than that."""
+    one = shop()
+    one.launch("navigate_to", target="tool_stand", speed_mps=0.3, clearance_m=0.3)
+    one.finish()
+
+    def strict(plan: WatchPlan) -> WatchPlan:
+        touch = next(rule for rule in plan.rules if rule.signal == "contact_force_n")
+        return replace(plan, rules=(replace(touch, threshold=4.0),))
+
+    one.edit = strict
+    means: list[float] = [0.0, 0.0]
+
+    def violated() -> bool:
+        means.append(one.cell.truth().contact_force_n)
+        return 0.5 * (means[-1] + means[-2]) > 4.0
+
+    press = {"tool": "press", "action": "press", "force_n": 40.0, "speed_mps": 0.15}
+    return reaction_ticks(one, "operate_tool", press, violated)
+
+
+def zone_ticks() -> int:
+    """A zone across the way that only the watcher knows: violated when braking would no longer end before it."""
+    one = shop()
+    edge_y = 2.6
+    wall = Zone(name="wall", kind="forbidden", polygon=((-1.0, 0.0), (9.0, 0.0), (9.0, edge_y), (-1.0, edge_y)))
+    one.edit = lambda plan: replace(plan, zones=(wall,))
+
+    def violated() -> bool:
+        truth = one.cell.truth()
+        speed = truth.base_speed_mps
+        return truth.base[1] - edge_y - 0.45 - speed * REACTION_S - speed * speed / 2.0 < 0.0
+
+    return reaction_ticks(one, "navigate_to", DRIVE, violated)
 
 
 def driving(after_s: float) -> Trigger:
@@ -138,14 +173,10 @@ def main() -> None:
     pairs = [(governed_s(), ungoverned_s()) for _ in range(REPEATS)]
     with_, without = (statistics.median(values) for values in zip(*pairs, strict=True))
     share = statistics.median(off / on for on, off in pairs)
-    print(
-        f"loop    governed {with_ * 1e6:.0f} µs, ungoverned {without * 1e6:.0f} µs per tick: {share:.3f} (target ≥ 0.88)"
-    )
+    print(f"loop    governed {with_ * 1e6:.0f} µs, ungoverned {without * 1e6:.0f} µs: {share:.3f} (target ≥ 0.88)")
     print(f"speed   {0.01 / with_:.1f} × real time (target ≥ 18)")
-    fast = Fault(kind="speed_scaling", at=driving(1.0), sizes={"gain": 1.6})
-    limit = 0.3 * 1.05
-    ticks = reaction_ticks("navigate_to", DRIVE, (fast,), lambda one: one.cell.truth().base_speed_mps > limit)
-    print(f"speed   violation in truth → changed command: {ticks} ticks (target ≤ 2)")
+    for name, measured in (("force", force_ticks), ("speed", speed_ticks), ("zone", zone_ticks)):
+        print(f"{name:7s} violation in truth → changed command: {measured()} ticks (target ≤ 2)")
 
 
 if __name__ == "__main__":

@@ -66,12 +66,13 @@ class Ports:
 class Governing:
     """Governs one run. `over` holds how it ended once it has."""
 
-    __slots__ = ("_ports", "_substrate", "_tell", "_tell_anyway", "over", "run", "seen")
+    __slots__ = ("_confirms", "_ports", "_substrate", "_tell", "_tell_anyway", "over", "run", "seen")
 
     def __init__(self, ports: Ports, run: Run, seen: Observation) -> None:
         """Take a bound run over."""
         self._ports, self._substrate = ports, ports.substrate
         self._tell, self._tell_anyway = ports.recorder.say, ports.recorder.say_anyway
+        self._confirms = bool(run.grant.authorization.confirm_before)
         self.run = run
         self.seen = seen
         self.over: End | None = None
@@ -109,7 +110,7 @@ class Governing:
         except Exception as error:  # whatever a skill does wrong must not take the watcher along
             self._tell_anyway(telling.cell("skill_error", telling.CELL, repr(error)))
             return SkillReport("failed", 0.0, FAILED, "skill_error"), hold(run.previous)
-        if run.waits_for_confirmation(report.phase):
+        if self._confirms and run.waits_for_confirmation(report.phase):
             run.rate = 0.0
             self.escalate(f"confirm:{report.phase}")
             return report, hold(run.previous)

@@ -116,6 +116,11 @@ class Runner:
         self._record.fault = why
 
     @property
+    def session(self) -> Governing | None:
+        """Return the session under way, for evaluation to look at."""
+        return self._session
+
+    @property
     def invocation(self) -> str | None:
         """Return the invocation under way, if there is one."""
         return None if self._session is None else self._session.run.id

@@ -51,16 +51,18 @@ def clamp(
     total = a + b + c + d + e + f + u + v + w + x + y + z + vx + vy + wz + grip
     if total - total != 0.0:
         return hold(previous), True
-    rate = 1.0 / period_s
-    stepped = (
-        (a - last[0]) * rate,
-        (b - last[1]) * rate,
-        (c - last[2]) * rate,
-        (d - last[3]) * rate,
-        (e - last[4]) * rate,
-        (f - last[5]) * rate,
-    )
-    arm = max(_excess(stepped, jacobian, bounds), _excess(speeds, jacobian, bounds))
+    stepped, arm = STILL, 0.0
+    if speeds != STILL or joints != last:
+        rate = 1.0 / period_s
+        stepped = (
+            (a - last[0]) * rate,
+            (b - last[1]) * rate,
+            (c - last[2]) * rate,
+            (d - last[3]) * rate,
+            (e - last[4]) * rate,
+            (f - last[5]) * rate,
+        )
+        arm = max(_excess(stepped, jacobian, bounds), _excess(speeds, jacobian, bounds))
     drive = math.sqrt(vx * vx + vy * vy) / bounds.base_speed_mps
     turn = abs(wz) / LARGEST_TURN_RADPS
     if arm <= 1.0 and drive <= 1.0 and turn <= 1.0 and grip <= bounds.grip_force_n:

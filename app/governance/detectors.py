@@ -13,7 +13,7 @@ import math
 from math import cos, hypot, sin, sqrt
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from app.governance.estimation import BaseEstimate, PersonEstimate, now, track_base, track_people
+from app.governance.estimation import BaseEstimate, PersonEstimate, now, offset, track_base, track_people
 from app.governance.model import SensorStamps
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ REACTION_S: Final = 0.05  # from a violation to less speed: two ticks, the filte
 STUCK_TICKS: Final = 20
 HELD_TICKS: Final = 10
 LOST_TICKS: Final = 3
+FIST_M: Final = 0.008
 PROGRESS_STEP: Final = 1e-4
 CREEP_MPS: Final = 0.01
 FIX_JUMP_M: Final = 0.3
@@ -107,7 +108,7 @@ class Measure:
                 raise ValueError(f"unknown sensor `{sensor}`; valid: {', '.join(f'`{name}`' for name in known)}")
         if not plan.base_deceleration_mps2 > 0.0:
             raise ValueError(f"base deceleration `{plan.base_deceleration_mps2}` m/s²; valid: more than 0")
-        self._ages = tuple((known.index(name), float(limit)) for name, limit in plan.stale_after_ms.items())
+        self._ages = tuple((known.index(name), limit / 1000.0) for name, limit in plan.stale_after_ms.items())
         self._zones = tuple(_Keepout.of(zone) for zone in plan.zones)
         self._deceleration = plan.base_deceleration_mps2
         self._base_radius_m = plan.base_radius_m
@@ -153,10 +154,11 @@ class Measure:
         x = y = yaw = margin_m = gap_m = gap_margin_m = math.nan
         needed_m = self._fixed_m
         if sound:  # otherwise the estimates stay as they were, and every signal that needs them is unknown
-            base = track_base(base, seen.time_s, period_s, seen.odometry, seen.fix)
+            base = track_base(base, seen.time_s, seen.odometry, seen.fix)
             people = track_people(people, seen.people, seen.time_s) if seen.people or people else ()
             odo_x, odo_y, odo_yaw = seen.odometry
-            x, y, yaw = odo_x + base.x_m, odo_y + base.y_m, odo_yaw + base.yaw_rad
+            off_x, off_y = offset(base, seen.time_s)
+            x, y, yaw = odo_x + off_x, odo_y + off_y, odo_yaw + base.yaw_rad
             c, s = cos(yaw), sin(yaw)
             wx, wy = c * vx - s * vy, s * vx + c * vy
             margin_m = self._zone_margin(x, y, wx, wy, base) if self._zones else FAR_M
@@ -178,7 +180,7 @@ class Measure:
         odd = (
             stuck >= STUCK_TICKS
             or stuck_base >= STUCK_TICKS
-            or base.miss_m > FIX_JUMP_M
+            or (base.miss_m > FIX_JUMP_M and base.fix_s != senses.base.fix_s)
             or (seen.time_s <= before.time_s and seen is not before)
             or _implausible(seen, placed)
         )
@@ -218,7 +220,19 @@ class Measure:
             wx, wy = wx + base.drift_x_mps, wy + base.drift_y_mps
             speed = hypot(wx, wy)
         reach_s = REACTION_S + speed / (2.0 * self._deceleration)
-        return min([zone.clearance(x, y, wx * reach_s, wy * reach_s) for zone in self._zones]) - self._base_radius_m
+        ahead = speed * reach_s
+        least = FAR_M
+        for zone in self._zones:
+            x0, y0, x1, y1, _ = zone
+            dx = x0 - x if x < x0 else x - x1 if x > x1 else 0.0
+            dy = y0 - y if y < y0 else y - y1 if y > y1 else 0.0
+            # Far off the distance to the bounding box stands in: it is never more than the true one.
+            margin = sqrt(dx * dx + dy * dy) - ahead
+            if not margin > NEAR_ZONE_M:
+                margin = zone.clearance(x, y, wx * reach_s, wy * reach_s)
+            if not margin >= least:
+                least = margin
+        return least - self._base_radius_m
 
     def _separation(
         self,
@@ -257,19 +271,17 @@ class Measure:
     def _staleness(self, seen: Observation) -> tuple[float, float]:
         """Return the age that exceeds its limit most (or comes nearest to), and by how much, in ms."""
         time_s, stamps = seen.time_s, seen.stamps_s
-        worst_age_ms, worst_ms = 0.0, -1e9
-        for place, limit_ms in self._ages:
-            age_ms = (time_s - stamps[place]) * 1000.0
-            if age_ms - limit_ms > worst_ms:
-                worst_age_ms, worst_ms = age_ms, age_ms - limit_ms
-        return worst_age_ms, worst_ms
+        age_s, worst_s = 0.0, -1e6
+        for place, limit_s in self._ages:
+            over_s = time_s - stamps[place] - limit_s
+            if over_s > worst_s:
+                age_s, worst_s = over_s + limit_s, over_s
+        return age_s * 1000.0, worst_s * 1000.0
 
     def stale_sensors(self, seen: Observation) -> tuple[str, ...]:
         """Name the sensors whose newest sample is too old; for the record, not for the loop."""
         stamps, names = seen.stamps_s, SensorStamps._fields
-        return tuple(
-            names[place] for place, limit_ms in self._ages if not (seen.time_s - stamps[place]) * 1000.0 <= limit_ms
-        )
+        return tuple(names[place] for place, limit_s in self._ages if not seen.time_s - stamps[place] <= limit_s)
 
 
 class _Keepout(NamedTuple):
@@ -289,14 +301,7 @@ class _Keepout(NamedTuple):
         return cls(min(xs), min(ys), max(xs), max(ys), tuple((*a, *b) for a, b in around))
 
     def clearance(self, x: float, y: float, ahead_x: float, ahead_y: float) -> float:
-        """Return the distance from the way ahead to the zone; negative inside.
-
-        Far off the distance to the bounding box stands in: it is never more than the true one.
-        """
-        dx, dy = max(self.x0 - x, x - self.x1, 0.0), max(self.y0 - y, y - self.y1, 0.0)
-        rough = sqrt(dx * dx + dy * dy) - sqrt(ahead_x * ahead_x + ahead_y * ahead_y)
-        if rough > NEAR_ZONE_M:
-            return rough
+        """Return the distance from the way ahead to the zone; negative inside."""
         here, there = self._signed(x, y), self._signed(x + ahead_x, y + ahead_y)
         least = min(here, there)
         if least <= 0.0:
@@ -360,7 +365,7 @@ def _grip(senses: Senses, seen: Observation, closing: bool) -> tuple[int, int, f
     if not closing:
         return 0, 0, seen.slip_m, 0.0
     held, lost = senses.held_ticks, senses.lost_ticks
-    if seen.pads_loaded:
+    if seen.pads_loaded and seen.grip_width_m > FIST_M:  # a closed fist that presses a button holds nothing
         held, lost = held + 1, 0
     elif held >= HELD_TICKS:
         lost += 1

@@ -7,13 +7,15 @@ filters are small enough to be written out, and a tick has 40 µs for everything
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 if TYPE_CHECKING:
     from app.governance.model import Fix, PersonTrack, Vec3
 
-HISTORY: Final = 50
-"""Ticks of odometry kept, so that a fix can be compared with where the odometry was when the fix was taken."""
+HISTORY: Final = 10
+HISTORY_STEP_S: Final = 0.05
+"""Odometry kept, so that a fix can be compared with where the odometry was when the fix was taken; coarse, because a
+long tuple that is built anew in every tick is what costs most in a loop whose caches belong to the physics."""
 
 FIX_SIGMA_M: Final = 0.02
 FIRST_SIGMA_M: Final = 0.5
@@ -29,16 +31,19 @@ EXTRAPOLATE_S: Final = 0.3
 FORGET_S: Final = 2.0
 
 
+_Moment: TypeAlias = tuple[float, float, float, float]
+
+
 class BaseEstimate(NamedTuple):
-    """Offset between true position and odometry, its drift, and how sure that is.
+    """Offset between true position and odometry, its drift, and how sure that is, as of `at_s`.
 
     The truth is modelled as odometry + offset, where the offset drifts with a slowly changing velocity: a Kalman filter
     with the state (offset, drift) per axis. Both axes have the same noise, so they share one covariance (`p_oo`,
-    `p_od`, `p_dd`). `history` holds (time_s, x_m, y_m, yaw_rad) of the odometry, newest first; `fix_s` is the stamp
-    of the last fix used, −1 before the first; `miss_m` says how far a fix lay from where it was expected, and is 0
-    between fixes.
+    `p_od`, `p_dd`). `history` holds (time_s, x_m, y_m, yaw_rad) of the odometry, newest first; `fix_s` is the stamp of
+    the last fix used, −1 before the first; `miss_m` says how far that fix lay from where it was expected.
     """
 
+    at_s: float = 0.0
     x_m: float = 0.0
     y_m: float = 0.0
     yaw_rad: float = 0.0
@@ -49,52 +54,73 @@ class BaseEstimate(NamedTuple):
     p_dd: float = FIRST_DRIFT_MPS**2
     fix_s: float = -1.0
     miss_m: float = 0.0
-    history: tuple[tuple[float, float, float, float], ...] = ()
+    history: tuple[_Moment, ...] = ()
 
 
-def track_base(estimate: BaseEstimate, time_s: float, period_s: float, odometry: Vec3, fix: Fix | None) -> BaseEstimate:
-    """Advance the estimate by one tick; a fix that is new corrects it as of the moment it was taken.
+def track_base(estimate: BaseEstimate, time_s: float, odometry: Vec3, fix: Fix | None) -> BaseEstimate:
+    """Return the estimate after what came in by now: the same one, unless a fix is new or history is due.
 
-    Between fixes only time passes: the offset moves by drift × period and its variance grows. A fix of the past is
+    Between fixes nothing has to be computed: the offset moves by drift × time (see `offset`). A fix of the past is
     compared with odometry + offset *of that past*, which compensates its latency without re-running the filter.
     """
-    x, y, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, _, history = estimate
-    history = ((time_s, *odometry), *history[: HISTORY - 1])
-    x += dx * period_s
-    y += dy * period_s
-    p_oo += period_s * (2.0 * p_od + period_s * p_dd) + OFFSET_NOISE_M2PS * period_s
-    p_od += period_s * p_dd
-    p_dd += DRIFT_NOISE * period_s
-    if fix is None or fix.stamp_s == fix_s:
-        return BaseEstimate._make((x, y, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, 0.0, history))
+    history = estimate.history
+    due = not history or time_s - history[0][0] >= HISTORY_STEP_S - 1e-6
+    new = fix is not None and fix.stamp_s != estimate.fix_s
+    if not (due or new):
+        return estimate
+    if due:
+        history = ((time_s, *odometry), *history[: HISTORY - 1])
+    if fix is None or not new:
+        return estimate._replace(history=history)
+    x, y = offset(estimate, time_s)
+    at_s, _, _, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, _, _ = estimate
+    gone_s = max(0.0, time_s - at_s)
+    p_oo += gone_s * (2.0 * p_od + gone_s * p_dd) + OFFSET_NOISE_M2PS * gone_s
+    p_od += gone_s * p_dd
+    p_dd += DRIFT_NOISE * gone_s
     age_s = time_s - fix.stamp_s
-    _, then_x, then_y, then_yaw = _at(history, fix.stamp_s)
+    then_x, then_y, then_yaw = _at((time_s, *odometry), history, fix.stamp_s)
     off_x = fix.x_m - then_x - (x - dx * age_s)
     off_y = fix.y_m - then_y - (y - dy * age_s)
     turned = math.remainder(fix.yaw_rad - then_yaw - yaw, math.tau)
-    yaw = yaw + (turned if fix_s < 0.0 else YAW_GAIN * turned)
     sure = 1.0 / (p_oo + FIX_SIGMA_M**2)
     gain_o, gain_d = p_oo * sure, p_od * sure
     return BaseEstimate(
-        x + gain_o * off_x,
-        y + gain_o * off_y,
-        yaw,
-        dx + gain_d * off_x,
-        dy + gain_d * off_y,
-        (1.0 - gain_o) * p_oo,
-        (1.0 - gain_o) * p_od,
-        p_dd - gain_d * p_od,
-        fix.stamp_s,
-        0.0 if fix_s < 0.0 else math.hypot(off_x, off_y),
-        history,
+        at_s=time_s,
+        x_m=x + gain_o * off_x,
+        y_m=y + gain_o * off_y,
+        yaw_rad=yaw + (turned if fix_s < 0.0 else YAW_GAIN * turned),
+        drift_x_mps=dx + gain_d * off_x,
+        drift_y_mps=dy + gain_d * off_y,
+        p_oo=(1.0 - gain_o) * p_oo,
+        p_od=(1.0 - gain_o) * p_od,
+        p_dd=p_dd - gain_d * p_od,
+        fix_s=fix.stamp_s,
+        miss_m=0.0 if fix_s < 0.0 else math.hypot(off_x, off_y),
+        history=history,
     )
 
 
-def _at(history: tuple[tuple[float, float, float, float], ...], stamp_s: float) -> tuple[float, float, float, float]:
+def offset(estimate: BaseEstimate, time_s: float) -> tuple[float, float]:
+    """Return the offset of the odometry by now."""
+    ahead_s = time_s - estimate.at_s
+    return estimate.x_m + estimate.drift_x_mps * ahead_s, estimate.y_m + estimate.drift_y_mps * ahead_s
+
+
+def _at(newest: _Moment, history: tuple[_Moment, ...], stamp_s: float) -> Vec3:
+    """Return the odometry at a moment, between two that were kept."""
+    later = newest
     for entry in history:
-        if entry[0] <= stamp_s + 1e-9:
-            return entry
-    return history[-1]
+        if entry[0] <= stamp_s and later[0] > entry[0]:
+            share = min(1.0, (stamp_s - entry[0]) / (later[0] - entry[0]))
+            turned = math.remainder(later[3] - entry[3], math.tau)
+            return (
+                entry[1] + share * (later[1] - entry[1]),
+                entry[2] + share * (later[2] - entry[2]),
+                entry[3] + share * turned,
+            )
+        later = entry
+    return later[1], later[2], later[3]
 
 
 class PersonEstimate(NamedTuple):

@@ -89,7 +89,7 @@ class _Sum(NamedTuple):
 class Watcher:
     """Watches one session. Immutable: all that changes is in the `WatchState` that goes in and comes out."""
 
-    __slots__ = ("_above", "_below", "_rows", "_sums", "measure", "plan", "rules")
+    __slots__ = ("_above", "_below", "_none", "_rows", "_sums", "measure", "plan", "rules")
 
     def __init__(self, plan: WatchPlan, measure: Measure, rows: tuple[_Row, ...]) -> None:
         """Arrange compiled rows; use `compile_watch`."""
@@ -101,14 +101,16 @@ class Watcher:
         self._above = tuple((number, row.place, row.limit) for number, row in plain if row.rule.above)
         self._below = tuple((number, row.place, -row.limit) for number, row in plain if not row.rule.above)
         self._sums = tuple(
-            _Sum(row.place, row.sign, row.sign * row.limit, _sum_limit(row), number)
+            _Sum(row.place, row.sign, row.limit, _sum_limit(row), number)
             for number, row in enumerate(rows)
             if row.rule.method == "cusum"
         )
 
+        self._none = (0.0,) * len(self._sums)
+
     def begin(self, before: WatchState | None = None) -> WatchState:
         """Return the state an attempt begins with: estimates live on, timers, sums and the grip start afresh."""
-        fresh = WatchState(sums=(0.0,) * len(self._sums))
+        fresh = WatchState(sums=self._none)
         if before is None:
             return fresh
         kept = before.senses
@@ -135,18 +137,27 @@ class Watcher:
         violated += [number for number, place, limit in self._below if not signals[place] >= limit]
         if not violated and not self._sums:
             return WatchState._make((senses, signals, (), ())), QUIET
-        sums = tuple(
-            [
-                cusum(total, row.sign * signals[row.place], row.reference, row.limit)
-                for total, row in zip(state.sums, self._sums, strict=True)
-            ]
-        )
+        sums = self._add_up(state.sums, signals)
         violated += [row.row for total, row in zip(sums, self._sums, strict=True) if not total <= row.limit]
         if not violated:
             return WatchState._make((senses, signals, (), sums)), QUIET
         before = dict(state.lasting)
         lasting = tuple([(number, before.get(number, 0) + 1) for number in violated])
         return WatchState(senses, signals, lasting, sums), tuple(self._alerts(lasting, signals))
+
+    def _add_up(self, sums: tuple[float, ...], signals: Signals) -> tuple[float, ...]:
+        for row in self._sums:
+            if not row.sign * signals[row.place] <= row.reference:
+                break
+        else:
+            if sums == self._none:  # nothing adds up and nothing has: the usual case
+                return sums
+        return tuple(
+            [
+                cusum(total, row.sign * signals[row.place], row.reference, row.limit)
+                for total, row in zip(sums, self._sums, strict=True)
+            ]
+        )
 
     def _alerts(self, lasting: tuple[tuple[int, int], ...], signals: Signals) -> Iterator[Alert]:
         for number, ticks in lasting:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from app.cell.journal import Entry, Journal
@@ -49,6 +49,7 @@ class Workshop:
         people: Sequence[Walk] = (),
     ) -> None:
         self.policy, self.profile = policy(), profile
+        self.edit: Callable[[WatchPlan], WatchPlan] = lambda plan: plan
         self.cell = Workcell(self.policy.site, seed=seed, faults=faults, people=people)
         self.entries: list[Entry] = []
         self.journal = Journal(folder / "journal", boot="boot-1")
@@ -66,7 +67,7 @@ class Workshop:
         permit = grant.authorization
         what = recovery or permit
         plan = watch_plan(self.policy, what.capability, permit.profile, what.params, what.mode)
-        return plan, recovery_plan(self.policy, permit.capability, permit.profile)
+        return self.edit(plan), recovery_plan(self.policy, permit.capability, permit.profile)
 
     def unmet(self, names: tuple[str, ...], params: Params, facts: WorldFacts) -> tuple[str, ...]:
         return tuple(found.condition for found in unmet(names, params, facts, self.policy.site))

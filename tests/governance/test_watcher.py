@@ -327,6 +327,14 @@ def test_a_grip_is_lost_when_it_was_held_and_the_pads_are_empty() -> None:
     assert first_alert(plan, bouncing, command=GRIPPING) == (None, None)
 
 
+def test_a_fist_holds_nothing_and_pads_that_meet_have_lost_what_was_between_them() -> None:
+    plan = watching(rule("grip_lost"))
+    fist = [seen(t, pads_loaded=t < 20, grip_width_m=0.001) for t in range(40)]
+    assert first_alert(plan, fist, command=GRIPPING) == (None, None)
+    shut = [seen(t, pads_loaded=True, grip_width_m=0.05 if t < 20 else 0.001) for t in range(40)]
+    assert first_alert(plan, shut, command=GRIPPING)[0] == 22
+
+
 def test_tracking_compares_what_was_told_with_what_is_seen() -> None:
     plan = watching(rule("tracking_error_rad", threshold=0.05))
     off = HOLD._replace(joint_rad=(AT[0], AT[1] + 0.1, *AT[2:]))
