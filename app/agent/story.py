@@ -24,6 +24,7 @@ from app.agent.planner import Goal, GoalFailed, ReferenceAgent
 Event: TypeAlias = Mapping[str, Any]
 
 _LAST_WORDS = 20
+_VERBS = {"approve": "approves", "deny": "denies"}
 
 FETCH = Goal(kind="fetch", subject="mug_1", destination="bench_b")
 
@@ -105,7 +106,9 @@ def _escalation(_: Event, body: Event) -> Line | None:
 
 
 def _approval(event: Event, body: Event) -> Line:
-    return Line(who=event["actor"], mood="human", words=f"{body.get('decision', 'answers')} the proposal")
+    return Line(
+        who=event["actor"], mood="human", words=f"{_VERBS.get(body.get('decision', ''), 'answers')} the proposal"
+    )
 
 
 def _launch(_: Event, body: Event) -> Line:

@@ -1,0 +1,32 @@
+"""The demo as a newcomer runs it: a server, a cell, an agent and an approver of its own, and the record examined."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = [pytest.mark.process, pytest.mark.timeout(180)]
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_the_demo_shows_every_step_of_algorithm_1(tmp_path: Path):
+    command = [sys.executable, "-m", "app.cli", "demo", "--pace", "0", "--folder", str(tmp_path / "demo")]
+    ended = subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, timeout=170, env={**os.environ, "COLUMNS": "160"}
+    )
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    assert ended.stdout.count("✓") == 13
+    (run,) = (tmp_path / "demo").iterdir()
+    verified = subprocess.run(
+        [sys.executable, "-m", "app.cli", "audit", "verify", "--data", str(run)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
+    assert verified.returncode == 0, verified.stdout + verified.stderr
+    assert len(list((run / "telemetry").glob("*.mcap"))) == 5
