@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
 
 from app.cell import telling
 from app.cell.journal import JournalUnavailable
-from app.cell.run import Bind, Doing, End, Run, not_restored
+from app.cell.run import Bind, Doing, End, Run, not_restored, seen_since
 from app.cell.substrate import SubstrateError
 from app.governance.clamp import clamp, hold
 from app.governance.intervention import NOTHING, Decision, recovering, released
@@ -206,7 +206,10 @@ class Governing:
 
     def _unmet(self) -> tuple[str, ...]:
         run, facts = self.run, self._substrate.facts()
-        unmet = self._ports.verify(run.plan.postconditions, run.plan.params, facts)
+        params = run.plan.params
+        if run.began.holding is not None:  # what was carried in is what has to be found, not just any object
+            params = {"object_id": run.began.holding, **params}
+        unmet = self._ports.verify(run.plan.postconditions, params, seen_since(facts, run.began.stamp_s))
         if run.doing is Doing.ROLLBACK:
             unmet += not_restored(run.began, facts, run.grant.authorization.params)
         return unmet

@@ -8,7 +8,7 @@ ramps, and when everything stands still.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final, TypeAlias
 
@@ -152,6 +152,15 @@ class Run:
         vx, vy, _ = seen.base_velocity
         resting = math.hypot(vx, vy) < STILL_BASE_MPS and max(map(abs, seen.joint_speed_radps)) < STILL_JOINT_RADPS
         return self.still_ticks >= LONGEST_WAIT_TICKS or (resting and self.still_ticks >= 3)
+
+
+def seen_since(facts: WorldFacts, stamp_s: float) -> WorldFacts:
+    """Leave out what was seen before a moment of cell time: an old look proves nothing about a new session."""
+    return replace(
+        facts,
+        objects={name: seen for name, seen in facts.objects.items() if seen.stamp_s >= stamp_s},
+        inspected={area: seen_s for area, seen_s in facts.inspected.items() if seen_s >= stamp_s},
+    )
 
 
 def not_restored(began: WorldFacts, ended: WorldFacts, params: Params) -> tuple[str, ...]:

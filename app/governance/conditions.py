@@ -6,13 +6,13 @@ is met. Paper: preconditions and postconditions of a Capability Package.
 
 from __future__ import annotations
 
-from math import hypot
+from math import cos, hypot, sin
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias, cast
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from app.governance.model import Params, Site, WorldFacts
+    from app.governance.model import ObjectFact, Params, Site, Surface, WorldFacts
 
 NEAR_M: Final = 0.5  # how close the base has to stand to a target to work from it
 ARRIVED_M: Final = 0.15
@@ -118,12 +118,20 @@ def _object_placed(params: Params, facts: WorldFacts, site: Site) -> tuple[str, 
     surface = site.surfaces.get(name)
     if surface is None or facts.holding is not None:
         return f"nothing was put down on `{name}`", "place it again"
-    for seen in facts.objects.values():
-        dx, dy = abs(seen.x_m - surface.x_m), abs(seen.y_m - surface.y_m)
-        near = hypot(dx, dy) <= hypot(surface.half_x_m, surface.half_y_m)
-        if near and abs(seen.z_m - surface.z_m) <= PLACED_HEIGHT_M:
-            return None
-    return f"no object was seen on `{name}`", "inspect the surface"
+    thing = _text(params, "object_id")
+    seen = facts.objects.get(thing)
+    if seen is not None and _on(surface, seen):
+        return None
+    return f"`{thing or 'the object'}` was not seen on `{name}`", "inspect the surface"
+
+
+def _on(surface: Surface, seen: ObjectFact) -> bool:
+    """Say whether an object was seen on a surface, the surface's own axes being turned by its yaw."""
+    dx, dy = seen.x_m - surface.x_m, seen.y_m - surface.y_m
+    along = dx * cos(surface.yaw_rad) + dy * sin(surface.yaw_rad)
+    across = dy * cos(surface.yaw_rad) - dx * sin(surface.yaw_rad)
+    over = abs(along) <= surface.half_x_m and abs(across) <= surface.half_y_m
+    return over and 0.0 <= seen.z_m - surface.z_m <= PLACED_HEIGHT_M
 
 
 PLACED_HEIGHT_M: Final = 0.2
