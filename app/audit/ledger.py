@@ -26,7 +26,7 @@ from app.audit.errors import RecordDamaged, RecordUnavailable, RowExists, StoreI
 from app.audit.merkle import Frontier, leaf_hash
 from app.audit.migrate import migrate
 from app.audit.places import Places, create_key, load_key
-from app.audit.rows import primary_key, replacement, same_key
+from app.audit.rows import DriverText, primary_key, replacement, same_key
 from app.audit.tables import BEGIN_WRITE, ON_CONNECT, STATE, STORE_GIVEN, checkpoints, events
 
 if TYPE_CHECKING:
@@ -72,7 +72,12 @@ class Ledger:
             self._connection = connect(self._engine)
             opened.callback(self._connection.close)
             migrate(self._connection)
-            self._replace = {name: replacement(table, self._engine.dialect.name) for name, table in STATE.items()}
+            dialect = self._engine.dialect
+            self._replace = {
+                name: DriverText.of(replacement(table, dialect.name), dialect) for name, table in STATE.items()
+            }
+            self._insert_event = DriverText.of(sa.insert(events), dialect)
+            self._insert_checkpoint = DriverText.of(sa.insert(checkpoints), dialect)
             self.frontier, self.note = self._restore()
             new = self.frontier.size == 0 and not places.secret_key.exists()
             self.signer = create_key(places) if new else load_key(places)
@@ -115,7 +120,7 @@ class Ledger:
             sealed.extend(mine)
             answers.append(mine)
         for name, values in rows.items():
-            self._connection.execute(self._replace[name], values)
+            self._replace[name].run(self._connection, values)
         frontier, note = self._insert(sealed)
         return Staged(answers=tuple(answers), events=tuple(sealed), frontier=frontier, note=note)
 
@@ -158,10 +163,10 @@ class Ledger:
         leaves = [leaf_hash(event.body) for event in sealed]
         frontier = self.frontier.extend(leaves)
         note = self.signer.sign(frontier.size, frontier.root())
-        self._connection.execute(sa.insert(events), [event._asdict() for event in sealed])
+        self._insert_event.run(self._connection, [event._asdict() for event in sealed])
         checkpoint = {"size": frontier.size, "first": sealed[0].seq, "note": note}
-        self._connection.execute(
-            sa.insert(checkpoints), {**checkpoint, "frontier": frontier.pack(), "leaves": b"".join(leaves)}
+        self._insert_checkpoint.run(
+            self._connection, [{**checkpoint, "frontier": frontier.pack(), "leaves": b"".join(leaves)}]
         )
         return frontier, note
 
