@@ -163,7 +163,7 @@ class Ledger:
         leaves = [leaf_hash(event.body) for event in sealed]
         frontier = self.frontier.extend(leaves)
         note = self.signer.sign(frontier.size, frontier.root())
-        self._insert_event.run(self._connection, [event._asdict() for event in sealed])
+        self._insert_event.run_rows(self._connection, sealed)
         checkpoint = {"size": frontier.size, "first": sealed[0].seq, "note": note}
         self._insert_checkpoint.run(
             self._connection, [{**checkpoint, "frontier": frontier.pack(), "leaves": b"".join(leaves)}]

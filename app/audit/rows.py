@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import sqlalchemy as sa
@@ -11,7 +12,7 @@ from app.audit.errors import RowMalformed
 from app.audit.tables import KEPT_ON_REPLACE, STATE, STORE_GIVEN
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from app.audit.event import RowWrite
 
@@ -65,6 +66,8 @@ def check_row(row: RowWrite) -> None:
         raise RowMalformed(f"a row of `{row.table}` has the columns {sorted(fields)}, not {sorted(row.values)}")
     for name, value in row.values.items():
         field = fields[name]
+        if type(value) is str and field.type is str and value.isascii():
+            continue  # the usual case, at a glance
         if not field.takes(value):
             raise RowMalformed(f"`{row.table}.{name}` cannot hold `{value!r}`: valid is {WORDS[field.type]}")
 
@@ -96,10 +99,20 @@ class DriverText(NamedTuple):
     def run(self, connection: sa.Connection, values: Sequence[Mapping[str, Any]]) -> None:
         """Execute the statement once for each mapping."""
         if self.positional:
-            names = self.names
-            connection.exec_driver_sql(self.text, [tuple([row[name] for name in names]) for row in values])
+            pick: Callable[[Mapping[str, Any]], tuple[Any, ...]] = itemgetter(*self.names)
+            connection.exec_driver_sql(self.text, [pick(row) for row in values])
         else:
             connection.exec_driver_sql(self.text, [dict(row) for row in values])
+
+    def run_rows(self, connection: sa.Connection, rows: Sequence[tuple[Any, ...]]) -> None:
+        """Execute the statement once for each named tuple, whose fields may stand in the statement's own order."""
+        if not rows:
+            return
+        fields = getattr(rows[0], "_fields", ())
+        if self.positional and fields == self.names:
+            connection.exec_driver_sql(self.text, [tuple(row) for row in rows])
+        else:
+            self.run(connection, [dict(zip(fields, row, strict=True)) for row in rows])
 
 
 def replacement(table: sa.Table, dialect: str) -> sa.Executable:

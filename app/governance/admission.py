@@ -204,6 +204,8 @@ def _busy(cell: CellFacts) -> Iterator[Reason]:
 
 
 def _not_yet(gate: Gate, proposal: Proposal, cell: CellFacts) -> Iterator[Reason]:
-    names = tuple(dict.fromkeys((*gate.capability.preconditions, *proposal.preconditions)))
+    names = gate.capability.preconditions
+    if proposal.preconditions:
+        names = tuple(dict.fromkeys((*names, *proposal.preconditions)))
     for missing in unmet(names, proposal.params, cell.facts, gate.site):
         yield Reason(f"{RULE}/{missing.condition}", "precondition_unmet", missing.message, missing.remedy)

@@ -109,7 +109,7 @@ class PolicySet:
         Numbers come back as floats. Names that the site does not know are no problem here: admission rejects them. For
         an unknown capability there is nothing to hold the parameters to, and admission rejects the proposal.
         """
-        problems = tuple(_unsafe(params, ()))
+        problems = () if _plainly_safe(params) else tuple(_unsafe(params, ()))
         inputs = self.inputs.get(capability)
         if problems or inputs is None:
             return problems or params
@@ -157,6 +157,26 @@ def _describe_site(site: Site) -> Json:
 # Parameters ----------------------------------------------------------------------------------------------------------
 
 _MAX_DEPTH = 16
+
+
+def _plainly_safe(params: Mapping[str, Json]) -> bool:
+    """Say at a glance that there is nothing to find: short ASCII keys over ASCII texts, booleans, ordinary numbers."""
+    for name, value in params.items():
+        kind = type(value)
+        if not name.isascii():
+            return False
+        if kind is str:
+            if not cast("str", value).isascii():
+                return False
+        elif kind is float or kind is int:
+            if not -_ORDINARY < cast("float", value) < _ORDINARY:  # false for NaN
+                return False
+        elif kind is not bool:
+            return False
+    return True
+
+
+_ORDINARY: Final = 1e15
 
 
 def _unsafe(value: object, path: tuple[str, ...]) -> list[ParamProblem]:

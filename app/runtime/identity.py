@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 _ALPHABET: Final = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"  # Crockford's: no I, L, O, U
 _PAIRS: Final = tuple(first + second for first in _ALPHABET for second in _ALPHABET)
 _RANDOM_BITS: Final = 80
+_BLOCK: Final = 256  # draws from the system at a time
 
 
 class Identities:
@@ -26,10 +27,14 @@ class Identities:
         """Take the clock."""
         self._wall_s = wall_s
         self._last = 0
+        self._drawn: list[bytes] = []
 
     def make(self, prefix: str) -> str:
         """Return a new identifier, for instance `inv_01JCEX…`."""
-        fresh = int(self._wall_s() * 1000) << _RANDOM_BITS | int.from_bytes(os.urandom(10))
+        if not self._drawn:
+            block = os.urandom(10 * _BLOCK)
+            self._drawn = [block[at : at + 10] for at in range(0, len(block), 10)]
+        fresh = int(self._wall_s() * 1000) << _RANDOM_BITS | int.from_bytes(self._drawn.pop())
         self._last = fresh if fresh > self._last else self._last + 1  # the wall clock may step back
         value = self._last
         return f"{prefix}_" + "".join([_PAIRS[value >> shift & 1023] for shift in range(120, -1, -10)])
