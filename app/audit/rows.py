@@ -99,7 +99,7 @@ class DriverText(NamedTuple):
     def run(self, connection: sa.Connection, values: Sequence[Mapping[str, Any]]) -> None:
         """Execute the statement once for each mapping."""
         if self.positional:
-            pick: Callable[[Mapping[str, Any]], tuple[Any, ...]] = itemgetter(*self.names)
+            pick: Callable[[Mapping[str, Any]], tuple[Any, ...]] = itemgetter(*self.names)  # pyright: ignore[reportUnknownVariableType]
             connection.exec_driver_sql(self.text, [pick(row) for row in values])
         else:
             connection.exec_driver_sql(self.text, [dict(row) for row in values])
