@@ -52,11 +52,14 @@ def demo(folder: Path, *, scripted: bool, keep: bool, pace: float, port: int) ->
     data = DataDir(root=(folder / rfc3339(wall_s()).replace(":", "-")).resolve())
     data.create()
     habits = parse_habits(dict(HABITS)) if scripted else None
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # told to end, it takes its server along
     try:
         with _server(data, pace=pace, port=port) as (process, url):
             code = _play(data, url, habits)
             if keep and code == FINE:
-                say(f"\nthe server keeps running at {url}; Ctrl-C ends it")
+                say(f"\nthe server keeps running at {url}; Ctrl-C ends it. Tokens:")
+                for name, token in orjson.loads(data.tokens.read_bytes()).items():
+                    say(f"  {name:<11} {token}")
                 process.wait()
     except KeyboardInterrupt:
         return FINE if keep else FINDING

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import httpx
 import pytest
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(180)]
@@ -30,3 +31,16 @@ def test_the_demo_shows_every_step_of_algorithm_1(tmp_path: Path):
     )
     assert verified.returncode == 0, verified.stdout + verified.stderr
     assert len(list((run / "telemetry").glob("*.mcap"))) == 5
+
+
+def test_a_demo_that_is_told_to_end_takes_its_server_along(tmp_path: Path):
+    command = [sys.executable, "-m", "app.cli", "demo", "--pace", "1", "--folder", str(tmp_path)]
+    demo = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    assert demo.stdout is not None
+    url = next(line for line in demo.stdout if line.startswith("server")).split()[-1]
+    assert httpx.get(f"{url}/healthz").status_code == 200
+    demo.terminate()
+    assert demo.wait(30) != 0
+    demo.stdout.close()
+    with pytest.raises(httpx.TransportError):
+        httpx.get(f"{url}/healthz")
