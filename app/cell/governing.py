@@ -144,7 +144,9 @@ class Governing:
             self.end(End(Outcome.STOPPED, alert.rule, 1))
         elif decision.holding is not None:
             self._hold_for(decision.holding)  # whoever is in the way has to leave before anything recovers
-        elif run.next is None and "operator" not in run.paused_by:
+        elif run.next is not None:
+            self._clear()  # what held the recovery is gone; what the recovery is for may speak on
+        elif "operator" not in run.paused_by:
             self._end_attempt(decision.intervention, alert)
 
     def _report(self, alerts: tuple[Alert, ...]) -> None:

@@ -300,6 +300,19 @@ def test_a_recovery_waits_for_whoever_is_in_the_way(rig: Rig) -> None:
     assert rig.finish()["outcome"] == "recovered"
 
 
+def test_a_recovery_interrupted_before_it_began_begins_once_the_way_is_clear(rig: Rig) -> None:
+    rig.cell.script.grip_n = 20.0
+    walking_in(rig, from_s=1.02, until_s=2.0)
+    rig.cell.lie = lambda seen: seen._replace(
+        slip_m=0.02 if rig.cell.runs == {"grasp_object": 1} and seen.time_s > 1.0 else 0.0
+    )
+    rig.launch()
+    rig.until_status("paused")
+    assert rig.cell.runs == {"grasp_object": 1}
+    assert [body["strategy"] for body in rig.of("recovery")] == ["RECOVERY_CAPABILITY"]
+    assert rig.finish()["outcome"] == "recovered"
+
+
 def test_the_recovery_is_on_the_disk_before_it_is_bound(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     rig.cell.script.fails[("grasp_object", 1)] = "grasp_failed"
     rig.launch()
