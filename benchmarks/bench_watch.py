@@ -5,7 +5,8 @@ Prints, as medians over repeats inside the real loop (simulated workcell, shippe
 1. watcher and telemetry per tick, in µs (target ≤ 40);
 2. the governed loop's throughput against the same skill on the same workcell with governance off (target ≥ 0.88), and
    as a multiple of real time (target ≥ 18);
-3. control ticks from a violation in the simulator's truth to the first changed actuator command (target ≤ 2).
+3. control ticks from a violation in the simulator's truth to the first changed actuator command (target ≤ 2), with
+   noise-free sensors.
 
 Run with `python -m benchmarks.bench_watch`.
 """
@@ -23,11 +24,12 @@ from typing import Any
 from app.cell import governing, telling
 from app.governance.clamp import clamp
 from app.governance.detectors import REACTION_S
-from app.governance.model import WatchPlan, Zone
+from app.governance.model import Zone
 from app.governance.permit import Grant
 from app.governance.watcher import Watcher
 from app.sim.faults import Fault
 from app.sim.occasions import Trigger
+from app.sim.sensors import Quality
 from tests.cell.workshop import Workshop
 
 REPEATS = 5
@@ -35,8 +37,8 @@ TICKS = 1200
 DRIVE: dict[str, Any] = {"target": "dock", "speed_mps": 0.3, "clearance_m": 0.3}
 
 
-def shop(*faults: Fault) -> Workshop:
-    return Workshop(Path(tempfile.mkdtemp(prefix="bench-watch-")), faults=faults)
+def shop(*faults: Fault, noise: float = 1.0) -> Workshop:
+    return Workshop(Path(tempfile.mkdtemp(prefix="bench-watch-")), faults=faults, quality=Quality(noise=noise))
 
 
 def inside_the_loop() -> tuple[float, float, float]:
@@ -102,8 +104,10 @@ def ungoverned_s() -> float:
 def reaction_ticks(one: Workshop, capability: str, params: dict[str, Any], violated: Callable[[], bool]) -> int:
     """Return control ticks from the first step that ends in a true violation to the first restrained command.
 
-    The rate at which the skill may run is what restrains, and it only falls when governance intervenes. Sensor noise
-    may cross a threshold before the truth does: that counts as 0.
+    The rate at which the skill may run is what restrains, and it only falls when governance intervenes.
+
+    Raises:
+        RuntimeError: nothing was restrained, or what was restrained was no violation in truth.
     """
     one.launch(capability, 2, **params)
     since: int | None = None
@@ -115,40 +119,32 @@ def reaction_ticks(one: Workshop, capability: str, params: dict[str, Any], viola
         if since is None and violated():
             since = tick
         if rate < before:
-            return 0 if since is None else tick - since
+            if since is None:
+                raise RuntimeError(f"`{capability}` was restrained without a violation: {one.rules()}")
+            return tick - since
         before = rate
     raise RuntimeError(f"`{capability}`: nothing happened in 6000 ticks")
 
 
 def speed_ticks() -> int:
-    one = shop(Fault(kind="speed_scaling", at=driving(1.0), sizes={"gain": 1.6}))
+    one = shop(Fault(kind="speed_scaling", at=driving(1.0), sizes={"gain": 1.6}), noise=0.0)
     return reaction_ticks(one, "navigate_to", DRIVE, lambda: one.cell.truth().base_speed_mps > 0.3 * 1.05)
 
 
 def force_ticks() -> int:
-    """A contact rule of 4 N, and a tool that takes more than that."""
-    one = shop()
-    one.launch("navigate_to", target="tool_stand", speed_mps=0.3, clearance_m=0.3)
+    """A crate that hangs in the gripper's way while the base drives towards it: more than 105 N, as the 20 ms mean."""
+    away = Trigger(capability="navigate_to", phase="drive", run=2, after_s=0.3)
+    crate = Fault(kind="blocked", at=away, sizes={"x_m": 1.6, "y_m": 4.7, "z_m": 0.7})
+    one = shop(crate, noise=0.0)
+    one.launch("navigate_to", x_m=1.6, y_m=3.4, yaw_rad=1.5708, speed_mps=0.3, clearance_m=0.1)
     one.finish()
-
-    def strict(plan: WatchPlan) -> WatchPlan:
-        touch = next(rule for rule in plan.rules if rule.signal == "contact_force_n")
-        return replace(plan, rules=(replace(touch, threshold=4.0),))
-
-    one.edit = strict
-    means: list[float] = [0.0, 0.0]
-
-    def violated() -> bool:
-        means.append(one.cell.truth().contact_force_n)
-        return 0.5 * (means[-1] + means[-2]) > 4.0
-
-    press = {"tool": "press", "action": "press", "force_n": 40.0, "speed_mps": 0.15}
-    return reaction_ticks(one, "operate_tool", press, violated)
+    back = {"target": "bench_a_stand", "speed_mps": 0.3, "clearance_m": 0.1}
+    return reaction_ticks(one, "navigate_to", back, lambda: one.cell.truth().contact_force_n > 105.0)
 
 
 def zone_ticks() -> int:
     """A zone across the way that only the watcher knows: violated when braking would no longer end before it."""
-    one = shop()
+    one = shop(noise=0.0)
     edge_y = 2.6
     wall = Zone(name="wall", kind="forbidden", polygon=((-1.0, 0.0), (9.0, 0.0), (9.0, edge_y), (-1.0, edge_y)))
     one.edit = lambda plan: replace(plan, zones=(wall,))

@@ -59,10 +59,10 @@ class Seen(NamedTuple):
 class Perception:
     """Seeded cameras; holds only its own noise and the robot's memory of the world."""
 
-    def __init__(self, seed: int, site: Site) -> None:
-        """Start knowing nothing but the site's names."""
-        self._noise = Noise((seed, 3))
-        self._bias = WRIST_BIAS_M * np.random.default_rng((seed, 4)).standard_normal(3)
+    def __init__(self, seed: int, site: Site, noise: float = 1.0) -> None:
+        """Start knowing nothing but the site's names; `noise` scales the cameras' own errors (0: none)."""
+        self._noise, self._noise_scale = Noise((seed, 3)), noise
+        self._bias = noise * WRIST_BIAS_M * np.random.default_rng((seed, 4)).standard_normal(3)
         self._unseen: dict[str, list[Point]] = {name: _grid(area) for name, area in site.areas.items()}
         self._points = {name: len(points) for name, points in self._unseen.items()}
         self.fault: tuple[str, float] | None = None  # of the cameras: kind and size
@@ -115,7 +115,7 @@ class Perception:
         sigma = self._sigma(plant, x, y, true)
         if sigma is None:
             return None
-        n = self._noise.row()
+        n = self._noise_scale * self._noise.row()
         at = np.array((x, y, true[2])) + self._bias + sigma * n[:3]
         return Glimpse(*map(float, at), wrapped(yaw - base[2]) + 3 * sigma * float(n[3]), upright > UPRIGHT, sigma)
 

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from math import cos, hypot, sin, sqrt
+from math import cos, hypot, inf, sin, sqrt
+from statistics import NormalDist
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -42,6 +43,37 @@ _BODY_SIGMA = np.repeat(
     (6, 6, 6, 3, 2, 1),
 )
 _THIRDS, _AVERAGE = np.zeros(3), np.full(5, 0.2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quality:
+    """How good a cell's sensors are.
+
+    Attributes:
+        noise: what every σ, bias and scale error of the sensors is multiplied with; 0 is noise-free. Broken sensors
+            (`SensorFault`) stay as broken as they were declared.
+        dropout: how often the tracker misses a person in a frame.
+        fix_delay_ticks: how late an absolute fix arrives.
+        people_delay_ticks: how late a frame of the people tracker arrives.
+    """
+
+    noise: float = 1.0
+    dropout: float = PEOPLE_DROPOUT
+    fix_delay_ticks: int = FIX_DELAY_TICKS
+    people_delay_ticks: int = PEOPLE_DELAY_TICKS
+
+    def __post_init__(self) -> None:
+        """Refuse what no sensor can have."""
+        if not 0.0 <= self.noise < inf:
+            raise ValueError(f"sensor noise `{self.noise}`: valid is 0 (none) or more, 1 is as measured")
+        if not 0.0 <= self.dropout <= 1.0:
+            raise ValueError(f"tracker dropout `{self.dropout}`: valid is 0 to 1")
+        for name in ("fix_delay_ticks", "people_delay_ticks"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"`{name}` `{getattr(self, name)}`: valid is 0 or more")
+
+
+AS_MEASURED = Quality()
 
 
 class Noise:
@@ -107,13 +139,23 @@ class Reading(NamedTuple):
 class Sensors:
     """Seeded sensors of one workcell."""
 
-    def __init__(self, seed: int, start: Vec3, gripper_kg: float) -> None:
-        """Start with odometry at `start` (the robot knows where it was parked) and the wrist tared to the bare.
+    def __init__(self, seed: int, start: Vec3, gripper_kg: float, quality: Quality = AS_MEASURED) -> None:
+        """Start with odometry at `start` (the robot knows where it was parked) and the wrist tared to the bare gripper.
 
-        Gripper.
+        Args:
+            seed: what the noise hangs on.
+            start: where the robot was parked.
+            gripper_kg: what hangs on the wrist without a load.
+            quality: how good the sensors are.
         """
         self._noise = Noise((seed, 1))
-        traits = np.random.default_rng((seed, 2)).standard_normal(4)
+        self._quality = quality
+        self._dropped_beyond = NormalDist().inv_cdf(1.0 - quality.dropout / 2.0) if quality.dropout > 0.0 else inf
+        self._body_sigma, self._base_sigma = quality.noise * _BODY_SIGMA, quality.noise * _BASE_SIGMA
+        self._slip_sigma_m = quality.noise * SLIP_SIGMA_M
+        self._fix_sigma = quality.noise * np.array((FIX_SIGMA_M, FIX_SIGMA_M, FIX_SIGMA_RAD))
+        self._people_sigma_m = quality.noise * PEOPLE_SIGMA_M
+        traits = quality.noise * np.random.default_rng((seed, 2)).standard_normal(4)
         self.odometry = np.array(start, dtype=np.float64)
         self.odometry_scale = 1.0 + 0.005 * traits[0]
         self.odometry_turn_radpm = 0.01 * traits[1]
@@ -152,14 +194,14 @@ class Sensors:
         )
         outer = physical.wrist_force - (self._gripper_kg + self.load_kg) * physical.wrist_acceleration
         raw[18:21] = _AVERAGE @ outer
-        raw += _BODY_SIGMA * n[: len(raw)]
+        raw += self._body_sigma * n[: len(raw)]
         mean, pads = raw[18:21], np.maximum(raw[21:23], 0.0)
         wrist = np.array((sqrt(mean @ mean), sqrt((outer * outer).sum(axis=1).max())))
-        slip = self._measure_slip(pads, nearest) + abs(SLIP_SIGMA_M * n[24])
+        slip = self._measure_slip(pads, nearest) + abs(self._slip_sigma_m * n[24])
         gripper = np.array((raw[23], pads[0], pads[1], slip))
         velocity = physical.base_velocity
         if np.abs(velocity).max() > _WHEELS_STILL:
-            velocity = velocity + _BASE_SIGMA * n[25:28]
+            velocity = velocity + self._base_sigma * n[25:28]
         odometry = np.concatenate((self._dead_reckon(velocity), velocity))
         arm = raw[0:18]
         values = {"arm": arm, "wrist": wrist, "gripper": gripper, "odometry": odometry}
@@ -212,11 +254,8 @@ class Sensors:
         """Take a fix every 50 ms and return the one that arrives in this tick, if one does."""
         if tick % FIX_PERIOD_TICKS == 0:
             n = self._noise.row()
-            x, y = pose[0] + FIX_SIGMA_M * n[0], pose[1] + FIX_SIGMA_M * n[1]
-            stamp, value = self._deliver(
-                "fix", tick * CONTROL_PERIOD_S, np.array((x, y, pose[2] + FIX_SIGMA_RAD * n[2])), n[3:]
-            )
-            self._fixes.append((tick + FIX_DELAY_TICKS, Fix(stamp, *map(float, value))))
+            stamp, value = self._deliver("fix", tick * CONTROL_PERIOD_S, pose + self._fix_sigma * n[:3], n[3:])
+            self._fixes.append((tick + self._quality.fix_delay_ticks, Fix(stamp, *map(float, value))))
         if self._fixes and self._fixes[0][0] <= tick:
             fix = self._fixes.popleft()[1]
             if fix.stamp_s > self.fix_stamp_s:
@@ -255,21 +294,21 @@ class Sensors:
         seen: list[tuple[int, Floats]] = []
         for person, (x, y) in present:
             k = 4 * (person % 8)
-            dropped = abs(n[k + 2]) > 2.17  # two-sided 3 %
+            dropped = abs(n[k + 2]) > self._dropped_beyond
             if (
                 dropped
                 or hypot(x - eye[0], y - eye[1]) > PEOPLE_RANGE_M
                 or any(_crosses(eye, (x, y), wall) for wall in walls)
             ):
                 continue
-            seen.append((person, np.array((x + PEOPLE_SIGMA_M * n[k], y + PEOPLE_SIGMA_M * n[k + 1]))))
+            seen.append((person, np.array((x, y)) + self._people_sigma_m * n[k : k + 2]))
         stamp, values = self._deliver("people", now, np.array([value for _, value in seen]).ravel(), n[32:])
         values = values.reshape(-1, 2)
         ids = [person for person, _ in seen][: len(values)]
         tracks = tuple(
             PersonTrack(person, stamp, float(v[0]), float(v[1])) for person, v in zip(ids, values, strict=False)
         )
-        self._sightings.append((tick + PEOPLE_DELAY_TICKS, stamp, tracks))
+        self._sightings.append((tick + self._quality.people_delay_ticks, stamp, tracks))
 
 
 def _crosses(start: Point, end: Point, wall: tuple[Point, ...]) -> bool:

@@ -29,7 +29,7 @@ from app.sim.occasions import Occasions
 from app.sim.people import People
 from app.sim.perception import LOOK_PERIOD_TICKS, Perception
 from app.sim.plant import Plant
-from app.sim.sensors import PAD_LOADED_N, Sensors
+from app.sim.sensors import AS_MEASURED, PAD_LOADED_N, Quality, Sensors
 from app.sim.skills import RECOVERIES, SKILLS, Run, start
 from app.sim.skills_arm import within_reach
 
@@ -103,6 +103,7 @@ class Workcell:
         faults: Sequence[Fault] = (),
         people: Sequence[Walk] = (),
         robot_mjcf: Path | None = None,
+        quality: Quality = AS_MEASURED,
     ) -> None:
         """Build the cell with the robot parked at the site's start.
 
@@ -113,6 +114,7 @@ class Workcell:
             faults: what goes wrong, and when.
             people: who walks where, and when.
             robot_mjcf: another robot's model instead of the project's own.
+            quality: how good the sensors are.
         """
         self.id, self.period_s, self.site, self.seed = cell_id, CONTROL_PERIOD_S, site, seed
         self.plant = Plant(site, people=len(people), robot_mjcf=robot_mjcf)
@@ -125,9 +127,9 @@ class Workcell:
         self._run: Run | None = None
         held = Command(robot.HOME_RAD, (0.0,) * 6, (0.0, 0.0, 0.0), 0.0)  # type: ignore[arg-type]  # six of them
         self._state = State(
-            sensors=Sensors(seed, at, self.plant.gripper_kg),
+            sensors=Sensors(seed, at, self.plant.gripper_kg, quality),
             localiser=Localiser(at),
-            perception=Perception(seed, site),
+            perception=Perception(seed, site, quality.noise),
             residual=Residual(),
             people=People(people),
             clock=FaultClock(tuple(faults)),
@@ -440,7 +442,13 @@ class Workcell:
 
 
 def make_workcell(
-    site: Site, *, cell_id: str, seed: int = 0, scenario: Scenario | None = None, robot_mjcf: Path | None = None
+    site: Site,
+    *,
+    cell_id: str,
+    seed: int = 0,
+    scenario: Scenario | None = None,
+    robot_mjcf: Path | None = None,
+    quality: Quality = AS_MEASURED,
 ) -> Workcell:
     """Build a simulated cell as the `cell` process wires it.
 
@@ -450,12 +458,21 @@ def make_workcell(
         seed: everything random hangs on it.
         scenario: faults and people to add (`Scenario.read` makes one from plain data).
         robot_mjcf: another robot's model.
+        quality: how good the sensors are; `Quality(noise=0.0)` for noise-free ones.
 
     Raises:
         ValueError: the other robot lacks parts that the workcell drives or senses.
     """
     extra = scenario or Scenario()
-    return Workcell(site, cell_id=cell_id, seed=seed, faults=extra.faults, people=extra.people, robot_mjcf=robot_mjcf)
+    return Workcell(
+        site,
+        cell_id=cell_id,
+        seed=seed,
+        faults=extra.faults,
+        people=extra.people,
+        robot_mjcf=robot_mjcf,
+        quality=quality,
+    )
 
 
 def _still(command: Command) -> Command:

@@ -25,6 +25,7 @@ from app.governance.permit import Grant, mint
 from app.governance.policy import PolicySet, recovery_plan, watch_plan
 from app.sim.faults import Fault
 from app.sim.people import Walk
+from app.sim.sensors import AS_MEASURED, Quality
 from app.sim.workcell import Workcell
 from tests.cell.rig import KEY, NOW_S
 
@@ -47,10 +48,11 @@ class Workshop:
         seed: int = 0,
         faults: Sequence[Fault] = (),
         people: Sequence[Walk] = (),
+        quality: Quality = AS_MEASURED,
     ) -> None:
         self.policy, self.profile = policy(), profile
         self.edit: Callable[[WatchPlan], WatchPlan] = lambda plan: plan
-        self.cell = Workcell(self.policy.site, seed=seed, faults=faults, people=people)
+        self.cell = Workcell(self.policy.site, seed=seed, faults=faults, people=people, quality=quality)
         self.entries: list[Entry] = []
         self.journal = Journal(folder / "journal", boot="boot-1")
         self.runner = Runner(

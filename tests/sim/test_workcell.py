@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
 import pytest
 
 from app.cell.substrate import SubstrateError
 from app.governance.model import Command, Site, SkillState
+from app.sim.faults import Scenario
+from app.sim.occasions import Trigger
+from app.sim.people import Walk
+from app.sim.sensors import Quality
 from app.sim.trial import grant_for, run_skill
 from app.sim.workcell import Workcell, make_workcell
 
@@ -149,3 +154,44 @@ def test_truth_is_a_value_of_its_own(site: Site):
     assert truth.held is None
     assert truth.people_m == 99.0
     assert dataclasses.is_dataclass(truth) or truth._fields
+
+
+def test_noise_free_sensors_say_what_is_true(site: Site):
+    cell = make_workcell(site, cell_id="cell", seed=3, quality=Quality(noise=0.0))
+    for _ in range(20):
+        seen = cell.step(cell.hold())
+    assert run_skill(cell, "navigate_to", {"x_m": 1.6, "y_m": 3.8, "yaw_rad": 1.57, "speed_mps": 0.3}).done
+    seen, truth = cell.observe(), cell.truth()
+    assert seen.odometry == pytest.approx(truth.base, abs=1e-3)
+    assert seen.tcp_speed_mps == pytest.approx(truth.tcp_speed_mps, abs=1e-9)
+    fixes = [fix for _ in range(10) if (fix := cell.step(cell.hold()).fix)]
+    assert [(fix.x_m, fix.y_m) for fix in fixes] == [pytest.approx(truth.base[:2], abs=1e-4)] * 2
+
+
+def test_noise_scales_what_the_sensors_say_and_nothing_else(site: Site):
+    def spread(noise: float) -> float:
+        cell = make_workcell(site, cell_id="cell", seed=3, quality=Quality(noise=noise))
+        speeds = [cell.step(cell.hold()).joint_speed_radps[0] for _ in range(200)]
+        return float(np.std(speeds))
+
+    assert spread(0.0) < 1e-6
+    assert spread(3.0) == pytest.approx(3.0 * spread(1.0), rel=0.01)
+
+
+def test_a_noise_free_tracker_still_misses_people_and_is_late_as_configured(site: Site):
+    walk = Walk(points=((3.0, 3.6), (1.6, 3.6)), speed_mps=1.2, start=Trigger(time_s=0.0), leaves=False)
+
+    def lag(quality: Quality) -> list[float]:
+        cell = make_workcell(site, cell_id="cell", scenario=Scenario(people=(walk,)), quality=quality)
+        return [seen.time_s - seen.people[0].stamp_s for _ in range(200) if (seen := cell.step(cell.hold())).people]
+
+    assert max(lag(Quality(noise=0.0, dropout=0.0, people_delay_ticks=2))) == pytest.approx(0.06)
+    assert max(lag(Quality(noise=0.0, dropout=0.0, people_delay_ticks=20))) == pytest.approx(0.24)
+    assert max(lag(Quality(noise=0.0, dropout=0.5, people_delay_ticks=2))) > 0.1
+    assert lag(Quality(noise=0.0, dropout=1.0)) == []
+
+
+@pytest.mark.parametrize("wrong", [{"noise": -1.0}, {"noise": float("nan")}, {"dropout": 1.5}, {"fix_delay_ticks": -1}])
+def test_sensors_that_cannot_be_are_refused(wrong: dict[str, float]):
+    with pytest.raises(ValueError, match=f"{next(iter(wrong.values()))}"):
+        Quality(**wrong)
