@@ -8,7 +8,7 @@ They never tell the watcher; what they do shows in physics and sensors alone.
 | `speed_scaling` | gain | the low-level drives run this much faster than commanded, past the clamp |
 | `slippery` | object, friction | the object slides in the pads |
 | `missing` | object | the object is gone |
-| `blocked` | x_m, y_m | a crate stands in the way |
+| `blocked` | x_m, y_m, z_m | a crate stands in the way, or hangs in it with its middle at `z_m` |
 | `odometry_bias` | x_mps, y_mps | dead reckoning drifts |
 | `payload_shift` | object, factor, offset_m | mass and centre of mass of an object change |
 | `sensor` | sensor, fault, size | a sensor is stuck, stale, noisy, offset or delayed |
@@ -28,7 +28,7 @@ from app.sim.occasions import Trigger, mapping
 from app.sim.people import Walk
 from app.sim.robot import PAD_FRICTION
 from app.sim.sensors import SENSORS, SensorFault
-from app.sim.world import UNDER_FLOOR_M
+from app.sim.world import CRATE_HALF_M, UNDER_FLOOR_M
 
 if TYPE_CHECKING:
     from app.governance.model import Json
@@ -164,7 +164,8 @@ def _missing(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> None:
 
 def _blocked(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> None:
     if begin:
-        victim.plant.place_crate("crate_1", _number(sizes, "x_m", 3.4), _number(sizes, "y_m", 3.6))
+        x, y, z = _number(sizes, "x_m", 3.4), _number(sizes, "y_m", 3.6), _number(sizes, "z_m", CRATE_HALF_M[2])
+        victim.plant.place_crate("crate_1", x, y, z)
     else:
         victim.plant.remove_crate("crate_1")
         victim.perception.crates.clear()
@@ -201,7 +202,7 @@ _KINDS: dict[str, tuple[Callable[[Victim, Mapping[str, Json], bool], None], tupl
     "speed_scaling": (_speed_scaling, ("gain",)),
     "slippery": (_slippery, ("object", "friction")),
     "missing": (_missing, ("object",)),
-    "blocked": (_blocked, ("x_m", "y_m")),
+    "blocked": (_blocked, ("x_m", "y_m", "z_m")),
     "odometry_bias": (_odometry_bias, ("x_mps", "y_mps")),
     "payload_shift": (_payload_shift, ("object", "factor", "offset_m")),
     "sensor": (_sensor, ("sensor", "fault", "size")),

@@ -53,6 +53,7 @@ _EDITED = (
     "dof_frictionloss",
     "actuator_gainprm",
     "actuator_biasprm",
+    "jnt_actfrcrange",
     "body_gravcomp",
     "geom_friction",
     "geom_priority",
@@ -131,6 +132,7 @@ class Plant:
         self._finger_q = _run_of([model.joint(n).qposadr[0] for n in robot.FINGER_JOINTS])
         self._base_v = _run_of([model.joint(n).dofadr[0] for n in robot.BASE_JOINTS])
         self._arm_v = _run_of([model.joint(n).dofadr[0] for n in robot.ARM_JOINTS])
+        self._arm_j = _run_of([model.joint(n).id for n in robot.ARM_JOINTS])
         self._arm_u = _run_of([model.actuator(n).id for n in robot.ARM_JOINTS])
         self._base_u = _run_of([model.actuator(n).id for n in robot.BASE_JOINTS])
         self._grip_u = int(model.actuator(robot.GRIP_ACTUATOR).id)
@@ -262,6 +264,8 @@ class Plant:
         model = self.model
         model.actuator_gainprm[self._arm_u, 0] = self._powered["actuator_gainprm"][self._arm_u, 0] * strength
         model.actuator_biasprm[self._arm_u, 1:3] = self._powered["actuator_biasprm"][self._arm_u, 1:3] * strength
+        # Gravity is borne by the same motors: one that has faded enough lets the arm sink.
+        model.jnt_actfrcrange[self._arm_j] = self._powered["jnt_actfrcrange"][self._arm_j] * strength
 
     def set_pad_friction(self, friction: float) -> None:
         """Set the sliding friction between pads and whatever they hold."""
@@ -293,9 +297,9 @@ class Plant:
         self._qvel[v : v + 6] = 0.0
         self.model.body_gravcomp[self._object_body[name]] = 1.0 if z_m < 0 else 0.0
 
-    def place_crate(self, name: str, x_m: float, y_m: float) -> None:
-        """Put a crate on the floor."""
-        self.data.mocap_pos[self.model.body(name).mocapid[0]] = (x_m, y_m, CRATE_HALF_M[2])
+    def place_crate(self, name: str, x_m: float, y_m: float, z_m: float = CRATE_HALF_M[2]) -> None:
+        """Put a crate on the floor, or hang it up with its middle at `z_m`."""
+        self.data.mocap_pos[self.model.body(name).mocapid[0]] = (x_m, y_m, z_m)
 
     def remove_crate(self, name: str) -> None:
         """Take a crate away."""
@@ -377,7 +381,7 @@ class Plant:
     def crates(self) -> list[tuple[float, float]]:
         """Return where crates stand on the floor."""
         spots = (self.data.mocap_pos[self.model.body(name).mocapid[0]] for name in CRATES)
-        return [(float(at[0]), float(at[1])) for at in spots if at[2] > 0]
+        return [(float(at[0]), float(at[1])) for at in spots if 0 < at[2] <= CRATE_HALF_M[2]]
 
     @property
     def gripper_kg(self) -> float:
