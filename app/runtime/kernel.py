@@ -16,6 +16,7 @@ import orjson
 
 from app.audit.event import EventDraft, RowWrite
 from app.clock import monotonic_s
+from app.governance.coverage import covered_recoveries
 from app.governance.decision import Decision, decide
 from app.governance.model import (
     AdmissionOutcome,
@@ -24,17 +25,15 @@ from app.governance.model import (
     Context,
     CoveredRecovery,
     EventKind,
-    Mode,
     Outcome,
     PolicyOutcome,
     Proposal,
     Reason,
     Role,
     Status,
-    Strategy,
 )
 from app.governance.permit import mint
-from app.governance.policy import confirm_before, recovery_plan
+from app.governance.policy import confirm_before
 from app.protocol import Launch
 from app.runtime.drafts import SERVER
 from app.runtime.errors import InvalidParams
@@ -343,52 +342,21 @@ class Kernel:
         )
 
     def _recoveries(self, invocation: Invocation, judgement: Judgement) -> tuple[CoveredRecovery, ...]:
-        """Return the recoveries that are covered: each was decided by itself, and is as constrained as it came out."""
-        policy = judgement.policy
-        plan = recovery_plan(policy, invocation.capability, judgement.profile)
-        wanted: dict[tuple[Strategy, str, Mode], None] = {}
-        same = invocation.capability
-        for row in plan.rules:
-            for strategy in row.do:
-                match strategy:
-                    case Strategy.RETRY:
-                        wanted[strategy, same, invocation.terms.mode] = None
-                    case Strategy.SAFER_MODE if plan.careful_admitted:
-                        wanted[strategy, same, Mode.CAREFUL] = None
-                    case Strategy.RECOVERY_CAPABILITY if row.capability is not None:
-                        wanted[strategy, row.capability, Mode.NORMAL] = None
-                    case _:
-                        pass
-        if plan.rollback_capability is not None:  # an operator may ask for it even where no row does
-            wanted[Strategy.ROLLBACK, plan.rollback_capability, Mode.NORMAL] = None
-        covered = (self._cover(invocation, judgement, *key) for key in wanted)
-        return tuple(recovery for recovery in covered if recovery is not None)
-
-    def _cover(
-        self, invocation: Invocation, judgement: Judgement, strategy: Strategy, capability: str, mode: Mode
-    ) -> CoveredRecovery | None:
-        policy = judgement.policy
-        again = capability == invocation.capability
-        params = dict(invocation.effective or {}) if again else self.fill_in(capability, {})
-        cell = self._fleet.facts(self._fleet.cell(invocation.cell or ""))
+        policy, terms = judgement.policy, invocation.terms
+        launched = Proposal(
+            capability=invocation.capability,
+            params=dict(invocation.effective or {}),
+            metadata=terms.metadata,
+            mode=terms.mode,
+        )
         context = Context(
             time_s=self._register.now_s(),
             profile=judgement.profile,
-            agent=policy.agent(invocation.agent) if again else policy.governance(),
-            cell=replace(cell, busy=None),  # it is this invocation that has it
+            agent=policy.agent(invocation.agent),
+            cell=self._fleet.facts(self._fleet.cell(invocation.cell or "")),
             operator_on_duty=self.operator_on_duty,
         )
-        proposal = Proposal(capability=capability, params=params, metadata=invocation.terms.metadata, mode=mode)
-        decision = decide(policy, proposal, context)
-        # A new attempt at what a human approved needs no second approval; any other recovery must need none at all.
-        verdict = decision.verdict
-        if verdict is None or verdict.outcome is PolicyOutcome.DENY:
-            return None
-        admission = decision.admission.outcome
-        asks = AdmissionOutcome.ESCALATE is admission or verdict.outcome is PolicyOutcome.ESCALATE
-        if admission in (AdmissionOutcome.REJECT, AdmissionOutcome.DEFER) or (asks and not again):
-            return None
-        return CoveredRecovery(strategy=strategy, capability=capability, params=dict(verdict.effective), mode=mode)
+        return covered_recoveries(policy, launched, context)
 
 
 def _path(problem: ParamProblem) -> str:

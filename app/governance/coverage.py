@@ -1,0 +1,73 @@
+"""Which recoveries an authorization covers: each decided by itself, and as constrained as it came out.
+
+A cell may recover while the server is away, but only by what was admitted and checked beforehand (design, section 7).
+What policy's table asks for and nothing covers needs a new authorization, which means a human.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from app.governance.decision import decide
+from app.governance.model import AdmissionOutcome, CoveredRecovery, Mode, PolicyOutcome, Strategy
+from app.governance.policy import recovery_plan
+
+if TYPE_CHECKING:
+    from app.governance.model import Context, Proposal, RecoveryPlan
+    from app.governance.policy import PolicySet
+
+
+def covered_recoveries(policy: PolicySet, proposal: Proposal, context: Context) -> tuple[CoveredRecovery, ...]:
+    """Decide about every recovery that policy may ask for in a session, and return those it may have.
+
+    Args:
+        policy: The policy in force.
+        proposal: What is about to be launched, with its effective parameters.
+        context: Γ_t of the launch.
+
+    Raises:
+        KeyError: Capability or profile is unknown.
+    """
+    plan = recovery_plan(policy, proposal.capability, context.profile)
+    free = replace(context, cell=replace(context.cell, busy=None))  # it is this very invocation that has the cell
+    found = (_cover(policy, proposal, free, *wanted) for wanted in _wanted(plan, proposal))
+    return tuple(recovery for recovery in found if recovery is not None)
+
+
+def _wanted(plan: RecoveryPlan, proposal: Proposal) -> list[tuple[Strategy, str, Mode]]:
+    """List what policy's table may ask for, each once, in the order of the table."""
+    wanted: dict[tuple[Strategy, str, Mode], None] = {}
+    for row in plan.rules:
+        for strategy in row.do:
+            match strategy:
+                case Strategy.RETRY:
+                    wanted[strategy, proposal.capability, proposal.mode] = None
+                case Strategy.SAFER_MODE if plan.careful_admitted:
+                    wanted[strategy, proposal.capability, Mode.CAREFUL] = None
+                case Strategy.RECOVERY_CAPABILITY if row.capability is not None:
+                    wanted[strategy, row.capability, Mode.NORMAL] = None
+                case _:
+                    pass
+    if plan.rollback_capability is not None:  # an operator may ask for it even where no row does
+        wanted[Strategy.ROLLBACK, plan.rollback_capability, Mode.NORMAL] = None
+    return list(wanted)
+
+
+def _cover(
+    policy: PolicySet, proposal: Proposal, context: Context, strategy: Strategy, capability: str, mode: Mode
+) -> CoveredRecovery | None:
+    again = capability == proposal.capability
+    params = proposal.params if again else policy.validate_params(capability, {})
+    if isinstance(params, tuple):  # it cannot run on its defaults, so it cannot be had without being asked
+        return None
+    asked = replace(proposal, capability=capability, params=params, mode=mode, preconditions=())
+    decision = decide(policy, asked, context if again else replace(context, agent=policy.governance()))
+    # A new attempt at what a human approved needs no second approval; any other recovery must need none at all.
+    verdict, admission = decision.verdict, decision.admission.outcome
+    if verdict is None or verdict.outcome is PolicyOutcome.DENY:
+        return None
+    asks = admission is AdmissionOutcome.ESCALATE or verdict.outcome is PolicyOutcome.ESCALATE
+    if admission in (AdmissionOutcome.REJECT, AdmissionOutcome.DEFER) or (asks and not again):
+        return None
+    return CoveredRecovery(strategy=strategy, capability=capability, params=dict(verdict.effective), mode=mode)
