@@ -67,6 +67,11 @@ class Senses(Protocol):
     hand: Hand | None
     trail: list[Mark]
 
+    @property
+    def habits(self) -> set[str]:
+        """Return the bad habits that faults have given the skills: `faults.HABITS`."""
+        ...
+
     def believed_pose(self) -> Vec3:
         """Return where the robot believes its base is."""
         ...

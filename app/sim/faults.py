@@ -13,6 +13,9 @@ They never tell the watcher; what they do shows in physics and sensors alone.
 | `payload_shift` | object, factor, offset_m | mass and centre of mass of an object change |
 | `sensor` | sensor, fault, size | a sensor is stuck, stale, noisy, offset or delayed |
 | `fade` | strength | the arm's servos keep this share of their strength |
+| `misplaced` | object, x_m, y_m | somebody moves the object by so much |
+| `habit` | habit | the skill starts over instead of failing (`obstinate`), claims success instead (`overconfident`), |
+| | | does nothing (`hung`), or drives by dead reckoning alone (`dead_reckoning`) |
 
 A person who walks in is a `Walk`. `for_s` ends a fault by itself.
 """
@@ -37,6 +40,7 @@ if TYPE_CHECKING:
     from app.sim.plant import Plant
     from app.sim.sensors import Sensors
 
+HABITS = ("obstinate", "overconfident", "hung", "dead_reckoning")
 SENSOR_FAULTS = ("stuck", "stale", "noisy", "offset", "delayed")
 
 
@@ -62,6 +66,9 @@ class Fault:
             raise ValueError(
                 f"sensor fault needs `sensor` ({', '.join(SENSORS)}) and `fault` ({', '.join(SENSOR_FAULTS)})"
             )
+
+        if self.kind == "habit" and self.sizes.get("habit") not in HABITS:
+            raise ValueError(f"habit `{self.sizes.get('habit')}`: valid are {', '.join(HABITS)}")
 
     @classmethod
     def read(cls, data: Json) -> Fault:
@@ -111,6 +118,7 @@ class Victim:
     plant: Plant
     sensors: Sensors
     perception: Perception
+    habits: set[str]
 
 
 class FaultClock:
@@ -197,6 +205,18 @@ def _fade(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> None:
     victim.plant.weaken(_number(sizes, "strength", 0.3) if begin else 1.0)
 
 
+def _misplaced(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> None:
+    if begin:
+        name = str(sizes["object"])
+        at, yaw, _ = victim.plant.true_object(name)
+        x, y = float(at[0]) + _number(sizes, "x_m", 0.0), float(at[1]) + _number(sizes, "y_m", 0.0)
+        victim.plant.place_object(name, x, y, float(at[2]), yaw)
+
+
+def _habit(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> None:
+    (victim.habits.add if begin else victim.habits.discard)(str(sizes["habit"]))
+
+
 _KINDS: dict[str, tuple[Callable[[Victim, Mapping[str, Json], bool], None], tuple[str, ...]]] = {
     "grip_gain": (_grip_gain, ("gain",)),
     "speed_scaling": (_speed_scaling, ("gain",)),
@@ -207,4 +227,6 @@ _KINDS: dict[str, tuple[Callable[[Victim, Mapping[str, Json], bool], None], tupl
     "payload_shift": (_payload_shift, ("object", "factor", "offset_m")),
     "sensor": (_sensor, ("sensor", "fault", "size")),
     "fade": (_fade, ("strength",)),
+    "misplaced": (_misplaced, ("object", "x_m", "y_m")),
+    "habit": (_habit, ("habit",)),
 }

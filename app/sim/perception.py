@@ -61,8 +61,8 @@ class Perception:
 
     def __init__(self, seed: int, site: Site, noise: float = 1.0) -> None:
         """Start knowing nothing but the site's names; `noise` scales the cameras' own errors (0: none)."""
-        self._noise, self._noise_scale = Noise((seed, 3)), noise
-        self._bias = noise * WRIST_BIAS_M * np.random.default_rng((seed, 4)).standard_normal(3)
+        self._noise_scale = noise
+        self.reseed(seed)
         self._unseen: dict[str, list[Point]] = {name: _grid(area) for name, area in site.areas.items()}
         self._points = {name: len(points) for name, points in self._unseen.items()}
         self.fault: tuple[str, float] | None = None  # of the cameras: kind and size
@@ -71,6 +71,11 @@ class Perception:
         self.inspected: dict[str, float] = {}
         self.crates: list[Point] = []
         self.stamp_s = 0.0
+
+    def reseed(self, seed: int) -> None:
+        """Draw noise and bias anew from another seed; what is remembered stays."""
+        self._noise = Noise((seed, 3))
+        self._bias = self._noise_scale * WRIST_BIAS_M * np.random.default_rng((seed, 4)).standard_normal(3)
 
     def look(self, plant: Plant, tick: int, pose: Vec3) -> None:
         """Look around: remember every object in view of either camera, and crates in the way."""

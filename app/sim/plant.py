@@ -60,6 +60,12 @@ _EDITED = (
     "body_mass",
     "body_inertia",
     "body_ipos",
+    "body_subtreemass",
+    "body_invweight0",
+    "dof_invweight0",
+    "dof_M0",
+    "tendon_invweight0",
+    "actuator_acc0",
     "geom_contype",
     "geom_conaffinity",
 )

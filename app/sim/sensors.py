@@ -148,17 +148,14 @@ class Sensors:
             gripper_kg: what hangs on the wrist without a load.
             quality: how good the sensors are.
         """
-        self._noise = Noise((seed, 1))
         self._quality = quality
         self._dropped_beyond = NormalDist().inv_cdf(1.0 - quality.dropout / 2.0) if quality.dropout > 0.0 else inf
         self._body_sigma, self._base_sigma = quality.noise * _BODY_SIGMA, quality.noise * _BASE_SIGMA
         self._slip_sigma_m = quality.noise * SLIP_SIGMA_M
         self._fix_sigma = quality.noise * np.array((FIX_SIGMA_M, FIX_SIGMA_M, FIX_SIGMA_RAD))
         self._people_sigma_m = quality.noise * PEOPLE_SIGMA_M
-        traits = quality.noise * np.random.default_rng((seed, 2)).standard_normal(4)
         self.odometry = np.array(start, dtype=np.float64)
-        self.odometry_scale = 1.0 + 0.005 * traits[0]
-        self.odometry_turn_radpm = 0.01 * traits[1]
+        self.reseed(seed)
         self.odometry_bias = np.zeros(2)  # m/s, world frame; a fault sets it
         self.faults: dict[str, SensorFault] = {}
         self.load_kg = 0.0
@@ -169,6 +166,13 @@ class Sensors:
         self._sightings: deque[tuple[int, float, tuple[PersonTrack, ...]]] = deque()
         self._tracks: dict[int, PersonTrack] = {}
         self.fix_stamp_s = self.people_stamp_s = 0.0
+
+    def reseed(self, seed: int) -> None:
+        """Draw noise and traits anew from another seed; what was measured so far stays."""
+        self._noise = Noise((seed, 1))
+        traits = self._quality.noise * np.random.default_rng((seed, 2)).standard_normal(4)
+        self.odometry_scale = 1.0 + 0.005 * traits[0]
+        self.odometry_turn_radpm = 0.01 * traits[1]
 
     # -- body ------------------------------------------------------------------------------------------------
 

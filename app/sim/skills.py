@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, TypeAlias
 
+from app.cell.substrate import SubstrateError
 from app.governance.model import Command, Json, Observation, SkillReport, SkillState
 from app.sim.body import Body, Moves, SkillFailed
 from app.sim.skills_arm import grasp_object, inspect_area, place_object
@@ -42,8 +43,8 @@ class Run:
         Raises:
             SubstrateError: it cannot be prepared, with the failure name.
         """
-        self.capability = capability
-        self._body = body
+        self.capability, self.starts = capability, 1
+        self._body, self._params = body, params
         self._moves = SKILLS[capability](body, params)
         self._state, self._failure = SkillState.RUNNING, ""
         self.detail = ""
@@ -55,13 +56,31 @@ class Run:
         if self._state is not SkillState.RUNNING or rate <= 0.0:
             held = body.hold()
             return held if held.grip_force_n >= 0.0 else held._replace(grip_force_n=0.0)
+        if "hung" in body.senses.habits:
+            return body.hold()
         try:
             return next(self._moves)
         except StopIteration:
             self._state, body.progress = SkillState.SUCCEEDED, 1.0
         except SkillFailed as failed:
-            self._state, self._failure, self.detail = SkillState.FAILED, failed.failure, failed.detail
+            self._give_up(failed)
         return body.hold()
+
+    def _give_up(self, failed: SkillFailed) -> None:
+        """Fail, unless a fault has taught the skill something worse."""
+        habits = self._body.senses.habits
+        self._failure, self.detail = failed.failure, failed.detail
+        if "obstinate" in habits:
+            try:
+                self._moves = SKILLS[self.capability](self._body, self._params)
+            except SubstrateError as error:
+                self._state, self._failure, self.detail = SkillState.FAILED, error.failure, error.detail
+            else:
+                self.starts += 1
+        elif "overconfident" in habits:
+            self._state, self._failure, self._body.progress = SkillState.SUCCEEDED, "", 1.0
+        else:
+            self._state = SkillState.FAILED
 
     def report(self) -> SkillReport:
         """Say phase, progress and state."""

@@ -108,7 +108,7 @@ def run_skill(
     while report.state is SkillState.RUNNING and (seen.tick - tick) * cell.period_s < limit_s:
         seen = cell.step(skill.act(seen, rate))
         report = skill.report()
-        now = cell.gauges()
+        now = cell.glance()
         worst = tuple(map(max, worst, now))
         if report.phase != phases[-1]:
             phases.append(report.phase)

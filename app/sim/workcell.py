@@ -11,7 +11,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import hypot, isfinite
+from math import cos, dist, hypot, isfinite, sin
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -70,6 +70,7 @@ class State:
     invocation: str = ""
     pressed_s: dict[str, float] = field(default_factory=dict[str, float])
     observation: Observation | None = None
+    habits: set[str] = field(default_factory=set[str])
 
 
 class Truth(NamedTuple):
@@ -85,10 +86,30 @@ class Truth(NamedTuple):
     held: str | None
     grip_force_n: float
     people_m: float
+    people: tuple[Point, ...]
     zones: tuple[str, ...]
     objects: Mapping[str, Vec3]
     upright: Mapping[str, bool]
     tools: Mapping[str, float]
+
+
+class Glance(NamedTuple):
+    """What truly is in one tick, as far as limits speak of it: the part of `Truth` that is cheap.
+
+    `base_velocity` is in the world frame (m/s), `tcp_m` too; `load_m` is where the object that the robot believes to
+    hold is, relative to the tool centre, or None.
+    """
+
+    tcp_speed_mps: float
+    base_speed_mps: float
+    contact_force_n: float
+    peak_force_n: float
+    grip_force_n: float
+    base: Vec3
+    base_velocity: Point
+    tcp_m: Vec3
+    load_m: float | None
+    people: tuple[Point, ...]
 
 
 class Workcell:
@@ -104,6 +125,7 @@ class Workcell:
         people: Sequence[Walk] = (),
         robot_mjcf: Path | None = None,
         quality: Quality = AS_MEASURED,
+        room_for: int = 0,
     ) -> None:
         """Build the cell with the robot parked at the site's start.
 
@@ -115,9 +137,10 @@ class Workcell:
             people: who walks where, and when.
             robot_mjcf: another robot's model instead of the project's own.
             quality: how good the sensors are.
+            room_for: how many people the world keeps figures for, at least.
         """
         self.id, self.period_s, self.site, self.seed = cell_id, CONTROL_PERIOD_S, site, seed
-        self.plant = Plant(site, people=len(people), robot_mjcf=robot_mjcf)
+        self.plant = Plant(site, people=max(len(people), room_for), robot_mjcf=robot_mjcf)
         self.solver = ArmSolver()
         self._self_model = SelfModel()
         start_at = site.targets[site.start]
@@ -186,7 +209,7 @@ class Workcell:
         if self._run is not None:
             state.occasions.note(self._run.capability, self._run.report().phase, now)
         state.people.move(now, state.occasions, plant)
-        state.clock.advance(now, state.occasions, Victim(plant, state.sensors, state.perception))
+        state.clock.advance(now, state.occasions, Victim(plant, state.sensors, state.perception, state.habits))
         if state.tick % _DOZE_TICKS == 0:
             plant.doze()
         physical = plant.step(command)
@@ -258,6 +281,25 @@ class Workcell:
         self.plant.restore(physics)
         self._state, self._run = copy.deepcopy(own), None
 
+    def begin(self, seed: int, scenario: Scenario) -> None:
+        """Begin another run from the present state: randomness, faults and people anew, the world as it is.
+
+        Args:
+            seed: everything random hangs on it from now on.
+            scenario: faults and people; the times of its triggers count from the cell's own start.
+
+        Raises:
+            ValueError: more people than the world was built with.
+        """
+        if len(scenario.people) > self.plant.people:
+            raise ValueError(f"`{len(scenario.people)}` people in a world built for {self.plant.people}")
+        state = self._state
+        self.seed = seed
+        state.sensors.reseed(seed)
+        state.perception.reseed(seed)
+        state.people, state.clock, state.occasions = People(scenario.people), FaultClock(scenario.faults), Occasions()
+        state.habits.clear()
+
     # -- Senses: what skills may ask -------------------------------------------------------------------------
 
     @property
@@ -279,9 +321,18 @@ class Workcell:
         """The recorded safe path of the present invocation."""
         return self._state.trail
 
+    @property
+    def habits(self) -> set[str]:
+        """The bad habits that faults have given the skills."""
+        return self._state.habits
+
     def believed_pose(self) -> Vec3:
         """Return where the robot believes its base is."""
-        return self._state.localiser.pose
+        state = self._state
+        if "dead_reckoning" in state.habits:
+            x, y, yaw = self.observe().odometry
+            return x, y, yaw
+        return state.localiser.pose
 
     def glimpse(self, name: str) -> Glimpse | None:
         """Return an object as the cameras see it now."""
@@ -334,6 +385,7 @@ class Workcell:
             held=held,
             grip_force_n=float(tick.pad_force_n.mean()),
             people_m=min(people, default=99.0),
+            people=tuple(self._state.people.present.values()),
             zones=tuple(
                 name for name, zone in self.site.zones.items() if float(distance_to(zone.polygon, *at)[0]) == 0.0
             ),
@@ -342,17 +394,25 @@ class Workcell:
             tools={name: plant.tool_angle(name) for name in self.site.tools},
         )
 
-    def gauges(self) -> tuple[float, float, float, float]:
-        """Return true tool speed, base speed, contact force (20 ms mean) and its peak.
-
-        Without the cost of the whole truth.
-        """
-        tick = self.plant.read()
-        held = self._state.hand.name if self._state.hand and tick.pad_force_n.min() > PAD_LOADED_N else None
-        return (
+    def glance(self) -> Glance:
+        """Return what truly is as far as limits speak of it, without the cost of the whole truth."""
+        plant, hand = self.plant, self._state.hand
+        tick = plant.read()
+        pads = tick.pad_force_n
+        held = hand.name if hand and pads.min() > PAD_LOADED_N else None
+        tcp, base = plant.true_tcp(), plant.read_base()
+        vx, vy, _ = tick.base_velocity.tolist()
+        c, s = cos(base[2]), sin(base[2])
+        return Glance(
             self._self_model.tcp_speed(tick.joint_rad, tick.joint_speed),
-            float(np.hypot(*tick.base_velocity[:2])),
-            *self.plant.true_contact_n(held),
+            hypot(vx, vy),
+            *plant.true_contact_n(held),
+            float(pads.mean()),
+            base,
+            (c * vx - s * vy, s * vx + c * vy),
+            tuple(tcp.tolist()),
+            None if hand is None else dist(plant.true_object(hand.name)[0].tolist(), tcp.tolist()),
+            tuple(self._state.people.present.values()),
         )
 
     # -- inside ----------------------------------------------------------------------------------------------
@@ -449,6 +509,7 @@ def make_workcell(
     scenario: Scenario | None = None,
     robot_mjcf: Path | None = None,
     quality: Quality = AS_MEASURED,
+    people: int = 0,
 ) -> Workcell:
     """Build a simulated cell as the `cell` process wires it.
 
@@ -459,6 +520,7 @@ def make_workcell(
         scenario: faults and people to add (`Scenario.read` makes one from plain data).
         robot_mjcf: another robot's model.
         quality: how good the sensors are; `Quality(noise=0.0)` for noise-free ones.
+        people: room for at least so many people, for scenarios that begin later (`Workcell.begin`).
 
     Raises:
         ValueError: the other robot lacks parts that the workcell drives or senses.
@@ -472,6 +534,7 @@ def make_workcell(
         people=extra.people,
         robot_mjcf=robot_mjcf,
         quality=quality,
+        room_for=people,
     )
 
 
