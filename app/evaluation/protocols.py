@@ -1,0 +1,75 @@
+"""What a protocol is, and which there are.
+
+A protocol is a module (or any object) with three functions. A campaign asks it for jobs, runs them in processes in any
+order, and hands all rows back to it in the order of the jobs:
+
+```
+jobs(methods, tasks, seeds, trials, long) ─▶ [Job, …] ─run(job, policy)─▶ rows ─results(rows, policy)─▶ results.json
+```
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from importlib import import_module
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Final, Protocol, cast, runtime_checkable
+
+from app.evaluation.extensions import REGISTRY, UnknownName
+
+if TYPE_CHECKING:
+    from app.evaluation.jobs import Job
+    from app.evaluation.model import Row
+    from app.governance.model import Json
+    from app.governance.policy import PolicySet
+
+
+@runtime_checkable
+class EvaluationProtocol(Protocol):
+    """How methods are put to the test. Everything it does follows from its arguments alone: no clock, no state.
+
+    A module may declare `COLUMNS`, if its rows have more than those of `app.evaluation.rows`.
+    """
+
+    def jobs(
+        self, *, methods: Sequence[str], tasks: Sequence[str], seeds: Sequence[int], trials: int, long: bool
+    ) -> Sequence[Job]:
+        """Cut the campaign into jobs, in the canonical order; `tasks` is empty where all are meant."""
+        ...
+
+    def run(self, job: Job, policy: PolicySet) -> Iterable[Row]:
+        """Run one job. A generator keeps memory flat; called in a process of its own, on one thread."""
+        ...
+
+    def results(self, rows: Iterable[Row], policy: PolicySet) -> dict[str, Json]:
+        """Sum up all rows, in the order of the jobs; `rows` can be gone through several times.
+
+        Returns:
+            What `results.json` holds, without `protocol`, `seeds` and `trials`.
+        """
+        ...
+
+
+PROTOCOLS: Final[Mapping[str, str]] = {
+    "paper": "app.evaluation.paper_protocol",
+    "physical": "app.evaluation.physical_protocol",
+}
+"""Name → module. Imported when asked for: the physical one brings the simulator along."""
+
+
+def protocol_names() -> tuple[str, ...]:
+    """Return the names of all protocols, those of plugins included."""
+    return (*(name for name in PROTOCOLS if find_spec(PROTOCOLS[name])), *sorted(REGISTRY.protocols))
+
+
+def find_protocol(name: str) -> EvaluationProtocol:
+    """Return a protocol.
+
+    Raises:
+        UnknownName: there is none of that name.
+    """
+    if name in REGISTRY.protocols:
+        return cast("EvaluationProtocol", REGISTRY.protocols[name])
+    if name not in protocol_names():
+        raise UnknownName("protocol", name, protocol_names())
+    return cast("EvaluationProtocol", import_module(PROTOCOLS[name]))
