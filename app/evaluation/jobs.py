@@ -22,4 +22,4 @@ class Job(NamedTuple):
     task: str
     seed: int
     first: int
-    count: int
+    count: int  # pyright: ignore[reportIncompatibleMethodOverride]  # nobody counts the fields of a job

@@ -1,0 +1,288 @@
+"""A campaign: a protocol's jobs run in worker processes, kept one by one, and summed up when all are there.
+
+1. The configuration (what was asked for, the policy, the plugins, the code) has a digest. A folder belongs to one
+   configuration; another one is refused, because a table of mixed rows means nothing.
+2. Each finished job is a part on disk before it counts. What is there is not run again, so an interruption costs at
+   most the jobs that were under way.
+3. Tables and results are made from the parts in the order of the jobs, which knows neither processes nor time:
+   `trials.csv` is the same byte for byte however many processes there were and however often it was interrupted.
+   What a clock said is kept apart, in `timings.csv`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import shutil
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import orjson
+
+import app
+from app.evaluation.extensions import find_method, find_task, load_plugins, plugin_digests
+from app.evaluation.parts import Parts, Rows, write_tables
+from app.evaluation.protocols import EvaluationProtocol, find_protocol
+from app.evaluation.rows import COLUMNS
+from app.evaluation.workers import run_jobs
+from app.governance.bundle import load
+
+if TYPE_CHECKING:
+    from app.evaluation.jobs import Job
+    from app.governance.model import Json
+
+PARTS: Final = "parts"
+CONFIGURATION: Final = "campaign.json"
+RESULTS: Final = "results.json"
+_LOCK: Final = ".lock"
+_ROOM: Final = Path(app.__file__).parent
+_AFTER_ROWS: Final = (
+    "cli*.py",
+    "api/*.py",
+    "agent/*.py",
+    "evaluation/metrics.py",
+    "evaluation/statistics.py",
+    "evaluation/published.py",
+    "evaluation/report*.py",
+    "evaluation/plots.py",
+    "evaluation/readme.py",
+)
+_MINE: Final = frozenset({PARTS, CONFIGURATION, RESULTS, "trials.csv", "timings.csv", "report.html"})
+
+
+class CampaignError(Exception):
+    """A campaign that cannot go on as asked."""
+
+
+class OtherConfiguration(CampaignError):
+    """The folder holds a campaign of another configuration."""
+
+    def __init__(self, folder: Path, differing: Sequence[str]) -> None:
+        """Name the folder and what differs."""
+        self.differing = tuple(differing)
+        super().__init__(
+            f"`{folder}` holds a campaign of another configuration: {', '.join(differing)} differ; "
+            "valid are the same configuration, another folder, or --fresh, which removes what is there"
+        )
+
+
+class FolderBusy(CampaignError):
+    """Another process runs a campaign in the folder."""
+
+    def __init__(self, folder: Path) -> None:
+        """Name the folder."""
+        super().__init__(f"a campaign runs in `{folder}` already: valid is one process for each folder")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """What is asked for.
+
+    Attributes:
+        protocol: Name of the protocol.
+        methods: Names of methods and ablations, in the order of the tables.
+        seeds: Seeds of the runs.
+        trials: Trials for each method, task and seed.
+        policies: Policy directory.
+        tasks: Task types; empty: the protocol's own choice.
+        plugins: Python files that register more.
+        long: Whether the protocol's long run is meant.
+    """
+
+    protocol: str
+    methods: tuple[str, ...]
+    seeds: tuple[int, ...]
+    trials: int
+    policies: Path
+    tasks: tuple[str, ...] = ()
+    plugins: tuple[Path, ...] = ()
+    long: bool = False
+
+    def describe(self) -> dict[str, Json]:
+        """Return everything that the rows follow from, as plain data."""
+        return {
+            "protocol": self.protocol,
+            "methods": list(self.methods),
+            "seeds": list(self.seeds),
+            "trials": self.trials,
+            "tasks": list(self.tasks),
+            "long": self.long,
+            "policy": load(self.policies).digest,
+            "plugins": {**plugin_digests(self.plugins)},
+            "version": app.__version__,
+            "code": code_digest(),
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Work:
+    """What a worker needs to know to run any job of a campaign."""
+
+    protocol: str
+    policies: Path
+    plugins: tuple[Path, ...]
+    folder: Path
+    configuration: str
+
+    def open(self) -> Callable[[Job], None]:
+        """Load plugins, protocol and policy once."""
+        load_plugins(self.plugins)
+        protocol, policy = find_protocol(self.protocol), load(self.policies)
+        parts = Parts(self.folder, self.configuration, _columns(protocol))
+        return lambda job: parts.write(job, protocol.run(job, policy))
+
+
+def run_campaign(
+    request: Request, out: Path, *, workers: int, progress: Callable[[int, int], None], fresh: bool = False
+) -> dict[str, Json]:
+    """Run what is not done yet, write the tables and `results.json`, and return the results.
+
+    Args:
+        request: What is asked for.
+        out: The campaign's folder; made if it is not there.
+        workers: How many processes.
+        progress: Called with (trials done, trials in all), first with what is there already.
+        fresh: Remove a former campaign from the folder first.
+
+    Raises:
+        OtherConfiguration: the folder belongs to another one.
+        FolderBusy: another process is at it.
+        UnknownName, PluginError: a name that nobody registered, a plugin that does not load.
+        JobFailed: a job raised, or its worker died again and again; finished jobs are kept.
+        OSError: the folder cannot be written.
+    """
+    load_plugins(request.plugins)
+    protocol = find_protocol(request.protocol)
+    _check_names(request)
+    configuration = request.describe()
+    with _claimed(out, configuration, fresh=fresh):
+        digest = _digest(configuration)
+        parts = Parts(out / PARTS, digest, _columns(protocol))
+        jobs = protocol.jobs(
+            methods=request.methods, tasks=request.tasks, seeds=request.seeds, trials=request.trials, long=request.long
+        )
+        _check_jobs(jobs)
+        _run(request, parts, jobs, workers=workers, progress=progress)
+        rows = Rows(parts, jobs)
+        write_tables(rows, parts.columns, out)
+        head: dict[str, Json] = {
+            "protocol": request.protocol,
+            "seeds": list(request.seeds),
+            "trials": request.trials,
+            "configuration": {"digest": digest, **configuration},
+        }
+        results = {**head, **protocol.results(rows, load(request.policies))}
+        write_json(out / RESULTS, results)
+    return results
+
+
+def write_json(path: Path, document: Mapping[str, Json]) -> None:
+    """Write a document in the order of its keys; it appears when it is whole."""
+    partial = path.with_suffix(".partial")
+    partial.write_bytes(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
+    partial.replace(path)
+
+
+def code_digest() -> str:
+    """Return the SHA-256 over the Python files that rows may follow from: rows made by other code are other rows.
+
+    What only counts or shows rows is left out, so that a report can be mended without running everything again.
+    """
+    state = hashlib.sha256()
+    for path in sorted(_ROOM.rglob("*.py")):
+        if any(path.relative_to(_ROOM).match(pattern) for pattern in _AFTER_ROWS):
+            continue
+        state.update(f"{path.relative_to(_ROOM).as_posix()}\0".encode())
+        state.update(hashlib.sha256(path.read_bytes()).digest())
+    return f"sha256:{state.hexdigest()}"
+
+
+def _run(
+    request: Request, parts: Parts, jobs: Sequence[Job], *, workers: int, progress: Callable[[int, int], None]
+) -> None:
+    total = sum(job.count for job in jobs)
+    missing = [job for job in jobs if not parts.has(job)]
+    done = total - sum(job.count for job in missing)
+    progress(done, total)
+
+    def count(job: Job) -> None:
+        nonlocal done
+        done += job.count
+        progress(done, total)
+
+    work = _Work(
+        protocol=request.protocol,
+        policies=request.policies,
+        plugins=request.plugins,
+        folder=parts.folder,
+        configuration=parts.configuration,
+    )
+    run_jobs(missing, work, workers=workers, done=count)
+
+
+@contextlib.contextmanager
+def _claimed(out: Path, configuration: Mapping[str, Json], *, fresh: bool) -> Generator[None]:
+    """Be the one process of a folder that belongs to this configuration."""
+    out.mkdir(parents=True, exist_ok=True)
+    with (out / _LOCK).open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise FolderBusy(out) from None
+        if fresh:
+            _remove(out)
+        _check_folder(out, configuration)
+        (out / PARTS).mkdir(exist_ok=True)
+        for partial in (out / PARTS).glob("*.partial"):
+            partial.unlink()
+        write_json(out / CONFIGURATION, configuration)
+        yield
+
+
+def _check_folder(out: Path, configuration: Mapping[str, Json]) -> None:
+    try:
+        there: Json = orjson.loads((out / CONFIGURATION).read_bytes())
+    except FileNotFoundError:
+        if strangers := [path.name for path in out.iterdir() if path.name != _LOCK]:
+            names = ", ".join(sorted(strangers)[:5])
+            raise CampaignError(f"`{out}` holds no campaign, but {names}: valid is a new or an empty folder") from None
+        return
+    except orjson.JSONDecodeError as error:
+        raise CampaignError(f"`{out / CONFIGURATION}` is no JSON: {error}; --fresh starts anew") from error
+    if there != configuration:
+        keys = [key for key in configuration if not isinstance(there, dict) or there.get(key) != configuration[key]]
+        raise OtherConfiguration(out, keys)
+
+
+def _remove(out: Path) -> None:
+    """Remove what a campaign has written, and nothing else."""
+    if not (out / CONFIGURATION).is_file():
+        return
+    for name in _MINE:
+        path = out / name
+        shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+
+
+def _check_names(request: Request) -> None:
+    for method in request.methods:
+        find_method(method)
+    for task in request.tasks:
+        find_task(task)
+
+
+def _check_jobs(jobs: Sequence[Job]) -> None:
+    names = {job.name for job in jobs}
+    if len(names) != len(jobs):
+        raise CampaignError("two jobs of the protocol have one name: valid are names that tell them apart")
+
+
+def _columns(protocol: EvaluationProtocol) -> Mapping[str, str]:
+    return getattr(protocol, "COLUMNS", COLUMNS)
+
+
+def _digest(configuration: Mapping[str, Json]) -> str:
+    text = orjson.dumps(configuration, option=orjson.OPT_SORT_KEYS)
+    return f"sha256:{hashlib.sha256(text).hexdigest()}"
