@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from app import __version__, cli_audit, cli_policy, cli_sim
+from app import __version__, cli_audit, cli_evaluate, cli_policy, cli_sim
 from app.config import DEFAULT_PROFILE, CellSettings, ConfigError, Settings, cell_token, check_pace
 from app.governance.model import Role
 from app.terminal import MISUSE, say_error
@@ -170,6 +170,9 @@ def approver(
     from app.demo import approve
 
     raise typer.Exit(approve(policy, server, data))
+
+
+app.command()(cli_evaluate.evaluate)
 
 
 @token.command("issue")

@@ -1,0 +1,201 @@
+"""`reins evaluate`: governance methods measured against each other, next to the paper's numbers."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from app.config import find_policies
+from app.terminal import FINDING, MISUSE, err, out, say, say_error
+
+if TYPE_CHECKING:
+    from app.evaluation.campaign import Request
+    from app.governance.model import Json
+
+INTERRUPTED: Final = 130
+_LONG_TRIALS: Final = 1000
+_TRIALS: Final = 200
+_SHOWN: Final = ("UAIR", "FRR", "RVDR", "UCR", "CEF", "FAS", "RSR", "RBSR", "MRT", "RPC")
+
+
+def evaluate(  # noqa: PLR0913  # its options
+    *,
+    protocol: Annotated[
+        str, typer.Option(help="paper: the paper's generator and its watcher of chance. physical: in the workcell.")
+    ] = "paper",
+    methods: Annotated[str, typer.Option(help="Names with commas between them, or all.")] = "all",
+    ablations: Annotated[
+        bool | None, typer.Option(help="Reins with one part left out, five times; default: with --methods all.")
+    ] = None,
+    seeds: Annotated[str, typer.Option(help="With commas between them; the default are the paper's.")] = "",
+    trials: Annotated[
+        int | None, typer.Option(help="For each method, task and seed; default: the protocol's.", min=1)
+    ] = None,
+    jobs: Annotated[int, typer.Option(help="Processes; 0: one for each core.", min=0)] = 0,
+    folder: Annotated[
+        Path | None, typer.Option("--out", help="The campaign's folder; default: evaluation/<protocol>.")
+    ] = None,
+    tasks: Annotated[str, typer.Option(help="Task types with commas between them; default: the protocol's.")] = "",
+    plugin: Annotated[
+        list[Path] | None, typer.Option(help="A Python file that registers more; may be given several times.")
+    ] = None,
+    policies: Annotated[
+        Path | None,
+        typer.Option(help="Policy directory; default: ./policies, else the shipped one.", envvar="REINS_POLICIES"),
+    ] = None,
+    long: Annotated[
+        bool, typer.Option("--long", help="Reins alone, 1,000 trials for each seed, unless said otherwise.")
+    ] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Remove the former campaign from the folder first.")] = False,
+) -> None:
+    """Measure governance methods against each other; every table of the paper next to ours.
+
+    [bold]reins evaluate[/]                                              the paper's protocol, all methods and ablations
+
+    [bold]reins evaluate --protocol physical --methods direct,reins[/]   two methods in the simulated workcell
+
+    [bold]reins evaluate --protocol physical --long[/]                   Reins alone, 5,000 trials
+
+    [bold]reins evaluate --seeds 1,2 --trials 50 --out try[/]            a quick look, with seeds of your own
+
+    [bold]reins evaluate --methods all --plugin mine.py[/]               with a method, task or fault of your own
+
+    Writes results.json, trials.csv (one row per trial), timings.csv and report.html, which needs no network. Ctrl-C
+    keeps what is finished and the same command goes on from there; trials.csv is the same, byte for byte, whatever
+    --jobs is and however often it was interrupted. docs/evaluation.md explains protocols, metrics and plugins.
+    """
+    from app.evaluation.extensions import PluginError, UnknownName
+
+    try:
+        request = _request(
+            protocol=protocol,
+            methods="reins" if long and methods == "all" else methods,
+            ablations=(methods == "all" and not long) if ablations is None else ablations,
+            seeds=seeds,
+            trials=trials,
+            tasks=tasks,
+            plugins=tuple(plugin or ()),
+            policies=find_policies(policies),
+            long=long,
+        )
+    except (UnknownName, PluginError, ValueError) as error:
+        say_error(str(error))
+        raise typer.Exit(MISUSE) from error
+    target = folder or Path("evaluation") / protocol
+    raise typer.Exit(_run(request, target, workers=jobs or len(os.sched_getaffinity(0)), fresh=fresh))
+
+
+def _request(  # noqa: PLR0913  # the command's options
+    *,
+    protocol: str,
+    methods: str,
+    ablations: bool,
+    seeds: str,
+    trials: int | None,
+    tasks: str,
+    plugins: tuple[Path, ...],
+    policies: Path,
+    long: bool,
+) -> Request:
+    """Read the options.
+
+    Raises:
+        UnknownName: a method, a task or a protocol that nobody registered.
+        PluginError: a plugin that does not load.
+        ValueError: a seed that is no integer.
+    """
+    from app.evaluation.campaign import Request
+    from app.evaluation.extensions import REGISTRY, find_method, find_task, load_plugins
+    from app.evaluation.methods import ABLATIONS, METHODS
+    from app.evaluation.model import SEEDS
+    from app.evaluation.protocols import find_protocol
+
+    load_plugins(plugins)
+    standard = _LONG_TRIALS if long else getattr(find_protocol(protocol), "TRIALS", _TRIALS)
+    named = (*METHODS, *REGISTRY.methods) if methods == "all" else _words(methods)
+    return Request(
+        protocol=protocol,
+        methods=tuple(dict.fromkeys(find_method(name).name for name in (*named, *(ABLATIONS if ablations else ())))),
+        seeds=tuple(dict.fromkeys(_seed(word) for word in _words(seeds))) or SEEDS,
+        trials=trials or standard,
+        policies=policies,
+        tasks=tuple(dict.fromkeys(find_task(name).name for name in _words(tasks))),
+        plugins=plugins,
+        long=long,
+    )
+
+
+def _run(request: Request, folder: Path, *, workers: int, fresh: bool) -> int:
+    from app.evaluation.campaign import CampaignError, run_campaign
+    from app.evaluation.workers import JobFailed
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("trials"))
+    try:
+        with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=err, transient=True) as bars:
+            bar = bars.add_task(request.protocol, total=None)
+            results = run_campaign(
+                request,
+                folder,
+                workers=workers,
+                progress=lambda done, total: bars.update(bar, completed=done, total=total),
+                fresh=fresh,
+            )
+    except KeyboardInterrupt:
+        say_error(f"interrupted; what is finished is kept in `{folder}`", hint="the same command goes on from there")
+        return INTERRUPTED
+    except CampaignError as error:
+        say_error(str(error))
+        return MISUSE
+    except JobFailed as error:
+        err.print(error.trace, markup=False)
+        say_error(str(error), hint=f"what is finished is kept in `{folder}`; the same command tries the rest again")
+        return FINDING
+    except OSError as error:
+        say_error(f"`{folder}` cannot be used: {error}")
+        return MISUSE
+    out.print(summary(results))
+    say(f"{folder}: results.json, trials.csv, timings.csv")
+    return 0
+
+
+def summary(results: Mapping[str, Json]) -> Table:
+    """Return the main metrics of every method as a table; a metric that no method has is left out."""
+    methods, ablations = _mapping(results.get("methods")), _mapping(results.get("ablations"))
+    lines = {name: _mapping(metrics) for name, metrics in {**methods, **ablations}.items()}
+    shown = [metric for metric in _SHOWN if any(_mapping(line.get(metric)) for line in lines.values())]
+    table = Table(title=f"protocol {results.get('protocol')}, mean over seeds", title_justify="left")
+    table.add_column("method")
+    for metric in shown:
+        table.add_column(metric, justify="right")
+    for name, line in lines.items():
+        table.add_row(name, *(_mean(_mapping(line.get(metric))) for metric in shown))
+    return table
+
+
+def _mean(figure: Mapping[str, Json]) -> str:
+    mean = figure.get("mean")
+    return f"{mean:.3f}" if isinstance(mean, (int, float)) else "–"
+
+
+def _mapping(value: Json) -> Mapping[str, Json]:
+    return value if isinstance(value, dict) else {}
+
+
+def _words(text: str) -> tuple[str, ...]:
+    return tuple(word for word in (part.strip() for part in text.split(",")) if word)
+
+
+def _seed(word: str) -> int:
+    try:
+        seed = int(word)
+    except ValueError:
+        seed = -1
+    if seed < 0:
+        raise ValueError(f"seed `{word}`: valid are integers from 0 on, with commas between them")
+    return seed

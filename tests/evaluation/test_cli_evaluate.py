@@ -1,0 +1,56 @@
+"""`reins evaluate` on the command line: what it refuses, and what it says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from app.cli import app
+from tests.evaluation import toy
+
+TOY = str(Path(toy.__file__))
+
+
+def evaluate(*words: str, out: Path) -> tuple[int, str]:
+    result = CliRunner().invoke(app, ["evaluate", *words, "--plugin", TOY, "--out", str(out)])
+    return result.exit_code, " ".join(result.output.split())
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--protocol", "nix"], "no protocol `nix`: valid are"),
+        (["--protocol", "toy", "--methods", "nix"], "no method `nix`: valid are direct, static-rule"),
+        (["--protocol", "toy", "--tasks", "nix"], "no task `nix`: valid are waypoint_reaching"),
+        (["--protocol", "toy", "--seeds", "4,x"], "seed `x`: valid are integers from 0 on"),
+        (["--protocol", "toy", "--plugin", "none.py"], "plugin `none.py` cannot be read"),
+    ],
+)
+def test_misuse_names_what_is_valid(words: list[str], said: str, tmp_path: Path) -> None:
+    code, text = evaluate(*words, out=tmp_path)
+    assert code == 2
+    assert said in text
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ends_with_a_table_of_what_was_measured(tmp_path: Path) -> None:
+    words = ["--protocol", "toy", "--seeds", "1", "--trials", "4", "--jobs", "1", "--tasks", "sorting"]
+    code, text = evaluate(*words, "--methods", "reins,toy-method", "--ablations", out=tmp_path)
+    assert code == 0, text
+    assert "UAIR" in text
+    assert "RVDR" not in text
+    assert all(name in text for name in ("reins", "toy-method", "-watcher"))
+    assert (tmp_path / "trials.csv").is_file()
+    code, text = evaluate(*words, "--methods", "reins", out=tmp_path)
+    assert code == 2
+    assert "another configuration: methods differ" in text
+    code, _ = evaluate(*words, "--methods", "reins", "--fresh", out=tmp_path)
+    assert code == 0
+
+
+def test_help_teaches_by_example() -> None:
+    text = CliRunner().invoke(app, ["evaluate", "--help"], env={"COLUMNS": "200"}).output
+    assert "reins evaluate --protocol physical --long" in text
+    assert "--fresh" in text

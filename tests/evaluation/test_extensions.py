@@ -1,0 +1,65 @@
+"""Methods, tasks, faults and protocols from outside."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from app.evaluation.extensions import PluginError, Registry, find_method, find_task, load_plugins
+from app.evaluation.methods import METHODS
+from app.evaluation.model import TASKS, Violation
+from tests.evaluation import toy
+
+TOY = Path(toy.__file__)
+
+
+def plugin(folder: Path, text: str) -> Path:
+    file = folder / "plugin.py"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_a_registry_takes_all_four_kinds() -> None:
+    registry = Registry()
+    toy.register(registry)
+    assert registry.methods["toy-method"].tier == 3
+    assert registry.tasks["toy_task"].capabilities == ("navigate_to",)
+    assert registry.faults["toy_fault"].violation is Violation.SPEED
+    assert "toy" in registry.protocols
+
+
+def test_a_file_is_loaded_once() -> None:
+    load_plugins([TOY])
+    load_plugins([TOY])
+    assert find_method("toy-method").title == "Toy"
+    assert find_task("toy_task").category == "navigation"
+
+
+def test_nothing_shadows_what_the_paper_has() -> None:
+    with pytest.raises(PluginError, match="method `reins`"):
+        Registry().add_method(METHODS["reins"])
+    with pytest.raises(PluginError, match="task `sorting`"):
+        Registry().add_task(TASKS["sorting"])
+    with pytest.raises(PluginError, match="protocol `paper`"):
+        Registry().add_protocol("paper", toy)
+    with pytest.raises(PluginError, match="lacks `jobs, run, results`"):
+        Registry().add_protocol("empty", object())
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("x = 1\n", "has no function `register"),
+        ("1 / 0\n", "ZeroDivisionError"),
+        ("def register(registry): registry.add_wheel()\n", "AttributeError"),
+    ],
+)
+def test_a_plugin_that_cannot_be_used_is_named(tmp_path: Path, text: str, why: str) -> None:
+    with pytest.raises(PluginError, match=why):
+        load_plugins([plugin(tmp_path, text)])
+
+
+def test_a_plugin_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(PluginError, match=r"none\.py` cannot be read"):
+        load_plugins([tmp_path / "none.py"])
