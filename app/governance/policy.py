@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 
 CAREFUL_SPEED: Final = 0.5
+SPEEDS: Final = frozenset({"tcp_speed_mps", "base_speed_mps"})
+SPEED_NOISE_MPS: Final = 0.01  # about five σ of a speed made from the drives' velocities
 """What `careful` leaves of a speed; skills drive at 0.95 of it, as they do with every limit."""
 
 MANIPULATION: Final = "manipulation"
@@ -304,7 +306,7 @@ def _watch_rule(row: WatchRow, capability: Capability, profile: Profile, bounds:
     ):  # what a parameter asks for is pressed with; contact itself is the profile's matter
         threshold = profile.limits[row.limit].maximum * row.times
     elif row.limit is not None:
-        threshold = cast("float", getattr(bounds, row.limit)) * row.times
+        threshold = _headroom(cast("float", getattr(bounds, row.limit)), row, profile)
     else:
         threshold = row.number
     return WatchRule(
@@ -318,6 +320,17 @@ def _watch_rule(row: WatchRow, capability: Capability, profile: Profile, bounds:
         method=row.method,
         failure=row.failure,
     )
+
+
+def _headroom(bound: float, row: WatchRow, profile: Profile) -> float:
+    """Return the threshold over a bound; for a slow session at least what the speed's own noise needs.
+
+    At low speeds five percent of the bound drown in that noise. It is never more than the profile's limit allows.
+    """
+    threshold = bound * row.times
+    if row.signal not in SPEEDS or row.limit is None:
+        return threshold
+    return max(threshold, min(bound + SPEED_NOISE_MPS, profile.limits[row.limit].maximum * row.times))
 
 
 def recovery_plan(policy: PolicySet, capability: str, profile: str) -> RecoveryPlan:

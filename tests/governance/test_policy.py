@@ -99,3 +99,11 @@ def test_an_unknown_capability_leaves_parameters_to_admission():
 def test_descriptions_are_json():
     assert orjson.loads(orjson.dumps(shipped().describe()))["version"] == shipped().digest
     assert len(orjson.loads(orjson.dumps(shipped().manifests()))) == len(shipped().capabilities)
+
+
+@pytest.mark.parametrize(
+    ("speed_mps", "threshold"), [(0.02, 0.03), (0.1, 0.11), (0.2, 0.21), (0.24, 0.252), (0.25, 0.2625), (1.0, 0.2625)]
+)
+def test_a_slow_session_has_headroom_for_the_noise_of_its_speed_and_never_more_than_the_profile(speed_mps, threshold):
+    plan = watch_plan(shipped(), "grasp_object", "human-shared", {"object_id": "mug_1", "speed_mps": speed_mps})
+    assert next(rule for rule in plan.rules if rule.id == "tcp-speed").threshold == pytest.approx(threshold)
