@@ -297,11 +297,10 @@ class Plant:
 
     def place_object(self, name: str, x_m: float, y_m: float, z_m: float, yaw_rad: float = 0.0) -> None:
         """Put an object somewhere before a run starts, or take it away (under the floor it is hung up, not falling)."""
-        self._set_asleep(name, asleep=False)
+        self._set_asleep(name, asleep=z_m < 0)  # the floor would throw out what is put under it
         q, v = self._object_q[name], self._object_v[name]
         self._qpos[q : q + 7] = (x_m, y_m, z_m, cos(yaw_rad / 2), 0.0, 0.0, sin(yaw_rad / 2))
         self._qvel[v : v + 6] = 0.0
-        self.model.body_gravcomp[self._object_body[name]] = 1.0 if z_m < 0 else 0.0
 
     def place_crate(self, name: str, x_m: float, y_m: float, z_m: float = CRATE_HALF_M[2]) -> None:
         """Put a crate on the floor, or hang it up with its middle at `z_m`."""
@@ -402,7 +401,7 @@ class Plant:
         x, y, _ = self._site_xpos[self._tcp].tolist()
         for name, body in self._object_body.items():
             ax, ay, az = self._xpos[body].tolist()
-            far = az > 0 and hypot(ax - x, ay - y) > _WAKE_M
+            far = az < 0 or hypot(ax - x, ay - y) > _WAKE_M
             if far == (name in self._asleep):
                 continue
             v = self._object_v[name]

@@ -12,6 +12,7 @@ from app.sim.occasions import Trigger
 from app.sim.people import Walk
 from app.sim.trial import Ran, run_skill
 from app.sim.workcell import Workcell
+from app.sim.world import UNDER_FLOOR_M
 
 pytestmark = pytest.mark.physics
 
@@ -50,11 +51,36 @@ def test_a_missing_object_is_not_found(site: Site):
     assert ran.failure in {"object_not_found", "grasp_failed", "perception_mismatch"}
 
 
+def test_a_missing_object_stays_away(site: Site):
+    cell = cell_with(site, fault("missing", object="mug_1"))
+    for _ in range(200):
+        cell.step(cell.hold())
+    assert cell.truth().objects["mug_1"][2] == pytest.approx(UNDER_FLOOR_M, abs=0.01)
+
+
 def test_a_slippery_object_slips_out(site: Site):
     cell = cell_with(site, fault("slippery", object="mug_1", friction=0.01))
     ran = run_skill(cell, "grasp_object", {**GRASP, "force_n": 10.0})
     assert cell.truth().held is None
     assert not ran.done
+
+
+def test_a_crate_that_hangs_in_the_way_is_no_obstacle_on_the_floor_and_holds_what_meets_it(site: Site):
+    cell = cell_with(site, fault("blocked", x_m=1.6, y_m=3.7, z_m=0.45))
+    ran = drive(cell, limit_s=20.0)
+    assert (ran.failure, ran.detail) == ("blocked", "the base does not follow: something holds it")
+    assert cell.truth().base[1] > 4.2
+
+
+def test_a_faded_arm_sinks_below_where_it_was_told_to_be(site: Site):
+    def sunk_rad(strength: float) -> float:
+        cell = cell_with(site, fault("fade", strength=strength))
+        for _ in range(100):
+            cell.step(cell.hold())
+        return max(abs(a - b) for a, b in zip(cell.hold().joint_rad, cell.observe().joint_rad, strict=True))
+
+    assert sunk_rad(0.8) < 0.01
+    assert sunk_rad(0.1) > 0.1
 
 
 def test_a_blocked_way_stops_the_drive(site: Site):
