@@ -68,6 +68,8 @@ _EDITED = (
     "actuator_acc0",
     "geom_contype",
     "geom_conaffinity",
+    "body_contype",
+    "body_conaffinity",
 )
 
 
@@ -411,8 +413,10 @@ class Plant:
     def _set_asleep(self, name: str, *, asleep: bool) -> None:
         body, v = self._object_body[name], self._object_v[name]
         geoms = np.flatnonzero(self.model.geom_bodyid == body)
-        for bits in ("geom_contype", "geom_conaffinity"):
-            getattr(self.model, bits)[geoms] = 0 if asleep else self._powered[bits][geoms]
+        # The body's own bits are those of its geoms, worked out at compile time; the broad phase reads them first.
+        for kind, where in (("geom", geoms), ("body", body)):
+            for bits in (f"{kind}_contype", f"{kind}_conaffinity"):
+                getattr(self.model, bits)[where] = 0 if asleep else self._powered[bits][where]
         self.model.body_gravcomp[body] = 1.0 if asleep else 0.0
         self._qvel[v : v + 6] = 0.0
         (self._asleep.add if asleep else self._asleep.discard)(name)
