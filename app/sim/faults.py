@@ -180,9 +180,7 @@ def _blocked(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> None:
 
 
 def _odometry_bias(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> None:
-    victim.sensors.odometry_bias[:] = (
-        (_number(sizes, "x_mps", 0.0), _number(sizes, "y_mps", 0.0)) if begin else (0.0, 0.0)
-    )
+    victim.sensors.odometry_bias = (_number(sizes, "x_mps", 0.0), _number(sizes, "y_mps", 0.0)) if begin else (0.0, 0.0)
 
 
 def _payload_shift(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> None:
@@ -209,8 +207,8 @@ def _misplaced(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> None:
     if begin:
         name = str(sizes["object"])
         at, yaw, _ = victim.plant.true_object(name)
-        x, y = float(at[0]) + _number(sizes, "x_m", 0.0), float(at[1]) + _number(sizes, "y_m", 0.0)
-        victim.plant.place_object(name, x, y, float(at[2]), yaw)
+        x, y = at[0] + _number(sizes, "x_m", 0.0), at[1] + _number(sizes, "y_m", 0.0)
+        victim.plant.place_object(name, x, y, at[2], yaw)
 
 
 def _habit(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> None:

@@ -7,7 +7,8 @@ The model is the robot's nominal one; the base is at the origin, so everything c
 
 from __future__ import annotations
 
-from math import cos, sin
+from math import cos, sin, sqrt
+from operator import mul, sub
 from typing import TYPE_CHECKING, NamedTuple
 
 import mink
@@ -18,11 +19,14 @@ from app.governance.model import CONTROL_PERIOD_S
 from app.sim import robot
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
 
 _RESIDUAL_GAIN_HZ = 12.0
+_AT_REST = (0.0,) * 9
 _IK_STEPS, _IK_POSITION_M, _IK_ANGLE_RAD = 12, 4e-4, 4e-3
 
 
@@ -44,27 +48,50 @@ class SelfModel:
         self._data = mujoco.MjData(self._model)
         self._tcp = int(self._model.site(robot.TCP_SITE).id)
         self._jacp = np.zeros((3, self._model.nv))
+        # Views once, not per tick: every access to a field of `MjData` makes a new array object.
+        data = self._data
+        self._joint, self._velocity, self._acceleration = data.qpos[3:9], data.qvel, data.qacc
+        self._torque, self._tcp_at, self._jacobian = (
+            data.qfrc_inverse[3:9],
+            data.site_xpos[self._tcp],
+            self._jacp[:, 3:9],
+        )
 
     def update(
-        self, joint_rad: Floats, speed: Floats, acceleration: Floats, base_velocity: Floats, base_acceleration: Floats
-    ) -> Floats:
-        """Take the measured motion and return the joint torques it needs (one inverse dynamics call)."""
-        data = self._data
-        data.qpos[3:9] = joint_rad
-        data.qvel[0:3], data.qvel[3:9] = base_velocity, speed
-        data.qacc[0:3], data.qacc[3:9] = base_acceleration, acceleration
-        mujoco.mj_inverse(self._model, data)
-        return data.qfrc_inverse[3:9]
+        self,
+        joint_rad: Sequence[float],
+        velocity: Sequence[float],
+        acceleration: Sequence[float],
+    ) -> list[float]:
+        """Take the measured motion and return the joint torques it needs (one inverse dynamics call).
 
-    def tcp(self) -> tuple[Floats, Floats]:
+        Args:
+            joint_rad: the six joint angles.
+            velocity: of the base (vx, vy, wz), then of the six joints.
+            acceleration: the same nine.
+        """
+        self._joint[:] = joint_rad
+        self._velocity[:] = velocity
+        self._acceleration[:] = acceleration
+        mujoco.mj_inverse(self._model, self._data)
+        return self._torque.tolist()
+
+    def tcp(self) -> tuple[list[float], list[list[float]]]:
         """Return the tool centre point (3) and its Jacobian (3 × 6) at the last update, relative to the base."""
         mujoco.mj_jacSite(self._model, self._data, self._jacp, None, self._tcp)
-        return self._data.site_xpos[self._tcp], self._jacp[:, 3:9]
+        return self._tcp_at.tolist(), self._jacobian.tolist()
 
     def tcp_speed(self, joint_rad: Floats, speed: Floats) -> float:
         """Return the speed of the tool relative to the base for exact joint angles and speeds (evaluation)."""
-        self.update(joint_rad, speed, np.zeros(6), np.zeros(3), np.zeros(3))
-        return float(np.linalg.norm(self.tcp()[1] @ speed))
+        velocity = [0.0, 0.0, 0.0, *speed.tolist()]
+        self.update(joint_rad.tolist(), velocity, _AT_REST)
+        return speed_of(self.tcp()[1], velocity[3:9])
+
+
+def speed_of(jacobian: Sequence[Sequence[float]], joint_speed: Sequence[float]) -> float:
+    """Return the magnitude of what a 3 × 6 Jacobian makes of six joint speeds."""
+    x, y, z = (sum(map(mul, row, joint_speed)) for row in jacobian)
+    return sqrt(x * x + y * y + z * z)
 
 
 class Residual:
@@ -75,26 +102,24 @@ class Residual:
 
     def __init__(self) -> None:
         """Start from zero."""
-        self.value = np.zeros(6)
-        self._zero = np.zeros(6)
-        self._speed: Floats | None = None
-        self._base = np.zeros(3)
+        self.value = self._zero = [0.0] * 6
+        self._velocity: list[float] | None = None
 
-    def accelerations(self, speed: Floats, base_velocity: Floats) -> tuple[Floats, Floats]:
-        """Return joint and base accelerations from one tick to the next."""
-        before = speed if self._speed is None else self._speed
-        joint, base = (speed - before) / CONTROL_PERIOD_S, (base_velocity - self._base) / CONTROL_PERIOD_S
-        self._speed, self._base = speed.copy(), base_velocity.copy()
-        return joint, base
+    def accelerations(self, velocity: list[float]) -> list[float]:
+        """Return the accelerations of base (3) and joints (6) from one tick to the next."""
+        before = [0.0, 0.0, 0.0, *velocity[3:]] if self._velocity is None else self._velocity
+        self._velocity = velocity
+        return [(now - then) / CONTROL_PERIOD_S for now, then in zip(velocity, before, strict=True)]
 
-    def update(self, expected: Floats, measured: Floats) -> Floats:
+    def update(self, expected: Sequence[float], measured: Sequence[float]) -> tuple[float, ...]:
         """Return the residual after one more tick."""
-        self.value += _RESIDUAL_GAIN_HZ * CONTROL_PERIOD_S * (expected - measured - self.value)
-        return self.value - self._zero
+        gain = _RESIDUAL_GAIN_HZ * CONTROL_PERIOD_S
+        self.value = [v + gain * (e - m - v) for v, e, m in zip(self.value, expected, measured, strict=True)]
+        return tuple(map(sub, self.value, self._zero))
 
     def zero(self) -> None:
         """Take what is unexplained now as the load (after lifting, after letting go)."""
-        self._zero = self.value.copy()
+        self._zero = self.value
 
 
 class ArmSolver:

@@ -9,16 +9,10 @@ from collections import deque
 from math import atan2, cos, sin
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from app.governance.model import CONTROL_PERIOD_S
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from app.governance.model import Fix, Vec3
-
-    Floats = NDArray[np.float64]
 
 _ALPHA, _BETA = 0.10, 0.004
 _HISTORY_TICKS = 40
@@ -30,34 +24,39 @@ class Localiser:
 
     def __init__(self, start: Vec3) -> None:
         """Start without offset: the robot was parked where it knows."""
-        self._offset = np.zeros(3)
-        self._rate = np.zeros(3)
-        self._odometry: deque[tuple[float, Floats]] = deque([(0.0, np.array(start))], maxlen=_HISTORY_TICKS)
+        self._offset: Vec3 = (0.0, 0.0, 0.0)
+        self._rate: Vec3 = (0.0, 0.0, 0.0)
+        self._odometry: deque[tuple[float, Vec3]] = deque([(0.0, start)], maxlen=_HISTORY_TICKS)
+        self.pose = start  # the estimated pose of the base: x_m, y_m, yaw_rad
 
-    def update(self, time_s: float, odometry: Floats, fix: Fix | None) -> None:
+    def update(self, time_s: float, odometry: Vec3, fix: Fix | None) -> None:
         """Take this tick's odometry and the fix that arrived in it, if any."""
-        self._offset += self._rate * CONTROL_PERIOD_S
-        self._odometry.append((time_s, odometry.copy()))
-        if fix is None:
-            return
-        then = self._at(fix.stamp_s)
-        seen = np.array((fix.x_m, fix.y_m, fix.yaw_rad))
-        error = seen - then - (self._offset - self._rate * (time_s - fix.stamp_s))
-        error[2] = wrapped(error[2])
-        self._offset += _ALPHA * error
-        self._rate += _BETA / _FIX_PERIOD_S * error
+        (ox, oy, oyaw), (rx, ry, ryaw), dt = self._offset, self._rate, CONTROL_PERIOD_S
+        self._offset = ox, oy, oyaw = ox + rx * dt, oy + ry * dt, oyaw + ryaw * dt
+        self._odometry.append((time_s, odometry))
+        if fix is not None:
+            self._correct(time_s, fix)
+            ox, oy, oyaw = self._offset
+        x, y, yaw = odometry
+        self.pose = (x + ox, y + oy, wrapped(yaw + oyaw))
 
-    def _at(self, time_s: float) -> Floats:
+    def _correct(self, time_s: float, fix: Fix) -> None:
+        then, late = self._at(fix.stamp_s), time_s - fix.stamp_s
+        seen = (fix.x_m, fix.y_m, fix.yaw_rad)
+        ex, ey, eyaw = (s - t - (o - r * late) for s, t, o, r in zip(seen, then, self._offset, self._rate, strict=True))
+        error = (ex, ey, wrapped(eyaw))
+        self._offset = _moved(self._offset, error, _ALPHA)
+        self._rate = _moved(self._rate, error, _BETA / _FIX_PERIOD_S)
+
+    def _at(self, time_s: float) -> Vec3:
         for stamp, pose in reversed(self._odometry):
             if stamp <= time_s + 1e-6:
                 return pose
         return self._odometry[0][1]
 
-    @property
-    def pose(self) -> Vec3:
-        """The estimated pose of the base: x_m, y_m, yaw_rad."""
-        x, y, yaw = self._odometry[-1][1] + self._offset
-        return float(x), float(y), wrapped(float(yaw))
+
+def _moved(at: Vec3, error: Vec3, gain: float) -> Vec3:
+    return at[0] + gain * error[0], at[1] + gain * error[1], at[2] + gain * error[2]
 
 
 def wrapped(angle_rad: float) -> float:

@@ -17,12 +17,8 @@ from app.sim.localisation import to_base, to_world, wrapped
 from app.sim.sensors import Noise
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from app.governance.model import Area, Point, Site, Vec3
     from app.sim.plant import Plant
-
-    Floats = NDArray[np.float64]
 
 LOOK_PERIOD_TICKS = 10
 MAST_RANGE_M, MAST_HALF_ANGLE_RAD, MAST_SIGMA_M = 1.6, 1.25, 0.008
@@ -75,7 +71,8 @@ class Perception:
     def reseed(self, seed: int) -> None:
         """Draw noise and bias anew from another seed; what is remembered stays."""
         self._noise = Noise((seed, 3))
-        self._bias = self._noise_scale * WRIST_BIAS_M * np.random.default_rng((seed, 4)).standard_normal(3)
+        bias = self._noise_scale * WRIST_BIAS_M * np.random.default_rng((seed, 4)).standard_normal(3)
+        self._bias: list[float] = bias.tolist()
 
     def look(self, plant: Plant, tick: int, pose: Vec3) -> None:
         """Look around: remember every object in view of either camera, and crates in the way."""
@@ -116,18 +113,25 @@ class Perception:
         if true[2] < MIN_HEIGHT_M:
             return None
         base = plant.read_base()
-        x, y = to_base(base, float(true[0]), float(true[1]))
+        x, y = to_base(base, true[0], true[1])
         sigma = self._sigma(plant, x, y, true)
         if sigma is None:
             return None
-        n = self._noise_scale * self._noise.row()
-        at = np.array((x, y, true[2])) + self._bias + sigma * n[:3]
-        return Glimpse(*map(float, at), wrapped(yaw - base[2]) + 3 * sigma * float(n[3]), upright > UPRIGHT, sigma)
+        bx, by, bz = self._bias
+        nx, ny, nz, turn = (self._noise_scale * self._noise.row()[:4]).tolist()
+        return Glimpse(
+            x + bx + sigma * nx,
+            y + by + sigma * ny,
+            true[2] + bz + sigma * nz,
+            wrapped(yaw - base[2]) + 3 * sigma * turn,
+            upright > UPRIGHT,
+            sigma,
+        )
 
-    def _sigma(self, plant: Plant, x: float, y: float, true: Floats) -> float | None:
+    def _sigma(self, plant: Plant, x: float, y: float, true: Vec3) -> float | None:
         tcp = plant.true_tcp()
-        above = float(tcp[2] - true[2])
-        aside = hypot(float(true[0] - tcp[0]), float(true[1] - tcp[1]))
+        above = tcp[2] - true[2]
+        aside = hypot(true[0] - tcp[0], true[1] - tcp[1])
         if -0.05 < above < WRIST_RANGE_M and aside < max(0.12, WRIST_SPREAD * above):
             return WRIST_SIGMA_M * max(1.0, above / 0.3)
         if hypot(x, y) < MAST_RANGE_M and abs(atan2(y, x)) < MAST_HALF_ANGLE_RAD:

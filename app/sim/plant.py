@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, field
-from math import cos, hypot, sin
+from math import atan2, cos, hypot, sin
 from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
@@ -34,11 +34,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from app.governance.model import Command, Site
+    from app.governance.model import Command, Site, Vec3, Vec6
 
     Floats = NDArray[np.float64]
 
-_FEED_FORWARD_S = np.array(robot.ARM_KV) / np.array(robot.ARM_KP)
+_FEED_FORWARD_S = tuple(kv / kp for kv, kp in zip(robot.ARM_KV, robot.ARM_KP, strict=True))
 _BRAKE_ARM_NM, _BRAKE_BASE_N = 400.0, 3000.0
 _BASE_HOLD_PER_S, _BASE_HOLD_MAX, _STANDING_MPS = 5.0, 0.05, 0.01
 _SCALING_LEAK_S = 1.5
@@ -48,6 +48,8 @@ _WAKE_M, _RESTING_MPS = (
 )  # around the tool; checked every few ticks, between which the tool moves some centimetres
 _AVERAGE = np.full(SUBSTEPS, 1.0 / SUBSTEPS)
 _LYING = 0.7
+_BETWEEN_PADS_M = (0.05, 0.06, 0.14)  # half sizes of the room between the pads, tool frame
+_PADS_REACH_M = hypot(*_BETWEEN_PADS_M)
 # Model fields that faults and brakes edit; a snapshot carries them beside the integration state.
 _EDITED = (
     "dof_frictionloss",
@@ -77,7 +79,7 @@ _EDITED = (
 class Drives:
     """What the low-level drives remember between ticks, and the faults in them."""
 
-    joint_rad: Floats
+    joint_rad: Vec6
     grip_force_n: float = 0.0
     powered: bool = True
     base_hold: tuple[float, ...] | None = None
@@ -88,21 +90,21 @@ class Drives:
 
 
 class Tick(NamedTuple):
-    """What physically happened in one control tick; arrays, noise-free.
+    """What physically happened in one control tick; noise-free.
 
-    `wrist_force` and `wrist_acceleration` are 5 × 3 in the wrist frame, one row per substep; `pad_force_n` is the
-    mean of each pad; `base_velocity` is in the base frame.
+    `wrist` has one row per substep: force (3) and acceleration (3) in the wrist frame, then what each pad bears;
+    `pad_force_n` is the mean of each pad; `base_velocity` is in the base frame. The joints' arrays are windows on the
+    present: copy what has to last.
     """
 
     joint_rad: Floats
     joint_speed: Floats
     joint_torque: Floats
-    wrist_force: Floats
-    wrist_acceleration: Floats
-    pad_force_n: Floats
+    wrist: list[list[float]]
+    pad_force_n: tuple[float, float]
     width_m: float
-    base_pose: Floats
-    base_velocity: Floats
+    base_pose: Vec3
+    base_velocity: Vec3
 
 
 class Plant:
@@ -116,7 +118,7 @@ class Plant:
         self.objects = tuple(site.objects)
         self._look_up(site)
         start = site.targets[site.start]
-        self.drives = Drives(joint_rad=np.array(robot.HOME_RAD))
+        self.drives = Drives(joint_rad=robot.HOME_RAD)
         self._qpos[self._base_q] = (start.x_m, start.y_m, start.yaw_rad)
         self._qpos[self._arm_q] = robot.HOME_RAD
         self._qpos[self._finger_q] = robot.FINGER_STROKE_M
@@ -125,6 +127,7 @@ class Plant:
                 self._qpos[self._tool_q[tool.name]] = LEVER_SWING_RAD
         self._force = np.zeros((2 * SUBSTEPS, self.model.nsensordata))  # this tick's rows after the last one's
         self._torque = np.zeros((SUBSTEPS, 6))
+        self._rows = tuple(zip(self._force[SUBSTEPS:], self._torque, strict=True))
         self._asleep: set[str] = set()
         mujoco.mj_forward(self.model, self.data)
 
@@ -133,8 +136,6 @@ class Plant:
         # Views once, not per tick: every access to a field of `MjData` makes a new array object.
         data = self.data
         self._qpos, self._qvel, self._ctrl, self._sensed = data.qpos, data.qvel, data.ctrl, data.sensordata
-        self._xpos, self._xmat, self._site_xpos, self._site_xmat = data.xpos, data.xmat, data.site_xpos, data.site_xmat
-        self._pushed = data.qfrc_actuator
         self._base_q = _run_of([model.joint(n).qposadr[0] for n in robot.BASE_JOINTS])
         self._arm_q = _run_of([model.joint(n).qposadr[0] for n in robot.ARM_JOINTS])
         self._finger_q = _run_of([model.joint(n).qposadr[0] for n in robot.FINGER_JOINTS])
@@ -143,6 +144,10 @@ class Plant:
         self._arm_j = _run_of([model.joint(n).id for n in robot.ARM_JOINTS])
         self._arm_u = _run_of([model.actuator(n).id for n in robot.ARM_JOINTS])
         self._base_u = _run_of([model.actuator(n).id for n in robot.BASE_JOINTS])
+        self._base_at, self._base_speed = self._qpos[self._base_q], self._qvel[self._base_v]
+        self._arm_at, self._arm_speed = self._qpos[self._arm_q], self._qvel[self._arm_v]
+        self._arm_pushed, self._fingers_at = data.qfrc_actuator[self._arm_v], self._qpos[self._finger_q]
+        self._arm_ctrl, self._base_ctrl = self._ctrl[self._arm_u], self._ctrl[self._base_u]
         self._grip_u = int(model.actuator(robot.GRIP_ACTUATOR).id)
         self._object_body = {n: int(model.body(n).id) for n in site.objects}
         self._object_q = {n: int(model.joint(n).qposadr[0]) for n in site.objects}
@@ -150,7 +155,10 @@ class Plant:
         self._object_geom = {n: int(model.geom(n).id) for n in site.objects}
         self._pads = tuple(int(model.geom(n).id) for n in robot.PAD_GEOMS)
         self._tool_q = {n: int(model.joint(n).qposadr[0]) for n in site.tools}
-        self._tcp = int(model.site(robot.TCP_SITE).id)
+        tcp = int(model.site(robot.TCP_SITE).id)
+        self._tcp_at, self._tcp_turn = data.site_xpos[tcp], data.site_xmat[tcp]
+        self._object_at = {n: data.xpos[body] for n, body in self._object_body.items()}
+        self._object_turn = {n: data.xmat[body] for n, body in self._object_body.items()}
         self._gripper_kg = float(model.body_subtreemass[model.body("gripper").id])
         self._powered = {name: getattr(model, name).copy() for name in _EDITED}
 
@@ -163,47 +171,45 @@ class Plant:
             self._drive_arm(command)
             self._drive_base(command)
         self._drive_grip(command.grip_force_n)
-        model, data = self.model, self.data
-        force, torque, sensed, pushed = self._force, self._torque, self._sensed, self._pushed[self._arm_v]
-        force[:SUBSTEPS] = force[SUBSTEPS:]
-        for k in range(SUBSTEPS):
-            mujoco.mj_step(model, data)
-            force[SUBSTEPS + k] = sensed
-            torque[k] = pushed
-        mujoco.mj_kinematics(
-            model, data
-        )  # poses of now, not of the last substep's beginning: the same that a restored state has
+        self._force[:SUBSTEPS] = self._force[SUBSTEPS:]
+        model, data, sensed, pushed, mj_step = self.model, self.data, self._sensed, self._arm_pushed, mujoco.mj_step
+        for force, torque in self._rows:
+            mj_step(model, data)
+            force[:] = sensed
+            torque[:] = pushed
+        # Poses of now, not of the last substep's beginning: the same that a restored state has.
+        mujoco.mj_kinematics(model, data)
         return self.read()
 
     def _drive_arm(self, command: Command) -> None:
-        drives = self.drives
-        wanted = np.array(command.joint_rad)
+        drives, wanted = self.drives, command.joint_rad
         if drives.speed_gain != 1.0:
-            leak = _SCALING_LEAK_S if np.abs(command.joint_speed_radps).max() > 1e-3 else 0.3
+            leak = _SCALING_LEAK_S if max(map(abs, command.joint_speed_radps)) > 1e-3 else 0.3
             drives.scaling_offset_rad *= 1.0 - PHYSICS_STEP_S * SUBSTEPS / leak
-            drives.scaling_offset_rad += (drives.speed_gain - 1.0) * (wanted - drives.joint_rad)
-        drives.joint_rad = wanted
-        speed = np.array(command.joint_speed_radps) * drives.speed_gain
-        self._ctrl[self._arm_u] = wanted + drives.scaling_offset_rad + _FEED_FORWARD_S * speed
+            drives.scaling_offset_rad += (drives.speed_gain - 1.0) * np.subtract(wanted, drives.joint_rad)
+        drives.joint_rad, gain = wanted, drives.speed_gain
+        self._arm_ctrl[:] = [
+            q + offset + lead * (v * gain)
+            for q, offset, lead, v in zip(
+                wanted, drives.scaling_offset_rad.tolist(), _FEED_FORWARD_S, command.joint_speed_radps, strict=True
+            )
+        ]
 
     def _drive_base(self, command: Command) -> None:
         drives = self.drives
         vx, vy, wz = command.base_velocity
         if vx == 0.0 and vy == 0.0 and wz == 0.0:
-            self._ctrl[self._base_u] = self._stand_still()
+            self._base_ctrl[:] = self._stand_still()
             return
         drives.base_hold = None
-        yaw, gain = float(self._qpos[self._base_q][2]), drives.speed_gain
-        self._ctrl[self._base_u] = (
-            gain * (cos(yaw) * vx - sin(yaw) * vy),
-            gain * (sin(yaw) * vx + cos(yaw) * vy),
-            gain * wz,
-        )
+        yaw, gain = float(self._base_at[2]), drives.speed_gain
+        c, s = cos(yaw), sin(yaw)
+        self._base_ctrl[:] = (gain * (c * vx - s * vy), gain * (s * vx + c * vy), gain * wz)
 
     def _stand_still(self) -> tuple[float, ...]:
         """Standing still is a position loop of the wheel drives: a push does not move the base away for good."""
-        drives, at = self.drives, self._qpos[self._base_q].tolist()
-        if drives.base_hold is None and max(map(abs, self._qvel[self._base_v].tolist())) < _STANDING_MPS:
+        drives, at = self.drives, self._base_at.tolist()
+        if drives.base_hold is None and max(map(abs, self._base_speed.tolist())) < _STANDING_MPS:
             drives.base_hold = tuple(at)
         if drives.base_hold is None:
             return (0.0, 0.0, 0.0)
@@ -218,21 +224,20 @@ class Plant:
 
     def read(self) -> Tick:
         """Return what the last tick physically was."""
-        pose, fingers = self._qpos[self._base_q], self._qpos[self._finger_q]
-        vx, vy, wz = self._qvel[self._base_v].tolist()
-        yaw = float(pose[2])
+        _, _, yaw = pose = self.read_base()
+        vx, vy, wz = self._base_speed.tolist()
         c, s = cos(yaw), sin(yaw)
-        force = self._force[SUBSTEPS:]
+        left, right = self._fingers_at.tolist()
+        wrist = self._force[SUBSTEPS:].tolist()
         return Tick(
-            joint_rad=self._qpos[self._arm_q],
-            joint_speed=self._qvel[self._arm_v],
+            joint_rad=self._arm_at,
+            joint_speed=self._arm_speed,
             joint_torque=_AVERAGE @ self._torque,
-            wrist_force=force[:, 0:3],
-            wrist_acceleration=force[:, 3:6],
-            pad_force_n=_AVERAGE @ force[:, 6:8],
-            width_m=float(fingers[0] + fingers[1]),
+            wrist=wrist,
+            pad_force_n=(sum([row[6] for row in wrist]) / SUBSTEPS, sum([row[7] for row in wrist]) / SUBSTEPS),
+            width_m=left + right,
             base_pose=pose,
-            base_velocity=np.array((c * vx + s * vy, c * vy - s * vx, wz)),
+            base_velocity=(c * vx + s * vy, c * vy - s * vx, wz),
         )
 
     def cut_power(self) -> None:
@@ -258,11 +263,11 @@ class Plant:
         self.weaken(drives.strength)
         model.dof_frictionloss[self._arm_v] = 0.0
         model.dof_frictionloss[self._base_v] = 0.0
-        drives.powered, drives.base_hold = True, tuple(self._qpos[self._base_q].tolist())
-        drives.joint_rad = self._qpos[self._arm_q].copy()
+        drives.powered, drives.base_hold = True, self.read_base()
+        drives.joint_rad = tuple(self._arm_at.tolist())
         drives.scaling_offset_rad = np.zeros(6)
-        self._ctrl[self._arm_u] = drives.joint_rad
-        self._ctrl[self._base_u] = 0.0
+        self._arm_ctrl[:] = drives.joint_rad
+        self._base_ctrl[:] = 0.0
 
     # -- changing the world (faults, people) -----------------------------------------------------------------
 
@@ -326,38 +331,40 @@ class Plant:
 
     # -- truth -----------------------------------------------------------------------------------------------
 
-    def true_object(self, name: str) -> tuple[Floats, float, float]:
+    def true_object(self, name: str) -> tuple[Vec3, float, float]:
         """Return an object's true position, its yaw, and how upright it stands (1 upright, 0 lying)."""
-        body = self._object_body[name]
-        matrix = self._xmat[body].reshape(3, 3)
+        x, y, z = self._object_at[name].tolist()
+        turn = self._object_turn[name].tolist()
         # Lying down, what is left of a heading is the direction of the long axis.
-        column = 0 if abs(matrix[2, 2]) > _LYING else 2
-        return self._xpos[body], float(np.arctan2(matrix[1, column], matrix[0, column])), abs(float(matrix[2, 2]))
+        column = 0 if abs(turn[8]) > _LYING else 2
+        return (x, y, z), atan2(turn[3 + column], turn[column]), abs(turn[8])
 
-    def read_base(self) -> tuple[float, float, float]:
+    def read_base(self) -> Vec3:
         """Return the true pose of the base: x_m, y_m, yaw_rad."""
-        x, y, yaw = self._qpos[self._base_q]
-        return float(x), float(y), float(yaw)
+        x, y, yaw = self._base_at.tolist()
+        return x, y, yaw
 
-    def between_pads(self) -> tuple[str, Floats] | None:
+    def between_pads(self) -> tuple[str, Vec3] | None:
         """Return the object whose middle line passes between the pads, with its position in the tool frame.
 
         By geometry alone.
         """
-        tcp, frame = self.true_tcp(), self.tool_frame()
-        for name, body in self._object_body.items():
-            at = frame.T @ (self._xpos[body] - tcp)
-            if abs(at[0]) < 0.05 and abs(at[1]) < 0.06 and abs(at[2]) < 0.14:
-                return name, at
+        x, y, z = self.true_tcp()
+        turn = self._tcp_turn.tolist()
+        for name, at in self._object_at.items():
+            ox, oy, oz = at.tolist()
+            dx, dy, dz = ox - x, oy - y, oz - z
+            if dx * dx + dy * dy + dz * dz > _PADS_REACH_M**2:
+                continue
+            along, across, deep = (turn[k] * dx + turn[3 + k] * dy + turn[6 + k] * dz for k in range(3))
+            if abs(along) < _BETWEEN_PADS_M[0] and abs(across) < _BETWEEN_PADS_M[1] and abs(deep) < _BETWEEN_PADS_M[2]:
+                return name, (along, across, deep)
         return None
 
-    def true_tcp(self) -> Floats:
+    def true_tcp(self) -> Vec3:
         """Return the true position of the tool centre point, world frame."""
-        return self._site_xpos[self._tcp]
-
-    def tool_frame(self) -> Floats:
-        """Return the 3 × 3 orientation of the tool, world frame."""
-        return self._site_xmat[self._tcp].reshape(3, 3)
+        x, y, z = self._tcp_at.tolist()
+        return x, y, z
 
     def true_held(self) -> str | None:
         """Return the object that both pads touch, if one."""
@@ -400,9 +407,9 @@ class Plant:
 
         Without contacts they neither move nor cost.
         """
-        x, y, _ = self._site_xpos[self._tcp].tolist()
-        for name, body in self._object_body.items():
-            ax, ay, az = self._xpos[body].tolist()
+        x, y, _ = self.true_tcp()
+        for name, at in self._object_at.items():
+            ax, ay, az = at.tolist()
             far = az < 0 or hypot(ax - x, ay - y) > _WAKE_M
             if far == (name in self._asleep):
                 continue
@@ -436,7 +443,7 @@ class Plant:
         physics, edits, own = copy.deepcopy(state)  # type: ignore[misc]  # opaque outside this class
         for name, values in edits.items():
             getattr(self.model, name)[:] = values
-        self.drives, self._force, self._torque, self._asleep = own
+        self.drives, self._force[:], self._torque[:], self._asleep = own
         mujoco.mj_setState(self.model, self.data, physics, mujoco.mjtState.mjSTATE_INTEGRATION)
         mujoco.mj_forward(self.model, self.data)
         mujoco.mj_setState(

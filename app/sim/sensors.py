@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from math import cos, hypot, inf, sin, sqrt
+from math import cos, dist, hypot, inf, sin, sqrt
 from statistics import NormalDist
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -37,12 +37,14 @@ WRIST_SIGMA_N, PAD_SIGMA_N, WIDTH_SIGMA_M, SLIP_SIGMA_M = 0.6, 0.15, 1e-4, 1e-4
 PAD_LOADED_N = 1.0
 SENSORS = ("arm", "wrist", "gripper", "odometry", "fix", "people", "objects")
 _COLUMNS, _ROWS = 64, 512
-_BASE_SIGMA, _WHEELS_STILL = np.array((0.002, 0.002, 0.002)), 1e-3
+_BASE_SIGMA, _WHEELS_STILL = 0.002, 1e-3
 _BODY_SIGMA = np.repeat(
-    (ENCODER_SIGMA_RAD, DRIVE_SIGMA_RADPS, TORQUE_SIGMA_NM, WRIST_SIGMA_N, PAD_SIGMA_N, WIDTH_SIGMA_M),
-    (6, 6, 6, 3, 2, 1),
+    (
+        *(ENCODER_SIGMA_RAD, DRIVE_SIGMA_RADPS, TORQUE_SIGMA_NM, WRIST_SIGMA_N, PAD_SIGMA_N),
+        *(WIDTH_SIGMA_M, SLIP_SIGMA_M, _BASE_SIGMA),
+    ),
+    (6, 6, 6, 3, 2, 1, 1, 3),
 )
-_THIRDS, _AVERAGE = np.zeros(3), np.full(5, 0.2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,10 +132,10 @@ class SensorFault:
 class Reading(NamedTuple):
     """All body sensors in one tick: (stamp, values) each, as delivered."""
 
-    arm: tuple[float, Floats]  # 6 angles, 6 speeds, 6 torques
-    wrist: tuple[float, Floats]  # mean, peak
-    gripper: tuple[float, Floats]  # width, left pad, right pad, slip
-    odometry: tuple[float, Floats]  # x, y, yaw, vx, vy, wz
+    arm: tuple[float, list[float]]  # 6 angles, 6 speeds, 6 torques
+    wrist: tuple[float, list[float]]  # mean, peak
+    gripper: tuple[float, list[float]]  # width, left pad, right pad, slip
+    odometry: tuple[float, list[float]]  # x, y, yaw, vx, vy, wz
 
 
 class Sensors:
@@ -150,17 +152,16 @@ class Sensors:
         """
         self._quality = quality
         self._dropped_beyond = NormalDist().inv_cdf(1.0 - quality.dropout / 2.0) if quality.dropout > 0.0 else inf
-        self._body_sigma, self._base_sigma = quality.noise * _BODY_SIGMA, quality.noise * _BASE_SIGMA
-        self._slip_sigma_m = quality.noise * SLIP_SIGMA_M
+        self._body_sigma = quality.noise * _BODY_SIGMA
         self._fix_sigma = quality.noise * np.array((FIX_SIGMA_M, FIX_SIGMA_M, FIX_SIGMA_RAD))
         self._people_sigma_m = quality.noise * PEOPLE_SIGMA_M
-        self.odometry = np.array(start, dtype=np.float64)
+        self.odometry = start
         self.reseed(seed)
-        self.odometry_bias = np.zeros(2)  # m/s, world frame; a fault sets it
+        self.odometry_bias: Point = (0.0, 0.0)  # m/s, world frame; a fault sets it
         self.faults: dict[str, SensorFault] = {}
         self.load_kg = 0.0
         self._gripper_kg = gripper_kg
-        self._grip: tuple[str, Floats] | None = None
+        self._grip: tuple[str, Vec3] | None = None
         self._slip_m = 0.0
         self._fixes: deque[tuple[int, Fix]] = deque()
         self._sightings: deque[tuple[int, float, tuple[PersonTrack, ...]]] = deque()
@@ -171,12 +172,12 @@ class Sensors:
         """Draw noise and traits anew from another seed; what was measured so far stays."""
         self._noise = Noise((seed, 1))
         traits = self._quality.noise * np.random.default_rng((seed, 2)).standard_normal(4)
-        self.odometry_scale = 1.0 + 0.005 * traits[0]
-        self.odometry_turn_radpm = 0.01 * traits[1]
+        self.odometry_scale = 1.0 + 0.005 * float(traits[0])
+        self.odometry_turn_radpm = 0.01 * float(traits[1])
 
     # -- body ------------------------------------------------------------------------------------------------
 
-    def read(self, tick: int, physical: Tick, nearest: tuple[str, Floats] | None) -> Reading:
+    def read(self, tick: int, physical: Tick, nearest: tuple[str, Vec3] | None) -> Reading:
         """Return what the body sensors say.
 
         Args:
@@ -186,80 +187,90 @@ class Sensors:
         """
         now = tick * CONTROL_PERIOD_S
         n = self._noise.row()
-        raw = np.concatenate(
-            (
-                physical.joint_rad,
-                physical.joint_speed,
-                physical.joint_torque,
-                _THIRDS,
-                physical.pad_force_n,
-                (physical.width_m,),
-            )
-        )
-        outer = physical.wrist_force - (self._gripper_kg + self.load_kg) * physical.wrist_acceleration
-        raw[18:21] = _AVERAGE @ outer
-        raw += self._body_sigma * n[: len(raw)]
-        mean, pads = raw[18:21], np.maximum(raw[21:23], 0.0)
-        wrist = np.array((sqrt(mean @ mean), sqrt((outer * outer).sum(axis=1).max())))
-        slip = self._measure_slip(pads, nearest) + abs(self._slip_sigma_m * n[24])
-        gripper = np.array((raw[23], pads[0], pads[1], slip))
+        noise = self._body_sigma * n[: len(self._body_sigma)]
+        arm = np.concatenate((physical.joint_rad, physical.joint_speed, physical.joint_torque))
+        arm += noise[0:18]
+        nx, ny, nz, n_left, n_right, n_width, n_slip, *n_base = noise[18:].tolist()
+        fx, fy, fz, peak = self._measure_wrist(physical.wrist)
+        left, right = physical.pad_force_n
+        left, right = max(left + n_left, 0.0), max(right + n_right, 0.0)
+        slip = self._measure_slip(left, right, nearest) + abs(n_slip)
         velocity = physical.base_velocity
-        if np.abs(velocity).max() > _WHEELS_STILL:
-            velocity = velocity + self._base_sigma * n[25:28]
-        odometry = np.concatenate((self._dead_reckon(velocity), velocity))
-        arm = raw[0:18]
-        values = {"arm": arm, "wrist": wrist, "gripper": gripper, "odometry": odometry}
+        if max(map(abs, velocity)) > _WHEELS_STILL:
+            velocity = velocity[0] + n_base[0], velocity[1] + n_base[1], velocity[2] + n_base[2]
+        reading = Reading(
+            (now, arm.tolist()),
+            (now, [hypot(fx + nx, fy + ny, fz + nz), peak]),
+            (now, [physical.width_m + n_width, left, right, slip]),
+            (now, [*self._dead_reckon(velocity), *velocity]),
+        )
         if not self.faults:
-            return Reading(*((now, value) for value in values.values()))
-        return Reading(*(self._deliver(name, now, value, n[32:]) for name, value in values.items()))
+            return reading
+        return Reading(*(self._deliver(name, *said, n[32:]) for name, said in reading._asdict().items()))
 
-    def _deliver(self, name: str, stamp_s: float, value: Floats, noise: Floats) -> tuple[float, Floats]:
+    def _deliver(self, name: str, stamp_s: float, values: list[float], noise: Floats) -> tuple[float, list[float]]:
         fault = self.faults.get(name)
-        return fault.distort(stamp_s, value, noise) if fault else (stamp_s, value)
+        if fault is None:
+            return stamp_s, values
+        stamp_s, broken = fault.distort(stamp_s, np.array(values), noise)
+        return stamp_s, broken.tolist()
 
-    def _measure_slip(self, pads: Floats, nearest: tuple[str, Floats] | None) -> float:
+    def _measure_wrist(self, substeps: list[list[float]]) -> tuple[float, float, float, float]:
+        """Return the mean force beyond gripper and load (x, y, z), and its highest magnitude in any substep."""
+        mass, peak = self._gripper_kg + self.load_kg, 0.0
+        sx = sy = sz = 0.0
+        for fx, fy, fz, ax, ay, az, *_ in substeps:
+            x, y, z = fx - mass * ax, fy - mass * ay, fz - mass * az
+            sx, sy, sz, peak = sx + x, sy + y, sz + z, max(peak, x * x + y * y + z * z)
+        count = len(substeps)
+        return sx / count, sy / count, sz / count, sqrt(peak)
+
+    def _measure_slip(self, left_n: float, right_n: float, nearest: tuple[str, Vec3] | None) -> float:
         """Watch how far the thing between the pads moves against them since the grip closed.
 
         Keeps the last value once it is gone.
         """
-        if pads.min() < PAD_LOADED_N or nearest is None:
-            if pads.max() < PAD_LOADED_N and self._slip_m == 0.0:
+        if min(left_n, right_n) < PAD_LOADED_N or nearest is None:
+            if max(left_n, right_n) < PAD_LOADED_N and self._slip_m == 0.0:
                 self._grip = None
             return self._slip_m
         name, at = nearest
         if self._grip is None or self._grip[0] != name:
-            self._grip = (name, at.copy())
-        moved = at - self._grip[1]
-        self._slip_m = float(np.sqrt(moved @ moved))
+            self._grip = nearest
+        self._slip_m = dist(at, self._grip[1])
         return self._slip_m
 
     def tare(self, physical: Tick) -> None:
         """Take what hangs on the wrist now as the load (standing still); nothing between the pads means no load."""
-        force, acceleration = physical.wrist_force.mean(axis=0), physical.wrist_acceleration.mean(axis=0)
+        force, acceleration = np.split(np.array(physical.wrist).mean(axis=0)[:6], 2)
         carried = float(force @ acceleration) / float(acceleration @ acceleration) - self._gripper_kg
-        self.load_kg = max(carried, 0.0) if physical.pad_force_n.min() > PAD_LOADED_N else 0.0
+        self.load_kg = max(carried, 0.0) if min(physical.pad_force_n) > PAD_LOADED_N else 0.0
 
     def zero_slip(self) -> None:
         """Take the present grip as the one without slip (after the grip has closed or opened)."""
         self._grip, self._slip_m = None, 0.0
 
-    def _dead_reckon(self, velocity: Floats) -> Floats:
-        pose, dt = self.odometry, CONTROL_PERIOD_S
-        vx, vy, wz = (velocity * self.odometry_scale).tolist()
-        yaw = float(pose[2]) + 0.5 * wz * dt
-        pose[0] += (cos(yaw) * vx - sin(yaw) * vy + self.odometry_bias[0]) * dt
-        pose[1] += (sin(yaw) * vx + cos(yaw) * vy + self.odometry_bias[1]) * dt
-        pose[2] += (wz + self.odometry_turn_radpm * hypot(vx, vy)) * dt
-        return pose.copy()
+    def _dead_reckon(self, velocity: Vec3) -> Vec3:
+        (x, y, yaw), scale, dt = self.odometry, self.odometry_scale, CONTROL_PERIOD_S
+        vx, vy, wz = velocity[0] * scale, velocity[1] * scale, velocity[2] * scale
+        middle = yaw + 0.5 * wz * dt
+        c, s = cos(middle), sin(middle)
+        self.odometry = (
+            x + (c * vx - s * vy + self.odometry_bias[0]) * dt,
+            y + (s * vx + c * vy + self.odometry_bias[1]) * dt,
+            yaw + (wz + self.odometry_turn_radpm * hypot(vx, vy)) * dt,
+        )
+        return self.odometry
 
     # -- absolute fix ----------------------------------------------------------------------------------------
 
-    def fix(self, tick: int, pose: Floats) -> Fix | None:
+    def fix(self, tick: int, pose: Vec3) -> Fix | None:
         """Take a fix every 50 ms and return the one that arrives in this tick, if one does."""
         if tick % FIX_PERIOD_TICKS == 0:
             n = self._noise.row()
-            stamp, value = self._deliver("fix", tick * CONTROL_PERIOD_S, pose + self._fix_sigma * n[:3], n[3:])
-            self._fixes.append((tick + self._quality.fix_delay_ticks, Fix(stamp, *map(float, value))))
+            seen = [true + noise for true, noise in zip(pose, (self._fix_sigma * n[:3]).tolist(), strict=True)]
+            stamp, (x, y, yaw) = self._deliver("fix", tick * CONTROL_PERIOD_S, seen, n[3:])
+            self._fixes.append((tick + self._quality.fix_delay_ticks, Fix(stamp, x, y, yaw)))
         if self._fixes and self._fixes[0][0] <= tick:
             fix = self._fixes.popleft()[1]
             if fix.stamp_s > self.fix_stamp_s:
@@ -283,6 +294,8 @@ class Sensors:
             _, stamp, seen = self._sightings.popleft()
             self.people_stamp_s = max(self.people_stamp_s, stamp)
             self._tracks.update({track.person: track for track in seen})
+        if not self._tracks:
+            return ()
         self._tracks = {k: track for k, track in self._tracks.items() if now - track.stamp_s < PEOPLE_KEEP_S}
         return tuple(self._tracks.values())
 
@@ -295,7 +308,8 @@ class Sensors:
         walls: Sequence[tuple[Point, ...]],
     ) -> None:
         n = self._noise.row()
-        seen: list[tuple[int, Floats]] = []
+        ids: list[int] = []
+        spots: list[float] = []
         for person, (x, y) in present:
             k = 4 * (person % 8)
             dropped = abs(n[k + 2]) > self._dropped_beyond
@@ -305,12 +319,12 @@ class Sensors:
                 or any(_crosses(eye, (x, y), wall) for wall in walls)
             ):
                 continue
-            seen.append((person, np.array((x, y)) + self._people_sigma_m * n[k : k + 2]))
-        stamp, values = self._deliver("people", now, np.array([value for _, value in seen]).ravel(), n[32:])
-        values = values.reshape(-1, 2)
-        ids = [person for person, _ in seen][: len(values)]
+            ids.append(person)
+            spots += (x + self._people_sigma_m * float(n[k]), y + self._people_sigma_m * float(n[k + 1]))
+        stamp, spots = self._deliver("people", now, spots, n[32:])
+        # A broken tracker may repeat a sighting of fewer or more people than are in view now.
         tracks = tuple(
-            PersonTrack(person, stamp, float(v[0]), float(v[1])) for person, v in zip(ids, values, strict=False)
+            PersonTrack(person, stamp, x, y) for person, x, y in zip(ids, spots[0::2], spots[1::2], strict=False)
         )
         self._sightings.append((tick + self._quality.people_delay_ticks, stamp, tracks))
 

@@ -22,7 +22,7 @@ from app.sim import robot
 from app.sim.display import body_poses, describe
 from app.sim.faults import FaultClock, Scenario, Victim
 from app.sim.hand import Mark
-from app.sim.kinematics import ArmSolver, Residual, SelfModel
+from app.sim.kinematics import ArmSolver, Residual, SelfModel, speed_of
 from app.sim.localisation import Localiser, to_base
 from app.sim.navigation import distance_to
 from app.sim.occasions import Occasions
@@ -236,8 +236,7 @@ class Workcell:
     def reset(self) -> None:
         """Give power back with everything held where it is now."""
         self.plant.give_power()
-        joints = tuple(self.plant.drives.joint_rad.tolist())
-        self._state.held = self._state.held._replace(joint_rad=joints)
+        self._state.held = self._state.held._replace(joint_rad=self.plant.drives.joint_rad)
 
     def facts(self) -> WorldFacts:
         """Return what the sensors say about the world."""
@@ -377,19 +376,19 @@ class Workcell:
         return Truth(
             time_s=self._state.tick * CONTROL_PERIOD_S,
             base=base,
-            base_speed_mps=float(np.hypot(*tick.base_velocity[:2])),
-            tcp_m=tuple(plant.true_tcp().tolist()),
+            base_speed_mps=hypot(*tick.base_velocity[:2]),
+            tcp_m=plant.true_tcp(),
             tcp_speed_mps=speed,
             contact_force_n=contact,
             peak_force_n=peak,
             held=held,
-            grip_force_n=float(tick.pad_force_n.mean()),
+            grip_force_n=0.5 * sum(tick.pad_force_n),
             people_m=min(people, default=99.0),
             people=tuple(self._state.people.present.values()),
             zones=tuple(
                 name for name, zone in self.site.zones.items() if float(distance_to(zone.polygon, *at)[0]) == 0.0
             ),
-            objects={name: tuple(found[0].tolist()) for name, found in objects.items()},
+            objects={name: found[0] for name, found in objects.items()},
             upright={name: found[2] > 0.9 for name, found in objects.items()},  # cosine of the lean
             tools={name: plant.tool_angle(name) for name in self.site.tools},
         )
@@ -398,20 +397,19 @@ class Workcell:
         """Return what truly is as far as limits speak of it, without the cost of the whole truth."""
         plant, hand = self.plant, self._state.hand
         tick = plant.read()
-        pads = tick.pad_force_n
-        held = hand.name if hand and pads.min() > PAD_LOADED_N else None
-        tcp, base = plant.true_tcp(), plant.read_base()
-        vx, vy, _ = tick.base_velocity.tolist()
+        held = hand.name if hand and min(tick.pad_force_n) > PAD_LOADED_N else None
+        tcp, base = plant.true_tcp(), tick.base_pose
+        vx, vy, _ = tick.base_velocity
         c, s = cos(base[2]), sin(base[2])
         return Glance(
             self._self_model.tcp_speed(tick.joint_rad, tick.joint_speed),
             hypot(vx, vy),
             *plant.true_contact_n(held),
-            float(pads.mean()),
+            0.5 * sum(tick.pad_force_n),
             base,
             (c * vx - s * vy, s * vx + c * vy),
-            tuple(tcp.tolist()),
-            None if hand is None else dist(plant.true_object(hand.name)[0].tolist(), tcp.tolist()),
+            tcp,
+            None if hand is None else dist(plant.true_object(hand.name)[0], tcp),
             tuple(self._state.people.present.values()),
         )
 
@@ -420,39 +418,35 @@ class Workcell:
     def _sense(self, physical: Tick, now: float) -> Observation:
         state, sensors = self._state, self._state.sensors
         reading = sensors.read(
-            state.tick, physical, self.plant.between_pads() if physical.pad_force_n.max() > 0.1 else None
+            state.tick, physical, self.plant.between_pads() if max(physical.pad_force_n) > 0.1 else None
         )
         fix = sensors.fix(state.tick, physical.base_pose)
-        eye = (float(physical.base_pose[0]), float(physical.base_pose[1]))
-        people = sensors.people(state.tick, state.people.present.items(), eye, self._walls)
-        arm, odometry, gripper = reading.arm[1], reading.odometry[1], reading.gripper[1]
-        joint, speed, torque = arm[0:6], arm[6:12], arm[12:18]
-        acceleration, base_acceleration = state.residual.accelerations(speed, odometry[3:6])
-        expected = self._self_model.update(joint, speed, acceleration, odometry[3:6], base_acceleration)
-        residual = state.residual.update(expected, torque)
+        people = sensors.people(state.tick, state.people.present.items(), physical.base_pose[:2], self._walls)
+        arm, odometry, gripper = reading.arm[1], tuple(reading.odometry[1]), reading.gripper[1]
+        joint, speed, velocity = tuple(arm[0:6]), tuple(arm[6:12]), [*odometry[3:6], *arm[6:12]]
+        expected = self._self_model.update(joint, velocity, state.residual.accelerations(velocity))
         tcp, jacobian = self._self_model.tcp()
-        tcp_speed = jacobian @ speed
         state.localiser.update(now, odometry[0:3], fix)
         if state.tick % LOOK_PERIOD_TICKS == 0:
             state.perception.look(self.plant, state.tick, state.localiser.pose)
         return Observation(
             tick=state.tick,
             time_s=now,
-            joint_rad=tuple(joint.tolist()),
-            joint_speed_radps=tuple(speed.tolist()),
-            joint_torque_nm=tuple(torque.tolist()),
-            residual_nm=tuple(residual.tolist()),
-            tcp_m=tuple(tcp.tolist()),
-            tcp_speed_mps=float(np.sqrt(tcp_speed @ tcp_speed)),
-            jacobian=tuple(jacobian.ravel().tolist()),
-            contact_force_n=float(reading.wrist[1][0]),
-            peak_force_n=float(reading.wrist[1][1]),
-            grip_width_m=float(gripper[0]),
-            grip_force_n=float(0.5 * (gripper[1] + gripper[2])),
-            slip_m=float(gripper[3]),
-            pads_loaded=bool(gripper[1] > PAD_LOADED_N and gripper[2] > PAD_LOADED_N),
-            odometry=tuple(odometry[0:3].tolist()),
-            base_velocity=tuple(odometry[3:6].tolist()),
+            joint_rad=joint,
+            joint_speed_radps=speed,
+            joint_torque_nm=tuple(arm[12:18]),
+            residual_nm=state.residual.update(expected, arm[12:18]),
+            tcp_m=tuple(tcp),
+            tcp_speed_mps=speed_of(jacobian, speed),
+            jacobian=(*jacobian[0], *jacobian[1], *jacobian[2]),
+            contact_force_n=reading.wrist[1][0],
+            peak_force_n=reading.wrist[1][1],
+            grip_width_m=gripper[0],
+            grip_force_n=0.5 * (gripper[1] + gripper[2]),
+            slip_m=gripper[3],
+            pads_loaded=gripper[1] > PAD_LOADED_N and gripper[2] > PAD_LOADED_N,
+            odometry=odometry[0:3],
+            base_velocity=odometry[3:6],
             fix=fix,
             people=people,
             stamps_s=SensorStamps(
