@@ -72,6 +72,7 @@ _EDITED = (
     "geom_conaffinity",
     "body_contype",
     "body_conaffinity",
+    "tree_sleep_policy",
 )
 
 
@@ -160,6 +161,8 @@ class Plant:
         self._object_at = {n: data.xpos[body] for n, body in self._object_body.items()}
         self._object_turn = {n: data.xmat[body] for n, body in self._object_body.items()}
         self._gripper_kg = float(model.body_subtreemass[model.body("gripper").id])
+        # Nothing falls asleep by itself: what dozes is decided here, and in the same way after a restore.
+        model.tree_sleep_policy[:] = mujoco.mjtSleepPolicy.mjSLEEP_NEVER
         self._powered = {name: getattr(model, name).copy() for name in _EDITED}
 
     # -- moving ----------------------------------------------------------------------------------------------
@@ -405,7 +408,8 @@ class Plant:
     def doze(self) -> None:
         """Spare the solver objects that lie still away from the gripper.
 
-        Without contacts they neither move nor cost.
+        Without contacts and weight they do not move, so that MuJoCo may let them sleep; that changes no bit of
+        anything else, whether they sleep already or not yet.
         """
         x, y, _ = self.true_tcp()
         for name, at in self._object_at.items():
@@ -425,6 +429,9 @@ class Plant:
             for bits in (f"{kind}_contype", f"{kind}_conaffinity"):
                 getattr(self.model, bits)[where] = 0 if asleep else self._powered[bits][where]
         self.model.body_gravcomp[body] = 1.0 if asleep else 0.0
+        policy = mujoco.mjtSleepPolicy
+        tree = int(self.model.body_treeid[body])
+        self.model.tree_sleep_policy[tree] = policy.mjSLEEP_ALLOWED if asleep else policy.mjSLEEP_NEVER
         self._qvel[v : v + 6] = 0.0
         (self._asleep.add if asleep else self._asleep.discard)(name)
 
@@ -441,6 +448,9 @@ class Plant:
     def restore(self, state: object) -> None:
         """Bring back what `snapshot` returned."""
         physics, edits, own = copy.deepcopy(state)  # type: ignore[misc]  # opaque outside this class
+        # Awake all first: nobody sleeps through being put elsewhere. MuJoCo itself has to do it, which keeps lists.
+        self.model.tree_sleep_policy[:] = mujoco.mjtSleepPolicy.mjSLEEP_NEVER
+        mujoco.mj_kinematics(self.model, self.data)
         for name, values in edits.items():
             getattr(self.model, name)[:] = values
         self.drives, self._force[:], self._torque[:], self._asleep = own

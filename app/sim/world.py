@@ -85,6 +85,7 @@ def _configure(spec: mujoco.MjSpec) -> None:
     option.impratio = 10
     option.iterations = 50
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE  # bodies of few shapes: testing the pairs is cheaper
+    option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP  # of what the plant lets doze
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
     spec.visual.headlight.ambient = (0.35, 0.35, 0.35)
 

@@ -88,6 +88,35 @@ def test_a_restored_snapshot_goes_on_bit_for_bit(site: Site):
     assert play() == first
 
 
+def test_a_snapshot_goes_on_bit_for_bit_after_what_was_awake_in_it_fell_asleep(site: Site):
+    def asleep() -> int:
+        return int((cell.plant.data.tree_asleep >= 0).sum())
+
+    def play() -> list[object]:
+        return [(cell.step(cell.hold()), cell.truth()) for _ in range(60)]
+
+    cell = cell_of(site)
+    run_skill(cell, "grasp_object", {"object_id": "mug_1", "force_n": 40.0, "speed_mps": 0.25}, limit_s=4.0)
+    state, before = cell.snapshot(), asleep()
+    first = play()
+    run_skill(cell, "safe_retreat", {})
+    assert asleep() > before
+    cell.restore(state)
+    assert play() == first
+
+
+def test_a_snapshot_goes_on_bit_for_bit_in_another_cell_where_nothing_sleeps_yet(site: Site):
+    cell, other = cell_of(site), cell_of(site)
+    run_skill(cell, "navigate_to", DRIVE, limit_s=3.0)
+    assert (cell.plant.data.tree_asleep >= 0).any()
+    other.restore(cell.snapshot())
+    assert not (other.plant.data.tree_asleep >= 0).any()
+    for _ in range(60):
+        assert cell.step(pushing(cell)) == other.step(pushing(other))
+        assert cell.truth() == other.truth()
+    assert (other.plant.data.tree_asleep >= 0).any()
+
+
 def test_an_emergency_stop_ends_motion_and_a_reset_starts_none(site: Site):
     cell = cell_of(site)
     cell.bind(grant_for("cell", "navigate_to", DRIVE), "navigate_to", DRIVE)
