@@ -78,9 +78,6 @@ class _Walk:
             self.fault(node, path, "aliases are not allowed: write the value out")
             return None
         self.seen.add(id(node))
-        if len(path) > _MAX_DEPTH:
-            self.fault(node, path, f"nested deeper than {_MAX_DEPTH} levels")
-            return None
         match node:
             case yaml.MappingNode(tag="tag:yaml.org,2002:map"):
                 return self.mapping(node, path)
@@ -139,16 +136,36 @@ def dotted(path: Path) -> str:
     return text.removeprefix(".")
 
 
+def _too_deep(text: str) -> int | None:
+    """Return the line on which the nesting goes too deep, or None.
+
+    The events come one after the other; composing nodes from them recurses in C, where there is no limit but the stack.
+    """
+    depth = 0
+    for event in yaml.parse(text, Loader=_Loader):  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+            if depth > _MAX_DEPTH:
+                return int(cast("yaml.Mark", event.start_mark).line) + 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+    return None
+
+
 def parse(file: str, text: str) -> tuple[Document, list[PolicyError]]:
     """Read one file; what is wrong with it comes back as problems beside whatever could be read."""
     try:
-        node = yaml.compose(text, Loader=_Loader)
+        deep = _too_deep(text)
+        node = None if deep is not None else yaml.compose(text, Loader=_Loader)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = int(mark.line) + 1 if mark is not None else 1
         detail = str(getattr(error, "problem", None) or error).splitlines()[0]
         problem = PolicyError(file=file, line=line, key="", message=f"not readable as YAML: {detail}")
         return Document(file=file, value=None, lines={}), [problem]
+    if deep is not None:
+        message = f"nested deeper than {_MAX_DEPTH} levels"
+        return Document(file=file, value=None, lines={}), [PolicyError(file=file, line=deep, key="", message=message)]
     if node is None:
         return Document(file=file, value=None, lines={}), []
     walk = _Walk(file)
