@@ -111,7 +111,7 @@ def inputs(reader: Reader, shape: shapes.CapabilityShape) -> Iterator[PolicyErro
     declared = schema.get("properties")
     for name, spec in (declared if isinstance(declared, dict) else {}).items():
         path = ("inputs", "properties", name)
-        if not isinstance(spec, dict) or spec.get("type") not in _PARAM_CHECKS:
+        if not isinstance(spec, dict) or str(spec.get("type")) not in _PARAM_CHECKS:
             yield reader.problem(path, f"`{name}` needs a type", list(_PARAM_CHECKS))
             continue
         yield from _PARAM_CHECKS[str(spec["type"])](reader, path, name, cast("Mapping[str, Json]", spec))

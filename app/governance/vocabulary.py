@@ -151,7 +151,7 @@ def _params(capability: Capability) -> RecordType:
             within=_within(spec),
         )
         for name, spec in properties(capability).items()
-        if spec.get("type") in _SCALARS
+        if str(spec.get("type")) in _SCALARS
     }
     return RecordType(name="params", fields=fields)
 

@@ -6,8 +6,9 @@ from app.governance import bundle
 from app.governance.errors import PolicyErrors
 from tests.governance.policy_world import files, shipped
 
-GRASP, HUMAN, ORG, SITE, H = (
-    "capabilities/grasp_object.yaml", "profiles/human-shared.yaml", "organization.yaml", "site.yaml", "authority.yaml",
+GRASP, HUMAN, RELAXED, ORG, SITE, H = (
+    "capabilities/grasp_object.yaml", "profiles/human-shared.yaml", "profiles/sim-relaxed.yaml", "organization.yaml",
+    "site.yaml", "authority.yaml",
 )  # fmt: skip
 
 BROKEN = [
@@ -23,6 +24,16 @@ BROKEN = [
     ("open schema", GRASP, "additionalProperties: false", "additionalProperties: true", "closed object"),
     ("default out of range", GRASP, "default: 40", "default: 400", "default `400"),
     ("inverted range", GRASP, "minimum: 2,", "minimum: 200,", "empty range"),
+    ("a manifest under another name", GRASP, "name: grasp_object", "name: seize_object", "stands in"),
+    ("nobody's capability", GRASP, "permissions: [manipulation]", "permissions: []", "needs a permission"),
+    ("parameter of no type", GRASP, "force_n: {type: number,", "force_n: {type: [number, 'null'],", "needs a type"),
+    ("parameter of a deep type", GRASP, "force_n: {type: number,", "force_n: {type: array,", "needs a type"),
+    ("parameter that is anything", GRASP, "  properties:\n", "  properties:\n    free: true\n", "needs a type"),
+    ("no such unit", GRASP, "unit: N,", "unit: lbf,", "`lbf` is none"),
+    ("no upper end", GRASP, "maximum: 140, ", "", "finite range"),
+    ("neither name nor list", GRASP, ", x-ref: object", "", "neither a name of the site nor one of a list"),
+    ("parameter no condition could name", GRASP, "  properties:\n", "  properties:\n    in: {type: boolean}\n",
+     "not a usable name"),
     ("unknown reference", GRASP, "x-ref: object", "x-ref: wish", "kind of reference `wish`"),
     ("unknown condition", GRASP, "gripper_empty", "gripper_clean", "condition `gripper_clean`"),
     ("unknown permission", GRASP, "[manipulation]", "[juggling]", "permission `juggling`"),
@@ -39,11 +50,44 @@ BROKEN = [
     ("unknown parameter", ORG, "{force_n: {max: 20}", "{farce_n: {max: 20}", "parameter `farce_n`"),
     ("empty bound", ORG, "{force_n: {max: 20}", "{force_n: {}", "empty bound"),
     ("inverted bound", ORG, "{force_n: {max: 20}", "{force_n: {max: 20, min: 30}", "inverted bound"),
+    ("unknown profile of a rule", ORG, "when: place.forbidden", "when: place.forbidden\n    profiles: [moon]",
+     "profile `moon`"),
+    ("modify without set", ORG, "    set: {force_n: {max: 20}, speed_mps: {max: 0.15}}\n", "", "needs `set`"),
+    ("a bound and a value", HUMAN, "{to: place.corridor}", "{to: place.corridor, max: 3}", "without `min` and `max`"),
+    ("a bound on a name", HUMAN, "{to: place.corridor}", "{max: 3}", "is a string, it has no bounds"),
+    ("a value for a number", HUMAN, "clearance_m: {min: 0.3}", "clearance_m: {to: place.corridor}", "is a number"),
+    ("a bound on what may be left out", ORG, "{force_n: {max: 20}, speed_mps: {max: 0.15}}", "{x_m: {max: 2}}",
+     "may be left out"),
     ("set without modify", ORG, "then: modify", "then: deny", "`set` belongs to"),
     ("approvers without escalate", ORG, "then: escalate\n    approvers: 2", "then: deny\n    approvers: 2",
      "`approvers`"),
     ("rule twice", ORG, "id: forbidden-zone", "id: hazardous", "stands twice"),
     ("reserved agent", ORG, "planner:", "governance:", "reserved"),
+    ("reserved permission", ORG, "\npermissions: [navigation,", "\npermissions: [governance, navigation,", "reserved"),
+    ("granted and supervised", ORG, "tool_operation]}", "tool_operation], supervised: [navigation]}", "both granted"),
+    ("unknown supervised permission", ORG, "tool_operation]}", "tool_operation], supervised: [dancing]}",
+     "permission `dancing`"),
+    ("a profile under another name", HUMAN, "profile: human-shared", "profile: human-mixed", "stands in"),
+    ("watch rule twice", HUMAN, "id: stall", "id: slip", "watch rule `slip` stands twice"),
+    ("watch rule for nobody", HUMAN, "    signal: stall_s\n", "    signal: stall_s\n    applies_to: [fly]\n",
+     "capability `fly`"),
+    ("separation out of nothing", RELAXED, "    below: 0.5\n    response: {enter: continue}",
+     "    below: protective_separation_m\n    response: {enter: continue}", "declares no `separation`"),
+    ("resuming what went on", RELAXED, "response: {enter: continue}", "response: {enter: continue, then: resume}",
+     "only a pause can resume"),
+    ("escalating to nobody", RELAXED, "response: {enter: continue}", "response: {enter: escalate}", "nobody could answer"),
+    ("escalating to nobody, later", RELAXED, "response: {enter: continue}",
+     "response: {enter: pause, persist_ms: 5000}", "nobody could answer"),
+    ("asking nobody", RELAXED, "on: any\n    do: [", "on: any\n    do: [ask_human, ", "nobody could be asked"),
+    ("no safer mode", HUMAN, "modes: [normal, careful]", "modes: [normal]", "needs the mode `careful`"),
+    ("budget of another step", HUMAN, "budget: {retry: 1}", "budget: {rollback: 1, safer_mode: 1}",
+     "`safer_mode` is no step"),
+    ("recovery for nobody", HUMAN, "applies_to: [transport_object]\n    do:", "applies_to: [fly]\n    do:",
+     "capability `fly`"),
+    ("approval nobody asks for", HUMAN, "modes: [approval-required, interrupt", "modes: [interrupt", "no mode of this"),
+    ("approval required, and nobody asks", HUMAN, "modes: [approval-required, interrupt", "modes: [interrupt",
+     "`grasp_object` requires approval here"),
+    ("limited, and left out", GRASP, "default: 40, ", "", "may be left out: give it a default"),
     ("unknown signal", HUMAN, "signal: stall_s", "signal: stall_h", "signal `stall_h`"),
     ("unknown failure", HUMAN, "failure: stall", "failure: boredom", "failure `boredom`"),
     ("unknown strategy", HUMAN, "do: [retry, terminate]", "do: [retry, pray]", "`pray` is not valid"),
@@ -58,6 +102,16 @@ BROKEN = [
     ("no approval", HUMAN, "  approval: {risk", "  # approval: {risk", "need `approval`"),
     ("no room", HUMAN, "{max: 60,", "{max: 1,", "no room"),
     ("unknown sensor", HUMAN, "stale_after_ms: {arm", "stale_after_ms: {leg", "sensor `leg`"),
+    ("no list", HUMAN, "modes: [normal, careful]", "modes: normal", "expected a list, found `normal`"),
+    ("no mapping", HUMAN, "motion: {base_deceleration_mps2: 1.0, base_radius_m: 0.45}", "motion: [1.0, 0.45]",
+     "expected a mapping"),
+    ("a long value", GRASP, "risk: medium", f"risk: medium\nrecovery: {'m' * 100}", "m…`"),
+    ("unknown key of a list's item", HUMAN, "signal: stall_s", "signal: stall_s\n    loud: true", "unknown key `loud`"),
+    ("empty site", SITE, "bounds_m: [0.0, 0.0, 8.0, 6.0]", "bounds_m: [8.0, 0.0, 0.0, 6.0]", "empty bounds"),
+    ("flat site", SITE, "bounds_m: [0.0, 0.0, 8.0, 6.0]", "bounds_m: [0.0, 6.0, 8.0, 6.0]", "empty bounds"),
+    ("unknown corridor", SITE, "corridor: aisle}", "corridor: alley}", "corridor `alley`"),
+    ("area in view of nothing", SITE, "[2.3, 5.75], [0.9, 5.75]], target: bench_a_stand",
+     "[2.3, 5.75], [0.9, 5.75]], target: mars", "target `mars`"),
     ("unknown start", SITE, "start: bench_a_stand", "start: mars", "target `mars`"),
     ("unknown surface", SITE, "surface: bench_a,", "surface: bench_z,", "surface `bench_z`"),
     ("clockwise zone", SITE, "[[4.6, 0.4], [6.2, 0.4], [6.2, 1.6], [4.6, 1.6]]",
@@ -93,6 +147,45 @@ def test_a_missing_file_is_named(name):
     del text[name]
     with pytest.raises(PolicyErrors, match=name):
         bundle.load_files(text)
+
+
+@pytest.mark.parametrize("folder", ["capabilities", "profiles"])
+def test_an_empty_folder_is_named(folder):
+    text = {name: value for name, value in files().items() if not name.startswith(f"{folder}/")}
+    with pytest.raises(PolicyErrors, match=f"{folder}.*has no files"):
+        bundle.load_files(text)
+
+
+def test_an_unknown_key_is_answered_with_the_keys_there_are():
+    text = files()
+    text[HUMAN] = text[HUMAN].replace("signal: stall_s", "signal: stall_s\n    loud: true")
+    text[SITE] = text[SITE].replace("x_m: 0.8, y_m: 0.8, yaw_rad: 0.0", "x_m: 0.8, y_m: 0.8, yaw_rad: 0.0, z_m: 1.0")
+    with pytest.raises(PolicyErrors) as caught:
+        bundle.load_files(text)
+    valid = {problem.key: problem.valid for problem in caught.value.problems}
+    assert {"signal", "response", "for_ms"} <= set(valid["watch[10].loud"])
+    assert set(valid["targets.dock.z_m"]) == {"x_m", "y_m", "yaw_rad", "corridor"}
+
+
+def test_a_capability_forbidden_in_a_profile_has_no_gate_there():
+    text = files()
+    text[GRASP] = text[GRASP].replace("sim-relaxed: allowed", "sim-relaxed: forbidden")
+    policy = bundle.load_files(text)
+    assert ("grasp_object", "sim-relaxed") not in policy.gates
+    assert ("grasp_object", "test-audit") in policy.gates
+
+
+def test_parameters_may_be_counted_chosen_from_a_list_or_switched():
+    text = files()
+    more = "  properties:\n    tries: {type: integer, minimum: 1, maximum: 3, default: 1}\n"
+    more += "    hand: {type: string, enum: [left, right], default: left}\n    soft: {type: boolean, default: false}\n"
+    text[GRASP] = text[GRASP].replace("  properties:\n", more)
+    policy = bundle.load_files(text)
+    assert policy.validate_params("grasp_object", {"object_id": "mug_1"}) == {
+        "object_id": "mug_1", "tries": 1, "hand": "left", "soft": False, "force_n": 40.0, "speed_mps": 0.3,
+    }  # fmt: skip
+    for wrong in ({"tries": 4}, {"tries": 1.5}, {"hand": "third"}, {"soft": 1}):
+        assert isinstance(policy.validate_params("grasp_object", {"object_id": "mug_1", **wrong}), tuple)
 
 
 def test_a_file_nothing_would_read_is_an_error():
