@@ -437,26 +437,30 @@ def _known_path(loc: tuple[str | int, ...]) -> tuple[str | int, ...]:
 
 
 def _keys_at(shape: object, path: tuple[str | int, ...]) -> list[str]:
-    """Names of the keys a mapping at this path may have."""
+    """Names of the keys that the mapping at this path may have."""
     for step in path:
-        fields = _fields(shape)
-        shape = fields.get(str(step), shape) if fields else _inner(shape)
-    return list(_fields(shape))
+        shape = _inside(shape, step)
+    model = _model(shape)
+    return [] if model is None else list(_fields(model))
 
 
-def _fields(shape: object) -> dict[str, object]:
-    model = _inner(shape)
-    if isinstance(model, type) and issubclass(model, BaseModel):
-        return {info.alias or name: info.annotation for name, info in model.model_fields.items()}
-    return {}
+def _inside(shape: object, step: str | int) -> object:
+    """Return the shape of what stands one step inside a mapping, a list, or the member of a union that holds any."""
+    if isinstance(shape, type) and issubclass(shape, BaseModel):
+        return _fields(shape)[str(step)]
+    options = get_args(shape)
+    if get_origin(shape) in (dict, list):
+        return options[-1]
+    return _inside(next(option for option in options if _model(option) is not None), step)
 
 
-def _inner(annotation: object) -> object:
+def _fields(model: type[BaseModel]) -> dict[str, object]:
+    return {info.alias or name: info.annotation for name, info in model.model_fields.items()}
+
+
+def _model(annotation: object) -> type[BaseModel] | None:
+    """Return the model inside an annotation: a list's item, a mapping's value, a union's member; None without one."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    options = get_args(annotation)[-1:] if get_origin(annotation) in (dict, Mapping) else get_args(annotation)
-    for option in options:
-        found = _inner(option)
-        if found is not None:
-            return found
-    return None
+    models = [_model(option) for option in get_args(annotation)]
+    return next((model for model in models if model is not None), None)

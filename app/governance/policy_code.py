@@ -18,7 +18,7 @@ whatever raises, the answer is a denial with code `rule_error`.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, TypeAlias, cast
+from typing import TYPE_CHECKING, Final, TypeAlias, assert_never, cast
 
 from app.governance.errors import EvaluationError
 from app.governance.expression import BOOL, INTRINSICS, STRING, references, to_python
@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from app.governance.vocabulary import Vocabulary
 
 Check: TypeAlias = "Callable[[Proposal, Context], Verdict]"
+
+SCHEMA: Final = "the input schema"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,11 +97,12 @@ def rule_error(rule: str, error: Exception) -> Reason:
     )
 
 
-def empty_intersection(rule: str, param: str, low: float, high: float, other: str) -> Reason:
-    """Return the reason of a denial because no value satisfies every rule."""
+def empty_intersection(param: str, low: float, low_by: str, high: float, high_by: str) -> Reason:
+    """Return the reason of a denial because no value satisfies every rule; one of the two is one."""
     message = (
-        f"`{param}` must be at least {number(low)} ({other}) and at most {number(high)} ({rule}): no value is both"
+        f"`{param}` must be at least {number(low)} ({low_by}) and at most {number(high)} ({high_by}): no value is both"
     )
+    rule = low_by if high_by == SCHEMA else high_by
     return Reason(rule, "empty_intersection", message, "propose it for another object, place or profile")
 
 
@@ -116,20 +119,20 @@ _PRELUDE: Final[Mapping[str, str]] = {
 
 @dataclass(slots=True)
 class _Bounded:
-    """What may hold one numeric parameter: its schema's minimum, the profile's limit, and rules with bounds on it."""
+    """What may hold one numeric parameter: its schema's range, the profile's limit, and rules with bounds on it.
+
+    Only numbers are bounded by rules, and they have a range; integers need none.
+    """
 
     name: str
-    minimum: float | None
+    minimum: float
+    maximum: float
     limit: Limit | None
     rules: list[tuple[str, Setting]] = field(default_factory=list["tuple[str, Setting]"])
 
     @property
     def has_low(self) -> bool:
         return any(setting.minimum is not None for _, setting in self.rules)
-
-    @property
-    def has_high(self) -> bool:
-        return self.limit is not None or any(setting.maximum is not None for _, setting in self.rules)
 
 
 class Generator:
@@ -141,7 +144,12 @@ class Generator:
         self.constants: dict[str, object] = {}
         self.used: set[str] = set()
         self.numbers = {
-            name: _Bounded(name, cast("float | None", spec.get("minimum")), limit_for(spec, profile.limits))
+            name: _Bounded(
+                name,
+                cast("float", spec.get("minimum", float("-inf"))),
+                cast("float", spec.get("maximum", float("inf"))),
+                limit_for(spec, profile.limits),
+            )
             for name, spec in properties(capability).items()
             if spec.get("type") in ("number", "integer")
         }
@@ -189,17 +197,18 @@ class Generator:
         for name, bounded in self.numbers.items():
             yield f"v_{name} = params[{name!r}]" if name in there else f"v_{name} = params.get({name!r}, 0.0)"
             yield f"if v_{name} - v_{name} != 0.0: raise not_finite({name!r})"
-            if bounded.rules and bounded.has_high:
+            if bounded.rules:
                 yield f"h_{name}, hb_{name} = {self._ceiling(bounded)}"
             if bounded.has_low:
-                low = "LOWEST" if bounded.minimum is None else repr(bounded.minimum)
-                yield f"l_{name}, lb_{name} = {low}, 'the input schema'"
+                yield f"l_{name}, lb_{name} = {bounded.minimum!r}, {SCHEMA!r}"
         for name in self.names:
             yield f"n_{name} = nb_{name} = None"
 
     def _ceiling(self, bounded: _Bounded) -> str:
         limit = bounded.limit
-        return "HIGHEST, ''" if limit is None else f"{limit.maximum!r}, {self._limit_id(limit)!r}"
+        if limit is None or bounded.maximum < limit.maximum:
+            return f"{bounded.maximum!r}, {SCHEMA!r}"
+        return f"{limit.maximum!r}, {self._limit_id(limit)!r}"
 
     def _limit_id(self, limit: Limit) -> str:
         return f"{self.profile.name}/{limit.name}"
@@ -223,6 +232,8 @@ class Generator:
                 effect = [f"asked += {reason}"]
             case Effect.MODIFY:
                 effect = list(self._bounds(rule, reason))
+            case _:
+                assert_never(rule.then)
         if rule.when is not None:
             condition = self._text(rule.when, BOOL)
             effect = [f"if {condition}:", *(f"    {line}" for line in effect)]
@@ -244,8 +255,7 @@ class Generator:
             if setting.minimum is not None:
                 yield f"if {setting.minimum!r} > l_{name}: l_{name}, lb_{name} = {setting.minimum!r}, {rule.id!r}"
                 kept.append(f"v_{name} >= {setting.minimum!r}")
-        if kept:
-            yield f"if not ({' and '.join(kept)}): bound += {reason}"
+        yield f"if not ({' and '.join(kept)}): bound += {reason}"
 
     def _name(self, rule: Rule, setting: Setting) -> Iterator[str]:
         name, source = setting.param, cast("str", setting.to)
@@ -287,9 +297,8 @@ class Generator:
             high, by = repr(limit.maximum), repr(self._limit_id(limit))
         else:
             return
-        if bounded.has_high:
-            yield f"if not v_{name} <= {high}:"
-            yield from self._change(name, f"v_{name}", high, by)
+        yield f"if not v_{name} <= {high}:"
+        yield from self._change(name, f"v_{name}", high, by)
         if bounded.has_low:
             yield f"if not v_{name} >= l_{name}:"
             yield from self._change(name, f"v_{name}", f"l_{name}", f"lb_{name}")
@@ -300,13 +309,10 @@ class Generator:
         yield f"    changes += (new(Change, ({name!r}, {requested}, {value}, {by})),)"
 
     def _emptiness(self, bounded: _Bounded) -> Iterator[str]:
-        if not bounded.has_high:
-            return
         name = bounded.name
-        low, by = (f"l_{name}", f"lb_{name}") if bounded.has_low else (repr(bounded.minimum), "'the input schema'")
-        if bounded.has_low or bounded.minimum is not None:
-            yield f"if {low} > h_{name}:"
-            yield f"    denied += (empty_intersection(hb_{name}, {name!r}, {low}, h_{name}, {by}),)"
+        low = f"l_{name}, lb_{name}" if bounded.has_low else f"{bounded.minimum!r}, {SCHEMA!r}"
+        yield f"if {low.partition(',')[0]} > h_{name}:"
+        yield f"    denied += (empty_intersection({name!r}, {low}, h_{name}, hb_{name}),)"
 
     def _text(self, source: str, expect: Type) -> str:
         typed = self.vocabulary.typed(source, self.capability.name, expect)
@@ -373,8 +379,6 @@ _SUPPORT: Final[Mapping[str, object]] = {  # pyright: ignore[reportUnknownVariab
     "MODIFY": PolicyOutcome.MODIFY,
     "ESCALATE": PolicyOutcome.ESCALATE,
     "DENY": PolicyOutcome.DENY,
-    "LOWEST": float("-inf"),
-    "HIGHEST": float("inf"),
     "Change": Change,
     "new": tuple.__new__,  # pyright: ignore[reportUnknownMemberType]
     "verdict": _verdict,

@@ -15,10 +15,12 @@ import pytest
 
 from app.audit.checkpoint import Signer
 from app.audit.errors import RecordDamaged
+from app.audit.event import Event
 from app.audit.merkle import Frontier, leaf_hash
 from app.audit.places import Places, load_key, load_verifier
+from app.audit.reader import Batch, Extent, Reader
 from app.audit.store import AuditStore
-from app.audit.verification import Verification, verify_log
+from app.audit.verification import Verification, agrees, verify_log
 from tests.audit.conftest import draft, fill
 
 pytestmark = pytest.mark.anyio
@@ -281,3 +283,61 @@ async def test_says_at_the_start_what_was_changed(log: Places, tamper: Tamper, p
     tamper(log)
     with pytest.raises(RecordDamaged, match=problem):
         AuditStore.open(log.folder)
+
+
+def at_its_second_look(monkeypatch: pytest.MonkeyPatch, happens: Callable[[], None]) -> None:
+    """Let something happen just before the walk looks for the second time how far the log goes."""
+    looks: list[Extent] = []
+    look = Reader.extent
+
+    def extent(reader: Reader) -> Extent:
+        if len(looks) == 2:  # the first is the reader's own, at its opening
+            happens()
+        looks.append(look(reader))
+        return looks[-1]
+
+    monkeypatch.setattr(Reader, "extent", extent)
+
+
+async def test_checkpoints_that_vanish_under_the_walk_are_a_finding(
+    log: Places, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    look = Reader.batches
+
+    def batches(reader: Reader, *, after: int, until: int, limit: int) -> list[Batch]:
+        sql("DELETE FROM checkpoints WHERE size > 6")(log)
+        return look(reader, after=after, until=until, limit=1)
+
+    monkeypatch.setattr(Reader, "batches", batches)
+    found = verify_log(log, load_verifier(log))
+    assert (found.ok, found.size, found.first_bad) == (False, 6, 7)
+    assert found.problem is not None
+    assert "vanished" in found.problem
+
+
+async def test_batches_committed_after_the_walk_began_need_no_checkpoint_outside_yet(
+    log: Places, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = log.database.read_bytes()
+    sql("DELETE FROM events WHERE seq > 6", "DELETE FROM checkpoints WHERE size > 6")(log)
+    outside(lambda text: "".join(notes(text)[:2]))(log)
+    at_its_second_look(monkeypatch, lambda: sql(*_put_back(log, whole))(log))
+    found = verify_log(log, load_verifier(log))
+    assert (found.ok, found.size, found.problem) == (True, 12, None)
+    monkeypatch.undo()
+    assert verify_log(log, load_verifier(log)).first_bad == 7, "what was there from the start needs them"
+
+
+def _put_back(log: Places, whole: bytes) -> tuple[str, ...]:
+    copy = log.folder / "whole.db"
+    copy.write_bytes(whole)
+    return (
+        f"ATTACH '{copy}' AS whole",
+        "INSERT INTO events SELECT * FROM whole.events WHERE seq > 6",
+        "INSERT INTO checkpoints SELECT * FROM whole.checkpoints WHERE size > 6",
+    )
+
+
+@pytest.mark.parametrize("body", [b"", b"\xff", b"[]", b'{"seq": 1}', b'{"seq": "1"}'])
+async def test_bytes_that_are_no_event_agree_with_no_columns(body: bytes) -> None:
+    assert not agrees(Event(1, "2026-03-01T09:30:00.000Z", "proposal", None, "planner", body))

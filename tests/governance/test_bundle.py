@@ -75,7 +75,8 @@ BROKEN = [
      "    below: protective_separation_m\n    response: {enter: continue}", "declares no `separation`"),
     ("resuming what went on", RELAXED, "response: {enter: continue}", "response: {enter: continue, then: resume}",
      "only a pause can resume"),
-    ("escalating to nobody", RELAXED, "response: {enter: continue}", "response: {enter: escalate}", "nobody could answer"),
+    ("escalating to nobody", RELAXED, "response: {enter: continue}", "response: {enter: escalate}",
+     "nobody could answer"),
     ("escalating to nobody, later", RELAXED, "response: {enter: continue}",
      "response: {enter: pause, persist_ms: 5000}", "nobody could answer"),
     ("asking nobody", RELAXED, "on: any\n    do: [", "on: any\n    do: [ask_human, ", "nobody could be asked"),
@@ -159,11 +160,17 @@ def test_an_empty_folder_is_named(folder):
 def test_an_unknown_key_is_answered_with_the_keys_there_are():
     text = files()
     text[HUMAN] = text[HUMAN].replace("signal: stall_s", "signal: stall_s\n    loud: true")
-    text[SITE] = text[SITE].replace("x_m: 0.8, y_m: 0.8, yaw_rad: 0.0", "x_m: 0.8, y_m: 0.8, yaw_rad: 0.0, z_m: 1.0")
+    text[HUMAN] = text[HUMAN].replace("above: timeout_s", "above: {limit: contact_force_n, times: 1.0, off: 1}")
+    text[HUMAN] = text[HUMAN].replace("approvers: {default: 1,", "approvers: {none: 1, default: 1,")
+    dock = "x_m: 0.8, y_m: 0.8, yaw_rad: 0.0, z_m: 1.0"
+    text[SITE] = text[SITE].replace("x_m: 0.8, y_m: 0.8, yaw_rad: 0.0}", f"{dock}}}\n  x_m: {{{dock}}}")
     with pytest.raises(PolicyErrors) as caught:
         bundle.load_files(text)
     valid = {problem.key: problem.valid for problem in caught.value.problems}
     assert {"signal", "response", "for_ms"} <= set(valid["watch[10].loud"])
+    assert set(valid["authority.approval.approvers.none"]) == {"default", "low", "medium", "high", "critical"}
+    assert set(valid["watch[11].above.off"]) == {"limit", "times"}
+    assert set(valid["targets.x_m.z_m"]) == set(valid["targets.dock.z_m"])
     assert set(valid["targets.dock.z_m"]) == {"x_m", "y_m", "yaw_rad", "corridor"}
 
 

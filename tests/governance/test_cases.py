@@ -29,3 +29,27 @@ def test_a_case_that_does_not_hold_says_what_was_found():
 def test_a_case_in_an_unknown_profile_is_an_error():
     with pytest.raises(PolicyErrors, match="no profile `moon`"):
         cases.run(shipped(), {"tests/x.yaml": CASE % ("moon", "denied")})
+
+
+def test_every_problem_of_the_case_files_is_reported_with_its_line():
+    case = CASE % ("sim-relaxed", "allowed")
+    with pytest.raises(PolicyErrors) as caught:
+        cases.run(
+            shipped(),
+            {
+                "tests/a.yaml": case.replace("expect:", "context: {stand: mars}, expect:"),
+                "tests/b.yaml": case.replace("params:", "param:"),
+                "tests/c.yaml": "cases: [",
+                "tests/d.yaml": "cases: []",
+            },
+        )
+    told = {problem.file: str(problem) for problem in caught.value.problems}
+    assert "a.yaml:2" in told["tests/a.yaml"]
+    assert "no target `mars`" in told["tests/a.yaml"]
+    assert "unknown key `param`" in told["tests/b.yaml"]
+    assert set(told) == {"tests/a.yaml", "tests/b.yaml", "tests/c.yaml", "tests/d.yaml"}
+
+
+def test_a_case_with_parameters_that_do_not_fit_is_invalid():
+    text = (CASE % ("sim-relaxed", "invalid")).replace("target: dock", "target: 3")
+    assert [result.passed for result in cases.run(shipped(), {"tests/x.yaml": text})] == [True]

@@ -2,17 +2,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.governance import bundle
 from app.governance.admission import admit
 from app.governance.decision import decide
 from app.governance.guard import check, constrain
-from app.governance.model import AdmissionOutcome, PolicyOutcome, Status
+from app.governance.model import AdmissionOutcome, PolicyOutcome, Status, Verdict
 from tests.governance.policy_world import PROFILES, context, files, proposal, shipped
 
 grasps = st.builds(
@@ -89,6 +90,86 @@ def test_an_empty_intersection_denies():
     policy = bundle.load_files({**text, "organization.yaml": text["organization.yaml"] + rule})
     verdict = check(policy, proposal("grasp_object", object_id="mug_1"), context("human-shared"))
     assert (verdict.outcome, verdict.reasons[0].code) == (PolicyOutcome.DENY, "empty_intersection")
+
+
+@pytest.mark.parametrize(
+    ("capability", "setting", "said"),
+    [
+        ("navigate_to", "clearance_m: {min: 1.5}", "at least 1.5 (organization/odd) and at most 1 (the input schema)"),
+        ("grasp_object", "force_n: {max: 1}", "at least 2 (the input schema) and at most 1 (organization/odd)"),
+    ],
+)
+def test_no_rule_leads_out_of_the_input_schema(capability, setting, said):
+    text = files()
+    rule = f"\n  - {{id: odd, applies_to: [{capability}], then: modify, set: {{{setting}}}, because: Oddly.}}\n"
+    policy = bundle.load_files({**text, "organization.yaml": text["organization.yaml"] + rule})
+    for profile in PROFILES:
+        name = {"object_id": "mug_1"} if capability == "grasp_object" else {"target": "dock"}
+        verdict = check(policy, proposal(capability, **name), context(profile))
+        found = {reason.rule: reason.message for reason in verdict.reasons if reason.code == "empty_intersection"}
+        assert verdict.outcome is PolicyOutcome.DENY
+        assert said in found["organization/odd"]
+
+
+def test_a_limit_beyond_the_input_schema_does_not_widen_it():
+    text = files()
+    rule = "\n  - {id: firm, then: modify, set: {force_n: {min: 150}}, because: Firmly.}\n"
+    relaxed = text["profiles/sim-relaxed.yaml"].replace("grip_force_n: {max: 120,", "grip_force_n: {max: 500,")
+    organization = text["organization.yaml"] + rule
+    policy = bundle.load_files({**text, "organization.yaml": organization, "profiles/sim-relaxed.yaml": relaxed})
+    verdict = check(policy, proposal("grasp_object", object_id="mug_1"), context("sim-relaxed"))
+    assert (verdict.outcome, verdict.reasons[0].rule) == (PolicyOutcome.DENY, "organization/firm")
+
+
+@cache
+def between(low, high):
+    rules = f"""
+  - {{id: one, applies_to: [grasp_object], then: modify, set: {{force_n: {{min: {low}}}}}, because: One.}}
+  - {{id: two, applies_to: [grasp_object], then: modify, set: {{force_n: {{max: {high}}}}}, because: Two.}}
+"""
+    return bundle.load_files({**files(), "organization.yaml": files()["organization.yaml"] + rules})
+
+
+@settings(deadline=None)  # the first example with a pair of bounds compiles its policy
+@given(grasps, st.sampled_from(PROFILES), *2 * [st.sampled_from([0, 1, 2, 20, 60, 140, 141])])
+def test_whatever_the_bounds_of_rules_what_is_not_denied_fits_schema_limit_and_rules(proposed, profile, low, high):
+    policy = between(low, high)
+    verdict = check(policy, proposed, context(profile))
+    limit = policy.profiles[profile].limits["grip_force_n"].maximum
+    fragile = proposed.params["object_id"] == "glass_1"
+    top = min(140, limit, high, 20 if fragile else math.inf)
+    if max(2, low) > top:
+        assert "empty_intersection" in [reason.code for reason in verdict.reasons]
+    if verdict.outcome is PolicyOutcome.DENY:
+        assert verdict.effective == proposed.params
+    else:
+        assert max(2, low) <= verdict.effective["force_n"] <= top
+        assert check(policy, replace(proposed, params=verdict.effective), context(profile)).changes == ()
+
+
+def test_metadata_admission_did_not_see_denies_where_a_rule_reads_it():
+    proposed = proposal("grasp_object", object_id="mug_1", metadata={"confidence": "high"})
+    verdict = check(shipped(), proposed, context("sim-relaxed"))
+    assert (verdict.outcome, verdict.reasons[0].code) == (PolicyOutcome.DENY, "rule_error")
+    assert "metadata.confidence" in verdict.reasons[0].message
+
+
+def test_a_modify_that_modifies_nothing_cannot_be_built():
+    with pytest.raises(ValueError, match="at least one change"):
+        Verdict(outcome=PolicyOutcome.MODIFY, effective={})
+
+
+def test_a_capability_marked_for_approval_asks_where_only_escalations_do():
+    text = files()
+    name = "capabilities/grasp_object.yaml"
+    marked = text[name].replace("real-restricted: guarded", "real-restricted: approval-required")
+    policy = bundle.load_files({**text, name: marked})
+    for found, asked in ((shipped(), False), (policy, True)):
+        decision = decide(found, proposal("grasp_object", object_id="mug_1"), context("real-restricted"))
+        assert (decision.need is not None) == asked
+        assert (decision.status == Status.AWAITING_APPROVAL) == asked
+    assert decision.need is not None
+    assert [reason.code for reason in decision.need.reasons] == ["approval_required"]
 
 
 def test_two_rules_that_name_different_corridors_deny():

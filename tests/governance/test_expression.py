@@ -383,6 +383,8 @@ BARE = {
     "has(target.weight_kg) && target.weight_kg > 1": f"({WEIGHED} and {HEAVY})",
     "!has(target.weight_kg) || target.weight_kg > 1": f"((not {WEIGHED}) or {HEAVY})",
     "has(target.weight_kg) ? target.weight_kg > 1 : b": f"({HEAVY} if {WEIGHED} else b)",
+    "(b && has(target.weight_kg)) ? target.weight_kg > 1 : b": f"({HEAVY} if (b and {WEIGHED}) else b)",
+    "!(b || !has(target.weight_kg)) && target.weight_kg > 1": f"((not (b or (not {WEIGHED}))) and {HEAVY})",
     "has(sensed.slip) && sensed.slip": "((sensed.slip is not None) and sensed.slip)",
     "has(target.holder) && has(target.holder.grip) && target.holder.grip > 1":
         f"({HELD} and (target['holder'].get('grip') is not None) and (target['holder']['grip'] > 1.0))",
@@ -433,6 +435,8 @@ def test_emits_a_check_where_it_may_fail(source: str, emitted: str) -> None:
         "has(target.weight_kg) || target.weight_kg > 1",
         "!has(target.weight_kg) && target.weight_kg > 1",
         "has(target.weight_kg) ? b : target.weight_kg > 1",
+        "(b && has(target.weight_kg)) ? b : target.weight_kg > 1",
+        "!(b && has(target.weight_kg)) && target.weight_kg > 1",
         "(has(target.weight_kg) || b) && target.weight_kg > 1",
         "has(target.holder.grip) && target.holder.grip > 1",  # the test itself may fail, and proves nothing then
         "ls[0] in limits && limits[ls[0]] > 1",

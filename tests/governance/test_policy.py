@@ -3,8 +3,8 @@ from __future__ import annotations
 import orjson
 import pytest
 
-from app.governance.model import Mode, Strategy
-from app.governance.policy import confirm_before, recovery_plan, watch_plan
+from app.governance.model import Authorization, Mode, Strategy
+from app.governance.policy import confirm_before, recovery_plan, watch_plan, watch_plan_for
 from app.governance.watcher import compile_watch
 from tests.governance.policy_world import PROFILES, proposal, shipped
 
@@ -83,6 +83,34 @@ def test_nothing_waits_for_confirmation_as_shipped():
 )
 def test_bad_parameters_are_problems(params, code):
     assert shipped().validate_params("grasp_object", params)[0].code == code
+
+
+@pytest.mark.parametrize("params", [{"object_id": "mug_ü"}, {"öbject": "mug_1"}])
+def test_text_that_is_not_ascii_is_held_to_the_schema_like_any_other(params):
+    problems = shipped().validate_params("grasp_object", {**params, "extra": True})
+    assert {problem.code for problem in problems} == {"schema"}
+    sound = shipped().validate_params("grasp_object", {"object_id": "mug_ü"})
+    assert not isinstance(sound, tuple)
+    assert sound["object_id"] == "mug_ü"
+
+
+def test_a_key_no_one_could_write_down_is_a_problem():
+    assert shipped().validate_params("grasp_object", {"object_id": "mug_1", "\ud800": 1})[0].code == "bad_text"
+
+
+def test_a_flag_is_no_number():
+    assert shipped().validate_params("grasp_object", {"object_id": "mug_1", "force_n": True})[0].code == "schema"
+
+
+def test_an_authorization_is_watched_by_the_parameters_and_mode_it_names():
+    authorization = Authorization(
+        id="aut_1", invocation="inv_1", capability="grasp_object", version="1.0.0",
+        params={"object_id": "mug_1", "force_n": 30.0, "speed_mps": 0.2}, cell="c", profile="human-shared",
+        policy_digest=shipped().digest, issued_at_s=0.0, expires_at_s=1.0, mode=Mode.CAREFUL,
+    )  # fmt: skip
+    plan = watch_plan_for(shipped(), authorization)
+    assert plan == watch_plan(shipped(), "grasp_object", "human-shared", authorization.params, Mode.CAREFUL)
+    assert plan.bounds.tcp_speed_mps == 0.1
 
 
 def test_bottomless_nesting_is_a_problem():
