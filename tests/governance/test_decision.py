@@ -38,6 +38,22 @@ def test_a_constrained_proposal_rechecks_to_allow(proposed, profile):
         assert check(shipped(), constrain(shipped(), proposed, gamma), gamma).outcome is PolicyOutcome.ALLOW
 
 
+@pytest.mark.parametrize(
+    ("name", "force_n", "outcome", "constrained_n"),
+    [
+        ("mug_1", 60, "allow", 60),
+        ("mug_1", 61, "modify", 60),
+        ("glass_1", 61, "modify", 20),
+        ("solvent_1", 61, "deny", 61),
+    ],
+)
+def test_constrains_what_it_modifies_and_nothing_else(name, force_n, outcome, constrained_n):
+    proposed = proposal("grasp_object", object_id=name, force_n=force_n, speed_mps=0.1)
+    assert check(shipped(), proposed, context("human-shared")).outcome == outcome
+    constrained = constrain(shipped(), proposed, context("human-shared"))
+    assert constrained == replace(proposed, params={**proposed.params, "force_n": constrained_n})
+
+
 @given(grasps | drives)
 def test_a_stricter_profile_never_permits_more(proposed):
     verdicts = [check(shipped(), proposed, context(profile)) for profile in PROFILES]
