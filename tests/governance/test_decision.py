@@ -147,7 +147,7 @@ def between(low, high):
 
 
 @settings(deadline=None)  # the first example with a pair of bounds compiles its policy
-@given(grasps, st.sampled_from(PROFILES), *2 * [st.sampled_from([0, 1, 2, 20, 60, 140, 141])])
+@given(grasps, st.sampled_from(PROFILES), st.sampled_from([0, 20, 61, 141]), st.sampled_from([1, 20, 60, 140]))
 def test_whatever_the_bounds_of_rules_what_is_not_denied_fits_schema_limit_and_rules(proposed, profile, low, high):
     policy = between(low, high)
     verdict = check(policy, proposed, context(profile))

@@ -3,10 +3,11 @@ from __future__ import annotations
 import orjson
 import pytest
 
+from app.governance import bundle
 from app.governance.model import Authorization, Mode, Strategy
 from app.governance.policy import confirm_before, recovery_plan, watch_plan, watch_plan_for
 from app.governance.watcher import compile_watch
-from tests.governance.policy_world import PROFILES, proposal, shipped
+from tests.governance.policy_world import PROFILES, files, proposal, shipped
 
 LIMITS = {  # design, section 5
     "sim-relaxed": (0.3, 1.5, 1.5, 120, 250, 5, 5),
@@ -44,6 +45,15 @@ def test_a_violation_is_more_than_five_percent_above_the_bound():
     assert thresholds["tcp-speed"] == pytest.approx(0.21)
     assert thresholds["contact-force"] == pytest.approx(105.0)
     assert (thresholds["timeout"], thresholds["separation"]) == (20.0, None)
+
+
+@pytest.mark.parametrize(("force_n", "threshold"), [(30.0, 31.5), (60.0, 63.0), (140.0, 63.0)])
+def test_a_threshold_named_after_a_limit_follows_the_smaller_of_limit_and_parameter(force_n, threshold):
+    name = "profiles/human-shared.yaml"
+    text = files()[name].replace("above: {limit: contact_force_n,", "above: {limit: grip_force_n,")
+    policy = bundle.load_files({**files(), name: text})
+    plan = watch_plan(policy, "grasp_object", "human-shared", {"force_n": force_n})
+    assert {rule.id: rule.threshold for rule in plan.rules}["contact-force"] == pytest.approx(threshold)
 
 
 @pytest.mark.parametrize("profile", PROFILES)
