@@ -348,21 +348,23 @@ class Plant:
         return x, y, yaw
 
     def between_pads(self) -> tuple[str, Vec3] | None:
-        """Return the object whose middle line passes between the pads, with its position in the tool frame.
+        """Return the object between the pads, with its position in the tool frame: the nearest, where several are.
 
-        By geometry alone.
+        By geometry alone. What is held passes over what stands below it.
         """
         x, y, z = self.true_tcp()
         turn = self._tcp_turn.tolist()
+        nearest, between = _PADS_REACH_M**2, None
         for name, at in self._object_at.items():
             ox, oy, oz = at.tolist()
             dx, dy, dz = ox - x, oy - y, oz - z
-            if dx * dx + dy * dy + dz * dz > _PADS_REACH_M**2:
+            far = dx * dx + dy * dy + dz * dz
+            if far > nearest:
                 continue
             along, across, deep = (turn[k] * dx + turn[3 + k] * dy + turn[6 + k] * dz for k in range(3))
             if abs(along) < _BETWEEN_PADS_M[0] and abs(across) < _BETWEEN_PADS_M[1] and abs(deep) < _BETWEEN_PADS_M[2]:
-                return name, (along, across, deep)
-        return None
+                nearest, between = far, (name, (along, across, deep))
+        return between
 
     def true_tcp(self) -> Vec3:
         """Return the true position of the tool centre point, world frame."""
