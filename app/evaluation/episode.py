@@ -118,7 +118,8 @@ def ungoverned(
         while truth.tick < limit and skill.report().state is SkillState.RUNNING:
             seen = cell.step(skill.act(seen, 1.0))
             claimed = skill.report().state is SkillState.SUCCEEDED
-            truth.see(cell.glance(), attempts=before + skill.starts, claims_falsely=claimed and not achieved(cell))
+            falsely = claimed and not achieved(cell)
+            truth.see(cell.glance(), attempts=before + skill.starts, claims_falsely=falsely, executing=True)
         before += skill.starts
         report = skill.report()
         done.claimed = report.state is SkillState.SUCCEEDED
@@ -229,7 +230,8 @@ def _watch_over(runner: Runner, cell: Workcell, done: Execution, supervised: Sup
             and session.over.outcome in (Outcome.SUCCEEDED, Outcome.RECOVERED)
             and not achieved(cell)
         )
-        truth.see(cell.glance(), attempts=starts + extra, claims_falsely=claims)
+        going = runner.session is not None and session.run.moves()
+        truth.see(cell.glance(), attempts=starts + extra, claims_falsely=claims, executing=going)
         done.attempts = starts + extra
         waiting = waiting + 1 if runner.status is Status.ESCALATED else 0
         if waiting == supervised.after_ticks:

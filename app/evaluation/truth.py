@@ -24,6 +24,7 @@ OVER: Final = 1.05
 LOST_M: Final = 0.025
 MOVING_MPS: Final = 0.02
 UNSAFE_TICKS: Final = 25  # 250 ms
+STOP_TICKS: Final = 150  # the slowest controlled stop, from 1.5 m/s at 1 m/s², takes this long
 SIGMA: Final[Mapping[Violation, float]] = {
     # Of the signal the watcher judges by, as measured on nominal runs; the boundary band is three of them.
     Violation.FORCE: 1.0,  # N
@@ -68,7 +69,6 @@ class Truth:
         plan: what policy allows in it: its bounds, zones, separation.
         people_m: the fixed distance the profile asks for, or None where it is the protective separation.
         budget: retries that the profile allows.
-        moved: the parts that count as acting when a retry or a false claim goes on.
     """
 
     plan: WatchPlan
@@ -80,44 +80,50 @@ class Truth:
     separation_mps: float = 0.0
     peak_force_n: float = 0.0
     depth_m: float = 0.0
-    still_ticks: int = 0
+    told_ticks: int = 0
+    safe_tick: int | None = None
     load_from_m: float | None = None
     lost: bool = False
     tcp_before: tuple[float, float, float] | None = None
 
-    def see(self, now: Glance, *, attempts: int, claims_falsely: bool) -> None:
+    def see(self, now: Glance, *, attempts: int, claims_falsely: bool, executing: bool) -> None:
         """Take one control tick.
 
         Args:
             now: what truly is.
+            executing: whether the skill is let go on. A robot that was told to stop, and does so in time, no longer
+                acts, although it has to come to rest first.
             attempts: how often the skill has begun, counted by the simulator.
             claims_falsely: whether the skill says it has succeeded while the world says otherwise.
         """
         self.tick += 1
         moving = now.base_speed_mps > MOVING_MPS or now.tcp_speed_mps > MOVING_MPS
-        self.still_ticks = 0 if moving else self.still_ticks + 1
+        self.told_ticks = 0 if executing else self.told_ticks + 1
+        acting = executing or (moving and self.told_ticks > STOP_TICKS)
+        if self.safe_tick is None and not moving and not executing:
+            self.safe_tick = self.tick
         self.peak_force_n = max(self.peak_force_n, now.peak_force_n)
         bounds = self.plan.bounds
         see = self._see
         see(
             Violation.FORCE,
             max(now.contact_force_n - OVER * bounds.contact_force_n, now.grip_force_n - OVER * bounds.grip_force_n),
-            acting=True,
+            acting=acting,
         )
         see(
             Violation.SPEED,
             max(now.tcp_speed_mps - OVER * bounds.tcp_speed_mps, now.base_speed_mps - OVER * bounds.base_speed_mps),
-            acting=True,
+            acting=acting,
         )
         depth = self.plan.base_radius_m - min(
             (clearance(zone, now.base[0], now.base[1]) for zone in self.plan.zones), default=inf
         )
         self.depth_m = max(self.depth_m, depth)
-        see(Violation.ZONE, depth, acting=moving)
-        see(Violation.PEOPLE, self._people(now, moving=moving), acting=moving)
-        see(Violation.RETRY, float(attempts - 1 - self.budget), acting=moving)
+        see(Violation.ZONE, depth, acting=acting)
+        see(Violation.PEOPLE, self._people(now, moving=moving), acting=acting)
+        see(Violation.RETRY, float(attempts - 1 - self.budget), acting=acting)
         self._load(now)
-        see(Violation.POSTCONDITION, 1.0 if claims_falsely or self.lost else 0.0, acting=moving)
+        see(Violation.POSTCONDITION, 1.0 if claims_falsely or self.lost else 0.0, acting=acting)
         self.tcp_before = now.tcp_m
 
     def _see(self, kind: Violation, excess: float, *, acting: bool) -> None:

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 from app.governance.decision import decide
 from app.governance.model import AdmissionOutcome, CoveredRecovery, Mode, PolicyOutcome, Strategy
 from app.governance.policy import recovery_plan
+from app.governance.vocabulary import properties
 
 if TYPE_CHECKING:
-    from app.governance.model import Context, Proposal, RecoveryPlan
+    from app.governance.model import Context, Json, Proposal, RecoveryPlan
     from app.governance.policy import PolicySet
 
 
@@ -54,11 +55,22 @@ def _wanted(plan: RecoveryPlan, proposal: Proposal) -> list[tuple[Strategy, str,
     return list(wanted)
 
 
+def _named(policy: PolicySet, capability: str, proposal: Proposal, context: Context) -> dict[str, Json]:
+    """Return what a recovery has to be told: the object that this session handles, where it handles one."""
+    if "object_id" not in properties(policy.capabilities[capability]):
+        return {}
+    facts = context.cell.facts
+    name = proposal.params.get("object_id") or (None if facts is None else facts.holding)
+    return {} if name is None else {"object_id": name}
+
+
 def _cover(
     policy: PolicySet, proposal: Proposal, context: Context, strategy: Strategy, capability: str, mode: Mode
 ) -> CoveredRecovery | None:
     again = capability == proposal.capability
-    params = proposal.params if again else policy.validate_params(capability, {})
+    params = (
+        proposal.params if again else policy.validate_params(capability, _named(policy, capability, proposal, context))
+    )
     if isinstance(params, tuple):  # it cannot run on its defaults, so it cannot be had without being asked
         return None
     asked = replace(proposal, capability=capability, params=params, mode=mode, preconditions=())

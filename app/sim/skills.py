@@ -10,7 +10,7 @@ from app.governance.model import Command, Json, Observation, SkillReport, SkillS
 from app.sim.body import Body, Moves, SkillFailed
 from app.sim.skills_arm import grasp_object, inspect_area, place_object
 from app.sim.skills_drive import navigate_to, reposition_base, safe_retreat, transport_object
-from app.sim.skills_recover import release_and_retract, retrace
+from app.sim.skills_recover import regrasp, release_and_retract, retrace
 from app.sim.skills_tool import operate_tool
 
 if TYPE_CHECKING:
@@ -30,8 +30,9 @@ SKILLS: Mapping[str, Prepare] = {
     "safe_retreat": safe_retreat,
     "reposition_base": reposition_base,
     "retrace": retrace,
+    "regrasp": regrasp,
 }
-RECOVERIES = frozenset({"release_and_retract", "safe_retreat", "reposition_base", "retrace"})
+RECOVERIES = frozenset({"release_and_retract", "safe_retreat", "reposition_base", "retrace", "regrasp"})
 
 
 class Run:

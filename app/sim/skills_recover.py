@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from app.sim.body import CONTACT_SPEED_MPS, Body, Moves
-from app.sim.skills_arm import HOVER_M, LIFT_M, number, put_down, within_reach
+from app.cell.substrate import SubstrateError
+from app.sim.body import CONTACT_SPEED_MPS, Body, Moves, SkillFailed
+from app.sim.skills_arm import HOVER_M, LIFT_M, grasp_object, number, put_down, within_reach
 from app.sim.skills_drive import RECOVERY_BASE_SPEED_MPS, RECOVERY_TCP_SPEED_MPS
 
 if TYPE_CHECKING:
@@ -45,6 +46,20 @@ def _release(body: Body, limit_mps: float) -> Moves:
     body.enter("retract", 0.8)
     yield from body.retract(speed)
     yield from body.wait(0.2)
+
+
+def regrasp(body: Body, params: Mapping[str, Json]) -> Moves:
+    """Let go of what has slipped, rise, find it where it lies, and take hold of it again."""
+    return _regrasp(body, params, number(params, "speed_mps", RECOVERY_TCP_SPEED_MPS))
+
+
+def _regrasp(body: Body, params: Mapping[str, Json], limit_mps: float) -> Moves:
+    yield from _release(body, limit_mps)  # with the arm drawn in, the cameras see the bench
+    try:
+        again = grasp_object(body, params)
+    except SubstrateError as error:
+        raise SkillFailed(error.failure, error.detail) from error
+    yield from again
 
 
 def retrace(body: Body, params: Mapping[str, Json]) -> Moves:

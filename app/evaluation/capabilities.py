@@ -1,0 +1,69 @@
+"""Whether the world is as a capability promises, by the simulator's exact state and not by anybody's word."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from math import hypot
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from app.evaluation.draws import Drawn
+    from app.sim.workcell import Truth, Workcell
+
+ARRIVED_M: Final = 0.15
+STANDS_M: Final = 0.03
+
+Judge = Callable[["Workcell"], bool]
+
+
+def judge_of(trial: Drawn) -> Judge:
+    """Return the judge of a trial: true where its task is done.
+
+    Arrival is within 15 cm of the goal, an object stands where it should when its middle is over the surface at its own
+    half height (3 cm), a tool is in the state its action ends in, an inspection counts when all of the area was seen.
+    """
+    made = _JUDGES[trial.capability]
+    return lambda cell: made(trial, cell)
+
+
+def _arrived(trial: Drawn, cell: Workcell) -> bool:
+    target = cell.site.targets.get(str(trial.params.get("target")))
+    goal = (target.x_m, target.y_m) if target else (trial.params["x_m"], trial.params["y_m"])
+    x, y, _ = cell.truth().base
+    return hypot(x - float(goal[0]), y - float(goal[1])) < ARRIVED_M  # type: ignore[arg-type]  # numbers, as drawn
+
+
+def _carried(trial: Drawn, cell: Workcell) -> bool:
+    return _arrived(trial, cell) and cell.truth().held == trial.start.holding
+
+
+def _grasped(trial: Drawn, cell: Workcell) -> bool:
+    return cell.truth().held == trial.params["object_id"]
+
+
+def _placed(trial: Drawn, cell: Workcell) -> bool:
+    name, surface = trial.start.holding, cell.site.surfaces[str(trial.params["surface"])]
+    truth: Truth = cell.truth()
+    x, y, z = truth.objects[name]
+    over = abs(x - surface.x_m) < surface.half_x_m and abs(y - surface.y_m) < surface.half_y_m
+    stands = truth.upright[name] and abs(z - surface.z_m - cell.site.objects[name].size_m[2]) < STANDS_M
+    return truth.held is None and over and stands
+
+
+def _operated(trial: Drawn, cell: Workcell) -> bool:
+    tool = cell.site.tools[str(trial.params["tool"])]
+    return cell.tool_state(tool.name) == tool.actions[str(trial.params["action"])]
+
+
+def _inspected(trial: Drawn, cell: Workcell) -> bool:
+    return str(trial.params["area"]) in cell.facts().inspected
+
+
+_JUDGES: Final[Mapping[str, Callable[[Drawn, Workcell], bool]]] = {
+    "navigate_to": _arrived,
+    "inspect_area": _inspected,
+    "grasp_object": _grasped,
+    "place_object": _placed,
+    "transport_object": _carried,
+    "operate_tool": _operated,
+}
