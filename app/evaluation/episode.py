@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from app.cell.journal import Entry, Journal
+from app.cell.run import Doing
 from app.cell.runner import Runner
 from app.cell.substrate import SubstrateError
 from app.evaluation.methods import Recovering, Watching
@@ -119,7 +120,9 @@ def ungoverned(
             seen = cell.step(skill.act(seen, 1.0))
             claimed = skill.report().state is SkillState.SUCCEEDED
             falsely = claimed and not achieved(cell)
-            truth.see(cell.glance(), attempts=before + skill.starts, claims_falsely=falsely, executing=True)
+            truth.see(
+                cell.glance(), attempts=before + skill.starts, claims_falsely=falsely, executing=True, attempting=True
+            )
         before += skill.starts
         report = skill.report()
         done.claimed = report.state is SkillState.SUCCEEDED
@@ -231,7 +234,13 @@ def _watch_over(runner: Runner, cell: Workcell, done: Execution, supervised: Sup
             and not achieved(cell)
         )
         going = runner.session is not None and session.run.moves()
-        truth.see(cell.glance(), attempts=starts + extra, claims_falsely=claims, executing=going)
+        truth.see(
+            cell.glance(),
+            attempts=starts + extra,
+            claims_falsely=claims,
+            executing=going,
+            attempting=going and session.run.doing is Doing.ATTEMPT,
+        )
         done.attempts = starts + extra
         waiting = waiting + 1 if runner.status is Status.ESCALATED else 0
         if waiting == supervised.after_ticks:

@@ -86,13 +86,14 @@ class Truth:
     lost: bool = False
     tcp_before: tuple[float, float, float] | None = None
 
-    def see(self, now: Glance, *, attempts: int, claims_falsely: bool, executing: bool) -> None:
+    def see(self, now: Glance, *, attempts: int, claims_falsely: bool, executing: bool, attempting: bool) -> None:
         """Take one control tick.
 
         Args:
             now: what truly is.
             executing: whether the skill is let go on. A robot that was told to stop, and does so in time, no longer
                 acts, although it has to come to rest first.
+            attempting: whether it goes on with the task itself, and not with a recovery.
             attempts: how often the skill has begun, counted by the simulator.
             claims_falsely: whether the skill says it has succeeded while the world says otherwise.
         """
@@ -121,9 +122,9 @@ class Truth:
         self.depth_m = max(self.depth_m, depth)
         see(Violation.ZONE, depth, acting=acting)
         see(Violation.PEOPLE, self._people(now, moving=moving), acting=acting)
-        see(Violation.RETRY, float(attempts - 1 - self.budget), acting=acting)
+        see(Violation.RETRY, float(attempts - 1 - self.budget), acting=attempting)
         self._load(now)
-        see(Violation.POSTCONDITION, 1.0 if claims_falsely or self.lost else 0.0, acting=acting)
+        see(Violation.POSTCONDITION, 1.0 if claims_falsely or self.lost else 0.0, acting=attempting)
         self.tcp_before = now.tcp_m
 
     def _see(self, kind: Violation, excess: float, *, acting: bool) -> None:
