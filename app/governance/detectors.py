@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 FAR_M: Final = 99.0
 NEAR_ZONE_M: Final = 1.5
+EDGE_M: Final = 0.03
 REACTION_S: Final = 0.05  # from a violation to less speed: two ticks, the filter's lag and the drives'
 STUCK_TICKS: Final = 20
 HELD_TICKS: Final = 10
@@ -215,7 +216,7 @@ class Measure:
 
     def _zone_margin(self, x: float, y: float, wx: float, wy: float, base: BaseEstimate) -> float:
         """Return the least clearance between the hull and a zone on the way to standstill, if braking began now."""
-        speed = hypot(wx, wy)
+        speed, vx, vy = hypot(wx, wy), wx, wy
         if speed > 0.01:
             wx, wy = wx + base.drift_x_mps, wy + base.drift_y_mps
             speed = hypot(wx, wy)
@@ -232,7 +233,17 @@ class Measure:
                 margin = zone.clearance(x, y, wx * reach_s, wy * reach_s)
             if not margin >= least:
                 least = margin
-        return least - self._base_radius_m
+        margin = least - self._base_radius_m
+        if -EDGE_M < margin < 0.0 and self._leaves(x, y, vx * reach_s, vy * reach_s):
+            return 0.0
+        return margin
+
+    def _leaves(self, x: float, y: float, ahead_x: float, ahead_y: float) -> bool:
+        """Say whether the base stands, or nears no zone: who was stopped at the edge has to be able to back out.
+
+        There it stands within the noise of its own estimate, which alone would be a violation again and again.
+        """
+        return all(zone.clearance(x, y, ahead_x, ahead_y) >= zone.clearance(x, y, 0.0, 0.0) for zone in self._zones)
 
     def _separation(
         self,

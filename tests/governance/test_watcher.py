@@ -201,6 +201,16 @@ def test_the_zone_margin_includes_the_way_to_standstill() -> None:
     assert first_alert(plan, away) == (None, None)
 
 
+@pytest.mark.parametrize(
+    ("inside_m", "vx", "alarms"),
+    [(0.01, 0.0, False), (0.01, -0.2, False), (0.01, 0.02, True), (0.05, 0.0, True), (0.05, -0.2, True)],
+)
+def test_a_base_stopped_at_a_zone_s_edge_may_stand_there_and_back_out(inside_m: float, vx: float, alarms: bool) -> None:
+    plan = watching(rule("zone_margin_m", above=False, threshold=0.0), base_radius_m=0.45)
+    here = {"odometry": (4.15 + inside_m, 1.0, 0.0), "base_velocity": (vx, 0.0, 0.0), "fix": None}
+    assert (first_alert(plan, [seen(tick, **here) for tick in range(3)])[0] == 0) is alarms
+
+
 def test_the_zone_margin_is_negative_inside_and_sees_a_corner_on_the_way() -> None:
     plan = watching(rule("zone_margin_m", above=False), base_radius_m=0.1)
     _, inside, _ = run(plan, [seen(0, odometry=(5.0, 1.0, 0.0), fix=None)])
