@@ -171,7 +171,7 @@ class Governing:
             raise AssertionError("a decision to hold names its alert")
         if decision.intervention is Intervention.ESCALATE:
             self._tell_anyway(telling.intervention(run.id, decision.intervention, alert))
-            self.escalate(alert.rule)
+            self._ask_human(alert.rule)
         elif "watch" not in run.paused_by:
             run.paused_by.add("watch")
             run.brake(self.seen)
@@ -183,7 +183,8 @@ class Governing:
         run.paused_by.discard("watch")
         self._tell_anyway(telling.intervention(run.id, intervention, alert))
         if intervention is Intervention.ROLLBACK:
-            self._roll_back(alert.failure or alert.rule)
+            if (unavailable := self._roll_back(alert.failure or alert.rule)) is not None:
+                self._ask_human(unavailable)
         else:
             self._follow(self._choose(alert.failure))
 
@@ -235,13 +236,12 @@ class Governing:
             failure = "rollback_failed"
         elif run.doing is Doing.RECOVERY and failure == "postcondition_failed":
             failure = "recovery_failed"
-        return recover(failure, run.recovery, run.used, risk=None, can_ask=True, covered=covered, after=after)
+        return recover(failure, run.recovery, run.used, covered=covered, after=after)
 
     def _roll_back(self, failure: str) -> str | None:
         run = self.run
         decision = roll_back(failure, run.recovery, run.used, run.grant.authorization.recoveries)
         if decision is None:
-            self.escalate("rollback_unavailable")
             return "rollback_unavailable"
         self._follow(decision)
         return None
@@ -340,6 +340,13 @@ class Governing:
         if run.status is not before:
             self._tell_anyway(telling.status(run.id, run.status, before, reason))
 
+    def _ask_human(self, reason: str) -> None:
+        """Escalate; where authority leaves nobody to ask, waiting would be for ever: come to rest and end."""
+        if self.run.recovery.can_ask:
+            self.escalate(reason)
+        else:
+            self.end(End(Outcome.TERMINATED, reason, 1))
+
     def escalate(self, reason: str) -> None:
         """Hold and wait for a human."""
         run = self.run
@@ -422,7 +429,10 @@ class Governing:
         """Undo what the session did, by the rollback its authorization covers."""
         self.run.paused_by.clear()
         self.run.responding = released(self.run.responding)
-        return self._roll_back("operator")
+        unavailable = self._roll_back("operator")
+        if unavailable is not None:
+            self.escalate(unavailable)  # whoever asked for it is there to decide
+        return unavailable
 
 
 def _bound(decision: RecoveryDecision) -> Bind:

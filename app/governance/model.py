@@ -639,8 +639,22 @@ class RecoveryRule:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecoveryPlan:
-    """What recovery may do in one session: the profile's table as it applies, budgets counted over the session."""
+    """What recovery may do in one session: the profile's table as it applies, budgets counted over the session.
 
+    Compiled from what the authorization names (policy, profile, capability), so that the cell needs nobody to know it.
+
+    Attributes:
+        risk: Of the authorized capability; only rows for it hold.
+        can_ask: Whether the profile's authority leaves a human to ask in the middle of an execution.
+        rules: The table.
+        retry_budget: New attempts over the whole session.
+        rollback: required, optional or always.
+        rollback_capability: What undoes the authorized capability, if anything does.
+        careful_admitted: Whether the profile lists the careful mode.
+    """
+
+    risk: Risk
+    can_ask: bool
     rules: tuple[RecoveryRule, ...]
     retry_budget: int
     rollback: str  # required | optional | always

@@ -344,11 +344,9 @@ def recovery_plan(policy: PolicySet, capability: str, profile: str) -> RecoveryP
     package, environment = policy.capabilities[capability], policy.profiles[profile]
     spared = environment.rollback == "required" and MANIPULATION not in package.permissions
     return RecoveryPlan(
-        rules=tuple(
-            row.rule
-            for row in environment.recovery
-            if (row.applies_to is None or capability in row.applies_to) and package.risk in row.rule.risks
-        ),
+        risk=package.risk,
+        can_ask=environment.asks,
+        rules=tuple(row.rule for row in environment.recovery if row.applies_to is None or capability in row.applies_to),
         retry_budget=environment.retry_budget,
         rollback="optional" if spared else environment.rollback,
         rollback_capability=package.rollback,

@@ -178,7 +178,7 @@ class Profile:
 
     @property
     def asks(self) -> bool:
-        """Return whether anybody can answer before something is launched."""
+        """Return whether anybody can answer: before something is launched, or in the middle of it."""
         return not ASKING.isdisjoint(self.authority)
 
 

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from app.governance.model import Strategy
 
 if TYPE_CHECKING:
-    from app.governance.model import CoveredRecovery, RecoveryPlan, RecoveryRule, Risk
+    from app.governance.model import CoveredRecovery, RecoveryPlan, RecoveryRule
 
 NEW_ATTEMPTS: Final = frozenset({Strategy.RETRY, Strategy.SAFER_MODE})
 DEFAULT_BUDGET: Final = 1
@@ -66,8 +66,6 @@ def recover(
     plan: RecoveryPlan,
     used: Budgets,
     *,
-    risk: Risk | None,
-    can_ask: bool,
     covered: tuple[CoveredRecovery, ...],
     after: RecoveryDecision | None = None,
 ) -> RecoveryDecision:
@@ -75,18 +73,16 @@ def recover(
 
     Args:
         failure: Name of the failure, as skills and watch rules use them.
-        plan: The profile's table and budgets.
+        plan: The profile's table and budgets, the session's risk, and whether anybody can be asked.
         used: What the session has used up so far.
-        risk: Risk of the capability; None where the plan holds only rows that apply to it.
-        can_ask: Whether the authority mode and the link leave a human to ask.
         covered: The recoveries the authorization covers.
         after: A recovery capability that has just succeeded; its row is read on from there.
     """
-    chooser = _Chooser(failure, plan, used, can_ask, covered)
+    chooser = _Chooser(failure, plan, used, covered)
     if after is not None:
         return chooser.read(after.row, after.step + 1)
     for number, row in enumerate(plan.rules):
-        if row.on in (failure, "any") and (risk is None or risk in row.risks):
+        if row.on in (failure, "any") and plan.risk in row.risks:
             return chooser.read(number, 0)
     return chooser.ask("no_row")
 
@@ -95,7 +91,7 @@ def roll_back(
     failure: str, plan: RecoveryPlan, used: Budgets, covered: tuple[CoveredRecovery, ...]
 ) -> RecoveryDecision | None:
     """Return the rollback that was asked for outright (by an operator or a watch rule), or None if it cannot be had."""
-    cover = _Chooser(failure, plan, used, False, covered).cover(Strategy.ROLLBACK, None)
+    cover = _Chooser(failure, plan, used, covered).cover(Strategy.ROLLBACK, None)
     if plan.rollback_capability is None or cover is None or used.rolled_back:
         return None
     return RecoveryDecision(Strategy.ROLLBACK, failure, "asked", used.taking(-1, Strategy.ROLLBACK), cover)
@@ -105,7 +101,6 @@ class _Chooser(NamedTuple):
     failure: str
     plan: RecoveryPlan
     used: Budgets
-    can_ask: bool
     covered: tuple[CoveredRecovery, ...]
 
     def read(self, number: int, first: int) -> RecoveryDecision:
@@ -127,7 +122,7 @@ class _Chooser(NamedTuple):
         return self.ask("row_exhausted", number, len(row.do))
 
     def ask(self, reason: str, row: int = -1, step: int = -1) -> RecoveryDecision:
-        if self.can_ask:
+        if self.plan.can_ask:
             return RecoveryDecision(Strategy.ASK_HUMAN, self.failure, reason, self.used, None, row, step)
         return self.end("nobody_to_ask", row, step)
 
@@ -139,7 +134,7 @@ class _Chooser(NamedTuple):
             if cover is not None:
                 used = self.used.taking(row, Strategy.ROLLBACK)
                 return RecoveryDecision(Strategy.ROLLBACK, self.failure, "rollback_required", used, cover, row, step)
-            if self.can_ask:
+            if self.plan.can_ask:
                 return RecoveryDecision(Strategy.ASK_HUMAN, self.failure, "not_covered", self.used, None, row, step)
         return RecoveryDecision(Strategy.TERMINATE, self.failure, reason, self.used, None, row, step)
 

@@ -31,6 +31,7 @@ from app.governance.model import (
     RecoveryPlan,
     RecoveryRule,
     Response,
+    Risk,
     SensorStamps,
     Separation,
     Signal,
@@ -284,6 +285,8 @@ PLAN = WatchPlan(
     params={"object_id": "mug_1"},
 )
 RECOVERY = RecoveryPlan(
+    risk=Risk.MEDIUM,
+    can_ask=True,
     rules=(
         RecoveryRule(
             on="object_lost",

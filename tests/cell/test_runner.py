@@ -233,6 +233,16 @@ def test_a_pause_ramps_down_as_declared_and_then_the_skill_is_not_asked_any_more
     assert rig.finish()["outcome"] == "succeeded"
 
 
+def test_a_person_who_stays_ends_the_session_where_nobody_can_be_asked(rig: Rig) -> None:
+    rig.recovery = replace(rig.recovery, can_ask=False)
+    walking_in(rig, from_s=1.0, until_s=math.inf)
+    rig.launch()
+    ended = rig.finish()
+    assert (ended["outcome"], ended["code"]) == ("terminated", "separation_m")
+    assert "escalated" not in rig.statuses()
+    assert rig.cell.stops == [1]
+
+
 def test_a_person_who_stays_becomes_a_question_to_a_human(rig: Rig) -> None:
     walking_in(rig, from_s=1.0, until_s=6.0)
     rig.launch()
@@ -340,6 +350,15 @@ def test_what_is_not_covered_asks_a_human_and_his_word_tries_again(rig: Rig) -> 
     assert not rig.moving()
     assert rig.runner.human("inv-1", "resolve_continue", "operator") is None
     assert rig.finish()["outcome"] == "recovered"
+
+
+def test_what_is_not_covered_ends_where_nobody_can_be_asked(rig: Rig) -> None:
+    rig.recovery = replace(rig.recovery, can_ask=False)
+    rig.cell.script.fails[("grasp_object", 1)] = "grasp_failed"
+    rig.launch(recoveries=())
+    assert rig.finish()["outcome"] == "terminated"
+    assert (rig.last("recovery")["strategy"], rig.last("recovery")["reason"]) == ("TERMINATE", "nobody_to_ask")
+    assert not rig.of("escalation")
 
 
 def test_a_human_may_let_it_end_instead(rig: Rig) -> None:

@@ -4,7 +4,7 @@ import orjson
 import pytest
 
 from app.governance import bundle
-from app.governance.model import Authorization, Mode, Strategy
+from app.governance.model import Authorization, Mode, Risk, Strategy
 from app.governance.policy import confirm_before, recovery_plan, watch_plan, watch_plan_for
 from app.governance.watcher import compile_watch
 from tests.governance.policy_world import PROFILES, files, proposal, shipped
@@ -145,3 +145,13 @@ def test_descriptions_are_json():
 def test_a_slow_session_has_headroom_for_the_noise_of_its_speed_and_never_more_than_the_profile(speed_mps, threshold):
     plan = watch_plan(shipped(), "grasp_object", "human-shared", {"object_id": "mug_1", "speed_mps": speed_mps})
     assert next(rule for rule in plan.rules if rule.id == "tcp-speed").threshold == pytest.approx(threshold)
+
+
+@pytest.mark.parametrize(
+    ("profile", "can_ask"),
+    [("sim-relaxed", False), ("test-audit", False), ("real-restricted", True), ("human-shared", True)],
+)
+def test_a_recovery_plan_knows_the_risk_and_whether_anybody_can_be_asked(profile, can_ask):
+    plan = recovery_plan(shipped(), "operate_tool", profile)
+    assert (plan.risk, plan.can_ask) == (Risk.HIGH, can_ask)
+    assert recovery_plan(shipped(), "navigate_to", profile).risk is Risk.LOW

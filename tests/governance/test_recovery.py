@@ -17,6 +17,8 @@ COVERED = (
     CoveredRecovery(strategy=S.ROLLBACK, capability="retrace", params={}),
 )
 PLAN = RecoveryPlan(
+    risk=Risk.MEDIUM,
+    can_ask=True,
     rules=(
         RecoveryRule(on="slip", do=(S.RECOVERY_CAPABILITY, S.RETRY, S.ASK_HUMAN), capability="release_and_retract"),
         RecoveryRule(on="miss", do=(S.RETRY, S.ROLLBACK, S.ASK_HUMAN), budget={S.RETRY: 2}),
@@ -33,7 +35,7 @@ PLAN = RecoveryPlan(
 
 
 def ask(failure: str, used: Budgets | None = None, plan: RecoveryPlan = PLAN, **changes: object) -> RecoveryDecision:
-    given_: dict[str, object] = {"risk": None, "can_ask": True, "covered": COVERED, "after": None}
+    given_: dict[str, object] = {"covered": COVERED, "after": None}
     return recover(failure, plan, used or Budgets(), **(given_ | changes))  # type: ignore[arg-type]
 
 
@@ -74,9 +76,9 @@ def test_an_unknown_failure_is_any_failure_and_without_such_a_row_a_human_is_ask
     assert (nothing.strategy, nothing.reason) == (S.ASK_HUMAN, "no_row")
 
 
-@pytest.mark.parametrize(("risk", "strategy"), [(Risk.HIGH, S.TERMINATE), (Risk.LOW, S.ASK_HUMAN), (None, S.TERMINATE)])
-def test_a_row_holds_for_its_risks(risk: Risk | None, strategy: Strategy) -> None:
-    assert ask("risky", risk=risk).strategy is strategy
+@pytest.mark.parametrize(("risk", "strategy"), [(Risk.HIGH, S.TERMINATE), (Risk.LOW, S.ASK_HUMAN)])
+def test_a_row_holds_for_its_risks(risk: Risk, strategy: Strategy) -> None:
+    assert ask("risky", plan=replace(PLAN, risk=risk)).strategy is strategy
 
 
 def test_a_step_that_is_not_covered_asks_a_human_instead_of_trying_something_lesser() -> None:
@@ -116,12 +118,12 @@ def test_before_the_end_comes_the_rollback_the_profile_requires_and_only_once(ro
 def test_a_required_rollback_that_is_not_covered_asks_a_human() -> None:
     plan = replace(PLAN, rollback="required", careful_admitted=False)
     assert ask("speed", plan=plan, covered=()).strategy is S.ASK_HUMAN
-    assert ask("speed", plan=plan, covered=(), can_ask=False).strategy is S.TERMINATE
+    assert ask("speed", plan=replace(plan, can_ask=False), covered=()).strategy is S.TERMINATE
     assert ask("speed", plan=replace(plan, rollback_capability=None)).strategy is S.TERMINATE
 
 
 def test_where_nobody_can_be_asked_asking_is_the_end() -> None:
-    decision = ask("unheard_of", can_ask=False)
+    decision = ask("unheard_of", plan=replace(PLAN, can_ask=False))
     assert (decision.strategy, decision.reason) == (S.TERMINATE, "nobody_to_ask")
 
 
@@ -156,10 +158,10 @@ rows = st.lists(
 def test_whatever_fails_again_and_again_motion_ends_after_a_bounded_number_of_recoveries(
     rows: list[RecoveryRule], retries: int, rollback: str, failures: list[str], can_ask: bool
 ) -> None:
-    plan = replace(PLAN, rules=tuple(rows), retry_budget=retries, rollback=rollback)
+    plan = replace(PLAN, rules=tuple(rows), retry_budget=retries, rollback=rollback, can_ask=can_ask)
     used, moved = Budgets(), 0
     for failure in failures:
-        decision = ask(failure, used, plan, can_ask=can_ask)
+        decision = ask(failure, used, plan)
         assert decision.strategy is not S.ASK_HUMAN or can_ask
         if decision.strategy in (S.TERMINATE, S.ASK_HUMAN):
             continue
