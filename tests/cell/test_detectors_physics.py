@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from app.governance.model import Command, Observation, SkillReport, WatchPlan, Zone
+from app.governance.model import RecoveryPlan, RecoveryRule, Strategy, WatchPlan, Zone
 from app.sim.faults import Fault
 from app.sim.occasions import Trigger
 from app.sim.people import Walk
@@ -57,32 +57,6 @@ def across_the_way(plan: WatchPlan) -> WatchPlan:
     return replace(plan, zones=(Zone(name="new", kind="forbidden", polygon=corners),))
 
 
-class Hung:
-    """A skill that hangs: after a while it moves nothing, and says nothing but that it runs."""
-
-    def __init__(self, shop: Workshop, skill: Any, after: int) -> None:
-        self._shop, self._skill, self._left = shop, skill, after
-
-    def act(self, seen: Observation, rate: float) -> Command:
-        self._left -= 1
-        return self._skill.act(seen, rate) if self._left > 0 else self._shop.cell.hold()
-
-    def report(self) -> SkillReport:
-        return self._skill.report()
-
-
-def hang(shop: Workshop) -> None:
-    """Let the first skill that is bound hang after a second and a half."""
-    bind, hung = shop.cell.bind, []
-
-    def bound(*args: Any, **kwargs: Any) -> Any:
-        skill = bind(*args, **kwargs)
-        hung.append(skill)
-        return skill if len(hung) > 1 else Hung(shop, skill, 150)
-
-    shop.cell.bind = bound  # type: ignore[method-assign]
-
-
 @dataclass(frozen=True, kw_only=True)
 class Case:
     """A fault, what is being done meanwhile, the rule it is for, and how the truth shows that the rule is right."""
@@ -94,7 +68,7 @@ class Case:
     people: Sequence[Walk] = ()
     before: Task | None = None
     also: Watched = lambda plan: plan
-    prepare: Callable[[Workshop], None] = lambda _: None
+    hung: bool = False
 
     def start(self, folder: Path, *, without: bool = False) -> Workshop:
         folder.mkdir()
@@ -109,7 +83,8 @@ class Case:
             return silenced(plan, self.rule) if without else plan
 
         shop.edit = edit
-        self.prepare(shop)
+        if self.hung:
+            shop.hang(runs=1)
         shop.launch(self.task[0], 2, **self.task[1])
         return shop
 
@@ -200,7 +175,7 @@ CASES = (
     Case(
         rule="stall",
         task=DRIVE,
-        prepare=hang,
+        hung=True,
         truly=lambda shop: shop.cell.truth().base_speed_mps < 0.01,
     ),
     Case(
@@ -227,6 +202,22 @@ CASES = (
         truly=lambda shop: "ROLLBACK" in shop.strategies() and shop.cell.truth().objects["mug_1"][2] < 0.0,
     ),
 )
+
+
+def test_one_more_attempt_than_the_profile_allows_goes_to_a_human(tmp_path: Path) -> None:
+    """Recovery counts for itself and never gets that far; the rule is there for the day it does."""
+    shop = Workshop(tmp_path)
+
+    def generous(plan: RecoveryPlan) -> RecoveryPlan:
+        again = RecoveryRule(on="any", do=(Strategy.RETRY,), budget={Strategy.RETRY: 9})
+        return replace(plan, rules=(again,), retry_budget=9)
+
+    shop.edit_recovery = generous
+    shop.hang(runs=9)
+    shop.launch(DRIVE[0], **DRIVE[1])
+    shop.until("escalated")
+    assert shop.rules() == ["stall", "stall", "retries"]
+    assert shop.strategies() == ["RETRY", "RETRY"]
 
 
 def off_command_rad(shop: Workshop) -> float:

@@ -5,18 +5,23 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from app.cell.journal import Entry, Journal
 from app.cell.runner import Runner
+from app.cell.substrate import Skill
 from app.governance import bundle
 from app.governance.conditions import unmet
 from app.governance.model import (
     Authorization,
+    Command,
     CoveredRecovery,
     Json,
     Mode,
+    Observation,
     Params,
     RecoveryPlan,
+    SkillReport,
     Strategy,
     WatchPlan,
     WorldFacts,
@@ -37,6 +42,20 @@ def policy() -> PolicySet:
     return bundle.load(POLICIES)
 
 
+class Hung:
+    """A skill that hangs after so many ticks."""
+
+    def __init__(self, cell: Workcell, skill: Skill, after_ticks: int) -> None:
+        self._cell, self._skill, self._left = cell, skill, after_ticks
+
+    def act(self, seen: Observation, rate: float) -> Command:
+        self._left -= 1
+        return self._skill.act(seen, rate) if self._left > 0 else self._cell.hold()
+
+    def report(self) -> SkillReport:
+        return self._skill.report()
+
+
 class Workshop:
     """A workcell, its runner, and everything that was told."""
 
@@ -52,6 +71,7 @@ class Workshop:
     ) -> None:
         self.policy, self.profile = policy(), profile
         self.edit: Callable[[WatchPlan], WatchPlan] = lambda plan: plan
+        self.edit_recovery: Callable[[RecoveryPlan], RecoveryPlan] = lambda plan: plan
         self.cell = Workcell(self.policy.site, seed=seed, faults=faults, people=people, quality=quality)
         self.entries: list[Entry] = []
         self.journal = Journal(folder / "journal", boot="boot-1")
@@ -69,12 +89,12 @@ class Workshop:
         permit = grant.authorization
         what = recovery or permit
         plan = watch_plan(self.policy, what.capability, permit.profile, what.params, what.mode)
-        return self.edit(plan), recovery_plan(self.policy, permit.capability, permit.profile)
+        return self.edit(plan), self.edit_recovery(recovery_plan(self.policy, permit.capability, permit.profile))
 
     def unmet(self, names: tuple[str, ...], params: Params, facts: WorldFacts) -> tuple[str, ...]:
         return tuple(found.condition for found in unmet(names, params, facts, self.policy.site))
 
-    def launch(self, capability: str, number: int = 1, **params: Json) -> None:
+    def launch(self, capability: str, number: int = 1, *, covered: bool = True, **params: Json) -> None:
         """Launch with parameters as policy would have constrained them; the test names the numbers."""
         permit = Authorization(
             id=f"auth-{number}",
@@ -88,7 +108,7 @@ class Workshop:
             policy_digest=self.policy.digest,
             issued_at_s=NOW_S,
             expires_at_s=NOW_S + 30.0,
-            recoveries=tuple(self._recoveries(capability, params)),
+            recoveries=tuple(self._recoveries(capability, params)) if covered else (),
         )
         assert self.runner.launch(mint(permit, KEY)) is None, self.entries[-1]
 
@@ -112,6 +132,17 @@ class Workshop:
             back = plan.rollback_capability
             found.append(CoveredRecovery(strategy=Strategy.ROLLBACK, capability=back, params=self._filled(back, {})))
         return found
+
+    def hang(self, *, runs: int, after_ticks: int = 150) -> None:
+        """Let the next skills that are bound hang after a while: they move nothing and say only that they run."""
+        bind, left = self.cell.bind, [runs]
+
+        def bound(*args: Any, **kwargs: Any) -> Any:
+            left[0] -= 1
+            skill = bind(*args, **kwargs)
+            return skill if left[0] < 0 else Hung(self.cell, skill, after_ticks)
+
+        self.cell.bind = bound  # type: ignore[method-assign]
 
     def finish(self, within: int = 12_000) -> dict[str, Json]:
         for _ in range(within):
