@@ -186,6 +186,7 @@ def _door(app: Any) -> uvicorn.Config:  # noqa: ANN401  # an ASGI application
         ws_ping_interval=None,  # the link beats by itself
         lifespan="on",
         access_log=False,
+        proxy_headers=False,  # nothing here asks who forwarded a request, and a client may write what it likes there
         log_level="warning",
         server_header=False,
         timeout_graceful_shutdown=LEAVE_S,

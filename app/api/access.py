@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from starlette.responses import Response
     from starlette.routing import BaseRoute
-    from starlette.types import Receive, Scope, Send
+    from starlette.types import ASGIApp, Receive, Scope, Send
 
     from app.api.auth import Principals
     from app.runtime.invocation import Principal
@@ -112,6 +112,7 @@ class GuardedRoute(APIRoute):
     def __init__(self, path: str, endpoint: Callable[..., Any], **options: Any) -> None:  # noqa: ANN401  # FastAPI's own
         """Build the route. Raises `RouteUnguarded`."""
         super().__init__(path, endpoint, **options)
+        self.direct: ASGIApp | None = None
         if list(signature(endpoint).parameters) == ["request"]:
             guarded = self._guard(endpoint)
 
@@ -119,7 +120,7 @@ class GuardedRoute(APIRoute):
                 response = await guarded(Request(scope, receive, send))
                 await response(scope, receive, send)
 
-            self.app = direct
+            self.app = self.direct = direct
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Return FastAPI's handler behind the guard. Raises `RouteUnguarded`."""
@@ -139,6 +140,16 @@ class GuardedRoute(APIRoute):
             return await handler(request)
 
         return guarded
+
+
+def direct_routes(routes: Iterable[BaseRoute]) -> dict[tuple[str, str], ASGIApp]:
+    """Return the routes that can be found by method and path alone and read their requests by themselves."""
+    return {
+        (method, route.path): route.direct
+        for route in routes
+        if isinstance(route, GuardedRoute) and route.direct is not None and not route.param_convertors
+        for method in cast("set[str]", route.methods)
+    }
 
 
 def verify_routes(routes: Iterable[BaseRoute]) -> None:

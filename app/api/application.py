@@ -12,20 +12,21 @@ from typing import TYPE_CHECKING
 import orjson
 from fastapi import FastAPI
 from fastapi.middleware.asyncexitstack import AsyncExitStackMiddleware
+from starlette.applications import Starlette
 from starlette.middleware.exceptions import ExceptionMiddleware
 from starlette.requests import Request
 from starlette.responses import Response
 
 from app import __version__
 from app.api import agents, audits, documents, links, operators, policies, problems
-from app.api.access import GuardedRoute, verify_routes
+from app.api.access import GuardedRoute, direct_routes, verify_routes
 from app.api.openapi import Answers, answer, declare, describe
 from app.api.parts import Parts, parts_of
 
 if TYPE_CHECKING:
     from collections.abc import AsyncGenerator, Callable, Mapping
 
-    from starlette.types import ASGIApp
+    from starlette.types import ASGIApp, Receive, Scope, Send
 
     from app.api.auth import Principals
     from app.audit.store import AuditStore
@@ -48,6 +49,10 @@ next}`; give `next` back as `cursor` (or `after`, in the log).
 class Application(FastAPI):
     """FastAPI without the layers that this application does for itself."""
 
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve a connection as Starlette does; asking whether it is traced would cost every request its share."""
+        await Starlette.__call__(self, scope, receive, send)
+
     def build_middleware_stack(self) -> ASGIApp:
         """Return the routes inside three layers: the frame, the exceptions that have problems, FastAPI's exit stack.
 
@@ -55,7 +60,7 @@ class Application(FastAPI):
         """
         handlers = dict(self.exception_handlers)
         inner = AsyncExitStackMiddleware(self.router)
-        return problems.Frame(ExceptionMiddleware(inner, handlers=handlers))
+        return problems.Frame(ExceptionMiddleware(inner, handlers=handlers), direct_routes(self.routes))
 
 
 def create_app(

@@ -36,6 +36,15 @@ class Json(Response):
 
     media_type = "application/json"
 
+    def init_headers(self, headers: Mapping[str, str] | None = None) -> None:
+        """Write the two headers that every such answer has, and those given."""
+        given = () if headers is None else headers.items()
+        self.raw_headers = [
+            (b"content-length", b"%d" % len(self.body)),
+            (b"content-type", b"application/json"),
+            *((name.lower().encode("latin-1"), value.encode("latin-1")) for name, value in given),
+        ]
+
 
 def answer(document: object, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
     """Return a document of plain JSON as a response."""

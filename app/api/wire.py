@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast
 
 import orjson
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
-from starlette.requests import ClientDisconnect
 
 from app.api.faults import field_errors
 from app.api.problems import Problem
@@ -132,14 +131,16 @@ async def read_bytes(request: Request) -> bytes:
         raise _too_large()
     chunks: list[bytes] = []
     size = 0
-    try:
-        async for chunk in request.stream():
-            chunks.append(chunk)
-            size += len(chunk)
-            if size > MAX_BODY_BYTES:
-                raise _too_large()
-    except ClientDisconnect:
-        raise Problem("body_incomplete", "the connection ended within the body") from None
+    more = True
+    while more:
+        message = await request.receive()
+        if message["type"] == "http.disconnect":
+            raise Problem("body_incomplete", "the connection ended within the body")
+        chunks.append(message.get("body", b""))
+        size += len(chunks[-1])
+        if size > MAX_BODY_BYTES:
+            raise _too_large()
+        more = message.get("more_body", False)
     return b"".join(chunks)
 
 
