@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import time
 from datetime import UTC, datetime
+from functools import lru_cache
+from math import floor
 
 
 def wall_s() -> float:
@@ -31,10 +33,18 @@ def rfc3339(wall_s: float) -> str:
         ValueError: the time lies outside the years 1 to 9999, or is not finite.
     """
     try:
-        moment = datetime.fromtimestamp(wall_s, tz=UTC)
+        second = floor(wall_s)
+        microseconds = round((wall_s - second) * 1_000_000)
+        if microseconds == 1_000_000:
+            second, microseconds = second + 1, 0
+        return f"{_to_second(second)}.{microseconds // 1000:03d}Z"
     except (OverflowError, OSError, ValueError) as error:
         raise ValueError(f"`{wall_s}` is no wall time: valid are finite seconds within the years 1 to 9999") from error
-    return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+@lru_cache(maxsize=8)  # the present second is asked for thousands of times
+def _to_second(second: int) -> str:
+    return datetime.fromtimestamp(second, tz=UTC).replace(tzinfo=None).isoformat()
 
 
 def parse_rfc3339(text: str) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -23,6 +25,12 @@ def test_what_was_written_reads_back_to_the_millisecond(ms: int) -> None:
 def test_texts_sort_like_times(first: int, second: int) -> None:
     if first < second:
         assert rfc3339(first / 1000) <= rfc3339(second / 1000)
+
+
+@given(st.floats(min_value=-6e10, max_value=2.5e11))
+def test_a_written_time_is_what_the_calendar_says_cut_to_the_millisecond(seconds: float) -> None:
+    calendar = datetime.fromtimestamp(seconds, tz=UTC).isoformat(timespec="milliseconds")
+    assert rfc3339(seconds) == calendar.replace("+00:00", "Z")
 
 
 def test_reads_any_offset() -> None:
