@@ -220,7 +220,9 @@ def may_see(principal: Principal, agent: str) -> bool:
 
 def reasons_document(reasons: tuple[Reason, ...]) -> list[dict[str, str]]:
     """Return reasons as JSON objects."""
-    return [reason._asdict() for reason in reasons]
+    return [
+        {"rule": rule, "code": code, "message": message, "remedy": remedy} for rule, code, message, remedy in reasons
+    ]
 
 
 def without_free_text(value: Any) -> Any:  # noqa: ANN401  # JSON
