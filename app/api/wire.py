@@ -107,7 +107,7 @@ async def read_body(request: Request, model: type[M]) -> M:
     Raises:
         Problem: 413 `body_too_large`, 415 `media_type_unsupported`, 422 `malformed_json` or `request_invalid`.
     """
-    check_media_type(request.headers.get("content-type"))
+    check_media_type(_header(request, b"content-type"))
     return to_model(parse(await read_bytes(request)), model)
 
 
@@ -126,7 +126,7 @@ async def read_bytes(request: Request) -> bytes:
     Raises:
         Problem: 413 `body_too_large`, by the declared length or by what arrived; 400 `body_incomplete`.
     """
-    declared = request.headers.get("content-length", "")
+    declared = _header(request, b"content-length") or ""
     if declared.isascii() and declared.isdigit() and int(declared[:19]) > MAX_BODY_BYTES:
         raise _too_large()
     chunks: list[bytes] = []
@@ -202,15 +202,23 @@ def read_idempotency_key(request: Request) -> str | None:
     Raises:
         Problem: 422 `idempotency_key_invalid`: empty, over 255 characters, not printable ASCII, or given twice.
     """
-    values = request.headers.getlist("idempotency-key")
+    values = [value for name, value in request.headers.raw if name == b"idempotency-key"]
     if not values:
         return None
-    key = values[0]
+    key = values[0].decode("latin-1")
     if len(values) > 1 or not 0 < len(key) <= MAX_KEY or not key.isascii() or not key.isprintable():
         raise Problem(
             "idempotency_key_invalid", f"valid is one `Idempotency-Key` of 1 to {MAX_KEY} printable ASCII characters"
         )
     return key
+
+
+def _header(request: Request, wanted: bytes) -> str | None:
+    """Return a header's first value, straight from the list: the mapping over it costs every request its share."""
+    for name, value in request.headers.raw:
+        if name == wanted:
+            return value.decode("latin-1")
+    return None
 
 
 # -- saying what is wrong ----------------------------------------------------------------------------------------------

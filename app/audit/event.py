@@ -107,7 +107,7 @@ def prepare(draft: EventDraft, at: str) -> Prepared:
             raise EventMalformed(kind, "the body is no mapping")
     except TypeError as error:
         raise EventMalformed(kind, str(error)) from error
-    if len(unplaced) > MAX_BODY_BYTES and (size := len(_encode(body))) > MAX_BODY_BYTES:
+    if len(unplaced) > MAX_BODY_BYTES and (size := len(_encode(record["body"]))) > MAX_BODY_BYTES:
         raise EventMalformed(kind, f"the body has `{size}` bytes, at most `{MAX_BODY_BYTES}` are kept")
     return Prepared(at, kind, invocation, actor, unplaced)
 

@@ -108,14 +108,14 @@ class Ledger:
         sealed: list[Event] = []
         rows: dict[str, list[Mapping[str, Any]]] = {}
         for submission in batch:
-            conflict = self._conflict(submission.rows, taken)
+            once = [row for row in submission.rows if row.once]
+            conflict = self._conflict(once, taken) if once else None
             if conflict is not None:
                 answers.append(conflict)
                 continue
             mine = tuple(prepared.seal(seq + place) for place, prepared in enumerate(submission.events, 1))
             for row in submission.rows:
-                given = {STORE_GIVEN: seq + 1} if STORE_GIVEN in STATE[row.table].columns else {}
-                rows.setdefault(row.table, []).append({**row.values, **given})
+                rows.setdefault(row.table, []).append({**row.values, STORE_GIVEN: seq + 1})
             seq += len(mine)
             sealed.extend(mine)
             answers.append(mine)
@@ -173,8 +173,6 @@ class Ledger:
     def _conflict(self, rows: Sequence[RowWrite], taken: set[tuple[object, ...]]) -> RowExists | None:
         mine: set[tuple[object, ...]] = set()
         for row in rows:
-            if not row.once:
-                continue
             key = primary_key(row)
             place = (row.table, *key)
             if place in taken or place in mine or self._connection.execute(same_key(row)).first():

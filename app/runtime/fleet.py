@@ -123,6 +123,8 @@ class Fleet:
 
     def choose(self) -> Cell | None:
         """Return the cell for a proposal that names none: one that is free, else one that is there, else any."""
+        if not self._cells:
+            return None
         cells = self.cells()
         fresh = [cell for cell in cells if cell.fresh]
         free = [cell for cell in fresh if self.busy(cell) is None]
