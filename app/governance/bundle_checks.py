@@ -108,6 +108,9 @@ def inputs(reader: Reader, shape: shapes.CapabilityShape) -> Iterator[PolicyErro
     if schema.get("type") != "object" or schema.get("additionalProperties") is not False:
         message = "inputs are a closed object"
         yield reader.problem(("inputs",), message, ["type: object", "additionalProperties: false"])
+    if "patternProperties" in schema:
+        message = "parameters have names: what only fits a pattern, no rule and no limit would hold"
+        yield reader.problem(("inputs", "patternProperties"), message, ["properties"])
     declared = schema.get("properties")
     for name, spec in (declared if isinstance(declared, dict) else {}).items():
         path = ("inputs", "properties", name)
@@ -116,6 +119,22 @@ def inputs(reader: Reader, shape: shapes.CapabilityShape) -> Iterator[PolicyErro
             continue
         yield from _PARAM_CHECKS[str(spec["type"])](reader, path, name, cast("Mapping[str, Json]", spec))
         yield from _default(reader, path, cast("Mapping[str, Json]", spec))
+    yield from _references(reader, cast("Mapping[str, object]", declared if isinstance(declared, dict) else {}))
+
+
+def _references(reader: Reader, declared: Mapping[str, object]) -> Iterator[PolicyError]:
+    """A kind is referred to once, or all but one of its names would go unheeded; an action is one of its tool's."""
+    kinds: dict[object, str] = {}
+    for name, spec in declared.items():
+        kind = cast("Mapping[str, object]", spec).get("x-ref") if isinstance(spec, dict) else None
+        path = ("inputs", "properties", name, "x-ref")
+        if isinstance(kind, str) and kind in kinds:
+            yield reader.problem(path, f"`{name}` and `{kinds[kind]}` both refer to a kind of name, `{kind}`: one may")
+        if isinstance(kind, str):
+            kinds[kind] = name
+    if "action" in kinds and "tool" not in kinds:
+        path = ("inputs", "properties", kinds["action"], "x-ref")
+        yield reader.problem(path, f"`{kinds['action']}` is an action, but no parameter is its tool", ["x-ref: tool"])
 
 
 def _number(reader: Reader, path: Path, name: str, spec: Mapping[str, Json]) -> Iterator[PolicyError]:
@@ -131,6 +150,9 @@ def _number(reader: Reader, path: Path, name: str, spec: Mapping[str, Json]) -> 
     elif low >= high:
         yield reader.problem((*path, "minimum"), f"empty range: minimum `{low}` is not below maximum `{high}`")
     limit = spec.get("x-limit")
+    if isinstance(low, (int, float)) and low < 0 and unit in LIMIT_UNITS.values():
+        message = f"`{name}` goes down to `{low}`: a limit in `{unit}` holds it from above only"
+        yield reader.problem((*path, "minimum"), message, ["a minimum of 0 or more"])
     if limit is not None and LIMIT_UNITS.get(str(limit)) != unit:
         fitting = [other for other, has in LIMIT_UNITS.items() if has == unit]
         yield reader.problem((*path, "x-limit"), f"unit mismatch: `{limit}` is no limit in `{unit}`", fitting)
@@ -138,14 +160,17 @@ def _number(reader: Reader, path: Path, name: str, spec: Mapping[str, Json]) -> 
 
 def _string(reader: Reader, path: Path, name: str, spec: Mapping[str, Json]) -> Iterator[PolicyError]:
     reference = spec.get("x-ref")
+    yield from _plain(reader, path, name, spec)
     if reference is None and "enum" not in spec:
         yield reader.problem(path, f"`{name}` is neither a name of the site nor one of a list", ["x-ref", "enum"])
     elif reference is not None:
         yield from reader.unknown((*path, "x-ref"), "kind of reference", reference, REFERENCES)
 
 
-def _plain(_reader: Reader, _path: Path, _name: str, _spec: Mapping[str, Json]) -> Iterator[PolicyError]:
-    yield from ()
+def _plain(reader: Reader, path: Path, name: str, spec: Mapping[str, Json]) -> Iterator[PolicyError]:
+    for key in ("unit", "x-limit"):
+        if key in spec:
+            yield reader.problem((*path, key), f"`{key}` belongs to a number, `{name}` is a {spec['type']}")
 
 
 _PARAM_CHECKS: Final = {"number": _number, "integer": _plain, "string": _string, "boolean": _plain}

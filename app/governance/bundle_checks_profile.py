@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 ASKING: Final = frozenset({"approval-required", "approval-on-escalation"})
 HUMANS: Final = ASKING | {"takeover-enabled"}
 MANIPULATION: Final = "manipulation"
+RESERVED: Final = frozenset({"admission", "authority", "guard", "organization"})
 
 
 def profile(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[PolicyError]:
@@ -25,6 +26,8 @@ def profile(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterato
     if f"{shape.profile}.yaml" != reader.document.file.rpartition("/")[2]:
         message = f"`{shape.profile}` stands in `{reader.document.file}`"
         yield reader.problem(("profile",), message, [f"{shape.profile}.yaml"])
+    if shape.profile in RESERVED:
+        yield reader.problem(("profile",), f"`{shape.profile}` is reserved: rules of another origin go by that name")
     for name in shape.stale_after_ms:
         yield from reader.unknown(("stale_after_ms", name), "sensor", name, SENSORS)
     yield from _watch(reader, shape, known)

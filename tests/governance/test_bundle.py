@@ -34,6 +34,17 @@ BROKEN = [
     ("neither name nor list", GRASP, ", x-ref: object", "", "neither a name of the site nor one of a list"),
     ("parameter no condition could name", GRASP, "  properties:\n", "  properties:\n    in: {type: boolean}\n",
      "not a usable name"),
+    ("parameters by pattern", GRASP, "  properties:\n", "  patternProperties: {'^f': {type: number}}\n  properties:\n",
+     "parameters have names"),
+    ("two of a kind", GRASP, "  properties:\n", "  properties:\n    other: {type: string, x-ref: object}\n",
+     "both refer to a kind of name"),
+    ("an action without a tool", "capabilities/operate_tool.yaml", "x-ref: tool", "enum: [press]", "is its tool"),
+    ("a quantity below zero", GRASP, "minimum: 0.02", "minimum: -2.0", "from above only"),
+    ("an integer with a unit", GRASP, "  properties:\n", "  properties:\n    n: {type: integer, unit: N, default: 1}\n",
+     "`unit` belongs to a number"),
+    ("a flag with a limit", GRASP, "  properties:\n", "  properties:\n    b: {type: boolean, x-limit: wish}\n",
+     "`x-limit` belongs to a number"),
+    ("a name with a limit", GRASP, "x-ref: object", "x-ref: object, x-limit: payload_kg", "belongs to a number"),
     ("unknown reference", GRASP, "x-ref: object", "x-ref: wish", "kind of reference `wish`"),
     ("unknown condition", GRASP, "gripper_empty", "gripper_clean", "condition `gripper_clean`"),
     ("unknown permission", GRASP, "[manipulation]", "[juggling]", "permission `juggling`"),
@@ -172,6 +183,14 @@ def test_an_unknown_key_is_answered_with_the_keys_there_are():
     assert set(valid["watch[11].above.off"]) == {"limit", "times"}
     assert set(valid["targets.x_m.z_m"]) == set(valid["targets.dock.z_m"])
     assert set(valid["targets.dock.z_m"]) == {"x_m", "y_m", "yaw_rad", "corridor"}
+
+
+@pytest.mark.parametrize("name", ["organization", "authority", "guard", "admission"])
+def test_a_profile_may_not_go_by_the_name_of_another_origin_of_rules(name):
+    text = files()
+    text[f"profiles/{name}.yaml"] = text[RELAXED].replace("profile: sim-relaxed", f"profile: {name}")
+    with pytest.raises(PolicyErrors, match=f"`{name}` is reserved"):
+        bundle.load_files(text)
 
 
 def test_a_capability_forbidden_in_a_profile_has_no_gate_there():
