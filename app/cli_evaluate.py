@@ -110,15 +110,14 @@ def _request(  # noqa: PLR0913  # the command's options
         PluginError: a plugin that does not load.
         ValueError: a seed that is no integer.
     """
-    from app.evaluation.campaign import Request, own_tasks
+    from app.evaluation.campaign import Request
     from app.evaluation.extensions import REGISTRY, find_method, find_task, load_plugins
     from app.evaluation.methods import ABLATIONS, METHODS
     from app.evaluation.model import SEEDS
     from app.evaluation.protocols import find_protocol
 
     load_plugins(plugins)
-    found = find_protocol(protocol)
-    standard = _LONG_TRIALS if long else getattr(found, "TRIALS", _TRIALS)
+    standard = _LONG_TRIALS if long else getattr(find_protocol(protocol), "TRIALS", _TRIALS)
     named = (*METHODS, *REGISTRY.methods) if methods == "all" else _words(methods)
     return Request(
         protocol=protocol,
@@ -126,8 +125,9 @@ def _request(  # noqa: PLR0913  # the command's options
         seeds=tuple(dict.fromkeys(_seed(word) for word in _words(seeds))) or SEEDS,
         trials=trials or standard,
         policies=policies,
-        tasks=tuple(dict.fromkeys(find_task(name).name for name in _words(tasks))) or own_tasks(found),
+        tasks=tuple(dict.fromkeys(find_task(name).name for name in _words(tasks))),
         plugins=plugins,
+        long=long,
     )
 
 

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Final
 import orjson
 
 import app
-from app.evaluation.extensions import all_tasks, find_method, find_task, load_plugins, plugin_digests
+from app.evaluation.extensions import find_method, find_task, load_plugins, plugin_digests
 from app.evaluation.parts import Parts, Rows, write_tables
 from app.evaluation.protocols import EvaluationProtocol, find_protocol
 from app.evaluation.rows import COLUMNS
@@ -87,8 +87,9 @@ class Request:
         seeds: Seeds of the runs.
         trials: Trials for each method, task and seed.
         policies: Policy directory.
-        tasks: Names of task types.
+        tasks: Task types; empty: the protocol's own choice.
         plugins: Python files that register more.
+        long: Whether the protocol's long run is meant.
     """
 
     protocol: str
@@ -96,8 +97,9 @@ class Request:
     seeds: tuple[int, ...]
     trials: int
     policies: Path
-    tasks: tuple[str, ...]
+    tasks: tuple[str, ...] = ()
     plugins: tuple[Path, ...] = ()
+    long: bool = False
 
     def describe(self) -> dict[str, Json]:
         """Return everything that the rows follow from, as plain data."""
@@ -107,6 +109,7 @@ class Request:
             "seeds": list(self.seeds),
             "trials": self.trials,
             "tasks": list(self.tasks),
+            "long": self.long,
             "policy": load(self.policies).digest,
             "plugins": {**plugin_digests(self.plugins)},
             "version": app.__version__,
@@ -153,13 +156,14 @@ def run_campaign(
     """
     load_plugins(request.plugins)
     protocol = find_protocol(request.protocol)
-    _check_tasks(request, protocol)
+    _check_names(request)
     configuration = request.describe()
     with _claimed(out, configuration, fresh=fresh):
         digest = _digest(configuration)
         parts = Parts(out / PARTS, digest, _columns(protocol))
-        methods = [find_method(name) for name in request.methods]
-        jobs = protocol.jobs(methods, request.seeds, request.trials, request.tasks)
+        jobs = protocol.jobs(
+            methods=request.methods, tasks=request.tasks, seeds=request.seeds, trials=request.trials, long=request.long
+        )
         _check_jobs(jobs)
         _run(request, parts, jobs, workers=workers, progress=progress)
         rows = Rows(parts, jobs)
@@ -170,10 +174,7 @@ def run_campaign(
             "trials": request.trials,
             "configuration": {"digest": digest, **configuration},
         }
-        results = {
-            **head,
-            **protocol.results(rows, policy=load(request.policies), seeds=request.seeds, trials=request.trials),
-        }
+        results = {**head, **protocol.results(rows, load(request.policies))}
         write_json(out / RESULTS, results)
     return results
 
@@ -265,13 +266,10 @@ def _remove(out: Path) -> None:
         shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
 
 
-def own_tasks(protocol: EvaluationProtocol) -> tuple[str, ...]:
-    """Return the tasks that a protocol runs unless told otherwise: those it declares, else all task types."""
-    return tuple(getattr(protocol, "TASKS", all_tasks()))
-
-
-def _check_tasks(request: Request, protocol: EvaluationProtocol) -> None:
-    for task in set(request.tasks).difference(own_tasks(protocol)):
+def _check_names(request: Request) -> None:
+    for method in request.methods:
+        find_method(method)
+    for task in request.tasks:
         find_task(task)
 
 

@@ -4,7 +4,7 @@ A protocol is a module (or any object) with three functions. A campaign asks it 
 order, and hands all rows back to it in the order of the jobs:
 
 ```
-jobs(methods, seeds, trials, tasks) ─▶ [Job, …] ─run(job, policy)─▶ rows ─results(rows, …)─▶ results.json
+jobs(methods, tasks, seeds, trials, long) ─▶ [Job, …] ─run(job, policy)─▶ rows ─results(rows, policy)─▶ results.json
 ```
 """
 
@@ -19,7 +19,6 @@ from app.evaluation.extensions import REGISTRY, UnknownName
 
 if TYPE_CHECKING:
     from app.evaluation.jobs import Job
-    from app.evaluation.methods import Method
     from app.evaluation.model import Row
     from app.governance.model import Json
     from app.governance.policy import PolicySet
@@ -29,22 +28,24 @@ if TYPE_CHECKING:
 class EvaluationProtocol(Protocol):
     """How methods are put to the test. Everything it does follows from its arguments alone: no clock, no state.
 
-    A module may declare `COLUMNS`, if its rows have more than those of `app.evaluation.rows`; `TASKS`, if it does not
-    run all task types unless told so; and `TRIALS`, how many it runs unless told so.
+    A module may declare `COLUMNS`, if its rows have more than those of `app.evaluation.rows`.
     """
 
-    def jobs(self, methods: Sequence[Method], seeds: Sequence[int], trials: int, tasks: Sequence[str]) -> Sequence[Job]:
-        """Cut the campaign into jobs, in the canonical order; `trials` are for each method, task and seed."""
+    def jobs(
+        self, *, methods: Sequence[str], tasks: Sequence[str], seeds: Sequence[int], trials: int, long: bool
+    ) -> Sequence[Job]:
+        """Cut the campaign into jobs, in the canonical order; `tasks` is empty where all are meant."""
         ...
 
     def run(self, job: Job, policy: PolicySet) -> Iterable[Row]:
         """Run one job. A generator keeps memory flat; called in a process of its own, on one thread."""
         ...
 
-    def results(self, rows: Iterable[Row], *, policy: PolicySet, seeds: Sequence[int], trials: int) -> dict[str, Json]:
-        """Sum up all rows, in the order of the jobs, to what `results.json` holds.
+    def results(self, rows: Iterable[Row], policy: PolicySet) -> dict[str, Json]:
+        """Sum up all rows, in the order of the jobs; `rows` can be gone through several times.
 
-        `rows` can be gone through several times; each time they are read anew.
+        Returns:
+            What `results.json` holds, without `protocol`, `seeds` and `trials`.
         """
         ...
 

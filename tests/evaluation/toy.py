@@ -18,7 +18,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from app.clock import monotonic_s
-from app.evaluation.extensions import ExtraFault, Registry, find_method
+from app.evaluation.extensions import ExtraFault, Registry, all_tasks, find_method
 from app.evaluation.jobs import Job
 from app.evaluation.methods import REINS, Method
 from app.evaluation.model import Row, Task, Violation
@@ -27,11 +27,11 @@ STRETCH = 5
 GATE_S = 60.0
 
 
-def jobs(methods: Sequence[Method], seeds: Sequence[int], trials: int, tasks: Sequence[str]) -> list[Job]:
+def jobs(*, methods: Sequence[str], tasks: Sequence[str], seeds: Sequence[int], trials: int, long: bool) -> list[Job]:
     return [
-        Job(f"{method.name}-{task}-{seed}-{first}", method.name, task, seed, first, min(STRETCH, trials - first))
+        Job(f"{method}-{task}-{seed}-{first}", method, task, seed, first, min(STRETCH, trials - first))
         for method in methods
-        for task in tasks
+        for task in (tasks or all_tasks())
         for seed in seeds
         for first in range(0, trials, STRETCH)
     ]
@@ -55,7 +55,7 @@ def run(job: Job, policy: Any) -> Iterator[Row]:
         }
 
 
-def results(rows: Iterable[Row], *, policy: Any, seeds: Sequence[int], trials: int) -> dict[str, Any]:
+def results(rows: Iterable[Row], policy: Any) -> dict[str, Any]:
     counts: dict[str, list[float]] = {}
     for row in rows:
         counts.setdefault(str(row["method"]), []).append(float(bool(row["launched"])))
