@@ -15,7 +15,7 @@ import jsonschema_rs
 from app.governance.bundle_yaml import Document, Path, dotted
 from app.governance.conditions import TESTS
 from app.governance.errors import DeclarationError, ExpressionError, PolicyError
-from app.governance.expression import BOOL, STRING
+from app.governance.expression_tree import BOOL, STRING
 from app.governance.policy_model import (
     LIMIT_UNITS,
     REFERENCES,

@@ -24,15 +24,14 @@ Docs: docs/design/expressions.md. Source: CEL language definition, restricted; d
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
-from functools import partial
-from types import SimpleNamespace
-from typing import Final, assert_never, cast
+from typing import Final
 
-from app.governance.errors import DeclarationError, EvaluationError, ExpressionError
+from app.governance.errors import DeclarationError, ExpressionError
+from app.governance.expression_reach import DOUBLE_MAX, INT_MAX, INT_MIN, REACH
+from app.governance.expression_syntax import Syntax, Tree
 from app.governance.expression_tree import (
     ANY,
     BOOL,
@@ -54,28 +53,15 @@ from app.governance.expression_tree import (
     RecordType,
     Scalar,
     Select,
-    Syntax,
-    Tree,
     Type,
     Typed,
     Variable,
-    parse,
+    children,
     require_identifier,
     show,
 )
 
-# fmt: off
-__all__ = [
-    "ANY", "BOOL", "DOUBLE", "INT", "INTRINSICS", "MAX_QUANTIFIERS", "OVERLOADS", "STRING", "Env",
-    "Field", "ListType", "MapType", "RecordType", "check", "children", "compile_condition",
-    "conform", "declare", "parse", "references", "show", "to_python",
-]
-# fmt: on
-
 MAX_QUANTIFIERS: Final = 2
-_INT_MIN: Final = -(2**63)
-_INT_MAX: Final = 2**63 - 1
-_DOUBLE_MAX: Final = sys.float_info.max
 _SAME_UNIT: Final = frozenset({"==", "!=", "<", "<=", ">", ">=", "+", "-", "%", "in"})
 _SUMS: Final = frozenset({"+", "-", "%"})
 _SCALING: Final = frozenset({"*", "/"})
@@ -161,7 +147,7 @@ def _literal(syntax: Syntax, scope: _Scope) -> Typed:
             return Constant(type=BOOL, value=value, column=syntax.column)
         case str() as value:
             return Constant(type=STRING, value=value, column=syntax.column)
-        case int() as value if _INT_MIN <= value <= _INT_MAX:
+        case int() as value if INT_MIN <= value <= INT_MAX:
             return Constant(type=INT, value=value, reach=abs(value), column=syntax.column)
         case float() as value if math.isfinite(value):
             return Constant(type=DOUBLE, value=value, reach=abs(value), column=syntax.column)
@@ -188,8 +174,8 @@ def _reach_of(declared: Field) -> float:
         held = held.element if isinstance(held, ListType) else held.value
     within = math.inf if declared.within is None else declared.within
     if held is INT:
-        return math.floor(min(within, -_INT_MIN))
-    return float(min(_DOUBLE_MAX, within)) if held is DOUBLE else 0
+        return math.floor(min(within, -INT_MIN))
+    return float(min(DOUBLE_MAX, within)) if held is DOUBLE else 0
 
 
 def _select(syntax: Syntax, scope: _Scope) -> Typed:
@@ -290,68 +276,18 @@ def _promote(node: Typed) -> Typed:
 def _applied(
     symbol: str, overload: Overload, result: Type, args: tuple[Typed, ...], syntax: Syntax, scope: _Scope
 ) -> Typed:
-    reach = _REACH[overload.name](args) if overload.name in _REACH else 0
+    reach = REACH[overload.name](args) if overload.name in REACH else 0
     node = Apply(
         type=result,
         unit=_unit(symbol, args, syntax, scope),
-        reach=min(reach, -_INT_MIN) if result is INT else min(reach, _DOUBLE_MAX),
+        reach=min(reach, -INT_MIN) if result is INT else min(reach, DOUBLE_MAX),
         column=syntax.column,
         overload=overload.name,
         args=args,
     )
-    proved = node in scope.present if overload.result is ANY else reach <= (_INT_MAX if result is INT else _DOUBLE_MAX)
+    proved = node in scope.present if overload.result is ANY else reach <= (INT_MAX if result is INT else DOUBLE_MAX)
     checked = bool(overload.checked) and not proved
     return replace(node, checked=checked, can_fail=checked or any(arg.can_fail for arg in args))
-
-
-def _sum_reach(args: tuple[Typed, ...]) -> float:
-    return args[0].reach + args[1].reach
-
-
-def _product_reach(args: tuple[Typed, ...]) -> float:
-    return args[0].reach * args[1].reach
-
-
-def _quotient_reach(args: tuple[Typed, ...]) -> float:
-    left, right = args
-    if not isinstance(right, Constant) or not right.reach:
-        return math.inf
-    return left.reach / right.reach if right.type is DOUBLE else left.reach // right.reach
-
-
-def _remainder_reach(args: tuple[Typed, ...]) -> float:
-    left, right = args
-    if not isinstance(right, Constant) or not right.reach:
-        return math.inf
-    return left.reach if right.reach == 1 else right.reach - 1
-
-
-def _same_reach(args: tuple[Typed, ...]) -> float:
-    return args[0].reach
-
-
-# Largest magnitude a result can have before the check; beyond the type's range means the check is needed. Doubles round
-# monotonically, so that computing with the magnitudes bounds every computation with the values.
-_REACH: Final[Mapping[str, Callable[[tuple[Typed, ...]], float]]] = {
-    "add_int": _sum_reach,
-    "add_double": _sum_reach,
-    "subtract_int": _sum_reach,
-    "subtract_double": _sum_reach,
-    "multiply_int": _product_reach,
-    "multiply_double": _product_reach,
-    "divide_int": _quotient_reach,
-    "divide_double": _quotient_reach,
-    "remainder_int": _remainder_reach,
-    "negate_int": _same_reach,
-    "negate_double": _same_reach,
-    "element": _same_reach,
-    "entry": _same_reach,
-    "double_double": _same_reach,
-    "double_int": lambda args: float(args[0].reach),
-    "int_int": _same_reach,
-    "int_double": lambda args: math.floor(args[0].reach),
-    "size": lambda _: _INT_MAX,
-}
 
 
 def _unit(symbol: str, args: tuple[Typed, ...], syntax: Syntax, scope: _Scope) -> str | None:
@@ -493,340 +429,3 @@ _RULES: Final[Mapping[str, Callable[[Syntax, _Scope], Typed]]] = {
     "conditional": _conditional,
     "list": _list,
 }
-
-
-# Reading a typed tree ------------------------------------------------------------------------------------------------
-
-
-def children(typed: Typed) -> tuple[Typed, ...]:
-    """The nodes directly below, in source order."""
-    match typed:
-        case Constant() | Variable():
-            return ()
-        case Select(record=only) | Present(select=only):
-            return (only,)
-        case Apply(args=parts) | Logic(operands=parts) | ListOf(elements=parts):
-            return parts
-        case Conditional():
-            return (typed.condition, typed.then, typed.otherwise)
-        case Quantifier():
-            return (typed.domain, typed.predicate)
-        case _:
-            assert_never(typed)
-
-
-def references(typed: Typed) -> Mapping[str, Typed]:
-    """What the expression reads, by dotted path as far as records go: `target.fragile`, not `target`."""
-    path = _path(typed)
-    if path is not None:
-        return {path: typed}
-    found: dict[str, Typed] = {}
-    for child in children(typed):
-        found.update(references(child))
-    return found
-
-
-def _path(node: Typed) -> str | None:
-    match node:
-        case Variable(name=name, bound=False):
-            return name
-        case Select(record=record, name=name):
-            above = _path(record)
-            return None if above is None else f"{above}.{name}"
-        case _:
-            return None
-
-
-# Python text ---------------------------------------------------------------------------------------------------------
-
-
-def to_python(typed: Typed, names: Mapping[str, str]) -> str:
-    """Emit the expression as the text of one Python expression.
-
-    It needs `INTRINSICS` in its globals and no builtins. Nothing of the source gets into it but constants by `repr`,
-    identifiers of declared fields, and the rows of `OVERLOADS`.
-
-    Args:
-        typed: What `check` yielded.
-        names: Python text that reads a variable (`target`), or a field of one by its dotted path (`target.fragile`),
-            for instance a local that was read before. Text for an optional field yields `None` where it is absent.
-            It is trusted, goes in as it is, and must not use a name of `INTRINSICS` for anything else.
-
-    Raises:
-        DeclarationError: A variable has no text in `names`.
-    """
-    match typed:
-        case Constant():
-            return repr(typed.value)
-        case Variable():
-            return _accessor(typed.name, names)
-        case ListOf():
-            return f"({', '.join(to_python(element, names) for element in typed.elements)},)"
-        case Apply():
-            row = _TEXT[typed.overload]
-            return (row.checked if typed.checked else row.bare).format(*(to_python(arg, names) for arg in typed.args))
-        case Select():
-            return _emit_select(typed, names)
-        case _:
-            return _emit_control(typed, names)
-
-
-_TEXT: Final = {overload.name: overload for overloads in OVERLOADS.values() for overload in overloads}
-
-
-def _accessor(name: str, names: Mapping[str, str]) -> str:
-    if name not in names:
-        raise DeclarationError(name=name, message="has no Python text to read it by")
-    return names[name]
-
-
-def _emit_select(typed: Select, names: Mapping[str, str]) -> str:
-    if typed.checked:
-        return f"_cel_present({_emit_maybe(typed, names)}, {(_path(typed) or typed.name)!r})"
-    path = _path(typed)
-    if path is not None and path in names:
-        return names[path]
-    record = to_python(typed.record, names)
-    return f"{record}.{typed.name}" if _has_attributes(typed) else f"{record}[{typed.name!r}]"
-
-
-def _emit_maybe(typed: Select, names: Mapping[str, str]) -> str:
-    """The field's value, `None` where it is absent."""
-    path = _path(typed)
-    if path is not None and path in names:
-        return names[path]
-    record = to_python(typed.record, names)
-    return f"{record}.{typed.name}" if _has_attributes(typed) else f"{record}.get({typed.name!r})"
-
-
-def _has_attributes(typed: Select) -> bool:
-    return isinstance(typed.record.type, RecordType) and typed.record.type.attributes
-
-
-def _emit_control(typed: Present | Logic | Conditional | Quantifier, names: Mapping[str, str]) -> str:
-    match typed:
-        case Present():
-            return f"({_emit_maybe(typed.select, names)} is not None)"
-        case Logic():
-            return _emit_logic(typed, names)
-        case Conditional():
-            condition, then, otherwise = (to_python(part, names) for part in children(typed))
-            return f"({then} if {condition} else {otherwise})"
-        case Quantifier():
-            return _emit_quantifier(typed, names)
-        case _:
-            assert_never(typed)
-
-
-def _emit_logic(typed: Logic, names: Mapping[str, str]) -> str:
-    """Plain `and`/`or` up to the first operand that may fail; from there on an error must not hide what decides."""
-    texts = [to_python(operand, names) for operand in typed.operands]
-    failing = [index for index, operand in enumerate(typed.operands) if operand.can_fail]
-    if failing and failing[0] < len(texts) - 1:
-        rest = ", ".join(f"lambda: {text}" for text in texts[failing[0] :])
-        texts[failing[0] :] = [f"_cel_decide({not typed.conjunction}, ({rest}))"]
-    return f"({(' and ' if typed.conjunction else ' or ').join(texts)})"
-
-
-def _emit_quantifier(typed: Quantifier, names: Mapping[str, str]) -> str:
-    variable = f"_cel_{typed.variable}_"  # the trailing underscore keeps it apart from every intrinsic
-    domain = to_python(typed.domain, names)
-    predicate = to_python(typed.predicate, {**names, typed.variable: variable})
-    if typed.predicate.can_fail:
-        return f"_cel_search({not typed.universal}, lambda {variable}: {predicate}, {domain})"
-    return f"{'all' if typed.universal else 'any'}({predicate} for {variable} in {domain})"
-
-
-# What the text calls -------------------------------------------------------------------------------------------------
-
-
-def _int(value: int) -> int:
-    if _INT_MIN <= value <= _INT_MAX:
-        return value
-    raise EvaluationError("overflow", f"`{value}` does not fit 64 bits")
-
-
-def _finite(value: float) -> float:
-    if -_DOUBLE_MAX <= value <= _DOUBLE_MAX:  # false for nan
-        return value
-    raise EvaluationError("not_finite", f"`{value}` is not a finite number")
-
-
-def _divide(dividend: float, divisor: float) -> float:
-    if divisor:
-        return _finite(dividend / divisor)
-    raise EvaluationError("division_by_zero", f"`{dividend}` divided by zero")
-
-
-def _quotient(dividend: int, divisor: int) -> int:
-    if not divisor:
-        raise EvaluationError("division_by_zero", f"`{dividend}` divided by zero")
-    magnitude = abs(dividend) // abs(divisor)
-    return _int(magnitude if (dividend < 0) == (divisor < 0) else -magnitude)
-
-
-def _remainder(dividend: int, divisor: int) -> int:
-    return dividend - divisor * _quotient(dividend, divisor)
-
-
-def _truncate(value: float) -> int:
-    return _int(int(value))
-
-
-def _element(held: Sequence[object], index: int) -> object:
-    if 0 <= index < len(held):
-        return held[index]
-    raise EvaluationError("index_out_of_range", f"`{index}` in a list of {len(held)}")
-
-
-def _entry(held: Mapping[str, object], key: str) -> object:
-    return _present(held.get(key), key)
-
-
-def _present(value: object, path: str) -> object:
-    if value is None:
-        raise EvaluationError("absent", f"`{path}` is absent")
-    return value
-
-
-def _decide(decisive: bool, operands: Iterable[Callable[[], bool]]) -> bool:
-    """CEL's commutative logic: `decisive` if any operand is, else the first error, else the opposite."""
-    error: EvaluationError | None = None
-    for operand in operands:
-        try:
-            if operand() is decisive:
-                return decisive
-        except EvaluationError as raised:
-            error = error or raised
-    if error:
-        raise error
-    return not decisive
-
-
-def _search(decisive: bool, predicate: Callable[[object], bool], domain: Iterable[object]) -> bool:
-    return _decide(decisive, (partial(predicate, item) for item in domain))
-
-
-INTRINSICS: Final[Mapping[str, object]] = {
-    "_cel_int": _int,
-    "_cel_finite": _finite,
-    "_cel_divide": _divide,
-    "_cel_quotient": _quotient,
-    "_cel_remainder": _remainder,
-    "_cel_truncate": _truncate,
-    "_cel_element": _element,
-    "_cel_entry": _entry,
-    "_cel_present": _present,
-    "_cel_decide": _decide,
-    "_cel_search": _search,
-    **{builtin.__name__: builtin for builtin in (all, any, float, int, len, tuple)},
-}
-
-
-# Stand-alone use -----------------------------------------------------------------------------------------------------
-
-
-def compile_condition(typed: Typed) -> Callable[[Mapping[str, object]], bool]:
-    """Compile a condition into a function of its variables' values, which it checks itself.
-
-    The function raises `EvaluationError` where a variable is missing, a value is not of its declared type, or the
-    evaluation fails; variables the condition does not read are not looked at.
-
-    Raises:
-        DeclarationError: The expression is not a bool.
-    """
-    if typed.type is not BOOL:
-        raise DeclarationError(name=show(typed.type), message="is not the type of a condition; valid: `bool`")
-    fields = {node.name: Field(node.type, within=node.reach) for node in _free_variables(typed)}
-    text = f"lambda values: {to_python(typed, {name: f'values[{name!r}]' for name in fields})}"
-    evaluate: Callable[[Mapping[str, object]], bool] = eval(text, {"__builtins__": {}, **INTRINSICS})  # noqa: S307  # emitted above, from a checked tree
-
-    def condition(values: Mapping[str, object]) -> bool:
-        for name in fields:
-            if name not in values:
-                raise EvaluationError("unknown_variable", f"`{name}` has no value")
-        return evaluate({name: conform(values[name], declared, name) for name, declared in fields.items()})
-
-    return condition
-
-
-def _free_variables(typed: Typed) -> Iterator[Variable]:
-    if isinstance(typed, Variable) and not typed.bound:
-        yield typed
-    for child in children(typed):
-        yield from _free_variables(child)
-
-
-def conform(value: object, declared: Field, path: str) -> object:
-    """Bring a value into the form emitted text relies on: exact types, finite, in range, nothing undeclared, no `None`.
-
-    Lists become tuples, an integer where a double is declared becomes one, records become fresh dicts (or namespaces).
-
-    Args:
-        value: Anything.
-        declared: What it is declared to be.
-        path: How errors call it.
-
-    Raises:
-        EvaluationError: It is not a value of the declared type.
-    """
-    match declared.type:
-        case Scalar():
-            return _conform_scalar(value, declared, path)
-        case ListType(element) if isinstance(value, (list, tuple)):
-            items = cast("Sequence[object]", value)
-            return tuple(conform(item, replace(declared, type=element), f"{path}[{i}]") for i, item in enumerate(items))
-        case MapType(held) if isinstance(value, Mapping):
-            return _conform_map(cast("Mapping[object, object]", value), replace(declared, type=held), path)
-        case RecordType() as record if record.attributes:
-            return SimpleNamespace(**_conform_fields(lambda name: getattr(value, name, None), record, path))
-        case RecordType() as record if isinstance(value, Mapping):
-            return _conform_fields(cast("Mapping[str, object]", value).get, record, path)
-        case other:
-            raise _wrong_type(value, other, path)
-
-
-_PYTHON_TYPES: Final[Mapping[Scalar, tuple[type, ...]]] = {
-    BOOL: (bool,),
-    INT: (int,),
-    DOUBLE: (float, int),
-    STRING: (str,),
-}
-
-
-def _conform_scalar(value: object, declared: Field, path: str) -> object:
-    held = cast("Scalar", declared.type)
-    if not isinstance(value, _PYTHON_TYPES[held]) or isinstance(value, bool) is not (held is BOOL):
-        raise _wrong_type(value, held, path)
-    if held not in (INT, DOUBLE):
-        return value
-    number = cast("float", value)
-    checked = _int(cast("int", number)) if held is INT else float(_finite(number))
-    if declared.within is not None and abs(checked) > declared.within:
-        raise EvaluationError("out_of_range", f"`{path}` is {checked}; at most {declared.within} in magnitude")
-    return checked
-
-
-def _conform_map(value: Mapping[object, object], declared: Field, path: str) -> dict[str, object]:
-    for key in value:
-        if not isinstance(key, str):
-            raise _wrong_type(key, STRING, f"key of {path}")
-    entries = cast("Mapping[str, object]", value).items()
-    return {key: conform(item, declared, f"{path}[{key!r}]") for key, item in entries if item is not None}
-
-
-def _conform_fields(read: Callable[[str], object], record: RecordType, path: str) -> dict[str, object]:
-    found: dict[str, object] = {}
-    for name, declared in record.fields.items():
-        value = read(name)
-        if value is not None:
-            found[name] = conform(value, declared, f"{path}.{name}")
-        elif declared.required:
-            raise EvaluationError("absent", f"`{path}.{name}` is absent and required")
-        elif record.attributes:
-            found[name] = None
-    return found
-
-
-def _wrong_type(value: object, expected: Type, path: str) -> EvaluationError:
-    return EvaluationError("wrong_type", f"`{path}` is a {type(value).__name__}, not a {show(expected)}")

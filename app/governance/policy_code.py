@@ -21,7 +21,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, TypeAlias, assert_never, cast
 
 from app.governance.errors import EvaluationError
-from app.governance.expression import BOOL, INTRINSICS, STRING, references, to_python
+from app.governance.expression_code import INTRINSICS, to_python
+from app.governance.expression_tree import BOOL, STRING, references
 from app.governance.model import Change, PolicyOutcome, Reason, Verdict
 from app.governance.places import finder, locator
 from app.governance.policy_model import Effect

@@ -17,26 +17,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from app.governance.expression import (
-    BOOL,
-    DOUBLE,
-    INT,
-    STRING,
-    Env,
-    Field,
-    ListType,
-    RecordType,
-    check,
-    declare,
-    parse,
-)
+from app.governance.expression import Env, check, declare
+from app.governance.expression_syntax import parse
+from app.governance.expression_tree import BOOL, DOUBLE, INT, STRING, Field, ListType, RecordType
 from app.governance.policy_model import LIMIT_UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from app.governance.expression import Typed
-    from app.governance.expression_tree import Type
+    from app.governance.expression_tree import Type, Typed
     from app.governance.model import Capability, Json
 
 _TARGET: Final = RecordType(

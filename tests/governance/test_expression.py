@@ -7,44 +7,62 @@ from typing import cast
 
 import pytest
 
-from app.governance import expression as x
 from app.governance.errors import DeclarationError, EvaluationError, ExpressionError
-from app.governance.expression_tree import MAX_DEPTH, MAX_SOURCE, Apply, Constant, Logic, Select
+from app.governance.expression import check, declare
+from app.governance.expression_code import to_python
+from app.governance.expression_syntax import MAX_DEPTH, MAX_SOURCE, parse
+from app.governance.expression_tree import (
+    BOOL,
+    DOUBLE,
+    INT,
+    STRING,
+    Apply,
+    Constant,
+    Field,
+    ListType,
+    Logic,
+    MapType,
+    RecordType,
+    Select,
+    Typed,
+    children,
+    references,
+)
+from app.governance.expression_value import compile_condition, conform
 
-BOOL, INT, DOUBLE, STRING = x.BOOL, x.INT, x.DOUBLE, x.STRING
 BIG = 2**63 - 1
 
-HOLDER = x.RecordType(name="holder", fields={"grip": x.Field(DOUBLE, required=False)})
-TARGET = x.RecordType(
+HOLDER = RecordType(name="holder", fields={"grip": Field(DOUBLE, required=False)})
+TARGET = RecordType(
     name="target",
     fields={
-        "fragile": x.Field(BOOL),
-        "weight_kg": x.Field(DOUBLE, required=False, unit="kg"),
-        "holder": x.Field(HOLDER, required=False),
+        "fragile": Field(BOOL),
+        "weight_kg": Field(DOUBLE, required=False, unit="kg"),
+        "holder": Field(HOLDER, required=False),
     },
 )
-PERSON = x.RecordType(
-    name="person", fields={"distance_m": x.Field(DOUBLE, unit="m"), "name": x.Field(STRING, required=False)}
+PERSON = RecordType(
+    name="person", fields={"distance_m": Field(DOUBLE, unit="m"), "name": Field(STRING, required=False)}
 )
-SENSED = x.RecordType(
-    name="sensed", fields={"force_n": x.Field(DOUBLE), "slip": x.Field(BOOL, required=False)}, attributes=True
+SENSED = RecordType(
+    name="sensed", fields={"force_n": Field(DOUBLE), "slip": Field(BOOL, required=False)}, attributes=True
 )
-ENV = x.declare(
+ENV = declare(
     {
         "target": TARGET,
-        "people": x.ListType(PERSON),
+        "people": ListType(PERSON),
         "sensed": SENSED,
-        "force_n": x.Field(DOUBLE, unit="N", within=140),
-        "speed_mps": x.Field(DOUBLE, unit="m/s"),
+        "force_n": Field(DOUBLE, unit="N", within=140),
+        "speed_mps": Field(DOUBLE, unit="m/s"),
         "d": DOUBLE,
         "i": INT,
-        "small": x.Field(INT, within=100),
+        "small": Field(INT, within=100),
         "b": BOOL,
         "s": STRING,
-        "li": x.ListType(INT),
-        "ld": x.ListType(DOUBLE),
-        "ls": x.ListType(STRING),
-        "limits": x.Field(x.MapType(DOUBLE), unit="N", within=500),
+        "li": ListType(INT),
+        "ld": ListType(DOUBLE),
+        "ls": ListType(STRING),
+        "limits": Field(MapType(DOUBLE), unit="N", within=500),
     }
 )
 VALUES: dict[str, object] = {
@@ -65,16 +83,16 @@ VALUES: dict[str, object] = {
 }
 
 
-def checked(source: str) -> x.Typed:
-    return x.check(x.parse(source), ENV)
+def checked(source: str) -> Typed:
+    return check(parse(source), ENV)
 
 
 def evaluate(source: str, **values: object) -> bool:
-    return x.compile_condition(checked(source))({**VALUES, **values})
+    return compile_condition(checked(source))({**VALUES, **values})
 
 
 def text(source: str) -> str:
-    return x.to_python(checked(source), {name: name for name in ENV.variables})
+    return to_python(checked(source), {name: name for name in ENV.variables})
 
 
 # -- meaning ---------------------------------------------------------------------------------------------------------
@@ -338,24 +356,24 @@ def test_parentheses_are_no_nesting() -> None:
 
 
 def test_a_limit_may_be_an_expression_of_another_type() -> None:
-    assert x.check(x.parse("force_n * 0.5"), ENV, DOUBLE).unit == "N"
-    assert x.check(x.parse("20"), ENV, DOUBLE) == Constant(type=DOUBLE, value=20.0)
+    assert check(parse("force_n * 0.5"), ENV, DOUBLE).unit == "N"
+    assert check(parse("20"), ENV, DOUBLE) == Constant(type=DOUBLE, value=20.0)
     with pytest.raises(ExpressionError, match="expected a double, this is a int"):
-        x.check(x.parse("i"), ENV, DOUBLE)
+        check(parse("i"), ENV, DOUBLE)
 
 
 @pytest.mark.parametrize("name", ["in", "null", "_x", "a-b", "", "é", "a b", "__class__", "x;import os"])
 def test_refuses_to_declare_what_no_source_can_spell(name: str) -> None:
     with pytest.raises(DeclarationError, match="is not a usable name") as raised:
-        x.declare({name: BOOL})
+        declare({name: BOOL})
     assert raised.value.name == name
     with pytest.raises(DeclarationError):
-        x.RecordType(name="r", fields={name: x.Field(BOOL)})
+        RecordType(name="r", fields={name: Field(BOOL)})
 
 
 def test_refuses_an_optional_variable() -> None:
     with pytest.raises(DeclarationError, match="only fields may be optional"):
-        x.declare({"a": x.Field(BOOL, required=False)})
+        declare({"a": Field(BOOL, required=False)})
 
 
 # -- what cannot fail ------------------------------------------------------------------------------------------------
@@ -450,7 +468,7 @@ def test_proves_nothing_from_a_test_that_does_not_decide(source: str) -> None:
 
 def test_reads_through_the_names_it_is_given() -> None:
     names = {"target.fragile": "t_fragile", "target.weight_kg": "t_weight", "target": "t"}
-    emit = lambda source: x.to_python(checked(source), names)  # noqa: E731
+    emit = lambda source: to_python(checked(source), names)  # noqa: E731
     assert emit("target.fragile") == "t_fragile"
     assert emit("has(target.weight_kg) && target.weight_kg > 1") == "((t_weight is not None) and (t_weight > 1.0))"
     assert emit("target.weight_kg > 1") == "(_cel_present(t_weight, 'target.weight_kg') > 1.0)"
@@ -463,7 +481,7 @@ def test_lists_what_a_condition_reads() -> None:
     source = (
         "target.fragile && has(target.holder.grip) && people.all(p, p.distance_m > d) && [i][0] == 1 && limits.x > 1"
     )
-    found = x.references(checked(f"{source} && (b ? b : b) && people[0].distance_m > 1"))
+    found = references(checked(f"{source} && (b ? b : b) && people[0].distance_m > 1"))
     assert set(found) == {"target.fragile", "target.holder.grip", "people", "d", "i", "limits", "b"}
     assert isinstance(found["target.fragile"], Select)
 
@@ -478,11 +496,11 @@ def test_nodes_are_equal_when_they_mean_the_same() -> None:
 
 
 def test_refuses_a_node_of_no_known_shape() -> None:
-    stranger = cast("x.Typed", object())
+    stranger = cast("Typed", object())
     with pytest.raises(AssertionError):
-        x.children(stranger)
+        children(stranger)
     with pytest.raises(AssertionError):
-        x.to_python(stranger, {})
+        to_python(stranger, {})
 
 
 # -- values ----------------------------------------------------------------------------------------------------------
@@ -490,62 +508,62 @@ def test_refuses_a_node_of_no_known_shape() -> None:
 
 def test_a_variable_without_a_value_is_an_error() -> None:
     with pytest.raises(EvaluationError, match="unknown_variable: `d` has no value"):
-        x.compile_condition(checked("b || d > 1"))({"b": True})
+        compile_condition(checked("b || d > 1"))({"b": True})
 
 
 def test_a_variable_that_is_not_read_is_not_looked_at() -> None:
-    assert x.compile_condition(checked("b"))({"b": True, "d": float("nan"), "other": object()}) is True
+    assert compile_condition(checked("b"))({"b": True, "d": float("nan"), "other": object()}) is True
 
 
 def test_only_a_bool_is_a_condition() -> None:
     with pytest.raises(DeclarationError, match="`int` is not the type of a condition"):
-        x.compile_condition(x.check(x.parse("i"), ENV, INT))
+        compile_condition(check(parse("i"), ENV, INT))
 
 
-FITTING: list[tuple[x.Field, object, object]] = [
-    (x.Field(DOUBLE), 3, 3.0),
-    (x.Field(DOUBLE, within=3), -3, -3.0),
-    (x.Field(x.ListType(DOUBLE), within=3), [1, 2.5], (1.0, 2.5)),
-    (x.Field(x.ListType(INT)), (1, 2), (1, 2)),
-    (x.Field(x.MapType(INT)), {"a": 1, "b": None}, {"a": 1}),
-    (x.Field(TARGET), {"fragile": False, "weight_kg": None, "more": 1}, {"fragile": False}),
-    (x.Field(TARGET), {"fragile": False, "weight_kg": 2}, {"fragile": False, "weight_kg": 2.0}),
-    (x.Field(SENSED), SimpleNamespace(force_n=1), SimpleNamespace(force_n=1.0, slip=None)),
+FITTING: list[tuple[Field, object, object]] = [
+    (Field(DOUBLE), 3, 3.0),
+    (Field(DOUBLE, within=3), -3, -3.0),
+    (Field(ListType(DOUBLE), within=3), [1, 2.5], (1.0, 2.5)),
+    (Field(ListType(INT)), (1, 2), (1, 2)),
+    (Field(MapType(INT)), {"a": 1, "b": None}, {"a": 1}),
+    (Field(TARGET), {"fragile": False, "weight_kg": None, "more": 1}, {"fragile": False}),
+    (Field(TARGET), {"fragile": False, "weight_kg": 2}, {"fragile": False, "weight_kg": 2.0}),
+    (Field(SENSED), SimpleNamespace(force_n=1), SimpleNamespace(force_n=1.0, slip=None)),
 ]
 
 
 @pytest.mark.parametrize(("declared", "value", "conformed"), FITTING)
-def test_brings_a_value_into_form(declared: x.Field, value: object, conformed: object) -> None:
-    found = x.conform(value, declared, "v")
+def test_brings_a_value_into_form(declared: Field, value: object, conformed: object) -> None:
+    found = conform(value, declared, "v")
     assert found == conformed
     assert repr(found) == repr(conformed)
 
 
-UNFIT: list[tuple[x.Field, object, str]] = [
-    (x.Field(BOOL), 1, "wrong_type: `v` is a int, not a bool"),
-    (x.Field(INT), True, "wrong_type: `v` is a bool, not a int"),
-    (x.Field(INT), 1.0, "wrong_type: `v` is a float, not a int"),
-    (x.Field(INT), 2**63, "overflow: `9223372036854775808` does not fit 64 bits"),
-    (x.Field(INT, within=5), 6, "out_of_range: `v` is 6; at most 5 in magnitude"),
-    (x.Field(DOUBLE), False, "wrong_type: `v` is a bool, not a double"),
-    (x.Field(DOUBLE), float("nan"), "not_finite: `nan` is not a finite number"),
-    (x.Field(DOUBLE, within=5), -5.1, "out_of_range: `v` is -5.1; at most 5 in magnitude"),
-    (x.Field(x.ListType(DOUBLE), within=3), [1.0, 4], "out_of_range: `v[1]` is 4.0; at most 3 in magnitude"),
-    (x.Field(STRING), None, "wrong_type: `v` is a NoneType, not a string"),
-    (x.Field(x.ListType(INT)), "ab", "wrong_type: `v` is a str, not a list<int>"),
-    (x.Field(x.ListType(INT)), [1, None], "wrong_type: `v[1]` is a NoneType, not a int"),
-    (x.Field(x.MapType(INT)), [1], "wrong_type: `v` is a list, not a map<string, int>"),
-    (x.Field(x.MapType(INT)), {1: 1}, "wrong_type: `key of v` is a int, not a string"),
-    (x.Field(x.MapType(INT)), {"a": "b"}, "wrong_type: `v['a']` is a str, not a int"),
-    (x.Field(TARGET), {}, "absent: `v.fragile` is absent and required"),
-    (x.Field(TARGET), 5, "wrong_type: `v` is a int, not a target"),
-    (x.Field(SENSED), 5, "absent: `v.force_n` is absent and required"),
-    (x.Field(TARGET), {"fragile": True, "holder": {"grip": float("inf")}}, "not_finite: `inf` is not a finite number"),
+UNFIT: list[tuple[Field, object, str]] = [
+    (Field(BOOL), 1, "wrong_type: `v` is a int, not a bool"),
+    (Field(INT), True, "wrong_type: `v` is a bool, not a int"),
+    (Field(INT), 1.0, "wrong_type: `v` is a float, not a int"),
+    (Field(INT), 2**63, "overflow: `9223372036854775808` does not fit 64 bits"),
+    (Field(INT, within=5), 6, "out_of_range: `v` is 6; at most 5 in magnitude"),
+    (Field(DOUBLE), False, "wrong_type: `v` is a bool, not a double"),
+    (Field(DOUBLE), float("nan"), "not_finite: `nan` is not a finite number"),
+    (Field(DOUBLE, within=5), -5.1, "out_of_range: `v` is -5.1; at most 5 in magnitude"),
+    (Field(ListType(DOUBLE), within=3), [1.0, 4], "out_of_range: `v[1]` is 4.0; at most 3 in magnitude"),
+    (Field(STRING), None, "wrong_type: `v` is a NoneType, not a string"),
+    (Field(ListType(INT)), "ab", "wrong_type: `v` is a str, not a list<int>"),
+    (Field(ListType(INT)), [1, None], "wrong_type: `v[1]` is a NoneType, not a int"),
+    (Field(MapType(INT)), [1], "wrong_type: `v` is a list, not a map<string, int>"),
+    (Field(MapType(INT)), {1: 1}, "wrong_type: `key of v` is a int, not a string"),
+    (Field(MapType(INT)), {"a": "b"}, "wrong_type: `v['a']` is a str, not a int"),
+    (Field(TARGET), {}, "absent: `v.fragile` is absent and required"),
+    (Field(TARGET), 5, "wrong_type: `v` is a int, not a target"),
+    (Field(SENSED), 5, "absent: `v.force_n` is absent and required"),
+    (Field(TARGET), {"fragile": True, "holder": {"grip": float("inf")}}, "not_finite: `inf` is not a finite number"),
 ]
 
 
 @pytest.mark.parametrize(("declared", "value", "message"), UNFIT)
-def test_refuses_a_value_that_is_not_what_was_declared(declared: x.Field, value: object, message: str) -> None:
+def test_refuses_a_value_that_is_not_what_was_declared(declared: Field, value: object, message: str) -> None:
     with pytest.raises(EvaluationError) as raised:
-        x.conform(value, declared, "v")
+        conform(value, declared, "v")
     assert str(raised.value) == message

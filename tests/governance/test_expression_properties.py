@@ -15,47 +15,65 @@ from celpy.evaluation import CELEvalError
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from app.governance import expression as x
 from app.governance.errors import EvaluationError, ExpressionError
-from app.governance.expression_tree import INT, Apply, Constant, Select
+from app.governance.expression import MAX_QUANTIFIERS, check, declare
+from app.governance.expression_code import INTRINSICS, to_python
+from app.governance.expression_syntax import parse
+from app.governance.expression_tree import (
+    BOOL,
+    DOUBLE,
+    INT,
+    OVERLOADS,
+    STRING,
+    Apply,
+    Constant,
+    Field,
+    ListType,
+    MapType,
+    RecordType,
+    Select,
+    children,
+    references,
+)
+from app.governance.expression_value import compile_condition
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from app.governance.expression_tree import Syntax, Type, Typed
+    from app.governance.expression_syntax import Syntax
+    from app.governance.expression_tree import Type, Typed
 
-BOOL, DOUBLE, STRING = x.BOOL, x.DOUBLE, x.STRING
-INTS, DOUBLES, STRINGS = x.ListType(INT), x.ListType(DOUBLE), x.ListType(STRING)
-AREA = x.RecordType(
+INTS, DOUBLES, STRINGS = ListType(INT), ListType(DOUBLE), ListType(STRING)
+AREA = RecordType(
     name="area",
-    fields={"shared": x.Field(BOOL), "limit": x.Field(DOUBLE, required=False), "floor": x.Field(INT, required=False)},
+    fields={"shared": Field(BOOL), "limit": Field(DOUBLE, required=False), "floor": Field(INT, required=False)},
 )
-TARGET = x.RecordType(
+TARGET = RecordType(
     name="target",
     fields={
-        "fragile": x.Field(BOOL),
-        "count": x.Field(INT),
-        "mass": x.Field(DOUBLE, required=False),
-        "label": x.Field(STRING, required=False),
-        "area": x.Field(AREA, required=False),
-        "tags": x.Field(STRINGS, required=False),
+        "fragile": Field(BOOL),
+        "count": Field(INT),
+        "mass": Field(DOUBLE, required=False),
+        "label": Field(STRING, required=False),
+        "area": Field(AREA, required=False),
+        "tags": Field(STRINGS, required=False),
     },
 )
-VARIABLES: dict[str, x.Field] = {
-    "b": x.Field(BOOL),
-    "i": x.Field(INT),
-    "small": x.Field(INT, within=1000),
-    "d": x.Field(DOUBLE),
-    "force": x.Field(DOUBLE, within=140),
-    "s": x.Field(STRING),
-    "li": x.Field(INTS),
-    "ld": x.Field(DOUBLES),
-    "ls": x.Field(STRINGS),
-    "m": x.Field(x.MapType(DOUBLE)),
-    "target": x.Field(TARGET),
-    "areas": x.Field(x.ListType(AREA)),
+VARIABLES: dict[str, Field] = {
+    "b": Field(BOOL),
+    "i": Field(INT),
+    "small": Field(INT, within=1000),
+    "d": Field(DOUBLE),
+    "force": Field(DOUBLE, within=140),
+    "s": Field(STRING),
+    "li": Field(INTS),
+    "ld": Field(DOUBLES),
+    "ls": Field(STRINGS),
+    "m": Field(MapType(DOUBLE)),
+    "target": Field(TARGET),
+    "areas": Field(ListType(AREA)),
 }
-ENV = x.declare(VARIABLES)
+ENV = declare(VARIABLES)
 WORDS = ("", "a", "ab", "b", "it's", 'a"b', "é\n", "\\")
 
 
@@ -113,7 +131,7 @@ class Sources:
     def of(self, kind: Type, depth: int, bound: Mapping[str, Type]) -> str:
         if depth <= 0 or self.draw(st.integers(0, 5)) == 0:
             return self.leaf(kind, bound)
-        if isinstance(kind, x.ListType):
+        if isinstance(kind, ListType):
             return self.list_of(kind, depth, bound)
         if self.draw(st.integers(0, 9)) == 0:
             parts = (self.of(BOOL, depth - 1, bound), self.of(kind, depth - 1, bound), self.of(kind, depth - 1, bound))
@@ -122,17 +140,17 @@ class Sources:
 
     def leaf(self, kind: Type, bound: Mapping[str, Type]) -> str:
         reads = [*READS[kind], *(name for name, held in bound.items() if held == kind)]
-        if isinstance(kind, x.ListType) or self.draw(st.booleans()):
+        if isinstance(kind, ListType) or self.draw(st.booleans()):
             return self.pick(reads)
         return str(self.draw(SCALAR_LITERALS[kind]))
 
-    def list_of(self, kind: x.ListType, depth: int, bound: Mapping[str, Type]) -> str:
+    def list_of(self, kind: ListType, depth: int, bound: Mapping[str, Type]) -> str:
         size = self.draw(st.integers(1, 3))
         return "[" + ", ".join(self.of(kind.element, depth - 1, bound) for _ in range(size)) + "]"
 
     def bool(self, depth: int, bound: Mapping[str, Type]) -> str:
         plain = ("logic", "logic", "compare", "compare", "compare", "not", "in", "text", "lists")
-        form = self.pick(plain if len(bound) == x.MAX_QUANTIFIERS else (*plain, "quantifier", "guarded", "guarded"))
+        form = self.pick(plain if len(bound) == MAX_QUANTIFIERS else (*plain, "quantifier", "guarded", "guarded"))
         of = functools.partial(self.of, depth=depth, bound=bound)
         kind = self.draw(st.sampled_from([INT, DOUBLE, STRING]))
         held = {INT: INTS, DOUBLE: DOUBLES, STRING: STRINGS}[kind]
@@ -230,13 +248,13 @@ class Case(NamedTuple):
 
 
 def variables(typed: Typed) -> list[str]:
-    return sorted({path.split(".")[0] for path in x.references(typed)})
+    return sorted({path.split(".")[0] for path in references(typed)})
 
 
 @st.composite
 def cases(draw: Callable[[st.SearchStrategy[object]], object]) -> Case:
     source = Sources(draw).bool(draw(st.integers(1, 3)), {})
-    typed = x.check(x.parse(source), ENV)
+    typed = check(parse(source), ENV)
     bindings = st.fixed_dictionaries({name: BINDINGS[name] for name in variables(typed)})
     return Case(source, typed, [draw(bindings) for _ in range(8)])
 
@@ -272,7 +290,7 @@ def _noting(intrinsic: Callable[..., object]) -> Callable[..., object]:
     return noted
 
 
-NOTING = {name: _noting(f) if name.startswith("_cel_") else f for name, f in x.INTRINSICS.items()}
+NOTING = {name: _noting(f) if name.startswith("_cel_") else f for name, f in INTRINSICS.items()}
 
 
 def unproved(typed: Typed) -> Typed:
@@ -288,14 +306,14 @@ def unproved(typed: Typed) -> Typed:
         changes["checked"] = not typed.record.type.fields[typed.name].required
     elif isinstance(typed, Apply):
         changes["checked"] = bool(
-            next(r for rows in x.OVERLOADS.values() for r in rows if r.name == typed.overload).checked
+            next(r for rows in OVERLOADS.values() for r in rows if r.name == typed.overload).checked
         )
     return dataclasses.replace(typed, **changes)
 
 
-def compiled(typed: Typed, intrinsics: Mapping[str, object] = x.INTRINSICS) -> Callable[..., object]:
+def compiled(typed: Typed, intrinsics: Mapping[str, object] = INTRINSICS) -> Callable[..., object]:
     names = variables(typed)
-    text = f"lambda {', '.join(names)}: {x.to_python(typed, {name: name for name in names})}"
+    text = f"lambda {', '.join(names)}: {to_python(typed, {name: name for name in names})}"
     return eval(text, {"__builtins__": {}, **intrinsics})  # noqa: S307
 
 
@@ -307,9 +325,9 @@ def promotes(source: str, typed: Typed) -> bool:
 
     def int_constants(node: Typed) -> int:
         own = isinstance(node, Constant) and node.type is INT
-        return own + sum(map(int_constants, x.children(node)))
+        return own + sum(map(int_constants, children(node)))
 
-    return ints(x.parse(source).root) != int_constants(typed)
+    return ints(parse(source).root) != int_constants(typed)
 
 
 # Where cel-python is not followed, by name: what has to be in the source, and what has to have gone wrong anywhere in
@@ -385,7 +403,7 @@ def test_what_is_proved_changes_no_outcome_and_what_cannot_fail_never_raises() -
     @settled(500)
     @given(cases())
     def compare(case: Case) -> None:
-        alone, inlined, cautious = x.compile_condition(case.typed), compiled(case.typed), compiled(unproved(case.typed))
+        alone, inlined, cautious = compile_condition(case.typed), compiled(case.typed), compiled(unproved(case.typed))
         for row in case.rows:
             ours = outcome(lambda row=row: inlined(**row))
             assert ours == outcome(lambda row=row: cautious(**row)) == outcome(lambda row=row: alone(row))
@@ -402,7 +420,7 @@ def test_a_value_that_is_no_finite_double_is_an_error_and_never_a_truth_value(sp
     @settled(60)
     @given(st.sampled_from(["d > 5.0", "!(d > 5.0)", "d == d", "d != d", "d in [1.0]", "d > 5.0 ? true : false"]))
     def evaluate(source: str) -> None:
-        condition = x.compile_condition(x.check(x.parse(source), ENV))
+        condition = compile_condition(check(parse(source), ENV))
         with pytest.raises(EvaluationError):
             condition({"d": spoiled})
 
@@ -424,7 +442,7 @@ TOKENS = (
 @given(st.one_of(st.text(max_size=60), st.lists(st.sampled_from(TOKENS), max_size=25).map(" ".join)))
 def test_garbage_is_an_expression_error_and_nothing_else(source: str) -> None:
     try:
-        typed = x.check(x.parse(source), ENV)
+        typed = check(parse(source), ENV)
     except ExpressionError as error:
         where = (error.source, 1 <= error.column <= len(source) + 1)
         assert where == (source, True)  # most garbage is refused, some is not
@@ -436,7 +454,7 @@ def test_garbage_is_an_expression_error_and_nothing_else(source: str) -> None:
 @given(st.text(max_size=30))
 def test_text_in_a_condition_stays_text(word: str) -> None:
     quoted = "".join(f"\\u{ord(c):04x}" if ord(c) < 0xD800 else "?" for c in word)
-    typed = x.check(x.parse(f"s == '{quoted}'"), ENV)
+    typed = check(parse(f"s == '{quoted}'"), ENV)
     plain = "".join(c if ord(c) < 0xD800 else "?" for c in word)
     assert compiled(typed)(s=plain) is True
     assert compiled(typed)(s=plain + "x") is False
