@@ -28,6 +28,7 @@ from app.children import CellRuns, cell_lock
 from app.clock import wall_s
 from app.config import ConfigError
 from app.sim.faults import Scenario
+from app.sim.robot import load_robot
 from app.sim.workcell import make_workcell
 from app.terminal import FINDING, FINE, MISUSE, say, say_error
 
@@ -134,10 +135,19 @@ def robot_model(name: str | None) -> Path | None:
     """Return the MJCF file of another robot: a path, or a name from an installed menagerie.
 
     Raises:
-        ConfigError: there is no such model.
+        ConfigError: there is no such model, or the workcell cannot drive it.
     """
     if name is None:
         return None
+    path = _robot_file(name)
+    try:
+        load_robot(path)
+    except ValueError as error:
+        raise ConfigError("robot", name, f"a model that the workcell can drive ({error})") from error
+    return path
+
+
+def _robot_file(name: str) -> Path:
     path = Path(name)
     if path.suffix == ".xml" and path.is_file():
         return path.resolve()

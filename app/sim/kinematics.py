@@ -20,6 +20,7 @@ from app.sim import robot
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -42,9 +43,9 @@ class ToolPose(NamedTuple):
 class SelfModel:
     """The robot's model of itself, for what it measures every tick."""
 
-    def __init__(self) -> None:
-        """Compile the nominal robot."""
-        self._model = robot.robot_model(mobile=True)
+    def __init__(self, mjcf: Path | None = None) -> None:
+        """Compile the nominal robot: the project's own, or the one of an MJCF file."""
+        self._model = robot.robot_model(mobile=True, mjcf=mjcf)
         self._data = mujoco.MjData(self._model)
         self._tcp = int(self._model.site(robot.TCP_SITE).id)
         self._jacp = np.zeros((3, self._model.nv))
@@ -125,9 +126,9 @@ class Residual:
 class ArmSolver:
     """Differential inverse kinematics over the arm alone (mink with daqp), from a seed, step by step."""
 
-    def __init__(self) -> None:
-        """Compile the arm and prepare the task and its limits."""
-        self._model = robot.robot_model(mobile=False)
+    def __init__(self, mjcf: Path | None = None) -> None:
+        """Compile the arm, the project's own or the one of an MJCF file; prepare the task and its limits."""
+        self._model = robot.robot_model(mobile=False, mjcf=mjcf)
         self._configuration = mink.Configuration(self._model)
         self._task = mink.FrameTask(robot.TCP_SITE, "site", position_cost=1.0, orientation_cost=0.3)
         self._limits = [mink.ConfigurationLimit(self._model)]

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-_FEED_FORWARD_S = tuple(kv / kp for kv, kp in zip(robot.ARM_KV, robot.ARM_KP, strict=True))
 _BRAKE_ARM_NM, _BRAKE_BASE_N = 400.0, 3000.0
 _BASE_HOLD_PER_S, _BASE_HOLD_MAX, _STANDING_MPS = 5.0, 0.05, 0.01
 _SCALING_LEAK_S = 1.5
@@ -149,6 +148,8 @@ class Plant:
         self._arm_at, self._arm_speed = self._qpos[self._arm_q], self._qvel[self._arm_v]
         self._arm_pushed, self._fingers_at = data.qfrc_actuator[self._arm_v], self._qpos[self._finger_q]
         self._arm_ctrl, self._base_ctrl = self._ctrl[self._arm_u], self._ctrl[self._base_u]
+        damping, stiffness = model.actuator_biasprm[self._arm_u, 2], model.actuator_gainprm[self._arm_u, 0]
+        self._feed_forward_s = tuple((-damping / stiffness).tolist())
         self._grip_u = int(model.actuator(robot.GRIP_ACTUATOR).id)
         self._object_body = {n: int(model.body(n).id) for n in site.objects}
         self._object_q = {n: int(model.joint(n).qposadr[0]) for n in site.objects}
@@ -160,7 +161,7 @@ class Plant:
         self._tcp_at, self._tcp_turn = data.site_xpos[tcp], data.site_xmat[tcp]
         self._object_at = {n: data.xpos[body] for n, body in self._object_body.items()}
         self._object_turn = {n: data.xmat[body] for n, body in self._object_body.items()}
-        self._gripper_kg = float(model.body_subtreemass[model.body("gripper").id])
+        self._gripper_kg = float(model.body_subtreemass[model.body(robot.GRIPPER).id])
         # Nothing falls asleep by itself: what dozes is decided here, and in the same way after a restore.
         model.tree_sleep_policy[:] = mujoco.mjtSleepPolicy.mjSLEEP_NEVER
         self._powered = {name: getattr(model, name).copy() for name in _EDITED}
@@ -194,7 +195,7 @@ class Plant:
         self._arm_ctrl[:] = [
             q + offset + lead * (v * gain)
             for q, offset, lead, v in zip(
-                wanted, drives.scaling_offset_rad.tolist(), _FEED_FORWARD_S, command.joint_speed_radps, strict=True
+                wanted, drives.scaling_offset_rad.tolist(), self._feed_forward_s, command.joint_speed_radps, strict=True
             )
         ]
 

@@ -9,6 +9,7 @@ Contact bits: environment 1, robot 2, objects 4; the robot does not collide with
 
 from __future__ import annotations
 
+import warnings
 from math import cos, pi, sin
 from pathlib import Path
 from typing import NamedTuple
@@ -29,6 +30,7 @@ ARM_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "w
 BASE_JOINTS = ("base_x", "base_y", "base_yaw")
 FINGER_JOINTS = ("finger_left", "finger_right")
 GRIP_ACTUATOR = "grip"
+GRIPPER = "gripper"
 TCP_SITE = "tcp"
 WRIST_SITE = "wrist_ft"
 PAD_GEOMS = ("pad_left", "pad_right")
@@ -86,34 +88,104 @@ def add_robot(spec: mujoco.MjSpec, *, mobile: bool = True, fingers: bool = True)
     _add_gripper(spec, wrist, fingers=fingers)
 
 
-def robot_model(*, mobile: bool) -> mujoco.MjModel:
-    """Compile the robot alone: the model it has of itself (gravity counted, no contacts)."""
+def robot_model(*, mobile: bool, mjcf: Path | None = None) -> mujoco.MjModel:
+    """Compile the robot alone: the model it has of itself (gravity counted, no contacts).
+
+    Args:
+        mobile: with the base's three joints; otherwise the base stands at the origin.
+        mjcf: another robot's model.
+
+    Raises:
+        ValueError: the other robot's model cannot be used.
+    """
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_CONTACT
-    add_robot(spec, mobile=mobile, fingers=False)
+    if mjcf is None:
+        add_robot(spec, mobile=mobile, fingers=False)
+    else:
+        other = load_robot(mjcf)
+        _keep_joints(other, {*ARM_JOINTS, *BASE_JOINTS} if mobile else set(ARM_JOINTS))
+        put_robot(spec, other)
     for body in spec.bodies:
         body.gravcomp = 0.0
-    return spec.compile()
+    return compiled(spec)
 
 
 def load_robot(path: Path) -> mujoco.MjSpec:
     """Read another robot's MJCF and check that it has what the workcell drives and senses.
 
+    It has to be arranged like the project's own (a mobile base, a six-axis arm with the axes of a UR, a parallel
+    gripper), under the same names; lengths, masses, limits and servo gains are its own, and so is its model of itself.
+    Whatever can be touched gets the workcell's contact bits.
+
     Raises:
-        ValueError: the file lacks joints, actuators or sites, which are named.
+        ValueError: the file cannot be read, lacks parts, has them in another order, or has no servos on them; the
+            message names the parts.
     """
-    spec = mujoco.MjSpec.from_file(str(path))
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise ValueError(f"robot model `{path}` cannot be read: {error}") from error
+    _check_parts(path.name, spec)
+    _check_order(path.name, spec)
+    _check_servos(path.name, spec)
+    for geom in spec.geoms:
+        if geom.contype or geom.conaffinity:
+            geom.contype, geom.conaffinity = ROBOT, ENVIRONMENT | OBJECT
+    return spec
+
+
+def put_robot(spec: mujoco.MjSpec, other: mujoco.MjSpec) -> None:
+    """Put a loaded robot into an empty spec; its own units of angle stay in force for it."""
+    spec.attach(other, frame=spec.worldbody.add_frame(), prefix="")
+
+
+def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Compile a spec that a robot was put into: names without a prefix matter to models that are saved, not here."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Attaching a spec with an empty prefix")
+        return spec.compile()
+
+
+def _keep_joints(spec: mujoco.MjSpec, names: set[str]) -> None:
+    """Leave only these joints, and nothing that acts on or listens to others."""
+    for part in (*spec.keys, *spec.sensors, *spec.actuators, *spec.equalities, *spec.tendons):
+        spec.delete(part)
+    for joint in [joint for joint in spec.joints if joint.name not in names]:
+        spec.delete(joint)
+
+
+def _check_parts(model: str, spec: mujoco.MjSpec) -> None:
     wanted = {
+        "body": ({GRIPPER}, {body.name for body in spec.bodies}),
         "joint": (set(BASE_JOINTS + ARM_JOINTS + FINGER_JOINTS), {joint.name for joint in spec.joints}),
         "actuator": ({*BASE_JOINTS, *ARM_JOINTS, GRIP_ACTUATOR}, {actuator.name for actuator in spec.actuators}),
-        "site": ({TCP_SITE, WRIST_SITE}, {site.name for site in spec.sites}),
+        "site": ({TCP_SITE, WRIST_SITE, *(f"{pad}_touch" for pad in PAD_GEOMS)}, {site.name for site in spec.sites}),
         "geom": (set(PAD_GEOMS), {geom.name for geom in spec.geoms}),
     }
     missing = [f"{kind} `{name}`" for kind, (need, have) in wanted.items() for name in sorted(need - have)]
     if missing:
-        raise ValueError(f"robot model `{path.name}` lacks {', '.join(missing)}")
-    return spec
+        raise ValueError(f"robot model `{model}` lacks {', '.join(missing)}")
+
+
+def _check_order(model: str, spec: mujoco.MjSpec) -> None:
+    found, wanted = [joint.name for joint in spec.joints], [*BASE_JOINTS, *ARM_JOINTS]
+    if found[: len(wanted)] != wanted:
+        raise ValueError(
+            f"robot model `{model}` has its joints in the order {', '.join(f'`{name}`' for name in found)}; "
+            f"valid: {', '.join(f'`{name}`' for name in wanted)} first, then the fingers"
+        )
+
+
+def _check_servos(model: str, spec: mujoco.MjSpec) -> None:
+    """The drives' brakes and faults work on gains: positions for the arm, velocities for the base."""
+    servos = {actuator.name: actuator for actuator in spec.actuators}
+    for names, kind, place in ((ARM_JOINTS, "position", 1), (BASE_JOINTS, "velocity", 2)):
+        for name in names:
+            gain, bias = float(servos[name].gainprm[0]), float(servos[name].biasprm[place])
+            if not (gain > 0.0 and bias == -gain):
+                raise ValueError(f"robot model `{model}` drives `{name}` by something else; valid: a {kind} servo")
 
 
 def _add_base(spec: mujoco.MjSpec, *, mobile: bool) -> mujoco.MjsBody:
@@ -166,7 +238,7 @@ def _add_arm(spec: mujoco.MjSpec, base: mujoco.MjsBody) -> mujoco.MjsBody:
 
 
 def _add_gripper(spec: mujoco.MjSpec, wrist: mujoco.MjsBody, *, fingers: bool) -> None:
-    palm = wrist.add_body(name="gripper", pos=(0, 0, DH_D_M[5]), gravcomp=1.0)
+    palm = wrist.add_body(name=GRIPPER, pos=(0, 0, DH_D_M[5]), gravcomp=1.0)
     _add_shape(
         palm,
         "palm",

@@ -141,8 +141,8 @@ class Workcell:
         """
         self.id, self.period_s, self.site, self.seed = cell_id, CONTROL_PERIOD_S, site, seed
         self.plant = Plant(site, people=max(len(people), room_for), robot_mjcf=robot_mjcf)
-        self.solver = ArmSolver()
-        self._self_model = SelfModel()
+        self.solver = ArmSolver(robot_mjcf)
+        self._self_model = SelfModel(robot_mjcf)
         start_at = site.targets[site.start]
         at = (start_at.x_m, start_at.y_m, start_at.yaw_rad)
         self._walls = _tall(site)

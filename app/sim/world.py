@@ -55,12 +55,14 @@ def build_world(site: Site, *, people: int = 0, robot_mjcf: Path | None = None) 
         robot_mjcf: another robot's model; the project's own mobile UR5e by default.
 
     Raises:
-        ValueError: the other robot lacks joints, actuators or sites.
+        ValueError: the other robot's model cannot be used.
     """
-    spec = robot.load_robot(robot_mjcf) if robot_mjcf else mujoco.MjSpec()
+    spec = mujoco.MjSpec()
     _configure(spec)
     if robot_mjcf is None:
         robot.add_robot(spec)
+    else:
+        robot.put_robot(spec, robot.load_robot(robot_mjcf))
     _add_sensors(spec)
     _add_room(spec, site)
     for surface in site.surfaces.values():
@@ -72,7 +74,7 @@ def build_world(site: Site, *, people: int = 0, robot_mjcf: Path | None = None) 
     for index in range(people):
         _add_person(spec, index)
     _add_crates(spec, CRATES)
-    return spec.compile()
+    return robot.compiled(spec)
 
 
 def _configure(spec: mujoco.MjSpec) -> None:
