@@ -154,7 +154,7 @@ class Governing:
         run, tick = self.run, self._ports.recorder.tick
         for alert in alerts:
             if alert.rule not in run.speaking:
-                self._tell(telling.alert(run.id, alert, run.watcher.measure.stale_sensors(self.seen)))
+                self._tell(telling.alert(run.id, alert, run.watcher.stale_sensors(self.seen)))
             run.speaking[alert.rule] = tick
         for rule in [rule for rule, last in run.speaking.items() if tick - last >= QUIET_TICKS]:
             del run.speaking[rule]

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from app.governance.intervention import NOTHING, InterventionState, Responses
 from app.governance.model import Outcome, Status
 from app.governance.recovery import Budgets, RecoveryDecision
-from app.governance.watcher import Watcher, WatchState, compile_watch
+from app.governance.signals import WatchState
+from app.governance.watcher import Watcher, compile_watch
 
 if TYPE_CHECKING:
     from app.cell.substrate import Skill

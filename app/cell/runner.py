@@ -22,10 +22,10 @@ from app.cell.governing import Governing, PlanOf, Ports, Verify
 from app.cell.journal import USED, Entry, Journal, JournalUnavailable
 from app.cell.run import End, Run
 from app.cell.substrate import SubstrateError
-from app.governance.detectors import Signals
 from app.governance.intervention import Responses
 from app.governance.model import EventKind, Mode, Outcome, Status
 from app.governance.permit import PermitError, SignedAuthorization, verify
+from app.governance.signals import Signals
 from app.governance.watcher import compile_watch
 
 if TYPE_CHECKING:

@@ -16,7 +16,6 @@ from app.protocol import ROW, ROWS_PER_BATCH
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from app.governance.detectors import Signals
     from app.governance.model import (
         Alert,
         Authorization,
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
         WatchPlan,
     )
     from app.governance.recovery import RecoveryDecision
+    from app.governance.signals import Signals
 
 CELL: Final = "cell"
 BATCH_BYTES: Final = ROW.size * ROWS_PER_BATCH

@@ -39,8 +39,9 @@ class BaseEstimate(NamedTuple):
 
     The truth is modelled as odometry + offset, where the offset drifts with a slowly changing velocity: a Kalman filter
     with the state (offset, drift) per axis. Both axes have the same noise, so they share one covariance (`p_oo`,
-    `p_od`, `p_dd`). `history` holds (time_s, x_m, y_m, yaw_rad) of the odometry, newest first; `fix_s` is the stamp of
-    the last fix used, −1 before the first; `miss_m` says how far that fix lay from where it was expected.
+    `p_od`, `p_dd`). `fix_s` is the stamp of the last fix used, −1 before the first; `miss_m` says how far that fix lay
+    from where it was expected. `history` holds (time_s, x_m, y_m, yaw_rad) of the odometry, newest first; `due_s` is
+    when it takes the next.
     """
 
     at_s: float = 0.0
@@ -54,6 +55,7 @@ class BaseEstimate(NamedTuple):
     p_dd: float = FIRST_DRIFT_MPS**2
     fix_s: float = -1.0
     miss_m: float = 0.0
+    due_s: float = -math.inf
     history: tuple[_Moment, ...] = ()
 
 
@@ -63,41 +65,42 @@ def track_base(estimate: BaseEstimate, time_s: float, odometry: Vec3, fix: Fix |
     Between fixes nothing has to be computed: the offset moves by drift × time (see `offset`). A fix of the past is
     compared with odometry + offset *of that past*, which compensates its latency without re-running the filter.
     """
-    history = estimate.history
-    due = not history or time_s - history[0][0] >= HISTORY_STEP_S - 1e-6
-    new = fix is not None and fix.stamp_s != estimate.fix_s
-    if not (due or new):
+    at_s, x, y, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, miss_m, due_s, history = estimate
+    newest, new = (time_s, *odometry), fix is not None and fix.stamp_s != fix_s
+    if time_s >= due_s:
+        due_s, history = time_s + HISTORY_STEP_S - 1e-6, (newest, *history[: HISTORY - 1])
+    elif not new:
         return estimate
-    if due:
-        history = ((time_s, *odometry), *history[: HISTORY - 1])
     if fix is None or not new:
-        return estimate._replace(history=history)
-    x, y = offset(estimate, time_s)
-    at_s, _, _, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, _, _ = estimate
+        return BaseEstimate(at_s, x, y, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, miss_m, due_s, history)
+    stamp_s, fix_x, fix_y, fix_yaw = fix
+    x, y = x + dx * (time_s - at_s), y + dy * (time_s - at_s)
     gone_s = max(0.0, time_s - at_s)
     p_oo += gone_s * (2.0 * p_od + gone_s * p_dd) + OFFSET_NOISE_M2PS * gone_s
     p_od += gone_s * p_dd
     p_dd += DRIFT_NOISE * gone_s
-    age_s = time_s - fix.stamp_s
-    then_x, then_y, then_yaw = _at((time_s, *odometry), history, fix.stamp_s)
-    off_x = fix.x_m - then_x - (x - dx * age_s)
-    off_y = fix.y_m - then_y - (y - dy * age_s)
-    turned = math.remainder(fix.yaw_rad - then_yaw - yaw, math.tau)
+    age_s = time_s - stamp_s
+    then_x, then_y, then_yaw = _at(newest, history, stamp_s)
+    off_x = fix_x - then_x - (x - dx * age_s)
+    off_y = fix_y - then_y - (y - dy * age_s)
+    turned = math.remainder(fix_yaw - then_yaw - yaw, math.tau)
     sure = 1.0 / (p_oo + FIX_SIGMA_M**2)
     gain_o, gain_d = p_oo * sure, p_od * sure
+    first = fix_s < 0.0
     return BaseEstimate(
-        at_s=time_s,
-        x_m=x + gain_o * off_x,
-        y_m=y + gain_o * off_y,
-        yaw_rad=yaw + (turned if fix_s < 0.0 else YAW_GAIN * turned),
-        drift_x_mps=dx + gain_d * off_x,
-        drift_y_mps=dy + gain_d * off_y,
-        p_oo=(1.0 - gain_o) * p_oo,
-        p_od=(1.0 - gain_o) * p_od,
-        p_dd=p_dd - gain_d * p_od,
-        fix_s=fix.stamp_s,
-        miss_m=0.0 if fix_s < 0.0 else math.hypot(off_x, off_y),
-        history=history,
+        time_s,
+        x + gain_o * off_x,
+        y + gain_o * off_y,
+        yaw + (turned if first else YAW_GAIN * turned),
+        dx + gain_d * off_x,
+        dy + gain_d * off_y,
+        (1.0 - gain_o) * p_oo,
+        (1.0 - gain_o) * p_od,
+        p_dd - gain_d * p_od,
+        stamp_s,
+        0.0 if first else math.hypot(off_x, off_y),
+        due_s,
+        history,
     )
 
 

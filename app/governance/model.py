@@ -595,7 +595,10 @@ class Separation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WatchPlan:
-    """What the watcher holds a session to: compiled from policy for one (capability, profile, effective parameters)."""
+    """What the watcher holds a session to: compiled from policy for one (capability, profile, effective parameters).
+
+    `unwatched` names signals left out on purpose (`watcher.without`); policy has no way to say so.
+    """
 
     capability: str
     profile: str
@@ -611,6 +614,7 @@ class WatchPlan:
     payload_kg: float = 0.0
     base_deceleration_mps2: float = 1.0
     base_radius_m: float = 0.45
+    unwatched: frozenset[str] = frozenset()
 
 
 class Alert(NamedTuple):

@@ -16,11 +16,13 @@ was not achieved, never counts as well.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from app.governance.detectors import SIGNAL_NAMES, Measure, Senses, Signals
 from app.governance.estimation import cusum
 from app.governance.model import CONTROL_PERIOD_S, Alert, Intervention, Response, Signal, WatchRule
+from app.governance.signals import SIGNAL_NAMES, Constants, Senses, Signals, WatchState
+from app.governance.watch_code import Bound, generate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,7 +33,6 @@ HEADROOM: Final = 1.05
 """A violation is more than this times the limit: the truth overshoots a command on the limit by a few percent."""
 
 CUSUM_SHARE: Final = 0.05
-QUIET: Final[tuple[Alert, ...]] = ()
 
 IMPLAUSIBLE = WatchRule(
     id="watch/implausible",
@@ -54,18 +55,6 @@ UNMET = WatchRule(
 _ALWAYS: Final = (IMPLAUSIBLE, UNMET)
 
 
-class WatchState(NamedTuple):
-    """Everything watching remembers: what measuring does, the last signals, and how long which rule has been violated.
-
-    `lasting` holds (row, ticks) of the rules violated now, `sums` the cumulative sums of the CUSUM rules in order.
-    """
-
-    senses: Senses = Senses()
-    signals: Signals = Signals()
-    lasting: tuple[tuple[int, int], ...] = ()
-    sums: tuple[float, ...] = ()
-
-
 class _Row(NamedTuple):
     """One rule, compiled: violated unless sign · signal ≤ sign · limit, for `ticks` in a row."""
 
@@ -76,6 +65,10 @@ class _Row(NamedTuple):
     rule: WatchRule
     shown: int  # the signal an alert reports
     computed: int | None  # the signal that is the threshold, where it is computed each tick
+
+    def bound(self) -> Bound:
+        """Return what a quiet tick satisfies."""
+        return Bound(Signals._fields[self.place], self.sign > 0.0, self.sign * self.limit, Signals._fields[self.shown])
 
 
 class _Sum(NamedTuple):
@@ -89,24 +82,23 @@ class _Sum(NamedTuple):
 class Watcher:
     """Watches one session. Immutable: all that changes is in the `WatchState` that goes in and comes out."""
 
-    __slots__ = ("_above", "_below", "_none", "_rows", "_sums", "measure", "plan", "rules")
+    __slots__ = ("_constants", "_none", "_plain", "_rows", "_sums", "_watch", "plan", "rules")
 
-    def __init__(self, plan: WatchPlan, measure: Measure, rows: tuple[_Row, ...]) -> None:
+    def __init__(self, plan: WatchPlan, rows: tuple[_Row, ...], period_s: float) -> None:
         """Arrange compiled rows; use `compile_watch`."""
         self.plan = plan
-        self.measure = measure
         self.rules = tuple(row.rule for row in rows)
         self._rows = rows
         plain = [(number, row) for number, row in enumerate(rows) if row.rule.method == "threshold"]
-        self._above = tuple((number, row.place, row.limit) for number, row in plain if row.rule.above)
-        self._below = tuple((number, row.place, -row.limit) for number, row in plain if not row.rule.above)
+        self._plain = sorted(plain, key=lambda numbered: not numbered[1].rule.above)
         self._sums = tuple(
             _Sum(row.place, row.sign, row.limit, _sum_limit(row), number)
             for number, row in enumerate(rows)
             if row.rule.method == "cusum"
         )
-
+        self._constants = Constants.of(plan, period_s)
         self._none = (0.0,) * len(self._sums)
+        self._watch = generate(self._constants, tuple(row.bound() for row in rows), self._none, self._judge)
 
     def begin(self, before: WatchState | None = None) -> WatchState:
         """Return the state an attempt begins with: estimates live on, timers, sums and the grip start afresh."""
@@ -128,36 +120,37 @@ class Watcher:
     ) -> tuple[WatchState, tuple[Alert, ...]]:
         """Return the next state and an alert for every rule that is violated now and has been for long enough.
 
-        Alerts repeat as long as the violation lasts; which of them are news is for the caller to tell. `command` is
-        what the actuators were told, `rate` how fast the skill was let run (see `Measure`).
+        Alerts repeat as long as the violation lasts; which of them are news is for the caller to tell.
+
+        Args:
+            state: What the tick before left.
+            observation: What the sensors say now.
+            report: What the skill says of itself.
+            command: What the actuators were told, after the clamp.
+            rate: How fast the skill was let run; at 0 neither timeout nor stall goes on.
+            retries: Recoveries of kind retry so far, counted by governance.
+            unmet: How many postconditions were found unmet when the skill said it was done.
         """
-        senses, signals = self.measure(state.senses, observation, report, command, rate, retries, unmet)
+        return self._watch(state, observation, report, command, rate, retries, unmet)
+
+    def stale_sensors(self, seen: Observation) -> tuple[str, ...]:
+        """Name the sensors whose newest sample is too old; for the record, not for the loop."""
+        return self._constants.stale(seen)
+
+    def _judge(self, state: WatchState, senses: Senses, signals: Signals) -> tuple[WatchState, tuple[Alert, ...]]:
+        """Judge a tick in which something is out of bounds, or adds up."""
+        sums = tuple(
+            [
+                cusum(total, row.sign * signals[row.place], row.reference, row.limit)
+                for total, row in zip(state.sums, self._sums, strict=True)
+            ]
+        )
         # `not … <=`, so that a NaN is a violation.
-        violated = [number for number, place, limit in self._above if not signals[place] <= limit]
-        violated += [number for number, place, limit in self._below if not signals[place] >= limit]
-        if not violated and not self._sums:
-            return WatchState._make((senses, signals, (), ())), QUIET
-        sums = self._add_up(state.sums, signals)
+        violated = [number for number, row in self._plain if not row.sign * signals[row.place] <= row.limit]
         violated += [row.row for total, row in zip(sums, self._sums, strict=True) if not total <= row.limit]
-        if not violated:
-            return WatchState._make((senses, signals, (), sums)), QUIET
         before = dict(state.lasting)
         lasting = tuple([(number, before.get(number, 0) + 1) for number in violated])
         return WatchState(senses, signals, lasting, sums), tuple(self._alerts(lasting, signals))
-
-    def _add_up(self, sums: tuple[float, ...], signals: Signals) -> tuple[float, ...]:
-        for row in self._sums:
-            if not row.sign * signals[row.place] <= row.reference:
-                break
-        else:
-            if sums == self._none:  # nothing adds up and nothing has: the usual case
-                return sums
-        return tuple(
-            [
-                cusum(total, row.sign * signals[row.place], row.reference, row.limit)
-                for total, row in zip(sums, self._sums, strict=True)
-            ]
-        )
 
     def _alerts(self, lasting: tuple[tuple[int, int], ...], signals: Signals) -> Iterator[Alert]:
         for number, ticks in lasting:
@@ -178,12 +171,27 @@ def compile_watch(plan: WatchPlan, period_s: float = CONTROL_PERIOD_S) -> Watche
     """
     if not 0.0 <= plan.sensitivity <= 1.0:
         raise ValueError(f"sensitivity `{plan.sensitivity}`; valid: 0 to 1")
-    watched = {rule.signal for rule in plan.rules}
+    watched = {rule.signal for rule in plan.rules} | plan.unwatched
     rules = plan.rules + tuple(rule for rule in _ALWAYS if rule.signal not in watched)
     names = [rule.id for rule in rules]
     if twice := {name for name in names if names.count(name) > 1}:
         raise ValueError(f"watch rules {', '.join(f'`{name}`' for name in sorted(twice))} appear twice; ids are unique")
-    return Watcher(plan, Measure(plan, period_s), tuple(_compile(rule, plan, period_s) for rule in rules))
+    return Watcher(plan, tuple(_compile(rule, plan, period_s) for rule in rules), period_s)
+
+
+def without(plan: WatchPlan, *signals: str) -> WatchPlan:
+    """Return the plan without every rule about some signals, the built-in ones included: to see what they are good for.
+
+    Policy cannot ask for this; it is for evaluation, which asks of each detector whether anything would be missed.
+
+    Raises:
+        ValueError: No rule could be about one of them.
+    """
+    for signal in signals:
+        if signal not in SIGNAL_NAMES:
+            raise ValueError(f"unknown signal `{signal}`; valid: {', '.join(f'`{name}`' for name in SIGNAL_NAMES)}")
+    rules = tuple(rule for rule in plan.rules if rule.signal not in signals)
+    return replace(plan, rules=rules, unwatched=plan.unwatched | set(signals))
 
 
 def _compile(rule: WatchRule, plan: WatchPlan, period_s: float) -> _Row:

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.governance.detectors import SIGNAL_NAMES, Signals
 from app.governance.model import (
     Alert,
     Bounds,
@@ -26,7 +25,8 @@ from app.governance.model import (
     WatchRule,
     Zone,
 )
-from app.governance.watcher import Watcher, WatchState, compile_watch
+from app.governance.signals import SIGNAL_NAMES, Signals, WatchState
+from app.governance.watcher import Watcher, compile_watch
 
 STILL = (0.0,) * 6
 AT = (0.1, -1.0, 1.2, -0.3, 1.0, 0.2)
@@ -363,7 +363,7 @@ def test_each_sensor_has_its_own_age_and_the_stale_ones_are_named() -> None:
     assert alert.value == pytest.approx(60.0)
     assert alert.threshold == pytest.approx(50.0)
     _, _, watcher = run(plan, stale)
-    assert watcher.measure.stale_sensors(stale[-1]) == ("wrist",)
+    assert watcher.stale_sensors(stale[-1]) == ("wrist",)
     assert first_alert(
         plan, [seen(t, stamps_s=SensorStamps(*(t * 0.01,) * 7)._replace(fix=0.0)) for t in range(20)]
     ) == (None, None)

@@ -1,0 +1,139 @@
+"""The values that watching works with: the numbers of one tick, the state between ticks, and a plan's constants."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from app.governance.estimation import BaseEstimate, PersonEstimate
+from app.governance.keepout import Keepout
+from app.governance.model import SensorStamps
+
+if TYPE_CHECKING:
+    from app.governance.model import Observation, WatchPlan
+
+FAR_M: Final = 99.0
+
+
+class Signals(NamedTuple):
+    """All signals of one tick, SI units; the names up to `postcondition` are what watch rules use.
+
+    `separation_m` is the distance between the nearest person and the robot (hull of the base, or TCP), and
+    `protective_separation_m` what it has to be. `separation_margin_m` is the smallest difference of the two over all
+    people, `sensor_margin_ms` the largest excess of an age over its limit.
+    """
+
+    contact_force_n: float = 0.0
+    residual_nm: float = 0.0
+    tcp_speed_mps: float = 0.0
+    base_speed_mps: float = 0.0
+    zone_margin_m: float = FAR_M
+    separation_m: float = FAR_M
+    stall_s: float = 0.0
+    elapsed_s: float = 0.0
+    retries: float = 0.0
+    slip_m: float = 0.0
+    grip_lost: float = 0.0
+    tracking_error_rad: float = 0.0
+    base_tracking_error_mps: float = 0.0
+    sensor_age_ms: float = 0.0
+    implausible: float = 0.0
+    postcondition: float = 0.0
+    protective_separation_m: float = 0.0
+    separation_margin_m: float = FAR_M
+    sensor_margin_ms: float = -1.0
+    base_x_m: float = 0.0
+    base_y_m: float = 0.0
+    base_yaw_rad: float = 0.0
+
+
+SIGNAL_NAMES: Final = Signals._fields[:16]
+"""The names a watch rule may use."""
+
+
+SHOWN: Final = frozenset(
+    {
+        "contact_force_n", "residual_nm", "tcp_speed_mps", "base_speed_mps", "zone_margin_m", "separation_m", "slip_m",
+        "protective_separation_m", "base_x_m", "base_y_m", "base_yaw_rad",
+    }
+)  # fmt: skip
+"""The signals that telemetry has a channel for: measured whether a rule watches them or not."""
+
+
+class Senses(NamedTuple):
+    """What measuring remembers from tick to tick: estimates, timers of the attempt, and the tick before.
+
+    `sound` says whether that tick's readings of where base, hand and people are were all finite.
+    """
+
+    base: BaseEstimate = BaseEstimate()
+    people: tuple[PersonEstimate, ...] = ()
+    before: Observation | None = None
+    sound: bool = False
+    elapsed_ticks: int = 0
+    stall_ticks: int = 0
+    progress: float = -1.0
+    held_ticks: int = 0
+    lost_ticks: int = 0
+    slip_from_m: float | None = None
+    stuck_ticks: int = 0
+    stuck_base_ticks: int = 0
+
+
+class WatchState(NamedTuple):
+    """Everything watching remembers: what measuring does, the last signals, and how long which rule has been violated.
+
+    `lasting` holds (row, ticks) of the rules violated now, `sums` the cumulative sums of the CUSUM rules in order.
+    """
+
+    senses: Senses = Senses()
+    signals: Signals = Signals()
+    lasting: tuple[tuple[int, int], ...] = ()
+    sums: tuple[float, ...] = ()
+
+
+class Constants(NamedTuple):
+    """What detectors take from a plan, worked out once. `age_limits_s` holds (place in the stamps, limit).
+
+    The protective separation S_p = v_h (T_r + T_s) + v_r T_r + v_r T_s / 2 + C + Z_d + Z_r is split into what is fixed
+    (`fixed_gap_m`) and what v_r multiplies (`gap_per_speed_s`).
+    """
+
+    period_s: float
+    keepouts: tuple[Keepout, ...]
+    base_deceleration_mps2: float
+    base_radius_m: float
+    age_limits_s: tuple[tuple[int, float], ...]
+    fixed_gap_m: float
+    gap_per_speed_s: float
+
+    @classmethod
+    def of(cls, plan: WatchPlan, period_s: float) -> Constants:
+        """Work a plan's constants out.
+
+        Raises:
+            ValueError: `stale_after_ms` names a sensor that does not exist, or a constant is not usable.
+        """
+        known = SensorStamps._fields
+        for sensor in plan.stale_after_ms:
+            if sensor not in known:
+                raise ValueError(f"unknown sensor `{sensor}`; valid: {', '.join(f'`{name}`' for name in known)}")
+        if not plan.base_deceleration_mps2 > 0.0:
+            raise ValueError(f"base deceleration `{plan.base_deceleration_mps2}` m/s²; valid: more than 0")
+        gap = plan.separation
+        return cls(
+            period_s=period_s,
+            keepouts=tuple(Keepout.of(zone) for zone in plan.zones),
+            base_deceleration_mps2=plan.base_deceleration_mps2,
+            base_radius_m=plan.base_radius_m,
+            age_limits_s=tuple((known.index(name), limit / 1000.0) for name, limit in plan.stale_after_ms.items()),
+            fixed_gap_m=0.0 if gap is None else (
+                gap.human_speed_mps * (gap.reaction_s + gap.stopping_s)
+                + gap.intrusion_m + gap.position_uncertainty_m + gap.robot_uncertainty_m
+            ),
+            gap_per_speed_s=0.0 if gap is None else gap.reaction_s + gap.stopping_s / 2.0,
+        )  # fmt: skip
+
+    def stale(self, seen: Observation) -> tuple[str, ...]:
+        """Name the sensors whose newest sample is too old; for the record, not for the loop."""
+        stamps, names = seen.stamps_s, SensorStamps._fields
+        return tuple(names[place] for place, limit_s in self.age_limits_s if not seen.time_s - stamps[place] <= limit_s)

@@ -1,0 +1,108 @@
+"""Turns what a plan watches into one Python function: its detectors (`fusing`), then the test that a tick is quiet.
+
+```
+def watch(state, seen, report, command, rate, retried, unmet):
+    base, people, before, … = state.senses
+    <the detectors that some rule or telemetry needs>
+    signals = Signals(…)
+    if <every rule's signal is within its limit, and nothing adds up>:
+        return the next state, no alerts                      a quiet tick ends here
+    return judge(state, senses, signals)                      the rules one by one (`watcher`)
+```
+
+Its text depends on which signals are bounded in which direction alone; numbers are constants of the function's
+namespace. So plans that differ in numbers share their code, and a recovery is bound without compiling anything.
+"""
+
+from __future__ import annotations
+
+import functools
+from types import FunctionType
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias, cast
+
+from app.governance import detectors
+from app.governance.fusing import fuse, needed
+from app.governance.model import Command, Observation
+from app.governance.signals import SHOWN, Constants, Senses, Signals, WatchState
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import CodeType
+
+    from app.governance.model import Alert, SkillReport
+
+Watch: TypeAlias = (
+    "Callable[[WatchState, Observation, SkillReport, Command, float, int, int], tuple[WatchState, tuple[Alert, ...]]]"
+)
+Judge: TypeAlias = "Callable[[WatchState, Senses, Signals], tuple[WatchState, tuple[Alert, ...]]]"
+
+_UNPACKED: Final = {"seen": Observation._fields, "command": Command._fields}
+_CONSTANT: Final = {"plan": Constants._fields}
+
+_FRAME: Final = """
+def watch(state, seen, report, command, rate, retried, unmet):
+    senses, _, _, sums = state
+    {senses} = senses
+    if before is None:
+        before = seen
+    ...
+    before = seen
+    senses = new(Senses, ({senses}))
+    signals = new(Signals, ({signals}))
+    if {quiet}:
+        return new(WatchState, (senses, signals, QUIET, sums)), QUIET
+    return judge(state, senses, signals)
+"""
+
+
+class Bound(NamedTuple):
+    """What a rule asks: at most `limit` where `above` is the violation, else at least. `reports` is what it shows."""
+
+    signal: str
+    above: bool
+    limit: float
+    reports: str
+
+
+def generate(plan: Constants, bounds: tuple[Bound, ...], none: tuple[float, ...], judge: Judge) -> Watch:
+    """Generate the function of one plan.
+
+    Args:
+        plan: What detectors take from it.
+        bounds: What a quiet tick satisfies.
+        none: The sums when nothing has added up.
+        judge: Called for every tick that is not quiet.
+    """
+    shape = tuple((bound.signal, bound.above, bound.reports) for bound in bounds)
+    namespace: dict[str, object] = {
+        **vars(detectors),
+        **Signals._field_defaults,  # what nobody measures
+        **{f"plan_{name}": value for name, value in plan._asdict().items()},
+        **{f"LIMIT_{number}": bound.limit for number, bound in enumerate(bounds)},
+        **_SUPPORT,
+        "NO_SUMS": none,
+        "judge": judge,
+    }
+    return cast("Watch", FunctionType(_code(shape, bool(none)), namespace))
+
+
+@functools.lru_cache(maxsize=64)
+def _code(shape: tuple[tuple[str, bool, str], ...], adds_up: bool) -> CodeType:
+    wanted = SHOWN.union(*({signal, reports} for signal, _, reports in shape))
+    # `not` a violation and not its opposite: what cannot be compared is not quiet.
+    quiet = [f"{signal} {'<=' if above else '>='} LIMIT_{number}" for number, (signal, above, _) in enumerate(shape)]
+    if adds_up:
+        quiet.append("sums == NO_SUMS")
+    frame = _FRAME.format(
+        senses=", ".join(Senses._fields), signals=", ".join(Signals._fields), quiet=" and ".join(quiet) or "True"
+    )
+    return fuse(frame, needed(detectors.DETECTORS, wanted), _UNPACKED, _CONSTANT, detectors.__file__)
+
+
+_SUPPORT: Final[dict[str, object]] = {  # pyright: ignore[reportUnknownVariableType]  # tuple.__new__
+    "Senses": Senses,
+    "Signals": Signals,
+    "WatchState": WatchState,
+    "QUIET": (),
+    "new": tuple.__new__,  # pyright: ignore[reportUnknownMemberType]
+}
