@@ -10,13 +10,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from math import hypot, sqrt
+from math import hypot
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from app.sim.proportion import wilson
 from app.sim.robot import HOME_RAD
 from app.sim.trial import Ran, run_skill
 from app.sim.workcell import Workcell, make_workcell
@@ -28,7 +29,6 @@ PAYLOADS: Mapping[str, float] = {"mug_1": 60.0, "glass_1": 20.0, "driver_1": 60.
 TCP_MPS, BASE_MPS = 0.25, 0.3
 _BACK_M, _SEEN_M, _STAND_M, _PLACED_M = 0.02, 0.02, 0.04, 0.05
 _LIFTED_M = 0.08
-_Z95 = 1.959964
 
 
 class Score(NamedTuple):
@@ -92,14 +92,6 @@ def vary(cell: Workcell, seed: int) -> None:
     cell.plant.set_pad_friction(float(rng.uniform(0.7, 1.0)))
     for _ in range(30):
         cell.step(cell.hold())
-
-
-def wilson(succeeded: int, runs: int) -> tuple[float, float]:
-    """Return Wilson's 95 % interval of a proportion."""
-    share, z2 = succeeded / runs, _Z95**2
-    middle = (share + z2 / (2 * runs)) / (1 + z2 / runs)
-    half = _Z95 * sqrt(share * (1 - share) / runs + z2 / (4 * runs**2)) / (1 + z2 / runs)
-    return max(0.0, middle - half), min(1.0, middle + half)
 
 
 class Chain:
