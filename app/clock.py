@@ -21,6 +21,11 @@ def monotonic_s() -> float:
     return time.monotonic()  # noqa: TID251  # the one place that may
 
 
+def precise_ns() -> int:
+    """Return nanoseconds on the finest clock of this process, for timing single calls; its zero means nothing."""
+    return time.perf_counter_ns()
+
+
 def rfc3339(wall_s: float) -> str:
     """Write a wall time as RFC 3339 in UTC with milliseconds, for instance `2026-03-01T09:30:00.250Z`.
 
