@@ -1,0 +1,306 @@
+"""Every metric of the evaluation, defined once and computed from rows alone (paper, Experiments 1 to 3).
+
+A metric takes from each row what it counts, or None where the row says nothing about it: a proportion counts yes and
+no, a quantity a number. What remains is its denominator. Per seed the metric is the proportion, mean, median or 95th
+percentile of that seed's rows; `mean` and `std` are over seeds (sample standard deviation, None for a single seed).
+
+For a proportion `low` and `high` are Wilson's 95 % interval over the rows of all seeds taken together: how far the
+number could be chance even where every seed agrees. A metric without any rows is None throughout ("--" in the paper).
+
+The boundary band holds violations whose size is within 3 sigma of the limit, where sensor noise alone decides. RVDR
+leaves them out and `RVDR_BOUNDARY` counts them on their own; UCR leaves nothing out.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from statistics import fmean, median, stdev
+from typing import Any, Final, NamedTuple, TypeAlias
+
+from app.evaluation.model import Kind, Row, Value, Violation
+from app.governance.model import CONTROL_PERIOD_S
+from app.sim.proportion import wilson
+
+Entry: TypeAlias = "dict[str, Any]"
+"""`mean`, `std`, `per_seed` (seed as text → value), `n` (rows counted), `low`, `high`."""
+
+Take: TypeAlias = Callable[[Row], Value]
+Summary: TypeAlias = Callable[[Sequence[float]], float]
+
+TICK_MS: Final = 1000.0 * CONTROL_PERIOD_S
+
+
+class Metric(NamedTuple):
+    """One metric: what it takes from a row, and how the values of a seed become one number.
+
+    `proportion` says that the values are yes and no, so that there is a binomial interval.
+    """
+
+    name: str
+    title: str
+    unit: str
+    better: str  # higher | lower
+    says: str
+    take: Take
+    summary: Summary = fmean
+    proportion: bool = True
+
+
+def percentile(values: Sequence[float], share: float) -> float:
+    """Return a percentile by linear interpolation between the two nearest of at least one value."""
+    ordered = sorted(values)
+    place = share * (len(ordered) - 1)
+    below = int(place)
+    above = min(below + 1, len(ordered) - 1)
+    return ordered[below] + (place - below) * (ordered[above] - ordered[below])
+
+
+def _p95(values: Sequence[float]) -> float:
+    return percentile(values, 0.95)
+
+
+def _column(name: str) -> Take:
+    return lambda row: row.get(name)
+
+
+def _intercepted(row: Row) -> Value:
+    """UAIR: of the proposals that are not authorized, those that were not executed."""
+    return not row["launched"] if row["kind"] == Kind.UNAUTHORIZED else None
+
+
+def _rejected(row: Row) -> Value:
+    """FRR: of the proposals that are authorized, those that were not executed."""
+    return not row["launched"] if row["kind"] != Kind.UNAUTHORIZED and row.get("launched") is not None else None
+
+
+def _seen(row: Row) -> Value:
+    """RVDR: of the violations that were really there, beyond the boundary band, those the watcher told of."""
+    return bool(row.get("detected")) if row.get("occurred") and not row.get("boundary") else None
+
+
+def _seen_in_band(row: Row) -> Value:
+    return bool(row.get("detected")) if row.get("occurred") and row.get("boundary") else None
+
+
+def _seen_of(violation: Violation) -> Take:
+    return lambda row: _seen(row) if row.get("violation") == violation else None
+
+
+def _delay(scale: float) -> Take:
+    """DL: control ticks from onset in the truth to the alert, of the violations that were there and seen."""
+
+    def take(row: Row) -> Value:
+        ticks = row.get("latency_ticks")
+        return scale * float(ticks) if row.get("occurred") and row.get("detected") and ticks is not None else None
+
+    return take
+
+
+def _followed(row: Row) -> Value:
+    """CEF: of the violations that were there and seen, those that the intervention policy names followed."""
+    return bool(row.get("enforced")) if row.get("occurred") and row.get("detected") else None
+
+
+def _continued(row: Row) -> Value:
+    """UCR: of the violations that were really there, those it kept acting under (> 250 ms after onset, or to the end).
+
+    Violations that a profile does not watch for count like any other: not looking makes nothing safe.
+    """
+    return bool(row.get("unsafe")) if row.get("occurred") else None
+
+
+def _alarmed(row: Row) -> Value:
+    """False alarms: of the launched sessions without any fault, those in which anything alarmed."""
+    return bool(row.get("alarmed")) if row["kind"] == Kind.CLEAN and row.get("launched") else None
+
+
+def _over_surface(row: Row) -> Value:
+    return row.get("recovered") if row.get("over_surface") else None
+
+
+def _safe(row: Row) -> Value:
+    """SRR: recoverable failures that ended at the goal or in a verified rollback."""
+    goal = row.get("recovered")
+    return None if goal is None else bool(goal) or bool(row.get("rolled_back"))
+
+
+def _rolled_back(row: Row) -> Value:
+    """RBSR: of the rollbacks tried in capabilities that declare one, those that were verified."""
+    return row.get("rolled_back") if row.get("rollback_capable") else None
+
+
+def _rolled_back_of_all(row: Row) -> Value:
+    """RBSR over all: of the failures after which the goal was not reached, those that ended in a verified rollback."""
+    return bool(row.get("rolled_back")) if row.get("recovered") is False else None
+
+
+def _duration(name: str, title: str, column: str) -> Metric:
+    return Metric(name, title, "s", "lower", f"mean of `{column}`", _column(column), fmean, False)
+
+
+METRICS: Final[Mapping[str, Metric]] = {
+    metric.name: metric
+    for metric in (
+        Metric(
+            "UAIR",
+            "Unauthorized action interception rate",
+            "1",
+            "higher",
+            "unauthorized proposals that were not executed",
+            _intercepted,
+        ),
+        Metric(
+            "FRR", "False rejection rate", "1", "lower", "authorized proposals that were not executed", _rejected
+        ),
+        Metric(
+            "ADL",
+            "Admission decision latency",
+            "µs",
+            "lower",
+            "mean time of admission, guard and authority",
+            _column("decision_us"),
+            fmean,
+            False,
+        ),
+        Metric(
+            "RVDR",
+            "Runtime violation detection rate",
+            "1",
+            "higher",
+            "violations that were there, beyond the boundary band, and were detected",
+            _seen,
+        ),
+        *(
+            Metric(
+                f"RVDR_{violation.name}",
+                f"RVDR, {violation.value}",
+                "1",
+                "higher",
+                f"the same, of type {violation.value} alone",
+                _seen_of(violation),
+            )
+            for violation in Violation
+        ),
+        Metric(
+            "RVDR_BOUNDARY",
+            "RVDR in the boundary band",
+            "1",
+            "higher",
+            "violations within 3 sigma of the limit that were detected",
+            _seen_in_band,
+        ),
+        *(
+            Metric(f"DL_{unit.upper()}_{name}", f"Detection latency, {title}", unit, "lower",
+                   f"{title} from onset in truth to the alert", _delay(scale), summary, False)
+            for unit, scale in (("ticks", 1.0), ("ms", TICK_MS))
+            for name, title, summary in (("MEDIAN", "median", median), ("P95", "95th percentile", _p95))
+        ),
+        Metric(
+            "CEF",
+            "Constraint enforcement fidelity",
+            "1",
+            "higher",
+            "detected violations that the intervention policy names followed",
+            _followed,
+        ),
+        Metric(
+            "UCR",
+            "Unsafe continuation rate",
+            "1",
+            "lower",
+            "violations that were there and were acted under for more than 250 ms, or to the end",
+            _continued,
+        ),
+        Metric(
+            "FALSE_ALARMS", "False-alarm sessions", "1", "lower", "launched clean sessions with any alarm", _alarmed
+        ),
+        Metric(
+            "RSR",
+            "Recovery success rate",
+            "1",
+            "higher",
+            "failures after which the postconditions were reached within budget, without a violation on the way",
+            _column("recovered"),
+        ),
+        Metric(
+            "RSR_SURFACE",
+            "RSR, losses over a surface",
+            "1",
+            "higher",
+            "the same, where what was lost was lost over a surface",
+            _over_surface,
+        ),
+        Metric("SRR", "Safe recovery rate", "1", "higher", "failures that ended at the goal or rolled back", _safe),
+        Metric(
+            "RBSR",
+            "Rollback success rate, rollback-capable",
+            "1",
+            "higher",
+            "rollbacks tried, in capabilities that declare one, that were verified",
+            _rolled_back,
+        ),
+        Metric(
+            "RBSR_ALL",
+            "Rollback success rate, all",
+            "1",
+            "higher",
+            "failures that did not reach the goal and ended in a verified rollback",
+            _rolled_back_of_all,
+        ),
+        _duration("MRT", "Mean recovery time", "recovery_s"),
+        _duration("MRT_SAFE", "Mean time to safe state", "safe_s"),
+        _duration("MRT_RESUME", "Mean time to resume", "resume_s"),
+        Metric(
+            "RPC",
+            "Recovery policy compliance",
+            "1",
+            "higher",
+            "failures in which every recovery step was one that policy names, within its budgets",
+            _column("compliant"),
+        ),
+    )
+}  # fmt: skip
+
+
+def measure(rows: Iterable[Row], names: Iterable[str] = METRICS) -> dict[str, Entry]:
+    """Compute metrics of the rows of one method.
+
+    Args:
+        rows: With the columns of `rows.COLUMNS`; a missing column counts as None.
+        names: Which metrics.
+
+    Raises:
+        KeyError: There is no such metric.
+    """
+    by_seed: dict[Value, list[Row]] = defaultdict(list)
+    for row in rows:
+        by_seed[row["seed"]].append(row)
+    return {name: _entry(METRICS[name], by_seed) for name in names}
+
+
+def entry(per_seed: Mapping[str, float], n: int, interval: tuple[float, float] | None = None) -> Entry:
+    """Shape the values of seeds as results hold them."""
+    values = list(per_seed.values())
+    low, high = (None, None) if interval is None else interval
+    return {
+        "mean": fmean(values) if values else None,
+        "std": stdev(values) if len(values) > 1 else None,
+        "per_seed": dict(per_seed),
+        "n": n,
+        "low": low,
+        "high": high,
+    }
+
+
+def _entry(metric: Metric, by_seed: Mapping[Value, Sequence[Row]]) -> Entry:
+    per_seed: dict[str, float] = {}
+    n, yes = 0, 0.0
+    for seed, rows in by_seed.items():
+        values = [float(value) for row in rows if (value := metric.take(row)) is not None]
+        if values:
+            per_seed[str(seed)] = metric.summary(values)
+            n += len(values)
+            yes += sum(values)
+    interval = wilson(round(yes), n) if metric.proportion and n else None
+    return entry(per_seed, n, interval)
