@@ -97,6 +97,11 @@ class Draws:
         return low + (high - low) * self.unit()
 
 
+def recoverable(trials: int) -> int:
+    """Return how many recoverable failures go with so many trials: half, as many as there are authorized requests."""
+    return -(-trials // 2)
+
+
 @lru_cache(maxsize=4096)  # the methods of a task and a seed follow each other, and ask for the same trials
 def draw(policy: PolicySet, seed: int, task: str, number: int) -> Trial:
     """Return a trial.

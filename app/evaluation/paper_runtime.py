@@ -191,10 +191,15 @@ class _Luck:
         return motion < rate, chance < BY_CHANCE
 
 
-class _Course:
+class Course:
     """A failure under policy: what `recover` names next, given how the steps so far came out."""
 
-    def __init__(self, policy: PolicySet, trial: Trial, *, can_ask: bool) -> None:
+    def __init__(self, policy: PolicySet, trial: Trial, *, can_ask: bool = True) -> None:
+        """Begin with the trial's failure and full budgets.
+
+        Raises:
+            ValueError: The trial has no failure.
+        """
         if trial.failure is None:
             raise ValueError("a trial without a failure; valid: one of kind `recoverable`")
         self._plan, self._covered = _recoveries(policy, trial.capability, trial.profile)
@@ -251,7 +256,7 @@ def undergo(method: Method, policy: PolicySet, trial: Trial) -> Recovery:
     """
     luck = _Luck(trial)
     if method.recovery is Recovering.GOVERNED:
-        steps, ending = _governed(_Course(policy, trial, can_ask=method.human), luck)
+        steps, ending = _governed(Course(policy, trial, can_ask=method.human), luck)
     else:
         steps = tuple(_ungoverned(method.recovery, trial, luck))
         reached = bool(steps) and steps[-1].ok and trial.failure is not Failure.TIMEOUT
@@ -260,13 +265,13 @@ def undergo(method: Method, policy: PolicySet, trial: Trial) -> Recovery:
     return Recovery(
         recovered=ending is Ending.RECOVERED,
         rolled_back=tried[-1] if tried else None,
-        compliant=_complies(_Course(policy, trial, can_ask=True), steps, ending),
+        compliant=_complies(Course(policy, trial), steps, ending),
         ending=ending,
         steps=steps,
     )
 
 
-def _governed(course: _Course, luck: _Luck) -> tuple[tuple[Step, ...], Ending]:
+def _governed(course: Course, luck: _Luck) -> tuple[tuple[Step, ...], Ending]:
     steps: list[Step] = []
     cleared = False
     while True:
@@ -302,7 +307,7 @@ def _ungoverned(recovery: Recovering, trial: Trial, luck: _Luck) -> Iterator[Ste
         yield Step(Strategy.RETRY, None, cleared or luck.step()[1])
 
 
-def _complies(course: _Course, steps: tuple[Step, ...], ending: Ending) -> bool:
+def _complies(course: Course, steps: tuple[Step, ...], ending: Ending) -> bool:
     """Say whether policy would have named every step, in this order, and the end.
 
     What is left undone counts as well: a failure that policy has a step for, and nothing took, is no compliance.
