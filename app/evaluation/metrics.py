@@ -34,7 +34,7 @@ TICK_MS: Final = 1000.0 * CONTROL_PERIOD_S
 class Metric(NamedTuple):
     """One metric: what it takes from a row, and how the values of a seed become one number.
 
-    `proportion` says that the values are yes and no, so that there is a binomial interval.
+    Without a `summary` the values are yes and no, and the metric is the share of yes.
     """
 
     name: str
@@ -43,8 +43,7 @@ class Metric(NamedTuple):
     better: str  # higher | lower
     says: str
     take: Take
-    summary: Summary = fmean
-    proportion: bool = True
+    summary: Summary | None = None
 
 
 def percentile(values: Sequence[float], share: float) -> float:
@@ -136,7 +135,7 @@ def _rolled_back_of_all(row: Row) -> Value:
 
 
 def _duration(name: str, title: str, column: str) -> Metric:
-    return Metric(name, title, "s", "lower", f"mean of `{column}`", _column(column), fmean, False)
+    return Metric(name, title, "s", "lower", f"mean of `{column}`", _column(column), fmean)
 
 
 METRICS: Final[Mapping[str, Metric]] = {
@@ -161,7 +160,6 @@ METRICS: Final[Mapping[str, Metric]] = {
             "mean time of admission, guard and authority",
             _column("decision_us"),
             fmean,
-            False,
         ),
         Metric(
             "RVDR",
@@ -192,7 +190,7 @@ METRICS: Final[Mapping[str, Metric]] = {
         ),
         *(
             Metric(f"DL_{unit.upper()}_{name}", f"Detection latency, {title}", unit, "lower",
-                   f"{title} from onset in truth to the alert", _delay(scale), summary, False)
+                   f"{title} from onset in truth to the alert", _delay(scale), summary)
             for unit, scale in (("ticks", 1.0), ("ms", TICK_MS))
             for name, title, summary in (("MEDIAN", "median", median), ("P95", "95th percentile", _p95))
         ),
@@ -213,7 +211,7 @@ METRICS: Final[Mapping[str, Metric]] = {
             _continued,
         ),
         Metric(
-            "FALSE_ALARMS", "False-alarm sessions", "1", "lower", "launched clean sessions with any alarm", _alarmed
+            "FAS", "False-alarm sessions", "1", "lower", "launched clean sessions with any alarm", _alarmed
         ),
         Metric(
             "RSR",
@@ -263,6 +261,50 @@ METRICS: Final[Mapping[str, Metric]] = {
 }  # fmt: skip
 
 
+class Tally:
+    """Counts the rows of one method as they come; what it holds grows with seeds, not with yes and no."""
+
+    def __init__(self, names: Iterable[str] = METRICS) -> None:
+        """Begin with no rows.
+
+        Raises:
+            KeyError: There is no such metric.
+        """
+        self._metrics = tuple(METRICS[name] for name in names)
+        self._counts: dict[tuple[str, str], list[int]] = {}
+        self._values: dict[tuple[str, str], list[float]] = defaultdict(list)
+
+    def add(self, row: Row) -> None:
+        """Count a row; a column that is missing counts as None."""
+        seed = str(row["seed"])
+        for metric in self._metrics:
+            value = metric.take(row)
+            if value is None:
+                continue
+            if metric.summary is not None:
+                self._values[metric.name, seed].append(float(value))
+                continue
+            count = self._counts.setdefault((metric.name, seed), [0, 0])
+            count[0] += bool(value)
+            count[1] += 1
+
+    def entries(self) -> dict[str, Entry]:
+        """Return metric → entry."""
+        return {
+            metric.name: self._share(metric.name) if metric.summary is None else self._quantity(metric, metric.summary)
+            for metric in self._metrics
+        }
+
+    def _share(self, name: str) -> Entry:
+        counts = {seed: count for (mine, seed), count in self._counts.items() if mine == name}
+        yes, n = (sum(count[place] for count in counts.values()) for place in (0, 1))
+        return entry({seed: part / of for seed, (part, of) in counts.items()}, n, wilson(yes, n) if n else None)
+
+    def _quantity(self, metric: Metric, summary: Summary) -> Entry:
+        values = {seed: found for (mine, seed), found in self._values.items() if mine == metric.name}
+        return entry({seed: summary(found) for seed, found in values.items()}, sum(map(len, values.values())))
+
+
 def measure(rows: Iterable[Row], names: Iterable[str] = METRICS) -> dict[str, Entry]:
     """Compute metrics of the rows of one method.
 
@@ -273,10 +315,10 @@ def measure(rows: Iterable[Row], names: Iterable[str] = METRICS) -> dict[str, En
     Raises:
         KeyError: There is no such metric.
     """
-    by_seed: dict[Value, list[Row]] = defaultdict(list)
+    tally = Tally(names)
     for row in rows:
-        by_seed[row["seed"]].append(row)
-    return {name: _entry(METRICS[name], by_seed) for name in names}
+        tally.add(row)
+    return tally.entries()
 
 
 def entry(per_seed: Mapping[str, float], n: int, interval: tuple[float, float] | None = None) -> Entry:
@@ -291,16 +333,3 @@ def entry(per_seed: Mapping[str, float], n: int, interval: tuple[float, float] |
         "low": low,
         "high": high,
     }
-
-
-def _entry(metric: Metric, by_seed: Mapping[Value, Sequence[Row]]) -> Entry:
-    per_seed: dict[str, float] = {}
-    n, yes = 0, 0.0
-    for seed, rows in by_seed.items():
-        values = [float(value) for row in rows if (value := metric.take(row)) is not None]
-        if values:
-            per_seed[str(seed)] = metric.summary(values)
-            n += len(values)
-            yes += sum(values)
-    interval = wilson(round(yes), n) if metric.proportion and n else None
-    return entry(per_seed, n, interval)

@@ -34,7 +34,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar, cast
 
 import numpy as np
 
-from app.evaluation.model import AGENT, CAPABILITIES, PROFILES, TASKS, Breach, Failure, Kind, Violation
+from app.evaluation.extensions import find_task
+from app.evaluation.model import AGENT, CAPABILITIES, PROFILES, Breach, Failure, Kind, Violation
 from app.evaluation.paper_scenes import SCALED, Scene, complete, scenes
 from app.governance.model import AgentFacts, Mode, Proposal
 from app.governance.places import centre, inside
@@ -113,7 +114,8 @@ def draw(policy: PolicySet, seed: int, task: str, number: int) -> Trial:
         number: Number of the trial; its block says which experiment it belongs to.
 
     Raises:
-        ValueError: There is no such task, or policy leaves nothing to ask for.
+        UnknownName: There is no such task.
+        ValueError: Policy leaves nothing to ask for.
     """
     draws = Draws(seed, task, number)
     if number >= OVERRIDE_FIRST:
@@ -139,13 +141,9 @@ def capabilities(task: str) -> tuple[str, ...]:
     """Return the capabilities of a task.
 
     Raises:
-        ValueError: There is no such task.
+        UnknownName: There is no such task.
     """
-    if task == ALL:
-        return CAPABILITIES
-    if task not in TASKS:
-        raise ValueError(f"there is no task `{task}`; valid: {', '.join(TASKS)}, {ALL}")
-    return TASKS[task].capabilities
+    return CAPABILITIES if task == ALL else find_task(task).capabilities
 
 
 def breaches(policy: PolicySet, capability: str, profile: str) -> tuple[Breach, ...]:
@@ -174,7 +172,7 @@ def _open(policy: PolicySet, task: str, capability: str, profile: str) -> tuple[
 
 
 def _fixed(task: str) -> tuple[Params, ...]:
-    return tuple(TASKS[task].params.values()) if task in TASKS else ()
+    return () if task == ALL else tuple(find_task(task).params.values())
 
 
 @cache

@@ -1,125 +1,148 @@
 """Protocol `paper`: the paper's generator and its Bernoulli watcher around Reins's real admission, guard and recovery.
 
-`jobs` lists the work, `run` does a stretch of it anywhere (a row is a plain function of policy, method, seed, task and
-number), `results` makes the tables. Recovery failures are trials of their own: half as many as there are others, since
-the paper injects them into authorized requests, which are half of all.
+A row is a plain function of policy, method, seed, task and number (but for `decision_us`, which a clock says). There
+is one job of trials for every method, task and seed, and one of recoverable failures: trials of their own, half as
+many, since the paper injects them into authorized requests, which are half of all.
 
-What the rows need is in `paper_generator` and `paper_runtime`, the smaller tables are in `paper_tables`, and what the
+What rows need is in `paper_generator` and `paper_runtime`, the smaller tables are in `paper_tables`, and what the
 paper leaves open is in `paper_unpublished`.
 """
 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from app.evaluation import paper_tables
+from app.evaluation.extensions import find_method
 from app.evaluation.jobs import Job
-from app.evaluation.methods import METHODS, Method
-from app.evaluation.metrics import METRICS, Entry, measure
-from app.evaluation.model import Row, Value, Violation
+from app.evaluation.methods import ABLATIONS
+from app.evaluation.metrics import Entry, Tally
+from app.evaluation.model import TASKS, Row, Violation
 from app.evaluation.paper_generator import RECOVERY_FIRST, recoverable
-from app.evaluation.paper_rows import method_named, row
+from app.evaluation.paper_rows import row
 from app.evaluation.paper_unpublished import UNPUBLISHED
 from app.evaluation.statistics import effect_sizes
 
 if TYPE_CHECKING:
+    from app.governance.model import Json
     from app.governance.policy import PolicySet
 
-PROTOCOL: Final = "paper"
+TRIALS: Final = 1000
+"""For each method, task and seed, as in the paper's artifact; its tables say 200."""
+
 PER_TASK: Final = ("UAIR", "FRR", "RVDR", "CEF", "UCR", "RSR", "SRR", "RBSR", "RBSR_ALL", "RPC")
 
 
-def jobs(methods: Sequence[Method], seeds: Sequence[int], trials: int, tasks: Sequence[str]) -> list[Job]:
-    """List the work: for every method, task and seed one job of trials, and one of recoverable failures.
+def jobs(
+    *, methods: Sequence[str], tasks: Sequence[str], seeds: Sequence[int], trials: int, long: bool = False
+) -> list[Job]:
+    """List the work; the methods of a task and a seed follow each other, since they share its trials.
 
     Args:
-        methods: What is measured; methods and ablations alike.
+        methods: Names of methods and ablations.
+        tasks: Names of task types, or `all` for capabilities alone; empty: the paper's eight.
         seeds: Seeds of the runs.
-        trials: How many trials per method, task and seed, without the recoverable ones.
-        tasks: Names of task types, or `all`.
+        trials: How many trials for each, without the recoverable ones.
+        long: Nothing in this protocol: who wants more trials asks for them.
     """
+    del long
     listed: list[Job] = []
-    for task in tasks:
+    for task in tasks or tuple(TASKS):
         for seed in seeds:
             for method in methods:
-                name = f"{PROTOCOL}-{method.name}-{task}-{seed}"
-                listed.append(Job(name, method.name, task, seed, 0, trials))
-                listed.append(Job(f"{name}-recovery", method.name, task, seed, RECOVERY_FIRST, recoverable(trials)))
+                name = f"{method}.{task}.{seed}"
+                listed.append(Job(name, method, task, seed, 0, trials))
+                listed.append(Job(f"{name}.recovery", method, task, seed, RECOVERY_FIRST, recoverable(trials)))
     return listed
 
 
-def run(job: Job, policy: PolicySet) -> list[Row]:
-    """Run a job; one row per trial, in order of number.
+def run(job: Job, policy: PolicySet) -> Iterator[Row]:
+    """Yield a job's rows; one per trial, in order of number.
 
     Args:
         job: A stretch of trials.
         policy: Π of every profile.
 
     Raises:
-        ValueError: There is no such method or task.
+        UnknownName: There is no such method or task.
     """
-    method = method_named(job.method)
-    return [row(method, policy, job.seed, job.task, job.first + place) for place in range(job.count)]
+    method = find_method(job.method)
+    for place in range(job.count):
+        yield row(method, policy, job.seed, job.task, job.first + place)
 
 
-def results(rows: Sequence[Row], *, policy: PolicySet, seeds: Sequence[int], trials: int) -> dict[str, Any]:
-    """Return the content of `results.json`.
+class _Sums:
+    """Everything that is counted of one method."""
 
-    Ablations, human override, the sensitivity sweep and latencies are tables of their own: they are run here, on the
-    pooled task, and take nothing from the rows.
+    def __init__(self) -> None:
+        self.tally = Tally()
+        self.tasks: dict[str, Tally] = defaultdict(lambda: Tally(PER_TASK))
+        self.classes: dict[str, Counter[str]] = defaultdict(Counter)
+        self.confusion = paper_tables.Confusion()
+
+    def add(self, one: Row) -> None:
+        self.tally.add(one)
+        self.tasks[str(one["task"])].add(one)
+        self.classes[str(one["kind"])][str(one["class"])] += 1
+        self.confusion.add(one)
+
+    def shares(self) -> dict[str, dict[str, float]]:
+        """Return, for every kind of trial, the share of each class."""
+        return {
+            kind: {name: count / counted.total() for name, count in sorted(counted.items())}
+            for kind, counted in self.classes.items()
+        }
+
+
+def results(rows: Iterable[Row], policy: PolicySet) -> dict[str, Json]:
+    """Sum up; what `results.json` holds.
+
+    Human override, the sensitivity sweep and latencies are tables of their own: they are run here, with the seeds and
+    as many trials as the rows have, over capabilities alone.
 
     Args:
         rows: Of every job.
         policy: Π that they were run under.
-        seeds: Seeds of the runs.
-        trials: How many trials there were per method, task and seed.
     """
-    by_method = _grouped(rows, "method")
-    methods = {name: measure(mine) for name, mine in by_method.items()}
-    for name in methods:
-        methods[name]["ADL"] = paper_tables.decision_latency(method_named(name), policy, seeds, trials)
-    return {
-        "protocol": PROTOCOL,
-        "seeds": list(seeds),
-        "trials": trials,
-        "policy": policy.digest,
-        "methods": methods,
-        "classes": {name: _classes(mine) for name, mine in by_method.items()},
-        "per_type": {name: _per_type(entries) for name, entries in methods.items()},
-        "per_task": {
-            str(task): {name: measure(mine, PER_TASK) for name, mine in _grouped(of_task, "method").items()}
-            for task, of_task in _grouped(rows, "task").items()
-        },
-        "ablations": paper_tables.ablations(policy, seeds, trials),
-        "human_override": paper_tables.human_override(policy, seeds, trials),
-        "sensitivity": paper_tables.sensitivity(policy, seeds, trials),
-        "latency": paper_tables.latency(policy, seeds, trials),
-        "confusion": {name: paper_tables.confusion(mine) for name, mine in by_method.items()},
-        "effect_sizes": effect_sizes({name: entries for name, entries in methods.items() if name in METHODS}),
-        "unpublished": [one._asdict() for one in UNPUBLISHED],
-    }
-
-
-def _grouped(rows: Iterable[Row], column: str) -> dict[str, list[Row]]:
-    found: dict[str, list[Row]] = defaultdict(list)
+    sums: dict[str, _Sums] = defaultdict(_Sums)
+    trials: dict[int, int] = {}
     for one in rows:
-        found[str(one[column])].append(one)
-    return dict(found)
+        sums[str(one["method"])].add(one)
+        seed, number = _whole(one["seed"]), _whole(one["trial"])
+        if number < RECOVERY_FIRST:
+            trials[seed] = max(trials.get(seed, 0), number + 1)
+    entries = {name: mine.tally.entries() for name, mine in sums.items()}
+    methods = {name: found for name, found in entries.items() if name not in ABLATIONS}
+    seeds, most = list(trials), max(trials.values(), default=0)
+    tables: dict[str, Any] = {
+        "methods": methods,
+        "classes": {name: mine.shares() for name, mine in sums.items()},
+        "per_type": {name: _per_type(found) for name, found in entries.items()},
+        "per_task": _per_task(sums),
+        "ablations": {name: found for name, found in entries.items() if name in ABLATIONS},
+        "human_override": paper_tables.human_override(policy, seeds, most),
+        "sensitivity": paper_tables.sensitivity(policy, seeds, most),
+        "latency": paper_tables.latency(policy, seeds, most),
+        "confusion": {name: mine.confusion.table() for name, mine in sums.items()},
+        "effect_sizes": effect_sizes(methods),
+        "unpublished": [one.describe() for one in UNPUBLISHED],
+    }
+    return cast("dict[str, Json]", tables)  # all of it is numbers and names
 
 
-def _classes(rows: Sequence[Row]) -> dict[str, dict[str, float]]:
-    """Return, for every kind of trial, the share of each class."""
-    found: dict[str, dict[str, float]] = {}
-    for kind, mine in _grouped(rows, "kind").items():
-        counted: Counter[Value] = Counter(one["class"] for one in mine)
-        found[kind] = {str(name): count / len(mine) for name, count in counted.most_common()}
-    return found
+def _whole(value: Any) -> int:  # noqa: ANN401  # a column
+    return int(value)
 
 
 def _per_type(entries: Mapping[str, Entry]) -> dict[str, Entry]:
     return {violation.value: entries[f"RVDR_{violation.name}"] for violation in Violation}
 
 
-__all__ = ["METRICS", "PROTOCOL", "jobs", "results", "run"]
+def _per_task(sums: Mapping[str, _Sums]) -> dict[str, dict[str, dict[str, Entry]]]:
+    """Return task → method → metric → entry."""
+    tasks = dict.fromkeys(task for mine in sums.values() for task in mine.tasks)
+    return {
+        task: {name: mine.tasks[task].entries() for name, mine in sums.items() if task in mine.tasks} for task in tasks
+    }

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from app.evaluation.methods import ABLATIONS, METHODS, Method, Passed, pass_gate
+from app.clock import precise_ns
+from app.evaluation.methods import Method, Passed, pass_gate
 from app.evaluation.model import Kind, Row
 from app.evaluation.paper_generator import draw
 from app.evaluation.paper_runtime import Ending, monitor, undergo
@@ -15,25 +16,13 @@ if TYPE_CHECKING:
     from app.governance.policy import PolicySet
 
 
-def method_named(name: str) -> Method:
-    """Return a method or an ablation.
-
-    Raises:
-        ValueError: There is none of this name.
-    """
-    found = METHODS.get(name) or ABLATIONS.get(name)
-    if found is None:
-        raise ValueError(f"there is no method `{name}`; valid: {', '.join([*METHODS, *ABLATIONS])}")
-    return found
-
-
 def row(
     method: Method, policy: PolicySet, seed: int, task: str, number: int, *, sensitivity: float | None = None
 ) -> Row:
     """Run one trial; the columns of `rows.COLUMNS`.
 
-    `decision_us` stays empty: a row is the same wherever and whenever it is made. Times are measured apart, alone on
-    their machine (`paper_tables`). Sizes, delays and durations do not exist in this protocol and stay empty as well.
+    All but `decision_us` follows from the arguments. Sizes, delays and durations do not exist in this protocol, and
+    their columns stay empty.
 
     Args:
         method: What governs it.
@@ -44,8 +33,11 @@ def row(
         sensitivity: Overrides s of every profile.
     """
     trial = draw(policy, seed, task, number)
+    began = precise_ns()
     passed = pass_gate(method, policy, trial.proposal, trial.context, approved=trial.approved)
+    spent_us = (precise_ns() - began) / 1000.0
     made = _blank(method, policy, trial, passed)
+    made["decision_us"] = spent_us
     if not passed.launched:
         made["class"] = (Ending.INTERCEPTED if trial.kind is Kind.UNAUTHORIZED else Ending.REJECTED).value
     elif trial.violation is not None:

@@ -1,16 +1,16 @@
-"""The smaller tables of protocol `paper`: ablations, human override, sensitivity sweep, confusion, latencies."""
+"""The smaller tables of protocol `paper`: human override, sensitivity sweep, confusion matrix, latencies."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from statistics import fmean
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from app.clock import precise_ns
-from app.evaluation.methods import ABLATIONS, REINS, Method, pass_gate
-from app.evaluation.metrics import Entry, entry, measure, percentile
+from app.evaluation.methods import ABLATIONS, REINS
+from app.evaluation.metrics import Entry, Tally, entry, measure, percentile
 from app.evaluation.model import Kind, Row
 from app.evaluation.paper_generator import ALL, OVERRIDE_FIRST, RECOVERY_FIRST, SHARED, Trial, draw, recoverable
 from app.evaluation.paper_rows import row
@@ -25,40 +25,22 @@ from app.governance.watcher import compile_watch
 if TYPE_CHECKING:
     from app.governance.policy import PolicySet
 
-FULL: Final = "full"
-ABLATED: Final = ("UAIR", "RVDR", "UCR", "RSR", "SRR", "RPC")
 SWEPT: Final = ("RVDR", "UCR", "RSR", "SRR")
 STEPS: Final = tuple(step / 10 for step in range(11))
 WITH, WITHOUT = "with override", "without override"
 
 Timed: TypeAlias = Callable[[], object]
-_Variant: TypeAlias = tuple[Method, float | None]  # what governs, and what overrides s
-_Key = TypeVar("_Key")
-
-
-def ablations(policy: PolicySet, seeds: Sequence[int], trials: int) -> dict[str, dict[str, Entry]]:
-    """Measure the full framework and each ablation: variant → metric → entry."""
-    variants: dict[str, _Variant] = {FULL: (REINS, None), **{name: (one, None) for name, one in ABLATIONS.items()}}
-    rows = _pooled(variants, policy, seeds, trials)
-    return {name: measure(mine, ABLATED) for name, mine in rows.items()}
 
 
 def sensitivity(policy: PolicySet, seeds: Sequence[int], trials: int) -> list[dict[str, Any]]:
-    """Sweep s from 0 to 1 in every profile alike; one point per step, each with its metrics."""
-    rows = _pooled({s: (REINS, s) for s in STEPS}, policy, seeds, trials)
-    return [{"s": s, **measure(mine, SWEPT)} for s, mine in rows.items()]
-
-
-def _pooled(
-    variants: Mapping[_Key, _Variant], policy: PolicySet, seeds: Sequence[int], trials: int
-) -> dict[_Key, list[Row]]:
-    """Run the pooled task under variants of governance: all of a seed's trials, and its recoverable ones."""
-    found: dict[_Key, list[Row]] = {key: [] for key in variants}
+    """Sweep s from 0 to 1 in every profile alike; one point per step, each with its metrics over the pooled task."""
+    tallies = {s: Tally(SWEPT) for s in STEPS}
     numbers = (*range(trials), *range(RECOVERY_FIRST, RECOVERY_FIRST + recoverable(trials)))
     for seed in seeds:
-        for key, (method, s) in variants.items():  # the innermost but one: variants share the trials of a seed
-            found[key] += [row(method, policy, seed, ALL, number, sensitivity=s) for number in numbers]
-    return found
+        for s, tally in tallies.items():  # the points share the trials of a seed
+            for number in numbers:
+                tally.add(row(REINS, policy, seed, ALL, number, sensitivity=s))
+    return [{"s": s, **tally.entries()} for s, tally in tallies.items()]
 
 
 def human_override(policy: PolicySet, seeds: Sequence[int], trials: int) -> dict[str, dict[str, Entry]]:
@@ -83,41 +65,31 @@ def _rest(rate: Entry) -> Entry:
     return entry(per_seed, rate["n"], interval)
 
 
-def confusion(rows: Sequence[Row]) -> dict[str, Any]:
-    """Count decisions: blocked and unauthorized is a true positive, blocked and authorized a false one.
+class Confusion:
+    """Counts decisions: blocked and unauthorized is a true positive, blocked and authorized a false one."""
 
-    `false_rejections` is their distribution, capability → profile → count, as the paper recommends to monitor.
-    """
-    counted: Counter[str] = Counter()
-    rejected: dict[str, Counter[str]] = {}
-    for one in rows:
+    def __init__(self) -> None:
+        """Begin with no rows."""
+        self._cells: Counter[str] = Counter()
+        self._rejected: dict[str, Counter[str]] = defaultdict(Counter)
+
+    def add(self, one: Row) -> None:
+        """Count a row."""
         unauthorized, launched = one["kind"] == Kind.UNAUTHORIZED, bool(one["launched"])
-        counted[_CELLS[unauthorized, launched]] += 1
+        self._cells[_CELLS[unauthorized, launched]] += 1
         if not unauthorized and not launched:
-            rejected.setdefault(str(one["capability"]), Counter())[str(one["profile"])] += 1
-    return {
-        **{cell: counted[cell] for cell in _CELLS.values()},
-        "false_rejections": {name: dict(profiles) for name, profiles in rejected.items()},
-    }
+            self._rejected[str(one["capability"])][str(one["profile"])] += 1
+
+    def table(self) -> dict[str, Any]:
+        """Return the four counts, and `false_rejections`: capability → profile → count, as the paper recommends."""
+        rejected = {name: dict(profiles) for name, profiles in self._rejected.items()}
+        return {**{cell: self._cells[cell] for cell in _CELLS.values()}, "false_rejections": rejected}
 
 
 _CELLS: Final = {(True, False): "TP", (False, False): "FP", (True, True): "FN", (False, True): "TN"}
 
 
 # Latency -------------------------------------------------------------------------------------------------------------
-
-
-def decision_latency(method: Method, policy: PolicySet, seeds: Sequence[int], trials: int) -> Entry:
-    """Measure ADL, µs: the whole gate of a method, over the trials of the pooled task."""
-    per_seed = {
-        str(seed): fmean(_us(partial(_gate, method, policy, trial)) for trial in _drawn(policy, seed, trials))
-        for seed in seeds
-    }
-    return entry(per_seed, trials * len(seeds))
-
-
-def _gate(method: Method, policy: PolicySet, trial: Trial) -> object:
-    return pass_gate(method, policy, trial.proposal, trial.context, approved=trial.approved)
 
 
 def latency(policy: PolicySet, seeds: Sequence[int], trials: int) -> dict[str, dict[str, Any]]:

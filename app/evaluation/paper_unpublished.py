@@ -6,7 +6,10 @@ left to Reins's own policy, or the number is left out.
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+if TYPE_CHECKING:
+    from app.governance.model import Json
 
 
 class Unpublished(NamedTuple):
@@ -16,6 +19,10 @@ class Unpublished(NamedTuple):
     paper: str
     here: str
     affects: tuple[str, ...]
+
+    def describe(self) -> dict[str, Json]:
+        """Return it as plain data."""
+        return {"parameter": self.parameter, "paper": self.paper, "here": self.here, "affects": list(self.affects)}
 
 
 UNPUBLISHED: Final = (
@@ -145,7 +152,7 @@ UNPUBLISHED: Final = (
         "false alarms of the watcher",
         "argues with them, but does not measure them",
         "the coin is tossed only where there is a violation; protocol `physical` measures them",
-        ("FALSE_ALARMS",),
+        ("FAS",),
     ),
     Unpublished(
         "standard deviation over seeds",
