@@ -179,16 +179,19 @@ def _rule(policy: PolicySet, capability: str, profile: str, violation: Violation
 # Recovering ----------------------------------------------------------------------------------------------------------
 
 
-class _Luck:
-    """What chance holds for one trial: the n-th step of any method meets the same chance."""
+class Chance(NamedTuple):
+    """What chance holds for one step: whether a motion succeeds now, and whether the cause is gone by itself."""
 
-    def __init__(self, trial: Trial) -> None:
-        self._draws = Draws(trial.seed, trial.task, trial.number, stream=1)
+    motion: bool
+    gone: bool
 
-    def step(self) -> tuple[bool, bool]:
-        """Return whether a motion would succeed now, and whether the cause would be gone by itself."""
-        motion, rate, chance = self._draws.unit(), self._draws.between(*MOTION), self._draws.unit()
-        return motion < rate, chance < BY_CHANCE
+
+def chances(trial: Trial) -> Iterator[Chance]:
+    """Yield the chances of a trial's steps: the n-th step of any method meets the same one."""
+    draws = Draws(trial.seed, trial.task, trial.number, stream=1)
+    while True:
+        motion, rate, gone = draws.unit(), draws.between(*MOTION), draws.unit()
+        yield Chance(motion < rate, gone < BY_CHANCE)
 
 
 class Course:
@@ -246,15 +249,16 @@ def _recoveries(policy: PolicySet, capability: str, profile: str) -> tuple[Recov
     return plan, (*again, *moving)
 
 
-def undergo(method: Method, policy: PolicySet, trial: Trial) -> Recovery:
+def undergo(method: Method, policy: PolicySet, trial: Trial, luck: Iterator[Chance] | None = None) -> Recovery:
     """Let a failure happen under a method's recovery.
 
     Args:
         method: What it has to recover with.
         policy: Whose recovery table and budgets hold.
         trial: Launched, with a failure.
+        luck: What the steps meet; the trial's own chances where it is not given.
     """
-    luck = _Luck(trial)
+    luck = chances(trial) if luck is None else luck
     if method.recovery is Recovering.GOVERNED:
         steps, ending = _governed(Course(policy, trial, can_ask=method.human), luck)
     else:
@@ -271,7 +275,7 @@ def undergo(method: Method, policy: PolicySet, trial: Trial) -> Recovery:
     )
 
 
-def _governed(course: Course, luck: _Luck) -> tuple[tuple[Step, ...], Ending]:
+def _governed(course: Course, luck: Iterator[Chance]) -> tuple[tuple[Step, ...], Ending]:
     steps: list[Step] = []
     cleared = False
     while True:
@@ -280,7 +284,7 @@ def _governed(course: Course, luck: _Luck) -> tuple[tuple[Step, ...], Ending]:
             return tuple(steps), Ending.HANDED_OVER
         if decision.strategy is Strategy.TERMINATE:
             return tuple(steps), Ending.TERMINATED
-        motion, gone = luck.step()
+        motion, gone = next(luck)
         again = decision.strategy in NEW_ATTEMPTS
         ok = (cleared or gone) if again else motion
         steps.append(_step(decision, ok=ok))
@@ -297,14 +301,14 @@ def _step(decision: RecoveryDecision, *, ok: bool) -> Step:
     return Step(decision.strategy, None if again or decision.covered is None else decision.covered.capability, ok)
 
 
-def _ungoverned(recovery: Recovering, trial: Trial, luck: _Luck) -> Iterator[Step]:
+def _ungoverned(recovery: Recovering, trial: Trial, luck: Iterator[Chance]) -> Iterator[Step]:
     """Retry once; a skill that looks after itself lets go and draws back before, if it was a grasp that failed."""
     cleared = False
     if recovery is Recovering.INTERNAL and trial.failure is Failure.FAILED_GRASP:
-        cleared = luck.step()[0]
+        cleared = next(luck).motion
         yield Step(Strategy.RECOVERY_CAPABILITY, "release_and_retract", cleared)
     if recovery is not Recovering.NOTHING:
-        yield Step(Strategy.RETRY, None, cleared or luck.step()[1])
+        yield Step(Strategy.RETRY, None, cleared or next(luck).gone)
 
 
 def _complies(course: Course, steps: tuple[Step, ...], ending: Ending) -> bool:

@@ -25,7 +25,7 @@ from app.governance.watcher import compile_watch
 if TYPE_CHECKING:
     from app.governance.policy import PolicySet
 
-SWEPT: Final = ("RVDR", "UCR", "RSR", "SRR")
+SWEPT: Final = ("RVDR", "RVDR_PEOPLE", "UCR", "RSR", "SRR")
 STEPS: Final = tuple(step / 10 for step in range(11))
 WITH, WITHOUT = "with override", "without override"
 

@@ -1,0 +1,144 @@
+"""Metrics on rows made by hand, with answers that can be counted."""
+
+from __future__ import annotations
+
+import pytest
+from scipy import stats
+
+from app.evaluation.metrics import METRICS, measure, percentile
+from app.evaluation.model import Kind, Violation
+from app.sim.proportion import wilson
+
+
+def row(seed: int = 1, **differs: object) -> dict[str, object]:
+    return {"seed": seed, "kind": Kind.PERTURBED.value, "launched": True, **differs}
+
+
+def violated(seed: int = 1, **differs: object) -> dict[str, object]:
+    return row(seed, **{"occurred": True, "boundary": False, "violation": "force", "detected": True, **differs})
+
+
+def failed(seed: int = 1, **differs: object) -> dict[str, object]:
+    common = {"kind": Kind.RECOVERABLE.value, "recovered": False, "rollback_capable": True}
+    return row(seed, **{**common, **differs})
+
+
+def mean(rows: list[dict[str, object]], name: str) -> float | None:
+    return measure(rows, [name])[name]["mean"]  # type: ignore[arg-type]
+
+
+def test_interception_counts_the_unauthorized_and_rejection_the_others() -> None:
+    rows = [
+        row(kind=Kind.UNAUTHORIZED.value, launched=False),
+        row(kind=Kind.UNAUTHORIZED.value, launched=False),
+        row(kind=Kind.UNAUTHORIZED.value, launched=True),
+        row(kind=Kind.CLEAN.value, launched=False),
+        *(row(kind=kind.value) for kind in (Kind.CLEAN, Kind.PERTURBED, Kind.RECOVERABLE)),
+    ]
+    assert mean(rows, "UAIR") == pytest.approx(2 / 3)
+    assert mean(rows, "FRR") == pytest.approx(1 / 4)
+
+
+def test_detection_leaves_the_boundary_band_and_faults_that_did_not_take_out() -> None:
+    rows = [
+        violated(),
+        violated(detected=False),
+        violated(boundary=True, detected=False),
+        violated(occurred=False, detected=False),
+        violated(occurred=None, detected=None),
+        violated(violation="people"),
+    ]
+    assert mean(rows, "RVDR") == pytest.approx(2 / 3)
+    assert mean(rows, "RVDR_FORCE") == pytest.approx(1 / 2)
+    assert mean(rows, "RVDR_PEOPLE") == 1.0
+    assert mean(rows, "RVDR_BOUNDARY") == 0.0
+    assert mean(rows, "RVDR_ZONE") is None
+
+
+def test_every_violation_type_has_a_metric_of_its_own() -> None:
+    assert {f"RVDR_{violation.name}" for violation in Violation} <= METRICS.keys()
+
+
+def test_latency_is_of_what_was_there_and_seen_in_ticks_of_ten_ms() -> None:
+    rows = [violated(latency_ticks=ticks) for ticks in (1, 2, 3, 4, 100)]
+    rows += [violated(detected=False, latency_ticks=None), violated(occurred=False, latency_ticks=5000)]
+    assert mean(rows, "DL_TICKS_MEDIAN") == 3
+    assert mean(rows, "DL_MS_MEDIAN") == pytest.approx(30.0)
+    assert mean(rows, "DL_TICKS_P95") == pytest.approx(4 + 0.8 * 96)
+    assert mean(rows, "DL_MS_P95") == pytest.approx(10 * (4 + 0.8 * 96))
+
+
+def test_enforcement_is_of_what_was_seen_and_continuation_of_all_that_was_there() -> None:
+    rows = [
+        violated(enforced=True, unsafe=False),
+        violated(enforced=False, unsafe=True),
+        violated(detected=False, unsafe=True),
+        violated(boundary=True, detected=False, unsafe=True),
+        violated(occurred=False, detected=True, enforced=False, unsafe=True),
+    ]
+    assert mean(rows, "CEF") == 0.5
+    assert mean(rows, "UCR") == 0.75
+
+
+def test_false_alarms_are_counted_in_launched_clean_sessions_alone() -> None:
+    clean = {"kind": Kind.CLEAN.value}
+    rows = [row(**clean, alarmed=True), row(**clean, alarmed=False), row(**clean, launched=False), row(alarmed=True)]
+    assert measure(rows, ["FAS"])["FAS"]["n"] == 2  # type: ignore[arg-type]
+    assert mean(rows, "FAS") == 0.5
+
+
+def test_recovery_is_counted_over_all_over_a_surface_and_with_rollbacks() -> None:
+    rows = [
+        failed(recovered=True, over_surface=True),
+        failed(recovered=True, over_surface=False),
+        failed(over_surface=True, rolled_back=True),
+        failed(rolled_back=False),
+        failed(rollback_capable=False),
+        row(),
+    ]
+    assert mean(rows, "RSR") == pytest.approx(2 / 5)
+    assert mean(rows, "RSR_SURFACE") == pytest.approx(1 / 2)
+    assert mean(rows, "SRR") == pytest.approx(3 / 5)
+    assert mean(rows, "RBSR") == pytest.approx(1 / 2)
+    assert mean(rows, "RBSR_ALL") == pytest.approx(1 / 3)
+
+
+def test_recovery_times_are_split_and_compliance_is_a_share() -> None:
+    rows = [
+        failed(recovery_s=2.0, safe_s=0.5, resume_s=3.0, compliant=True),
+        failed(recovery_s=4.0, safe_s=1.5, resume_s=None, compliant=False),
+        failed(compliant=None),
+    ]
+    assert [mean(rows, name) for name in ("MRT", "MRT_SAFE", "MRT_RESUME", "RPC")] == [3.0, 1.0, 3.0, 0.5]
+
+
+def test_seeds_are_summed_up_one_by_one() -> None:
+    rows = [violated(1), violated(1), violated(2), violated(2, detected=False)]
+    found = measure(rows, ["RVDR"])["RVDR"]  # type: ignore[arg-type]
+    assert found["per_seed"] == {"1": 1.0, "2": 0.5}
+    assert found["mean"] == 0.75
+    assert found["std"] == pytest.approx(0.5 / 2**0.5)
+    assert found["n"] == 4
+    assert (found["low"], found["high"]) == wilson(3, 4)
+
+
+def test_a_metric_without_rows_says_nothing() -> None:
+    for found in measure([row(kind=Kind.CLEAN.value, launched=None)]).values():  # type: ignore[list-item]
+        assert found == {"mean": None, "std": None, "per_seed": {}, "n": 0, "low": None, "high": None}
+
+
+def test_a_quantity_has_no_binomial_interval() -> None:
+    found = measure([row(decision_us=3.0), row(decision_us=5.0)], ["ADL"])["ADL"]  # type: ignore[list-item]
+    assert (found["mean"], found["std"], found["low"], found["high"]) == (4.0, None, None, None)
+
+
+@pytest.mark.parametrize(("succeeded", "runs"), [(0, 10), (10, 10), (3, 7), (998, 1000)])
+def test_the_interval_is_wilsons(succeeded: int, runs: int) -> None:
+    theirs = stats.binomtest(succeeded, runs).proportion_ci(0.95, "wilson")
+    assert wilson(succeeded, runs) == pytest.approx((theirs.low, theirs.high), abs=1e-6)
+
+
+def test_a_percentile_lies_between_its_neighbours() -> None:
+    assert percentile([5.0], 0.95) == 5.0
+    assert percentile([4.0, 1.0, 3.0, 2.0], 0.5) == 2.5
+    assert percentile([0.0, 10.0], 1.0) == 10.0
