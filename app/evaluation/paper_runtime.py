@@ -15,6 +15,7 @@ new attempt after a timeout is beyond the time that was authorized, so that it i
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import StrEnum
 from functools import cache
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -197,31 +198,23 @@ def chances(trial: Trial) -> Iterator[Chance]:
 class Course:
     """A failure under policy: what `recover` names next, given how the steps so far came out."""
 
-    def __init__(self, policy: PolicySet, trial: Trial, *, can_ask: bool = True) -> None:
-        """Begin with the trial's failure and full budgets.
+    def __init__(self, policy: PolicySet, trial: Trial, *, human: bool = True) -> None:
+        """Begin with the trial's failure and full budgets; without a human nobody can be asked.
 
         Raises:
             ValueError: The trial has no failure.
         """
         if trial.failure is None:
             raise ValueError("a trial without a failure; valid: one of kind `recoverable`")
-        self._plan, self._covered = _recoveries(policy, trial.capability, trial.profile)
-        self._can_ask = can_ask
+        plan, self._covered = _recoveries(policy, trial.capability, trial.profile)
+        self._plan = plan if human else replace(plan, can_ask=False)
         self._failure = self._now = _FAILURES[trial.failure]
         self._used = Budgets()
         self._after: RecoveryDecision | None = None
 
     def next(self) -> RecoveryDecision:
         """Return what policy names now."""
-        return recover(
-            self._now,
-            self._plan,
-            self._used,
-            risk=None,
-            can_ask=self._can_ask,
-            covered=self._covered,
-            after=self._after,
-        )
+        return recover(self._now, self._plan, self._used, covered=self._covered, after=self._after)
 
     def take(self, decision: RecoveryDecision, *, ok: bool) -> None:
         """Go on from a step; one that fails is a failure of its own, as it is in the cell."""
@@ -260,7 +253,7 @@ def undergo(method: Method, policy: PolicySet, trial: Trial, luck: Iterator[Chan
     """
     luck = chances(trial) if luck is None else luck
     if method.recovery is Recovering.GOVERNED:
-        steps, ending = _governed(Course(policy, trial, can_ask=method.human), luck)
+        steps, ending = _governed(Course(policy, trial, human=method.human), luck)
     else:
         steps = tuple(_ungoverned(method.recovery, trial, luck))
         reached = bool(steps) and steps[-1].ok and trial.failure is not Failure.TIMEOUT
