@@ -27,6 +27,7 @@ import jsonschema_rs
 
 from app.governance import bundle_build, bundle_checks, bundle_checks_profile, bundle_checks_site, bundle_shapes
 from app.governance.bundle_checks import Known, Reader
+from app.governance.bundle_fit import fit
 from app.governance.bundle_yaml import parse
 from app.governance.conditions import TESTS
 from app.governance.errors import PolicyError, PolicyErrors
@@ -184,7 +185,7 @@ def _shapes(files: Mapping[str, str]) -> _Source:
             source.problems.append(PolicyError(file=name, line=0, key="", message=message, valid=_LAYOUT))
             continue
         document, problems = parse(name, files[name])
-        found, misfits = bundle_shapes.read(shape, document) if not problems else (None, [])
+        found, misfits = fit(shape, document) if not problems else (None, [])
         source.problems += [*problems, *misfits]
         if found is not None:
             _file(source, name, document, found)

@@ -9,7 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from app.governance.bundle_shapes import CasesShape, ContextShape, read
+from app.governance.bundle_fit import fit
+from app.governance.bundle_shapes import CasesShape, ContextShape
 from app.governance.bundle_yaml import parse
 from app.governance.decision import decide
 from app.governance.errors import PolicyError, PolicyErrors
@@ -48,7 +49,7 @@ def run(policy: PolicySet, files: Mapping[str, str]) -> list[CaseResult]:
     problems: list[PolicyError] = []
     for file in sorted(files):
         document, found = parse(file, files[file])
-        shape, misfits = read(CasesShape, document) if not found else (None, [])
+        shape, misfits = fit(CasesShape, document) if not found else (None, [])
         problems += [*found, *misfits]
         if shape is None:
             continue
