@@ -5,6 +5,7 @@ Nothing is wired here: `create_app` takes the live parts of the server and serve
 
 from __future__ import annotations
 
+import asyncio
 import gc
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING
@@ -22,6 +23,7 @@ from app.api import agents, audits, documents, links, operators, policies, probl
 from app.api.access import GuardedRoute, direct_routes, verify_routes
 from app.api.openapi import Answers, answer, declare, describe
 from app.api.parts import Parts, parts_of
+from app.api.roll import Roll
 
 if TYPE_CHECKING:
     from collections.abc import AsyncGenerator, Callable, Mapping
@@ -148,4 +150,12 @@ async def _lifespan(app: FastAPI) -> AsyncGenerator[None]:
     gc.collect()
     gc.freeze()
     gc.set_threshold(COLLECT_AFTER_OBJECTS, 10, 10)
-    yield
+    parts: Parts = app.state.parts
+    roll = Roll(parts.principals, parts.store)
+    await roll.open()
+    keeping = asyncio.create_task(roll.keep(), name="roll")
+    try:
+        yield
+    finally:
+        keeping.cancel()
+        await asyncio.wait({keeping})

@@ -26,7 +26,7 @@ from app.governance.model import Role
 from app.runtime.invocation import Principal
 
 if TYPE_CHECKING:
-    from collections.abc import Generator
+    from collections.abc import Generator, Mapping
 
     from starlette.datastructures import Headers
 
@@ -71,8 +71,36 @@ class Principals:
         """Read the file. Raises `PrincipalsUnreadable`."""
         self._path = path
         self._stamp = _stamp(path)
-        self._known = _read(path)
+        self._found = self._known = _read(path)
         self._next_look_s = clock.monotonic_s() + LOOK_AGAIN_S
+        self._on_roll = False
+
+    def keep_roll(self) -> None:
+        """Let whoever is new from now on count only once `admit` says so."""
+        self._on_roll = True
+        self._known = {}
+
+    def look(self) -> Mapping[bytes, Credential]:
+        """Look at the file now and return what it says, by digest; whoever is gone from it no longer counts."""
+        # A file that vanished or broke while running takes nobody's stop button away: what was read last holds.
+        with contextlib.suppress(OSError, PrincipalsUnreadable):
+            stamp = _stamp(self._path)
+            if stamp != self._stamp:
+                self._found = _read(self._path)
+                self._stamp = stamp
+                old = self._known
+                self._known = {
+                    digest: credential
+                    for digest, credential in self._found.items()
+                    if not self._on_roll or old.get(digest) == credential
+                }
+        return self._found
+
+    def admit(self, found: Mapping[bytes, Credential]) -> None:
+        """Let what `look` returned count, as far as it still stands in the file."""
+        self._known = {
+            digest: credential for digest, credential in found.items() if self._found.get(digest) == credential
+        }
 
     def authenticate(self, headers: Headers) -> Principal:
         """Return who the request's bearer token stands for.
@@ -104,12 +132,7 @@ class Principals:
         if now_s < self._next_look_s:
             return
         self._next_look_s = now_s + LOOK_AGAIN_S
-        # A file that vanished or broke while running takes nobody's stop button away: what was read last holds.
-        with contextlib.suppress(OSError, PrincipalsUnreadable):
-            stamp = _stamp(self._path)
-            if stamp != self._stamp:
-                self._known = _read(self._path)
-                self._stamp = stamp
+        self.look()
 
 
 def open_principals(data_dir: Path) -> Principals:
