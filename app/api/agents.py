@@ -94,10 +94,11 @@ async def check(request: Request) -> Response:
 
 async def invocation(request: Request, id: Identifier, query: Annotated[WaitQuery, Query()]) -> Response:
     """Return an invocation, with `wait` at its next change or after so many seconds (at most 60)."""
-    governor = parts_of(request).governor
+    parts, principal = parts_of(request), caller(request)
     if not query.wait:
-        return answer(await governor.invocation(id, caller(request)))
-    return answer(await governor.wait(id, caller(request), query.wait, query.seen))
+        return answer(await parts.governor.invocation(id, principal))
+    with parts.waits.take(principal.name):
+        return answer(await parts.governor.wait(id, principal, query.wait, query.seen))
 
 
 async def invocations(request: Request, query: Annotated[InvocationQuery, Query()]) -> Response:
@@ -177,7 +178,7 @@ def register(router: APIRouter) -> None:
         router,
         "GET /v1/invocations/{id}",
         invocation,
-        Answers(model=documents.InvocationDocument, codes=("request_invalid", "invocation_unknown")),
+        Answers(model=documents.InvocationDocument, codes=("request_invalid", "invocation_unknown", "too_many_waits")),
     )
     declare(
         router,

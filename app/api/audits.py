@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from base64 import b64encode
+from contextlib import ExitStack
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +18,7 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
 from app.api import documents
+from app.api.access import caller
 from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
 from app.api.problems import Problem
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import AsyncGenerator
 
     from fastapi import APIRouter
+    from starlette.types import Receive, Scope, Send
 
     from app.audit.event import Event
     from app.runtime.feed import Feed
@@ -120,7 +123,23 @@ async def stream(request: Request, query: Annotated[StreamQuery, Query()]) -> Re
     after = _last_event_id(request) if "last-event-id" in request.headers else query.after
     # "From now on" is fixed before the first byte is out, so that what happens meanwhile is not missed.
     chunks = _chunks(parts.feed, parts.store.size if after is None else after)
-    return StreamingResponse(chunks, media_type=STREAM, headers={"X-Accel-Buffering": "no"})
+    seat = ExitStack()
+    seat.enter_context(parts.streams.take(caller(request).name))
+    return SeatedStream(seat, chunks)
+
+
+class SeatedStream(StreamingResponse):
+    """A stream of events that gives its seat back however it ends, even before its first byte."""
+
+    def __init__(self, seat: ExitStack, chunks: AsyncGenerator[bytes]) -> None:
+        """Take the seat over, and what is to be sent."""
+        super().__init__(chunks, media_type=STREAM, headers={"X-Accel-Buffering": "no"})
+        self._seat = seat
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send until either side ends it."""
+        with self._seat:
+            await super().__call__(scope, receive, send)
 
 
 def _last_event_id(request: Request) -> int:
@@ -173,5 +192,9 @@ def register(router: APIRouter) -> None:
         router,
         "GET /v1/events",
         stream,
-        Answers(model=documents.EventDocument, media_type=STREAM, codes=("request_invalid", "cursor_invalid")),
+        Answers(
+            model=documents.EventDocument,
+            media_type=STREAM,
+            codes=("request_invalid", "cursor_invalid", "too_many_streams"),
+        ),
     )

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Final, cast
+
+from app.api.seats import Seats
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -18,6 +20,12 @@ if TYPE_CHECKING:
     from app.runtime.feed import Feed
     from app.runtime.fleet import Fleet
     from app.runtime.governor import Governor
+
+# Every committed event is written once for each stream; a wait costs a timer and a connection.
+MAX_STREAMS: Final = 64
+EACH_STREAMS: Final = 16
+MAX_WAITS: Final = 1024
+EACH_WAITS: Final = 256
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,6 +44,8 @@ class Parts:
     policy: Callable[[], PolicySet]
     principals: Principals
     verifying: asyncio.Lock = field(default_factory=asyncio.Lock)
+    streams: Seats = field(default_factory=lambda: Seats(code="too_many_streams", limit=MAX_STREAMS, each=EACH_STREAMS))
+    waits: Seats = field(default_factory=lambda: Seats(code="too_many_waits", limit=MAX_WAITS, each=EACH_WAITS))
     checks: Mapping[str, Callable[[], str | None]] = field(default_factory=dict[str, "Callable[[], str | None]"])
 
 

@@ -66,6 +66,8 @@ CODES: Mapping[str, tuple[int, str]] = {
     "cursor_invalid": (422, "the cursor is not one this server gave out"),
     "idempotency_key_invalid": (422, "the header `Idempotency-Key` is not 1 to 255 printable ASCII characters"),
     "internal": (500, "the server failed; its log says why"),
+    "too_many_streams": (503, "as many event streams are open as the server, or one caller, may hold"),
+    "too_many_waits": (503, "as many long polls are open as the server, or one caller, may hold"),
     "record_unavailable": (503, "the record cannot be written, so nothing is let move"),
     **{code: (status, f"refused by the runtime: {code.replace('_', ' ')}") for code, status in CONFLICTS.items()},
 }
