@@ -1,7 +1,7 @@
 """The shape of every policy file, as strict pydantic models: unknown keys, wrong types, non-finite numbers are errors.
 
-Shapes say what a file may contain, and `bundle_fit` fits it in; `bundle_checks` says what it may mean; `bundle` builds the
-policy set from both.
+Shapes say what a file may contain, and `bundle_fit` fits it in; `bundle_checks` says what it may mean; `bundle` builds
+the policy set from both.
 """
 
 from __future__ import annotations
