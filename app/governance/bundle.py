@@ -31,6 +31,7 @@ from app.governance.bundle_fit import fit
 from app.governance.bundle_yaml import parse
 from app.governance.conditions import TESTS
 from app.governance.errors import PolicyError, PolicyErrors
+from app.governance.places import names
 from app.governance.policy import Gate, Inputs, PolicySet
 from app.governance.policy_code import Generator
 from app.governance.policy_model import GOVERNANCE
@@ -294,16 +295,9 @@ def _gate(capability: Capability, profile: Profile, rules: Sequence[Rule], site:
 
 
 def _known(capability: Capability, site: Site) -> tuple[tuple[str, str, frozenset[str]], ...]:
-    names: Mapping[str, Mapping[str, object]] = {
-        "object": site.objects,
-        "target": site.targets,
-        "surface": site.surfaces,
-        "area": site.areas,
-        "corridor": site.corridors,
-        "tool": site.tools,
-    }
+    there = names(site)
     found = referring(capability)
-    return tuple((param, kind, frozenset(names[kind])) for kind, param in found.items() if kind in names)
+    return tuple((param, kind, there[kind]) for kind, param in found.items() if kind != "action")
 
 
 def _actions(capability: Capability) -> tuple[str, str] | None:

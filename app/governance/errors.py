@@ -26,6 +26,7 @@ EvaluationCode = Literal[
     "not_finite",
     "out_of_range",
     "overflow",
+    "unknown_name",
     "unknown_variable",
     "wrong_type",
 ]

@@ -93,6 +93,19 @@ def _keepout(polygon: tuple[Point, ...]) -> _Keepout:
     return _Keepout(min(xs), min(ys), max(xs), max(ys), polygon)
 
 
+def names(site: Site) -> Mapping[str, frozenset[str]]:
+    """Return every name a parameter may refer to, by kind; an action is one that some tool has."""
+    return {
+        "object": frozenset(site.objects),
+        "target": frozenset(site.targets),
+        "surface": frozenset(site.surfaces),
+        "area": frozenset(site.areas),
+        "corridor": frozenset(site.corridors),
+        "tool": frozenset(site.tools),
+        "action": frozenset(action for tool in site.tools.values() for action in tool.actions),
+    }
+
+
 def locator(references: Mapping[str, str], site: Site) -> Locate:
     """Make the function that says where a proposal leads, for a capability with these references (kind → parameter).
 

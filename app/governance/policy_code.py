@@ -24,7 +24,7 @@ from app.governance.errors import EvaluationError
 from app.governance.expression_code import INTRINSICS, to_python
 from app.governance.expression_tree import BOOL, STRING, references
 from app.governance.model import Change, PolicyOutcome, Reason, Verdict
-from app.governance.places import finder, locator
+from app.governance.places import finder, locator, names
 from app.governance.policy_model import Effect
 from app.governance.vocabulary import NAMES, always_there, properties, referring
 
@@ -261,8 +261,16 @@ class Generator:
     def _name(self, rule: Rule, setting: Setting) -> Iterator[str]:
         name, source = setting.param, cast("str", setting.to)
         yield f"x_{name} = {self._text(source, STRING)}"
+        yield f"if x_{name} not in {self._constant('N', self._values(name))}: raise no_such_value({name!r})"
         yield f"if n_{name} is None: n_{name}, nb_{name} = x_{name}, {rule.id!r}"
         yield f"elif n_{name} != x_{name}: denied += (two_names({rule.id!r}, {name!r}, n_{name}, x_{name}, nb_{name}),)"
+
+    def _values(self, param: str) -> frozenset[str]:
+        """Return what a named parameter may be set to: nobody checks an effective parameter after this."""
+        spec = properties(self.capability)[param]
+        if "enum" in spec:
+            return frozenset(cast("list[str]", spec["enum"]))
+        return names(self.site)[str(spec["x-ref"])]
 
     def _remedy(self, rule: Rule) -> str:
         if rule.remedy:
@@ -371,6 +379,10 @@ def _failed(params: Params, error: Exception) -> Verdict:
     return Verdict(outcome=PolicyOutcome.DENY, effective=params, reasons=(rule_error("guard", error),))
 
 
+def _no_such_value(param: str) -> EvaluationError:
+    return EvaluationError("unknown_name", f"it sets `{param}` to a name there is not")
+
+
 def _not_finite(param: str) -> EvaluationError:
     return EvaluationError("not_finite", f"params.{param}")
 
@@ -386,6 +398,7 @@ _SUPPORT: Final[Mapping[str, object]] = {  # pyright: ignore[reportUnknownVariab
     "empty_intersection": empty_intersection,
     "failed": _failed,
     "not_finite": _not_finite,
+    "no_such_value": _no_such_value,
     "read_metadata": read_metadata,
     "rule_error": rule_error,
     "two_names": _two_names,

@@ -188,12 +188,40 @@ def test_a_capability_marked_for_approval_asks_where_only_escalations_do():
     assert [reason.code for reason in decision.need.reasons] == ["approval_required"]
 
 
+@pytest.mark.parametrize(
+    ("value", "outcome", "code"),
+    [("alley", "deny", "rule_error"), ("aisle", "modify", "changed"), ("left", "modify", "changed")],
+)
+def test_a_rule_cannot_set_a_name_that_is_none(value, outcome, code):
+    text = files()
+    name = "capabilities/navigate_to.yaml"
+    hand = "  properties:\n    hand: {type: string, enum: [left, right], default: right}\n"
+    param = "hand" if value == "left" else "corridor"
+    setting = f"{{{param}: {{to: '\"{value}\"'}}}}"
+    rule = f"\n  - {{id: way, applies_to: [navigate_to], then: modify, set: {setting}, because: So.}}\n"
+    text[name] = text[name].replace("  properties:\n", hand, 1)
+    policy = bundle.load_files({**text, "organization.yaml": text["organization.yaml"] + rule})
+    params = policy.validate_params("navigate_to", {"target": "dock"})
+    verdict = check(policy, replace(proposal("navigate_to", target="dock"), params=params), context("sim-relaxed"))
+    assert verdict.outcome == outcome
+    assert verdict.reasons[0].rule == "organization/way"
+    if code == "rule_error":
+        assert verdict.reasons[0].code == code
+    else:
+        assert verdict.effective[param] == value
+
+
 def test_two_rules_that_name_different_corridors_deny():
     text = files()
     rule = """
-  - {id: other-way, applies_to: [navigate_to], then: modify, set: {corridor: {to: '"dock"'}}, because: No.}
+  - {id: other-way, applies_to: [navigate_to], then: modify, set: {corridor: {to: '"lane"'}}, because: No.}
 """
-    policy = bundle.load_files({**text, "organization.yaml": text["organization.yaml"] + rule})
+    site = text["site.yaml"].replace(
+        "corridors:\n", "corridors:\n  lane: {line: [[1, 1], [2, 1]], half_width_m: 0.5}\n"
+    )
+    policy = bundle.load_files(
+        {**text, "organization.yaml": text["organization.yaml"] + rule, "site.yaml": site},
+    )
     verdict = check(policy, proposal("navigate_to", target="bench_b_stand"), context("human-shared"))
     assert "empty_intersection" in [reason.code for reason in verdict.reasons]
 
