@@ -108,7 +108,7 @@ class Body:
         self.phase, self.progress = "start", 0.0
         self.careful = careful
         self.carrying = False
-        self.joints: Floats = np.array(held.joint_rad)
+        self._joints: Vec6 = held.joint_rad
         self.grip_n = held.grip_force_n
         self._still: Vec6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -120,7 +120,7 @@ class Body:
 
     def hold(self) -> Command:
         """Return the command that keeps arm, base and grip."""
-        return Command(tuple(self.joints.tolist()), self._still, (0.0, 0.0, 0.0), self.grip_n)
+        return Command(self._joints, self._still, (0.0, 0.0, 0.0), self.grip_n)
 
     def wait(self, seconds: float) -> Moves:
         """Stand still for some time."""
@@ -132,6 +132,11 @@ class Body:
     def speed(self, limit_mps: float) -> float:
         """Return the speed to drive at for a limit: 0.95 of it, half of that when careful."""
         return limit_mps * MARGIN * (0.5 if self.careful else 1.0)
+
+    @property
+    def joints(self) -> Floats:
+        """The joint angles the arm is commanded to."""
+        return np.array(self._joints)
 
     @property
     def pose(self) -> ToolPose:
@@ -181,8 +186,8 @@ class Body:
         travel = Travel(path, Limits(speed_mps, ARM_ACCELERATION, ARM_JERK))
         while not travel.done:
             point, velocity = travel.advance(self.rate)
-            self.joints = point
-            yield Command(tuple(point.tolist()), tuple(velocity.tolist()), (0.0, 0.0, 0.0), self.grip_n)
+            self._joints = tuple(point)  # type: ignore[assignment]  # six of them
+            yield Command(self._joints, tuple(velocity), (0.0, 0.0, 0.0), self.grip_n)  # type: ignore[arg-type]
             if until is not None and until():
                 return
 
@@ -280,16 +285,14 @@ class Body:
         metres = max(length, abs(end[2] - start[2]) * speed_mps / _TURN_SPEED_RADPS)
         if metres < 1e-6:
             return
-        travel = Travel(
-            Path([np.array(start), np.array(end)], [metres]), Limits(speed_mps * 0.97, BASE_ACCELERATION, BASE_JERK)
-        )
+        travel = Travel(Path([start, end], [metres]), Limits(speed_mps * 0.97, BASE_ACCELERATION, BASE_JERK))
         while not travel.done:
             point, velocity = travel.advance(self.rate)
             self._check_way(point, end)
             yield self._drive_command(point, velocity, speed_mps)
             self.progress = before + share * travel.progress
 
-    def _check_way(self, point: Floats, end: Vec3) -> None:
+    def _check_way(self, point: Sequence[float], end: Vec3) -> None:
         if self.carrying and not self.holding:
             raise SkillFailed("object_lost", "the object was lost on the way")
         x, y, _ = self.senses.believed_pose()
@@ -304,30 +307,30 @@ class Body:
             if _near_segment((cx, cy), (x, y), tip) < robot.BASE_RADIUS_M + 0.30:
                 raise SkillFailed("blocked", f"a crate stands at ({cx:.1f}, {cy:.1f})")
 
-    def _drive_command(self, point: Floats, velocity: Floats, speed_mps: float) -> Command:
+    def _drive_command(self, point: Sequence[float], velocity: Sequence[float], speed_mps: float) -> Command:
         x, y, yaw = self.senses.believed_pose()
         vx = velocity[0] + _DRIVE_GAIN * self.rate * (point[0] - x)
         vy = velocity[1] + _DRIVE_GAIN * self.rate * (point[1] - y)
-        wz = velocity[2] + _TURN_GAIN * self.rate * wrapped(float(point[2]) - yaw)
+        wz = velocity[2] + _TURN_GAIN * self.rate * wrapped(point[2] - yaw)
         fast = hypot(vx, vy)
         if fast > speed_mps:
             vx, vy = vx * speed_mps / fast, vy * speed_mps / fast
         c, s = cos(yaw), sin(yaw)
         return Command(
-            tuple(self.joints.tolist()),
+            self._joints,
             self._still,
-            (float(c * vx + s * vy), float(c * vy - s * vx), float(wz)),
+            (c * vx + s * vy, c * vy - s * vx, wz),
             self.grip_n,
         )
 
     def _settle(self, goal: Vec3, speed_mps: float) -> Moves:
-        point, calm, passed = np.array(goal), 0, 0.0
+        calm, passed = 0, 0.0
         while calm < 20 and passed < 2.5:
             x, y, yaw = self.senses.believed_pose()
             near = hypot(goal[0] - x, goal[1] - y) < 0.012 and abs(wrapped(goal[2] - yaw)) < 0.01
             calm = calm + 1 if near else 0
             passed += self.rate * CONTROL_PERIOD_S
-            yield self._drive_command(point, np.zeros(3), min(speed_mps, 0.1))
+            yield self._drive_command(goal, (0.0, 0.0, 0.0), min(speed_mps, 0.1))
         x, y, _ = self.senses.believed_pose()
         if hypot(goal[0] - x, goal[1] - y) > 0.10:
             raise SkillFailed("blocked", "the base does not reach its stand")

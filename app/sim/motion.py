@@ -7,6 +7,9 @@ diagonal exceed the speed; along the path they cannot.
 
 from __future__ import annotations
 
+import itertools
+from bisect import bisect_right
+from operator import sub
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -37,22 +40,25 @@ class Limits(NamedTuple):
 class Path:
     """Way points joined by straight lines in their own space, with metres along the way as parameter."""
 
-    def __init__(self, points: Sequence[Floats], metres: Sequence[float]) -> None:
+    def __init__(self, points: Sequence[Sequence[float] | Floats], metres: Sequence[float]) -> None:
         """Take n points and the n - 1 lengths between them."""
-        keep = [0] + [k + 1 for k, length in enumerate(metres) if length > 1e-9]
-        self.points = np.array([points[k] for k in keep])
-        self._at = np.concatenate(([0.0], np.cumsum([metres[k - 1] for k in keep[1:]])))
-        self.length_m = float(self._at[-1])
+        kept = [0] + [k + 1 for k, length in enumerate(metres) if length > 1e-9]
+        spans = [float(metres[k - 1]) for k in kept[1:]]
+        self._at = [0.0, *itertools.accumulate(spans)]
+        self.length_m = self._at[-1]
+        # Plain numbers: one point of few coordinates per tick is cheaper so than as an array.
+        self._points: list[list[float]] = np.array([points[k] for k in kept], dtype=np.float64).tolist()
+        self._steps = [list(map(sub, b, a)) for a, b in itertools.pairwise(self._points)]
 
-    def sample(self, metres: float) -> tuple[Floats, Floats]:
+    def sample(self, metres: float) -> tuple[list[float], list[float]]:
         """Return the point at `metres` along the way and the direction there (per metre)."""
-        if len(self.points) == 1:
-            return self.points[0], np.zeros_like(self.points[0])
-        k = min(max(int(np.searchsorted(self._at, metres, side="right")) - 1, 0), len(self.points) - 2)
+        if not self._steps:
+            return self._points[0], [0.0] * len(self._points[0])
+        k = min(max(bisect_right(self._at, metres) - 1, 0), len(self._steps) - 1)
         span = self._at[k + 1] - self._at[k]
         share = min(max((metres - self._at[k]) / span, 0.0), 1.0)
-        step = self.points[k + 1] - self.points[k]
-        return self.points[k] + share * step, step / span
+        step = self._steps[k]
+        return [p + share * s for p, s in zip(self._points[k], step, strict=True)], [s / span for s in step]
 
 
 class Travel:
@@ -87,11 +93,12 @@ class Travel:
         """Share of the journey's time that has passed."""
         return 1.0 if self.duration_s == 0.0 else min(self._time_s / self.duration_s, 1.0)
 
-    def advance(self, rate: float) -> tuple[Floats, Floats]:
+    def advance(self, rate: float) -> tuple[list[float], list[float]]:
         """Move on by `rate` control periods and return point and velocity there."""
         self._time_s = min(self._time_s + rate * CONTROL_PERIOD_S, self.duration_s)
         if self.duration_s == 0.0:
             return self.path.sample(0.0)
         position, velocity, _ = self._trajectory.at_time(self._time_s)
         point, direction = self.path.sample(position[0])
-        return point, direction * (velocity[0] * rate)
+        speed = velocity[0] * rate
+        return point, [slope * speed for slope in direction]
