@@ -7,7 +7,7 @@ The model is the robot's nominal one; the base is at the origin, so everything c
 
 from __future__ import annotations
 
-from math import cos, sin, sqrt
+from math import atan2, cos, sin, sqrt
 from operator import mul, sub
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _RESIDUAL_GAIN_HZ = 12.0
 _AT_REST = (0.0,) * 9
-_IK_STEPS, _IK_POSITION_M, _IK_ANGLE_RAD = 12, 4e-4, 4e-3
+_IK_STEPS, _IK_POSITION_M, _IK_ANGLE_RAD, _IK_DAMPING = 12, 4e-4, 4e-3, 1e-4
 
 
 class ToolPose(NamedTuple):
@@ -124,21 +124,29 @@ class Residual:
 
 
 class ArmSolver:
-    """Differential inverse kinematics over the arm alone (mink with daqp), from a seed, step by step."""
+    """Differential inverse kinematics over the arm alone (mink with daqp), from a seed, step by step.
+
+    A step minimises mink's quadratic objective within the joint limits. Where the free minimum lies within them it is
+    that step, and six linear equations give it; the quadratic program is solved only where a limit is in the way.
+    """
 
     def __init__(self, mjcf: Path | None = None) -> None:
         """Compile the arm, the project's own or the one of an MJCF file; prepare the task and its limits."""
         self._model = robot.robot_model(mobile=False, mjcf=mjcf)
         self._configuration = mink.Configuration(self._model)
         self._task = mink.FrameTask(robot.TCP_SITE, "site", position_cost=1.0, orientation_cost=0.3)
-        self._limits = [mink.ConfigurationLimit(self._model)]
-        self._tcp = int(self._model.site(robot.TCP_SITE).id)
+        limit = mink.ConfigurationLimit(self._model)
+        self._limits, self._lower, self._upper, self._limit_gain = [limit], limit.lower, limit.upper, limit.gain
+        self._damping = _IK_DAMPING * np.eye(self._model.nv)
+        self._weight = self._task.cost[:, None]
+        data, tcp = self._configuration.data, int(self._model.site(robot.TCP_SITE).id)
+        self._tcp_at, self._tcp_turn = data.site_xpos[tcp], data.site_xmat[tcp]
 
     def forward(self, joint_rad: Floats) -> ToolPose:
         """Return where the tool is for these joint angles."""
         self._configuration.update(np.asarray(joint_rad, dtype=np.float64))
-        at, matrix = self._configuration.data.site_xpos[self._tcp], self._configuration.data.site_xmat[self._tcp]
-        return ToolPose(float(at[0]), float(at[1]), float(at[2]), float(np.arctan2(-matrix[1], matrix[4])))
+        (x, y, z), matrix = self._tcp_at.tolist(), self._tcp_turn.tolist()
+        return ToolPose(x, y, z, atan2(-matrix[1], matrix[4]))
 
     def solve(self, seed_rad: Floats, pose: ToolPose) -> Floats | None:
         """Return joint angles that reach the pose from the seed, or None where the arm does not get there."""
@@ -149,9 +157,18 @@ class ArmSolver:
             error = task.compute_error(configuration)
             if np.abs(error[:3]).max() < _IK_POSITION_M and np.abs(error[3:]).max() < _IK_ANGLE_RAD:
                 return configuration.q.copy()
-            velocity = mink.solve_ik(configuration, [task], 1.0, "daqp", damping=1e-4, limits=self._limits)
-            configuration.integrate_inplace(np.clip(velocity, -0.4, 0.4), 1.0)
+            configuration.integrate_inplace(np.clip(self._step(error), -0.4, 0.4), 1.0)
         return None
+
+    def _step(self, error: Floats) -> NDArray[np.floating]:
+        """Return the change of the joints that the objective and the limits ask for."""
+        configuration, task = self._configuration, self._task
+        weighted = self._weight * task.compute_jacobian(configuration)
+        step = np.linalg.solve(weighted.T @ weighted + self._damping, -task.gain * (task.cost * error) @ weighted)
+        here, share = configuration.data.qpos, self._limit_gain
+        if np.all(step <= share * (self._upper - here)) and np.all(step >= share * (self._lower - here)):
+            return step
+        return mink.solve_ik(configuration, [task], 1.0, "daqp", damping=_IK_DAMPING, limits=self._limits)
 
 
 def _target(pose: ToolPose) -> mink.SE3:
