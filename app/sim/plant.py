@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, field
-from math import atan2, cos, hypot, sin
+from math import atan2, cos, hypot, sin, sqrt
 from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
@@ -30,6 +30,7 @@ from app.sim.world import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -236,7 +237,7 @@ class Plant:
         return Tick(
             joint_rad=self._arm_at,
             joint_speed=self._arm_speed,
-            joint_torque=_AVERAGE @ self._torque,
+            joint_torque=_AVERAGE.dot(self._torque),
             wrist=wrist,
             pad_force_n=(sum([row[6] for row in wrist]) / SUBSTEPS, sum([row[7] for row in wrist]) / SUBSTEPS),
             width_m=left + right,
@@ -391,8 +392,8 @@ class Plant:
         Mean over 20 ms, highest substep.
         """
         mass = self._gripper_kg + (float(self.model.body_mass[self._object_body[held]]) if held else 0.0)
-        outer = self._force[:, 0:3] - mass * self._force[:, 3:6]
-        return float(np.linalg.norm(outer.mean(axis=0))), float(np.linalg.norm(outer, axis=1).max())
+        x, y, z, peak = beyond_wrist(self._force.tolist(), mass)
+        return hypot(x, y, z), peak
 
     def tool_angle(self, name: str) -> float:
         """Return a tool's joint: lever angle in radians, or button travel in metres."""
@@ -462,6 +463,24 @@ class Plant:
         mujoco.mj_setState(
             self.model, self.data, physics, mujoco.mjtState.mjSTATE_INTEGRATION
         )  # forward touched the warm start
+
+
+def beyond_wrist(substeps: Sequence[Sequence[float]], mass_kg: float) -> tuple[float, float, float, float]:
+    """Return what acts on the wrist beyond a mass that hangs on it.
+
+    Args:
+        substeps: rows of force (3) and acceleration (3), as in `Tick.wrist`.
+        mass_kg: everything that hangs on the wrist.
+
+    Returns:
+        The mean force (x, y, z) and the highest magnitude in any row, newtons.
+    """
+    sx = sy = sz = peak = 0.0
+    for fx, fy, fz, ax, ay, az, *_ in substeps:
+        x, y, z = fx - mass_kg * ax, fy - mass_kg * ay, fz - mass_kg * az
+        sx, sy, sz, peak = sx + x, sy + y, sz + z, max(peak, x * x + y * y + z * z)
+    count = len(substeps)
+    return sx / count, sy / count, sz / count, sqrt(peak)
 
 
 def _run_of(indices: list[int]) -> slice:

@@ -11,13 +11,14 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from math import cos, dist, hypot, inf, sin, sqrt
+from math import cos, dist, hypot, inf, sin
 from statistics import NormalDist
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from app.governance.model import CONTROL_PERIOD_S, Fix, PersonTrack
+from app.sim.plant import beyond_wrist
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -191,7 +192,7 @@ class Sensors:
         arm = np.concatenate((physical.joint_rad, physical.joint_speed, physical.joint_torque))
         arm += noise[0:18]
         nx, ny, nz, n_left, n_right, n_width, n_slip, *n_base = noise[18:].tolist()
-        fx, fy, fz, peak = self._measure_wrist(physical.wrist)
+        fx, fy, fz, peak = beyond_wrist(physical.wrist, self._gripper_kg + self.load_kg)
         left, right = physical.pad_force_n
         left, right = max(left + n_left, 0.0), max(right + n_right, 0.0)
         slip = self._measure_slip(left, right, nearest) + abs(n_slip)
@@ -214,16 +215,6 @@ class Sensors:
             return stamp_s, values
         stamp_s, broken = fault.distort(stamp_s, np.array(values), noise)
         return stamp_s, broken.tolist()
-
-    def _measure_wrist(self, substeps: list[list[float]]) -> tuple[float, float, float, float]:
-        """Return the mean force beyond gripper and load (x, y, z), and its highest magnitude in any substep."""
-        mass, peak = self._gripper_kg + self.load_kg, 0.0
-        sx = sy = sz = 0.0
-        for fx, fy, fz, ax, ay, az, *_ in substeps:
-            x, y, z = fx - mass * ax, fy - mass * ay, fz - mass * az
-            sx, sy, sz, peak = sx + x, sy + y, sz + z, max(peak, x * x + y * y + z * z)
-        count = len(substeps)
-        return sx / count, sy / count, sz / count, sqrt(peak)
 
     def _measure_slip(self, left_n: float, right_n: float, nearest: tuple[str, Vec3] | None) -> float:
         """Watch how far the thing between the pads moves against them since the grip closed.
