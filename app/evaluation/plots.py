@@ -1,0 +1,230 @@
+"""Plots for the report: inline SVG in the page's own colours and fonts, so that they follow light and dark.
+
+Each plot carries its text alternative: a sentence with the numbers that matter. Series differ in marker and dash as
+well as in colour, and are named where they are drawn.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
+from io import StringIO
+from typing import Any, Final, NamedTuple, TypeAlias, cast
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
+Axes: TypeAlias = Any  # matplotlib leaves the types of its keyword arguments open
+
+WIDTH_IN: Final = 5.2  # 374 SVG units: on a phone one unit is about one pixel, so that 10 is readable everywhere
+ROW_IN: Final = 0.42
+
+# Colours that no plot uses otherwise; each is put in for a variable of the page.
+INK, MUTED, GRID, FIRST, SECOND, THIRD, PAPER, GROUND = (f"#0{n}0{n}0{n}" for n in range(1, 9))
+_VARIABLES: Final = {
+    INK: "--t1",
+    MUTED: "--t3",
+    GRID: "--line",
+    FIRST: "--first",
+    SECOND: "--second",
+    THIRD: "--third",
+    PAPER: "--paper",
+    GROUND: "--s1",
+}
+_STYLE: Final[dict[str, Any]] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "reins",
+    "font.size": 10,
+    "text.color": INK,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "axes.facecolor": "none",
+    "figure.facecolor": "none",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.7,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "legend.frameon": False,
+}
+
+
+class Plot(NamedTuple):
+    """A drawn plot: SVG text, its alternative in words, and what stands under it."""
+
+    svg: str
+    alternative: str
+    caption: str
+
+
+class Bar(NamedTuple):
+    """A measured proportion with its interval, next to the paper's; None where there is none."""
+
+    name: str
+    value: float
+    low: float | None
+    high: float | None
+    paper: float | None
+
+
+class Point(NamedTuple):
+    """A point of a sensitivity sweep."""
+
+    sensitivity: float
+    rvdr: float
+    ucr: float
+    rsr: float | None
+    far: float | None
+
+
+@contextmanager
+def _axes(height_in: float) -> Generator[tuple[Axes, list[str]]]:
+    """Give axes of a height, and a list that the SVG is put into once they are drawn."""
+    drawn: list[str] = []
+    with cast("Any", mpl).rc_context(_STYLE):
+        figure: Any = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+        yield figure.add_subplot(), drawn
+        buffer = StringIO()
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    drawn.append(_inline(buffer.getvalue()))
+
+
+def per_type(bars: Sequence[Bar]) -> Plot:
+    """Draw detection by type of violation, next to the paper's."""
+    with _axes(0.9 + 1.25 * ROW_IN * len(bars)) as (axes, drawn):
+        places = range(len(bars))
+        axes.barh([place - 0.18 for place in places], [bar.value for bar in bars], 0.34, color=FIRST, label="Reins")
+        published = [(place, bar.paper) for place, bar in enumerate(bars) if bar.paper is not None]
+        axes.barh([place + 0.2 for place, _ in published], [value for _, value in published], 0.3, facecolor="none",
+                  edgecolor=PAPER, hatch="////", linewidth=1.0, label="paper")  # fmt: skip
+        for place, bar in enumerate(bars):
+            if bar.low is not None and bar.high is not None:
+                axes.plot([bar.low, bar.high], [place - 0.18] * 2, color=INK, linewidth=1.4, marker="|", markersize=6)
+        axes.set_yticks(list(places), [bar.name for bar in bars])
+        axes.invert_yaxis()
+        axes.set_xlim(0, 1.02)
+        axes.set_xlabel("detected share (RVDR); line: 95 % interval")
+        axes.grid(visible=False, axis="y")
+        axes.legend(loc="lower center", bbox_to_anchor=(0.4, 1.0), ncols=2)
+    told = "; ".join(f"{bar.name} {bar.value:.3f}" + (f" ({bar.paper:.3f})" if bar.paper is not None else "")
+                     for bar in bars)  # fmt: skip
+    return Plot(
+        drawn[0], f"Detected share by type, the paper's in brackets: {told}.", "Detection by type of violation."
+    )
+
+
+def frontier(ours: Sequence[Point], paper: Sequence[Point]) -> Plot:
+    """Draw what is detected against what goes on, a point for each sensitivity."""
+    with _axes(3.4) as (axes, drawn):
+        for points, colour, marker, dash, name in (
+            (ours, FIRST, "o", "-", "Reins"),
+            (paper, PAPER, "s", "--", "paper"),
+        ):
+            axes.plot([p.ucr for p in points], [p.rvdr for p in points], dash, color=colour, marker=marker,
+                      markersize=5, label=name)  # fmt: skip
+            for point in (points[0], points[len(points) // 2], points[-1]) if points else ():
+                beside = (5, 5 if colour == FIRST else -12)
+                axes.annotate(f"s={point.sensitivity:g}", (point.ucr, point.rvdr), xytext=beside,
+                              textcoords="offset points", fontsize=8.5, color=colour)  # fmt: skip
+        _unit(axes, "goes on unsafely (UCR)", "detected (RVDR)")
+        axes.legend(loc="lower left")
+    told = "; ".join(f"s {p.sensitivity:g}: detected {p.rvdr:.3f}, goes on {p.ucr:.3f}" for p in ours)
+    return Plot(drawn[0], f"Detection against unsafe continuation. {told}.",
+                "Detection–continuation frontier: up and to the left is better.")  # fmt: skip
+
+
+def sweep(ours: Sequence[Point]) -> Plot:
+    """Draw detection, continuation and recovery over sensitivity."""
+    with _axes(3.4) as (axes, drawn):
+        at = [p.sensitivity for p in ours]
+        for values, colour, marker, dash, name in (
+            ([p.rvdr for p in ours], FIRST, "o", "-", "RVDR"),
+            ([p.ucr for p in ours], SECOND, "s", "--", "UCR"),
+            ([p.rsr for p in ours], THIRD, "^", ":", "RSR"),
+        ):
+            if None not in values:
+                axes.plot(at, values, dash, color=colour, marker=marker, markersize=5, label=name)
+        _unit(axes, "sensitivity s", "share")
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    first, last = ours[0], ours[-1]
+    told = (f"From s {first.sensitivity:g} to {last.sensitivity:g}, RVDR goes from {first.rvdr:.3f} to {last.rvdr:.3f} "
+            f"and UCR from {first.ucr:.3f} to {last.ucr:.3f}.")  # fmt: skip
+    return Plot(drawn[0], told, "Detection, unsafe continuation and recovery over sensitivity.")
+
+
+def roc(points: Sequence[Point]) -> Plot:
+    """Draw what is detected against false alarms, a point for each sensitivity."""
+    shown = sorted((p.far, p.rvdr, p.sensitivity) for p in points if p.far is not None)
+    with _axes(3.4) as (axes, drawn):
+        axes.plot([0, 1], [0, 1], ":", color=MUTED, linewidth=1.0)
+        axes.annotate("chance", (0.72, 0.66), color=MUTED, fontsize=8.5)
+        axes.plot([far for far, _, _ in shown], [seen for _, seen, _ in shown], "-", color=FIRST, marker="o",
+                  markersize=5)  # fmt: skip
+        for far, seen, sensitivity in (shown[0], shown[-1]):
+            axes.annotate(f"s={sensitivity:g}", (far, seen), xytext=(6, -11), textcoords="offset points", fontsize=8.5)
+        _unit(axes, "clean sessions with an alarm", "detected (RVDR)")
+    told = "; ".join(f"s {s:g}: detected {seen:.3f}, false alarms {far:.3f}" for far, seen, s in shown)
+    return Plot(drawn[0], f"Detection against false alarms. {told}.", "ROC: detection against false alarms.")
+
+
+def spread(groups: Mapping[str, Sequence[float]], unit: str, caption: str) -> Plot:
+    """Draw how values are spread in each group: median, quartiles, 5th to 95th percentile, and the ends."""
+    names = [name for name, values in groups.items() if values]
+    with _axes(0.75 + ROW_IN * len(names)) as (axes, drawn):
+        for place, name in enumerate(names):
+            low, first, middle, third, high = (_percentile(groups[name], share) for share in (5, 25, 50, 75, 95))
+            axes.plot([low, high], [place, place], color=MUTED, linewidth=1.2)
+            axes.barh(place, third - first, 0.5, left=first, color=FIRST, alpha=0.45, linewidth=0)
+            axes.plot([middle, middle], [place - 0.3, place + 0.3], color=INK, linewidth=2.0)
+            ends = [min(groups[name]), max(groups[name])]
+            axes.plot(ends, [place, place], ".", color=MUTED, markersize=4)
+        axes.set_yticks(range(len(names)), [f"{name} ({len(groups[name])})" for name in names])
+        axes.set_ylim(len(names) - 0.5, -0.5)
+        axes.set_xlabel(unit)
+        axes.grid(visible=False, axis="y")
+    told = "; ".join(
+        f"{name} median {_percentile(groups[name], 50):.3g}, 95th percentile {_percentile(groups[name], 95):.3g}"
+        for name in names
+    )
+    return Plot(drawn[0], f"{caption} In {unit}: {told}.",
+                f"{caption} Bar: quartiles; upright: median; line: 5 to 95 %; dots: ends.")  # fmt: skip
+
+
+def _unit(axes: Axes, across: str, up: str) -> None:
+    axes.set_xlim(-0.03, 1.05)
+    axes.set_ylim(-0.03, 1.05)
+    axes.set_xlabel(across)
+    axes.set_ylabel(up)
+
+
+def _percentile(values: Sequence[float], percent: float) -> float:
+    ordered = sorted(values)
+    place = percent / 100 * (len(ordered) - 1)
+    below = int(place)
+    above = min(below + 1, len(ordered) - 1)
+    return ordered[below] + (place - below) * (ordered[above] - ordered[below])
+
+
+def _inline(svg: str) -> str:
+    """Take matplotlib's file to what may stand in a page: colours and fonts the page's, ids its own, or none."""
+    svg = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", svg[svg.index("<svg") :], flags=re.DOTALL)
+    svg = re.sub(r"font: ([\d.]+)px [^;\"]+|font-size: ([\d.]+)px; font-family: [^;\"]+", _size, svg)
+    for colour, variable in _VARIABLES.items():
+        svg = svg.replace(colour, f"var({variable})")
+    mine = hashlib.sha256(svg.encode()).hexdigest()[:8]
+    referenced = set(re.findall(r"url\(#([^)]+)\)", svg)) | set(re.findall(r"href=\"#([^\"]+)\"", svg))
+    svg = re.sub(r' id="([^"]+)"', lambda found: found[0] if found[1] in referenced else "", svg)
+    for name in referenced:
+        svg = svg.replace(f'id="{name}"', f'id="{mine}-{name}"').replace(f"#{name}", f"#{mine}-{name}")
+    return re.sub(r'<svg [^>]*?viewBox="([^"]+)"[^>]*>', r'<svg viewBox="\1" aria-hidden="true">', svg, count=1)
+
+
+def _size(found: re.Match[str]) -> str:
+    return f"font-size: {found[1] or found[2]}px"

@@ -1,0 +1,165 @@
+"""The report: every published table with our number and the difference, and nothing from a network."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.evaluation import published
+from app.evaluation.metrics import METRICS
+from app.evaluation.report import figure_at, paper_grid, render, sections, write_report
+from tests.evaluation.synthetic import results
+
+VOID = {"meta", "link", "br", "hr", "img", "input"}
+
+
+class Page(HTMLParser):
+    """What a page consists of; fails on tags that do not nest."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+@pytest.fixture(scope="module")
+def page() -> Page:
+    return Page(render(results()))
+
+
+@pytest.mark.parametrize("table", published.TABLES, ids=lambda table: table.label)
+def test_every_published_table_is_there_with_our_number(page: Page, table: published.PublishedTable) -> None:
+    assert f"({table.label})" in page.text
+    grid = paper_grid(table, results())
+    assert len(grid.rows) == len(table.rows)
+    for (name, cells), (_, figures) in zip(grid.rows, table.rows.values(), strict=True):
+        assert len(cells) == 3 * len(table.columns)
+        for place, figure in enumerate(figures):
+            ours, paper, difference = cells[3 * place : 3 * place + 3]
+            assert ours != "–", f"{name} of {table.label} finds nothing at its place in the results"
+            assert (paper == "–") == (difference == "–") == (figure is None)
+
+
+def test_the_difference_is_ours_less_the_papers() -> None:
+    document = results()
+    document["methods"]["reins"]["RVDR"] = {"mean": 0.995, "std": 0.004}
+    document["methods"]["reins"]["UCR"] = {"mean": 0.01, "std": None}
+    cells = dict(paper_grid(published.VIOLATION, document).rows)["Reins"]
+    assert cells[:3] == ("0.995\n±0.004", "0.613\n±0.020", "+0.382")
+    assert cells[6:] == ("0.010", "0.222\n±0.031", "−0.212")
+
+
+def test_a_method_that_nobody_measured_is_a_dash() -> None:
+    cells = dict(paper_grid(published.RECOVERY, {"methods": {"reins": {"RSR": {"mean": None}}}}).rows)["Reins"]
+    assert cells[:3] == ("–", "0.907\n±0.030", "–")
+
+
+@pytest.mark.parametrize(
+    ("place", "found"),
+    [
+        (("confusion", "reins", "TP"), published.Figure(503.0)),
+        (("sensitivity", "0.2", "RVDR"), published.Figure(0.2)),
+        (("latency", "policy_guard", "p99"), published.Figure(8.5)),
+        (("methods", "nix", "RVDR"), None),
+    ],
+)
+def test_finds_a_figure_at_its_place(place: tuple[str, ...], found: Any) -> None:
+    assert figure_at(results(), place) == found
+
+
+def test_nothing_comes_from_a_network(page: Page) -> None:
+    assert not [tag for tag, _ in page.tags if tag in {"script", "link", "img", "iframe", "object"}]
+    references = [
+        value for _, attributes in page.tags for key, value in attributes.items() if key.endswith(("href", "src"))
+    ]
+    assert references
+    assert all(value and value.startswith("#") for value in references)
+    assert "url(http" not in render(results())
+
+
+def test_tables_and_figures_can_be_heard(page: Page) -> None:
+    assert len(page.all("table")) == len(page.all("caption")) >= len(published.TABLES)
+    assert all(header.get("scope") for header in page.all("th"))
+    pictures = [attributes["aria-label"] for attributes in page.all("div") if attributes.get("role") == "img"]
+    assert len(pictures) == len(page.all("figure")) == len(page.all("svg")) == 6
+    assert all(len(label or "") > 40 for label in pictures)
+
+
+def test_ids_are_unique_and_links_lead_somewhere(page: Page) -> None:
+    ids = [attributes["id"] for _, attributes in page.tags if attributes.get("id")]
+    assert len(ids) == len(set(ids))
+    links = {(attributes.get("href") or attributes.get("xlink:href") or "")[1:] for _, attributes in page.tags} - {""}
+    assert links <= set(ids)
+    assert set(re.findall(r"url\(#([^)]+)\)", render(results()))) <= set(ids)
+
+
+def test_plots_take_their_colours_from_the_page() -> None:
+    drawn = " ".join(plot.svg for section in sections(results()) for plot in section.plots)
+    assert "var(--first)" in drawn
+    assert not re.findall(r"(?:fill|stroke): #\w+", drawn)
+
+
+def test_every_metric_is_defined(page: Page) -> None:
+    for metric in METRICS.values():
+        assert metric.title in page.text
+        assert metric.says[1:] in " ".join(page.text.split())
+
+
+def test_sections_without_data_say_so() -> None:
+    bare = {"protocol": "paper", "seeds": [1], "trials": 5, "methods": {}}
+    empty = [section for section in sections(bare) if section.empty]
+    assert {section.id for section in empty} >= {
+        "overview",
+        "plots",
+        "tasks",
+        "classes",
+        "cross-profile",
+        "unpublished",
+    }
+    text = Page(render(bare)).text
+    assert all(section.absent and section.absent in text for section in empty)
+
+
+@pytest.mark.parametrize("key", sorted(results().keys() - {"protocol", "seeds", "trials"}))
+def test_renders_without_any_one_part(key: str) -> None:
+    document = results()
+    del document[key]
+    Page(render(document))
+
+
+def test_seeds_of_tuning_are_named_and_warned_of() -> None:
+    assert "Seeds used for tuning, never reported" in render(results())
+    assert "these are no results" not in render(results())
+    assert "seeds 7 were used for tuning: these are no results" in render({**results(), "seeds": [7, 42]})
+
+
+def test_is_written_whole_and_the_same_each_time(tmp_path: Path) -> None:
+    write_report(results(), tmp_path / "report.html")
+    first = (tmp_path / "report.html").read_bytes()
+    write_report(results(), tmp_path / "report.html")
+    assert (tmp_path / "report.html").read_bytes() == first
+    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
