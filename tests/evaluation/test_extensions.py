@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from app.evaluation.extensions import PluginError, Registry, find_method, find_task, load_plugins
+from app.evaluation.extensions import REGISTRY, PluginError, Registry, find_method, find_task, load_plugins
 from app.evaluation.methods import METHODS
-from app.evaluation.model import TASKS, Violation
+from app.evaluation.model import CAPABILITIES, TASKS, Violation
+from app.sim.faults import Fault
 from tests.evaluation import toy
 
 TOY = Path(toy.__file__)
@@ -63,3 +65,15 @@ def test_a_plugin_that_cannot_be_used_is_named(tmp_path: Path, text: str, why: s
 def test_a_plugin_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(PluginError, match=r"none\.py` cannot be read"):
         load_plugins([tmp_path / "none.py"])
+
+
+def test_the_example_of_the_documentation_registers_what_it_says() -> None:
+    example = Path("docs/examples/evaluation_plugin.py")
+    load_plugins([example])
+    assert find_method("watch-only").watch.value == "governed"
+    task = find_task("tool_and_back")
+    assert set(task.capabilities) <= set(CAPABILITIES)
+    fault = REGISTRY.faults["worn_drives"]
+    drawn = Fault.read(dict(fault.draw(np.random.default_rng(1), 1.3)))
+    assert (drawn.kind, drawn.sizes["gain"]) == ("speed_scaling", 1.3)
+    assert str(example) in Path("docs/evaluation.md").read_text(encoding="utf-8")
