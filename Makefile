@@ -9,7 +9,7 @@ MEASURED := $(filter-out tests/governance/test_expression_properties.py,\
 TYPINGS := typings/mujoco/__init__.pyi
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo run test check bench format lock clean
+.PHONY: help setup demo run test check bench evaluate format lock clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
@@ -52,6 +52,9 @@ check: $(STAMP) $(TYPINGS)  ## format, lint, types, import contracts, policy che
 
 bench: $(STAMP)  ## print every figure the project promises
 	@for bench in benchmarks/bench_*.py; do echo; echo "== $$bench"; $(BIN)/python $$bench || exit 1; done
+
+evaluate: $(STAMP)  ## measure all methods against each other; reports into evaluation/, figures into the README
+	@$(BIN)/reins evaluate --protocol paper --readme README.md
 
 format: $(STAMP)  ## format and sort imports
 	@$(BIN)/ruff format .

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 INTERRUPTED: Final = 130
 _LONG_TRIALS: Final = 1000
 _TRIALS: Final = 200
-_SHOWN: Final = ("UAIR", "FRR", "RVDR", "UCR", "CEF", "FAS", "RSR", "RBSR", "MRT", "RPC")
+_SHOWN: Final = ("UAIR", "FRR", "RVDR", "UCR", "CEF", "FALSE_ALARMS", "RSR", "RBSR", "MRT", "RPC")
 
 
 def evaluate(  # noqa: PLR0913  # its options
@@ -53,6 +53,9 @@ def evaluate(  # noqa: PLR0913  # its options
         bool, typer.Option("--long", help="Reins alone, 1,000 trials for each seed, unless said otherwise.")
     ] = False,
     fresh: Annotated[bool, typer.Option("--fresh", help="Remove the former campaign from the folder first.")] = False,
+    readme: Annotated[
+        Path | None, typer.Option(help="Also write the measured figures into this file, between its comments.")
+    ] = None,
 ) -> None:
     """Measure governance methods against each other; every table of the paper next to ours.
 
@@ -88,7 +91,7 @@ def evaluate(  # noqa: PLR0913  # its options
         say_error(str(error))
         raise typer.Exit(MISUSE) from error
     target = folder or Path("evaluation") / protocol
-    raise typer.Exit(_run(request, target, workers=jobs or len(os.sched_getaffinity(0)), fresh=fresh))
+    raise typer.Exit(_run(request, target, workers=jobs or len(os.sched_getaffinity(0)), fresh=fresh, readme=readme))
 
 
 def _request(  # noqa: PLR0913  # the command's options
@@ -131,25 +134,21 @@ def _request(  # noqa: PLR0913  # the command's options
     )
 
 
-def _run(request: Request, folder: Path, *, workers: int, fresh: bool) -> int:
-    from app.evaluation.campaign import CampaignError, run_campaign
+def _run(request: Request, folder: Path, *, workers: int, fresh: bool, readme: Path | None) -> int:
+    from app.evaluation.campaign import CampaignError
+    from app.evaluation.readme import ReadmeError, refresh
+    from app.evaluation.report import write_report
     from app.evaluation.workers import JobFailed
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("trials"))
     try:
-        with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=err, transient=True) as bars:
-            bar = bars.add_task(request.protocol, total=None)
-            results = run_campaign(
-                request,
-                folder,
-                workers=workers,
-                progress=lambda done, total: bars.update(bar, completed=done, total=total),
-                fresh=fresh,
-            )
+        results = _measured(request, folder, workers=workers, fresh=fresh)
+        write_report(results, folder / "report.html")
+        if readme is not None:
+            refresh(readme, results)
     except KeyboardInterrupt:
         say_error(f"interrupted; what is finished is kept in `{folder}`", hint="the same command goes on from there")
         return INTERRUPTED
-    except CampaignError as error:
+    except (CampaignError, ReadmeError) as error:
         say_error(str(error))
         return MISUSE
     except JobFailed as error:
@@ -157,11 +156,26 @@ def _run(request: Request, folder: Path, *, workers: int, fresh: bool) -> int:
         say_error(str(error), hint=f"what is finished is kept in `{folder}`; the same command tries the rest again")
         return FINDING
     except OSError as error:
-        say_error(f"`{folder}` cannot be used: {error}")
+        say_error(f"a file cannot be used: {error}")
         return MISUSE
     out.print(summary(results))
-    say(f"{folder}: results.json, trials.csv, timings.csv")
+    say(f"{folder}: report.html, results.json, trials.csv, timings.csv")
     return 0
+
+
+def _measured(request: Request, folder: Path, *, workers: int, fresh: bool) -> dict[str, Json]:
+    """Run the campaign under a progress bar."""
+    from app.evaluation.campaign import run_campaign
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("trials"))
+    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=err, transient=True) as bars:
+        bar = bars.add_task(request.protocol, total=None)
+
+        def progress(done: int, total: int) -> None:
+            doing = request.protocol if done < total else f"{request.protocol}, summing up"
+            bars.update(bar, completed=done, total=total, description=doing)
+
+        return run_campaign(request, folder, workers=workers, progress=progress, fresh=fresh)
 
 
 def summary(results: Mapping[str, Json]) -> Table:

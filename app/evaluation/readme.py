@@ -1,0 +1,91 @@
+"""The README's table of measured figures, written from `results.json` between two comments and never by hand."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from app.evaluation.metrics import METRICS
+from app.evaluation.published import TABLES, Figure
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+Results = Mapping[str, Any]
+
+
+class ReadmeError(Exception):
+    """A file without a place for the table."""
+
+
+class Goal(NamedTuple):
+    """What Reins must reach in the workcell."""
+
+    metric: str
+    goal: str
+
+
+GOALS: Final = (
+    Goal("UAIR", "1.000"),
+    Goal("FRR", "0.000"),
+    Goal("RVDR", "≥ 0.99"),
+    Goal("UCR", "≤ 0.01"),
+    Goal("CEF", "1.000"),
+    Goal("FALSE_ALARMS", "≤ 0.005"),
+    Goal("RSR", "≥ 0.95"),
+    Goal("RSR_SURFACE", "≥ 0.97"),
+    Goal("RBSR", "≥ 0.97"),
+    Goal("RPC", "1.000"),
+)
+
+
+def refresh(path: Path, results: Results) -> None:
+    """Put the table of a protocol into a file, between `<!-- evaluate:NAME -->` and `<!-- /evaluate:NAME -->`.
+
+    Raises:
+        ReadmeError: the file has no such comments.
+        OSError: it cannot be read or written.
+    """
+    name = results["protocol"]
+    begin, end = f"<!-- evaluate:{name} -->", f"<!-- /evaluate:{name} -->"
+    text = path.read_text(encoding="utf-8")
+    block = "\n".join([begin, *_lines(results), end])
+    found, places = re.subn(f"{re.escape(begin)}.*?{re.escape(end)}", lambda _: block, text, count=1, flags=re.DOTALL)
+    if not places:
+        raise ReadmeError(f"`{path}` has no place for the table: valid is a file with `{begin}` and `{end}`")
+    path.write_text(found, encoding="utf-8")
+
+
+def _lines(results: Results) -> Iterator[str]:
+    seeds = ", ".join(map(str, results["seeds"]))
+    yield f"Protocol `{results['protocol']}`, seeds {seeds}, {results['trials']} trials each:"
+    yield ""
+    goals = results["protocol"] == "physical"
+    yield "| metric | paper | Reins |" + (" goal |" if goals else "")
+    yield "|---|---|---|" + ("---|" if goals else "")
+    measured: Mapping[str, Any] = results.get("methods", {}).get("reins", {})
+    for metric, goal in GOALS:
+        entry: Mapping[str, Any] = measured.get(metric) or {}
+        if entry.get("mean") is not None:
+            line = f"| {METRICS[metric].title} ({metric}) | {_paper(metric)} | {_ours(entry)} |"
+            yield line + (f" {goal} |" if goals else "")
+
+
+def _paper(metric: str) -> str:
+    """Return what the paper prints for its framework; its ablation table says something else, and comes last."""
+    for table in TABLES:
+        for place, column in enumerate(table.columns):
+            if column.key == metric and "reins" in table.rows and (figure := table.rows["reins"][1][place]) is not None:
+                return _text(figure)
+    return "–"
+
+
+def _ours(entry: Mapping[str, Any]) -> str:
+    low, high = entry.get("low"), entry.get("high")
+    interval = "" if low is None or high is None else f" ({low:.3f}–{high:.3f})"
+    return _text(Figure(entry["mean"], entry.get("std"))) + interval
+
+
+def _text(figure: Figure) -> str:
+    return f"{figure.mean:.3f}" + ("" if figure.std is None else f" ± {figure.std:.3f}")
