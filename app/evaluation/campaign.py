@@ -243,6 +243,7 @@ def _claimed(out: Path, configuration: Mapping[str, Json], *, fresh: bool) -> Ge
 
 
 def _check_folder(out: Path, configuration: Mapping[str, Json]) -> None:
+    """Refuse a folder that holds something else; a campaign without a finished job is nothing to lose."""
     try:
         there: Json = orjson.loads((out / CONFIGURATION).read_bytes())
     except FileNotFoundError:
@@ -252,7 +253,7 @@ def _check_folder(out: Path, configuration: Mapping[str, Json]) -> None:
         return
     except orjson.JSONDecodeError as error:
         raise CampaignError(f"`{out / CONFIGURATION}` is no JSON: {error}; --fresh starts anew") from error
-    if there != configuration:
+    if there != configuration and any((out / PARTS).glob("*.jsonl")):
         keys = [key for key in configuration if not isinstance(there, dict) or there.get(key) != configuration[key]]
         raise OtherConfiguration(out, keys)
 

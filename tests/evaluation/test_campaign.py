@@ -170,6 +170,15 @@ def test_refuses_a_folder_of_another_configuration(field: str, request_: Request
     assert campaign(out, other, fresh=True)[0][0] == 0
 
 
+def test_a_campaign_that_finished_nothing_is_nothing_to_lose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    one = replace(REQUEST, methods=("direct",), tasks=("sorting",), seeds=(3,), trials=2)
+    with monkeypatch.context() as patch:
+        patch.setenv("TOY_RAISE", "direct-sorting-3-0")
+        with pytest.raises(JobFailed):
+            campaign(tmp_path, one)
+    assert campaign(tmp_path, replace(one, seeds=(4,)))[-1] == (2, 2)
+
+
 def test_fresh_leaves_a_folder_that_is_no_campaign_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("mine", encoding="utf-8")
     with pytest.raises(CampaignError, match="holds no campaign, but thesis"):
