@@ -20,6 +20,7 @@ Axes: TypeAlias = Any  # matplotlib leaves the types of its keyword arguments op
 
 WIDTH_IN: Final = 5.2  # 374 SVG units: on a phone one unit is about one pixel, so that 10 is readable everywhere
 ROW_IN: Final = 0.42
+CROWDED: Final = 0.1  # so near to the axis the paper's label would lie on ours
 
 # Colours that no plot uses otherwise; each is put in for a variable of the page.
 INK, MUTED, GRID, FIRST, SECOND, THIRD, PAPER, GROUND = (f"#0{n}0{n}0{n}" for n in range(1, 9))
@@ -130,7 +131,9 @@ def frontier(ours: Sequence[Point], paper: Sequence[Point]) -> Plot:
             axes.plot([p.ucr for p in points], [p.rvdr for p in points], dash, color=colour, marker=marker,
                       markersize=5, label=name)  # fmt: skip
             for point in (points[0], points[len(points) // 2], points[-1]) if points else ():
-                beside = (5, 5 if colour == FIRST else -12)
+                if colour == PAPER and point.ucr < CROWDED:
+                    continue
+                beside = (5, 5) if colour == FIRST else (-28, -11)
                 axes.annotate(f"s={point.sensitivity:g}", (point.ucr, point.rvdr), xytext=beside,
                               textcoords="offset points", fontsize=8.5, color=colour)  # fmt: skip
         _unit(axes, "goes on unsafely (UCR)", "detected (RVDR)")
