@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
+from rich import box
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -183,10 +184,11 @@ def summary(results: Mapping[str, Json]) -> Table:
     methods, ablations = _mapping(results.get("methods")), _mapping(results.get("ablations"))
     lines = {name: _mapping(metrics) for name, metrics in {**methods, **ablations}.items()}
     shown = [metric for metric in _SHOWN if any(_mapping(line.get(metric)) for line in lines.values())]
-    table = Table(title=f"protocol {results.get('protocol')}, mean over seeds", title_justify="left")
-    table.add_column("method")
+    title = f"protocol {results.get('protocol')}, mean over seeds"
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("method", no_wrap=True)
     for metric in shown:
-        table.add_column(metric, justify="right")
+        table.add_column(metric.replace("_", " ").lower() if "_" in metric else metric, justify="right")
     for name, line in lines.items():
         table.add_row(name, *(_mean(_mapping(line.get(metric))) for metric in shown))
     return table

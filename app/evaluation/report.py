@@ -149,9 +149,19 @@ def _cells(
     table: PublishedTable, results: Results, row: str, figures: Iterable[published.Figure | None]
 ) -> Iterator[tuple[str, str, str]]:
     for column, figure in zip(table.columns, figures, strict=True):
-        ours = figure_at(results, *published.places_of(table, row, column.key))
+        ours = _ours(table, results, row, column.key)
         difference = DASH if ours is None or figure is None else _signed(ours.mean - figure.mean, column.decimals)
         yield _figure(ours, column.decimals), _figure(figure, column.decimals), difference
+
+
+def _ours(table: PublishedTable, results: Results, row: str, column: str) -> published.Figure | None:
+    """Return our figure for a cell; counts are brought to as many trials as the paper counts."""
+    ours = figure_at(results, *published.places_of(table, row, column))
+    if ours is None or table is not published.CONFUSION:
+        return ours
+    cells = [(row, column.key) for row in table.rows for column in table.columns]
+    counts = [figure_at(results, *published.places_of(table, *cell)) for cell in cells]
+    return published.Figure(published.CONFUSION_TRIALS * ours.mean / sum(count.mean for count in counts if count))
 
 
 def _figure(figure: published.Figure | None, decimals: int, gap: str = "\n") -> str:

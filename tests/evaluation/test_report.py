@@ -73,6 +73,15 @@ def test_the_difference_is_ours_less_the_papers() -> None:
     assert cells[6:] == ("0.010", "0.222\n±0.031", "−0.212")
 
 
+def test_counts_are_compared_for_as_many_trials_as_the_papers() -> None:
+    document = {"confusion": {"reins": {"TP": 80, "FP": 0, "FN": 20, "TN": 100}}}
+    rows = dict(paper_grid(published.CONFUSION, document).rows)
+    assert rows == {
+        "Blocked": ("400", "490", "−90", "0", "0", "0"),
+        "Allowed": ("100", "17", "+83", "500", "493", "+7"),
+    }
+
+
 def test_a_method_that_nobody_measured_is_a_dash() -> None:
     cells = dict(paper_grid(published.RECOVERY, {"methods": {"reins": {"RSR": {"mean": None}}}}).rows)["Reins"]
     assert cells[:3] == ("–", "0.907\n±0.030", "–")
