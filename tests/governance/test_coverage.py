@@ -83,3 +83,20 @@ def test_a_recovery_that_cannot_run_on_its_defaults_is_not_covered():
     assert "safe_retreat" not in {capability for _, capability, _ in covered(grasp, policy=needy)}
     assert "release_and_retract" in {capability for _, capability, _ in covered(grasp, policy=needy)}
     assert "safe_retreat" not in {capability for _, capability, _ in covered(grasp, policy=policy)}
+
+
+@pytest.mark.parametrize(
+    ("proposed", "holding", "told"),
+    [
+        (proposal("grasp_object", object_id="mug_1"), "glass_1", "mug_1"),
+        (proposal("transport_object", target="dock"), "glass_1", "glass_1"),
+        (proposal("transport_object", target="dock"), None, None),
+    ],
+)
+def test_a_recovery_is_told_the_object_in_hand_and_not_covered_where_there_is_none(proposed, holding, told):
+    name = "capabilities/safe_retreat.yaml"
+    needs = "  required: [object_id]\n  properties:\n    object_id: {type: string, x-ref: object}\n"
+    policy = with_files(**{name: files()[name].replace("  properties:\n", needs)})
+    found = covered(proposed, policy=policy, holding=holding)
+    params = {recovery.params["object_id"] for _, recovery in found.items() if recovery.capability == "safe_retreat"}
+    assert params == (set() if told is None else {told})
