@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from app.config import Settings
 
 LOCK_FILE: Final = "cell.lock"
-RESTARTS: Final = 5  # within RESTARTS_WITHIN_S; after that the cell stays down until the server is started again
+RESTARTS: Final = 5  # within RESTARTS_WITHIN_S; after that a cell stays down until somebody starts it, or the server
 RESTARTS_WITHIN_S: Final = 120.0
 LOOK_S: Final = 0.25
 STOP_S: Final = 3.5  # a controlled stop, the last events, and leave
@@ -74,23 +74,32 @@ def running_cell(folder: Path) -> int | None:
 class Children:
     """The child cells of one server."""
 
-    def __init__(self, settings: Settings, token: str, report: Callable[[str, str], None]) -> None:
+    def __init__(
+        self, settings: Settings, token: str, report: Callable[[str, str], None], restarts: int = RESTARTS
+    ) -> None:
         """Take what the cells are started with.
 
         Args:
             settings: the server's.
             token: the cells' bearer token; reaches them through their environment.
             report: called with a cell's name and what happened to it.
+            restarts: how often in `RESTARTS_WITHIN_S` a cell that died is started again.
         """
         self._settings = settings
         self._token = token
         self._report = report
+        self._restarts = restarts
+        self._given_up: dict[str, str] = {}
         self._stopping = asyncio.Event()
         self._watches: list[asyncio.Task[None]] = []
 
     def start(self) -> None:
         """Start or adopt every cell; returns at once."""
         self._watches = [asyncio.create_task(self._keep(cell)) for cell in self._settings.cell_ids()]
+
+    def trouble(self) -> str | None:
+        """Return which cells were given up, and why; None while every cell runs or is about to."""
+        return "; ".join(f"`{cell}` {why}" for cell, why in sorted(self._given_up.items())) or None
 
     async def stop(self) -> None:
         """Ask every cell for a controlled stop, wait, and end by force what does not leave."""
@@ -111,11 +120,20 @@ class Children:
             deaths.append(monotonic_s())
             while deaths[0] < monotonic_s() - RESTARTS_WITHIN_S:
                 deaths.popleft()
-            if len(deaths) > RESTARTS:
-                self._report(cell, f"ended with `{code}` for the {len(deaths)}th time in a row; not started again")
-                return
+            if len(deaths) > self._restarts:
+                await self._give_up(cell, folder, f"ended {len(deaths)} times in a row, the last time with `{code}`")
+                deaths.clear()
+                continue
             self._report(cell, f"ended with `{code}`; starting it again, idle")
             await self._rest(0.2 * 2 ** len(deaths))
+
+    async def _give_up(self, cell: str, folder: Path, why: str) -> None:
+        """Start a cell no more, say so, and wait for somebody to start it by hand."""
+        self._given_up[cell] = f"{why}; not started again"
+        self._report(cell, self._given_up[cell])
+        while not self._stopping.is_set() and running_cell(folder) is None:
+            await self._rest(LOOK_S)
+        del self._given_up[cell]
 
     async def _spawn(self, cell: str) -> Process:
         layout, settings = self._settings.layout, self._settings
@@ -160,6 +178,8 @@ class Children:
 
 async def _end_adopted(folder: Path, pid: int) -> None:
     for number, patience_s in ((signal.SIGTERM, STOP_S), (signal.SIGKILL, 1.0)):
+        if running_cell(folder) != pid:  # it has left meanwhile, and its number may be another's by now
+            return
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, number)
         end_s = monotonic_s() + patience_s

@@ -139,7 +139,7 @@ async def _serve(settings: Settings, policies: PolicySet, listener: socket.socke
     url = address(listener)
     children = Children(settings, token, lambda cell, word: say(f"{cell}: {word}"))
     async with open_house(settings, policies) as house:
-        door = DoorServer(_door(create_app(**house, principals=principals)))
+        door = DoorServer(_door(create_app(**house, principals=principals, checks={"children": children.trouble})))
         serving = asyncio.create_task(door.serve(sockets=[listener]))
         opened = asyncio.create_task(door.up.wait())
         await asyncio.wait({serving, opened}, return_when=asyncio.FIRST_COMPLETED)

@@ -6,7 +6,6 @@ import os
 import resource
 import signal
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -108,7 +107,11 @@ def test_a_damaged_journal_starts_no_cell_and_says_so(servers: Servers, tmp_path
     (folder / "journal").write_bytes(b"nonsense\nmore\n")
     server = servers.start(tmp_path / "damaged", wait_cells=False)
     until(lambda: "is damaged" in server.log.read_text(), what="the complaint")
-    health: Any = None
     with server.client() as client:
         health = client.get("/readyz")
-    assert health.status_code == 503
+        assert health.status_code == 503
+        given_up = lambda: client.get("/readyz").json()["broken"].get("children")  # noqa: E731
+        said = until(given_up, 90.0, what="the server gives the cell up")
+        assert client.get("/healthz").is_success
+    assert said == "`workcell-1` ended 6 times in a row, the last time with `2`; not started again"
+    assert "not started again" in server.log.read_text()

@@ -1,0 +1,54 @@
+"""A server's child cells as processes: one that keeps dying is given up, and that is said as long as it is true."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from pathlib import Path
+
+import anyio
+import pytest
+
+from app.children import Children
+from app.clock import monotonic_s
+from app.config import Settings
+
+HOLDS_THE_LOCK = """
+import pathlib, signal, sys
+from app.children import cell_lock
+with cell_lock(pathlib.Path(sys.argv[1])):
+    signal.pause()
+"""
+pytestmark = [pytest.mark.process, pytest.mark.timeout(120), pytest.mark.anyio]
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+async def until_trouble(children: Children, wanted: bool) -> None:
+    deadline_s = monotonic_s() + 60.0
+    while (children.trouble() is not None) is not wanted:
+        assert monotonic_s() < deadline_s
+        await anyio.sleep(0.02)
+
+
+async def test_a_cell_that_keeps_dying_is_given_up_until_somebody_starts_it(tmp_path: Path) -> None:
+    settings, said = Settings(data=tmp_path), list[str]()
+    folder = settings.layout.cell("workcell-1")
+    folder.mkdir(parents=True)
+    (folder / "journal").write_bytes(b"nonsense\nmore\n")
+    children = Children(settings, "token", lambda cell, word: said.append(f"{cell}: {word}"), restarts=1)
+    children.start()
+    try:
+        assert children.trouble() is None
+        await until_trouble(children, wanted=True)
+        assert children.trouble() == "`workcell-1` ended 2 times in a row, the last time with `2`; not started again"
+        assert said == ["workcell-1: ended with `2`; starting it again, idle", f"workcell-1: {said[-1][12:]}"]
+        assert said[-1].endswith("not started again")
+        by_hand = await anyio.open_process([sys.executable, "-c", HOLDS_THE_LOCK, str(folder)])
+        await until_trouble(children, wanted=False)
+    finally:
+        await children.stop()
+    assert await by_hand.wait() == -signal.SIGTERM  # it was adopted, so it ends with its server
