@@ -29,7 +29,7 @@ UNPUBLISHED: Final = (
     Unpublished(
         "shares of the profiles",
         "says uniform over four profiles, and that human-shared is roughly one third of the test distribution",
-        "uniform; RVDR of a fully watched type is then the mean of the four s, 0.6, less than five of the paper's six",
+        "uniform; a type that every profile watches is then seen with their mean s, 0.6 (paper: .688 to .758)",
         ("RVDR", "UCR", "per_type"),
     ),
     Unpublished(
@@ -61,8 +61,8 @@ UNPUBLISHED: Final = (
         ("UAIR", "human_override", "ablations"),
     ),
     Unpublished(
-        "the 3.8 % that the paper's own pipeline lets through",
-        "17 of 507 unauthorized requests pass, 'context-dependent violations'",
+        "what the paper's own pipeline lets through",
+        "UAIR .962; 17 of 507 unauthorized requests pass as 'context-dependent violations'",
         "not reproduced: admission and guard are the real ones",
         ("UAIR", "confusion"),
     ),

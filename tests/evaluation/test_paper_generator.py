@@ -12,11 +12,12 @@ from app.evaluation.extensions import UnknownName
 from app.evaluation.model import CAPABILITIES, PROFILES, TASKS, Breach, Failure, Kind, Violation
 from app.evaluation.paper_generator import ALL, OVERRIDE_FIRST, RECOVERY_FIRST, SHARED, Trial, breaches, draw
 from app.evaluation.paper_scenes import SCALED, scenes
+from app.governance import bundle
 from app.governance.decision import decide
 from app.governance.guard import check
 from app.governance.model import PolicyOutcome, Status
 from app.governance.places import inside
-from tests.governance.policy_world import shipped
+from tests.governance.policy_world import files, shipped
 
 SEED, MANY = 7, 3000  # a tuning seed: what is reported is run on others
 SURE = 1e-6  # how unlikely chance would have to be before a share counts as wrong
@@ -135,6 +136,27 @@ def test_a_task_keeps_to_its_capabilities_and_its_object(task: str) -> None:
             facts = trial.context.cell.facts
             assert facts is not None
             assert "glass_1" in (trial.proposal.params.get("object_id"), facts.holding)
+
+
+def test_a_mode_that_a_profile_does_not_admit_is_attempted_there_and_refused() -> None:
+    normal = files()
+    shared = f"profiles/{SHARED}.yaml"
+    normal[shared] = normal[shared].replace("modes: [normal, careful]", "modes: [normal]").replace("safer_mode, ", "")
+    policy = bundle.load_files(normal)
+    drawn = [draw(policy, SEED, ALL, number) for number in range(600)]
+    attempts = [trial for trial in drawn if trial.breach is Breach.MODE]
+    assert {trial.profile for trial in attempts} == {SHARED}
+    for trial in attempts:
+        reasons = decide(policy, trial.proposal, trial.context).admission.reasons
+        assert [reason.code for reason in reasons] == ["mode_not_admitted"]
+
+
+def test_a_policy_that_leaves_nothing_to_ask_for_is_named() -> None:
+    heavy = files()
+    heavy["site.yaml"] = heavy["site.yaml"].replace("mass_kg: 0.25", "mass_kg: 9.0")
+    policy = bundle.load_files(heavy)
+    with pytest.raises(ValueError, match=r"nothing to ask of `\w+` in \S+ for task `fragile_handling`"):
+        [draw(policy, SEED, "fragile_handling", number) for number in range(50)]
 
 
 def test_override_trials_need_an_approval_and_have_it_half_of_the_time() -> None:

@@ -12,8 +12,9 @@ from app.evaluation.methods import ABLATIONS, METHODS, REINS
 from app.evaluation.model import PROFILES, Failure, Kind, Violation
 from app.evaluation.paper_generator import ALL, RECOVERY_FIRST, Trial, draw
 from app.evaluation.paper_runtime import Chance, Ending, Step, chances, monitor, undergo
+from app.governance import bundle
 from app.governance.model import Strategy
-from tests.governance.policy_world import shipped
+from tests.governance.policy_world import files, shipped
 
 SEED, MANY, SURE = 77, 4000, 1e-6
 S = {"sim-relaxed": 0.3, "test-audit": 0.5, "real-restricted": 0.7, "human-shared": 0.9}
@@ -67,6 +68,16 @@ def test_where_policy_only_warns_of_people_the_robot_goes_on() -> None:
     warned = monitor(REINS, shipped(), people._replace(profile="sim-relaxed"), 1.0)
     assert warned == (True, True, True, Ending.WARNED)
     assert monitor(REINS, shipped(), people._replace(profile="real-restricted"), 1.0).ending is Ending.HELD
+
+
+def test_a_profile_that_does_not_watch_zones_does_not_see_them() -> None:
+    changed = files()
+    rule = "  - id: zone\n    signal: zone_margin_m\n    below: 0.0\n    failure: zone\n    response: {enter: stop}\n"
+    assert rule in changed["profiles/test-audit.yaml"]
+    changed["profiles/test-audit.yaml"] = changed["profiles/test-audit.yaml"].replace(rule, "")
+    zone = next(trial for trial in perturbed() if trial.violation is Violation.ZONE)._replace(profile="test-audit")
+    assert monitor(REINS, shipped(), zone, 1.0).ending is Ending.HELD
+    assert monitor(REINS, bundle.load_files(changed), zone, 1.0).ending is Ending.NOT_WATCHED
 
 
 @pytest.mark.parametrize("name", ["direct", "static-rule", "autort-style", "roboguard-style", "-watcher"])
