@@ -109,7 +109,7 @@ def fuse(frame: str, body: Sequence[Part], unpacked: Records, constant: Records,
     function = next(node for node in whole.body if isinstance(node, ast.FunctionDef))
     for node in ast.walk(function):
         if hasattr(node, "lineno"):
-            node.lineno = node.end_lineno = 1  # type: ignore[attr-defined]
+            node.lineno, node.end_lineno, node.col_offset, node.end_col_offset = 1, 1, 0, 0  # type: ignore[attr-defined]
     first = [_unpack(name, fields) for name, fields in unpacked.items()]
     inlined = [statement for part in body for statement in _inlined(part, {**unpacked, **constant})]
     place = next(at for at, node in enumerate(function.body) if _is_ellipsis(node))
