@@ -41,8 +41,11 @@ def shop(*faults: Fault, noise: float = 1.0) -> Workshop:
     return Workshop(Path(tempfile.mkdtemp(prefix="bench-watch-")), faults=faults, quality=Quality(noise=noise))
 
 
-def inside_the_loop() -> tuple[float, float, float]:
-    """Return the median µs per tick that watching, packing telemetry and clamping take while a session drives."""
+def inside_the_loop() -> tuple[float, float, float, float]:
+    """Return the median µs per tick of watching, packing telemetry and clamping while a session drives.
+
+    Last comes the 90th percentile of watching and packing: position fixes come at 20 Hz, and a median forgets them.
+    """
     spent: dict[str, list[float]] = {"watch": [], "row": [], "clamp": []}
 
     def timed(name: str, deed: Callable[..., Any]) -> Callable[..., Any]:
@@ -68,7 +71,8 @@ def inside_the_loop() -> tuple[float, float, float]:
     finally:
         Watcher.watch, telling.row, governing.clamp = kept  # type: ignore[method-assign]
     watch, row, clamping = (statistics.median(values) * 1e6 for values in spent.values())
-    return watch, row, clamping
+    both = [sum(pair) * 1e6 for pair in zip(spent["watch"], spent["row"], strict=True)]
+    return watch, row, clamping, statistics.quantiles(both, n=10)[-1]
 
 
 def governed() -> Callable[[], object]:
@@ -189,8 +193,9 @@ def driving(after_s: float) -> Trigger:
 
 def main() -> None:
     costs = [inside_the_loop() for _ in range(REPEATS)]
-    watch, row, clamping = (statistics.median(values) for values in zip(*costs, strict=True))
+    watch, row, clamping, slow = (statistics.median(values) for values in zip(*costs, strict=True))
     print(f"watcher {watch:.1f} µs + telemetry {row:.1f} µs = {watch + row:.1f} µs per tick in the loop (target ≤ 40)")
+    print(f"        {slow:.1f} µs at the 90th percentile")
     print(f"clamp   {clamping:.1f} µs per tick in the loop")
     with_, without, share, step, by_clock = (
         statistics.median(values) for values in zip(*(side_by_side() for _ in range(REPEATS)), strict=True)
