@@ -37,11 +37,12 @@ import numpy as np
 from app.evaluation.extensions import find_task
 from app.evaluation.model import AGENT, CAPABILITIES, PROFILES, Breach, Failure, Kind, Violation
 from app.evaluation.paper_scenes import SCALED, Scene, complete, scenes
-from app.governance.model import AgentFacts, Mode, Proposal
+from app.governance.model import EMPTY, AgentFacts, Mode, Proposal
 from app.governance.places import centre, inside
 from app.governance.vocabulary import properties, referring
 
 if TYPE_CHECKING:
+    from app.evaluation.model import Task
     from app.governance.model import Context, Json, Params, Point
     from app.governance.policy import PolicySet
 
@@ -162,17 +163,26 @@ def breaches(policy: PolicySet, capability: str, profile: str) -> tuple[Breach, 
 
 @cache
 def _open(policy: PolicySet, task: str, capability: str, profile: str) -> tuple[Scene, ...]:
-    """Return what may be asked for in a task: with the object that the task fixes, where it fixes one."""
-    fixed = {str(params["object_id"]) for params in _fixed(task) if "object_id" in params}
+    """Return what may be asked for in a task: with the names and the object that it fixes, where it fixes any."""
     there = scenes(policy, capability, profile).open
-    found = tuple(scene for scene in there if not fixed or scene.object in {"", *fixed})
+    found = there if task == ALL else tuple(scene for scene in there if _fits(find_task(task), capability, scene))
     if not found:
         raise ValueError(f"policy leaves nothing to ask of `{capability}` in {profile} for task `{task}`")
     return found
 
 
-def _fixed(task: str) -> tuple[Params, ...]:
-    return () if task == ALL else tuple(find_task(task).params.values())
+def _fits(task: Task, capability: str, scene: Scene) -> bool:
+    """Say whether a scene has the names that a task fixes, and none but its object, whichever capability names it."""
+    objects = {params["object_id"] for params in task.params.values() if "object_id" in params}
+    names = {name: value for name, value in task.params.get(capability, EMPTY).items() if isinstance(value, str)}
+    suits = not objects or scene.object in {"", *objects}
+    return suits and all(scene.params.get(name, value) == value for name, value in names.items())
+
+
+def _fixed(task: str, scene: Scene, capability: str) -> Params:
+    """Return what a task fixes beyond the names of the scene."""
+    own: Params = EMPTY if task == ALL else find_task(task).params.get(capability, EMPTY)
+    return {name: value for name, value in own.items() if not isinstance(scene.params.get(name), str)}
 
 
 @cache
@@ -197,6 +207,7 @@ def _request(policy: PolicySet, draws: Draws, scene: Scene, trial: Trial) -> Tri
             params[name] = cast("float", params[name]) * draws.between(*_SHARE)
     if "clearance_m" in params:
         params["clearance_m"] = cast("float", params["clearance_m"]) + draws.between(0.0, _MORE_CLEARANCE_M)
+    params.update(_fixed(trial.task, scene, trial.capability))
     proposal = Proposal(capability=trial.capability, params=complete(policy, trial.capability, params))
     return trial._replace(proposal=proposal, context=scene.context)
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 from scipy import stats
 
-from app.evaluation.extensions import UnknownName
-from app.evaluation.model import CAPABILITIES, PROFILES, TASKS, Breach, Failure, Kind, Violation
+from app.evaluation.extensions import REGISTRY, UnknownName
+from app.evaluation.model import CAPABILITIES, PROFILES, TASKS, Breach, Failure, Kind, Task, Violation
 from app.evaluation.paper_generator import ALL, OVERRIDE_FIRST, RECOVERY_FIRST, SHARED, Trial, breaches, draw
 from app.evaluation.paper_scenes import SCALED, scenes
 from app.governance import bundle
@@ -157,6 +157,17 @@ def test_a_policy_that_leaves_nothing_to_ask_for_is_named() -> None:
     policy = bundle.load_files(heavy)
     with pytest.raises(ValueError, match=r"nothing to ask of `\w+` in \S+ for task `fragile_handling`"):
         [draw(policy, SEED, "fragile_handling", number) for number in range(50)]
+
+
+def test_a_task_from_outside_fixes_names_and_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    fixed = {"target": "shelf_stand", "clearance_m": 0.45}
+    task = Task("shelf_run", "navigation", ("navigate_to",), {"navigate_to": fixed})
+    monkeypatch.setitem(REGISTRY.tasks, task.name, task)
+    for trial in trials(task.name, count=200):
+        params = trial.proposal.params
+        assert params["clearance_m"] == 0.45
+        assert params.get("target") == (None if trial.breach is Breach.ZONE else "shelf_stand")
+        assert 0.4 <= params["speed_mps"] / shipped().profiles[trial.profile].limits["base_speed_mps"].maximum <= 0.8  # type: ignore[operator]
 
 
 def test_override_trials_need_an_approval_and_have_it_half_of_the_time() -> None:
