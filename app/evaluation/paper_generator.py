@@ -173,7 +173,7 @@ def _open(policy: PolicySet, task: str, capability: str, profile: str) -> tuple[
 
 def _fits(task: Task, capability: str, scene: Scene) -> bool:
     """Say whether a scene has the names that a task fixes, and none but its object, whichever capability names it."""
-    objects = {params["object_id"] for params in task.params.values() if "object_id" in params}
+    objects = {str(params["object_id"]) for params in task.params.values() if "object_id" in params}
     names = {name: value for name, value in task.params.get(capability, EMPTY).items() if isinstance(value, str)}
     suits = not objects or scene.object in {"", *objects}
     return suits and all(scene.params.get(name, value) == value for name, value in names.items())
