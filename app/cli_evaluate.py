@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from app.governance.model import Json
 
 INTERRUPTED: Final = 130
+DASH: Final = "–"
 _LONG_TRIALS: Final = 1000
 _TRIALS: Final = 200
 _SHOWN: Final = ("UAIR", "FRR", "RVDR", "UCR", "CEF", "FALSE_ALARMS", "RSR", "RBSR", "MRT", "RPC")
@@ -183,12 +184,13 @@ def summary(results: Mapping[str, Json]) -> Table:
     """Return the main metrics of every method as a table; a metric that no method has is left out."""
     methods, ablations = _mapping(results.get("methods")), _mapping(results.get("ablations"))
     lines = {name: _mapping(metrics) for name, metrics in {**methods, **ablations}.items()}
-    shown = [metric for metric in _SHOWN if any(_mapping(line.get(metric)) for line in lines.values())]
+    shown = [metric for metric in _SHOWN if any(_mean(_mapping(line.get(metric))) != DASH for line in lines.values())]
     title = f"protocol {results.get('protocol')}, mean over seeds"
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
     table.add_column("method", no_wrap=True)
     for metric in shown:
-        table.add_column(metric.replace("_", " ").lower() if "_" in metric else metric, justify="right")
+        heading = metric.replace("_", "\n").lower() if "_" in metric else metric
+        table.add_column(heading, justify="right", no_wrap=True, min_width=5)
     for name, line in lines.items():
         table.add_row(name, *(_mean(_mapping(line.get(metric))) for metric in shown))
     return table
@@ -196,7 +198,7 @@ def summary(results: Mapping[str, Json]) -> Table:
 
 def _mean(figure: Mapping[str, Json]) -> str:
     mean = figure.get("mean")
-    return f"{mean:.3f}" if isinstance(mean, (int, float)) else "–"
+    return f"{mean:.3f}" if isinstance(mean, (int, float)) else DASH
 
 
 def _mapping(value: Json) -> Mapping[str, Json]:

@@ -118,7 +118,7 @@ class Rows(Iterable["Row"]):
 
 
 def write_tables(rows: Iterable[Row], columns: Iterable[str], folder: Path) -> None:
-    """Write `trials.csv` and `timings.csv`; each appears when it is whole."""
+    """Write `trials.csv`, and `timings.csv` of the rows that have any; each appears when it is whole."""
     stable = [name for name in columns if name not in TIMINGS]
     tables = {"trials.csv": stable, "timings.csv": [*KEYS, *TIMINGS]}
     with ExitStack() as stack:
@@ -129,7 +129,8 @@ def write_tables(rows: Iterable[Row], columns: Iterable[str], folder: Path) -> N
             writer.writeheader()
             writers.append((fields, writer))
         for row in rows:
-            for fields, writer in writers:
+            timed = any(row.get(name) is not None for name in TIMINGS)
+            for fields, writer in writers[: 2 if timed else 1]:
                 writer.writerow({name: _text(row.get(name)) for name in fields})
     for name in tables:
         (folder / f"{name}.partial").replace(folder / name)

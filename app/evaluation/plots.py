@@ -202,7 +202,7 @@ def spread(groups: Mapping[str, Sequence[float]], unit: str, caption: str) -> Pl
 
 def _unit(axes: Axes, across: str, up: str) -> None:
     axes.set_xlim(-0.03, 1.05)
-    axes.set_ylim(-0.03, 1.05)
+    axes.set_ylim(-0.07, 1.07)
     axes.set_xlabel(across)
     axes.set_ylabel(up)
 

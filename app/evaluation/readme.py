@@ -59,7 +59,7 @@ def refresh(path: Path, results: Results) -> None:
 
 def _lines(results: Results) -> Iterator[str]:
     seeds = ", ".join(map(str, results["seeds"]))
-    yield f"Protocol `{results['protocol']}`, seeds {seeds}, {results['trials']} trials each:"
+    yield f"Protocol `{results['protocol']}`, seeds {seeds}, {results['trials']} trials for each task and seed:"
     yield ""
     goals = results["protocol"] == "physical"
     yield "| metric | paper | Reins |" + (" goal |" if goals else "")

@@ -15,6 +15,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from app.evaluation import plots, published
 from app.evaluation.extensions import all_methods
+from app.evaluation.methods import ABLATIONS
 from app.evaluation.metrics import METRICS, Metric
 from app.evaluation.model import TUNING_SEEDS
 
@@ -358,8 +359,13 @@ def _by_task(results: Results) -> Section:
 def _classes(results: Results) -> Section:
     kinds: Mapping[str, Mapping[str, Mapping[str, float]]] = results.get("classes", {})
     grids = tuple(
-        _class_grid(kind, {name: of_method.get(kind, {}) for name, of_method in kinds.items()})
+        _class_grid(kind, of, {name: kinds[name].get(kind, {}) for name in names})
         for kind in dict.fromkeys(kind for of_method in kinds.values() for kind in of_method)
+        for of, names in (
+            ("", [name for name in kinds if name not in ABLATIONS]),
+            (", ablations", [name for name in kinds if name in ABLATIONS]),
+        )
+        if names
     )
     return Section(
         "classes",
@@ -370,7 +376,7 @@ def _classes(results: Results) -> Section:
     )
 
 
-def _class_grid(kind: str, shares: Mapping[str, Mapping[str, float]]) -> Grid:
+def _class_grid(kind: str, of: str, shares: Mapping[str, Mapping[str, float]]) -> Grid:
     """Show the classes of one kind of trial; the shares of a method add up to 1."""
     names = list(dict.fromkeys(name for classes in shares.values() for name in classes))
     rows = [
@@ -378,8 +384,10 @@ def _class_grid(kind: str, shares: Mapping[str, Mapping[str, float]]) -> Grid:
         for name in names
     ]
     rows.append(("all classes", tuple(_number(sum(classes.values())) for classes in shares.values())))
-    caption = f"{kind.capitalize()} trials: share of each class"
-    return Grid(f"classes-{kind}", caption, "Class", (), tuple(map(_title, shares)), tuple(rows))
+    caption = f"{kind.capitalize()} trials{of}: share of each class"
+    return Grid(
+        f"classes-{kind}{'-ablations' if of else ''}", caption, "Class", (), tuple(map(_title, shares)), tuple(rows)
+    )
 
 
 def _cross_profile(results: Results) -> Section:

@@ -20,6 +20,7 @@ from app.evaluation.parts import Parts, RowError
 from app.evaluation.workers import JobFailed
 from tests.conftest import until
 
+THREADS = os.environ.get("OMP_NUM_THREADS")
 TOY = Path(__file__).with_name("toy.py")
 POLICIES = Path("policies").resolve()
 REQUEST = Request(
@@ -72,11 +73,17 @@ def test_rows_stand_in_the_order_of_the_request(reference: Path) -> None:
     assert {row["class"] for row in rows if row["method"] == "reins"} == {"governed"}
 
 
+def test_workers_use_one_thread_each_and_the_parent_what_it_did(reference: Path) -> None:
+    with (reference / "trials.csv").open(encoding="utf-8") as file:
+        assert {row["breach"] for row in csv.DictReader(file)} == {"1"}
+    assert os.environ.get("OMP_NUM_THREADS") == THREADS
+
+
 def test_clock_readings_stay_out_of_the_trials(reference: Path) -> None:
     assert "decision_us" not in (reference / "trials.csv").read_text(encoding="utf-8").splitlines()[0]
     with (reference / "timings.csv").open(encoding="utf-8") as file:
         timings = list(csv.DictReader(file))
-    assert len(timings) == 64
+    assert len(timings) == 48  # the toy times three trials of four
     assert all(float(row["decision_us"]) > 0 for row in timings)
 
 

@@ -27,7 +27,9 @@ def test_replaces_what_stands_between_its_comments(tmp_path: Path) -> None:
     file.write_text("# A\n<!-- evaluate:physical -->\nold\n<!-- /evaluate:physical -->\nafter\n", encoding="utf-8")
     refresh(file, RESULTS)
     text = file.read_text(encoding="utf-8")
-    assert text.startswith("# A\n<!-- evaluate:physical -->\nProtocol `physical`, seeds 42, 123, 200 trials each:\n")
+    assert text.startswith(
+        "# A\n<!-- evaluate:physical -->\nProtocol `physical`, seeds 42, 123, 200 trials for each task and seed:\n"
+    )
     assert text.endswith("<!-- /evaluate:physical -->\nafter\n")
     assert "| Recovery success rate (RSR) | 0.907 ± 0.030 | 0.955 | ≥ 0.95 |" in text
     assert "(UAIR) | 0.962 ± 0.027 | 1.000 ± 0.000 (0.998–1.000) | 1.000 |" in text

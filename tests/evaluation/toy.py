@@ -48,10 +48,11 @@ def run(job: Job, policy: Any) -> Iterator[Row]:
             "seed": job.seed,
             "trial": trial,
             "kind": "clean",
+            "breach": os.environ["OMP_NUM_THREADS"],
             "class": watched,
             "launched": rng.random() < 0.5,
             "latency_ticks": None if trial % 2 else rng.random(),
-            "decision_us": time.perf_counter_ns() / 1000,
+            "decision_us": None if trial % 4 == 3 else time.perf_counter_ns() / 1000,
         }
 
 
