@@ -41,6 +41,7 @@ Verify: TypeAlias = "Callable[[tuple[str, ...], Params, WorldFacts], tuple[str, 
 SETTLE_TICKS: Final = 50
 VERIFY_EVERY: Final = 5
 QUIET_TICKS: Final = 50
+RUNNING: Final = SkillState.RUNNING
 FAILED: Final = SkillState.FAILED
 
 
@@ -124,7 +125,7 @@ class Governing:
             self.end(End(Outcome.FAULT, "journal_unavailable", 1))
         if run.next is not None:
             self._go_on(run.next)
-        elif report.state is not SkillState.RUNNING and run.moves():
+        elif report.state is not RUNNING and run.moves():
             self._conclude(report)
 
     # -- what the watcher says -----------------------------------------------------------------------------------------

@@ -29,6 +29,7 @@ RAMP_UP_S: Final = 0.3
 STILL_BASE_MPS: Final = 0.02
 STILL_JOINT_RADPS: Final = 0.05
 LONGEST_WAIT_TICKS: Final = 150
+MOVING: Final = (Status.RUNNING, Status.RECOVERING)
 
 
 class Doing(StrEnum):
@@ -124,12 +125,13 @@ class Run:
 
     def moves(self) -> bool:
         """Say whether the skill is to be let run."""
-        return self.next is None and self.status in (Status.RUNNING, Status.RECOVERING)
+        return self.next is None and self.status in MOVING
 
     def ramp(self, period_s: float) -> float:
         """Advance the rate by one tick and return it: towards 1 where the skill may move, else to 0 as declared."""
         if self.moves():
-            self.rate = min(1.0, self.rate + period_s / RAMP_UP_S)
+            if self.rate < 1.0:
+                self.rate = min(1.0, self.rate + period_s / RAMP_UP_S)
         elif self.rate > 0.0:
             self.rate = max(0.0, self.rate - period_s / self.ramp_s)
         return self.rate

@@ -213,6 +213,7 @@ def _finite(number: float) -> float | None:
 def row(seen: Observation, signals: Signals, progress: float, rate: float) -> bytes:
     """Pack one control tick as `protocol.CHANNELS` lists it."""
     tcp_x, tcp_y, tcp_z = seen.tcp_m
+    q1, q2, q3, q4, q5, q6 = seen.joint_rad  # by name: a starred argument costs a third more
     return ROW.pack(
         seen.time_s,
         signals.base_x_m,
@@ -234,5 +235,10 @@ def row(seen: Observation, signals: Signals, progress: float, rate: float) -> by
         signals.zone_margin_m,
         progress,
         rate,
-        *seen.joint_rad,
+        q1,
+        q2,
+        q3,
+        q4,
+        q5,
+        q6,
     )
