@@ -295,22 +295,37 @@ def staleness(seen: Observation, plan: Constants) -> tuple[float, float]:
 
 
 def stuck_arm(seen: Observation, before: Observation, command: Command, stuck_ticks: int) -> int:
-    """Count ticks of commanded arm movement in which a signal that never repeats bit by bit has just done so."""
+    """Count ticks of commanded arm movement in which a signal that never repeats bit by bit has just done so.
+
+    Only under a new stamp: an old one is stale, which is another matter, and over when the next comes.
+    """
     if command.joint_speed_radps != STILL:
-        repeats = seen is not before and (
-            seen.contact_force_n == before.contact_force_n
-            or seen.joint_torque_nm == before.joint_torque_nm
-            or seen.joint_rad == before.joint_rad
-            or seen.joint_speed_radps == before.joint_speed_radps
+        new, old = seen.stamps_s, before.stamps_s
+        repeats = (
+            (
+                new.arm != old.arm
+                and (
+                    seen.joint_torque_nm == before.joint_torque_nm
+                    or seen.joint_rad == before.joint_rad
+                    or seen.joint_speed_radps == before.joint_speed_radps
+                )
+            )
+            or (new.wrist != old.wrist and seen.contact_force_n == before.contact_force_n)
+            or (new.gripper != old.gripper and seen.pads_loaded and seen.grip_force_n == before.grip_force_n)
         )
         stuck_ticks = stuck_ticks + 1 if repeats else 0
     return stuck_ticks
 
 
 def stuck_drives(seen: Observation, before: Observation, command: Command, stuck_base_ticks: int) -> int:
-    """Count ticks of commanded driving in which the drives' reading repeated bit by bit."""
+    """Count ticks of commanded driving in which the drives', the wrist's or a full hand's reading repeated exactly."""
     if command.base_velocity != RESTING:
-        repeats = seen is not before and seen.base_velocity == before.base_velocity
+        new, old = seen.stamps_s, before.stamps_s
+        repeats = (
+            (new.odometry != old.odometry and seen.base_velocity == before.base_velocity)
+            or (new.wrist != old.wrist and seen.contact_force_n == before.contact_force_n)
+            or (new.gripper != old.gripper and seen.pads_loaded and seen.grip_force_n == before.grip_force_n)
+        )
         stuck_base_ticks = stuck_base_ticks + 1 if repeats else 0
     return stuck_base_ticks
 

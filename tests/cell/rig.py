@@ -208,7 +208,7 @@ class FakeCell:
             contact_force_n=abs(2.0 + noise(0.0, 0.2)),
             peak_force_n=3.0,
             grip_width_m=0.05,
-            grip_force_n=command.grip_force_n,
+            grip_force_n=command.grip_force_n + abs(noise(0.0, 0.1)),
             slip_m=0.0,
             pads_loaded=command.grip_force_n > 0.0,
             odometry=(self.x_m + noise(0.0, 1e-4), self.y_m + noise(0.0, 1e-4), 0.0),

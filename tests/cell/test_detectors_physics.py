@@ -259,6 +259,7 @@ def prove(case: Case, tmp_path: Path) -> None:
 
 
 DRIVEN, GRASPED = (DRIVE, driving(0.5)), (GRASP, grasping("approach", 0.5))
+LIFTED = (GRASP, grasping("lift", 0.3))
 BROKEN = (
     ("arm", "stuck", 0.0, GRASPED, "implausible"),
     ("arm", "stale", 0.0, DRIVEN, "stale"),
@@ -270,6 +271,8 @@ BROKEN = (
     ("wrist", "delayed", 0.1, GRASPED, "stale"),
     ("wrist", "noisy", 100.0, GRASPED, "implausible"),
     ("wrist", "offset", 150.0, GRASPED, "contact-force"),
+    ("wrist", "stuck", 0.0, DRIVEN, "implausible"),
+    ("gripper", "stuck", 0.0, LIFTED, "implausible"),
     ("gripper", "stale", 0.0, GRASPED, "stale"),
     ("gripper", "delayed", 0.2, GRASPED, "stale"),
     ("odometry", "stuck", 0.0, DRIVEN, "implausible"),
@@ -296,7 +299,7 @@ def test_a_broken_sensor_is_noticed_by_its_rule_and_by_no_other(
 def in_order(shop: Workshop) -> bool:
     """Nothing is wrong with the world itself."""
     truth = shop.cell.truth()
-    return truth.contact_force_n < 5.0 and truth.tcp_speed_mps < 0.26 and truth.base_speed_mps < 0.31
+    return truth.contact_force_n < 8.0 and truth.tcp_speed_mps < 0.26 and truth.base_speed_mps < 0.31
 
 
 def test_every_rule_of_the_profile_has_its_case(tmp_path: Path) -> None:

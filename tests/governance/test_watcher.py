@@ -382,6 +382,26 @@ def test_a_reading_that_repeats_bit_by_bit_while_moving_is_implausible(field: st
     assert first_alert(PLAN, stream, command=HOLD) == (None, None)
 
 
+@pytest.mark.parametrize("moved", ["joint_speed_radps", "base_velocity"])
+def test_only_a_full_hand_s_reading_cannot_repeat(moved: str) -> None:
+    command = HOLD._replace(**{moved: getattr(MOVING, moved)})
+    empty = [seen(tick, grip_force_n=0.0, pads_loaded=False) for tick in range(40)]
+    assert first_alert(PLAN, empty, command=command) == (None, None)
+    full = [one._replace(grip_force_n=20.0, pads_loaded=True) for one in empty]
+    assert first_alert(PLAN, full, command=command)[0] == 20
+
+
+@pytest.mark.parametrize(("sensor", "field"), [("wrist", "contact_force_n"), ("odometry", "base_velocity")])
+def test_a_reading_that_repeats_under_its_old_stamp_is_stale_and_not_implausible(sensor: str, field: str) -> None:
+    frozen = {field: getattr(seen(0), field)}
+    stream = [
+        one._replace(stamps_s=one.stamps_s._replace(**{sensor: 0.0}), **frozen)
+        for one in (seen(tick) for tick in range(40))
+    ]
+    plan = watching(rule("implausible", threshold=0.5))
+    assert first_alert(plan, stream, command=MOVING) == (None, None)
+
+
 @pytest.mark.parametrize(
     "changes",
     [
