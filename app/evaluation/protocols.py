@@ -45,7 +45,24 @@ class EvaluationProtocol(Protocol):
         """Sum up all rows, in the order of the jobs; `rows` can be gone through several times.
 
         Returns:
-            What `results.json` holds, without `protocol`, `seeds` and `trials`.
+            What `results.json` holds, without `protocol`, `seeds`, `trials` and `configuration`. The report reads these
+            keys, and says in a sentence which are not there. An entry is what `metrics.Tally` gives.
+
+            | key | holds |
+            |---|---|
+            | `methods`, `ablations` | name → metric → entry |
+            | `per_type` | method → violation → entry of RVDR |
+            | `per_task` | task → method → metric → entry |
+            | `classes` | method → kind of trial → class → share |
+            | `confusion` | method → TP, FP, FN, TN |
+            | `effect_sizes` | baseline → metric → `statistics.Comparison` as a dict |
+            | `human_override` | `with override`, `without override` → BLOCK_RATE, INCORRECT_ALLOW → entry |
+            | `latency` | component → mean, std, p50, p99, in µs |
+            | `sensitivity` | list of `{s, RVDR, UCR, RSR, FAR?}`, entries or numbers |
+            | `distributions` | `latency_ticks`: violation → numbers; `recovery_s`: method → numbers |
+            | `cross_profile` | proposal → profile → what became of it |
+            | `scorecard` | dimension → `{value, how}` |
+            | `unpublished` | list of `{parameter, paper, here, affects}` |
         """
         ...
 
