@@ -1,11 +1,12 @@
 """Where a proposal leads and what it handles, from names and perception: the `place` and `target` of conditions.
 
-Pure geometry over the site. Points are world frame, metres.
+Pure geometry over the site. Points are world frame, metres. Every boundary belongs to what it bounds: a point on the
+edge of a forbidden zone is forbidden, one on the edge of the site or of a surface is still inside it, or on it.
 """
 
 from __future__ import annotations
 
-from math import cos, sin
+from math import cos, sin, sqrt
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias, cast
 
 from app.governance.model import SiteObject
@@ -29,6 +30,7 @@ class Place(NamedTuple):
     corridor: str | None = None
 
 
+EDGE_M: Final = 1e-9  # what rounding may shift a point on a slanted edge by
 NOWHERE: Final = Place("", "none")
 NOTHING: Final = SiteObject(
     name="", kind="none", shape="box", size_m=(0.0, 0.0, 0.0), mass_kg=0.0, fragile=False, hazardous=False, surface="",
@@ -37,19 +39,29 @@ NOTHING: Final = SiteObject(
 
 
 def inside(point: Point, polygon: Sequence[Point]) -> bool:
-    """Say whether a point lies in a polygon (even-odd rule); its boundary may fall on either side."""
+    """Say whether a point lies in a polygon (even-odd rule) or on its boundary, to within a nanometre."""
     x, y = point
     odd = False
     x1, y1 = polygon[-1]
     for x2, y2 in polygon:
+        if _on_edge(x, y, x1, y1, x2, y2):
+            return True
         if (y1 > y) != (y2 > y) and x < (x2 - x1) * (y - y1) / (y2 - y1) + x1:
             odd = not odd
         x1, y1 = x2, y2
     return odd
 
 
+def _on_edge(x: float, y: float, x1: float, y1: float, x2: float, y2: float) -> bool:
+    """Say whether a point lies on the edge between two corners, as far as rounding lets one tell."""
+    dx, dy = x2 - x1, y2 - y1
+    along = (x - x1) * dx + (y - y1) * dy
+    length = dx * dx + dy * dy
+    return 0.0 <= along <= length and abs((x - x1) * dy - (y - y1) * dx) <= EDGE_M * sqrt(length)
+
+
 def on_surface(point: Point, surface: Surface) -> bool:
-    """Say whether a point (world frame) lies over a surface."""
+    """Say whether a point (world frame) lies over a surface, its edge included."""
     dx, dy = point[0] - surface.x_m, point[1] - surface.y_m
     c, s = cos(surface.yaw_rad), sin(surface.yaw_rad)
     return abs(c * dx + s * dy) <= surface.half_x_m and abs(c * dy - s * dx) <= surface.half_y_m

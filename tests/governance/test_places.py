@@ -97,19 +97,43 @@ coordinate = st.floats(-2, 10)
 @given(coordinate, coordinate)
 def test_every_point_of_the_forbidden_zone_and_no_other_is_forbidden(x, y):
     place = locator({"target": "target"}, SITE)({"x_m": x, "y_m": y}, None)
-    if 4.6 < x < 6.2 and 0.4 < y < 1.6:
-        assert place.forbidden
-    if not (4.6 <= x <= 6.2 and 0.4 <= y <= 1.6):
-        assert not place.forbidden
+    assert place.forbidden == (4.6 <= x <= 6.2 and 0.4 <= y <= 1.6)
     assert place.outside == (not (0.0 <= x <= 8.0 and 0.0 <= y <= 6.0))
+
+
+@given(st.integers(0, 3), st.floats(0, 1))
+def test_the_boundary_of_a_forbidden_zone_belongs_to_it(edge, along):
+    corners = SITE.zones["press_area"].polygon
+    (x0, y0), (x1, y1) = corners[edge], corners[(edge + 1) % 4]
+    x, y = (1 - along) * x0 + along * x1, (1 - along) * y0 + along * y1
+    x, y = (x0 if x0 == x1 else x), (y0 if y0 == y1 else y)  # rounding must not lead off the edge
+    assert locator({"target": "target"}, SITE)({"x_m": x, "y_m": y}, None).forbidden
+
+
+@given(st.integers(0, 2), st.floats(0, 1))
+def test_the_slanted_boundary_of_a_polygon_belongs_to_it(edge, along):
+    corners = ((0.0, 0.0), (7.3, 1.9), (3.1, 5.7))
+    (x0, y0), (x1, y1) = corners[edge], corners[(edge + 1) % 3]
+    assert inside(((1 - along) * x0 + along * x1, (1 - along) * y0 + along * y1), corners)
+
+
+@pytest.mark.parametrize(("x_m", "y_m"), [(0.0, 0.0), (8.0, 6.0), (0.0, 3.0), (4.0, 6.0)])
+def test_the_boundary_of_the_site_belongs_to_it(x_m, y_m):
+    assert not locator({"target": "target"}, SITE)({"x_m": x_m, "y_m": y_m}, None).outside
+
+
+def test_the_edge_of_a_surface_belongs_to_it():
+    bench = SITE.surfaces["bench_a"]
+    edge = {"surface": "bench_a", "x_m": bench.x_m, "y_m": bench.y_m + bench.half_y_m}
+    assert not locator({"surface": "surface"}, SITE)(edge, None).outside
 
 
 @given(coordinate, coordinate, st.integers(0, 3))
 def test_a_notched_polygon_holds_what_its_two_halves_hold(x, y, turn):
     notched = ((0.0, 0.0), (4.0, 0.0), (4.0, 2.0), (2.0, 2.0), (2.0, 4.0), (0.0, 4.0))
     corners = (*notched[turn:], *notched[:turn])
-    low, high = 0.0 < x < 4.0 and 0.0 < y < 2.0, 0.0 < x < 2.0 and 0.0 < y < 4.0
-    if {x, y}.isdisjoint({0.0, 2.0, 4.0}):
+    low, high = 0.0 <= x <= 4.0 and 0.0 <= y <= 2.0, 0.0 <= x <= 2.0 and 0.0 <= y <= 4.0
+    if min(abs(value - edge) for value in (x, y) for edge in (0.0, 2.0, 4.0)) > 1e-6 or {x, y} <= {0.0, 1.0, 2.0, 4.0}:
         assert inside((x, y), corners) == (low or high)
 
 
