@@ -1,8 +1,9 @@
 """What server and cell say to each other over the link: typed messages, strict on both ends.
 
 The cell dials in (`WS /v1/cells/{id}/link`). Text frames carry one JSON message each; binary frames carry telemetry
-rows. Everything the cell reports upward as an `UpEvent` bears a sequence number that never repeats for that cell; the
-server acknowledges the highest number that is durable in its log, and the cell sends again what was not acknowledged.
+rows. Everything the cell reports upward as an `UpEvent` bears a sequence number that never repeats within the cell's
+journal, which `Hello` names; the server acknowledges the highest number that is durable in its log, and the cell sends
+again what was not acknowledged.
 State, beats and poses are not sequenced: only the newest matters.
 
 Link lease: the server beats every `BEAT_MS`; a cell that has heard nothing for `LEASE_MS` holds (category 2) and
@@ -20,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, TypeAdapter, Valid
 LEASE_MS = 300
 BEAT_MS = 75
 STATE_MS = 100
-VERSION = 1
+VERSION = 2
 
 
 class Message(BaseModel):
@@ -121,6 +122,7 @@ class Hello(Message):
     profile: str | None
     invocation: str | None
     latched: bool
+    journal: Annotated[str, Field(min_length=1, max_length=64)]  # which file the numbers count in; another, others
     last_seq: int
 
 

@@ -12,6 +12,7 @@ import secrets
 import signal
 import sys
 import traceback
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from queue import SimpleQueue
@@ -67,13 +68,14 @@ def run_cell(settings: CellSettings) -> int:
 async def _run(settings: CellSettings) -> int:
     scenario, robot = read_scenario(settings.scenario), robot_model(settings.robot)
     boot = f"boot_{secrets.token_hex(8)}"
-    inbox: SimpleQueue[Order] = SimpleQueue()
-    outbox, lease = Outbox(), Lease()
-
     journal = Journal(settings.data / "journal", boot=boot)
+    inbox: SimpleQueue[Order] = SimpleQueue()
+    outbox, lease = Outbox(journal.last_seq), Lease()
 
     def build(policies: PolicySet, kernel_key: str, acknowledged: int) -> TickLoop:
         journal.number_behind(acknowledged)
+        with suppress(JournalUnavailable):  # they are forgotten all the same; only the file was not made smaller
+            journal.acknowledge(acknowledged)
         substrate = make_workcell(
             policies.site,
             cell_id=settings.id,
@@ -88,6 +90,7 @@ async def _run(settings: CellSettings) -> int:
         Identity(
             cell=settings.id,
             boot=boot,
+            journal=journal.id,
             robot=settings.robot or ROBOT,
             token=settings.token,
         ),

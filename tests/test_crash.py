@@ -63,6 +63,24 @@ def test_a_cell_that_died_leaves_a_fault_and_comes_back_idle(servers: Servers) -
     assert server.get("/v1/audit/verify")["ok"]
 
 
+def test_no_restart_of_a_cell_brings_its_reports_into_the_log_again(servers: Servers) -> None:
+    server = servers.start(None, "--pace", "0")
+    for target in ("dock", "bench_a_stand"):
+        server.await_status(server.propose("navigate_to", target=target)["id"], "completed")
+        pid = server.cell_pid()
+        assert pid is not None
+        os.kill(pid, signal.SIGKILL)
+        until(lambda pid=pid: server.cell_pid() not in {None, pid}, what="another process is the cell")
+        until(lambda: server.cell()["online"], what="the cell is back")
+    server.await_status(server.propose("navigate_to", target="dock")["id"], "completed")
+    events = server.get("/v1/audit/events?limit=1000")["items"]
+    numbers = [event["body"]["cell_seq"] for event in events if "cell_seq" in event["body"]]
+    assert numbers == list(range(1, len(numbers) + 1))
+    hellos = [event["body"] for event in events if event["body"].get("link") == "attached"]
+    assert [hello["last_seq"] > 0 for hello in hellos] == [False, True, True]
+    assert len({hello["journal"] for hello in hellos}) == 1
+
+
 def test_a_pending_approval_keeps_its_deadline_across_a_restart(servers: Servers) -> None:
     server = servers.start()
     made = server.propose("grasp_object", object_id="mug_1")

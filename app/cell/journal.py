@@ -1,7 +1,8 @@
 """The cell's journal: what it did, kept on disk until the server's log has it.
 
-One file, one line per record: `crc32 json`, appended with a single write. Sequence numbers rise by one and never repeat
-for a cell, across restarts and compactions. A line that was torn by a crash can only be the last one; it is cut off on
+One file, one line per record: `crc32 json`, appended with a single write. The file has a name of its own (`id`), drawn
+when it is made: sequence numbers rise by one and never repeat under that name, across restarts and compactions, and
+whoever counts them knows a file that was lost and made anew from one that goes on. A line that was torn by a crash can only be the last one; it is cut off on
 opening and the loss is said. Any other damaged line means that the file is not what the cell wrote, and it is refused.
 
 There are two kinds of records: *entries*, which go up to the server, and *marks*, small facts a cell needs about itself
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import secrets
 import zlib
 from collections import deque
 from typing import TYPE_CHECKING, Final, NamedTuple, cast
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 
 COMPACT_BYTES: Final = 4 * 1024 * 1024
 USED: Final = "used:"
+ID_BYTES: Final = 12
 
 
 class JournalUnavailable(Exception):
@@ -58,10 +61,11 @@ class Journal:
             boot: Name of this run of the cell's process.
 
         Raises:
-            JournalUnavailable: the file cannot be opened, or holds a damaged line that is not the last.
+            JournalUnavailable: the file cannot be opened or named, or holds a damaged line that is not the last.
         """
         self.path = path
         self.boot = boot
+        self.id = ""
         self.torn_bytes = 0
         self.acknowledged = 0
         self.marks: dict[str, Json] = {}
@@ -72,6 +76,8 @@ class Journal:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o600)
             self._load()
             _sync_directory(path)
+            if not self.id:
+                self._name()
         except OSError as error:
             raise JournalUnavailable(f"cannot open journal `{path}`: {error.strerror}") from error
 
@@ -106,7 +112,7 @@ class Journal:
         self.marks.update(marks)
 
     def number_behind(self, seq: int) -> None:
-        """Go on numbering behind `seq`: the server's log holds more of this cell than this file, which was lost.
+        """Go on numbering behind `seq`: the server's log holds more of this journal than the file, whose end was lost.
 
         Raises:
             JournalUnavailable: it could not be written.
@@ -145,7 +151,7 @@ class Journal:
         """
         self._check()
         kept: dict[str, Json] = {name: value for name, value in self.marks.items() if value is not None}
-        lines = [_line({"m": kept, "s": self._seq, "a": self.acknowledged})]
+        lines = [_line({"j": self.id, "m": kept, "s": self._seq, "a": self.acknowledged})]
         lines += [_line({"e": list(entry)}) for entry in self._entries]
         draft = self.path.with_name(self.path.name + ".new")
         try:
@@ -248,7 +254,16 @@ class Journal:
             good += len(line)
         self.marks = {name: value for name, value in self.marks.items() if value is not None}
 
+    def _name(self) -> None:
+        """Give the file its name, durably: nothing is reported under one that a power cut would take back."""
+        name = f"jrn_{secrets.token_hex(ID_BYTES)}"
+        self._write({"j": name})
+        self.sync()
+        self.id = name
+
     def _take(self, record: dict[str, Json]) -> None:
+        if isinstance(name := record.get("j"), str):
+            self.id = name
         if isinstance(marks := record.get("m"), dict):
             self.marks.update(marks)
         if isinstance(seq := record.get("s"), int):

@@ -80,7 +80,7 @@ class Build(Protocol):
         Args:
             policies: the compiled policy, with the site.
             kernel_key: the pinned key, base64.
-            acknowledged: the last report of this cell that the server's log holds; numbers go on behind it.
+            acknowledged: the last report of this journal that the server's log holds; numbers go on behind it.
         """
         ...
 
@@ -120,10 +120,11 @@ class KeyPin:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identity:
-    """Who this cell is; `boot` names this run of the process, so that the server tells a restart from a reconnect."""
+    """Who this cell is; `boot` names this run of the process, `journal` the file that its reports are numbered in."""
 
     cell: str
     boot: str
+    journal: str
     robot: str
     token: str = field(repr=False)
 
@@ -255,6 +256,7 @@ class Link:
             profile=self._profile,
             invocation=state.invocation if state else None,
             latched=state.latched if state else False,
+            journal=self._identity.journal,
             last_seq=self._outbox.last_seq,
         )
 

@@ -106,19 +106,19 @@ class Outbox:
     One thread fills, another empties; each operation is one atomic step on a deque or a reference.
     """
 
-    def __init__(self) -> None:
-        """Start empty, with nobody to wake."""
+    def __init__(self, last_seq: int = 0) -> None:
+        """Start empty, with nobody to wake; `last_seq` is the newest report that the journal holds already."""
         self.events: deque[UpEvent] = deque()
         self.batches: deque[bytes] = deque(maxlen=MAX_BATCHES)
         self.state: State | None = None
-        self.last_seq = 0
+        self.last_seq = last_seq
         self.changed = False
         self.wake: Callable[[], None] = lambda: None
 
     def event(self, event: UpEvent) -> None:
         """Report one event; it stays until the server has it."""
         self.events.append(event)
-        self.last_seq = event.seq
+        self.last_seq = max(self.last_seq, event.seq)
         self.changed = True
         self.wake()
 

@@ -38,7 +38,9 @@ class Cell:
     id: str
     profile: str
     latched: bool = False
-    up_seq: int = 0
+    journal: str = ""  # the one its reports are numbered in; "" before its first hello
+    taken: dict[str, int] = field(default_factory=dict[str, int])  # by journal, the last report that the log holds
+    recording: asyncio.Lock = field(default_factory=asyncio.Lock)  # one batch at a time, whichever link brought it
     claim: str | None = None
     attachment: Attachment | None = None
     state: State | None = None
@@ -53,6 +55,11 @@ class Cell:
     stated: asyncio.Event = field(default_factory=asyncio.Event)
     owed: dict[tuple[str, str], Message] = field(default_factory=dict[tuple[str, str], "Message"])
     unreconciled: Reunion | None = None
+
+    @property
+    def up_seq(self) -> int:
+        """Return the last report of the cell's present journal that the log holds."""
+        return self.taken.get(self.journal, 0)
 
     @property
     def fresh(self) -> bool:

@@ -24,6 +24,7 @@ from app.protocol import BEAT_MS, LEASE_MS, Estop, Human, ProtocolError
 from app.runtime.cells import Cell, Reunion, read_world
 from app.runtime.errors import Conflict, NotFound
 from app.runtime.link import DEAD_S, SILENT_S, TRY_LATER, Attachment
+from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
     from collections.abc import Coroutine, Mapping, Sequence
@@ -287,8 +288,9 @@ class Fleet:
             raise ProtocolError(f"the cell `{cell.id}` has a live link already: one link per cell")
         away_s = cell.away_s() if present is None else present.silent_s()
         cell.lapsed = away_s is None or away_s >= LEASE_MS / 1000
-        if hello.last_seq < cell.up_seq:  # another journal than the one the log knows: it counts from the start again
-            cell.up_seq = 0
+        if "" in cell.taken:  # recorded before journals had names: the numbers go on in this one
+            cell.taken[hello.journal] = cell.taken.pop("")
+        cell.journal = hello.journal  # another one counts for itself, and those before it stay known
         cell.attachment = attachment
         cell.state = None
         cell.absent_since_s = None
@@ -361,14 +363,40 @@ class Fleet:
         """Refuse a report that this cell may not make. Raises `ProtocolError`."""
         self._desk.check(cell.id, event)
 
-    async def record(self, cell: Cell, batch: Sequence[UpEvent]) -> None:
-        """Record a batch of reports and how far the cell has come; raises what the record raises."""
-        await self._desk.absorb(cell.id, batch, [self._progress(cell, batch[-1].seq)])
-        cell.up_seq = batch[-1].seq
+    @uncut
+    async def record(self, cell: Cell, journal: str, batch: Sequence[UpEvent]) -> None:
+        """Record what of a batch the log does not hold yet, and how far it has come then.
 
-    def _progress(self, cell: Cell, up_seq: int) -> RowWrite:
-        values = {"cell": cell.id, "up_seq": up_seq, "journal": "", "updated_at": self._register.now()}
-        return RowWrite(table="cell_progress", values=values)
+        Runs to its end even if the link that brought the batch is gone meanwhile: what the record has taken is known
+        to have been taken, also to the next link.
+
+        Args:
+            cell: whose reports they are.
+            journal: which journal they are numbered in.
+            batch: the reports, in order.
+
+        Raises:
+            RecordUnavailable: nothing was recorded.
+            ProtocolError: a report the cell may not make.
+        """
+        async with cell.recording:
+            known = cell.taken.get(journal, 0)
+            fresh = [event for event in batch if event.seq > known]
+            if not fresh:
+                return
+            taken = {**cell.taken, journal: fresh[-1].seq}
+            await self._desk.absorb(cell.id, fresh, self._progress(cell, taken))
+            cell.taken = taken
+
+    def _progress(self, cell: Cell, taken: Mapping[str, int]) -> list[RowWrite]:
+        """Return the rows that say how far the log has come in the cell's journal, and in those it had before."""
+        now = self._register.now()
+        present = {"cell": cell.id, "up_seq": taken.get(cell.journal, 0), "journal": cell.journal, "updated_at": now}
+        rows = [RowWrite(table="cell_progress", values=present)]
+        if former := {name: seq for name, seq in taken.items() if name != cell.journal}:
+            values = {"name": f"journals/{cell.id}", "value": orjson.dumps(former), "updated_at": now}
+            rows.append(RowWrite(table="settings", values=values))
+        return rows
 
     # -- remembering -------------------------------------------------------------------------------------------------
 
@@ -386,7 +414,8 @@ class Fleet:
 
     async def introduce(self, cell: Cell, drafts: Sequence[EventDraft]) -> None:
         """Record that a cell is there, so that it is known after a restart. Raises `RecordUnavailable`."""
-        await self._register.append(drafts, [self._progress(cell, cell.up_seq)])
+        async with cell.recording:  # or an older count could follow a newer one into the record
+            await self._register.append(drafts, self._progress(cell, cell.taken))
 
     async def recall(self) -> None:
         """Read back which cells there are, their profiles and latched stops, and who had them when the server ended."""
@@ -394,7 +423,8 @@ class Fleet:
             self._cells[row["cell"]] = Cell(
                 id=row["cell"],
                 profile=self._default_profile,
-                up_seq=row["up_seq"],
+                journal=row["journal"],
+                taken={row["journal"]: row["up_seq"]},
                 recalled=True,
                 absent_since_s=monotonic_s(),
             )
@@ -408,6 +438,8 @@ class Fleet:
                     cell.profile = profile
                 case "estop", bool(latched):
                     cell.latched = latched
+                case "journals", dict(former):
+                    cell.taken = {**former, **cell.taken}
                 case _:
                     pass
         for invocation in self._register.live():

@@ -173,7 +173,7 @@ class Attachment:
         await self._fleet.take_place(self, hello)
         self.hello = hello
         self._next_seq = self.cell.up_seq + 1
-        self._tasks = [asyncio.create_task(self._drain()), asyncio.create_task(self._record())]
+        self._tasks = [asyncio.create_task(self._drain()), asyncio.create_task(self._record(hello.journal))]
         for task in self._tasks:
             task.add_done_callback(self._broke)
         self.post(
@@ -201,13 +201,13 @@ class Attachment:
         self._reports.append(event)
         self._incoming.set()
 
-    async def _record(self) -> None:
+    async def _record(self, journal: str) -> None:
         while True:
             await self._incoming.wait()
             self._incoming.clear()
             while self._reports:
                 batch = [self._reports[place] for place in range(min(len(self._reports), BATCH_EVENTS))]
-                if not await self._recorded(batch):
+                if not await self._recorded(journal, batch):
                     await asyncio.sleep(RETRY_S)
                     continue
                 for _ in batch:
@@ -215,9 +215,9 @@ class Attachment:
                 self.post(Ack(seq=self.cell.up_seq))
             await self._fleet.caught_up(self)
 
-    async def _recorded(self, batch: Sequence[UpEvent]) -> bool:
+    async def _recorded(self, journal: str, batch: Sequence[UpEvent]) -> bool:
         try:
-            await self._fleet.record(self.cell, batch)
+            await self._fleet.record(self.cell, journal, batch)
         except RecordUnavailable:
             return False
         except ProtocolError as error:

@@ -233,6 +233,7 @@ class House:
                         profile=None,
                         invocation=None,
                         latched=False,
+                        journal="jrn-1",
                         last_seq=last_seq,
                     )
                 )

@@ -45,6 +45,32 @@ def test_numbers_go_on_after_everything_was_acknowledged_and_compacted(tmp_path:
     assert Journal(tmp_path / "journal", boot="b").last_seq == 8
 
 
+def test_a_journal_keeps_its_name_and_one_made_anew_has_another(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    first = Journal(path, boot="a")
+    write(first, 2)
+    first.compact()
+    first.close()
+    again = Journal(path, boot="b")
+    assert again.id == first.id != ""
+    again.close()
+    path.unlink()
+    assert Journal(path, boot="c").id not in {"", first.id}
+
+
+def test_a_journal_from_before_there_were_names_gets_one_and_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    named = Journal(path, boot="a")
+    write(named, 3)
+    named.close()
+    path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[1:]))
+    first = Journal(path, boot="b")
+    assert first.id
+    assert write(first)[0].seq == 4
+    first.close()
+    assert Journal(path, boot="c").id == first.id
+
+
 def test_an_acknowledgement_beyond_what_was_said_forgets_nothing_to_come(tmp_path: Path) -> None:
     journal = Journal(tmp_path / "journal", boot="a")
     write(journal, 2)
@@ -131,7 +157,7 @@ def test_a_repeated_line_is_refused(tmp_path: Path) -> None:
     write(journal, 2)
     journal.close()
     lines = path.read_bytes().splitlines(keepends=True)
-    path.write_bytes(b"".join([*lines, lines[1]]))
+    path.write_bytes(b"".join([*lines, lines[2]]))
     with pytest.raises(JournalUnavailable, match="repeats sequence number `2`"):
         Journal(path, boot="b")
 

@@ -112,13 +112,15 @@ async def until(condition: Callable[[], object], what: str = "") -> None:
 
 
 @asynccontextmanager
-async def rig(folder: Path, script: Script | None = None, *, server_key: str | None = None) -> AsyncIterator[Rig]:
+async def rig(
+    folder: Path, script: Script | None = None, *, server_key: str | None = None, last_seq: int = 0
+) -> AsyncIterator[Rig]:
     script = script or Script()
     server: Server = await serve(script.converse, "127.0.0.1", 0)
     port = next(iter(server.sockets)).getsockname()[1]
     runner = Recorder(period_s=0.01)
     inbox: SimpleQueue[Order] = SimpleQueue()
-    outbox, lease, stop = Outbox(), Lease(), asyncio.Event()
+    outbox, lease, stop = Outbox(last_seq), Lease(), asyncio.Event()
     said: list[str] = []
     built: list[tuple[PolicySet, str, int]] = []
 
@@ -127,7 +129,7 @@ async def rig(folder: Path, script: Script | None = None, *, server_key: str | N
         return TickLoop(runner, inbox, outbox, lease, pace=1.0)
 
     link = Link(
-        Identity(cell="workcell-1", boot="boot_1", robot="recorder", token="secret"),
+        Identity(cell="workcell-1", boot="boot_1", journal="jrn_1", robot="recorder", token="secret"),
         lambda: f"http://127.0.0.1:{port}",
         KeyPin(path=folder / "kernel.pub", fixed=server_key),
         build,
@@ -157,6 +159,15 @@ async def test_says_hello_is_welcomed_and_builds_its_world_from_the_policy(tmp_p
         assert [(policies.digest, key) for policies, key, _ in cell.built] == [(DIGEST, KEY)]
         await until(lambda: cell.orders(Welcomed), "the welcome reaches the runner")
         assert cell.runner.holds == []
+
+
+@pytest.mark.anyio
+async def test_says_which_journal_it_numbers_in_and_how_far_before_its_world_is_built(tmp_path: Path) -> None:
+    async with rig(tmp_path, last_seq=41) as cell:
+        await until(lambda: cell.script.of(Hello))
+        hello = cell.script.of(Hello)[0]
+        assert isinstance(hello, Hello)
+        assert (hello.journal, hello.last_seq) == ("jrn_1", 41)
 
 
 @pytest.mark.anyio

@@ -88,6 +88,7 @@ class HandCell:
     runtime: Runtime
     id: str = CELL
     boot: str = "boot-1"
+    journal: str = "jrn-1"
     heard: list[Down] = field(default_factory=list)
     closed: tuple[int, str] | None = None
     attachment: Attachment | None = None
@@ -114,6 +115,7 @@ class HandCell:
             "profile": None,
             "invocation": self.invocation,
             "latched": self.latched,
+            "journal": self.journal,
             "last_seq": self.seq,
             **changes,
         }

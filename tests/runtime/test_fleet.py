@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from app.audit.errors import RecordUnavailable
+from app.audit.event import RowWrite
 from app.protocol import BEAT_MS, CHANNELS, ROW, Beat, Hello, encode, pack_batch
 from app.runtime import cells as cells_module
 from app.runtime import sessions as sessions_module
@@ -69,9 +70,9 @@ async def test_beats_well_within_the_lease(runtime: Runtime, cell: HandCell) -> 
         ('{"type": "beat"}', "begins with `hello`"),
         (b"RTM1", "begins with `hello`"),
         (encode(Hello(cell="other", boot="b", robot="r", policy_digest=None, profile=None, invocation=None,
-                      latched=False, last_seq=0)), "says it is `other`"),
+                      latched=False, journal="j", last_seq=0)), "says it is `other`"),
         (encode(Hello(version=99, cell=CELL, boot="b", robot="r", policy_digest=None, profile=None, invocation=None,
-                      latched=False, last_seq=0)), "version `99`"),
+                      latched=False, journal="j", last_seq=0)), "version `99`"),
     ],
 )  # fmt: skip
 async def test_a_bad_first_word_closes_the_link(runtime: Runtime, frame: str | bytes, why: str) -> None:
@@ -384,11 +385,52 @@ async def test_an_emptied_journal_counts_from_the_start(runtime: Runtime, cell: 
     for _ in range(3):
         await cell.report("cell", what="something")
     await cell.hang_up()
-    fresh = await HandCell(runtime, boot="boot-2").dial()
+    fresh = await HandCell(runtime, boot="boot-2", journal="jrn-2").dial()
     assert (await fresh.expect("welcome")).acknowledged == 0
     await fresh.report("cell", what="started")
     said = [event.payload().get("what") for event in await runtime.store.events(kind="cell")]
     assert said.count("started") == 1
+
+
+async def test_a_journal_whose_end_was_lost_is_told_how_far_the_log_has_come(runtime: Runtime, cell: HandCell) -> None:
+    reported = [await cell.report("cell", what=f"news {number}") for number in range(3)]
+    await cell.hang_up()
+    back = await HandCell(runtime, boot="boot-2", seq=1).dial()
+    assert (await back.expect("welcome")).acknowledged == 3
+    for event in reported:
+        await back.say(event)
+    await back.acknowledged(3)
+    said = [event.payload().get("what") for event in await runtime.store.events(kind="cell")]
+    assert [said.count(f"news {number}") for number in range(3)] == [1, 1, 1]
+
+
+async def test_a_former_journal_that_comes_back_is_not_taken_twice(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        old = [await cell.report("cell", what=f"old {number}") for number in range(3)]
+        await cell.hang_up()
+        other = await HandCell(first, journal="jrn-2").dial()
+        await other.report("cell", what="new")
+    async with house.open() as second:
+        back = await HandCell(second, seq=3).dial()
+        assert (await back.expect("welcome")).acknowledged == 3
+        for event in old:
+            await back.say(event)
+        await back.report("cell", what="and on")
+        said = [event.payload().get("what") for event in await second.store.events(kind="cell")]
+        assert [word for word in said if word] == ["old 0", "old 1", "old 2", "new", "and on"]
+
+
+async def test_a_count_from_before_journals_had_names_goes_on_in_the_first_named(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.report("cell", what="started")
+        values = {"cell": CELL, "up_seq": 1, "journal": "", "updated_at": first.register.now()}
+        await first.store.append([], [RowWrite(table="cell_progress", values=values)])
+    async with house.open() as second:
+        back = await HandCell(second, journal="jrn-named", seq=1).dial()
+        assert (await back.expect("welcome")).acknowledged == 1
+        await back.report("cell", what="and on")
 
 
 async def test_a_session_launched_on_a_link_is_not_held_against_its_first_word(
