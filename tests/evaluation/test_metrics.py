@@ -93,7 +93,7 @@ def test_recovery_is_counted_over_all_over_a_surface_and_with_rollbacks() -> Non
         failed(recovered=True, over_surface=False),
         failed(over_surface=True, rolled_back=True),
         failed(rolled_back=False),
-        failed(rollback_capable=False),
+        failed(rollback_capable=False, rolled_back=False),
         row(),
     ]
     assert mean(rows, "RSR") == pytest.approx(2 / 5)
