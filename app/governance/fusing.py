@@ -59,6 +59,7 @@ def parts(table: Mapping[Callable[..., object], tuple[str, ...]]) -> tuple[Part,
 
     Raises:
         ValueError: A function returns elsewhere than at its end, or rebinds a parameter that it does not give back.
+        OSError: The module's source is not there.
     """
     modules = {function.__module__ for function in table}
     sources = {
