@@ -14,7 +14,7 @@ import math
 from math import cos, hypot, inf, nan, sin, sqrt
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from app.governance.estimation import now, track_base, track_people
+from app.governance.estimation import now, tcp_velocity, track_base, track_people
 from app.governance.fusing import Part, parts
 from app.governance.keepout import leaves
 from app.governance.signals import FAR_M
@@ -368,16 +368,6 @@ def implausible(
 def within(values: Vec6, limit: float) -> bool:
     """Say whether every value is known to be within ±limit."""
     return all(-limit <= value <= limit for value in values)
-
-
-def tcp_velocity(jacobian: tuple[float, ...], speeds: Vec6) -> Pair:
-    """Return the hand's horizontal velocity relative to the base, in the base frame."""
-    a, b, c, d, e, f = speeds
-    j0, j1, j2, j3, j4, j5, k0, k1, k2, k3, k4, k5, *_ = jacobian
-    return (
-        j0 * a + j1 * b + j2 * c + j3 * d + j4 * e + j5 * f,
-        k0 * a + k1 * b + k2 * c + k3 * d + k4 * e + k5 * f,
-    )
 
 
 DETECTORS: Final[tuple[Part, ...]] = parts(

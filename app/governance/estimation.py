@@ -10,7 +10,7 @@ import math
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 if TYPE_CHECKING:
-    from app.governance.model import Fix, PersonTrack, Vec3
+    from app.governance.model import Fix, PersonTrack, Vec3, Vec6
 
 HISTORY: Final = 10
 HISTORY_STEP_S: Final = 0.05
@@ -177,6 +177,16 @@ def now(person: PersonEstimate, time_s: float) -> tuple[float, float]:
     if age_s > EXTRAPOLATE_S:
         age_s = EXTRAPOLATE_S
     return person.x_m + person.vx_mps * age_s, person.y_m + person.vy_mps * age_s
+
+
+def tcp_velocity(jacobian: tuple[float, ...], speeds: Vec6) -> tuple[float, float]:
+    """Return the hand's horizontal velocity relative to the base, in the base frame."""
+    a, b, c, d, e, f = speeds
+    j0, j1, j2, j3, j4, j5, k0, k1, k2, k3, k4, k5, *_ = jacobian
+    return (
+        j0 * a + j1 * b + j2 * c + j3 * d + j4 * e + j5 * f,
+        k0 * a + k1 * b + k2 * c + k3 * d + k4 * e + k5 * f,
+    )
 
 
 def cusum(total: float, value: float, reference: float, limit: float) -> float:
