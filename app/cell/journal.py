@@ -2,8 +2,9 @@
 
 One file, one line per record: `crc32 json`, appended with a single write. The file has a name of its own (`id`), drawn
 when it is made: sequence numbers rise by one and never repeat under that name, across restarts and compactions, and
-whoever counts them knows a file that was lost and made anew from one that goes on. A line that was torn by a crash can only be the last one; it is cut off on
-opening and the loss is said. Any other damaged line means that the file is not what the cell wrote, and it is refused.
+whoever counts them knows a file that was lost and made anew from one that goes on. A line that was torn by a crash can
+only be the last one; it is cut off on opening and the loss is said. Any other damaged line means that the file is not
+what the cell wrote, and it is refused.
 
 There are two kinds of records: *entries*, which go up to the server, and *marks*, small facts a cell needs about itself
 after a restart (permits it has used, the latch, the session that was open). Every entry may carry marks with it, so

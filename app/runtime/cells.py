@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import orjson
 from pydantic import TypeAdapter, ValidationError
@@ -71,6 +71,18 @@ class Cell:
             and self.state is not None
             and monotonic_s() - self.state_at_s <= FRESH_S
         )
+
+    def recall(self, name: str, value: object) -> None:
+        """Take back one of the settings that were kept for this cell."""
+        match name, value:
+            case "profile", str(profile):
+                self.profile = profile
+            case "estop", bool(latched):
+                self.latched = latched
+            case "journals", dict():
+                self.taken = {**cast("dict[str, int]", value), **self.taken}
+            case _:
+                pass
 
     def away_s(self) -> float | None:
         """Return for how long the cell has been away; None where nobody knows."""

@@ -430,18 +430,8 @@ class Fleet:
             )
         for row in await self._register.store.rows("settings"):
             name, _, cell_id = row["name"].partition("/")
-            cell = self._cells.get(cell_id)
-            if cell is None:
-                continue
-            match name, orjson.loads(row["value"]):
-                case "profile", str(profile):
-                    cell.profile = profile
-                case "estop", bool(latched):
-                    cell.latched = latched
-                case "journals", dict(former):
-                    cell.taken = {**former, **cell.taken}
-                case _:
-                    pass
+            if (cell := self._cells.get(cell_id)) is not None:
+                cell.recall(name, orjson.loads(row["value"]))
         for invocation in self._register.live():
             if invocation.status in SESSION and invocation.cell in self._cells:
                 self._cells[invocation.cell].claim = invocation.id
