@@ -7,53 +7,37 @@ the metrics.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from app.evaluation import plots, published
-from app.evaluation.extensions import all_methods
 from app.evaluation.methods import ABLATIONS
 from app.evaluation.metrics import METRICS, Metric
 from app.evaluation.model import TUNING_SEEDS
+from app.evaluation.report_tables import (
+    Grid,
+    Results,
+    class_grid,
+    entry_text,
+    has_mean,
+    heading_of,
+    mapping,
+    mean_of,
+    metrics_grid,
+    paper_grid,
+    plain_text,
+    test_grids,
+    title_of,
+)
 
 if TYPE_CHECKING:
     from app.evaluation.plots import Plot
-    from app.evaluation.published import PublishedTable
 
-DASH: Final = "–"
-MINUS: Final = "−"
 _TEMPLATE: Final = "report.html.j2"
-_BETTER: Final = {"higher": "↑", "lower": "↓"}
 _TASK_METRICS: Final = ("UAIR", "FRR", "RVDR", "UCR", "RSR", "RPC")
-
-_TESTS: Final = {"t": "t", "t_p": "p", "wilcoxon_p": "Wilcoxon p"}
-
-Results = Mapping[str, Any]
-
-
-class Grid(NamedTuple):
-    """A table as it is printed.
-
-    Attributes:
-        id: Anchor.
-        caption: What it shows.
-        stub: Heading of the row names.
-        groups: Upper headings and how many columns each spans; empty for one row of headings.
-        headings: One for each column.
-        rows: Row name and one text for each column.
-        remark: Printed under it.
-    """
-
-    id: str
-    caption: str
-    stub: str
-    groups: tuple[tuple[str, int], ...]
-    headings: tuple[str, ...]
-    rows: tuple[tuple[str, tuple[str, ...]], ...]
-    remark: str = ""
 
 
 class Section(NamedTuple):
@@ -111,81 +95,6 @@ def sections(results: Results) -> list[Section]:
     ]
 
 
-def paper_grid(table: PublishedTable, results: Results) -> Grid:
-    """Put our numbers beside a published table's: ours, the paper's, the difference."""
-    rows = [
-        (name, tuple(text for cell in _cells(table, results, key, figures) for text in cell))
-        for key, (name, figures) in table.rows.items()
-    ]
-    return Grid(
-        id=table.label.replace(":", "-"),
-        caption=f"{table.title} ({table.label})",
-        stub=table.stub,
-        groups=tuple((f"{column.heading} {column.better}".strip(), 3) for column in table.columns),
-        headings=("ours", "paper", "diff.") * len(table.columns),
-        rows=tuple(rows),
-        remark=table.remark,
-    )
-
-
-def figure_at(results: Results, *places: Sequence[str]) -> published.Figure | None:
-    """Return the figure at the first place that holds one, None if none does; a bare number has no std."""
-    for place in places:
-        found: object = results
-        for key in place:
-            found = _mapping(found).get(key)
-        if (mean := _mean(found)) is not None:
-            return published.Figure(mean, _mapping(found).get("std"))
-    return None
-
-
-def _mapping(value: object) -> Mapping[str, Any]:
-    """Return a mapping as it is, a sweep's points by their sensitivity, and nothing for anything else."""
-    if isinstance(value, list):
-        return {f"{point['s']:.1f}": point for point in cast("list[dict[str, Any]]", value)}
-    return cast("Mapping[str, Any]", value) if isinstance(value, Mapping) else {}
-
-
-def _cells(
-    table: PublishedTable, results: Results, row: str, figures: Iterable[published.Figure | None]
-) -> Iterator[tuple[str, str, str]]:
-    for column, figure in zip(table.columns, figures, strict=True):
-        ours = _ours(table, results, row, column.key)
-        difference = DASH if ours is None or figure is None else _signed(ours.mean - figure.mean, column.decimals)
-        yield _figure(ours, column.decimals), _figure(figure, column.decimals), difference
-
-
-def _ours(table: PublishedTable, results: Results, row: str, column: str) -> published.Figure | None:
-    """Return our figure for a cell; counts are brought to as many trials as the paper counts."""
-    ours = figure_at(results, *published.places_of(table, row, column))
-    if ours is None or table is not published.CONFUSION:
-        return ours
-    cells = [(row, column.key) for row in table.rows for column in table.columns]
-    counts = [figure_at(results, *published.places_of(table, *cell)) for cell in cells]
-    return published.Figure(published.CONFUSION_TRIALS * ours.mean / sum(count.mean for count in counts if count))
-
-
-def _figure(figure: published.Figure | None, decimals: int, gap: str = "\n") -> str:
-    """Write a figure; what follows a line break stands small under the number."""
-    if figure is None:
-        return DASH
-    return _number(figure.mean, decimals) + ("" if figure.std is None else f"{gap}±{_number(figure.std, decimals)}")
-
-
-def _number(value: float, decimals: int = 3) -> str:
-    return f"{value:.{decimals}f}".replace("-", MINUS)
-
-
-def _signed(value: float, decimals: int) -> str:
-    text = f"{value:+.{decimals}f}"
-    return "0" if float(text) == 0 else text.replace("-", MINUS)
-
-
-def _title(method: str) -> str:
-    known = all_methods()
-    return known[method].title if method in known else method
-
-
 def _facts(results: Results) -> list[tuple[str, str]]:
     configuration = results.get("configuration", {})
     facts = [
@@ -202,7 +111,7 @@ def _facts(results: Results) -> list[tuple[str, str]]:
 
 def _overview(results: Results) -> Section:
     grids = [
-        _metrics_grid(key, caption, results.get(key, {}))
+        metrics_grid(key, caption, results.get(key, {}))
         for key, caption in (("methods", "Every method"), ("ablations", "Reins with one part left out"))
         if results.get(key)
     ]
@@ -216,34 +125,6 @@ def _overview(results: Results) -> Section:
     )
 
 
-def _metrics_grid(key: str, caption: str, methods: Mapping[str, Mapping[str, Any]]) -> Grid:
-    measured = [name for name in METRICS if any(_has(metrics, name) for metrics in methods.values())]
-    rows = tuple(
-        (_heading(name), tuple(_entry(metrics.get(name), METRICS[name].unit) for metrics in methods.values()))
-        for name in measured
-    )
-    return Grid(f"{key}-table", caption, "Metric", (), tuple(map(_title, methods)), rows)
-
-
-def _heading(name: str) -> str:
-    metric = METRICS[name]
-    unit = "" if metric.unit == "1" else f", {metric.unit}"
-    return f"{name.replace('_', ' ')}{unit} {_BETTER[metric.better]}"
-
-
-def _has(metrics: Mapping[str, Any], name: str) -> bool:
-    return metrics.get(name, {}).get("mean") is not None
-
-
-def _entry(entry: Mapping[str, Any] | None, unit: str) -> str:
-    if entry is None or entry.get("mean") is None:
-        return DASH
-    decimals = 3 if unit == "1" else 2
-    text = _figure(published.Figure(entry["mean"], entry.get("std")), decimals, " ")
-    low, high = entry.get("low"), entry.get("high")
-    return text if low is None or high is None else f"{text}\n{_number(low)}{DASH}{_number(high)}"
-
-
 def _paper_tables(results: Results) -> Section:
     return Section(
         "paper",
@@ -251,30 +132,8 @@ def _paper_tables(results: Results) -> Section:
         "Each with our number, the paper's, and the difference (ours less the paper's). ± is the standard deviation "
         "over seeds. A dash: not measured in this campaign, or not printed in the paper.",
         "",
-        grids=(*(paper_grid(table, results) for table in published.TABLES), *_tests(results)),
+        grids=(*(paper_grid(table, results) for table in published.TABLES), *test_grids(results)),
     )
-
-
-def _tests(results: Results) -> Iterator[Grid]:
-    """Show the tests of significance that the paper reports in its text."""
-    baselines: Mapping[str, Mapping[str, Any]] = results.get("effect_sizes", {})
-    metrics = tuple(dict.fromkeys(metric for found in baselines.values() for metric in found))
-    rows = tuple(
-        (_title(name), tuple(_plain(found.get(metric, {}).get(key)) for metric in metrics for key in _TESTS))
-        for name, found in baselines.items()
-    )
-    paper = ", ".join(f"t {_number(t, 2)} ({metric})" for metric, t in published.T_TESTS.items())
-    if rows:
-        yield Grid(
-            "tests",
-            "Significance of Reins's difference to each baseline",
-            "Baseline",
-            tuple((metric, len(_TESTS)) for metric in metrics),
-            tuple(_TESTS.values()) * len(metrics),
-            rows,
-            f"Paired over seeds; positive means that Reins is better. The paper against RoboGuard-style: {paper}, "
-            f"each p < 0.001; Wilcoxon p {published.WILCOXON_P} for every baseline, the least that five seeds give.",
-        )
 
 
 def _plots(results: Results) -> Section:
@@ -291,9 +150,9 @@ def _drawn(results: Results) -> Iterator[Plot]:
     if bars := _bars(results.get("per_type", {}).get("reins", {})):
         yield plots.per_type(bars)
     ours = [
-        plots.Point(p["s"], rvdr, ucr, _mean(p.get("RSR")), _mean(p.get("FAR")))
+        plots.Point(p["s"], rvdr, ucr, mean_of(p.get("RSR")), mean_of(p.get("FAR")))
         for p in results.get("sensitivity", ())
-        if (rvdr := _mean(p.get("RVDR"))) is not None and (ucr := _mean(p.get("UCR"))) is not None
+        if (rvdr := mean_of(p.get("RVDR"))) is not None and (ucr := mean_of(p.get("UCR"))) is not None
     ]
     if ours:
         yield plots.frontier(ours, _published_points())
@@ -303,7 +162,7 @@ def _drawn(results: Results) -> Iterator[Plot]:
     spreads = results.get("distributions", {})
     for key, unit, caption, names in (
         ("latency_ticks", "control ticks", "Detection latency by type of violation.", _violation_name),
-        ("recovery_s", "s", "Recovery time by method.", _title),
+        ("recovery_s", "s", "Recovery time by method.", title_of),
     ):
         groups = {names(name): values for name, values in spreads.get(key, {}).items() if values}
         if groups:
@@ -327,12 +186,6 @@ def _published_points() -> list[plots.Point]:
     return points
 
 
-def _mean(value: object) -> float | None:
-    """Return the mean of an entry, or the number that stands there by itself."""
-    mean: object = _mapping(value).get("mean", value)
-    return float(mean) if isinstance(mean, (int, float)) else None
-
-
 def _violation_name(key: str) -> str:
     return published.PER_TYPE.rows[key][0] if key in published.PER_TYPE.rows else key
 
@@ -340,12 +193,12 @@ def _violation_name(key: str) -> str:
 def _by_task(results: Results) -> Section:
     found: Mapping[str, Mapping[str, Any]] = results.get("per_task", {})
     tasks = {task: methods["reins"] for task, methods in found.items() if "reins" in methods}
-    measured = [name for name in _TASK_METRICS if any(_has(metrics, name) for metrics in tasks.values())]
+    measured = [name for name in _TASK_METRICS if any(has_mean(metrics, name) for metrics in tasks.values())]
     rows = tuple(
-        (task.replace("_", " "), tuple(_entry(metrics.get(name), METRICS[name].unit) for name in measured))
+        (task.replace("_", " "), tuple(entry_text(metrics.get(name), METRICS[name].unit) for name in measured))
         for task, metrics in tasks.items()
     )
-    headings = tuple(map(_heading, measured))
+    headings = tuple(map(heading_of, measured))
     grid = Grid("task-table", "Reins by task type: mean ± std over seeds", "Task", (), headings, rows)
     return Section(
         "tasks",
@@ -359,7 +212,7 @@ def _by_task(results: Results) -> Section:
 def _classes(results: Results) -> Section:
     kinds: Mapping[str, Mapping[str, Mapping[str, float]]] = results.get("classes", {})
     grids = tuple(
-        _class_grid(kind, of, {name: kinds[name].get(kind, {}) for name in names})
+        class_grid(kind, of, {name: kinds[name].get(kind, {}) for name in names})
         for kind in dict.fromkeys(kind for of_method in kinds.values() for kind in of_method)
         for of, names in (
             ("", [name for name in kinds if name not in ABLATIONS]),
@@ -373,27 +226,16 @@ def _classes(results: Results) -> Section:
         "Each trial falls into exactly one class, so that nothing stays unexplained.",
         "This campaign has not sorted its trials into classes.",
         grids=grids,
-    )
-
-
-def _class_grid(kind: str, of: str, shares: Mapping[str, Mapping[str, float]]) -> Grid:
-    """Show the classes of one kind of trial; the shares of a method add up to 1."""
-    names = list(dict.fromkeys(name for classes in shares.values() for name in classes))
-    rows = [
-        (name.replace("_", " "), tuple(_number(classes.get(name, 0.0)) for classes in shares.values()))
-        for name in names
-    ]
-    rows.append(("all classes", tuple(_number(sum(classes.values())) for classes in shares.values())))
-    caption = f"{kind.capitalize()} trials{of}: share of each class"
-    return Grid(
-        f"classes-{kind}{'-ablations' if of else ''}", caption, "Class", (), tuple(map(_title, shares)), tuple(rows)
+        items=tuple(
+            (name.replace("_", " "), "", meaning) for name, meaning in results.get("class_meanings", {}).items()
+        ),
     )
 
 
 def _cross_profile(results: Results) -> Section:
     found: Mapping[str, Mapping[str, Any]] = results.get("cross_profile", {})
     profiles = tuple(dict.fromkeys(profile for row in found.values() for profile in row))
-    rows = tuple((name, tuple(_plain(row.get(profile)) for profile in profiles)) for name, row in found.items())
+    rows = tuple((name, tuple(plain_text(row.get(profile)) for profile in profiles)) for name, row in found.items())
     grid = Grid("matrix", "The same proposals in four environment profiles", "Proposal", (), profiles, rows)
     return Section(
         "cross-profile",
@@ -407,7 +249,7 @@ def _cross_profile(results: Results) -> Section:
 def _scorecard(results: Results) -> Section:
     found: Mapping[str, Any] = results.get("scorecard", {})
     items = tuple(
-        (name.replace("_", " "), _plain(_mapping(score).get("value", score)), str(_mapping(score).get("how", "")))
+        (name.replace("_", " "), plain_text(mapping(score).get("value", score)), str(mapping(score).get("how", "")))
         for name, score in found.items()
     )
     return Section(
@@ -417,20 +259,6 @@ def _scorecard(results: Results) -> Section:
         "This campaign has no scorecard.",
         items=items,
     )
-
-
-def _plain(value: object) -> str:
-    match value:
-        case None:
-            return DASH
-        case bool():
-            return "yes" if value else "no"
-        case float():
-            return f"{value:.0e}".replace("-", MINUS) if 0.0 < abs(value) < 0.001 else _number(value)
-        case Mapping():
-            return "; ".join(f"{key} {_plain(part)}" for key, part in _mapping(cast("object", value)).items())
-        case _:
-            return str(value)
 
 
 def _unpublished(results: Results) -> Section:

@@ -11,7 +11,8 @@ import pytest
 
 from app.evaluation import published
 from app.evaluation.metrics import METRICS
-from app.evaluation.report import figure_at, paper_grid, render, sections, write_report
+from app.evaluation.report import render, sections, write_report
+from app.evaluation.report_tables import figure_at, paper_grid
 from tests.evaluation.synthetic import results
 
 VOID = {"meta", "link", "br", "hr", "img", "input"}

@@ -1,0 +1,210 @@
+"""The report's tables: ours beside the paper's, metrics, tests and classes, as text in cells."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
+
+from app.evaluation import published
+from app.evaluation.extensions import all_methods
+from app.evaluation.metrics import METRICS
+
+if TYPE_CHECKING:
+    from app.evaluation.published import PublishedTable
+
+DASH: Final = "–"
+MINUS: Final = "−"
+BETTER: Final = {"higher": "↑", "lower": "↓"}
+_TESTS: Final = {"t": "t", "t_p": "p", "wilcoxon_p": "Wilcoxon p"}
+
+Results = Mapping[str, Any]
+
+
+class Grid(NamedTuple):
+    """A table as it is printed.
+
+    Attributes:
+        id: Anchor.
+        caption: What it shows.
+        stub: Heading of the row names.
+        groups: Upper headings and how many columns each spans; empty for one row of headings.
+        headings: One for each column.
+        rows: Row name and one text for each column.
+        remark: Printed under it.
+    """
+
+    id: str
+    caption: str
+    stub: str
+    groups: tuple[tuple[str, int], ...]
+    headings: tuple[str, ...]
+    rows: tuple[tuple[str, tuple[str, ...]], ...]
+    remark: str = ""
+
+
+def paper_grid(table: PublishedTable, results: Results) -> Grid:
+    """Put our numbers beside a published table's: ours, the paper's, the difference."""
+    rows = [
+        (name, tuple(text for cell in _cells(table, results, key, figures) for text in cell))
+        for key, (name, figures) in table.rows.items()
+    ]
+    return Grid(
+        id=table.label.replace(":", "-"),
+        caption=f"{table.title} ({table.label})",
+        stub=table.stub,
+        groups=tuple((f"{column.heading} {column.better}".strip(), 3) for column in table.columns),
+        headings=("ours", "paper", "diff.") * len(table.columns),
+        rows=tuple(rows),
+        remark=table.remark,
+    )
+
+
+def test_grids(results: Results) -> Iterator[Grid]:
+    """Show the tests of significance that the paper reports in its text."""
+    baselines: Mapping[str, Mapping[str, Any]] = results.get("effect_sizes", {})
+    metrics = tuple(dict.fromkeys(metric for found in baselines.values() for metric in found))
+    rows = tuple(
+        (title_of(name), tuple(plain_text(found.get(metric, {}).get(key)) for metric in metrics for key in _TESTS))
+        for name, found in baselines.items()
+    )
+    paper = ", ".join(f"t {number_text(t, 2)} ({metric})" for metric, t in published.T_TESTS.items())
+    if rows:
+        yield Grid(
+            "tests",
+            "Significance of Reins's difference to each baseline",
+            "Baseline",
+            tuple((metric, len(_TESTS)) for metric in metrics),
+            tuple(_TESTS.values()) * len(metrics),
+            rows,
+            f"Paired over seeds; positive means that Reins is better. The paper against RoboGuard-style: {paper}, "
+            f"each p < 0.001; Wilcoxon p {published.WILCOXON_P} for every baseline, the least that five seeds give.",
+        )
+
+
+def metrics_grid(key: str, caption: str, methods: Mapping[str, Mapping[str, Any]]) -> Grid:
+    """Show every metric that any of these methods has; a row for each metric, a column for each method."""
+    measured = [name for name in METRICS if any(has_mean(metrics, name) for metrics in methods.values())]
+    rows = tuple(
+        (heading_of(name), tuple(entry_text(metrics.get(name), METRICS[name].unit) for metrics in methods.values()))
+        for name in measured
+    )
+    return Grid(f"{key}-table", caption, "Metric", (), tuple(map(title_of, methods)), rows)
+
+
+def class_grid(kind: str, of: str, shares: Mapping[str, Mapping[str, float]]) -> Grid:
+    """Show the classes of one kind of trial; the shares of a method add up to 1."""
+    names = list(dict.fromkeys(name for classes in shares.values() for name in classes))
+    rows = [
+        (name.replace("_", " "), tuple(number_text(classes.get(name, 0.0)) for classes in shares.values()))
+        for name in names
+    ]
+    rows.append(("all classes", tuple(number_text(sum(classes.values())) for classes in shares.values())))
+    caption = f"{kind.capitalize()} trials{of}: share of each class"
+    return Grid(
+        f"classes-{kind}{'-ablations' if of else ''}", caption, "Class", (), tuple(map(title_of, shares)), tuple(rows)
+    )
+
+
+def figure_at(results: Results, *places: Sequence[str]) -> published.Figure | None:
+    """Return the figure at the first place that holds one, None if none does; a bare number has no std."""
+    for place in places:
+        found: object = results
+        for key in place:
+            found = mapping(found).get(key)
+        if (mean := mean_of(found)) is not None:
+            return published.Figure(mean, mapping(found).get("std"))
+    return None
+
+
+def mapping(value: object) -> Mapping[str, Any]:
+    """Return a mapping as it is, a sweep's points by their sensitivity, and nothing for anything else."""
+    if isinstance(value, list):
+        return {f"{point['s']:.1f}": point for point in cast("list[dict[str, Any]]", value)}
+    return cast("Mapping[str, Any]", value) if isinstance(value, Mapping) else {}
+
+
+def mean_of(value: object) -> float | None:
+    """Return the mean of an entry, or the number that stands there by itself."""
+    mean: object = mapping(value).get("mean", value)
+    return float(mean) if isinstance(mean, (int, float)) else None
+
+
+def title_of(method: str) -> str:
+    """Return what tables call a method; its name where nobody has registered it."""
+    known = all_methods()
+    return known[method].title if method in known else method
+
+
+def heading_of(name: str) -> str:
+    """Return what tables call a metric: its name, its unit, and which way is better."""
+    metric = METRICS[name]
+    unit = "" if metric.unit == "1" else f", {metric.unit}"
+    return f"{name.replace('_', ' ')}{unit} {BETTER[metric.better]}"
+
+
+def has_mean(metrics: Mapping[str, Any], name: str) -> bool:
+    """Say whether a metric was measured."""
+    return metrics.get(name, {}).get("mean") is not None
+
+
+def entry_text(entry: Mapping[str, Any] | None, unit: str) -> str:
+    """Write mean and std of an entry, and small below them its interval."""
+    if entry is None or entry.get("mean") is None:
+        return DASH
+    decimals = 3 if unit == "1" else 2
+    text = figure_text(published.Figure(entry["mean"], entry.get("std")), decimals, " ")
+    low, high = entry.get("low"), entry.get("high")
+    return text if low is None or high is None else f"{text}\n{number_text(low)}{DASH}{number_text(high)}"
+
+
+def figure_text(figure: published.Figure | None, decimals: int, gap: str = "\n") -> str:
+    """Write a figure; what follows a line break stands small under the number."""
+    if figure is None:
+        return DASH
+    return number_text(figure.mean, decimals) + (
+        "" if figure.std is None else f"{gap}±{number_text(figure.std, decimals)}"
+    )
+
+
+def number_text(value: float, decimals: int = 3) -> str:
+    """Write a number, with a real minus sign."""
+    return f"{value:.{decimals}f}".replace("-", MINUS)
+
+
+def plain_text(value: object) -> str:
+    """Write whatever stands in results."""
+    match value:
+        case None:
+            return DASH
+        case bool():
+            return "yes" if value else "no"
+        case float():
+            return f"{value:.0e}".replace("-", MINUS) if 0.0 < abs(value) < 0.001 else number_text(value)
+        case Mapping():
+            return "; ".join(f"{key} {plain_text(part)}" for key, part in mapping(cast("object", value)).items())
+        case _:
+            return str(value)
+
+
+def _cells(
+    table: PublishedTable, results: Results, row: str, figures: Iterable[published.Figure | None]
+) -> Iterator[tuple[str, str, str]]:
+    for column, figure in zip(table.columns, figures, strict=True):
+        ours = _ours(table, results, row, column.key)
+        difference = DASH if ours is None or figure is None else _signed(ours.mean - figure.mean, column.decimals)
+        yield figure_text(ours, column.decimals), figure_text(figure, column.decimals), difference
+
+
+def _ours(table: PublishedTable, results: Results, row: str, column: str) -> published.Figure | None:
+    """Return our figure for a cell; counts are brought to as many trials as the paper counts."""
+    ours = figure_at(results, *published.places_of(table, row, column))
+    if ours is None or table is not published.CONFUSION:
+        return ours
+    cells = [(row, column.key) for row in table.rows for column in table.columns]
+    counts = [figure_at(results, *published.places_of(table, *cell)) for cell in cells]
+    return published.Figure(published.CONFUSION_TRIALS * ours.mean / sum(count.mean for count in counts if count))
+
+
+def _signed(value: float, decimals: int) -> str:
+    text = f"{value:+.{decimals}f}"
+    return "0" if float(text) == 0 else text.replace("-", MINUS)
