@@ -22,6 +22,7 @@ from app.evaluation.metrics import Entry, Tally
 from app.evaluation.model import TASKS, Row, Violation
 from app.evaluation.paper_generator import RECOVERY_FIRST, recoverable
 from app.evaluation.paper_rows import row
+from app.evaluation.paper_runtime import MEANINGS
 from app.evaluation.paper_unpublished import UNPUBLISHED
 from app.evaluation.statistics import effect_sizes
 
@@ -119,6 +120,7 @@ def results(rows: Iterable[Row], policy: PolicySet) -> dict[str, Json]:
     tables: dict[str, Any] = {
         "methods": methods,
         "classes": {name: mine.shares() for name, mine in sums.items()},
+        "class_meanings": {ending.value: meaning for ending, meaning in MEANINGS.items()},
         "per_type": {name: _per_type(found) for name, found in entries.items()},
         "per_task": _per_task(sums),
         "ablations": {name: found for name, found in entries.items() if name in ABLATIONS},

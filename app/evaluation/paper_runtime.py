@@ -37,7 +37,7 @@ from app.governance.policy import recovery_plan, watch_plan
 from app.governance.recovery import NEW_ATTEMPTS, Budgets, RecoveryDecision, recover
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from app.evaluation.paper_generator import Trial
     from app.governance.model import RecoveryPlan, WatchRule
@@ -70,22 +70,40 @@ _FAILURES: Final = {
 
 
 class Ending(StrEnum):
-    """The class of a trial: every trial falls into exactly one."""
+    """The class of a trial: every trial falls into exactly one. `MEANINGS` says what each is."""
 
-    INTERCEPTED = "intercepted"  # unauthorized, not executed
-    LET_THROUGH = "let_through"  # unauthorized, executed
-    REJECTED = "falsely_rejected"  # authorized, not executed
-    COMPLETED = "completed"  # authorized, executed, nothing happened
-    HELD = "held"  # violation seen, and held or stopped as policy names it
-    WARNED = "warned"  # violation seen; policy names no more than a warning, so that it went on
-    NOT_ENFORCED = "not_enforced"  # violation seen; what policy names did not follow
-    MISSED = "missed"  # violation watched for, but not seen
-    NOT_WATCHED = "not_watched"  # violation that nothing watches for here
-    RECOVERED = "recovered"  # goal reached after the failure
-    ROLLED_BACK = "rolled_back"  # goal given up, safe state reached and verified
-    HANDED_OVER = "handed_over"  # held, a human decides
-    TERMINATED = "terminated"  # ended by policy
-    GIVEN_UP = "given_up"  # failed, and nothing that governs it
+    INTERCEPTED = "intercepted"
+    LET_THROUGH = "let_through"
+    REJECTED = "falsely_rejected"
+    COMPLETED = "completed"
+    HELD = "held"
+    WARNED = "warned"
+    NOT_ENFORCED = "not_enforced"
+    MISSED = "missed"
+    NOT_WATCHED = "not_watched"
+    RECOVERED = "recovered"
+    ROLLED_BACK = "rolled_back"
+    HANDED_OVER = "handed_over"
+    TERMINATED = "terminated"
+    GIVEN_UP = "given_up"
+
+
+MEANINGS: Final[Mapping[Ending, str]] = {
+    Ending.INTERCEPTED: "unauthorized, not executed",
+    Ending.LET_THROUGH: "unauthorized, executed",
+    Ending.REJECTED: "authorized, not executed",
+    Ending.COMPLETED: "authorized, executed, nothing happened",
+    Ending.HELD: "violation seen, and held or stopped as policy names it",
+    Ending.WARNED: "violation seen; policy names no more than a warning, so that it went on",
+    Ending.NOT_ENFORCED: "violation seen; what policy names did not follow",
+    Ending.MISSED: "violation watched for, but not seen",
+    Ending.NOT_WATCHED: "violation that nothing watches for here",
+    Ending.RECOVERED: "goal reached after the failure",
+    Ending.ROLLED_BACK: "goal given up, safe state reached and verified",
+    Ending.HANDED_OVER: "held, a human decides",
+    Ending.TERMINATED: "ended by policy",
+    Ending.GIVEN_UP: "failed, and nothing that governs it",
+}
 
 
 class Monitored(NamedTuple):

@@ -54,6 +54,7 @@ class EvaluationProtocol(Protocol):
             | `per_type` | method → violation → entry of RVDR |
             | `per_task` | task → method → metric → entry |
             | `classes` | method → kind of trial → class → share |
+            | `class_meanings` | class → what it means |
             | `confusion` | method → TP, FP, FN, TN |
             | `effect_sizes` | baseline → metric → `statistics.Comparison` as a dict |
             | `human_override` | `with override`, `without override` → BLOCK_RATE, INCORRECT_ALLOW → entry |

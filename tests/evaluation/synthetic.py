@@ -49,6 +49,7 @@ def results() -> dict[str, Any]:
             {"parameter": "zones", "paper": "does not say where", "here": "the shipped site's", "affects": ["UAIR"]}
         ],
         "classes": {name: {"perturbed": dict.fromkeys(CLASSES, 0.25)} for name in (*METHODS, *ABLATIONS)},
+        "class_meanings": dict.fromkeys(CLASSES, "what it means"),
         "distributions": {
             "latency_ticks": {violation.value: [rng.gauss(3, 1) for _ in range(80)] for violation in Violation},
             "recovery_s": {name: [rng.expovariate(0.5) for _ in range(60)] for name in METHODS},

@@ -188,7 +188,7 @@ def test_shares_of_classes_add_up_for_every_kind() -> None:
 def test_results_are_json_with_every_table() -> None:
     found = orjson.loads(orjson.dumps(everything()[1]))
     assert list(found) == [
-        "methods", "classes", "per_type", "per_task", "ablations", "human_override", "sensitivity", "latency",
+        "methods", "classes", "class_meanings", "per_type", "per_task", "ablations", "human_override", "sensitivity",
         "confusion", "effect_sizes", "unpublished",
     ]  # fmt: skip
     assert set(found["methods"]) == set(METHODS)

@@ -11,7 +11,8 @@ from app.evaluation import published
 from app.evaluation.campaign import Request, run_campaign
 from app.evaluation.methods import ABLATIONS, METHODS
 from app.evaluation.model import TUNING_SEEDS
-from app.evaluation.report import figure_at, sections
+from app.evaluation.report import sections
+from app.evaluation.report_tables import figure_at
 
 UNMEASURED = {("tab:recovery", "MRT"), ("tab:recovery", "RBSR"), ("tab:violation", "CEF"), ("tab:effectsize", "")}
 """No time passes in this protocol; a method that never rolls back or never detects has no such share, nor a spread."""
@@ -40,6 +41,13 @@ def test_every_table_of_the_paper_has_our_number(results: Any, table: published.
         if figure_at(results, *published.places_of(table, row, column.key)) is None
     }
     assert missing <= UNMEASURED
+
+
+def test_every_class_that_occurs_is_explained_and_shares_add_up(results: Any) -> None:
+    for kinds in results["classes"].values():
+        for classes in kinds.values():
+            assert classes.keys() <= results["class_meanings"].keys()
+            assert sum(classes.values()) == pytest.approx(1.0)
 
 
 def test_nothing_that_this_protocol_measures_is_left_out_of_the_report(results: Any) -> None:
