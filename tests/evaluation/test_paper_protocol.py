@@ -189,7 +189,7 @@ def test_results_are_json_with_every_table() -> None:
     found = orjson.loads(orjson.dumps(everything()[1]))
     assert list(found) == [
         "methods", "classes", "class_meanings", "per_type", "per_task", "ablations", "human_override", "sensitivity",
-        "confusion", "effect_sizes", "unpublished",
+        "latency", "confusion", "effect_sizes", "unpublished",
     ]  # fmt: skip
     assert set(found["methods"]) == set(METHODS)
     assert set(found["methods"]["reins"]) == set(METRICS)
