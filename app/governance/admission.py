@@ -121,6 +121,11 @@ def _explain(policy: PolicySet, gate: Gate, proposal: Proposal, context: Context
     return Admission(outcome=AdmissionOutcome.ESCALATE, reasons=asked) if asked else ACCEPT
 
 
+def supervised(gate: Gate, context: Context) -> bool:
+    """Say whether the agent lacks a permission; of what admission does not reject, it holds that under supervision."""
+    return not gate.permissions <= context.agent.permissions
+
+
 def _missing(gate: Gate, context: Context) -> frozenset[str]:
     return gate.permissions - context.agent.permissions
 

@@ -34,9 +34,9 @@ def need(
         context: Γ_t.
     """
     gate = policy.gates.get((proposal.capability, context.profile))
-    if gate is None or gate.profile.approval is None or not gate.profile.asks or gate.capability.recovery:
+    approval = None if gate is None or not answers(gate) else gate.profile.approval
+    if gate is None or approval is None:
         return None
-    approval = gate.profile.approval
     reasons = (*_escalated(admission, verdict), *_required(gate, approval))
     if not reasons:
         return None
@@ -46,6 +46,11 @@ def need(
         on_timeout=approval.on_timeout,
         reasons=reasons,
     )
+
+
+def answers(gate: Gate) -> bool:
+    """Say whether anybody can be asked before this capability is launched in this profile; never about a recovery."""
+    return gate.profile.approval is not None and gate.profile.asks and not gate.capability.recovery
 
 
 def _escalated(admission: Admission, verdict: Verdict) -> tuple[Reason, ...]:

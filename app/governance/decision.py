@@ -8,19 +8,22 @@ reject > deny > defer > escalate > modify > allow
 |---|---|---|---|
 | reject | not evaluated | – | rejected |
 | any other | deny | – | denied |
+| any other | escalate, or admission escalates or would | nobody to ask | denied (`no_authority`) |
 | defer | any other | – | deferred |
-| accept, escalate | escalate, or admission escalates | nobody to ask | denied (`no_authority`) |
 | accept, escalate | any other | yes | awaiting_approval |
 | accept | allow, modify | no | allowed |
+
+What nobody can be asked about is denied, and its verdict still says what policy said: `escalate`. A defer hides neither
+kind of denial: it asks to propose again, and that has to have a chance.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
-from app.governance.admission import admit
-from app.governance.authority import need
+from app.governance.admission import admit, supervised
+from app.governance.authority import answers, need
 from app.governance.guard import check
 from app.governance.model import AdmissionOutcome, PolicyOutcome, Reason, Status, Verdict
 
@@ -55,19 +58,20 @@ def decide(policy: PolicySet | None, proposal: Proposal, context: Context) -> De
     verdict = check(policy, proposal, context)
     if verdict.outcome is PolicyOutcome.DENY:
         return Decision(status=Status.DENIED, admission=admission, verdict=verdict, need=None)
+    gate = policy.gates[proposal.capability, context.profile]  # without one, the verdict denies
+    if (verdict.outcome is PolicyOutcome.ESCALATE or supervised(gate, context)) and not answers(gate):
+        refusal = _unanswerable(verdict, context)
+        return Decision(status=Status.DENIED, admission=admission, verdict=refusal, need=None)
     if admission.outcome is AdmissionOutcome.DEFER:
         return Decision(status=Status.DEFERRED, admission=admission, verdict=verdict, need=None)
     wanted = need(policy, proposal, admission, verdict, context)
     if wanted is not None:
         return Decision(status=Status.AWAITING_APPROVAL, admission=admission, verdict=verdict, need=wanted)
-    if admission.outcome is AdmissionOutcome.ESCALATE or verdict.outcome is PolicyOutcome.ESCALATE:
-        refusal = _unanswerable(verdict, proposal, context)
-        return Decision(status=Status.DENIED, admission=admission, verdict=refusal, need=None)
     return Decision(status="allowed", admission=admission, verdict=verdict, need=None)
 
 
-def _unanswerable(verdict: Verdict, proposal: Proposal, context: Context) -> Verdict:
-    """A human would have to decide, and the profile has nobody who could: the safe answer is no."""
+def _unanswerable(verdict: Verdict, context: Context) -> Verdict:
+    """A human would have to decide, and the profile has nobody who could: it stays an escalation, and is denied."""
     message = f"a human would have to decide, and {context.profile} asks nobody before execution"
     reason = Reason(f"{context.profile}/authority", "no_authority", message, "propose it where a human can approve")
-    return Verdict(outcome=PolicyOutcome.DENY, effective=proposal.params, reasons=(*verdict.reasons, reason))
+    return replace(verdict, outcome=PolicyOutcome.ESCALATE, reasons=(*verdict.reasons, reason))

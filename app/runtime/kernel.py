@@ -26,7 +26,6 @@ from app.governance.model import (
     CoveredRecovery,
     EventKind,
     Outcome,
-    PolicyOutcome,
     Proposal,
     Reason,
     Role,
@@ -88,12 +87,7 @@ class Judgement(NamedTuple):
     @property
     def refused(self) -> bool:
         """Say whether governance will not have it at all, now or later."""
-        verdict = self.decision.verdict
-        return (
-            self.decision.admission.outcome is AdmissionOutcome.REJECT
-            or verdict is None
-            or verdict.outcome is PolicyOutcome.DENY
-        )
+        return self.decision.status in (Status.REJECTED, Status.DENIED)
 
     def effective(self, requested: Mapping[str, Any]) -> dict[str, Any]:
         """Return the constrained parameters; those requested, where nothing was checked."""

@@ -234,13 +234,22 @@ def test_what_escalates_carries_constrained_parameters():
     assert (decision.verdict.effective["force_n"], decision.verdict.effective["speed_mps"]) == (80.0, 0.5)
 
 
-def test_an_escalation_nobody_can_answer_is_a_denial_of_what_was_requested():
+@pytest.mark.parametrize("profile", ["sim-relaxed", "test-audit"])
+@pytest.mark.parametrize("busy", [None, "inv_1"])
+def test_an_escalation_nobody_can_answer_stays_one_and_is_denied(profile, busy):
     proposed = proposal("grasp_object", object_id="mug_1", force_n=140, metadata={"confidence": 0.2})
-    decision = decide(shipped(), proposed, context("sim-relaxed"))
+    decision = decide(shipped(), proposed, context(profile, busy=busy))
     assert decision.status is Status.DENIED
     assert decision.verdict is not None
-    assert decision.verdict.effective["force_n"] == 140.0
+    assert decision.verdict.outcome is PolicyOutcome.ESCALATE
+    assert decision.verdict.effective["force_n"] == shipped().profiles[profile].limits["grip_force_n"].maximum
     assert decision.verdict.reasons[-1].code == "no_authority"
+
+
+def test_a_defer_leaves_room_for_an_escalation_somebody_can_answer():
+    proposed = proposal("grasp_object", object_id="mug_1", metadata={"confidence": 0.2})
+    decision = decide(shipped(), proposed, context("real-restricted", busy="inv_1"))
+    assert decision.status is Status.DEFERRED
 
 
 def test_a_permission_under_supervision_escalates_at_admission():
@@ -254,8 +263,13 @@ def test_a_permission_under_supervision_escalates_at_admission():
     decision = decide(policy, proposal("grasp_object", object_id="mug_1"), gamma)
     assert decision.admission.outcome is AdmissionOutcome.ESCALATE
     assert (decision.status, decision.need is not None) == (Status.AWAITING_APPROVAL, True)
-    relaxed = decide(policy, proposal("grasp_object", object_id="mug_1"), replace(gamma, profile="sim-relaxed"))
-    assert relaxed.status is Status.DENIED
+    busy = replace(gamma, cell=replace(gamma.cell, busy="inv_1"))
+    assert decide(policy, proposal("grasp_object", object_id="mug_1"), busy).status is Status.DEFERRED
+    for where in (gamma, busy):
+        relaxed = decide(policy, proposal("grasp_object", object_id="mug_1"), replace(where, profile="sim-relaxed"))
+        assert relaxed.status is Status.DENIED
+        assert relaxed.verdict is not None
+        assert (relaxed.verdict.outcome, relaxed.verdict.reasons[-1].code) == (PolicyOutcome.ESCALATE, "no_authority")
 
 
 @pytest.mark.parametrize(
