@@ -166,6 +166,7 @@ class Desk:
         known = self._pending.get(escalation_id)
         entry = None if known is None else self.register.entry(known.invocation)
         if entry is None:
+            await self._withdraw_stray(escalation_id)
             raise _gone(await self._load(escalation_id))
         async with entry.lock:
             present = self._pending.get(escalation_id)
@@ -211,14 +212,17 @@ class Desk:
     # -- silence -----------------------------------------------------------------------------------------------------
 
     async def expire_due(self) -> None:
-        """Close every question whose time is over, as nobody's answer.
+        """Close every question whose time is over, as nobody's answer, and every one about what has ended.
 
         Raises:
             RecordUnavailable: the rest stays pending; answers to it are refused as expired all the same.
         """
         for known in list(self._pending.values()):
             entry = self.register.entry(known.invocation)
-            if entry is None or not self._due(known):
+            if entry is None:
+                await self._withdraw_stray(known.id)
+                continue
+            if not self._due(known):
                 continue
             async with entry.lock:
                 present = self._pending.get(known.id)
@@ -255,6 +259,26 @@ class Desk:
             policy=with_reason(invocation.policy, because),
         )
         await self.commit([escalation_event(closed), outcome_event(ended, SERVER, because)], closed, ended)
+
+    async def _withdraw_stray(self, escalation_id: str) -> None:
+        """Withdraw a question whose invocation has ended without it: no answer to it could mean anything.
+
+        Raises:
+            RecordUnavailable: it is not recorded; the question is still there to be withdrawn.
+        """
+        stray = self._pending.pop(escalation_id, None)
+        if stray is None:
+            return
+        now = self.register.now()
+        closed = stray.evolve(now, status=WITHDRAWN)
+        try:
+            ended = await self.register.load(stray.invocation)
+            shown = (ended.escalation or {}).get("id") == stray.id
+            versions = [ended.evolve(now, escalation=closed.reference())] if shown else []
+            await self.register.append([escalation_event(closed)], [closed.row()], versions)
+        except RecordUnavailable:
+            self.hold(stray)
+            raise
 
     async def watch_deadlines(self) -> None:
         """Close questions when their time is over, for ever."""

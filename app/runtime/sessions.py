@@ -31,6 +31,7 @@ from app.protocol import Human, ProtocolError
 from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
 from app.runtime.kernel import LAUNCH_WITHIN_S
 from app.runtime.story import RULE, Story
+from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -226,6 +227,7 @@ class Sessions:
     def _sessions_of(self, cell: str) -> list[Invocation]:
         return [known for known in self._register.live() if known.cell == cell and known.status in SESSION]
 
+    @uncut
     async def _ask(self, name: str, code: str, message: str) -> None:
         """Escalate a session, unless a human has been asked already."""
         entry = self._register.entry(name)
@@ -240,6 +242,7 @@ class Sessions:
             asked = present.evolve(now, status=Status.ESCALATED, escalation=question.reference())
             await self._desk.commit([escalation_event(question)], question, asked)
 
+    @uncut
     async def _fault(self, name: str, code: str, message: str) -> None:
         """End a session as a fault."""
         entry = self._register.entry(name)

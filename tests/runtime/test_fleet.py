@@ -264,6 +264,39 @@ async def test_reports_wait_for_a_record_that_fails_and_the_link_stays(
     assert (await runtime.governor.invocation(name, AGENT))["status"] == "paused"
 
 
+async def test_a_link_that_drops_while_reports_are_recorded_leaves_nothing_half_known(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = await running(runtime, cell)
+    append, written, goes_on = runtime.store.append, asyncio.Event(), asyncio.Event()
+
+    async def slow(*args: Any) -> Any:
+        seqs = await append(*args)
+        written.set()
+        await goes_on.wait()
+        return seqs
+
+    monkeypatch.setattr(runtime.store, "append", slow)
+    held = cell.event("escalation", name, reason="link")
+    await cell.say(held)
+    await asyncio.wait_for(written.wait(), 5.0)
+    leaving = asyncio.create_task(cell.hang_up())
+    await until(lambda: runtime.fleet.cell(CELL).attachment is None)
+    monkeypatch.undo()
+    goes_on.set()
+    await leaving
+    back = await HandCell(runtime, seq=cell.seq, invocation=name, status="escalated").dial()
+    await back.say(held)
+    await back.acknowledged(held.seq)
+    document = await runtime.governor.invocation(name, AGENT)
+    assert document["status"] == "escalated"
+    question = await runtime.desk.get(document["escalation"]["id"])
+    closed = await runtime.desk.resolve(question["id"], OPERATOR, "deny", question["digest"])
+    assert closed["status"] == "denied"
+    trace = await runtime.governor.trace(name, AUDITOR)
+    assert [event["kind"] for event in trace].count("escalation") == 1
+
+
 # -- telemetry -------------------------------------------------------------------------------------------------------
 
 

@@ -86,6 +86,42 @@ async def test_a_launch_the_cell_never_got_is_a_fault_when_the_cell_says_so(hous
         assert not back.all("launch"), "an old authorization is never sent again"
 
 
+async def test_a_question_about_what_has_ended_is_withdrawn_at_the_next_start(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        document, _ = await first.governor.propose(AGENT, navigate())
+        await cell.launched(document["id"])
+        await cell.report("escalation", document["id"], reason="link")
+        question = first.desk.pending_for(document["id"])
+        assert question is not None
+        await cell.ended(document["id"], "stopped")
+        await first.store.append([], [question.row()])  # as a server that was cut off in between left it
+    async with house.open() as second:
+        assert (await second.desk.list(status="pending"))[0] == []
+        assert (await second.desk.get(question.id))["status"] == "withdrawn"
+        (*_, said) = await second.store.events(kind="escalation")
+        assert said.payload()["escalation"]["status"] == "withdrawn"
+        assert (await second.governor.invocation(document["id"], AGENT))["escalation"]["status"] == "withdrawn"
+
+
+async def test_nobody_answers_a_question_about_what_has_ended(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        document, _ = await first.governor.propose(AGENT, navigate())
+        await cell.launched(document["id"])
+        await cell.report("escalation", document["id"], reason="link")
+        question = first.desk.pending_for(document["id"])
+        assert question is not None
+        await cell.ended(document["id"], "stopped")
+        first.desk.hold(question)
+        with pytest.raises(Conflict) as refusal:
+            await first.desk.resolve(question.id, OPERATOR, "deny", question.digest)
+        assert refusal.value.code == "already_resolved"
+        assert (await first.desk.get(question.id))["status"] == "withdrawn"
+
+
 async def test_profile_latch_and_progress_survive(house: House) -> None:
     async with house.open() as first:
         cell = await HandCell(first).dial()
