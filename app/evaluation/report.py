@@ -271,7 +271,7 @@ def _unpublished(results: Results) -> Section:
             (
                 one["parameter"],
                 f"affects {', '.join(one['affects'])}",
-                f"The paper {one['paper']}. Here: {one['here']}.",
+                f"Paper: {one['paper']}. Here: {one['here']}.",
             )
             for one in results.get("unpublished", ())
         ),
