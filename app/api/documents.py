@@ -44,6 +44,7 @@ EXAMPLE_ESCALATION: dict[str, Any] = {
     "invocation": EXAMPLE_INVOCATION["id"],
     "kind": "approval",
     "capability": "grasp_object",
+    "agent": EXAMPLE_INVOCATION["agent"],
     "risk": "medium",
     "reasons": [EXAMPLE_REASON],
     "requested": EXAMPLE_INVOCATION["requested"],
@@ -160,6 +161,7 @@ class EscalationDocument(Document):
     invocation: str
     kind: str
     capability: str
+    agent: str
     risk: Risk
     reasons: list[ReasonDocument]
     requested: dict[str, Any]

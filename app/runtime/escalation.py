@@ -75,6 +75,7 @@ class Escalation:
             "invocation": self.invocation,
             "kind": self.kind,
             "capability": self.capability,
+            "agent": self.agent,
             "risk": self.risk,
             "reasons": list(self.reasons),
             "requested": dict(self.requested),
@@ -89,7 +90,6 @@ class Escalation:
     def row(self) -> RowWrite:
         """Return the row that holds this version."""
         hidden = {
-            "agent": self.agent,
             "constrained": dict(self.constrained),
             "created_at": self.created_at,
             "updated_at": self.updated_at,

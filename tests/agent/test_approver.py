@@ -20,7 +20,7 @@ HABITS = {
 
 def escalation(**more: object) -> dict[str, object]:
     return {"id": "esc_1", "digest": "sha256:a", "kind": "approval", "capability": "grasp_object", "risk": "medium",
-            "effective": {"object_id": "mug_1", "force_n": 60}, **more}  # fmt: skip
+            "agent": "planner", "effective": {"object_id": "mug_1", "force_n": 60}, **more}  # fmt: skip
 
 
 @pytest.mark.parametrize(

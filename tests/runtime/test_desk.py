@@ -8,6 +8,7 @@ from typing import Any
 import orjson
 import pytest
 
+from app.agent.approver import decide, parse_habits
 from app.audit.errors import RecordUnavailable
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, Forbidden, InvalidParams, NotFound
@@ -59,6 +60,7 @@ async def test_asks_before_launch_and_shows_what_policy_left(runtime: Runtime, c
     assert question["kind"] == "approval"
     assert question["status"] == "pending"
     assert question["risk"] == "medium"
+    assert question["agent"] == document["agent"]
     assert question["requested"]["force_n"] == 80
     assert question["effective"] == document["effective"]
     assert question["effective"]["force_n"] == 60
@@ -67,6 +69,12 @@ async def test_asks_before_launch_and_shows_what_policy_left(runtime: Runtime, c
     assert document["escalation"] == {key: question[key] for key in ("id", "status", "expires_at")}
     assert not cell.all("launch")
     assert (await runtime.desk.list(status="pending"))[0] == [question]
+
+
+async def test_a_habit_may_tell_agents_apart(runtime: Runtime) -> None:
+    rule = {"match": {"agent": AGENT.name}, "decision": "approve"}
+    _, question = await asked(runtime)
+    assert decide(parse_habits({"rules": [rule]}), question, 1.0).decision == "approve"
 
 
 async def test_an_approval_launches_exactly_what_was_shown(runtime: Runtime, cell: HandCell) -> None:
