@@ -7,7 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.evaluation.extensions import REGISTRY, PluginError, Registry, find_method, find_task, load_plugins
+from app.evaluation.extensions import (
+    REGISTRY,
+    PluginError,
+    Registry,
+    find_method,
+    find_task,
+    load_plugins,
+    plugin_digests,
+)
 from app.evaluation.methods import METHODS
 from app.evaluation.model import CAPABILITIES, TASKS, Violation
 from app.sim.faults import Fault
@@ -77,3 +85,19 @@ def test_the_example_of_the_documentation_registers_what_it_says() -> None:
     drawn = Fault.read(dict(fault.draw(np.random.default_rng(1), 1.3)))
     assert (drawn.kind, drawn.sizes["gain"]) == ("speed_scaling", 1.3)
     assert str(example) in Path("docs/evaluation.md").read_text(encoding="utf-8")
+
+
+def test_an_installed_package_is_found_by_its_entry_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "far_away.py").write_text(
+        "from app.evaluation.methods import Method\n"
+        "def register(registry): registry.add_method(Method(name='far-away', title='Far away', tier=1))\n",
+        encoding="utf-8",
+    )
+    info = tmp_path / "far_away-2.5.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: far-away\nVersion: 2.5\n", encoding="utf-8")
+    (info / "entry_points.txt").write_text("[reins.evaluation]\nfar = far_away:register\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    load_plugins([])
+    assert find_method("far-away").title == "Far away"
+    assert plugin_digests([])["far"] == "far_away:register 2.5"
