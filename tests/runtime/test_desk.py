@@ -71,7 +71,7 @@ async def test_asks_before_launch_and_shows_what_policy_left(runtime: Runtime, c
     assert (await runtime.desk.list(status="pending"))[0] == [question]
 
 
-async def test_a_habit_may_tell_agents_apart(runtime: Runtime) -> None:
+async def test_a_habit_may_tell_agents_apart(runtime: Runtime, cell: HandCell) -> None:
     rule = {"match": {"agent": AGENT.name}, "decision": "approve"}
     _, question = await asked(runtime)
     assert decide(parse_habits({"rules": [rule]}), question, 1.0).decision == "approve"
