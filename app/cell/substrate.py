@@ -69,7 +69,7 @@ class Substrate(Protocol):
         ...
 
     def reset(self) -> None:
-        """Give power back after a latched stop was reset. Moves nothing."""
+        """Give power back with everything held where it stands; called at a launch, never before. Moves nothing."""
         ...
 
     def facts(self) -> WorldFacts:

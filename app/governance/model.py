@@ -234,9 +234,10 @@ class ObjectFact:
 class WorldFacts:
     """What a cell's sensors say about its world: the part of Γ_t that pre- and postconditions speak of.
 
-    `base` is the estimated pose (x_m, y_m, yaw_rad), `tools` maps a tool to its state (`raised`, `pressed`, …),
-    `inspected` maps an area to the cell time at which all of it had been seen, `holding` names the object in the
-    gripper.
+    `arm_ready` says that a launch would find the arm at rest and in its place. Power is no part of it: what a stop took
+    comes back with the next launch, which a latched stop refuses. `base` is the estimated pose (x_m, y_m, yaw_rad),
+    `tools` maps a tool to its state (`raised`, `pressed`, …), `inspected` maps an area to the cell time at which all of
+    it had been seen, `holding` names the object in the gripper.
     """
 
     stamp_s: float

@@ -243,13 +243,12 @@ class Workcell:
         state, seen = self._state, self.observe()
         joints = np.array(seen.joint_rad)
         still = float(np.abs(seen.joint_speed_radps).max()) < _READY_RADPS
+        in_place = float(np.abs(joints - state.held.joint_rad).max()) < _READY_RAD
         x, y, _ = pose = state.localiser.pose
         tracks = [hypot(track.x_m - x, track.y_m - y) for track in seen.people]
         return WorldFacts(
             stamp_s=seen.time_s,
-            arm_ready=self.plant.drives.powered
-            and still
-            and float(np.abs(joints - state.held.joint_rad).max()) < _READY_RAD,
+            arm_ready=still and (in_place or not self.plant.drives.powered),  # power comes back holding what is there
             arm_retracted=float(np.abs(joints - robot.HOME_RAD).max()) < _RETRACTED_RAD,
             gripper_empty=not seen.pads_loaded,
             holding=state.hand.name if state.hand and seen.pads_loaded else None,

@@ -119,3 +119,30 @@ def test_a_stop_in_mid_drive_is_final_and_power_comes_back_with_the_next_launch_
     assert shop.cell.truth().base_speed_mps < 0.01
     shop.launch("navigate_to", 2, **DRIVE)
     assert shop.finish()["outcome"] == "succeeded"
+
+
+@pytest.mark.parametrize("word", ["stop", "estop"])
+def test_an_arm_that_was_stopped_can_grasp_again_and_does_not_move_before(tmp_path: Path, word: str) -> None:
+    shop = Workshop(tmp_path)
+    shop.launch("grasp_object", **GRASP)
+    for _ in range(150):
+        shop.runner.tick()
+    if word == "stop":
+        shop.runner.human("inv-1", "stop", "operator")
+        assert shop.finish()["outcome"] == "stopped"
+    else:
+        shop.runner.estop("operator")
+        assert shop.runner.reset("operator") is None
+    for _ in range(100):
+        shop.runner.tick()
+    stood = shop.runner.observation.joint_rad
+    assert (
+        shop.unmet(("object_visible", "object_reachable", "gripper_empty", "arm_ready"), GRASP, shop.cell.facts()) == ()
+    )
+    for _ in range(100):
+        shop.runner.tick()
+    assert shop.runner.observation.joint_rad == pytest.approx(stood, abs=0.002)
+    assert not shop.cell.plant.drives.powered, "power comes back with a launch alone"
+    shop.launch("grasp_object", 2, **GRASP)
+    assert shop.finish()["outcome"] == "succeeded"
+    assert shop.cell.truth().held == "mug_1"
