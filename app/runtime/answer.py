@@ -10,12 +10,13 @@ it (sent first).
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.event import EventDraft
 from app.governance.model import EventKind, Outcome, Status
 from app.protocol import Human
-from app.runtime.drafts import SERVER, outcome_event, reason, with_reason
+from app.runtime.drafts import SERVER, outcome_event, reason, with_edit, with_reason
 from app.runtime.errors import Conflict
 from app.runtime.escalation import APPROVED, DENIED, bound_digest
 
@@ -82,6 +83,7 @@ class Answer:
             reasons = [reason._asdict() for reason in judgement.reasons()]
             raise Conflict("edit_refused", "policy refuses the edited proposal", reasons=reasons)
         effective = judgement.effective(filled)
+        self._note_edit(judgement)
         edited = self._escalation.evolve(
             self._register.now(), effective=effective, digest=bound_digest(self._invocation, effective), approvals=()
         )
@@ -90,6 +92,14 @@ class Answer:
         # Policy constrained the edit further: nobody has seen that, so nobody has approved it.
         await self._commit_pending(edited, "edit")
         return edited
+
+    def _note_edit(self, judgement: Judgement) -> None:
+        """Let the invocation's verdict lead from what was requested to what is approved, and say who changed what."""
+        said, verdict = self._invocation.policy, judgement.decision.verdict
+        if said is None or verdict is None:
+            raise AssertionError("what is asked about was checked, and so was the edit that is not refused")
+        edited = with_edit(said, self._invocation.requested, self._escalation.effective, verdict)
+        self._invocation = replace(self._invocation, policy=edited)
 
     async def _count(self, present: Escalation, judgement: Judgement | None) -> Escalation:
         approval = {"by": self._principal.name, "at": self._register.now(), "digest": present.digest}
@@ -108,21 +118,30 @@ class Answer:
             return stricter
         now = self._register.now()
         closed = counted.evolve(now, status=APPROVED)
-        invocation = self._invocation.evolve(now, escalation=closed.reference(), **judgement.parts())
+        invocation = self._invocation.evolve(now, escalation=closed.reference())
         approved = self._event("approve", closed)
         if not judgement.conforms(counted.effective):
             ended = judgement.refuse(invocation)
             await self._desk.commit(
-                [approved, *judgement.events(ended), outcome_event(ended, SERVER, *judgement.ending_reasons())],
+                [approved, *judgement.recheck_events(ended), outcome_event(ended, SERVER, *judgement.ending_reasons())],
                 closed,
                 ended,
             )
             return closed
         approvers = tuple(str(approval["by"]) for approval in closed.approvals)
-        launching = invocation.evolve(now, effective=dict(counted.effective))
+        # What the agent reads stays the verdict on its request; that the approved form conforms is in the record.
+        launching = invocation.evolve(
+            now,
+            effective=dict(counted.effective),
+            profile=judgement.profile,
+            policy_version=judgement.policy.digest,
+        )
         async with self._kernel.launch(launching, judgement, approvers) as launch:
             await self._desk.commit(
-                [approved, *judgement.events(launch.invocation), *launch.events], closed, launch.invocation, launch.rows
+                [approved, *judgement.recheck_events(launch.invocation), *launch.events],
+                closed,
+                launch.invocation,
+                launch.rows,
             )
         return closed
 

@@ -5,16 +5,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.event import EventDraft
-from app.governance.model import EventKind
+from app.governance.model import EventKind, PolicyOutcome
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from app.governance.model import Verdict
     from app.runtime.cells import Cell
     from app.runtime.escalation import Escalation
     from app.runtime.invocation import Invocation, Principal
 
 SERVER: Final = "server"
+EDIT: Final = "authority/edit"
 
 
 def reason(rule: str, code: str, message: str, remedy: str = "") -> dict[str, str]:
@@ -25,6 +27,43 @@ def reason(rule: str, code: str, message: str, remedy: str = "") -> dict[str, st
 def with_reason(policy: Mapping[str, Any] | None, because: Mapping[str, str]) -> Mapping[str, Any] | None:
     """Return what policy said with one more reason: the agent learns why by code, never in a person's words."""
     return None if policy is None else {**policy, "reasons": [*policy["reasons"], because]}
+
+
+def with_edit(
+    policy: Mapping[str, Any], requested: Mapping[str, Any], shown: Mapping[str, Any], verdict: Verdict
+) -> dict[str, Any]:
+    """Return what policy said of a request after an approver's edit: the changes lead from requested to approved.
+
+    A change names who made it: the policy rule that constrained the request or the edit, else `EDIT`.
+
+    Args:
+        policy: what was said until then, leading from `requested` to `shown`.
+        requested: the agent's parameters.
+        shown: the parameters that the approver edited.
+        verdict: policy's word on the edit; its `effective` is what may be approved.
+    """
+    approved, limits = verdict.effective, {change.param: change.rule for change in verdict.changes}
+    kept = [change for change in policy["changes"] if approved.get(change["param"]) == change["effective"]]
+    known = {change["param"] for change in kept}
+    edited = [
+        {
+            "param": param,
+            "requested": requested.get(param),
+            "effective": value,
+            "rule": limits.get(param, EDIT),
+        }
+        for param, value in approved.items()
+        if param not in known and value != requested.get(param) and value != shown.get(param)
+    ]
+    reasons = [item for item in policy["reasons"] if item["rule"] != EDIT]
+    told = {(item["rule"], item["code"]) for item in reasons}
+    reasons += [item._asdict() for item in verdict.reasons if (item.rule, item.code) not in told]
+    reasons.append(reason(EDIT, "edited_by_human", "a human changed this before approving it"))
+    changes = [*kept, *edited]
+    outcome = policy["outcome"]
+    if outcome in {PolicyOutcome.ALLOW, PolicyOutcome.MODIFY}:
+        outcome = PolicyOutcome.MODIFY if changes else PolicyOutcome.ALLOW
+    return {"outcome": outcome, "reasons": reasons, "changes": changes}
 
 
 def outcome_event(invocation: Invocation, actor: str, *reasons: Mapping[str, str]) -> EventDraft:

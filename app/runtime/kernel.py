@@ -135,38 +135,43 @@ class Judgement(NamedTuple):
 
     def events(self, invocation: Invocation) -> list[EventDraft]:
         """Return the events of the decision, as the invocation shows it."""
-        drafts = [
-            EventDraft(
-                kind=EventKind.ADMISSION,
-                actor=SERVER,
-                invocation=invocation.id,
-                body={
-                    **invocation.admission,
-                    "cell": invocation.cell,
-                    "profile": self.profile,
-                    "status": invocation.status,  # what admission and guard come to together
-                },
-            )
-        ]
-        if invocation.policy is not None:
-            drafts.append(
-                EventDraft(
-                    kind=EventKind.POLICY,
-                    actor=SERVER,
-                    invocation=invocation.id,
-                    body={
-                        **invocation.policy,
-                        "effective": invocation.effective,
-                        "profile": self.profile,
-                        "policy_version": self.policy.digest,
-                    },
-                )
-            )
+        return self._events(invocation, invocation.admission, invocation.policy, {})
+
+    def recheck_events(self, invocation: Invocation) -> list[EventDraft]:
+        """Return the events of deciding again, with the last approval, on what was approved; `recheck` marks them."""
+        if invocation.final:  # it ended by this decision, and shows it
+            return self._events(invocation, invocation.admission, invocation.policy, {"recheck": True})
+        return self._events(invocation, self.admission_document(), self.policy_document(), {"recheck": True})
+
+    def _events(
+        self,
+        invocation: Invocation,
+        admission: Mapping[str, Any],
+        policy: Mapping[str, Any] | None,
+        mark: Mapping[str, Any],
+    ) -> list[EventDraft]:
+        body = {
+            **admission,
+            **mark,
+            "cell": invocation.cell,
+            "profile": self.profile,
+            "status": invocation.status,  # what admission and guard come to together
+        }
+        drafts = [EventDraft(kind=EventKind.ADMISSION, actor=SERVER, invocation=invocation.id, body=body)]
+        if policy is not None:
+            body = {
+                **policy,
+                **mark,
+                "effective": invocation.effective,
+                "profile": self.profile,
+                "policy_version": self.policy.digest,
+            }
+            drafts.append(EventDraft(kind=EventKind.POLICY, actor=SERVER, invocation=invocation.id, body=body))
         return drafts
 
     def refuse(self, invocation: Invocation) -> Invocation:
         """Return the invocation ended as this decision says, after an approval that came too late for the world."""
-        status = self.status
+        status, invocation = self.status, replace(invocation, **self.parts())
         if status not in REFUSED_OUTCOME:  # it may launch, but not with what was approved
             reason = CHANGED._asdict()
             admission = {"outcome": AdmissionOutcome.DEFER, "reasons": [*invocation.admission["reasons"], reason]}

@@ -95,6 +95,23 @@ async def test_an_approval_launches_exactly_what_was_shown(runtime: Runtime, cel
     assert trace[-1]["body"]["authorization"]["approvals"] == ["olivia"]
 
 
+async def test_an_approval_leaves_the_verdict_on_the_request_as_it_was(runtime: Runtime, cell: HandCell) -> None:
+    request = ProposalRequest(capability="grasp_object", params={"object_id": "mug_1", "force_n": 80, "speed_mps": 0.5})
+    document, question = await asked(runtime, request)
+    await answer(runtime, question)
+    now = await runtime.governor.invocation(document["id"], AGENT)
+    assert (now["policy"], now["admission"]) == (document["policy"], document["admission"])
+    assert {change["param"]: change["effective"] for change in now["policy"]["changes"]} == {
+        "force_n": 60,
+        "speed_mps": 0.25,
+    }
+    trace = await runtime.governor.trace(document["id"], AUDITOR)
+    marks = [
+        (event["kind"], event["body"].get("recheck")) for event in trace if event["kind"] in {"admission", "policy"}
+    ]
+    assert marks == [("admission", None), ("policy", None), ("admission", True), ("policy", True)]
+
+
 async def test_a_denial_ends_it_and_the_agent_gets_a_code_and_no_words(runtime: Runtime, cell: HandCell) -> None:
     document, question = await asked(runtime)
     closed = await answer(runtime, question, decision="deny", comment="not while I am in the cell, idiot")
@@ -190,14 +207,47 @@ async def test_an_edit_within_policy_launches_as_edited(runtime: Runtime, cell: 
     assert (await runtime.governor.invocation(document["id"], AGENT))["effective"]["speed_mps"] == 0.1
 
 
+async def test_the_verdict_tells_what_policy_changed_from_what_the_approver_did(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    request = ProposalRequest(capability="grasp_object", params={"object_id": "mug_1", "force_n": 80, "speed_mps": 0.5})
+    document, question = await asked(runtime, request)
+    rules = {change["param"]: change["rule"] for change in document["policy"]["changes"]}
+    await answer(runtime, question, params={"speed_mps": 0.1})
+    verdict = (await runtime.governor.invocation(document["id"], AGENT))["policy"]
+    assert verdict["outcome"] == "modify"
+    assert {
+        change["param"]: (change["requested"], change["effective"], change["rule"]) for change in verdict["changes"]
+    } == {
+        "force_n": (80, 60, rules["force_n"]),
+        "speed_mps": (0.5, 0.1, "authority/edit"),
+    }
+    assert verdict["reasons"][-1]["code"] == "edited_by_human"
+    assert verdict["reasons"][:-1] == document["policy"]["reasons"]
+
+
+async def test_an_edit_of_what_policy_allowed_makes_it_a_modify(runtime: Runtime, cell: HandCell) -> None:
+    params = {"object_id": "mug_1", "force_n": 40, "speed_mps": 0.2}
+    document, question = await asked(runtime, ProposalRequest(capability="grasp_object", params=params))
+    assert document["policy"]["outcome"] == "allow"
+    await answer(runtime, question, params={"force_n": 30})
+    verdict = (await runtime.governor.invocation(document["id"], AGENT))["policy"]
+    assert verdict["outcome"] == "modify"
+    assert verdict["changes"] == [{"param": "force_n", "requested": 40, "effective": 30, "rule": "authority/edit"}]
+
+
 async def test_an_edit_beyond_policy_is_constrained_and_asked_again(runtime: Runtime, cell: HandCell) -> None:
-    _, question = await asked(runtime)
+    document, question = await asked(runtime)
     edited = await answer(runtime, question, params={"force_n": 139.0})
     assert edited["status"] == "pending"
     assert edited["approvals"] == []
     assert edited["effective"]["force_n"] == 60
     assert not cell.all("launch")
     assert (await answer(runtime, edited))["status"] == "approved"
+    changes = (await runtime.governor.invocation(document["id"], AGENT))["policy"]["changes"]
+    (change,) = [change for change in changes if change["param"] == "force_n"]
+    assert (change["requested"], change["effective"]) == (40, 60)
+    assert change["rule"] == "human-shared/grip_force_n"
 
 
 async def test_an_edit_that_policy_denies_is_refused_with_its_reasons(runtime: Runtime, cell: HandCell) -> None:
