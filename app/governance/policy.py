@@ -17,7 +17,7 @@ from app.governance.policy_model import GOVERNANCE
 from app.governance.vocabulary import properties
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from jsonschema_rs import Draft202012Validator
 
@@ -116,7 +116,7 @@ class PolicySet:
         if problems or inputs is None:
             return problems or params
         if not inputs.validator.is_valid(params):
-            return tuple(_schema_problems(inputs.validator, params))
+            return tuple(_schema_problems(inputs.validator, self.capabilities[capability].inputs, params))
         filled = {**inputs.defaults, **params}
         for name in inputs.numbers & filled.keys():
             filled[name] = float(cast("float", filled[name]))
@@ -214,13 +214,29 @@ def _encodable(text: str) -> bool:
     return True
 
 
-def _schema_problems(validator: Draft202012Validator, params: Mapping[str, Json]) -> list[ParamProblem]:
+def _schema_problems(
+    validator: Draft202012Validator, schema: Mapping[str, Json], params: Mapping[str, Json]
+) -> list[ParamProblem]:
     problems: list[ParamProblem] = []
     for error in validator.iter_errors(params):
         where = ".".join(str(step) for step in error.instance_path)
-        message = error.message if len(error.message) <= 300 else error.message[:297] + "…"
+        choice = _choice(schema) if list(error.schema_path) == ["oneOf"] else []
+        message = "name " + ", or ".join(choice) if choice else error.message
+        message = message if len(message) <= 300 else message[:297] + "…"
         problems.append(ParamProblem(where, "schema", message[:1].lower() + message[1:]))
     return problems
+
+
+def _choice(schema: Mapping[str, Json]) -> list[str]:
+    """Return the sets of parameters a schema leaves the choice between; empty where its branches are more than that."""
+    branches = cast("list[Mapping[str, Json] | bool]", schema["oneOf"])
+    required = [cast("list[str]", branch.get("required", [])) if branch and branch is not True else []
+                for branch in branches]  # fmt: skip
+    return [_listed([f"`{name}`" for name in names]) for names in required] if all(required) else []
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(part for part in (", ".join(names[:-1]), names[-1]) if part)
 
 
 # Plans ---------------------------------------------------------------------------------------------------------------

@@ -95,6 +95,22 @@ def test_bad_parameters_are_problems(params, code):
     assert shipped().validate_params("grasp_object", params)[0].code == code
 
 
+@pytest.mark.parametrize("params", [{}, {"target": "dock", "x_m": 1.0}, {"x_m": 1.0, "y_m": 1.0}])
+def test_says_between_which_parameters_there_is_a_choice(params):
+    problems = shipped().validate_params("navigate_to", params)
+    assert [problem.message for problem in problems] == ["name `target`, or `x_m`, `y_m` and `yaw_rad`"]
+
+
+@pytest.mark.parametrize("branch", ["{minProperties: 3}", "false"])
+def test_a_choice_of_another_kind_is_told_as_the_schema_has_it(branch):
+    text = files()
+    name = "capabilities/navigate_to.yaml"
+    named = "- {required: [target], properties: {x_m: false, y_m: false, yaw_rad: false}}"
+    text[name] = text[name].replace(named, f"- {branch}")
+    problems = bundle.load_files(text).validate_params("navigate_to", {})
+    assert "oneOf" in problems[0].message
+
+
 @pytest.mark.parametrize("params", [{"object_id": "mug_ü"}, {"öbject": "mug_1"}])
 def test_text_that_is_not_ascii_is_held_to_the_schema_like_any_other(params):
     problems = shipped().validate_params("grasp_object", {**params, "extra": True})
