@@ -81,7 +81,7 @@ def approve(habits_file: Path, url: str, data: Path) -> int:
         asyncio.run(_approve(url, str(token), habits))
     except KeyboardInterrupt:
         return FINE
-    except (ReinsError, ExceptionGroup) as error:
+    except ReinsError as error:
         say_error(f"the approver leaves: {error}")
         return FINDING
     return FINE

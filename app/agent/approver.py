@@ -26,7 +26,7 @@ from typing import Any, TypeAlias, cast
 
 import yaml
 
-from app.agent.client import AsyncReinsClient, Document, Problem
+from app.agent.client import AsyncReinsClient, Document, Problem, ReinsError
 
 _POLL_S = 0.1
 _MATCHABLE = frozenset({"capability", "risk", "kind", "agent"})
@@ -133,16 +133,29 @@ class ScriptedApprover:
         self._seen: set[tuple[str, str]] = set()
 
     async def run(self) -> None:
-        """Answer until cancelled."""
-        async with asyncio.TaskGroup() as answers:
-            while True:
-                page = await self._client.call("GET", "/v1/escalations", query={"status": "pending"})
-                for escalation in page["items"]:
-                    bound_to = (escalation["id"], escalation["digest"])
-                    if bound_to not in self._seen:
-                        self._seen.add(bound_to)
-                        answers.create_task(self._answer(escalation))
-                await asyncio.sleep(_POLL_S)
+        """Answer until cancelled.
+
+        Raises:
+            ReinsError: the server refused, for instance an unknown token, or did not answer.
+        """
+        try:
+            async with asyncio.TaskGroup() as answers:
+                while True:
+                    await self._look(answers)
+                    await asyncio.sleep(_POLL_S)
+        except ExceptionGroup as failed:
+            refused, bugs = failed.split(ReinsError)
+            if refused is None or bugs is not None:
+                raise
+            raise refused.exceptions[0] from failed  # whatever failed beside it, failed at the same server
+
+    async def _look(self, answers: asyncio.TaskGroup) -> None:
+        page = await self._client.call("GET", "/v1/escalations", query={"status": "pending"})
+        for escalation in page["items"]:
+            bound_to = (escalation["id"], escalation["digest"])
+            if bound_to not in self._seen:
+                self._seen.add(bound_to)
+                answers.create_task(self._answer(escalation))
 
     async def _answer(self, escalation: Document) -> None:
         reading_s = self._random.uniform(self._habits.reads_min_s, self._habits.reads_max_s)

@@ -3,7 +3,7 @@ import asyncio
 import pytest
 
 from app.agent.approver import ScriptedApprover, decide, parse_habits
-from app.agent.client import AsyncReinsClient
+from app.agent.client import AsyncReinsClient, Problem
 
 from .scripted_server import Turn, serve
 
@@ -77,3 +77,25 @@ async def test_answers_each_escalation_once_with_its_digest_and_edit():
             await asyncio.gather(task, return_exceptions=True)
     posts = [turn.body for turn in server.turns if turn.method == "POST"]
     assert posts == [{"decision": "approve", "digest": "sha256:a", "params": {"object_id": "mug_1", "force_n": 40}}]
+
+
+@pytest.mark.anyio
+async def test_leaves_with_the_servers_own_words_when_it_is_refused():
+    refusal = {"code": "token_invalid", "detail": "the token is not known"}
+    with serve(lambda _turn: (401, refusal)) as server:
+        async with AsyncReinsClient(server.url, "t") as client:
+            with pytest.raises(Problem, match="token_invalid: the token is not known"):
+                await ScriptedApprover(client, parse_habits(HABITS)).run()
+
+
+@pytest.mark.anyio
+async def test_leaves_with_the_servers_own_words_when_an_answer_is_refused():
+    def answer(turn: Turn):
+        if turn.method == "GET":
+            return 200, {"items": [escalation(), escalation(id="esc_2")], "next": None}
+        return 403, {"code": "role_forbidden", "detail": "not this role"}
+
+    with serve(answer) as server:
+        async with AsyncReinsClient(server.url, "t") as client:
+            with pytest.raises(Problem, match="role_forbidden: not this role"):
+                await ScriptedApprover(client, parse_habits(HABITS)).run()
