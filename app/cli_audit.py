@@ -45,13 +45,18 @@ def verify(
             found = archive.verify_file(data, verifier)
             telemetry = archive.telemetry_problems(data) if found.ok else []
     if not found.ok:
-        say_error(f"event {found.first_bad}: {found.problem}", hint=f"the {found.size} events before it are good")
+        say_error(f"event {found.first_bad}: {found.problem}", hint=_good(found.size))
         raise typer.Exit(FINDING)
     for problem in telemetry:
         say_error(problem)
     say(f"{found.size} events, root {found.root}: every byte is as it was signed")
     if telemetry:
         raise typer.Exit(FINDING)
+
+
+def _good(size: int) -> str:
+    """Say what may be relied on: whole batches, each under its signed checkpoint; the bad event's own is not."""
+    return f"events 1 to {size} are good, up to the last checkpoint before it" if size else "nothing before it is good"
 
 
 @app.command()

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -10,8 +13,11 @@ from typer.testing import CliRunner
 
 from app import __version__
 from app.api.auth import open_principals
+from app.audit.places import Places
+from app.audit.store import AuditStore
 from app.cli import app
 from app.config import CellSettings, ConfigError, Settings, find_policies
+from tests.audit.conftest import fill
 
 COMMANDS = [
     "serve",
@@ -52,6 +58,26 @@ def test_issues_a_token_that_is_kept_as_a_digest_only(tmp_path: Path) -> None:
 
 def test_a_token_needs_a_data_directory(tmp_path: Path) -> None:
     assert run("token", "issue", "x", "--role", "agent", "--data", str(tmp_path / "none"))[0] == 2
+
+
+@pytest.mark.parametrize(("seq", "relied_on"), [(5, "events 1 to 3 are good"), (2, "nothing before it is good")])
+def test_says_how_far_an_altered_log_is_good(tmp_path: Path, seq: int, relied_on: str) -> None:
+    """Batches of three: what precedes the bad event in its own batch has no checkpoint that holds."""
+
+    async def write() -> None:
+        store = AuditStore.open(tmp_path)
+        await fill(store)
+        await store.close()
+
+    asyncio.run(write())
+    with closing(sqlite3.connect(Places(tmp_path).database)) as database:
+        database.execute("DROP TRIGGER events_refuse_update")
+        database.execute("UPDATE events SET body = x'7b7d' WHERE seq = ?", (seq,))
+        database.commit()
+    code, said = run("audit", "verify", "--data", str(tmp_path))
+    assert code == 1
+    assert f"event {seq}: " in said
+    assert relied_on in said
 
 
 def test_there_is_nothing_to_verify_where_no_log_is(tmp_path: Path) -> None:
