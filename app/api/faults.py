@@ -49,4 +49,6 @@ def _message(error: Mapping[str, Any], fields: Sequence[str]) -> str:
     if kind in _BOUND:
         text, name = _BOUND[kind]
         return text.format(error["ctx"][name])
+    if kind == "value_error":
+        return str(error["ctx"]["error"])  # a validator's own words
     return str(error["msg"])
