@@ -134,7 +134,7 @@ STORE_GIVEN = "created_seq"
 KEPT_ON_REPLACE = frozenset({STORE_GIVEN, "created_at"})
 
 # What a connection of each dialect is told at its start. FULL: a commit is on the disk before it is acknowledged.
-# recursive_triggers: a REPLACE deletes too, and is refused like any deletion.
+# recursive_triggers: a REPLACE deletes too, and is refused like any deletion (other connections: revision 0002).
 ON_CONNECT: Mapping[str, tuple[str, ...]] = {
     "sqlite": (
         "PRAGMA journal_mode=WAL",

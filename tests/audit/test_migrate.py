@@ -17,6 +17,7 @@ from app.audit.places import Places
 from app.audit.rows import replacement
 from app.audit.store import AuditStore
 from app.audit.tables import STATE, metadata
+from tests.audit.conftest import fill
 
 
 @pytest.fixture
@@ -68,6 +69,25 @@ def test_finds_the_revisions_an_installed_package_ships(tmp_path: Path, monkeypa
         folder.mkdir(parents=True)
         (folder / "env.py").write_text("")
         assert migrations_folder() == folder
+
+
+@pytest.mark.anyio
+async def test_a_record_of_the_first_revision_is_brought_up_and_goes_on(tmp_path: Path) -> None:
+    store = AuditStore.open(tmp_path)
+    await fill(store)
+    await store.close()
+    engine = sa.create_engine(f"sqlite:///{Places(tmp_path).database}")
+    with engine.begin() as connection:  # as the first revision left it
+        for table in ("events", "checkpoints"):
+            connection.exec_driver_sql(f"DROP TRIGGER {table}_refuse_replace")
+        connection.exec_driver_sql("UPDATE alembic_version SET version_num = '0001'")
+    reopened = AuditStore.open(tmp_path)
+    await fill(reopened, 1)
+    assert (await reopened.verify()).size == 15
+    await reopened.close()
+    with engine.begin() as connection, pytest.raises(sa.exc.IntegrityError, match="only grow"):
+        connection.exec_driver_sql("REPLACE INTO events SELECT * FROM events")
+    engine.dispose()
 
 
 @pytest.mark.anyio

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -279,16 +280,33 @@ async def test_refuses_a_cursor_no_page_gave(store: AuditStore, cursor: str) -> 
 
 @pytest.mark.parametrize("table", ["events", "checkpoints"])
 @pytest.mark.parametrize(
-    "change", ["DELETE FROM {0}", "UPDATE {0} SET {1} = 'x'", "REPLACE INTO {0} SELECT * FROM {0}"]
+    "change",
+    [
+        "DELETE FROM {0}",
+        "UPDATE {0} SET {1} = 'x'",
+        "UPDATE OR REPLACE {0} SET {1} = 'x'",
+        "REPLACE INTO {0} SELECT * FROM {0}",
+        "INSERT OR REPLACE INTO {0} SELECT * FROM {0} WHERE true",
+        "INSERT INTO {0} SELECT * FROM {0} WHERE true ON CONFLICT DO UPDATE SET {1} = 'x'",
+    ],
 )
 async def test_the_database_refuses_to_change_what_is_recorded(store: AuditStore, table: str, change: str) -> None:
+    """Whoever opens the file with another program has set nothing for its connection."""
     await fill(store, 1)
     column = {"events": "actor", "checkpoints": "note"}[table]
     connection = sqlite3.connect(store.places.database)
-    connection.execute("PRAGMA recursive_triggers=ON")
     with pytest.raises(sqlite3.IntegrityError, match="only grow"):
         connection.execute(change.format(table, column))
     connection.close()
+
+
+async def test_a_replacing_row_that_spells_its_number_otherwise_is_refused_too(store: AuditStore) -> None:
+    await fill(store, 1)
+    with closing(sqlite3.connect(store.places.database)) as connection:
+        for key in ("rowid", "seq"):
+            forged = f"INSERT OR REPLACE INTO events ({key}, at, kind, actor, body) VALUES ('1', '', '', '', x'')"
+            with pytest.raises(sqlite3.IntegrityError, match="only grow"):
+                connection.execute(forged)
 
 
 async def test_settings_make_a_commit_durable(store: AuditStore) -> None:
