@@ -303,8 +303,10 @@ async def test_the_database_refuses_to_change_what_is_recorded(store: AuditStore
 async def test_a_replacing_row_that_spells_its_number_otherwise_is_refused_too(store: AuditStore) -> None:
     await fill(store, 1)
     with closing(sqlite3.connect(store.places.database)) as connection:
-        for key in ("rowid", "seq"):
-            forged = f"INSERT OR REPLACE INTO events ({key}, at, kind, actor, body) VALUES ('1', '', '', '', x'')"
+        for forged in (
+            "INSERT OR REPLACE INTO events (seq, at, kind, actor, body) VALUES ('1', '', '', '', x'')",
+            "INSERT OR REPLACE INTO events (rowid, at, kind, actor, body) VALUES (1.0, '', '', '', x'')",
+        ):
             with pytest.raises(sqlite3.IntegrityError, match="only grow"):
                 connection.execute(forged)
 
