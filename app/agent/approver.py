@@ -118,7 +118,8 @@ def decide(habits: Habits, escalation: Document, draw: float) -> Answer:
     )
     erred = draw < habits.error_rate
     decision = {"approve": "deny", "deny": "approve", "ignore": "ignore"}[chosen.decision] if erred else chosen.decision
-    return Answer(escalation=escalation["id"], decision=decision, erred=erred, edit={} if erred else chosen.edit)
+    fixed = erred or escalation.get("kind") == "session"  # a session under way cannot be edited
+    return Answer(escalation=escalation["id"], decision=decision, erred=erred, edit={} if fixed else chosen.edit)
 
 
 class ScriptedApprover:

@@ -17,8 +17,9 @@ from app.audit.event import EventDraft
 from app.governance.model import EventKind, Outcome, Status
 from app.protocol import Human
 from app.runtime.drafts import SERVER, outcome_event, reason, with_edit, with_reason
-from app.runtime.errors import Conflict
+from app.runtime.errors import Conflict, InvalidParams
 from app.runtime.escalation import APPROVED, DENIED, bound_digest
+from app.runtime.invocation import reasons_document
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -85,13 +86,25 @@ class Answer:
         effective = judgement.effective(filled)
         self._note_edit(judgement)
         edited = self._escalation.evolve(
-            self._register.now(), effective=effective, digest=bound_digest(self._invocation, effective), approvals=()
+            self._register.now(),
+            effective=effective,
+            digest=bound_digest(self._invocation, effective),
+            approvals=(),
+            **self._asked_for(judgement),
         )
         if effective == filled:
             return await self._count(edited, judgement)
         # Policy constrained the edit further: nobody has seen that, so nobody has approved it.
         await self._commit_pending(edited, "edit")
         return edited
+
+    def _asked_for(self, judgement: Judgement) -> dict[str, Any]:
+        """Return how many people authority wants now, and why; never fewer than it wanted when it asked first."""
+        need = judgement.need
+        if need is None:
+            return {}
+        wanted = max(need.approvers, self._escalation.needed)
+        return {"needed": wanted, "reasons": reasons_document(need.reasons)}
 
     def _note_edit(self, judgement: Judgement) -> None:
         """Let the invocation's verdict lead from what was requested to what is approved, and say who changed what."""
@@ -113,7 +126,7 @@ class Answer:
         """Launch, if the proposal still conforms in the world as it is now; otherwise say what changed."""
         need = judgement.need
         if need is not None and need.approvers > len(counted.approvals):
-            stricter = counted.evolve(self._register.now(), needed=need.approvers)
+            stricter = counted.evolve(self._register.now(), **self._asked_for(judgement))
             await self._commit_pending(stricter, "approve")
             return stricter
         now = self._register.now()
@@ -158,8 +171,13 @@ class Answer:
 
     # -- in mid-execution --------------------------------------------------------------------------------------------
 
-    async def go_on(self) -> Escalation:
-        """Let the session go on: recorded first, and not at all while the cell is away."""
+    async def go_on(self, params: Mapping[str, Any] | None) -> Escalation:
+        """Let the session go on as it was authorized: recorded first, and not at all while the cell is away."""
+        if params is not None:
+            message = (
+                "cannot be edited in a session: its authorization is signed; valid: none, or deny and propose again"
+            )
+            raise InvalidParams([{"path": "params", "message": message}])
         cell = self._fleet.cell(self._invocation.cell or "")
         if not self._fleet.attached(cell):
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to go on")

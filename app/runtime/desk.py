@@ -160,7 +160,7 @@ class Desk:
             Conflict: `already_resolved`, `escalation_expired`, `digest_mismatch`, `already_approved`, `edit_refused`
                 (with policy's reasons), `cell_offline`.
             Forbidden: `own_proposal`, nobody approves what they proposed.
-            InvalidParams: edited parameters that do not fit the schema.
+            InvalidParams: edited parameters that do not fit the schema, or edit a session under way.
             RecordUnavailable: nothing was recorded; a denial of a session has been sent to the cell all the same.
         """
         known = self._pending.get(escalation_id)
@@ -176,7 +176,7 @@ class Desk:
             answer = Answer(self, entry.newest, present, principal, comment)
             match present.kind, decision:
                 case "session", "approve":
-                    final = await answer.go_on()
+                    final = await answer.go_on(params)
                 case "session", _:
                     final = await answer.terminate()
                 case _, "approve":

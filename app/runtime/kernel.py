@@ -16,6 +16,7 @@ import orjson
 
 from app.audit.event import EventDraft, RowWrite
 from app.clock import monotonic_s
+from app.governance.admission import RETRY_UNMET_S
 from app.governance.coverage import covered_recoveries
 from app.governance.decision import Decision, decide
 from app.governance.model import (
@@ -174,7 +175,11 @@ class Judgement(NamedTuple):
         status, invocation = self.status, replace(invocation, **self.parts())
         if status not in REFUSED_OUTCOME:  # it may launch, but not with what was approved
             reason = CHANGED._asdict()
-            admission = {"outcome": AdmissionOutcome.DEFER, "reasons": [*invocation.admission["reasons"], reason]}
+            admission = {
+                "outcome": AdmissionOutcome.DEFER,
+                "reasons": [*invocation.admission["reasons"], reason],
+                "retry_after_s": RETRY_UNMET_S,
+            }
             return replace(invocation, status=Status.DEFERRED, outcome=Outcome.DEFERRED, admission=admission)
         return replace(invocation, status=status, outcome=REFUSED_OUTCOME[status])
 

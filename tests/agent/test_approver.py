@@ -36,6 +36,12 @@ def test_the_first_matching_rule_decides_and_no_match_denies(item, draw, decisio
     assert decide(parse_habits(HABITS), item, draw).decision == decision
 
 
+def test_a_session_under_way_is_approved_without_an_edit():
+    answer = decide(parse_habits(HABITS), escalation(kind="session"), 0.5)
+    assert (answer.decision, answer.edit) == ("approve", {})
+    assert decide(parse_habits(HABITS), escalation(), 0.5).edit == {"force_n": 40}
+
+
 def test_an_error_turns_the_answer_round():
     habits = parse_habits({**HABITS, "error_rate": 0.25})
     assert decide(habits, escalation(), 0.2).decision == "deny"

@@ -268,6 +268,35 @@ async def test_an_edit_that_does_not_fit_the_schema_is_refused(runtime: Runtime,
         await answer(runtime, question, params={"force_n": "much"})
 
 
+async def test_an_edit_that_takes_more_people_says_why(runtime: Runtime, cell: HandCell) -> None:
+    cell.facts = dict(AT_TOOLS)
+    await cell.state()
+    lever = ProposalRequest(capability="operate_tool", params={"tool": "lever", "action": "pull_down"})
+    _, question = await asked(runtime, lever)
+    assert question["needed"] == 1
+    edited = await answer(runtime, question, params={"tool": "press", "action": "press"})
+    assert (edited["status"], edited["needed"]) == ("pending", 2)
+    assert "organization/press-two-approvers" in [reason["rule"] for reason in edited["reasons"]]
+    assert (await answer(runtime, edited, who=OPERATOR_2))["status"] == "approved"
+
+
+async def test_a_world_that_takes_more_people_says_why(runtime: Runtime, cell: HandCell) -> None:
+    cell.facts = dict(AT_TOOLS)
+    await cell.state()
+    await runtime.governor.set_profile(CELL, "real-restricted", OPERATOR)
+    request = ProposalRequest(
+        capability="operate_tool",
+        params={"tool": "press", "action": "press", "force_n": 20, "speed_mps": 0.1},
+        metadata={"confidence": 0.2},
+    )
+    _, question = await asked(runtime, request)
+    assert question["needed"] == 1
+    await runtime.governor.set_profile(CELL, "human-shared", OPERATOR)
+    now = await answer(runtime, question)
+    assert (now["status"], now["needed"]) == ("pending", 2)
+    assert "organization/press-two-approvers" in [reason["rule"] for reason in now["reasons"]]
+
+
 # -- the world went on -----------------------------------------------------------------------------------------------
 
 
@@ -297,6 +326,7 @@ async def test_an_approval_under_a_stricter_profile_does_not_launch_the_laxer_on
     late = await runtime.governor.invocation(document["id"], AGENT)
     assert late["status"] == "deferred"
     assert late["admission"]["reasons"][-1]["code"] == "conditions_changed"
+    assert late["admission"]["retry_after_s"] > 0
     assert not cell.all("launch")
 
 
@@ -386,6 +416,14 @@ async def test_approving_lets_a_held_session_go_on(runtime: Runtime, cell: HandC
     await until(lambda: cell.ops() == ["resolve_continue"])
     await cell.report("status", document["id"], status="running")
     assert (await runtime.governor.invocation(document["id"], AGENT))["status"] == "running"
+
+
+async def test_a_held_session_cannot_be_edited(runtime: Runtime, cell: HandCell) -> None:
+    _, question = await held(runtime, cell)
+    with pytest.raises(InvalidParams, match="cannot be edited"):
+        await answer(runtime, question, params={"speed_mps": 0.1})
+    assert (await runtime.desk.get(question["id"]))["status"] == "pending"
+    assert cell.ops() == []
 
 
 async def test_denying_terminates_a_held_session(runtime: Runtime, cell: HandCell) -> None:
