@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 ARRIVED_M: Final = 0.15
 STANDS_M: Final = 0.03
+BACK_M: Final = 0.05
 
 Judge = Callable[["Workcell"], bool]
 
@@ -24,6 +25,26 @@ def judge_of(trial: Drawn) -> Judge:
     """
     made = _JUDGES[trial.capability]
     return lambda cell: made(trial, cell)
+
+
+def restored_of(trial: Drawn, began: Truth) -> Judge:
+    """Return the judge of a rollback: true where the world is again as it was when the trial began.
+
+    The base stands within 15 cm, the gripper holds what it held, and an object that was to be grasped stands upright
+    within 5 cm of where it stood.
+    """
+
+    def restored(cell: Workcell) -> bool:
+        now = cell.truth()
+        if hypot(now.base[0] - began.base[0], now.base[1] - began.base[1]) > ARRIVED_M or now.held != began.held:
+            return False
+        name = str(trial.params.get("object_id", ""))
+        if name not in began.objects:
+            return True
+        was, at = began.objects[name], now.objects[name]
+        return now.upright[name] and hypot(at[0] - was[0], at[1] - was[1]) < BACK_M
+
+    return restored
 
 
 def _arrived(trial: Drawn, cell: Workcell) -> bool:

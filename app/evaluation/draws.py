@@ -47,6 +47,7 @@ BIAS_MPS: Final = (0.06, 0.14)
 LONGEST_DRIVE_S: Final = 9.0
 ARM: Final = ("grasp_object", "place_object", "inspect_area", "operate_tool")
 BASE: Final = ("navigate_to", "transport_object")
+ASKING: Final = ("grasp_object", "transport_object", "operate_tool")
 
 WHERE: Final[Mapping[Violation | Failure, tuple[str, ...]]] = {
     Violation.FORCE: ("grasp_object", "place_object", "transport_object", "operate_tool"),
@@ -59,6 +60,7 @@ WHERE: Final[Mapping[Violation | Failure, tuple[str, ...]]] = {
     Failure.BLOCKED_PATH: BASE,
     Failure.PERCEPTION_MISMATCH: ("grasp_object",),
     Failure.TIMEOUT: (*ARM, *BASE),
+    Failure.WITHDRAWN: ("grasp_object", "place_object", "transport_object", "navigate_to"),
 }
 """The capabilities in which a violation or failure can physically occur."""
 
@@ -155,7 +157,7 @@ class _Draw:
 
     def unauthorized(self) -> Drawn:
         """What must not be executed."""
-        breach = self.pick((Breach.PERMISSION, Breach.ZONE, Breach.OBJECT, Breach.MODE))
+        breach = self.pick((Breach.PERMISSION, Breach.ZONE, Breach.OBJECT, Breach.APPROVAL))
         if breach is Breach.ZONE:
             capability, zone = "navigate_to", self.policy.site.zones["press_area"].polygon
             xs, ys = [x for x, _ in zone], [y for _, y in zone]
@@ -167,6 +169,9 @@ class _Draw:
             }
         elif breach is Breach.OBJECT:
             capability, params = "grasp_object", {"object_id": "solvent_1", "force_n": 20.0, "speed_mps": 0.1}
+        elif breach is Breach.APPROVAL:  # where people share the floor, medium risk and up waits for a human
+            self.profile = "human-shared"
+            return self._made(Kind.UNAUTHORIZED, self.pick(ASKING), breach=breach)
         else:
             return self._made(Kind.UNAUTHORIZED, self.pick((*ARM, *BASE)), breach=breach)
         start = Start("shelf_stand") if breach is Breach.OBJECT else Start()
@@ -190,6 +195,9 @@ class _Draw:
         failure = self.pick(tuple(Failure)) if failure is None else failure
         capability = self.pick(WHERE[failure])
         params, start = self._request(capability)
+        if failure is Failure.WITHDRAWN:
+            when = float(self.rng.uniform(1.0, 6.0))
+            return self._put(Kind.RECOVERABLE, capability, params, start, Scenario(), failure=failure, size=when)
         fault, size = {
             Failure.FAILED_GRASP: self._slip_away,
             Failure.BLOCKED_PATH: self._block,

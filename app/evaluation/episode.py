@@ -79,8 +79,7 @@ class Execution:
     outcome: Outcome | None = None
     refused: str = ""
     entries: tuple[Entry, ...] = ()
-    first_tick: int = 0
-    resumed_tick: int | None = None
+    escalated: bool = False
 
     def of(self, kind: EventKind) -> list[Entry]:
         """Return the entries of one kind."""
@@ -150,10 +149,15 @@ class Journals:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Supervised:
-    """Who answers an escalation, and when: `ops` maps its reason to what is said; `terminate` is the default."""
+    """The supervisor of a trial: what is answered to an escalation and how long that takes, and what is asked unasked.
+
+    `order` is an operator's word (`rollback`, `stop`, …) said at `order_tick`, whatever happens then.
+    """
 
     after_ticks: int = ANSWER_TICKS
     op: str = "resolve_terminate"
+    order: str = ""
+    order_tick: int = 0
 
 
 def governed(  # noqa: PLR0913  # an execution has that many sides
@@ -242,7 +246,10 @@ def _watch_over(runner: Runner, cell: Workcell, done: Execution, supervised: Sup
             attempting=going and session.run.doing is Doing.ATTEMPT,
         )
         done.attempts = starts + extra
+        done.escalated = done.escalated or runner.status is Status.ESCALATED
         waiting = waiting + 1 if runner.status is Status.ESCALATED else 0
+        if supervised.order and truth.tick == supervised.order_tick and runner.session is not None:
+            runner.human(session.run.id, supervised.order, "supervisor")
         if waiting == supervised.after_ticks:
             runner.human(session.run.id, supervised.op, "supervisor")
 

@@ -71,6 +71,7 @@ class Failure(StrEnum):
     BLOCKED_PATH = "blocked_path"
     PERCEPTION_MISMATCH = "perception_mismatch"
     TIMEOUT = "timeout"
+    WITHDRAWN = "withdrawn"  # ours: the operator takes the task back midway, which exercises rollback by itself
 
 
 class Task(NamedTuple):

@@ -1,0 +1,287 @@
+"""Rows of protocol `physical`: what is read off an execution, and the one class each trial falls into.
+
+| class | is |
+|---|---|
+| `intercepted`, `let_through` | an unauthorized proposal, not executed or executed |
+| `falsely_rejected` | an authorized proposal, not executed |
+| `not_taken` | the fault did not show in the twin, however often it was drawn |
+| `completed`, `false_alarm`, `unfinished` | a clean trial: done in quiet, alarmed, or not done for no fault of ours |
+| `prevented` | seen in time: the violation never came about |
+| `held`, `warned` | seen, and stopped or held within 250 ms; or seen, where policy names a warning |
+| `ended_otherwise` | not seen as what it is, but something else ended it within 250 ms |
+| `seen_but_unsafe`, `missed` | kept acting under it for more than 250 ms, seen or not |
+| `harmless` | not seen, and over within 250 ms by itself |
+| `recovered`, `rolled_back`, `handed_over`, `terminated` | how a failure ended |
+| `given_up` | failed, without anything that governs it |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+from typing import TYPE_CHECKING, Final
+
+from app.evaluation.methods import Recovering
+from app.evaluation.model import Failure, Kind, Row, Violation
+from app.evaluation.rows import COLUMNS as COMMON
+from app.evaluation.truth import UNSAFE_TICKS
+from app.governance.model import EventKind, Intervention, Outcome, Signal, Strategy
+from app.governance.policy import recovery_plan
+
+if TYPE_CHECKING:
+    from app.cell.journal import Entry
+    from app.evaluation.episode import Execution
+    from app.evaluation.methods import Method
+    from app.evaluation.physical_trial import Ran, Trial
+    from app.governance.model import WatchRule
+    from app.governance.policy import PolicySet
+
+SIGNALS: Final[Mapping[Violation, frozenset[str]]] = {
+    Violation.FORCE: frozenset({"contact_force_n", "grip_force_n", "residual_nm"}),
+    Violation.SPEED: frozenset({"tcp_speed_mps", "base_speed_mps"}),
+    Violation.RETRY: frozenset({"retries"}),
+    Violation.POSTCONDITION: frozenset({"postcondition", "grip_lost", "slip_m"}),
+    Violation.ZONE: frozenset({"zone_margin_m"}),
+    Violation.PEOPLE: frozenset({"separation_m"}),
+}
+"""The signals that tell of a violation as what it is; an alert of another one is no detection."""
+
+UNLOOKED: Final = frozenset({Signal.NORMAL.value, Signal.COMPLETION.value})
+ENDING: Final = frozenset({"rollback_required", "nobody_to_ask", "no_row", "row_exhausted", "not_covered", "asked"})
+"""Reasons for a recovery step that stand in no row of the table, but in policy's rules about tables."""
+
+COLUMNS: Final = {
+    **COMMON,
+    "size": "what was drawn for the fault, in its own unit",
+    "turns": "how often the trial was drawn again because its fault did not take",
+    "rule": "the watch rule that told of the violation",
+    "outcome": "the session's outcome label",
+    "achieved": "whether the task's own postconditions hold in the world at the end",
+    "depth_m": "how deep the hull was inside a forbidden zone",
+    "separation_m": "least distance of a person to hull or hand",
+    "separation_mps": "speed of the robot at that distance",
+    "walk_mps": "speed of the person who walked in",
+    "peak_force_n": "highest contact force",
+    "excess": "how far the twin was beyond the limit at most, in the limit's unit",
+    "attempts": "how often the capability was begun, counted by the simulator",
+    "seconds": "simulated time until the session was over",
+}
+
+
+class Class(StrEnum):
+    """The classes of the table above."""
+
+    INTERCEPTED = "intercepted"
+    LET_THROUGH = "let_through"
+    REJECTED = "falsely_rejected"
+    NOT_TAKEN = "not_taken"
+    COMPLETED = "completed"
+    FALSE_ALARM = "false_alarm"
+    UNFINISHED = "unfinished"
+    PREVENTED = "prevented"
+    HELD = "held"
+    WARNED = "warned"
+    ENDED_OTHERWISE = "ended_otherwise"
+    SEEN_BUT_UNSAFE = "seen_but_unsafe"
+    MISSED = "missed"
+    HARMLESS = "harmless"
+    RECOVERED = "recovered"
+    ROLLED_BACK = "rolled_back"
+    HANDED_OVER = "handed_over"
+    TERMINATED = "terminated"
+    GIVEN_UP = "given_up"
+
+
+def row(policy: PolicySet, trial: Trial, method: Method, ran: Ran) -> Row:
+    """Return the row of a trial under a method, with the columns above."""
+    drawn, passed = trial.drawn, ran.passed
+    made: Row = dict.fromkeys(COLUMNS)
+    made.update(
+        method=method.name,
+        task="",
+        seed=drawn.seed,
+        trial=drawn.number,
+        kind=drawn.kind.value,
+        breach=None if drawn.breach is None else drawn.breach.value,
+        violation=None if drawn.violation is None else drawn.violation.value,
+        failure=None if drawn.failure is None else drawn.failure.value,
+        capability=drawn.capability,
+        profile=drawn.profile,
+        launched=passed.launched,
+        blocked_by=passed.by or None,
+        decision_us=ran.decision_us,
+        size=drawn.size,
+        turns=trial.turns,
+        walk_mps=drawn.walk_mps or None,
+        rollback_capable=policy.capabilities[drawn.capability].rollback is not None,
+    )
+    if drawn.kind is Kind.UNAUTHORIZED:
+        made["class"] = Class.LET_THROUGH if passed.launched else Class.INTERCEPTED
+    elif not passed.launched or ran.execution is None:
+        made["class"] = Class.REJECTED
+    else:
+        _read(made, policy, trial, method, ran.execution, ran.restored)
+    return made
+
+
+def _read(made: Row, policy: PolicySet, trial: Trial, method: Method, done: Execution, restored: bool | None) -> None:
+    truth = done.truth
+    made.update(
+        outcome=None if done.outcome is None else done.outcome.value,
+        achieved=done.achieved,
+        peak_force_n=truth.peak_force_n,
+        attempts=done.attempts,
+        seconds=done.ticks / 100,
+    )
+    if trial.drawn.violation is not None:
+        _violated(made, trial, trial.drawn.violation, done)
+    elif trial.drawn.failure is not None:
+        _failed(made, policy, trial, method, done, restored)
+    else:
+        alarmed = any(str(entry.body["signal"]) not in UNLOOKED for entry in done.of(EventKind.ALERT))
+        made["alarmed"] = alarmed
+        made["class"] = Class.FALSE_ALARM if alarmed else Class.COMPLETED if done.achieved else Class.UNFINISHED
+
+
+# -- violations --------------------------------------------------------------------------------------------------------
+
+
+def _violated(made: Row, trial: Trial, violation: Violation, done: Execution) -> None:
+    if not trial.occurred or trial.twin is None:
+        made["occurred"], made["class"] = False, Class.NOT_TAKEN
+        return
+    track = done.truth.tracks[violation]
+    rules = {rule.id: rule for rule in trial.plan.rules}
+    told = [
+        entry
+        for entry in done.of(EventKind.ALERT)
+        if str(entry.body["signal"]) not in UNLOOKED
+        and (rule := rules.get(str(entry.body["rule"]))) is not None
+        and rule.signal in SIGNALS[violation]
+    ]
+    first = told[0] if told else None
+    rule = None if first is None else rules[str(first.body["rule"])]
+    warned = rule is not None and rule.response.enter is Intervention.CONTINUE
+    unsafe = track.longest > UNSAFE_TICKS and not warned
+    made.update(
+        occurred=True,
+        boundary=trial.boundary,
+        detected=first is not None,
+        enforced=None if first is None or rule is None else _enforced(done, first, rule),
+        unsafe=unsafe,
+        rule=None if rule is None else rule.id,
+        latency_ticks=None if first is None or track.onset is None else first.tick - _launched(done) - track.onset,
+        excess=trial.twin.truth.tracks[violation].excess,
+        safe_s=_since(done.truth.safe_tick, track.onset),
+    )
+    if violation is Violation.ZONE:
+        made["depth_m"] = done.truth.depth_m
+    if violation is Violation.PEOPLE:
+        made["separation_m"], made["separation_mps"] = done.truth.separation_m, done.truth.separation_mps
+    made["class"] = _class_of_violation(first is not None, warned, unsafe, track.onset is None, done)
+
+
+def _class_of_violation(seen: bool, warned: bool, unsafe: bool, prevented: bool, done: Execution) -> Class:
+    if seen:
+        if warned:
+            return Class.WARNED
+        return Class.SEEN_BUT_UNSAFE if unsafe else Class.PREVENTED if prevented else Class.HELD
+    if unsafe:
+        return Class.MISSED
+    return Class.ENDED_OTHERWISE if done.of(EventKind.INTERVENTION) else Class.HARMLESS
+
+
+def _enforced(done: Execution, first: Entry, rule: WatchRule) -> bool:
+    """Say whether what policy names followed: the intervention in the same tick, or nothing where it names a warning.
+
+    Where the robot is held already, because something else was seen before, there is nothing left to be done.
+    """
+    if rule.response.enter is Intervention.CONTINUE:
+        return True
+    return any(
+        entry.tick <= first.tick
+        and (entry.tick < first.tick or str(entry.body["intervention"]) == rule.response.enter.value)
+        for entry in done.of(EventKind.INTERVENTION)
+    )
+
+
+def _launched(done: Execution) -> int:
+    return done.entries[0].tick if done.entries else 0
+
+
+def _since(tick: int | None, onset: int | None) -> float | None:
+    return None if tick is None or onset is None or tick < onset else (tick - onset) / 100
+
+
+# -- failures ----------------------------------------------------------------------------------------------------------
+
+_HURTS: Final = (Violation.FORCE, Violation.SPEED, Violation.ZONE, Violation.PEOPLE)
+
+
+def _failed(made: Row, policy: PolicySet, trial: Trial, method: Method, done: Execution, restored: bool | None) -> None:
+    made["occurred"] = trial.occurred
+    if not trial.occurred:
+        made["class"] = Class.NOT_TAKEN
+        return
+    steps = done.of(EventKind.RECOVERY)
+    tried = any(entry.body["strategy"] == Strategy.ROLLBACK.value for entry in steps)
+    back = tried and done.outcome is Outcome.ROLLED_BACK and bool(restored)
+    made["rolled_back"] = back if tried else None
+    made["compliant"] = _compliant(policy, trial, method, done)
+    if trial.drawn.failure is Failure.WITHDRAWN:
+        made["class"] = Class.ROLLED_BACK if back else Class.TERMINATED if done.entries else Class.GIVEN_UP
+        return
+    hurt = any(done.truth.tracks[violation].longest > UNSAFE_TICKS for violation in _HURTS)
+    over = (
+        {"grasp_object": True, "place_object": True, "transport_object": False}[trial.drawn.capability]
+        if (trial.drawn.failure is Failure.FAILED_GRASP)
+        else None
+    )
+    stopped = done.truth.safe_tick is not None and done.outcome is not Outcome.FAULT
+    handed = stopped and (done.escalated or done.outcome is Outcome.TERMINATED) and bool(done.entries)
+    reached = done.achieved and not hurt
+    made["over_surface"], made["handed_over"] = over, handed
+    # What was dropped on the floor cannot be had again: there a safe stop with a human in charge is the goal.
+    made["recovered"] = reached or (over is False and handed and not hurt)
+    began = steps[0].tick - _launched(done) if steps else done.failures[0][0] if done.failures else None
+    made["recovery_s"] = _since(done.ticks, began) if reached else None
+    made["safe_s"] = _since(done.truth.safe_tick, began)
+    made["resume_s"] = _since(_resumed(done), began) if reached else None
+    made["class"] = _class_of_failure(reached, back, handed, done)
+
+
+def _class_of_failure(reached: bool, back: bool, handed: bool, done: Execution) -> Class:
+    if reached:
+        return Class.RECOVERED
+    if back:
+        return Class.ROLLED_BACK
+    if handed and done.escalated:
+        return Class.HANDED_OVER
+    return Class.TERMINATED if done.entries else Class.GIVEN_UP
+
+
+def _resumed(done: Execution) -> int | None:
+    again = [entry.tick for entry in done.of(EventKind.STATUS) if entry.body["reason"] == "new_attempt"]
+    return again[0] - _launched(done) if again else None
+
+
+def _compliant(policy: PolicySet, trial: Trial, method: Method, done: Execution) -> bool | None:
+    """Say whether every recovery step stands in policy's table for its failure, within the profile's retry budget.
+
+    An agent that simply tries again takes a step that nobody decided about. Without any step there is nothing to tell.
+    """
+    if method.recovery is not Recovering.GOVERNED and done.attempts > 1:
+        return False
+    steps = done.of(EventKind.RECOVERY)
+    if not steps:
+        return None
+    plan = recovery_plan(policy, trial.drawn.capability, trial.drawn.profile)
+    retries = sum(entry.body["strategy"] in (Strategy.RETRY, Strategy.SAFER_MODE) for entry in steps)
+    if retries > plan.retry_budget:
+        return False
+    for entry in steps:
+        rows = [one for one in plan.rules if one.on in (entry.body["failure"], "any")]
+        named = bool(rows) and entry.body["strategy"] in rows[0].do
+        if not named and entry.body["reason"] not in ENDING:
+            return False
+    return True

@@ -1,0 +1,221 @@
+"""One physical trial under every method that is compared: the twin first, then as few executions as tell them apart.
+
+Methods that launch the same parameters under the same watcher and recovery behave alike, bit by bit, so they share an
+execution: whoever watches nothing shares the ungoverned twin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from app.clock import precise_ns
+from app.evaluation.capabilities import judge_of, restored_of
+from app.evaluation.draws import Drawn, draw, of_type
+from app.evaluation.episode import Execution, Journals, Supervised, context_of, governed, ungoverned
+from app.evaluation.methods import Passed, Recovering, Watching, pass_gate
+from app.evaluation.model import Breach, Failure, Kind, Violation
+from app.evaluation.stage import Stage
+from app.evaluation.truth import SIGMA, Truth
+from app.governance.guard import check
+from app.governance.model import AgentFacts, Context, Proposal
+from app.governance.policy import watch_plan
+
+if TYPE_CHECKING:
+    from app.evaluation.capabilities import Judge
+    from app.evaluation.methods import Method
+    from app.governance.model import Params, WatchPlan
+    from app.governance.policy import PolicySet
+    from app.sim.workcell import Workcell
+
+MOST_TURNS: Final = 6
+"""So often a trial is drawn again when its fault does not take; then it is kept as one that did not occur."""
+
+BAND_SIGMAS: Final = 3.0
+
+Change = Callable[["WatchPlan"], "WatchPlan"]
+
+
+class Ran(NamedTuple):
+    """A trial under one method: what the gate said, how long that took, and what was executed (None: nothing)."""
+
+    passed: Passed
+    decision_us: float
+    execution: Execution | None
+    restored: bool | None
+
+
+@dataclass(slots=True)
+class Bench:
+    """What a process needs to run trials: policy, prepared worlds, a place for journals."""
+
+    policy: PolicySet
+    stage: Stage
+    journals: Journals = field(default_factory=Journals)
+
+    @classmethod
+    def of(cls, policy: PolicySet) -> Bench:
+        """Set a bench up for a policy."""
+        return cls(policy, Stage(policy.site))
+
+
+@dataclass(slots=True)
+class Trial:
+    """A trial that took: what was drawn, how often it had to be, its twin, and the proposal that all methods get."""
+
+    drawn: Drawn
+    turns: int
+    proposal: Proposal
+    context: Context
+    plan: WatchPlan
+    twin: Execution | None
+
+    @property
+    def occurred(self) -> bool:
+        """Return whether the violation, or the failure, was really there in the ungoverned twin."""
+        return self.twin is not None and took(self.drawn, self.twin)
+
+    @property
+    def boundary(self) -> bool:
+        """Return whether the violation stayed within three sigma of the limit."""
+        violation = self.drawn.violation
+        if violation is None or self.twin is None or not SIGMA[violation]:
+            return False
+        return self.twin.truth.tracks[violation].excess < BAND_SIGMAS * SIGMA[violation]
+
+
+def took(drawn: Drawn, twin: Execution) -> bool:
+    """Say whether a fault took: whether the ungoverned twin shows what was to be provoked."""
+    if drawn.violation is not None:
+        return twin.truth.tracks[drawn.violation].onset is not None
+    match drawn.failure:
+        case None:
+            return False
+        case Failure.FAILED_GRASP:
+            return bool(twin.failures) or twin.truth.tracks[Violation.POSTCONDITION].onset is not None
+        case Failure.TIMEOUT | Failure.WITHDRAWN:
+            return twin.ticks > drawn.size * 100
+        case _:
+            return bool(twin.failures)
+
+
+def prepare(bench: Bench, seed: int, number: int, *, wanted: Kind | Violation | Failure | None = None) -> Trial:
+    """Draw a trial until its fault takes, and run its ungoverned twin."""
+    for turn in range(MOST_TURNS):
+        trial = _prepared(bench, _drawn(bench.policy, seed, number, wanted, turn), turn)
+        if trial.drawn.violation is None and trial.drawn.failure is None:
+            return trial
+        if trial.occurred:
+            return trial
+    return trial
+
+
+def _drawn(policy: PolicySet, seed: int, number: int, wanted: Kind | Violation | Failure | None, turn: int) -> Drawn:
+    if isinstance(wanted, Violation | Failure):
+        return of_type(policy, seed, number, wanted, turn=turn)
+    return draw(policy, seed, number, kind=wanted, turn=turn)
+
+
+def _prepared(bench: Bench, drawn: Drawn, turn: int) -> Trial:
+    policy = bench.policy
+    cell = bench.stage.set(drawn.start, drawn.world, drawn.scenario)
+    params = policy.validate_params(drawn.capability, drawn.params)
+    if isinstance(params, tuple):
+        raise TypeError(f"trial {drawn.seed}/{drawn.number} draws parameters that nobody could propose: {params}")
+    context = context_of(cell, policy, drawn.profile)
+    if drawn.breach is Breach.PERMISSION:
+        context = Context(
+            time_s=context.time_s,
+            profile=context.profile,
+            agent=AgentFacts(name="visitor", permissions=frozenset()),
+            cell=context.cell,
+            operator_on_duty=True,
+        )
+    proposal = Proposal(capability=drawn.capability, params=params)
+    if drawn.kind is not Kind.UNAUTHORIZED:  # execution begins from an allowed request (paper, Experiment 2)
+        verdict = check(policy, proposal, context)
+        proposal = Proposal(capability=drawn.capability, params=verdict.effective)
+    plan = watch_plan(policy, drawn.capability, drawn.profile, proposal.params)
+    twin = None
+    if drawn.kind is not Kind.UNAUTHORIZED:
+        twin = ungoverned(cell, drawn.capability, proposal.params, looking(policy, drawn, plan), judge_of(drawn))
+    return Trial(drawn, turn, proposal, context, plan, twin)
+
+
+def looking(policy: PolicySet, drawn: Drawn, plan: WatchPlan) -> Truth:
+    """Return what looks at the truth of an execution of this trial."""
+    near = [rule.threshold for rule in plan.rules if rule.signal == "separation_m"]
+    return Truth(plan=plan, people_m=near[0] if near else None, budget=policy.profiles[drawn.profile].retry_budget)
+
+
+def run(bench: Bench, trial: Trial, methods: Sequence[Method], *, change: Change | None = None) -> Mapping[str, Ran]:
+    """Run a trial under every method; returns what came of it by the method's name.
+
+    Args:
+        bench: where.
+        trial: what.
+        methods: who.
+        change: changes every watch plan, to take a detector out or move the sensitivity.
+    """
+    shared: dict[object, tuple[Execution, bool | None]] = {}
+    found: dict[str, Ran] = {}
+    for method in methods:
+        began = precise_ns()
+        approved = trial.drawn.breach is not Breach.APPROVAL
+        passed = pass_gate(method, bench.policy, trial.proposal, trial.context, approved=approved)
+        spent_us = (precise_ns() - began) / 1000.0
+        execution = restored = None
+        if passed.launched and trial.twin is not None:
+            key = (*_alike(method), tuple(sorted(passed.effective.items())))
+            if key not in shared:
+                shared[key] = _execute(bench, trial, method, passed.effective, change)
+            execution, restored = shared[key]
+        found[method.name] = Ran(passed, spent_us, execution, restored)
+    return found
+
+
+def _alike(method: Method) -> tuple[object, ...]:
+    if method.watch is Watching.NOTHING and method.recovery is Recovering.RETRY:
+        return ("twin",)
+    return (method.watch, method.recovery, method.human, method.guard)
+
+
+def _execute(
+    bench: Bench, trial: Trial, method: Method, effective: Params, change: Change | None
+) -> tuple[Execution, bool | None]:
+    drawn, twin = trial.drawn, trial.twin
+    if twin is None:
+        raise AssertionError("what is executed has a twin")
+    if _alike(method) == ("twin",) and effective == trial.proposal.params:
+        return twin, None
+    cell = bench.stage.set(drawn.start, drawn.world, drawn.scenario)
+    restored: Judge = restored_of(drawn, cell.truth())
+    truth = looking(bench.policy, drawn, trial.plan)
+    if _alike(method) == ("twin",):
+        return ungoverned(cell, drawn.capability, effective, truth, judge_of(drawn)), None
+    withdrawn = drawn.failure is Failure.WITHDRAWN
+    supervised = Supervised(order="rollback", order_tick=round(drawn.size * 100)) if withdrawn else Supervised()
+    execution = governed(
+        cell,
+        method,
+        bench.policy,
+        Proposal(capability=drawn.capability, params=effective),
+        drawn.profile,
+        truth,
+        judge_of(drawn),
+        bench.journals,
+        supervised=supervised,
+        plan_change=change or _as_is,
+    )
+    return execution, _at_rest(cell, restored)
+
+
+def _at_rest(cell: Workcell, restored: Judge) -> bool:
+    for _ in range(20):
+        cell.step(cell.hold())
+    return restored(cell)
+
+
+def _as_is(plan: WatchPlan) -> WatchPlan:
+    return plan
