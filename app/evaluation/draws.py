@@ -196,7 +196,9 @@ class _Draw:
         capability = self.pick(WHERE[failure])
         params, start = self._request(capability)
         if failure is Failure.WITHDRAWN:
-            when = float(self.rng.uniform(1.0, 6.0))
+            # An object that has been put down cannot be taken back by going back: what can be undone is undone.
+            latest = 2.0 if capability == "place_object" else 6.0
+            when = float(self.rng.uniform(0.8, latest))
             return self._put(Kind.RECOVERABLE, capability, params, start, Scenario(), failure=failure, size=when)
         fault, size = {
             Failure.FAILED_GRASP: self._slip_away,
@@ -230,7 +232,7 @@ class _Draw:
         """Somebody moves the object away, within reach, after it was perceived."""
         name = str(params["object_id"])
         size = float(self.rng.uniform(0.19, 0.26))
-        way = {"mug_1": (-1.0, 0.0), "glass_1": (1.0, 0.0)}.get(name, (0.0, -0.8))
+        way = {"mug_1": (-1.0, 0.0), "glass_1": (1.0, 0.0)}.get(name, (1.7, 0.0))
         sizes = {"x_m": size * way[0], "y_m": size * way[1]}
         return self._fault("misplaced", capability, "approach", object=name, **sizes), size
 
@@ -374,7 +376,7 @@ class _Draw:
         """Return a place on the free floor before the benches that is reached within a trial's time."""
         stand = self.policy.site.targets[self.policy.site.start]
         far = min(2.6, LONGEST_DRIVE_S * speed_mps)
-        turn = -pi / 2 + self.rng.uniform(-0.6, 0.9)
+        turn = -pi / 2 + self.rng.uniform(-0.1, 0.9)
         length = self.rng.uniform(0.5, 1.0) * far
         x, y = stand.x_m + length * cos(turn), stand.y_m + length * sin(turn)
         return {"x_m": float(x), "y_m": float(y), "yaw_rad": stand.yaw_rad}

@@ -198,6 +198,7 @@ def governed(  # noqa: PLR0913  # an execution has that many sides
             if recovery is None
             else watch_plan(policy, recovery.capability, permit.profile, recovery.params, recovery.mode)
         )
+        truth.plan = plan  # a recovery is held to what policy allows it, not to what the task was allowed
         return plan_change(_watch(method, plan)), then
 
     def verified(postconditions: tuple[str, ...], params: Params, facts: WorldFacts) -> tuple[str, ...]:

@@ -241,6 +241,8 @@ def _failed(made: Row, policy: PolicySet, trial: Trial, method: Method, done: Ex
     handed = stopped and (done.escalated or done.outcome is Outcome.TERMINATED) and bool(done.entries)
     reached = done.achieved and not hurt
     made["over_surface"], made["handed_over"] = over, handed
+    if over is False:  # what lies on the floor cannot be brought back by going back
+        made["rollback_capable"] = False
     # What was dropped on the floor cannot be had again: there a safe stop with a human in charge is the goal.
     made["recovered"] = reached or (over is False and handed and not hurt)
     began = steps[0].tick - _launched(done) if steps else done.failures[0][0] if done.failures else None

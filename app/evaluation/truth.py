@@ -120,7 +120,9 @@ class Truth:
             (clearance(zone, now.base[0], now.base[1]) for zone in self.plan.zones), default=inf
         )
         self.depth_m = max(self.depth_m, depth)
-        see(Violation.ZONE, depth, acting=acting)
+        # A recovery that leaves a zone moves in it; one that goes deeper goes on with the violation.
+        leaves = not attempting and depth <= self.tracks[Violation.ZONE].excess
+        see(Violation.ZONE, depth, acting=acting and not leaves)
         see(Violation.PEOPLE, self._people(now, moving=moving), acting=acting)
         see(Violation.RETRY, float(attempts - 1 - self.budget), acting=attempting)
         self._load(now)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 _GENTLE_POINTS = 12
+_STANDS_RAD, _SHARP = 1e-4, 0.5  # a turn of more than 60 degrees is sharp
 
 
 def release_and_retract(body: Body, params: Mapping[str, Json]) -> Moves:
@@ -80,6 +82,9 @@ def _retrace(body: Body, trail: list[Mark], limit_mps: float) -> Moves:
         trail = trail[: taken + 1]
         body.enter("retreat", 0.6)
     yield from _back(body, trail, limit_mps, gentle=False)
+    if trail and trail[0].holding:  # it began with this in its hand, and so it ends
+        yield from body.wait(0.2)
+        return
     hand = body.senses.hand
     if body.holding and hand is not None and within_reach(*body.relative(hand.x_m, hand.y_m)):
         body.enter("put_back", 0.7)
@@ -123,11 +128,28 @@ def _back_arm(body: Body, points: list[Floats], limit_mps: float, *, gentle: boo
     points = [body.joints, *points]
     speed = body.speed(limit_mps)
     if not gentle:
-        yield from body.follow(points, speed)
+        for stretch in _stretches(points):
+            yield from body.follow(stretch, speed)
         return
     split = max(0, len(points) - _GENTLE_POINTS)
-    yield from body.follow(points[: split + 1], speed)
+    for stretch in _stretches(points[: split + 1]):
+        yield from body.follow(stretch, speed)
     yield from body.follow(points[split:], min(speed, 0.9 * CONTACT_SPEED_MPS), until=lambda: body.touched(12.0))
+
+
+def _stretches(points: list[Floats]) -> list[list[Floats]]:
+    """Cut a way where it turns sharply: the arm has to stand still there, or it overshoots its speed in the turn."""
+    cuts, before = [0], None
+    for k, (a, b) in enumerate(itertools.pairwise(points)):
+        step = b - a
+        length = float(np.linalg.norm(step))
+        if length < _STANDS_RAD:
+            continue
+        if before is not None and float(before @ step) < _SHARP * float(np.linalg.norm(before)) * length:
+            cuts.append(k)
+        before = step
+    cuts.append(len(points) - 1)
+    return [points[a : b + 1] for a, b in itertools.pairwise(cuts) if b > a]
 
 
 def _thinned(points: list[Floats]) -> list[Floats]:
