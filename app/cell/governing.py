@@ -84,7 +84,7 @@ class Governing:
         """Do one control period and return what the sensors saw."""
         run, substrate = self.run, self._substrate
         report, command = self._ask(run.ramp(substrate.period_s))
-        command, _ = clamp(command, run.previous, run.plan.bounds, self.seen.jacobian, substrate.period_s)
+        command, _ = clamp(command, run.previous, run.bounds, self.seen.jacobian, substrate.period_s)
         self.seen = seen = substrate.step(command)
         run.previous = command
         run.watching, alerts = run.watcher.watch(
@@ -154,6 +154,8 @@ class Governing:
         """Say which rules began to be violated, and which have been quiet for a while."""
         run, tick = self.run, self._ports.recorder.tick
         for alert in alerts:
+            if run.watcher.signal_of(alert.rule) == "grip_force_n":
+                run.ease_grip(alert.value, tick)
             if alert.rule not in run.speaking:
                 self._tell(telling.alert(run.id, alert, run.watcher.stale_sensors(self.seen)))
             run.speaking[alert.rule] = tick
@@ -237,7 +239,8 @@ class Governing:
             failure = "rollback_failed"
         elif run.doing is Doing.RECOVERY and failure == "postcondition_failed":
             failure = "recovery_failed"
-        return recover(failure, run.recovery, run.used, covered=covered, after=after)
+        failed_in = run.doing is Doing.RECOVERY and after is None
+        return recover(failure, run.recovery, run.used, covered=covered, after=after, recovering=failed_in)
 
     def _roll_back(self, failure: str) -> str | None:
         run = self.run

@@ -20,7 +20,16 @@ from app.governance.watcher import Watcher, compile_watch
 
 if TYPE_CHECKING:
     from app.cell.substrate import Skill
-    from app.governance.model import Command, CoveredRecovery, Observation, Params, RecoveryPlan, WatchPlan, WorldFacts
+    from app.governance.model import (
+        Bounds,
+        Command,
+        CoveredRecovery,
+        Observation,
+        Params,
+        RecoveryPlan,
+        WatchPlan,
+        WorldFacts,
+    )
     from app.governance.permit import Grant
 
 ARM_DECELERATION_MPS2: Final = 2.5
@@ -30,6 +39,8 @@ STILL_BASE_MPS: Final = 0.02
 STILL_JOINT_RADPS: Final = 0.05
 LONGEST_WAIT_TICKS: Final = 150
 MOVING: Final = (Status.RUNNING, Status.RECOVERING)
+EASED: Final = 0.9
+EASE_TICKS: Final = 20  # the gripper needs 0.2 s to follow; judged earlier, it would be told too little
 
 
 class Doing(StrEnum):
@@ -93,6 +104,8 @@ class Run:
     still_ticks: int = 0
     speaking: dict[str, int] = field(default_factory=dict[str, int])
     hold_after_recovery: bool = False
+    eased: Bounds | None = None
+    ease_again: int = 0
     rows: bytearray = field(default_factory=bytearray)
 
     @property
@@ -116,8 +129,28 @@ class Run:
             self.confirmed.add(self.escalated_by.removeprefix("confirm:"))
         self.escalated_by = ""
 
+    @property
+    def bounds(self) -> Bounds:
+        """Return what the clamp holds commands to: the plan's bounds, and less grip where the gripper gives too much.
+
+        A stop keeps the grip, and letting go may drop what is held: a gripper that gives more than it is told has to
+        be told less, at once and until the session ends.
+        """
+        return self.eased or self.plan.bounds
+
+    def ease_grip(self, measured_n: float, tick: int) -> None:
+        """Lower the bound of the grip so far that what the gripper makes of it is within what policy allows."""
+        if tick < self.ease_again or not measured_n > 0.0:
+            return
+        allowed_n = self.plan.bounds.grip_force_n
+        told_n = min(self.previous.grip_force_n, self.bounds.grip_force_n)
+        self.eased = self.bounds._replace(grip_force_n=max(0.0, told_n * EASED * allowed_n / measured_n))
+        self.ease_again = tick + EASE_TICKS
+
     def watch_with(self, plan: WatchPlan, period_s: float) -> None:
         """Go on under another plan, with timers of its own; estimates live on."""
+        if self.eased is not None:
+            self.eased = plan.bounds._replace(grip_force_n=min(self.eased.grip_force_n, plan.bounds.grip_force_n))
         self.plan = plan
         self.watcher = compile_watch(plan, period_s)
         self.responses = Responses(self.watcher.rules, period_s)

@@ -10,8 +10,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from app.governance.decision import decide
-from app.governance.model import AdmissionOutcome, CoveredRecovery, Mode, PolicyOutcome, Strategy
+from app.governance.model import AdmissionOutcome, AgentFacts, CoveredRecovery, Mode, PolicyOutcome, Strategy
 from app.governance.policy import recovery_plan
+from app.governance.policy_model import GOVERNANCE
 from app.governance.vocabulary import properties
 
 if TYPE_CHECKING:
@@ -64,6 +65,11 @@ def _named(policy: PolicySet, capability: str, proposal: Proposal, context: Cont
     return {} if name is None else {"object_id": name}
 
 
+def _acting_for(agent: AgentFacts) -> AgentFacts:
+    """Return governance as it acts for an agent: it may start recoveries, and may else no more than that agent."""
+    return AgentFacts(name=GOVERNANCE, permissions=agent.permissions | {GOVERNANCE})
+
+
 def _cover(
     policy: PolicySet, proposal: Proposal, context: Context, strategy: Strategy, capability: str, mode: Mode
 ) -> CoveredRecovery | None:
@@ -74,7 +80,7 @@ def _cover(
     if isinstance(params, tuple):  # it cannot run on its defaults, so it cannot be had without being asked
         return None
     asked = replace(proposal, capability=capability, params=params, mode=mode, preconditions=())
-    decision = decide(policy, asked, context if again else replace(context, agent=policy.governance()))
+    decision = decide(policy, asked, context if again else replace(context, agent=_acting_for(context.agent)))
     # A new attempt at what a human approved needs no second approval; any other recovery must need none at all.
     verdict, admission = decision.verdict, decision.admission.outcome
     if verdict is None or verdict.outcome is PolicyOutcome.DENY:

@@ -34,6 +34,7 @@ HELD_TICKS: Final = 10
 LOST_TICKS: Final = 3
 FIST_M: Final = 0.008
 PROGRESS_STEP: Final = 1e-4
+FALLS_BACK: Final = 0.2
 CREEP_MPS: Final = 0.01
 FIX_JUMP_M: Final = 0.3
 
@@ -208,9 +209,36 @@ def stall(
     return stall_ticks, progress, stall_ticks * plan.period_s
 
 
-def counted(retried: int, unmet: int) -> tuple[float, float]:
-    """Pass on what governance counted itself: retries, and postconditions found unmet."""
-    return float(retried), float(unmet)
+def attempts(
+    command: Command,
+    report: SkillReport,
+    retried: int,
+    closing: bool,
+    closings: int,
+    reached: float,
+    restarts: int,
+) -> tuple[bool, int, float, int, float]:
+    """Count retries: those that governance ordered, and those that a skill makes by itself without saying so.
+
+    A skill that begins again closes its hand a second time, or falls back in its own progress. Neither can lower what
+    governance counts.
+    """
+    closes = command.grip_force_n > 0.0
+    if closes and not closing:
+        closings += 1
+    closing = closes
+    told = report.progress
+    if told > reached:
+        reached = told
+    elif told < reached - FALLS_BACK:
+        restarts, reached = restarts + 1, told
+    again = closings - 1 if closings - 1 > restarts else restarts
+    return closing, closings, reached, restarts, float(retried + again)
+
+
+def counted(unmet: int) -> float:
+    """Pass on what governance counted itself: postconditions found unmet."""
+    return float(unmet)
 
 
 # -- force and grip ----------------------------------------------------------------------------------------------------
@@ -219,6 +247,11 @@ def counted(retried: int, unmet: int) -> tuple[float, float]:
 def contact_force(seen: Observation, before: Observation) -> float:
     """Return the mean of the last two ticks: 20 ms."""
     return 0.5 * (seen.contact_force_n + before.contact_force_n)
+
+
+def grip_force(seen: Observation, before: Observation) -> float:
+    """Return the mean of the last two ticks between the pads: 20 ms."""
+    return 0.5 * (seen.grip_force_n + before.grip_force_n)
 
 
 def external_torque(seen: Observation) -> float:
@@ -380,8 +413,10 @@ DETECTORS: Final[tuple[Part, ...]] = parts(
         separation: ("separation_m", "protective_separation_m", "separation_margin_m"),
         timeout: ("elapsed_ticks", "elapsed_s"),
         stall: ("stall_ticks", "progress", "stall_s"),
-        counted: ("retries", "postcondition"),
+        attempts: ("closing", "closings", "reached", "restarts", "retries"),
+        counted: ("postcondition",),
         contact_force: ("contact_force_n",),
+        grip_force: ("grip_force_n",),
         external_torque: ("residual_nm",),
         grip: ("held_ticks", "lost_ticks", "slip_from_m", "slip_m", "grip_lost"),
         arm_speed: ("tcp_speed_mps",),

@@ -36,6 +36,7 @@ SIGNAL_UNITS: Final[Mapping[str, str]] = {
     "retries": "1",
     "slip_m": "m",
     "grip_lost": "1",
+    "grip_force_n": "N",
     "tracking_error_rad": "rad",
     "base_tracking_error_mps": "m/s",
     "sensor_age_ms": "ms",
@@ -54,7 +55,7 @@ NAMED_THRESHOLDS: Final[Mapping[str, str]] = {
 FAILURES: Final = frozenset({
     "object_not_found", "grasp_failed", "object_lost", "no_path", "blocked", "unreachable", "placement_failed",
     "tool_failed", "perception_mismatch", "timeout", "postcondition_failed", "contact", "overspeed", "zone",
-    "instability", "sensor_fault", "stall", "retries_exhausted",
+    "instability", "sensor_fault", "stall", "retries_exhausted", "overgrip",
 })  # fmt: skip
 
 REFERENCES: Final = ("object", "target", "surface", "area", "corridor", "tool", "action")

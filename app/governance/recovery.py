@@ -68,6 +68,7 @@ def recover(
     *,
     covered: tuple[CoveredRecovery, ...],
     after: RecoveryDecision | None = None,
+    recovering: bool = False,
 ) -> RecoveryDecision:
     """Choose the recovery for a failure.
 
@@ -77,8 +78,10 @@ def recover(
         used: What the session has used up so far.
         covered: The recoveries the authorization covers.
         after: A recovery capability that has just succeeded; its row is read on from there.
+        recovering: Whether it was a recovery that failed. Then no new attempt is made: it would stand on what that
+            recovery was to restore.
     """
-    chooser = _Chooser(failure, plan, used, covered)
+    chooser = _Chooser(failure, plan, used, covered, recovering)
     if after is not None:
         return chooser.read(after.row, after.step + 1)
     for number, row in enumerate(plan.rules):
@@ -102,6 +105,7 @@ class _Chooser(NamedTuple):
     plan: RecoveryPlan
     used: Budgets
     covered: tuple[CoveredRecovery, ...]
+    recovering: bool = False
 
     def read(self, number: int, first: int) -> RecoveryDecision:
         """Return the first step of a row, from `first` on, that may be taken."""
@@ -141,7 +145,7 @@ class _Chooser(NamedTuple):
     def _possible(self, strategy: Strategy, number: int, row: RecoveryRule) -> bool:
         if self.used.steps.count((number, strategy)) >= row.budget.get(strategy, DEFAULT_BUDGET):
             return False
-        if strategy in NEW_ATTEMPTS and self.used.retries >= self.plan.retry_budget:
+        if strategy in NEW_ATTEMPTS and (self.recovering or self.used.retries >= self.plan.retry_budget):
             return False
         if strategy is Strategy.SAFER_MODE:
             return self.plan.careful_admitted

@@ -15,7 +15,7 @@ FAR_M: Final = 99.0
 
 
 class Signals(NamedTuple):
-    """All signals of one tick, SI units; the names up to `postcondition` are what watch rules use.
+    """All signals of one tick, SI units; the names up to `grip_force_n` are what watch rules use.
 
     `separation_m` is the distance between the nearest person and the robot (hull of the base, or TCP), and
     `protective_separation_m` what it has to be. `separation_margin_m` is the smallest difference of the two over all
@@ -38,6 +38,7 @@ class Signals(NamedTuple):
     sensor_age_ms: float = 0.0
     implausible: float = 0.0
     postcondition: float = 0.0
+    grip_force_n: float = 0.0
     protective_separation_m: float = 0.0
     separation_margin_m: float = FAR_M
     sensor_margin_ms: float = -1.0
@@ -46,7 +47,7 @@ class Signals(NamedTuple):
     base_yaw_rad: float = 0.0
 
 
-SIGNAL_NAMES: Final = Signals._fields[:16]
+SIGNAL_NAMES: Final = Signals._fields[:17]
 """The names a watch rule may use."""
 
 
@@ -77,6 +78,10 @@ class Senses(NamedTuple):
     slip_from_m: float | None = None
     stuck_ticks: int = 0
     stuck_base_ticks: int = 0
+    closing: bool = False
+    closings: int = 0
+    reached: float = 0.0
+    restarts: int = 0
 
 
 class WatchState(NamedTuple):

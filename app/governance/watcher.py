@@ -82,13 +82,14 @@ class _Sum(NamedTuple):
 class Watcher:
     """Watches one session. Immutable: all that changes is in the `WatchState` that goes in and comes out."""
 
-    __slots__ = ("_constants", "_none", "_plain", "_rows", "_sums", "_watch", "plan", "rules")
+    __slots__ = ("_constants", "_none", "_plain", "_rows", "_signals", "_sums", "_watch", "plan", "rules")
 
     def __init__(self, plan: WatchPlan, rows: tuple[_Row, ...], period_s: float) -> None:
         """Arrange compiled rows; use `compile_watch`."""
         self.plan = plan
         self.rules = tuple(row.rule for row in rows)
         self._rows = rows
+        self._signals = {row.rule.id: row.rule.signal for row in rows}
         plain = [(number, row) for number, row in enumerate(rows) if row.rule.method == "threshold"]
         self._plain = sorted(plain, key=lambda numbered: not numbered[1].rule.above)
         self._sums = tuple(
@@ -132,6 +133,10 @@ class Watcher:
             unmet: How many postconditions were found unmet when the skill said it was done.
         """
         return self._watch(state, observation, report, command, rate, retries, unmet)
+
+    def signal_of(self, rule: str) -> str:
+        """Return the signal that a rule watches; empty where the plan has no such rule."""
+        return self._signals.get(rule, "")
 
     def stale_sensors(self, seen: Observation) -> tuple[str, ...]:
         """Name the sensors whose newest sample is too old; for the record, not for the loop."""

@@ -178,9 +178,9 @@ def test_an_unknown_key_is_answered_with_the_keys_there_are():
     with pytest.raises(PolicyErrors) as caught:
         bundle.load_files(text)
     valid = {problem.key: problem.valid for problem in caught.value.problems}
-    assert {"signal", "response", "for_ms"} <= set(valid["watch[10].loud"])
+    assert {"signal", "response", "for_ms"} <= set(valid["watch[11].loud"])
     assert set(valid["authority.approval.approvers.none"]) == {"default", "low", "medium", "high", "critical"}
-    assert set(valid["watch[11].above.off"]) == {"limit", "times"}
+    assert set(valid["watch[12].above.off"]) == {"limit", "times"}
     assert set(valid["targets.x_m.z_m"]) == set(valid["targets.dock.z_m"])
     assert set(valid["targets.dock.z_m"]) == {"x_m", "y_m", "yaw_rad", "corridor"}
 

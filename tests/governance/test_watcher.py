@@ -572,5 +572,5 @@ def test_watching_is_pure() -> None:
 
 
 def test_every_signal_has_a_name_policy_can_use() -> None:
-    assert SIGNAL_NAMES[-1] == "postcondition"
+    assert SIGNAL_NAMES[-1] == "grip_force_n"
     assert set(SIGNAL_NAMES) <= set(Signals._fields)
