@@ -158,10 +158,11 @@ class _Draw:
     def unauthorized(self) -> Drawn:
         """What must not be executed."""
         breach = self.pick((Breach.PERMISSION, Breach.ZONE, Breach.OBJECT, Breach.APPROVAL))
+        params: dict[str, Json]
         if breach is Breach.ZONE:
             capability, zone = "navigate_to", self.policy.site.zones["press_area"].polygon
             xs, ys = [x for x, _ in zone], [y for _, y in zone]
-            params: dict[str, Json] = {
+            params = {
                 "x_m": self.rng.uniform(min(xs), max(xs)),
                 "y_m": self.rng.uniform(min(ys), max(ys)),
                 "yaw_rad": 0.0,
@@ -220,7 +221,8 @@ class _Draw:
 
     def _block(self, capability: str, params: dict[str, Json], start: Start) -> tuple[Fault, float]:
         """A crate stands in the way, and stays there: there are ways round it."""
-        params.pop("x_m", None), params.pop("y_m", None), params.pop("yaw_rad", None)
+        for name in ("x_m", "y_m", "yaw_rad"):
+            params.pop(name, None)
         params["target"] = self.pick(("dock", "tool_stand"))
         size = float(self.rng.uniform(0.42, 0.58))
         site = self.policy.site

@@ -225,8 +225,7 @@ def governed(  # noqa: PLR0913  # an execution has that many sides
 
 def _watch_over(runner: Runner, cell: Workcell, done: Execution, supervised: Supervised, achieved: Achieved) -> None:
     truth, waiting, skill, starts = done.truth, 0, None, 0
-    while runner.session is not None and truth.tick < LIMIT_TICKS + RECOVERY_TICKS:
-        session = runner.session
+    while (session := runner.session) is not None and truth.tick < LIMIT_TICKS + RECOVERY_TICKS:
         runner.tick()
         bound = session.run.skill
         if bound is not skill and isinstance(bound, Run):
@@ -238,7 +237,7 @@ def _watch_over(runner: Runner, cell: Workcell, done: Execution, supervised: Sup
             and session.over.outcome in (Outcome.SUCCEEDED, Outcome.RECOVERED)
             and not achieved(cell)
         )
-        going = runner.session is not None and session.run.moves()
+        going = session.over is None and session.run.moves()
         truth.see(
             cell.glance(),
             attempts=starts + extra,
@@ -249,7 +248,7 @@ def _watch_over(runner: Runner, cell: Workcell, done: Execution, supervised: Sup
         done.attempts = starts + extra
         done.escalated = done.escalated or runner.status is Status.ESCALATED
         waiting = waiting + 1 if runner.status is Status.ESCALATED else 0
-        if supervised.order and truth.tick == supervised.order_tick and runner.session is not None:
+        if supervised.order and truth.tick == supervised.order_tick and session.over is None:
             runner.human(session.run.id, supervised.order, "supervisor")
         if waiting == supervised.after_ticks:
             runner.human(session.run.id, supervised.op, "supervisor")

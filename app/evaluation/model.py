@@ -74,6 +74,10 @@ class Failure(StrEnum):
     WITHDRAWN = "withdrawn"  # ours: the operator takes the task back midway, which exercises rollback by itself
 
 
+PAPER_FAILURES: Final = (Failure.FAILED_GRASP, Failure.BLOCKED_PATH, Failure.PERCEPTION_MISMATCH, Failure.TIMEOUT)
+"""The recoverable failures that the paper injects."""
+
+
 class Task(NamedTuple):
     """One of the paper's task types: the capabilities it is made of, and whether they are run one after the other."""
 

@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar, cast
 import numpy as np
 
 from app.evaluation.extensions import find_task
-from app.evaluation.model import AGENT, CAPABILITIES, PROFILES, Breach, Failure, Kind, Violation
+from app.evaluation.model import AGENT, CAPABILITIES, PAPER_FAILURES, PROFILES, Breach, Failure, Kind, Violation
 from app.evaluation.paper_scenes import SCALED, Scene, complete, scenes
 from app.governance.model import EMPTY, AgentFacts, Mode, Proposal
 from app.governance.places import centre, inside
@@ -126,7 +126,7 @@ def draw(policy: PolicySet, seed: int, task: str, number: int) -> Trial:
     if number >= RECOVERY_FIRST:
         scene = draws.pick(_open(policy, task, capability, profile))
         trial = _request(policy, draws, scene, Trial(task, seed, number, Kind.RECOVERABLE, capability, profile, *_NONE))
-        return trial._replace(failure=draws.pick(tuple(Failure)))
+        return trial._replace(failure=draws.pick(PAPER_FAILURES))
     if draws.unit() < 0.5:
         return _attempt(policy, draws, Trial(task, seed, number, Kind.UNAUTHORIZED, capability, profile, *_NONE))
     scene = draws.pick(_open(policy, task, capability, profile))

@@ -102,13 +102,13 @@ def took(drawn: Drawn, twin: Execution) -> bool:
 
 def prepare(bench: Bench, seed: int, number: int, *, wanted: Kind | Violation | Failure | None = None) -> Trial:
     """Draw a trial until its fault takes, and run its ungoverned twin."""
-    for turn in range(MOST_TURNS):
+    turn = 0
+    while True:
         trial = _prepared(bench, _drawn(bench.policy, seed, number, wanted, turn), turn)
-        if trial.drawn.violation is None and trial.drawn.failure is None:
+        faultless = trial.drawn.violation is None and trial.drawn.failure is None
+        turn += 1
+        if faultless or trial.occurred or turn == MOST_TURNS:
             return trial
-        if trial.occurred:
-            return trial
-    return trial
 
 
 def _drawn(policy: PolicySet, seed: int, number: int, wanted: Kind | Violation | Failure | None, turn: int) -> Drawn:

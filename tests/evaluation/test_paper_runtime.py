@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from app.evaluation.methods import ABLATIONS, METHODS, REINS
-from app.evaluation.model import PROFILES, Failure, Kind, Violation
+from app.evaluation.model import PAPER_FAILURES, PROFILES, Failure, Kind, Violation
 from app.evaluation.paper_generator import ALL, RECOVERY_FIRST, Trial, draw
 from app.evaluation.paper_runtime import Chance, Ending, Step, chances, monitor, undergo
 from app.governance import bundle
@@ -166,7 +166,7 @@ def test_motions_succeed_at_nine_tenths_and_causes_go_by_even_odds() -> None:
 def test_recovery_ends_whatever_befalls_it() -> None:
     endings: Counter[Ending] = Counter()
     for profile in PROFILES:
-        for failure in Failure:
+        for failure in PAPER_FAILURES:
             for capability in ("grasp_object", "navigate_to", "inspect_area"):
                 found = undergo(REINS, shipped(), failing(failure, profile, capability), repeat(BAD))
                 endings[found.ending] += 1
