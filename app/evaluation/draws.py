@@ -158,18 +158,19 @@ class _Draw:
     def unauthorized(self) -> Drawn:
         """What must not be executed."""
         breach = self.pick((Breach.PERMISSION, Breach.ZONE, Breach.OBJECT, Breach.APPROVAL))
-        params: dict[str, Json]
+        params: dict[str, Json] = {}
         if breach is Breach.ZONE:
             capability, zone = "navigate_to", self.policy.site.zones["press_area"].polygon
             xs, ys = [x for x, _ in zone], [y for _, y in zone]
             params = {
-                "x_m": self.rng.uniform(min(xs), max(xs)),
-                "y_m": self.rng.uniform(min(ys), max(ys)),
+                "x_m": float(self.rng.uniform(min(xs), max(xs))),
+                "y_m": float(self.rng.uniform(min(ys), max(ys))),
                 "yaw_rad": 0.0,
                 "speed_mps": 0.2,
             }
         elif breach is Breach.OBJECT:
-            capability, params = "grasp_object", {"object_id": "solvent_1", "force_n": 20.0, "speed_mps": 0.1}
+            capability = "grasp_object"
+            params = {"object_id": "solvent_1", "force_n": 20.0, "speed_mps": 0.1}
         elif breach is Breach.APPROVAL:  # where people share the floor, medium risk and up waits for a human
             self.profile = "human-shared"
             return self._made(Kind.UNAUTHORIZED, self.pick(ASKING), breach=breach)

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from app.evaluation.extensions import REGISTRY, UnknownName
-from app.evaluation.model import CAPABILITIES, PROFILES, TASKS, Breach, Failure, Kind, Task, Violation
+from app.evaluation.model import CAPABILITIES, PAPER_FAILURES, PROFILES, TASKS, Breach, Kind, Task, Violation
 from app.evaluation.paper_generator import ALL, OVERRIDE_FIRST, RECOVERY_FIRST, SHARED, Trial, breaches, draw
 from app.evaluation.paper_scenes import SCALED, scenes
 from app.governance import bundle
@@ -41,7 +41,7 @@ def test_capabilities_profiles_violations_and_failures_are_uniform() -> None:
         (Counter[object](trial.capability for trial in trials()), CAPABILITIES),
         (Counter[object](trial.profile for trial in trials()), PROFILES),
         (Counter[object](trial.violation for trial in trials() if trial.violation), Violation),
-        (Counter[object](trial.failure for trial in trials(first=RECOVERY_FIRST)), Failure),
+        (Counter[object](trial.failure for trial in trials(first=RECOVERY_FIRST)), PAPER_FAILURES),
     ):
         assert set(counted) == set(things)
         assert uniform(counted)
