@@ -48,8 +48,8 @@ async def escalation(request: Request, id: Identifier) -> Response:
 async def resolve(request: Request, id: Identifier) -> Response:
     """Answer an escalation with `approve` or `deny`, bound to the digest of what was shown.
 
-    Edited `params` are checked again, and void earlier approvals; a session under way cannot be edited. A second answer,
-    a late one or another digest is refused with 409.
+    Edited `params` are checked again, and void earlier approvals; a session under way cannot be edited. A second
+    answer, a late one or another digest is refused with 409.
     """
     body = await read_body(request, ResolveBody)
     document = await parts_of(request).desk.resolve(
