@@ -9,6 +9,7 @@ import typer
 
 from app.config import find_policies
 from app.governance.bundle import load, read_cases
+from app.governance.cases import read as read_tests
 from app.governance.cases import run as run_cases
 from app.governance.errors import PolicyErrors
 from app.terminal import FINDING, err, say, say_error
@@ -25,13 +26,21 @@ Directory = Annotated[
 
 @app.command()
 def check(directory: Directory = None) -> None:
-    """Load and type-check everything; print every problem with its file and line.
+    """Load and type-check everything, its cases included; print every problem with its file and line.
 
     [bold]reins policy check policies[/]
     """
-    policy = _load(find_policies(directory))
+    folder = find_policies(directory)
+    policy = _load(folder)
+    try:
+        cases = read_tests(policy, read_cases(folder))
+    except PolicyErrors as found:
+        raise _finding(found, folder) from found
     pairs, rules = len(policy.gates), len(policy.rules)
-    say(f"{len(policy.files)} files, {rules} rules, {pairs} enabled pairs of capability and profile: no problem")
+    say(
+        f"{len(policy.files)} files, {rules} rules, {pairs} enabled pairs of capability and profile, "
+        f"{len(cases)} cases: no problem"
+    )
     say(policy.digest)
 
 

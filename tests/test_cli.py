@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import re
+import shutil
 import sqlite3
 from contextlib import closing
 from pathlib import Path
@@ -18,6 +19,7 @@ from app.audit.store import AuditStore
 from app.cli import app
 from app.config import CellSettings, ConfigError, Settings, find_policies
 from tests.audit.conftest import fill
+from tests.governance.policy_world import POLICIES
 
 COMMANDS = [
     "serve",
@@ -78,6 +80,18 @@ def test_says_how_far_an_altered_log_is_good(tmp_path: Path, seq: int, relied_on
     assert code == 1
     assert f"event {seq}: " in said
     assert relied_on in said
+
+
+@pytest.mark.parametrize(
+    ("cases", "said"), [("cases: [", "not readable as YAML"), ("cases:\n  - {nam: x}\n", "unknown key `nam`")]
+)
+def test_checks_the_cases_of_a_policy_too(tmp_path: Path, cases: str, said: str) -> None:
+    shutil.copytree(POLICIES, tmp_path / "policies")
+    (tmp_path / "policies" / "tests" / "site.yaml").write_text(cases)
+    code, found = run("policy", "check", str(tmp_path / "policies"))
+    assert code == 1
+    assert "tests/site.yaml:" in found
+    assert said in found
 
 
 def test_there_is_nothing_to_verify_where_no_log_is(tmp_path: Path) -> None:

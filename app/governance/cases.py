@@ -7,7 +7,7 @@ A case says what differs from the ordinary: an idle cell at bench A whose sensor
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from app.governance.bundle_fit import fit
 from app.governance.bundle_shapes import CasesShape, ContextShape
@@ -39,13 +39,22 @@ class CaseResult:
         return not self.differences
 
 
-def run(policy: PolicySet, files: Mapping[str, str]) -> list[CaseResult]:
-    """Run the cases of these files (`bundle.read_cases`), in order of file and place.
+class _Found(NamedTuple):
+    """A case where it stands, and the profile it is decided in."""
+
+    file: str
+    line: int
+    profile: str
+    case: CaseShape
+
+
+def read(policy: PolicySet, files: Mapping[str, str]) -> list[_Found]:
+    """Read the cases of these files (`bundle.read_cases`), in order of file and place, without deciding them.
 
     Raises:
         PolicyErrors: A file of cases is not readable, or names a place or profile that does not exist.
     """
-    results: list[CaseResult] = []
+    cases: list[_Found] = []
     problems: list[PolicyError] = []
     for file in sorted(files):
         document, found = parse(file, files[file])
@@ -56,22 +65,35 @@ def run(policy: PolicySet, files: Mapping[str, str]) -> list[CaseResult]:
         for index, case in enumerate(shape.cases):
             line = document.line(("cases", index))
             profile = case.profile or shape.profile
-            if profile not in policy.profiles:
-                message = f"there is no profile `{profile}`"
-                problems.append(
-                    PolicyError(file=file, line=line, key="profile", message=message, valid=sorted(policy.profiles))
-                )
-                continue
             stand = (case.context or ContextShape()).stand or policy.site.start
-            if stand not in policy.site.targets:
-                message, valid = f"there is no target `{stand}`", sorted(policy.site.targets)
-                problems.append(PolicyError(file=file, line=line, key="stand", message=message, valid=valid))
-                continue
-            differences = tuple(_differences(case, *_decide(policy, profile, case)))
-            results.append(CaseResult(file=file, line=line, name=case.name, differences=differences))
+            for key, name, known in (("profile", profile, policy.profiles), ("stand", stand, policy.site.targets)):
+                if name not in known:
+                    what = f"there is no {_KINDS[key]} `{name}`"
+                    problems.append(PolicyError(file=file, line=line, key=key, message=what, valid=sorted(known)))
+            cases.append(_Found(file, line, str(profile), case))
     if problems:
         raise PolicyErrors(problems)
-    return results
+    return cases
+
+
+_KINDS: Final = {"profile": "profile", "stand": "target"}
+
+
+def run(policy: PolicySet, files: Mapping[str, str]) -> list[CaseResult]:
+    """Run the cases of these files, in order of file and place.
+
+    Raises:
+        PolicyErrors: As `read`.
+    """
+    return [
+        CaseResult(
+            file=file,
+            line=line,
+            name=case.name,
+            differences=tuple(_differences(case, *_decide(policy, profile, case))),
+        )
+        for file, line, profile, case in read(policy, files)
+    ]
 
 
 def _decide(policy: PolicySet, profile: str, case: CaseShape) -> tuple[str, Decision | None]:
