@@ -102,8 +102,7 @@ def inputs(reader: Reader, shape: shapes.CapabilityShape) -> Iterator[PolicyErro
         jsonschema_rs.validator_for(schema)
         jsonschema_rs.meta.validate(schema)
     except (ValueError, jsonschema_rs.ValidationError) as error:
-        detail = str(getattr(error, "message", error)).splitlines()[0]
-        yield reader.problem(("inputs",), f"not a valid JSON Schema: {detail}")
+        yield _no_schema(reader, error)
         return
     if schema.get("type") != "object" or schema.get("additionalProperties") is not False:
         message = "inputs are a closed object"
@@ -120,6 +119,15 @@ def inputs(reader: Reader, shape: shapes.CapabilityShape) -> Iterator[PolicyErro
         yield from _PARAM_CHECKS[str(spec["type"])](reader, path, name, cast("Mapping[str, Json]", spec))
         yield from _default(reader, path, cast("Mapping[str, Json]", spec))
     yield from _references(reader, cast("Mapping[str, object]", declared if isinstance(declared, dict) else {}))
+
+
+def _no_schema(reader: Reader, error: Exception) -> PolicyError:
+    """Say where a schema is none; of a ValueError (a schema too strange to look at) only that it is not."""
+    inside = cast("Path", tuple(getattr(error, "instance_path", ())))
+    detail, valid = str(getattr(error, "message", error)).splitlines()[0], list[str]()
+    if inside[-1:] == ("type",):
+        detail, valid = f"`{getattr(error, 'instance', '')}` is no type", list(_PARAM_CHECKS)
+    return reader.problem(("inputs", *inside), f"not a valid JSON Schema: {detail}", valid)
 
 
 def _references(reader: Reader, declared: Mapping[str, object]) -> Iterator[PolicyError]:

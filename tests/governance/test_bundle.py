@@ -144,6 +144,26 @@ def test_says_what_is_wrong_with_a_broken_directory(file, old, new, said):
     assert all(problem.line > 0 for problem in told)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("force_n: {type: number,", "force_n: {type: numbr,", "`numbr` is no type; valid: `number`"),
+        (
+            "force_n: {type: number, unit: N, minimum: 2",
+            "force_n: {type: number, unit: N, minimum: two",
+            '"two" is not',
+        ),
+    ],
+)
+def test_a_fault_inside_a_schema_is_told_with_its_own_line(old, new, said):
+    text = files()[GRASP]
+    line = next(number for number, words in enumerate(text.splitlines(), 1) if old in words)
+    with pytest.raises(PolicyErrors) as caught:
+        bundle.load_files({**files(), GRASP: text.replace(old, new)})
+    assert said in str(caught.value)
+    assert [problem.line for problem in caught.value.problems] == [line]
+
+
 def test_reports_all_problems_together_in_order():
     text = files()
     text[GRASP] = text[GRASP].replace("risk: medium", "risk: enormous")
