@@ -136,6 +136,7 @@ def register(router: APIRouter) -> None:
                 "escalation_expired",
                 "digest_mismatch",
                 "edit_refused",
+                "ending",
                 "record_unavailable",
             ),
         ),
@@ -144,8 +145,8 @@ def register(router: APIRouter) -> None:
     for word, endpoint, body, codes in (
         ("pause", pause, None, session),
         ("stop", stop, None, session),
-        ("resume", resume, EmptyBody, (*session, "cell_offline")),
-        ("rollback", rollback, EmptyBody, (*session, "cell_offline")),
+        ("resume", resume, EmptyBody, (*session, "ending", "cell_offline")),
+        ("rollback", rollback, EmptyBody, (*session, "ending", "cell_offline")),
     ):
         declare(
             router,

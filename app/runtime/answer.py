@@ -179,6 +179,8 @@ class Answer:
             )
             raise InvalidParams([{"path": "params", "message": message}])
         cell = self._fleet.cell(self._invocation.cell or "")
+        if word := cell.ending(self._invocation.id):
+            raise Conflict("ending", f"the session is coming to its end after `{word}`: it cannot go on")
         if not self._fleet.attached(cell):
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to go on")
         closed = await self._commit_session("approve", APPROVED)

@@ -11,6 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from app.clock import monotonic_s
 from app.governance.model import WorldFacts
+from app.protocol import Human
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from app.runtime.link import Attachment
 
 FRESH_S: Final = 1.0  # a state older than this says nothing
+ENDING: Final = frozenset({"stop", "cancel", "resolve_terminate"})  # after these a session only comes to rest
 _WORLD: Final = TypeAdapter(WorldFacts)
 _WORLD_NAMES: Final = frozenset(WorldFacts.__dataclass_fields__)
 
@@ -71,6 +73,14 @@ class Cell:
             and self.state is not None
             and monotonic_s() - self.state_at_s <= FRESH_S
         )
+
+    def ends(self, message: Message) -> bool:
+        """Say whether a message ends the session this cell has; it is said again at every welcome until then."""
+        return isinstance(message, Human) and message.op in ENDING and message.invocation == self.claim
+
+    def ending(self, invocation: str) -> str | None:
+        """Return the word by which an invocation's session is coming to its end, if one was said."""
+        return next((op for op, name in self.owed if name == invocation and op in ENDING), None)
 
     def recall(self, name: str, value: object) -> None:
         """Take back one of the settings that were kept for this cell."""

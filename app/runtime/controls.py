@@ -20,6 +20,7 @@ from app.runtime.uncut import uncut
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from app.runtime.cells import Cell
     from app.runtime.desk import Desk
     from app.runtime.fleet import Fleet
     from app.runtime.invocation import Invocation, Principal
@@ -80,20 +81,26 @@ class Controls:
 
         Raises:
             NotFound: there is none that this principal may see.
-            Conflict: `wrong_status`, it is over.
+            Conflict: `wrong_status`, it is over; `ending`, it has been stopped already.
             RecordUnavailable: nothing was recorded; what restrains has been sent all the same.
         """
         await self.visible(invocation_id, principal)
         entry = self.register.entry(invocation_id)
         if entry is not None and entry.newest.status in SESSION:
-            return await self._restrain("cancel", entry.newest, principal)
+            return await self._cancel(entry.newest, principal)
         if entry is not None:
             async with entry.lock:
                 if entry.newest.status is Status.AWAITING_APPROVAL:
                     return await self._withdraw(entry.newest, principal)
             if entry.newest.status in SESSION:  # it was approved while this waited
-                return await self._restrain("cancel", entry.newest, principal)
+                return await self._cancel(entry.newest, principal)
         raise _wrong_status("cancel", (await self.register.load(invocation_id)).status)
+
+    async def _cancel(self, present: Invocation, principal: Principal) -> dict[str, Any]:
+        cell = self.fleet.cell(present.cell or UNNAMED)
+        if cell.ending(present.id) not in {None, "cancel"}:
+            raise _ending("cancel", cell, present)
+        return await self._restrain("cancel", present, principal)
 
     async def _withdraw(self, present: Invocation, principal: Principal) -> dict[str, Any]:
         question = self.desk.withdrawal(present.id)
@@ -117,6 +124,8 @@ class Controls:
         if restrains:
             return await self._restrain(op, present, principal)
         cell = self.fleet.cell(present.cell or UNNAMED)
+        if cell.ending(present.id):
+            raise _ending(op, cell, present)
         if not self.fleet.attached(cell):
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to {op}")
         await self.register.append([human_event(op, present, principal)])
@@ -191,6 +200,11 @@ class Controls:
 
 def _message(op: str, invocation: Invocation, principal: Principal) -> Human:
     return Human.model_validate({"invocation": invocation.id, "op": op, "actor": principal.name})
+
+
+def _ending(op: str, cell: Cell, invocation: Invocation) -> Conflict:
+    word = cell.ending(invocation.id)
+    return Conflict("ending", f"`{op}` is not possible after `{word}`: the session is coming to its end")
 
 
 def _wrong_status(op: str, status: Status) -> Conflict:

@@ -158,7 +158,7 @@ class Desk:
         Raises:
             NotFound: no such question.
             Conflict: `already_resolved`, `escalation_expired`, `digest_mismatch`, `already_approved`, `edit_refused`
-                (with policy's reasons), `cell_offline`.
+                (with policy's reasons), `cell_offline`, `ending`.
             Forbidden: `own_proposal`, nobody approves what they proposed.
             InvalidParams: edited parameters that do not fit the schema, or edit a session under way.
             RecordUnavailable: nothing was recorded; a denial of a session has been sent to the cell all the same.

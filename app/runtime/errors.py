@@ -20,6 +20,7 @@ CONFLICTS: Final[Mapping[str, int]] = {
     "idempotency_mismatch": 422,
     "in_flight": 409,
     "wrong_status": 409,
+    "ending": 409,
     "already_resolved": 409,
     "already_approved": 409,
     "escalation_expired": 409,

@@ -236,17 +236,21 @@ class Fleet:
     # -- speaking to a cell ------------------------------------------------------------------------------------------
 
     def restrain(self, cell: Cell, message: Human | Estop) -> bool:
-        """Send a restraint at once, ahead of everything; a cell that is away is owed it. Returns whether it is."""
+        """Send a restraint at once, ahead of everything. Returns whether the cell is there.
+
+        One that is away is owed it. What ends a session is owed until the session is over: a link may drop with it.
+        """
         attachment = cell.attachment
-        if attachment is not None and attachment.welcomed:
-            attachment.post(message, urgent=True)
-            return True
+        there = attachment is not None and attachment.welcomed
         match message:
             case Human():
-                cell.owed[message.op, message.invocation] = message
+                if not there or cell.ends(message):
+                    cell.owed[message.op, message.invocation] = message
             case Estop():
                 pass  # the latch itself is remembered, and sent at every welcome
-        return False
+        if attachment is not None and there:
+            attachment.post(message, urgent=True)
+        return there
 
     def order(self, cell: Cell, message: Message) -> None:
         """Send something that was recorded.
@@ -305,7 +309,7 @@ class Fleet:
             attachment.post(Estop(actor="server"))
         for message in cell.owed.values():
             attachment.post(message)
-        cell.owed.clear()
+        cell.owed = {key: message for key, message in cell.owed.items() if cell.ends(message)}
         # Only what is believed now: a session launched on this very link must not be held against its `Hello`.
         cell.unreconciled = Reunion(hello=hello, believed=cell.claim)
         await self._desk.attached(cell.id, hello)

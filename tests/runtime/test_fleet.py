@@ -414,6 +414,21 @@ async def test_a_stop_reaches_a_cell_that_was_away(runtime: Runtime, cell: HandC
     await until(lambda: back.ops() == ["stop"])
 
 
+async def test_a_stop_that_was_lost_with_its_link_is_said_again_until_the_session_is_over(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    name = await running(runtime, cell)
+    await runtime.governor.stop(name, OPERATOR)
+    await cell.hang_up()
+    back = await HandCell(runtime, seq=cell.seq, invocation=name, status="running").dial()
+    await until(lambda: back.ops() == ["stop"])
+    await back.ended(name, "stopped")
+    await back.hang_up()
+    idle = await HandCell(runtime, seq=back.seq).dial()
+    await idle.expect("beat")
+    assert idle.ops() == []
+
+
 async def test_an_emptied_journal_counts_from_the_start(runtime: Runtime, cell: HandCell) -> None:
     for _ in range(3):
         await cell.report("cell", what="something")

@@ -325,6 +325,42 @@ async def test_a_word_out_of_place_is_refused(runtime: Runtime, cell: HandCell, 
     assert cell.ops() == []
 
 
+@pytest.mark.parametrize("op", ["resume", "rollback", "cancel"])
+async def test_what_was_stopped_only_comes_to_rest(runtime: Runtime, cell: HandCell, op: str) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    name = document["id"]
+    await cell.launched(name)
+    await cell.report("status", name, status="paused")
+    await runtime.governor.stop(name, OPERATOR)
+    with pytest.raises(Conflict) as refusal:
+        await getattr(runtime.governor, op)(name, OPERATOR)
+    assert (refusal.value.code, refusal.value.status) == ("ending", 409)
+    await runtime.governor.stop(name, OPERATOR)
+    await until(lambda: cell.ops() == ["stop", "stop"])
+    said = [event["body"]["op"] for event in await runtime.governor.trace(name, AUDITOR) if event["kind"] == "human"]
+    assert said == ["stop", "stop"]
+
+
+async def test_a_cancelled_session_may_be_cancelled_again(runtime: Runtime, cell: HandCell) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    await cell.launched(document["id"])
+    for _ in range(2):
+        await runtime.governor.cancel(document["id"], AGENT)
+    await until(lambda: cell.ops() == ["cancel", "cancel"])
+
+
+async def test_a_held_session_that_was_stopped_is_not_let_go(runtime: Runtime, cell: HandCell) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    await cell.launched(document["id"])
+    await cell.report("escalation", document["id"], reason="separation")
+    question = runtime.desk.pending_for(document["id"])
+    assert question is not None
+    await runtime.governor.stop(document["id"], OPERATOR)
+    with pytest.raises(Conflict) as refusal:
+        await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    assert refusal.value.code == "ending"
+
+
 @pytest.mark.parametrize("op", ["pause", "resume", "stop", "rollback", "cancel"])
 async def test_nothing_can_be_done_to_what_is_over(runtime: Runtime, cell: HandCell, op: str) -> None:
     document, _ = await runtime.governor.propose(AGENT, ProposalRequest(capability="fly", params={}))
