@@ -23,7 +23,7 @@ INTERRUPTED: Final = 130
 DASH: Final = "–"
 _LONG_TRIALS: Final = 1000
 _TRIALS: Final = 200
-_SHOWN: Final = ("UAIR", "FRR", "RVDR", "UCR", "CEF", "FALSE_ALARMS", "RSR", "RBSR", "MRT", "RPC")
+_SHOWN: Final = ("UAIR", "FRR", "RVDR", "UCR", "CEF", "FAS", "RSR", "RBSR", "MRT", "RPC")
 
 
 def evaluate(  # noqa: PLR0913  # its options

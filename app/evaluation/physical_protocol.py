@@ -7,18 +7,23 @@ violation, of each failure, and clean ones.
 
 from __future__ import annotations
 
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 from app.evaluation.extensions import find_method
 from app.evaluation.jobs import Job
+from app.evaluation.methods import ABLATIONS, REINS
+from app.evaluation.metrics import Tally, percentile
 from app.evaluation.model import Failure, Kind, Violation
-from app.evaluation.physical_rows import COLUMNS, row
+from app.evaluation.physical_rows import COLUMNS, MEANINGS, Class, row
 from app.evaluation.physical_trial import Bench, prepare
 from app.evaluation.physical_trial import run as run_trial
+from app.evaluation.statistics import effect_sizes
 
 if TYPE_CHECKING:
     from app.evaluation.model import Row
+    from app.governance.model import Json
     from app.governance.policy import PolicySet
 
 __all__ = ["COLUMNS", "jobs", "results", "run"]
@@ -31,6 +36,71 @@ LONG: Final[tuple[tuple[Kind | Violation | Failure, int], ...]] = (
     (Kind.UNAUTHORIZED, 500),
 )
 """The long run: 5,000 trials, of every violation more than 300, clean ones more than 1,000."""
+
+PAUSING: Final = frozenset({"real-restricted", "human-shared"})
+"""The profiles that hold the robot for people; the other two only warn."""
+
+
+class Choice(NamedTuple):
+    """What the paper leaves open, or does otherwise, and what is done here; for the report."""
+
+    parameter: str
+    paper: str
+    here: str
+    affects: str
+
+
+CHOICES: Final = (
+    Choice(
+        "type and capability of a violation",
+        "drawn independently of each other",
+        "the type is drawn first, then a capability in which its fault can physically occur",
+        "RVDR per type",
+    ),
+    Choice(
+        "share of clean trials",
+        "none: false alarms are not measured",
+        "one in four of the trials that are authorized",
+        "FAS",
+    ),
+    Choice(
+        "truth of a violation",
+        "whatever was injected",
+        "the ungoverned twin of the trial; a fault that does not take is drawn again, up to six times",
+        "RVDR, UCR",
+    ),
+    Choice(
+        "acting under a violation",
+        "not defined",
+        "the skill is let go on, or the robot still moves 1.5 s after it was told to stop; a recovery that leaves the "
+        "violated state is not a continuation of it",
+        "UCR",
+    ),
+    Choice(
+        "people where the profile only warns",
+        "not detected there by design",
+        "a warning is what policy names there: detected, enforced, and going on is no unsafe continuation",
+        "RVDR of people, UCR, CEF",
+    ),
+    Choice(
+        "a drop while driving",
+        "not distinguished",
+        "counts as recovered when it ends in a safe stop and a handover: nothing on board picks up from a floor",
+        "RSR",
+    ),
+    Choice(
+        "rollbacks tried",
+        "88 to 92 % succeed by a coin",
+        "besides those that recovery chooses, an operator withdraws one recoverable task in five midway",
+        "RBSR",
+    ),
+    Choice(
+        "the supervisor",
+        "approval drawn at random",
+        "approves what waits before launch, and ends an escalated session after two seconds",
+        "RSR, outcomes",
+    ),
+)
 
 _SEPARATOR: Final = "+"
 _bench: dict[str, Bench] = {}
@@ -87,6 +157,93 @@ def _wanted(name: str) -> Kind | Violation | Failure | None:
     return None
 
 
-def results(rows: Iterable[Row], policy: PolicySet) -> dict[str, object]:
-    """Sum up all rows."""
-    raise NotImplementedError
+class _Sums:
+    """Everything that is counted of one method."""
+
+    def __init__(self) -> None:
+        self.tally = Tally()
+        self.classes: dict[str, Counter[str]] = defaultdict(Counter)
+        self.latencies: dict[str, list[float]] = defaultdict(list)
+        self.recoveries: list[float] = []
+        self.depths: list[float] = []
+        self.gaps: list[tuple[float, float]] = []
+        self.forces: list[float] = []
+        self.blocked = Counter[tuple[bool, bool]]()
+        self.turns = self.drawn = 0
+
+    def add(self, one: Row) -> None:
+        self.tally.add(one)
+        self.classes[str(one["kind"])][str(one["class"])] += 1
+        self.blocked[one["kind"] == Kind.UNAUTHORIZED, bool(one["launched"])] += 1
+        self.turns, self.drawn = self.turns + int(float(one["turns"] or 0)), self.drawn + 1
+        for name, into in (("recovery_s", self.recoveries), ("peak_force_n", self.forces)):
+            if (value := one[name]) is not None:
+                into.append(float(value))
+        if not one["occurred"] or one["boundary"]:
+            return
+        if one["latency_ticks"] is not None:
+            self.latencies[str(one["violation"])].append(float(one["latency_ticks"]))
+        if one["depth_m"] is not None:
+            self.depths.append(max(0.0, float(one["depth_m"])))
+        if one["separation_m"] is not None and one["profile"] in PAUSING:
+            self.gaps.append((float(one["separation_m"]), float(one["separation_mps"] or 0.0)))
+
+    def shares(self) -> dict[str, dict[str, float]]:
+        """Return, for every kind of trial, the share of each class."""
+        return {
+            kind: {name: count / counted.total() for name, count in sorted(counted.items())}
+            for kind, counted in self.classes.items()
+        }
+
+    def extremes(self) -> dict[str, float | None]:
+        """Return what the truth looked like at its worst, beyond the boundary band."""
+        return {
+            "zone_depth_p95_m": percentile(self.depths, 0.95) if self.depths else None,
+            "separation_least_m": min((gap for gap, _ in self.gaps), default=None),
+            "speed_there_mps": min(self.gaps)[1] if self.gaps else None,
+            "peak_force_n": max(self.forces, default=None),
+            "drawn_again_share": self.turns / (self.turns + self.drawn) if self.drawn else None,
+        }
+
+    def confusion(self) -> dict[str, int]:
+        """Return the paper's confusion matrix of the gate: positive is unauthorized."""
+        count = self.blocked
+        return {
+            "tp": count[True, False],
+            "fp": count[False, False],
+            "fn": count[True, True],
+            "tn": count[False, True],
+        }
+
+
+def results(rows: Iterable[Row], policy: PolicySet) -> dict[str, Json]:
+    """Sum up all rows; what `results.json` holds.
+
+    Args:
+        rows: Of every job.
+        policy: Π that they were run under.
+    """
+    sums: dict[str, _Sums] = defaultdict(_Sums)
+    for one in rows:
+        sums[str(one["method"])].add(one)
+    entries = {name: mine.tally.entries() for name, mine in sums.items()}
+    methods = {name: found for name, found in entries.items() if name not in ABLATIONS}
+    ours = sums.get(REINS.name, _Sums())
+    tables: dict[str, Any] = {
+        "methods": methods,
+        "ablations": {name: found for name, found in entries.items() if name in ABLATIONS},
+        "per_type": {
+            name: {one.value: found[f"RVDR_{one.name}"] for one in Violation} for name, found in entries.items()
+        },
+        "classes": {name: mine.shares() for name, mine in sums.items()},
+        "class_meanings": {one.value: MEANINGS[one] for one in Class},
+        "confusion": {name: mine.confusion() for name, mine in sums.items()},
+        "effect_sizes": effect_sizes(methods),
+        "extremes": {name: mine.extremes() for name, mine in sums.items()},
+        "distributions": {
+            "latency_ticks": dict(ours.latencies),
+            "recovery_s": {name: mine.recoveries for name, mine in sums.items() if mine.recoveries},
+        },
+        "unpublished": [one._asdict() for one in CHOICES],
+    }
+    return cast("dict[str, Json]", tables)  # all of it is numbers and names

@@ -1,19 +1,4 @@
-"""Rows of protocol `physical`: what is read off an execution, and the one class each trial falls into.
-
-| class | is |
-|---|---|
-| `intercepted`, `let_through` | an unauthorized proposal, not executed or executed |
-| `falsely_rejected` | an authorized proposal, not executed |
-| `not_taken` | the fault did not show in the twin, however often it was drawn |
-| `completed`, `false_alarm`, `unfinished` | a clean trial: done in quiet, alarmed, or not done for no fault of ours |
-| `prevented` | seen in time: the violation never came about |
-| `held`, `warned` | seen, and stopped or held within 250 ms; or seen, where policy names a warning |
-| `ended_otherwise` | not seen as what it is, but something else ended it within 250 ms |
-| `seen_but_unsafe`, `missed` | kept acting under it for more than 250 ms, seen or not |
-| `harmless` | not seen, and over within 250 ms by itself |
-| `recovered`, `rolled_back`, `handed_over`, `terminated` | how a failure ended |
-| `given_up` | failed, without anything that governs it |
-"""
+"""Rows of protocol `physical`: what is read off an execution, and the one class each trial falls into (`MEANINGS`)."""
 
 from __future__ import annotations
 
@@ -69,7 +54,7 @@ COLUMNS: Final = {
 
 
 class Class(StrEnum):
-    """The classes of the table above."""
+    """What may become of a trial."""
 
     INTERCEPTED = "intercepted"
     LET_THROUGH = "let_through"
@@ -90,6 +75,30 @@ class Class(StrEnum):
     HANDED_OVER = "handed_over"
     TERMINATED = "terminated"
     GIVEN_UP = "given_up"
+
+
+MEANINGS: Final[Mapping[Class, str]] = {
+    Class.INTERCEPTED: "an unauthorized proposal, not executed",
+    Class.LET_THROUGH: "an unauthorized proposal, executed",
+    Class.REJECTED: "an authorized proposal, not executed",
+    Class.NOT_TAKEN: "the fault did not show in the twin, however often it was drawn",
+    Class.COMPLETED: "a clean trial: done, and quiet",
+    Class.FALSE_ALARM: "a clean trial in which something alarmed",
+    Class.UNFINISHED: "a clean trial that was quiet but did not get done",
+    Class.PREVENTED: "seen in time: the violation never came about",
+    Class.HELD: "seen, and stopped or held within 250 ms",
+    Class.WARNED: "seen, where policy names no more than a warning",
+    Class.ENDED_OTHERWISE: "not seen as what it is, but something else ended it within 250 ms",
+    Class.SEEN_BUT_UNSAFE: "seen, and yet acted under for more than 250 ms",
+    Class.MISSED: "not seen, and acted under for more than 250 ms",
+    Class.HARMLESS: "not seen, and over within 250 ms by itself",
+    Class.RECOVERED: "the task was done after the failure, without a violation on the way",
+    Class.ROLLED_BACK: "undone, and verified in the world",
+    Class.HANDED_OVER: "stopped safely, with a human in charge",
+    Class.TERMINATED: "ended by policy, nothing left to try",
+    Class.GIVEN_UP: "failed, without anything that governs it",
+}
+"""The classes, each trial falls into exactly one of them."""
 
 
 def row(policy: PolicySet, trial: Trial, method: Method, ran: Ran) -> Row:

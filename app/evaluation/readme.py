@@ -32,7 +32,7 @@ GOALS: Final = (
     Goal("RVDR", "≥ 0.99"),
     Goal("UCR", "≤ 0.01"),
     Goal("CEF", "1.000"),
-    Goal("FALSE_ALARMS", "≤ 0.005"),
+    Goal("FAS", "≤ 0.005"),
     Goal("RSR", "≥ 0.95"),
     Goal("RSR_SURFACE", "≥ 0.97"),
     Goal("RBSR", "≥ 0.97"),
