@@ -81,6 +81,18 @@ def test_no_restart_of_a_cell_brings_its_reports_into_the_log_again(servers: Ser
     assert len({hello["journal"] for hello in hellos}) == 1
 
 
+def test_what_is_proposed_right_after_a_reset_is_launched(servers: Servers) -> None:
+    server = servers.start(None, "--pace", "3", "--profile", "sim-relaxed")
+    for _ in range(3):
+        assert server.post("/v1/cells/workcell-1/estop").json()["latched"]
+        answer = server.post("/v1/cells/workcell-1/reset").json()
+        assert not answer["latched"]
+        made = server.propose("grasp_object", object_id="mug_1", force_n=40)
+        assert made["status"] == "running", made["admission"]
+        assert server.post(f"/v1/invocations/{made['id']}/stop").is_success
+        assert server.await_status(made["id"], "failed")["outcome"] == "stopped"
+
+
 def test_a_pending_approval_keeps_its_deadline_across_a_restart(servers: Servers) -> None:
     server = servers.start()
     made = server.propose("grasp_object", object_id="mug_1")

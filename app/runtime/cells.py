@@ -40,6 +40,7 @@ class Cell:
     id: str
     profile: str
     latched: bool = False
+    stops: int = 0  # emergency stops so far: a reset leaves those before it, none that comes while it is recorded
     journal: str = ""  # the one its reports are numbered in; "" before its first hello
     taken: dict[str, int] = field(default_factory=dict[str, int])  # by journal, the last report that the log holds
     recording: asyncio.Lock = field(default_factory=asyncio.Lock)  # one batch at a time, whichever link brought it

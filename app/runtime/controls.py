@@ -149,6 +149,7 @@ class Controls:
         """
         cell = self.fleet.cell(cell_id)
         cell.latched = True
+        cell.stops += 1
         self.fleet.restrain(cell, Estop(actor=principal.name))
         try:
             await self.fleet.keep(cell, [cell_word("estop", cell, principal)], estop=True)
@@ -160,6 +161,8 @@ class Controls:
     async def reset(self, cell_id: str, principal: Principal) -> dict[str, Any]:
         """Leave a latched stop; recorded first, moves nothing.
 
+        The answer waits, shortly, for the cell to say so itself; its `latched` is what a launch would meet.
+
         Raises:
             NotFound: no such cell.
             Conflict: `not_latched`, `cell_offline`.
@@ -170,9 +173,12 @@ class Controls:
             raise Conflict("not_latched", f"the cell `{cell.id}` is not latched")
         if not self.fleet.attached(cell):
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be reset")
+        before = cell.stops
         await self.fleet.keep(cell, [cell_word("reset", cell, principal)], estop=False)
-        cell.latched = False
-        self.fleet.order(cell, Reset(actor=principal.name))
+        if cell.stops == before:
+            cell.latched = False
+            self.fleet.order(cell, Reset(actor=principal.name))
+            await self.fleet.unlatched(cell)
         return self.fleet.document(cell)
 
     @uncut

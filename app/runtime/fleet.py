@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 TEND_S: Final = 0.25
 SETTLE_S: Final = 0.3
+RESET_S: Final = 1.0  # a cell states itself ten times a second, and on every change
 
 
 class Reports(Protocol):
@@ -232,6 +233,14 @@ class Fleet:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(SETTLE_S):
                 await cell.stated.wait()
+
+    async def unlatched(self, cell: Cell) -> None:
+        """Wait, shortly, until the cell says after this moment that no stop is latched on it."""
+        since_s = monotonic_s()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(RESET_S):
+                while cell.state is None or cell.state.latched or cell.state_at_s <= since_s:
+                    await cell.stated.wait()
 
     # -- speaking to a cell ------------------------------------------------------------------------------------------
 

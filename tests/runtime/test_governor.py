@@ -11,6 +11,7 @@ import pytest
 
 from app.audit.errors import RecordUnavailable
 from app.governance.permit import SignedAuthorization, verify
+from app.runtime import fleet as fleet_module
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, InvalidParams, NotFound
 from app.runtime.invocation import ProposalRequest
@@ -395,6 +396,53 @@ async def test_an_emergency_stop_is_latched_and_launches_are_rejected(runtime: R
     with pytest.raises(Conflict) as refusal:
         await runtime.governor.reset(CELL, OPERATOR)
     assert refusal.value.code == "not_latched"
+
+
+async def test_a_reset_is_answered_when_the_cell_says_so_itself(runtime: Runtime, cell: HandCell) -> None:
+    await runtime.governor.estop(CELL, AGENT)
+    cell.latched = True
+    await cell.state()
+    resetting = asyncio.create_task(runtime.governor.reset(CELL, OPERATOR))
+    await cell.expect("reset")
+    await cell.state()  # on its way when the reset came
+    assert not resetting.done()
+    cell.latched = False
+    await cell.state()
+    assert not (await resetting)["latched"]
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    assert document["status"] == "running"
+
+
+async def test_a_reset_that_the_cell_does_not_confirm_says_that_it_is_latched(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fleet_module, "RESET_S", 0.05)
+    await runtime.governor.estop(CELL, AGENT)
+    await cell.state(latched=True)
+    assert (await runtime.governor.reset(CELL, OPERATOR))["latched"]
+
+
+async def test_a_reset_does_not_leave_a_stop_that_came_while_it_was_recorded(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await runtime.governor.estop(CELL, AGENT)
+    append, reached, goes_on = runtime.store.append, asyncio.Event(), asyncio.Event()
+
+    async def slow(*args: Any) -> Any:
+        reached.set()
+        await goes_on.wait()
+        return await append(*args)
+
+    monkeypatch.setattr(runtime.store, "append", slow)
+    resetting = asyncio.create_task(runtime.governor.reset(CELL, OPERATOR))
+    await reached.wait()
+    stopping = asyncio.create_task(runtime.governor.estop(CELL, AGENT))
+    await until(lambda: len(cell.all("estop")) == 2)
+    goes_on.set()
+    assert (await stopping)["latched"]
+    assert (await resetting)["latched"]
+    assert not cell.all("reset")
+    assert runtime.fleet.latched(runtime.fleet.cell(CELL))
 
 
 async def test_an_emergency_stop_overtakes_everything_that_waits(runtime: Runtime, cell: HandCell) -> None:
