@@ -60,6 +60,7 @@ def capability(shape: shapes.CapabilityShape) -> Capability:
         env_profile=dict(shape.env_profile),
         timeout_s=shape.timeout_s,
         recovery=shape.recovery,
+        phases=tuple(shape.phases),
     )
 
 

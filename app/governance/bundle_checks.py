@@ -278,6 +278,24 @@ def _numeric_setting(
             )
         elif param not in always_there(holder):
             yield reader.problem(path, f"`{param}` of `{holder.name}` may be left out: give it a default to bound it")
+        else:
+            yield from _beyond_schema(reader, path, f"`{param}` of `{holder.name}`", setting, spec)
+
+
+def _beyond_schema(
+    reader: Reader, path: Path, what: str, setting: shapes.SettingShape, spec: Mapping[str, Json]
+) -> Iterator[PolicyError]:
+    """A bound that no value of the input schema keeps denies every proposal it holds for."""
+    lowest, highest = cast("float", spec["minimum"]), cast("float", spec["maximum"])
+    valid = [f"{lowest:g} to {highest:g}"]
+    if setting.min is not None and setting.min > highest:
+        yield reader.problem(
+            (*path, "min"), f"min `{setting.min:g}` is above the maximum `{highest:g}` of {what}", valid
+        )
+    if setting.max is not None and setting.max < lowest:
+        yield reader.problem(
+            (*path, "max"), f"max `{setting.max:g}` is below the minimum `{lowest:g}` of {what}", valid
+        )
 
 
 def _named_setting(reader: Reader, path: Path, param: str, holders: Sequence[Capability]) -> Iterator[PolicyError]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from app.governance.places import inside
 from app.governance.policy_model import GOVERNANCE
 
 if TYPE_CHECKING:
@@ -35,6 +36,10 @@ def authority(reader: Reader, shape: shapes.AuthorityFileShape, known: Known) ->
         path = ("confirm_before", index)
         yield from reader.unknown((*path, "capability"), "capability", entry.capability, known.capabilities)
         yield from reader.unknown((*path, "profile"), "profile", entry.profile, known.profiles)
+        found = known.capabilities.get(entry.capability)
+        for at, phase in enumerate(entry.phases if found is not None else ()):
+            what = f"phase of `{entry.capability}` called"
+            yield from reader.unknown((*path, "phases", at), what, phase, found.phases)
 
 
 def site(reader: Reader, shape: shapes.SiteShape) -> Iterator[PolicyError]:
@@ -53,6 +58,7 @@ def site(reader: Reader, shape: shapes.SiteShape) -> Iterator[PolicyError]:
     for name, found in shape.objects.items():
         yield from reader.unknown(("objects", name, "surface"), "surface", found.surface, shape.surfaces)
     yield from _polygons(reader, shape)
+    yield from _places(reader, shape)
 
 
 def _polygons(reader: Reader, shape: shapes.SiteShape) -> Iterator[PolicyError]:
@@ -65,3 +71,20 @@ def _polygons(reader: Reader, shape: shapes.SiteShape) -> Iterator[PolicyError]:
 def _area(polygon: Sequence[Sequence[float]]) -> float:
     corners = list(polygon)
     return sum(x1 * y2 - x2 * y1 for (x1, y1), (x2, y2) in zip(corners, [*corners[1:], corners[0]], strict=True)) / 2
+
+
+def _places(reader: Reader, shape: shapes.SiteShape) -> Iterator[PolicyError]:
+    """Whatever has a name lies inside the site, and no target in a forbidden zone: all of it would be denied."""
+    x0, y0, x1, y1 = shape.bounds_m
+    for key in ("targets", "surfaces", "objects", "tools"):
+        for name, found in getattr(shape, key).items():
+            if not (x0 <= found.x_m <= x1 and y0 <= found.y_m <= y1):
+                message = f"`{name}` lies at ({found.x_m:g}, {found.y_m:g}), outside the site"
+                valid = [f"x_m from {x0:g} to {x1:g}", f"y_m from {y0:g} to {y1:g}"]
+                yield reader.problem((key, name), message, valid)
+    for name, target in shape.targets.items():
+        for zone, held in shape.zones.items():
+            corners = [(x, y) for x, y in held.polygon]
+            if held.kind == "forbidden" and inside((target.x_m, target.y_m), corners):
+                message = f"target `{name}` lies in the forbidden zone `{zone}`: nothing could ever go there"
+                yield reader.problem(("targets", name), message, ["a place outside every forbidden zone"])

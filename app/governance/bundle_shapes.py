@@ -70,6 +70,7 @@ class CapabilityShape(Shape):
     summary: Text
     recovery: bool = False
     inputs: dict[str, JsonValue]
+    phases: list[Name] = []
     preconditions: list[Name]
     postconditions: list[Name]
     permissions: list[Name]

@@ -328,7 +328,8 @@ class Capability:
 
     `inputs` is a JSON Schema 2020-12 object schema whose numeric properties carry `unit`; `env_profile` maps a
     profile to `allowed`, `guarded`, `approval-required` or `forbidden`; `rollback` names a recovery capability or is
-    None; `recovery` marks those that only governance may start.
+    None; `recovery` marks those that only governance may start. `phases` are what its skill says it is in, in the order
+    in which it first is: a phase that is not listed cannot wait for a human.
     """
 
     name: str
@@ -343,6 +344,7 @@ class Capability:
     env_profile: Mapping[str, str]
     timeout_s: float
     recovery: bool = False
+    phases: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

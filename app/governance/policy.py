@@ -389,6 +389,7 @@ def _manifest(capability: Capability) -> dict[str, Any]:
         "version": capability.version,
         "summary": capability.summary,
         "inputs": cast("Json", dict(capability.inputs)),
+        "phases": list(capability.phases),
         "preconditions": list(capability.preconditions),
         "postconditions": list(capability.postconditions),
         "permissions": sorted(capability.permissions),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -9,6 +10,9 @@ from app.governance import bundle, cases
 from app.governance.bundle_shapes import ContextShape
 from app.governance.model import Context, Mode, Proposal
 from app.governance.policy import PolicySet
+from app.governance.policy_code import Generator
+from app.governance.policy_model import Effect, Rule, Setting
+from app.governance.vocabulary import Vocabulary
 
 POLICIES = Path(__file__).parents[2] / "policies"
 PROFILES = ("sim-relaxed", "test-audit", "real-restricted", "human-shared")  # from the widest to the strictest
@@ -21,6 +25,32 @@ def shipped() -> PolicySet:
 
 def files() -> dict[str, str]:
     return bundle.read_files(POLICIES)
+
+
+def decided_by(capability: str, *more: Rule) -> PolicySet:
+    """Return the shipped policy with further rules about a capability, unchecked: what must hold even of such rules."""
+    policy = shipped()
+    vocabulary = Vocabulary(policy.capabilities)
+    gates = dict(policy.gates)
+    for (name, profile), gate in policy.gates.items():
+        if name == capability:
+            rules = [
+                rule
+                for rule in (*policy.rules.values(), *more)
+                if (rule.applies_to is None or name in rule.applies_to)
+                and (rule.profiles is None or profile in rule.profiles)
+            ]
+            made = Generator(gate.capability, gate.profile, gate.site, vocabulary).compile(rules)
+            gates[name, profile] = replace(gate, check=made.check, source=made.source)
+    return replace(policy, gates=gates)
+
+
+def modify(name: str, *settings: Setting, when: str | None = None) -> Rule:
+    """Return a rule of the organization that modifies."""
+    return Rule(
+        id=f"organization/{name}", applies_to=None, profiles=None, when=when, then=Effect.MODIFY, settings=settings,
+        approvers=0, because="So.", remedy="",
+    )  # fmt: skip
 
 
 def context(profile: str, **differs: object) -> Context:

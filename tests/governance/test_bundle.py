@@ -130,6 +130,20 @@ BROKEN = [
      "[[4.6, 1.6], [6.2, 1.6], [6.2, 0.4], [4.6, 0.4]]", "counter-clockwise"),
     ("confirmation of nothing", H, "confirm_before: []",
      "confirm_before: [{capability: dance, profile: human-shared, phases: [spin]}]", "capability `dance`"),
+    ("confirmation of a phase there is not", H, "confirm_before: []",
+     "confirm_before: [{capability: place_object, profile: human-shared, phases: [descend, relase]}]",
+     "authority.yaml:8: confirm_before[0].phases[1]: there is no phase of `place_object` called `relase`; "
+     "valid: `release`"),
+    ("a bound above what may be proposed", HUMAN, "clearance_m: {min: 0.3}", "clearance_m: {min: 5}",
+     "human-shared.yaml:27: rules[1].set.clearance_m.min: min `5` is above the maximum `1` of `clearance_m` of "
+     "`navigate_to`; valid: `0.1 to 1`"),
+    ("a bound below what may be proposed", HUMAN, "set: {force_n: {max: 20}", "set: {force_n: {max: 1}",
+     "rules[0].set.force_n.max: max `1` is below the minimum `2` of `force_n` of `grasp_object`"),
+    ("a target in a forbidden zone", SITE, "dock: {x_m: 0.8, y_m: 0.8", "dock: {x_m: 5.0, y_m: 1.0",
+     "site.yaml:7: targets.dock: target `dock` lies in the forbidden zone `press_area`"),
+    ("a target outside the site", SITE, "dock: {x_m: 0.8, y_m: 0.8", "dock: {x_m: 50, y_m: 0.8",
+     "site.yaml:7: targets.dock: `dock` lies at (50, 0.8), outside the site; valid: `x_m from 0 to 8`"),
+    ("an object outside the site", SITE, "x_m: 7.35, y_m: 2.8}", "x_m: 7.35, y_m: 6.8}", "`solvent_1` lies at"),
 ]  # fmt: skip
 
 

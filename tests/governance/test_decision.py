@@ -14,7 +14,10 @@ from app.governance.admission import admit
 from app.governance.decision import decide
 from app.governance.guard import check, constrain
 from app.governance.model import AdmissionOutcome, PolicyOutcome, Status, Verdict
-from tests.governance.policy_world import PROFILES, context, files, proposal, shipped
+from app.governance.policy_code import Generator
+from app.governance.policy_model import Setting
+from app.governance.vocabulary import Vocabulary
+from tests.governance.policy_world import PROFILES, context, decided_by, files, modify, proposal, shipped
 
 grasps = st.builds(
     lambda name, force, speed: proposal("grasp_object", object_id=name, force_n=force, speed_mps=speed),
@@ -111,14 +114,20 @@ def test_an_empty_intersection_denies():
 @pytest.mark.parametrize(
     ("capability", "setting", "said"),
     [
-        ("navigate_to", "clearance_m: {min: 1.5}", "at least 1.5 (organization/odd) and at most 1 (the input schema)"),
-        ("grasp_object", "force_n: {max: 1}", "at least 2 (the input schema) and at most 1 (organization/odd)"),
+        (
+            "navigate_to",
+            Setting(param="clearance_m", minimum=1.5),
+            "at least 1.5 (organization/odd) and at most 1 (the input schema)",
+        ),
+        (
+            "grasp_object",
+            Setting(param="force_n", maximum=1.0),
+            "at least 2 (the input schema) and at most 1 (organization/odd)",
+        ),
     ],
 )
 def test_no_rule_leads_out_of_the_input_schema(capability, setting, said):
-    text = files()
-    rule = f"\n  - {{id: odd, applies_to: [{capability}], then: modify, set: {{{setting}}}, because: Oddly.}}\n"
-    policy = bundle.load_files({**text, "organization.yaml": text["organization.yaml"] + rule})
+    policy = decided_by(capability, modify("odd", setting))
     for profile in PROFILES:
         name = {"object_id": "mug_1"} if capability == "grasp_object" else {"target": "dock"}
         verdict = check(policy, proposal(capability, **name), context(profile))
@@ -128,22 +137,23 @@ def test_no_rule_leads_out_of_the_input_schema(capability, setting, said):
 
 
 def test_a_limit_beyond_the_input_schema_does_not_widen_it():
-    text = files()
-    rule = "\n  - {id: firm, then: modify, set: {force_n: {min: 150}}, because: Firmly.}\n"
-    relaxed = text["profiles/sim-relaxed.yaml"].replace("grip_force_n: {max: 120,", "grip_force_n: {max: 500,")
-    organization = text["organization.yaml"] + rule
-    policy = bundle.load_files({**text, "organization.yaml": organization, "profiles/sim-relaxed.yaml": relaxed})
+    firm = modify("firm", Setting(param="force_n", minimum=150.0))
+    relaxed = shipped().profiles["sim-relaxed"]
+    limits = {**relaxed.limits, "grip_force_n": replace(relaxed.limits["grip_force_n"], maximum=500.0)}
+    gate = shipped().gates["grasp_object", "sim-relaxed"]
+    generator = Generator(
+        gate.capability, replace(relaxed, limits=limits), gate.site, Vocabulary(shipped().capabilities)
+    )
+    wide = replace(gate, check=generator.compile([firm]).check)
+    policy = replace(shipped(), gates={("grasp_object", "sim-relaxed"): wide})
     verdict = check(policy, proposal("grasp_object", object_id="mug_1"), context("sim-relaxed"))
     assert (verdict.outcome, verdict.reasons[0].rule) == (PolicyOutcome.DENY, "organization/firm")
 
 
 @cache
 def between(low, high):
-    rules = f"""
-  - {{id: one, applies_to: [grasp_object], then: modify, set: {{force_n: {{min: {low}}}}}, because: One.}}
-  - {{id: two, applies_to: [grasp_object], then: modify, set: {{force_n: {{max: {high}}}}}, because: Two.}}
-"""
-    return bundle.load_files({**files(), "organization.yaml": files()["organization.yaml"] + rules})
+    bounds = Setting(param="force_n", minimum=float(low)), Setting(param="force_n", maximum=float(high))
+    return decided_by("grasp_object", *(modify(f"bound-{n}", bound) for n, bound in enumerate(bounds)))
 
 
 @settings(deadline=None)  # the first example with a pair of bounds compiles its policy

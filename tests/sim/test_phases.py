@@ -1,0 +1,40 @@
+"""What a manifest says of its phases is what the skill goes through, as the skills' own text has it."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from app.sim import skills
+from app.sim.skills import SKILLS
+from tests.governance.policy_world import shipped
+
+SOURCES = sorted(Path(skills.__file__).parent.glob("skills*.py"))
+
+
+def functions() -> dict[str, ast.FunctionDef]:
+    found = [node for path in SOURCES for node in ast.parse(path.read_text()).body if isinstance(node, ast.FunctionDef)]
+    assert len({node.name for node in found}) == len(found), "two functions of one name cannot be told apart here"
+    return {node.name: node for node in found}
+
+
+def phases(name: str) -> set[str]:
+    """Return every phase a skill may enter: by itself, or in a function it refers to."""
+    known, seen, todo, entered = functions(), set[str](), [name], set[str]()
+    while todo:
+        seen.add(at := todo.pop())
+        for node in ast.walk(known[at]):
+            if isinstance(node, ast.Name) and node.id in known and node.id not in seen:
+                todo.append(node.id)
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "enter":
+                (first, *_) = node.args
+                assert isinstance(first, ast.Constant), f"`{at}` enters a phase that has no fixed name"
+                entered.add(str(first.value))
+    return entered
+
+
+@pytest.mark.parametrize("capability", sorted(SKILLS))
+def test_a_manifest_lists_the_phases_of_its_skill(capability):
+    assert set(shipped().capabilities[capability].phases) == phases(SKILLS[capability].__name__)
