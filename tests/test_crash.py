@@ -112,14 +112,17 @@ def test_a_full_disk_launches_nothing_and_stops_all_the_same(servers: Servers) -
     invocation = drive(server)
     hard = resource.prlimit(server.process.pid, resource.RLIMIT_FSIZE)[1]
     resource.prlimit(server.process.pid, resource.RLIMIT_FSIZE, (1024, hard))
-    server.post(f"/v1/invocations/{invocation}/stop")
+    stopped = server.post(f"/v1/invocations/{invocation}/stop")
+    assert (stopped.status_code, stopped.json()["recorded"]) == (200, False)
     until(lambda: server.cell()["status"] is None, what="the cell has ended its session")
     refused = server.post("/v1/invocations", {"capability": "navigate_to", "params": {"target": FAR}}, key="agent")
     assert refused.status_code == 503
     with server.client() as client:
-        health = client.get("/readyz")
+        health, life = client.get("/readyz"), client.get("/healthz")
     assert health.status_code == 503
     assert "disk" in health.json()["broken"]["store"]
+    assert (life.status_code, life.json()["status"]) == (200, "degraded")
+    assert "disk" in life.json()["broken"]["store"]
     resource.prlimit(server.process.pid, resource.RLIMIT_FSIZE, (hard, hard))
     assert server.await_status(invocation, "failed")["outcome"] == "stopped"
     until(lambda: httpx_ready(server), what="the server is ready again")

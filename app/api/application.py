@@ -121,8 +121,10 @@ def create_app(
 
 
 async def healthz(request: Request) -> Response:
-    """Say that the process answers."""
-    return answer({"status": "ok", "version": __version__})
+    """Say that the process answers, and whether it can keep its record; without that only what restrains is obeyed."""
+    store = parts_of(request).store
+    broken = {} if store.healthy else {"store": store.reason}
+    return answer({"status": "degraded" if broken else "ok", "version": __version__, "broken": broken})
 
 
 async def readyz(request: Request) -> Response:

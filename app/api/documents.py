@@ -133,6 +133,7 @@ class InvocationDocument(Document):
     outcome: Outcome | None
     created_at: str
     updated_at: str
+    recorded: bool | None = Field(default=None, description="Stands in the answer to a pause, stop or cancel alone.")
 
 
 class VerdictDocument(Document):
@@ -294,10 +295,11 @@ class PolicySetDocument(Document):
 
 
 class Health(Document):
-    """The process answers."""
+    """The process answers; `degraded` where stops are obeyed but nothing is launched, and `broken` says why."""
 
-    status: Literal["ok"]
+    status: Literal["ok", "degraded"]
     version: str
+    broken: dict[str, str]
 
 
 class Readiness(Document):

@@ -107,7 +107,7 @@ async def cells(request: Request) -> Response:
 
 def register(router: APIRouter) -> None:
     """Add the operators' routes."""
-    session = ("request_invalid", "invocation_unknown", "wrong_status", "record_unavailable")
+    session = ("request_invalid", "invocation_unknown", "wrong_status")
     declare(
         router,
         "GET /v1/escalations",
@@ -145,8 +145,8 @@ def register(router: APIRouter) -> None:
     for word, endpoint, body, codes in (
         ("pause", pause, None, session),
         ("stop", stop, None, session),
-        ("resume", resume, EmptyBody, (*session, "ending", "cell_offline")),
-        ("rollback", rollback, EmptyBody, (*session, "ending", "cell_offline")),
+        ("resume", resume, EmptyBody, (*session, "ending", "cell_offline", "record_unavailable")),
+        ("rollback", rollback, EmptyBody, (*session, "ending", "cell_offline", "record_unavailable")),
     ):
         declare(
             router,

@@ -167,7 +167,7 @@ def _from_conflict(error: Conflict) -> Problem:
 
 
 def _from_record(error: RecordUnavailable) -> Problem:
-    detail = f"{error}; nothing was let move, while a pause, stop or cancel was sent to the cell all the same"
+    detail = f"{error}; nothing was let move; a pause, a stop and an emergency stop are obeyed all the same"
     return Problem("record_unavailable", detail, headers={"Retry-After": "5"})
 
 

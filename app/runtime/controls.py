@@ -60,7 +60,7 @@ class Controls:
     # -- on an invocation -----------------------------------------------------------------------------
 
     async def pause(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
-        """Hold a session in place; sent first. Errors as `cancel`."""
+        """Hold a session in place; sent first, and the answer's `recorded` says whether it is in. Errors as `stop`."""
         return await self._operate("pause", invocation_id, principal)
 
     async def resume(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
@@ -68,7 +68,12 @@ class Controls:
         return await self._operate("resume", invocation_id, principal)
 
     async def stop(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
-        """End a session by a controlled stop; sent first. Errors as `cancel`."""
+        """End a session by a controlled stop; sent first, and the answer's `recorded` says whether it is in.
+
+        Raises:
+            NotFound: there is none that this principal may see.
+            Conflict: `wrong_status`, it is over.
+        """
         return await self._operate("stop", invocation_id, principal)
 
     async def rollback(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
@@ -82,7 +87,8 @@ class Controls:
         Raises:
             NotFound: there is none that this principal may see.
             Conflict: `wrong_status`, it is over; `ending`, it has been stopped already.
-            RecordUnavailable: nothing was recorded; what restrains has been sent all the same.
+            RecordUnavailable: nothing was recorded, and it goes on waiting. A session is told to stop all the same, and
+                the answer's `recorded` says whether that is in.
         """
         await self.visible(invocation_id, principal)
         entry = self.register.entry(invocation_id)
@@ -133,10 +139,10 @@ class Controls:
         return (await self.register.load(invocation_id)).public()
 
     async def _restrain(self, op: str, present: Invocation, principal: Principal) -> dict[str, Any]:
-        """Send a restraint, then record it; without a record it has been sent all the same."""
+        """Send a restraint, then record it, later if need be: it was obeyed, and the answer says so either way."""
         self.fleet.restrain(self.fleet.cell(present.cell or UNNAMED), _message(op, present, principal))
-        await self.register.append([human_event(op, present, principal)])
-        return (await self.register.load(present.id)).public()
+        recorded = await self.register.say(human_event(op, present, principal))
+        return {**(await self.register.load(present.id)).public(), "recorded": recorded}
 
     # -- on a cell ------------------------------------------------------------------------------------
 
@@ -148,12 +154,14 @@ class Controls:
             NotFound: no such cell.
         """
         cell = self.fleet.cell(cell_id)
+        word = cell_word("estop", cell, principal)
         cell.latched = True
         cell.stops += 1
         self.fleet.restrain(cell, Estop(actor=principal.name))
         try:
-            await self.fleet.keep(cell, [cell_word("estop", cell, principal)], estop=True)
+            await self.fleet.keep(cell, [word], estop=True)
         except RecordUnavailable:
+            await self.register.say(word)
             return {**self.fleet.document(cell), "recorded": False}
         return {**self.fleet.document(cell), "recorded": True}
 

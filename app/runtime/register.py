@@ -8,9 +8,10 @@ fails, nothing has changed.
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
+from app.audit.errors import RecordUnavailable
 from app.clock import rfc3339
 from app.governance.model import TERMINAL, Status
 from app.runtime.errors import NotFound
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from app.audit.store import AuditStore
     from app.runtime.invocation import Invocation
 
+MAX_UNSAID: Final = 1000
 UNFINISHED: Final = tuple(status.value for status in Status if status not in TERMINAL)
 
 
@@ -43,6 +45,7 @@ class Register:
         self.store = store
         self._wall_s = wall_s
         self._live: dict[str, Entry] = {}
+        self._unsaid: list[EventDraft] = []  # what the record could not take yet
         self.on_final: Callable[[Invocation], None] = lambda _: None
 
     def now(self) -> str:
@@ -91,6 +94,28 @@ class Register:
         for version in versions:
             self._show(version)
         return seqs
+
+    async def say(self, *drafts: EventDraft) -> bool:
+        """Record what has happened already: now, or as soon as the record takes it. Returns whether it is in.
+
+        For what restrains and for notices, which a record that fails must not stand in the way of.
+        """
+        self._unsaid.extend(drafts)
+        return await self.say_unsaid()
+
+    async def say_unsaid(self) -> bool:
+        """Record what is left unsaid; returns whether nothing is. What waits is stamped with when it was said."""
+        unsaid, self._unsaid = self._unsaid, []
+        if not unsaid:
+            return True
+        now = self.now()
+        try:
+            await self.append(unsaid)
+        except RecordUnavailable:
+            stamped = [replace(draft, body={"said_at": now, **draft.body}) for draft in unsaid]
+            self._unsaid = [*stamped, *self._unsaid][-MAX_UNSAID:]
+            return False
+        return True
 
     async def load(self, invocation: str) -> Invocation:
         """Return the newest durable version, from memory or from the store.

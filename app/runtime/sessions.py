@@ -67,7 +67,6 @@ class Sessions:
         self._desk = desk
         self._telemetry = telemetry
         self._absent_s = absent_s
-        self._unsaid: list[EventDraft] = []  # notices the record could not take yet
         self._sealing: dict[str, str] = {}
         self._seals: set[asyncio.Task[None]] = set()
 
@@ -146,7 +145,7 @@ class Sessions:
         self._sealing.pop(invocation, None)
         draft = await self._telemetry.seal(invocation)
         if draft is not None:
-            await self._say(draft)
+            await self._register.say(draft)
 
     async def close(self) -> None:
         """Seal what is open and say what was left unsaid; what a session reports later goes into another file."""
@@ -154,7 +153,7 @@ class Sessions:
             await asyncio.wait(self._seals)
         for invocation in self._telemetry.open():
             await self._sealed(invocation)
-        await self._say_unsaid()
+        await self._register.say_unsaid()
 
     # -- coming and going --------------------------------------------------------------------------------------------
 
@@ -166,28 +165,14 @@ class Sessions:
         try:
             await self._fleet.introduce(place, [draft])
         except RecordUnavailable:
-            self._unsaid.append(draft)
+            await self._register.say(draft)
 
     async def left(self, cell: str) -> None:
         """Record that a cell's link is gone."""
         place = self._fleet.cell(cell)
-        await self._say(
+        await self._register.say(
             EventDraft(kind=EventKind.CELL, actor=SERVER, body={"link": "lost", "cell": cell}, invocation=place.claim)
         )
-
-    async def _say(self, draft: EventDraft) -> None:
-        """Record a notice, now or as soon as the record takes it; stopping must not wait for either."""
-        self._unsaid.append(draft)
-        await self._say_unsaid()
-
-    async def _say_unsaid(self) -> None:
-        unsaid, self._unsaid = self._unsaid, []
-        if not unsaid:
-            return
-        try:
-            await self._register.append(unsaid)
-        except RecordUnavailable:
-            self._unsaid = [*unsaid, *self._unsaid][-1000:]
 
     async def reconcile(self, cell: str, hello: Hello, believed: str | None) -> None:
         """Compare what the cell held with what the server believed, every older report being in.
@@ -207,7 +192,7 @@ class Sessions:
 
     async def overdue(self, cell: str, absent_s: float | None) -> None:
         """See to a session whose cell is away, and to a launch that nobody confirmed."""
-        await self._say_unsaid()
+        await self._register.say_unsaid()
         for invocation in self._sessions_of(cell):
             with suppress(RecordUnavailable):  # tried again at the next round
                 await self._overdue(invocation, absent_s)

@@ -262,13 +262,18 @@ async def test_a_stop_is_sent_even_when_the_record_fails(
         raise RecordUnavailable("disk full")
 
     monkeypatch.setattr(runtime.store, "append", broken)
-    with pytest.raises(RecordUnavailable):
-        await runtime.governor.stop(document["id"], OPERATOR)
+    stopped = await runtime.governor.stop(document["id"], OPERATOR)
+    assert (stopped["id"], stopped["recorded"]) == (document["id"], False)
     await until(lambda: cell.ops() == ["stop"])
     answer = await runtime.governor.estop(CELL, ENGINEER)
     assert answer["latched"]
     assert answer["recorded"] is False
     await cell.expect("estop")
+    monkeypatch.undo()
+    await runtime.fleet.tend_once()
+    said = [event.payload() for event in await runtime.store.events(kind="human")]
+    assert [body["op"] for body in said] == ["stop", "estop"], "it is recorded as soon as that is possible"
+    assert all(body["said_at"] for body in said)
 
 
 async def test_what_loosens_is_not_sent_when_the_record_fails(
