@@ -135,12 +135,13 @@ def load_files(files: Mapping[str, str]) -> PolicySet:
     ]
     if problems:  # without parameters that can be typed, no condition could be checked
         raise PolicyErrors(problems)
+    permissions = frozenset(source.organization[1].permissions)
     known = Known(
         capabilities=capabilities,
         recoveries=frozenset(name for name, found in capabilities.items() if found.recovery),
         profiles=frozenset(shape.profile for _, shape in source.profiles),
-        permissions=frozenset(source.organization[1].permissions),
-        vocabulary=Vocabulary(capabilities),
+        permissions=permissions,
+        vocabulary=Vocabulary(capabilities, permissions | {GOVERNANCE}),
     )
     problems = _check(source, known)
     if problems:

@@ -37,7 +37,9 @@ def authority(reader: Reader, shape: shapes.AuthorityFileShape, known: Known) ->
         yield from reader.unknown((*path, "capability"), "capability", entry.capability, known.capabilities)
         yield from reader.unknown((*path, "profile"), "profile", entry.profile, known.profiles)
         found = known.capabilities.get(entry.capability)
-        for at, phase in enumerate(entry.phases if found is not None else ()):
+        if found is None:
+            continue
+        for at, phase in enumerate(entry.phases):
             what = f"phase of `{entry.capability}` called"
             yield from reader.unknown((*path, "phases", at), what, phase, found.phases)
 

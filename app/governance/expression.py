@@ -27,7 +27,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
-from typing import Final
+from typing import Final, cast
 
 from app.governance.errors import DeclarationError, ExpressionError
 from app.governance.expression_reach import DOUBLE_MAX, INT_MAX, INT_MIN, REACH
@@ -64,6 +64,8 @@ from app.governance.expression_tree import (
 MAX_QUANTIFIERS: Final = 2
 _SAME_UNIT: Final = frozenset({"==", "!=", "<", "<=", ">", ">=", "+", "-", "%", "in"})
 _SUMS: Final = frozenset({"+", "-", "%"})
+_ADDING: Final = frozenset({"+", "-"})
+_MATCHING: Final = frozenset({"==", "!=", "in"})
 _SCALING: Final = frozenset({"*", "/"})
 _COUNTS: Final = frozenset({"size", ".size", "!_", ".startsWith", ".endsWith", ".contains"})
 
@@ -294,12 +296,53 @@ def _unit(symbol: str, args: tuple[Typed, ...], syntax: Syntax, scope: _Scope) -
     """Unit of a result. Units are names, not algebra: a product of two quantities has no known one."""
     if symbol in _SAME_UNIT:
         unit = _common_unit(args, syntax, scope)
+        if symbol in _ADDING:
+            _refuse_pure(args, syntax, scope)
+        if symbol in _MATCHING:
+            _refuse_strangers(args, syntax, scope)
         return unit if symbol in _SUMS else None
     if symbol == "*" and isinstance(args[0], Constant):
         return args[1].unit
     if symbol in _SCALING and not isinstance(args[1], Constant):
         return None
     return None if symbol in _COUNTS else args[0].unit
+
+
+def _refuse_pure(args: Sequence[Typed], syntax: Syntax, scope: _Scope) -> None:
+    """Refuse to add a pure number to a quantity: `0.8 + limits.payload_kg` is no mass, `0.8 * …` was meant."""
+    units = [arg.unit for arg in args if arg.unit is not None]
+    if units and any(arg.unit is None and _pure(arg) for arg in args):
+        message = f"unit mismatch: a pure number and a quantity in `{units[0]}` do not add up: a factor goes by `*`"
+        raise scope.error(syntax, message)
+
+
+def _pure(node: Typed) -> bool:
+    """Say whether a number without unit has none; of products and quotients of quantities it is not known."""
+    if isinstance(node, Apply):
+        return all(_pure(arg) for arg in node.args)
+    return node.unit is None and isinstance(node, (Constant, Select, Variable))
+
+
+def _refuse_strangers(args: Sequence[Typed], syntax: Syntax, scope: _Scope) -> None:
+    """Refuse to compare a text that is one of a few with one that it can never be."""
+    among = next((known for known in (_among(arg, scope) for arg in args) if known is not None), None)
+    if among is None:
+        return
+    for arg in args:
+        for literal in arg.elements if isinstance(arg, ListOf) else (arg,):
+            if isinstance(literal, Constant) and literal.value not in among:
+                message = f"`{literal.value}` is compared with what is never that"
+                raise scope.error(syntax, message, _nearest(str(literal.value), sorted(among)))
+
+
+def _among(node: Typed, scope: _Scope) -> frozenset[str] | None:
+    match node:
+        case Select(record=record, name=name):
+            return cast("RecordType", record.type).fields[name].among
+        case Variable(name=name, bound=False):
+            return scope.variables[name].among
+        case _:
+            return None
 
 
 def _common_unit(nodes: Sequence[Typed], syntax: Syntax, scope: _Scope) -> str | None:

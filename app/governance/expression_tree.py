@@ -87,12 +87,14 @@ class Field:
         required: Whether it is always there; variables are.
         unit: Unit of the number, or of the numbers in the list or map; `None` matches every unit.
         within: Largest magnitude these numbers have. Arithmetic that cannot leave the range then needs no check.
+        among: Every value this text, or a text in this list, can have; None where it may be any.
     """
 
     type: Type
     required: bool = True
     unit: str | None = None
     within: float | None = None
+    among: frozenset[str] | None = None
 
 
 def require_identifier(name: str) -> None:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Final
 from app.governance.expression import Env, check, declare
 from app.governance.expression_syntax import parse
 from app.governance.expression_tree import BOOL, DOUBLE, INT, STRING, Field, ListType, RecordType
+from app.governance.model import Mode, Risk
 from app.governance.policy_model import LIMIT_UNITS
 
 if TYPE_CHECKING:
@@ -53,9 +54,6 @@ _PLACE: Final = RecordType(
 _TOOL: Final = RecordType(
     name="tool", fields={"name": Field(STRING), "kind": Field(STRING), "press": Field(BOOL)}, attributes=True
 )
-_AGENT: Final = RecordType(
-    name="agent", fields={"name": Field(STRING), "permissions": Field(ListType(STRING))}, attributes=True
-)
 _METADATA: Final = RecordType(
     name="metadata",
     fields={
@@ -65,7 +63,9 @@ _METADATA: Final = RecordType(
     },
 )
 _CAPABILITY: Final = RecordType(
-    name="capability", fields={"name": Field(STRING), "risk": Field(STRING)}, attributes=True
+    name="capability",
+    fields={"name": Field(STRING), "risk": Field(STRING, among=frozenset(risk.value for risk in Risk))},
+    attributes=True,
 )
 _PROFILE: Final = RecordType(
     name="profile",
@@ -138,11 +138,17 @@ def _params(capability: Capability) -> RecordType:
             required=name in there,
             unit=str(spec["unit"]) if "unit" in spec else None,
             within=_within(spec),
+            among=_choices(spec),
         )
         for name, spec in properties(capability).items()
         if str(spec.get("type")) in _SCALARS
     }
     return RecordType(name="params", fields=fields)
+
+
+def _choices(spec: Mapping[str, Json]) -> frozenset[str] | None:
+    listed = spec.get("enum")
+    return frozenset(value for value in listed if isinstance(value, str)) if isinstance(listed, list) else None
 
 
 def _within(spec: Mapping[str, Json]) -> float | None:
@@ -152,18 +158,23 @@ def _within(spec: Mapping[str, Json]) -> float | None:
     return None
 
 
-def declarations(capability: Capability) -> Env:
-    """Declare the variables that conditions about a capability may use."""
+def _agent(permissions: frozenset[str] | None) -> RecordType:
+    held = Field(ListType(STRING), among=permissions)
+    return RecordType(name="agent", fields={"name": Field(STRING), "permissions": held}, attributes=True)
+
+
+def declarations(capability: Capability, permissions: frozenset[str] | None = None) -> Env:
+    """Declare the variables that conditions about a capability may use; permissions are those there are, if known."""
     variables: dict[str, Type | Field] = {
         "params": _params(capability),
         "target": _TARGET,
         "place": _PLACE,
-        "agent": _AGENT,
+        "agent": _agent(permissions),
         "metadata": _METADATA,
         "capability": _CAPABILITY,
         "profile": _PROFILE,
         "limits": _LIMITS,
-        "mode": STRING,
+        "mode": Field(STRING, among=frozenset(mode.value for mode in Mode)),
         "world": _WORLD,
         "operator_on_duty": BOOL,
     }
@@ -175,9 +186,9 @@ def declarations(capability: Capability) -> Env:
 class Vocabulary:
     """Types conditions, each (source, capability) once."""
 
-    def __init__(self, capabilities: Mapping[str, Capability]) -> None:
-        """Declare the variables of every capability."""
-        self._envs = {name: declarations(capability) for name, capability in capabilities.items()}
+    def __init__(self, capabilities: Mapping[str, Capability], permissions: frozenset[str] | None = None) -> None:
+        """Declare the variables of every capability; no condition names a permission that is not among those given."""
+        self._envs = {name: declarations(capability, permissions) for name, capability in capabilities.items()}
         self._typed: dict[tuple[str, str, Type], Typed] = {}
 
     def typed(self, source: str, capability: str, expect: Type = BOOL) -> Typed:

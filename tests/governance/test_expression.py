@@ -63,6 +63,8 @@ ENV = declare(
         "ld": ListType(DOUBLE),
         "ls": ListType(STRING),
         "limits": Field(MapType(DOUBLE), unit="N", within=500),
+        "colour": Field(STRING, among=frozenset({"red", "green"})),
+        "colours": Field(ListType(STRING), among=frozenset({"red", "green"})),
     }
 )
 VALUES: dict[str, object] = {
@@ -80,6 +82,8 @@ VALUES: dict[str, object] = {
     "ld": [0.5, 1.5],
     "ls": ["a", "b"],
     "limits": {"grip": 60.0, "touch": 100.0},
+    "colour": "red",
+    "colours": ["red"],
 }
 
 
@@ -100,6 +104,9 @@ def text(source: str) -> str:
 TRUE = """
 true
 !false
+colour == "red" && colour != "green" && "red" in colours && colour in ["red", "green"]
+force_n / force_n + 1.0 > 1.0 && force_n + force_n * 0.5 == 60.0 && force_n * d - force_n * 2.0 > 0.0
+force_n - (b ? force_n : force_n * 2.0) == 0.0 && force_n + (b ? d : 1.0) > 1.0
 b && i > 6 && d < 3
 false || b
 b ? true : false
@@ -239,6 +246,7 @@ def test_five_hundred_operands_are_one_level(word: str) -> None:
 
 # -- refused on load -------------------------------------------------------------------------------------------------
 
+PURE = "unit mismatch: a pure number and a quantity in `N` do not add up: a factor goes by `*`"
 REFUSED = [
     ("", 1, "unexpected end", ()),
     ("b &&", 5, "unexpected end", ()),
@@ -299,6 +307,12 @@ REFUSED = [
     ("(b ? speed_mps : force_n) > 1", 4, "units differ: `m/s` and `N`", ()),
     ("people.exists(p, p.distance_m > speed_mps)", 31, "units differ: `m` and `m/s`", ()),
     ("[force_n].exists(f, f > speed_mps)", 23, "units differ: `N` and `m/s`", ()),
+    ("force_n + 1 > 5", 9, PURE, ()),
+    ("0.8 - force_n < 5", 5, PURE, ()),
+    ("force_n - d * 2 > 1", 9, PURE, ()),
+    ("colour == 'grün'", 8, "`grün` is compared with what is never that", ("green", "red")),
+    ("'gren' in colours", 8, "`gren` is compared with what is never that", ("green", "red")),
+    ("colour in ['red', 'blue']", 8, "`blue` is compared with what is never that", ("green", "red")),
     ("has(b)", 1, "`has` takes one field", ("has(record.field)",)),
     ("has()", 1, "`has` takes one field", ("has(record.field)",)),
     ("has(target.x)", 12, "`target` has no field `x`", ("fragile",)),
