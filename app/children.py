@@ -1,5 +1,8 @@
 """The cells `reins serve` starts for itself: one process each, watched, started again when it dies, stopped at the end.
 
+A cell that cannot be started as it is told (exit code 2) would end the same way again, so it is given up at once; where
+nothing else was seen of it, the server ends as well, because the same settings are its own.
+
 A cell outlives its server on purpose: it holds the robot where it is and dials on. So a server that comes back first
 looks whether the cell of that name is still there (its lock is held) and adopts it instead of starting another.
 """
@@ -17,6 +20,7 @@ from typing import TYPE_CHECKING, Final
 
 from app.clock import monotonic_s
 from app.config import CELL_TOKEN_VARIABLE
+from app.terminal import MISUSE
 
 if TYPE_CHECKING:
     from asyncio.subprocess import Process
@@ -84,6 +88,8 @@ class Children:
             token: the cells' bearer token; reaches them through their environment.
             report: called with a cell's name and what happened to it.
             restarts: how often in `RESTARTS_WITHIN_S` a cell that died is started again.
+
+        `misused` is set when a cell cannot be started with these settings: the server has no use for them either.
         """
         self._settings = settings
         self._token = token
@@ -92,6 +98,7 @@ class Children:
         self._given_up: dict[str, str] = {}
         self._stopping = asyncio.Event()
         self._watches: list[asyncio.Task[None]] = []
+        self.misused = asyncio.Event()
 
     def start(self) -> None:
         """Start or adopt every cell; returns at once."""
@@ -110,17 +117,22 @@ class Children:
         folder = self._settings.layout.cell(cell)
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         deaths: deque[float] = deque()
+        known = False
         while not self._stopping.is_set():
             if (pid := running_cell(folder)) is not None:
+                known = True
                 await self._watch_adopted(cell, folder, pid)
                 continue
             code = await self._watch_child(await self._spawn(cell))
             if self._stopping.is_set():
                 return
-            deaths.append(monotonic_s())
-            while deaths[0] < monotonic_s() - RESTARTS_WITHIN_S:
-                deaths.popleft()
-            if len(deaths) > self._restarts:
+            if code == MISUSE and running_cell(folder) is None:  # else another process was faster, and is adopted
+                if not known:
+                    self.misused.set()
+                await self._give_up(cell, folder, f"cannot be started as it is told: it ended with `{code}`")
+                continue
+            known = True
+            if _died_often(deaths, self._restarts):
                 await self._give_up(cell, folder, f"ended {len(deaths)} times in a row, the last time with `{code}`")
                 deaths.clear()
                 continue
@@ -174,6 +186,14 @@ class Children:
     async def _rest(self, seconds: float) -> None:
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._stopping.wait(), seconds)
+
+
+def _died_often(deaths: deque[float], restarts: int) -> bool:
+    """Note a death, and say whether there were more of them lately than a cell may have."""
+    deaths.append(monotonic_s())
+    while deaths[0] < monotonic_s() - RESTARTS_WITHIN_S:
+        deaths.popleft()
+    return len(deaths) > restarts
 
 
 async def _end_adopted(folder: Path, pid: int) -> None:

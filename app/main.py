@@ -152,13 +152,13 @@ async def _serve(settings: Settings, policies: PolicySet, listener: socket.socke
             write_private(layout.server, orjson.dumps({"url": url, "pid": os.getpid()}))
             introduce(settings, policies, url)
             children.start()
-            await _told_to_stop(serving)
+            await _told_to_stop(serving, children.misused)
         finally:
             await children.stop()
             layout.server.unlink(missing_ok=True)
             door.should_exit = True
             await serving
-    return FINE
+    return MISUSE if children.misused.is_set() else FINE
 
 
 @contextlib.asynccontextmanager
@@ -198,15 +198,16 @@ def _door(app: Any) -> uvicorn.Config:  # noqa: ANN401  # an ASGI application
     )
 
 
-async def _told_to_stop(serving: asyncio.Task[None]) -> None:
-    """Return on SIGINT or SIGTERM, or when serving ended by itself."""
+async def _told_to_stop(serving: asyncio.Task[None], misused: asyncio.Event) -> None:
+    """Return on SIGINT or SIGTERM, when serving ended by itself, or when a cell cannot be started with the settings."""
     told = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, told.set)
-    waiting = asyncio.create_task(told.wait())
-    await asyncio.wait({serving, waiting}, return_when=asyncio.FIRST_COMPLETED)
-    waiting.cancel()
+    waiting = {asyncio.create_task(told.wait()), asyncio.create_task(misused.wait())}
+    await asyncio.wait({serving, *waiting}, return_when=asyncio.FIRST_COMPLETED)
+    for task in waiting:
+        task.cancel()
 
 
 def address(listener: socket.socket) -> str:

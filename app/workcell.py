@@ -58,7 +58,10 @@ def run_cell(settings: CellSettings) -> int:
         with cell_lock(settings.data):
             sys.setswitchinterval(SWITCH_S)
             return asyncio.run(_run(settings))
-    except (CellRuns, JournalUnavailable) as error:
+    except JournalUnavailable as error:
+        say_error(f"{settings.id}: {error}")
+        return FINDING
+    except CellRuns as error:
         say_error(f"{settings.id}: {error}")
     except OSError as error:
         say_error(f"the cell cannot use `{settings.data}`: {error.strerror}")

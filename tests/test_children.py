@@ -9,7 +9,7 @@ from pathlib import Path
 import anyio
 import pytest
 
-from app.children import Children
+from app.children import Children, running_cell
 from app.clock import monotonic_s
 from app.config import Settings
 
@@ -34,6 +34,30 @@ async def until_trouble(children: Children, wanted: bool) -> None:
         await anyio.sleep(0.02)
 
 
+@pytest.mark.parametrize("adopted", [False, True])
+async def test_a_cell_that_cannot_be_started_as_told_is_given_up_at_once(tmp_path: Path, adopted: bool) -> None:
+    settings, said = Settings(data=tmp_path, scenario="nope"), list[str]()
+    folder = settings.layout.cell("workcell-1")
+    folder.mkdir(parents=True)
+    earlier = await anyio.open_process([sys.executable, "-c", HOLDS_THE_LOCK, str(folder)]) if adopted else None
+    while adopted and running_cell(folder) is None:
+        await anyio.sleep(0.02)
+    children = Children(settings, "token", lambda cell, word: said.append(f"{cell}: {word}"))
+    children.start()
+    try:
+        if earlier is not None:
+            while not said:
+                await anyio.sleep(0.02)
+            earlier.terminate()
+            await earlier.wait()
+        await until_trouble(children, wanted=True)
+        assert said[-1] == "workcell-1: cannot be started as it is told: it ended with `2`; not started again"
+        assert "starting it again" not in "".join(said)
+        assert children.misused.is_set() is not adopted, "a server whose cells have worked goes on without this one"
+    finally:
+        await children.stop()
+
+
 async def test_a_cell_that_keeps_dying_is_given_up_until_somebody_starts_it(tmp_path: Path) -> None:
     settings, said = Settings(data=tmp_path), list[str]()
     folder = settings.layout.cell("workcell-1")
@@ -44,8 +68,8 @@ async def test_a_cell_that_keeps_dying_is_given_up_until_somebody_starts_it(tmp_
     try:
         assert children.trouble() is None
         await until_trouble(children, wanted=True)
-        assert children.trouble() == "`workcell-1` ended 2 times in a row, the last time with `2`; not started again"
-        assert said == ["workcell-1: ended with `2`; starting it again, idle", f"workcell-1: {said[-1][12:]}"]
+        assert children.trouble() == "`workcell-1` ended 2 times in a row, the last time with `1`; not started again"
+        assert said == ["workcell-1: ended with `1`; starting it again, idle", f"workcell-1: {said[-1][12:]}"]
         assert said[-1].endswith("not started again")
         by_hand = await anyio.open_process([sys.executable, "-c", HOLDS_THE_LOCK, str(folder)])
         await until_trouble(children, wanted=False)

@@ -53,6 +53,15 @@ def test_leaves_with_its_cells_when_told_to(servers: Servers) -> None:
     assert server.cell_pid() is None
 
 
+@pytest.mark.parametrize("flag", ["--scenario", "--robot"])
+def test_what_no_cell_can_be_started_with_starts_no_server(tmp_path: Path, flag: str) -> None:
+    ended = reins("serve", "--port", "0", "--data", str(tmp_path / "data"), flag, "nope")
+    assert ended.returncode == 2
+    assert "`nope`" in ended.stderr
+    assert "cannot be started as it is told" in ended.stdout
+    assert not (tmp_path / "data" / "server.json").exists()
+
+
 def test_a_broken_policy_does_not_start_and_says_where(tmp_path: Path) -> None:
     folder = tmp_path / "policies"
     shutil.copytree(POLICIES, folder)
