@@ -14,7 +14,10 @@ if TYPE_CHECKING:
 
     from app.governance.model import ObjectFact, Params, Site, Surface, WorldFacts
 
-NEAR_M: Final = 0.5  # how close the base has to stand to a target to work from it
+# How close the base has to stand to a target to work from it: a little closer than skills ask for, because the estimate
+# they go by may be another by then, and not as close as `at_target`, because a base that has arrived can work.
+NEAR_M: Final = 0.25
+NEAR_RAD: Final = 0.25
 ARRIVED_M: Final = 0.15
 ARRIVED_RAD: Final = 0.2
 TURN: Final = 6.283185307179586
@@ -83,9 +86,15 @@ def _stands_at(target: str, facts: WorldFacts, site: Site, what: str) -> tuple[s
     stand = site.targets.get(target)
     if stand is None:
         return f"the site does not know `{what}`", "propose a name of the site"
-    if hypot(stand.x_m - facts.base[0], stand.y_m - facts.base[1]) <= NEAR_M:
+    x, y, yaw = facts.base
+    if hypot(stand.x_m - x, stand.y_m - y) <= NEAR_M and _turned(stand.yaw_rad, yaw) <= NEAR_RAD:
         return None
     return f"`{what}` is out of reach from here", f"navigate to `{target}` first"
+
+
+def _turned(one_rad: float, other_rad: float) -> float:
+    """Return the angle between two headings, in 0…π."""
+    return abs((other_rad - one_rad + TURN / 2) % TURN - TURN / 2)
 
 
 def _surface_reachable(params: Params, facts: WorldFacts, site: Site) -> tuple[str, str] | None:
@@ -143,7 +152,7 @@ def _at_target(params: Params, facts: WorldFacts, site: Site) -> tuple[str, str]
         return "there is no target to be at", "propose a target of the site"
     x, y, yaw = goal
     away = hypot(x - facts.base[0], y - facts.base[1])
-    turned = abs((facts.base[2] - yaw + TURN / 2) % TURN - TURN / 2)
+    turned = _turned(yaw, facts.base[2])
     if away <= ARRIVED_M and turned <= ARRIVED_RAD:
         return None
     return f"the base is {away:.2f} m and {turned:.2f} rad away from the target", "navigate there again"

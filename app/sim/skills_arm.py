@@ -22,6 +22,7 @@ HOVER_M, LIFT_M, GRIP_DEPTH_M = 0.10, 0.12, 0.06
 REACH_MIN_M, REACH_MAX_M = 0.42, 0.95
 LOCALISE_S, MISMATCH_M, PLACED_WITHIN_M = 0.3, 0.15, 0.06
 PLACE_GAP_M, PLACE_TOUCH_N, SPOT_FREE_M, SURFACE_MARGIN_M = 0.002, 12.0, 0.15, 0.07
+SEEN_FROM_M, SEEN_FROM_RAD = 0.3, 0.3  # how far off its stand an area is still seen; `area_in_view` asks for less
 TRAVEL_SPEED_MPS = 0.20  # of the arm, where a skill's own speed is the base's
 _LOOK_HEIGHT_M, _LOOK_FORWARD_M, _LOOK_ASIDE_M = 0.42, 0.55, (-0.3, 0.0, 0.3)
 _SPOTS = tuple((x, y) for x in (0.64, 0.72) for y in (0.0, 0.16, -0.16, 0.32, -0.32))
@@ -46,7 +47,7 @@ def inspect_area(body: Body, params: Mapping[str, Json]) -> Moves:
     area = site.areas[str(params["area"])]
     target = site.targets[area.target]
     x, y, yaw = body.senses.believed_pose()
-    if hypot(target.x_m - x, target.y_m - y) > 0.3 or abs(wrapped(target.yaw_rad - yaw)) > 0.3:
+    if hypot(target.x_m - x, target.y_m - y) > SEEN_FROM_M or abs(wrapped(target.yaw_rad - yaw)) > SEEN_FROM_RAD:
         raise SubstrateError("unreachable", f"`{area.name}` is seen from `{target.name}`: drive there first")
     middle = (sum(p[0] for p in area.polygon) / len(area.polygon), sum(p[1] for p in area.polygon) / len(area.polygon))
     surface = support(site, *middle)

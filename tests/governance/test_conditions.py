@@ -117,3 +117,17 @@ def test_every_unmet_condition_is_named_at_once():
         "sensors_fresh",
         "arm_ready",
     ]
+
+
+@pytest.mark.parametrize(
+    ("condition", "params"),
+    [("area_in_view", {"area": "bench_a_top"}), ("surface_reachable", {"surface": "bench_a"})],
+)
+@pytest.mark.parametrize(
+    ("away_m", "turned_rad", "met"),
+    [(0.2, 0.2, True), (0.2, -0.2, True), (0.2, 2 * math.pi, True), (0.3, 0.0, False), (0.0, 0.3, False),
+     (0.0, math.pi, False)],
+)  # fmt: skip
+def test_a_base_works_from_where_its_skill_would_start(condition, params, away_m, turned_rad, met):
+    there = facts(base=(STAND.x_m - away_m, STAND.y_m, STAND.yaw_rad + turned_rad))
+    assert (unmet((condition,), params, there, SITE) == ()) == met

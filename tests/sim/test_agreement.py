@@ -1,4 +1,4 @@
-"""What a manifest says of its phases is what the skill goes through, as the skills' own text has it."""
+"""What governance says of a skill is what the skill does: its phases, and where it can be started from."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from app.sim import skills
+from app.governance.conditions import ARRIVED_M, ARRIVED_RAD, NEAR_M, NEAR_RAD
+from app.sim import skills, skills_arm
 from app.sim.skills import SKILLS
 from tests.governance.policy_world import shipped
 
@@ -38,3 +39,8 @@ def phases(name: str) -> set[str]:
 @pytest.mark.parametrize("capability", sorted(SKILLS))
 def test_a_manifest_lists_the_phases_of_its_skill(capability):
     assert set(shipped().capabilities[capability].phases) == phases(SKILLS[capability].__name__)
+
+
+def test_what_is_admitted_near_a_stand_a_skill_can_do_there():
+    assert ARRIVED_M < NEAR_M < skills_arm.SEEN_FROM_M
+    assert ARRIVED_RAD < NEAR_RAD < skills_arm.SEEN_FROM_RAD
