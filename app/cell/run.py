@@ -13,7 +13,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from app.governance.intervention import NOTHING, InterventionState, Responses
-from app.governance.model import Outcome, Status
+from app.governance.model import Outcome, SkillReport, SkillState, Status
 from app.governance.recovery import Budgets, RecoveryDecision
 from app.governance.signals import WatchState
 from app.governance.watcher import Watcher, compile_watch
@@ -67,6 +67,22 @@ class End:
     outcome: Outcome
     code: str
     category: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Unprepared:
+    """A skill that could not be prepared at launch: it has failed before it moved, and recovery takes it from there."""
+
+    failure: str
+    held: Command
+
+    def act(self, observation: Observation, rate: float) -> Command:  # what every skill is asked
+        """Return the command that keeps everything where it is."""
+        return self.held
+
+    def report(self) -> SkillReport:
+        """Say that it has failed, and of what."""
+        return SkillReport("unprepared", 0.0, SkillState.FAILED, self.failure)
 
 
 Next: TypeAlias = Bind | End

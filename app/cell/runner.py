@@ -20,11 +20,12 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from app.cell import telling
 from app.cell.governing import Governing, PlanOf, Ports, Verify
 from app.cell.journal import USED, Entry, Journal, JournalUnavailable
-from app.cell.run import End, Run
+from app.cell.run import End, Run, Unprepared
 from app.cell.substrate import SubstrateError
 from app.governance.intervention import Responses
 from app.governance.model import EventKind, Mode, Outcome, Status
 from app.governance.permit import PermitError, SignedAuthorization, verify
+from app.governance.policy_model import FAILURES
 from app.governance.signals import Signals
 from app.governance.watcher import compile_watch
 
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
-    from app.cell.substrate import Substrate
+    from app.cell.substrate import Skill, Substrate
     from app.governance.model import Json, Observation
     from app.governance.permit import Grant
 
@@ -313,7 +314,7 @@ class Runner:
                 substrate.reset()
                 self._unpowered = False
             began = substrate.facts()
-            skill = substrate.bind(grant, permit.capability, permit.params, careful=permit.mode is Mode.CAREFUL)
+            skill = self._prepared(grant)
         except (SubstrateError, ValueError) as error:
             substrate.unbind()
             code = error.failure if isinstance(error, SubstrateError) else "no_plan"
@@ -335,6 +336,21 @@ class Runner:
         self._session = Governing(self._ports, run, self.observation)
         self._record.say_anyway(telling.status(permit.invocation, Status.RUNNING, None, "launched"))
         return None
+
+    def _prepared(self, grant: Grant) -> Skill:
+        """Bind the granted capability; what fails by a name that policy recovers from has failed like any attempt.
+
+        Raises:
+            SubstrateError: the substrate will not have the grant; no recovery would change that.
+        """
+        permit = grant.authorization
+        try:
+            return self.substrate.bind(grant, permit.capability, permit.params, careful=permit.mode is Mode.CAREFUL)
+        except SubstrateError as error:
+            if error.failure not in FAILURES:
+                raise
+            self._record.say_anyway(telling.cell("unprepared", telling.CELL, str(error)))
+            return Unprepared(error.failure, self.substrate.hold())
 
 
 _OPS: Final = {

@@ -122,12 +122,31 @@ def test_a_second_launch_while_one_runs_is_refused(rig: Rig) -> None:
     assert rig.finish()["outcome"] == "succeeded"
 
 
-def test_what_the_substrate_cannot_prepare_ends_as_a_fault_with_its_reason(rig: Rig) -> None:
-    rig.cell.refuses["grasp_object"] = "no_path"
-    assert rig.runner.launch(signed()) == "no_path"
+def test_what_the_substrate_will_not_have_ends_as_a_fault_with_its_reason(rig: Rig) -> None:
+    rig.cell.refuses["grasp_object"] = "wrong_cell"
+    assert rig.runner.launch(signed()) == "wrong_cell"
     assert rig.last("outcome")["outcome"] == "fault"
-    assert rig.last("outcome")["code"] == "no_path"
+    assert rig.last("outcome")["code"] == "wrong_cell"
     assert rig.runner.invocation is None
+
+
+def test_what_cannot_be_prepared_is_recovered_from_by_its_row(rig: Rig) -> None:
+    rig.cell.refuses["grasp_object"] = "object_lost"
+    assert rig.runner.launch(signed()) is None
+    rig.until(lambda: "release_and_retract" in rig.cell.runs)
+    assert [body["failure"] for body in rig.of("recovery")] == ["object_lost"]
+    assert rig.cell.bound[0][0] == "release_and_retract"
+    rig.cell.refuses.clear()
+    assert rig.finish()["outcome"] == "recovered"
+
+
+def test_what_cannot_be_prepared_moves_nothing_until_somebody_says_so(rig: Rig) -> None:
+    rig.cell.refuses["grasp_object"] = "unreachable"
+    rig.launch()
+    rig.until_status("escalated")
+    assert rig.cell.bound == []
+    assert rig.cell.x_m == 2.0
+    assert rig.of("cell")[-1] == {"what": "unprepared", "detail": "unreachable: grasp_object"}
 
 
 def test_a_grant_policy_has_no_plan_for_does_not_run(rig: Rig) -> None:
