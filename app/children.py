@@ -79,7 +79,12 @@ class Children:
     """The child cells of one server."""
 
     def __init__(
-        self, settings: Settings, token: str, report: Callable[[str, str], None], restarts: int = RESTARTS
+        self,
+        settings: Settings,
+        token: str,
+        report: Callable[[str, str], None],
+        restarts: int = RESTARTS,
+        expect: Callable[[str, bool], None] = lambda _, __: None,
     ) -> None:
         """Take what the cells are started with.
 
@@ -88,6 +93,7 @@ class Children:
             token: the cells' bearer token; reaches them through their environment.
             report: called with a cell's name and what happened to it.
             restarts: how often in `RESTARTS_WITHIN_S` a cell that died is started again.
+            expect: told which cell is being started, and (False) which is given up.
 
         `misused` is set when a cell cannot be started with these settings: the server has no use for them either.
         """
@@ -95,6 +101,7 @@ class Children:
         self._token = token
         self._report = report
         self._restarts = restarts
+        self._expect = expect
         self._given_up: dict[str, str] = {}
         self._stopping = asyncio.Event()
         self._watches: list[asyncio.Task[None]] = []
@@ -123,6 +130,7 @@ class Children:
                 known = True
                 await self._watch_adopted(cell, folder, pid)
                 continue
+            self._expect(cell, True)
             code = await self._watch_child(await self._spawn(cell))
             if self._stopping.is_set():
                 return
@@ -137,10 +145,12 @@ class Children:
                 deaths.clear()
                 continue
             self._report(cell, f"ended with `{code}`; starting it again, idle")
+            self._expect(cell, True)
             await self._rest(0.2 * 2 ** len(deaths))
 
     async def _give_up(self, cell: str, folder: Path, why: str) -> None:
         """Start a cell no more, say so, and wait for somebody to start it by hand."""
+        self._expect(cell, False)
         self._given_up[cell] = f"{why}; not started again"
         self._report(cell, self._given_up[cell])
         while not self._stopping.is_set() and running_cell(folder) is None:

@@ -142,8 +142,8 @@ async def _serve(settings: Settings, policies: PolicySet, listener: socket.socke
     principals = open_principals(layout.root)
     token = (layout.root / CELL_TOKEN_FILE).read_text().strip()
     url = address(listener)
-    children = Children(settings, token, lambda cell, word: say(f"{cell}: {word}"))
     async with open_house(settings, policies) as house:
+        children = Children(settings, token, lambda cell, word: say(f"{cell}: {word}"), expect=house["fleet"].expect)
         door = DoorServer(_door(create_app(**house, principals=principals, checks={"children": children.trouble})))
         serving = asyncio.create_task(door.serve(sockets=[listener]))
         opened = asyncio.create_task(door.up.wait())

@@ -25,6 +25,8 @@ from app.cell.governed import GovernedCell
 from app.cell.journal import Journal, JournalUnavailable
 from app.cell.link import Identity, KeyPin, Link
 from app.cell.loop import Lease, Outbox, TickLoop
+from app.cell.runner import close_left_open
+from app.cell.telling import Recorder
 from app.children import CellRuns, cell_lock
 from app.clock import wall_s
 from app.config import ConfigError
@@ -72,6 +74,7 @@ async def _run(settings: CellSettings) -> int:
     scenario, robot = read_scenario(settings.scenario), robot_model(settings.robot)
     boot = f"boot_{secrets.token_hex(8)}"
     journal = Journal(settings.data / "journal", boot=boot)
+    close_left_open(journal, Recorder(journal, wall_s, lambda _: None))
     inbox: SimpleQueue[Order] = SimpleQueue()
     outbox, lease = Outbox(journal.last_seq), Lease()
 

@@ -58,9 +58,30 @@ def test_a_cell_that_died_leaves_a_fault_and_comes_back_idle(servers: Servers) -
     assert pid is not None
     os.kill(pid, signal.SIGKILL)
     assert server.await_status(invocation, "failed")["outcome"] == "fault"
+    assert outcomes(server, invocation) == ["cell_restarted"]
+    asked = server.get("/v1/escalations")["items"]
+    assert asked == [], "a cell that is being started says itself what became of its session"
     until(lambda: server.cell()["online"] and server.cell()["busy"] is None, what="the cell is back, idle")
     assert server.cell_pid() not in {None, pid}
     assert server.get("/v1/audit/verify")["ok"]
+
+
+def outcomes(server: ServerProcess, invocation: str) -> list[str]:
+    trace = server.get(f"/v1/invocations/{invocation}/trace")["items"]
+    return [event["body"]["code"] for event in trace if event["kind"] == "outcome"]
+
+
+def test_a_server_and_a_cell_that_died_together_leave_one_fault(servers: Servers) -> None:
+    server = servers.start(None, "--pace", "3")
+    invocation = drive(server)
+    pid = server.cell_pid()
+    assert pid is not None
+    server.kill()
+    os.kill(pid, signal.SIGKILL)
+    again = restarted(servers, server)
+    assert again.await_status(invocation, "failed")["outcome"] == "fault"
+    until(lambda: again.cell()["online"] and again.cell()["busy"] is None, what="the cell is back, idle")
+    assert outcomes(again, invocation) == ["cell_restarted"]
 
 
 def test_no_restart_of_a_cell_brings_its_reports_into_the_log_again(servers: Servers) -> None:

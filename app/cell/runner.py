@@ -96,9 +96,7 @@ class Runner:
         self.latched = bool(journal.marks.get("latched"))
         if self.latched:
             self._cut_power()
-        left = journal.marks.get("open")
-        if isinstance(left, str):
-            self._record.say_anyway(telling.outcome(left, Outcome.FAULT, "cell_restarted"), marks={"open": None})
+        close_left_open(journal, self._record)
 
     # -- what it is doing ----------------------------------------------------------------------------------------------
 
@@ -364,6 +362,17 @@ _OPS: Final = {
     "resolve_terminate": Governing.terminate,
 }
 _GOING_ON: Final = frozenset({"resume", "rollback", "confirm", "resolve_continue"})
+
+
+def close_left_open(journal: Journal, record: telling.Recorder) -> None:
+    """Report the session that an earlier run of the cell left open as the fault it is.
+
+    A cell does so before it first speaks to its server: the number of its last report then counts this one in, and
+    nobody else has to say what became of the session.
+    """
+    left = journal.marks.get("open")
+    if isinstance(left, str):
+        record.say_anyway(telling.outcome(left, Outcome.FAULT, "cell_restarted"), marks={"open": None})
 
 
 def run_session(

@@ -52,6 +52,7 @@ class Cell:
     trouble: str | None = None
     recalled: bool = False  # known from an earlier run of the server, and not seen in this one
     absent_since_s: float | None = None
+    expected_until_s: float = 0.0  # its process is being started
     lapsed: bool = True  # it was away for longer than a lease before it attached, or nobody knows
     ended: str | None = None  # the last session that ended here, and when
     ended_at_s: float = 0.0
@@ -94,6 +95,11 @@ class Cell:
                 self.taken = {**cast("dict[str, int]", value), **self.taken}
             case _:
                 pass
+
+    @property
+    def expected(self) -> bool:
+        """Say whether the cell is on its way, and will say itself what became of its session."""
+        return monotonic_s() < self.expected_until_s
 
     def away_s(self) -> float | None:
         """Return for how long the cell has been away; None where nobody knows."""

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 TEND_S: Final = 0.25
 SETTLE_S: Final = 0.3
+EXPECTED_S: Final = 10.0  # a process that takes longer to start is missed like any other
 RESET_S: Final = 1.0  # a cell states itself ten times a second, and on every change
 
 
@@ -234,6 +235,12 @@ class Fleet:
             async with asyncio.timeout(SETTLE_S):
                 await cell.stated.wait()
 
+    def expect(self, cell_id: str, coming: bool) -> None:
+        """Note that a cell's process is being started, or that nobody starts it any more."""
+        cell = self._cells.get(cell_id)
+        if cell is not None:
+            cell.expected_until_s = monotonic_s() + EXPECTED_S if coming else 0.0
+
     async def unlatched(self, cell: Cell) -> None:
         """Wait, shortly, until the cell says after this moment that no stop is latched on it."""
         since_s = monotonic_s()
@@ -307,6 +314,7 @@ class Fleet:
         cell.attachment = attachment
         cell.state = None
         cell.absent_since_s = None
+        cell.expected_until_s = 0.0
         cell.recalled = False
         if present is not None:
             present.shut(TRY_LATER, "another link took this one's place")

@@ -9,7 +9,7 @@ When server and cell have lost sight of each other:
 |---|---|---|
 | a session | is back and holds it | `escalated`; a human decides |
 | a session | is back without it | `failed`, outcome `fault` (`session_lost`) |
-| a session | has been away for `LOST_S` | `escalated` (`link_lost`) |
+| a session | has been away for `LOST_S`, its process not being started | `escalated` (`link_lost`) |
 | a session | has been away for `absent_s` | `failed`, outcome `fault` (`cell_lost`) |
 | a launch | said nothing of it until its permit ran out | `failed`, outcome `fault` (`launch_unconfirmed`) |
 | no such session, or it has ended | holds one | is told to stop it |
@@ -198,14 +198,14 @@ class Sessions:
                 await self._overdue(invocation, absent_s)
 
     async def _overdue(self, invocation: Invocation, absent_s: float | None) -> None:
+        place = self._fleet.cell(invocation.cell or "")
         launched_s = invocation.terms.launched_at_s
         unconfirmed = not invocation.terms.confirmed and launched_s is not None
         if absent_s is not None and absent_s > self._absent_s:
             await self._fault(invocation.id, "cell_lost", f"the cell has been away for more than {self._absent_s} s")
-        elif absent_s is not None and absent_s > LOST_S:
+        elif absent_s is not None and absent_s > LOST_S and not place.expected:
             await self._ask(invocation.id, "link_lost", "the link to the cell is lost; the cell holds by itself")
         elif absent_s is None and unconfirmed and self._register.now_s() > (launched_s or 0.0) + UNCONFIRMED_S:
-            place = self._fleet.cell(invocation.cell or "")
             self._fleet.restrain(place, Human(invocation=invocation.id, op="stop", actor=SERVER))
             await self._fault(invocation.id, "launch_unconfirmed", "the cell never confirmed the launch")
 

@@ -57,7 +57,10 @@ class Story:
         body = {**event.body, **added, "cell_seq": event.seq, "cell_at_s": event.at_s, "tick": event.tick}
         if event.actor not in (cell, ITSELF):
             body["actor"] = event.actor
-        self.drafts.append(EventDraft(kind=event.kind, actor=cell, invocation=name, body=body))
+        kind = event.kind
+        if kind == EventKind.OUTCOME and not live:  # an invocation has one outcome, and this one came after it
+            kind, body = EventKind.CELL, {**body, "late": EventKind.OUTCOME}
+        self.drafts.append(EventDraft(kind=kind, actor=cell, invocation=name, body=body))
         if version is not None and live and event.kind == EventKind.LAUNCH and self._versions[version.id].final:
             refusal = reason(RULE, str(event.body["refused"]), str(event.body.get("detail", "")))
             self.drafts.append(outcome_event(self._versions[version.id], SERVER, refusal))

@@ -392,6 +392,41 @@ async def test_a_cell_that_stays_away_is_shown_and_then_given_up(runtime: Runtim
     await until(lambda: late.ops() == ["stop"])
 
 
+async def test_nobody_is_asked_about_a_session_whose_cell_is_being_started(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    await cell.hang_up()
+    runtime.fleet.expect(CELL, True)
+    away = runtime.fleet.cell(CELL)
+    assert away.absent_since_s is not None
+    away.absent_since_s -= sessions_module.LOST_S + 0.1
+    await runtime.fleet.tend_once()
+    assert (await runtime.governor.invocation(name, AGENT))["status"] == "running"
+    runtime.fleet.expect(CELL, False)
+    await runtime.fleet.tend_once()
+    assert (await runtime.governor.invocation(name, AGENT))["status"] == "escalated", "nobody starts it any more"
+
+
+async def test_an_invocation_has_one_outcome_and_a_later_word_of_the_cell_is_kept_as_such(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    name = await running(runtime, cell)
+    await cell.hang_up()
+    await HandCell(runtime, boot="boot-2", seq=cell.seq).dial()
+    assert (await runtime.governor.invocation(name, AGENT))["outcome"] == "fault"
+    back = runtime.fleet.cell(CELL).attachment
+    assert back is not None
+    late = cell.event("outcome", name, outcome="stopped", code="operator")
+    await back.receive(encode(late))
+    await until(lambda: runtime.fleet.cell(CELL).up_seq == late.seq)
+    trace = await runtime.governor.trace(name, AUDITOR)
+    assert [event["body"]["outcome"] for event in trace if event["kind"] == "outcome"] == ["fault"]
+    assert (trace[-1]["kind"], trace[-1]["body"]["late"], trace[-1]["body"]["outcome"]) == (
+        "cell",
+        "outcome",
+        "stopped",
+    )
+
+
 async def test_a_launch_nobody_confirms_is_a_fault(house: House, runtime: Runtime, cell: HandCell) -> None:
     document, _ = await runtime.governor.propose(AGENT, navigate())
     await runtime.fleet.tend_once()
