@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from app.evaluation.methods import Method
     from app.evaluation.truth import Truth
     from app.governance.model import Params, WorldFacts
-    from app.governance.permit import Grant
+    from app.governance.permit import Grant, SignedAuthorization
     from app.governance.policy import PolicySet
     from app.sim.workcell import Workcell
 
@@ -151,11 +151,14 @@ class Journals:
 class Supervised:
     """The supervisor of a trial: what is answered to an escalation and how long that takes, and what is asked unasked.
 
-    `order` is an operator's word (`rollback`, `stop`, …) said at `order_tick`, whatever happens then.
+    `after_ticks` is None for one who never answers. After `answers` escalations of one session the word is to end it,
+    whatever it was before. `order` is an operator's word (`rollback`, `stop`, …) said at `order_tick`, whatever
+    happens then.
     """
 
-    after_ticks: int = ANSWER_TICKS
+    after_ticks: int | None = ANSWER_TICKS
     op: str = "resolve_terminate"
+    answers: int = 3
     order: str = ""
     order_tick: int = 0
 
@@ -172,6 +175,8 @@ def governed(  # noqa: PLR0913  # an execution has that many sides
     *,
     supervised: Supervised = Supervised(),  # frozen
     plan_change: Callable[[WatchPlan], WatchPlan] = lambda plan: plan,
+    during: Callable[[Runner], None] = lambda runner: None,
+    limit: int = LIMIT_TICKS + RECOVERY_TICKS,
 ) -> Execution:
     """Run a skill under a method's watcher and recovery.
 
@@ -186,6 +191,8 @@ def governed(  # noqa: PLR0913  # an execution has that many sides
         journals: where the cell's journal goes.
         supervised: who answers an escalation.
         plan_change: changes every watch plan (to take a detector out, or to move the sensitivity).
+        during: called after every tick, with the runner.
+        limit: ticks after which a session that is not over is let go.
     """
     journal = journals.open()
     entries: list[Entry] = []
@@ -209,7 +216,7 @@ def governed(  # noqa: PLR0913  # an execution has that many sides
     done = Execution(truth)
     refused = runner.launch(mint(authorize(cell, method, policy, proposal, profile), _KEY))
     if refused is None:
-        _watch_over(runner, cell, done, supervised, achieved)
+        _watch_over(runner, cell, done, supervised, achieved, during, limit)
     else:
         done.refused = refused
     done.entries, done.ticks, done.achieved = tuple(entries), truth.tick, achieved(cell)
@@ -223,10 +230,19 @@ def governed(  # noqa: PLR0913  # an execution has that many sides
     return done
 
 
-def _watch_over(runner: Runner, cell: Workcell, done: Execution, supervised: Supervised, achieved: Achieved) -> None:
-    truth, waiting, skill, starts = done.truth, 0, None, 0
-    while (session := runner.session) is not None and truth.tick < LIMIT_TICKS + RECOVERY_TICKS:
+def _watch_over(  # an execution has that many sides
+    runner: Runner,
+    cell: Workcell,
+    done: Execution,
+    supervised: Supervised,
+    achieved: Achieved,
+    during: Callable[[Runner], None],
+    limit: int,
+) -> None:
+    truth, waiting, answered, skill, starts = done.truth, 0, 0, None, 0
+    while (session := runner.session) is not None and truth.tick < limit:
         runner.tick()
+        during(runner)
         bound = session.run.skill
         if bound is not skill and isinstance(bound, Run):
             starts += bound.capability == session.run.grant.authorization.capability
@@ -251,7 +267,19 @@ def _watch_over(runner: Runner, cell: Workcell, done: Execution, supervised: Sup
         if supervised.order and truth.tick == supervised.order_tick and session.over is None:
             runner.human(session.run.id, supervised.order, "supervisor")
         if waiting == supervised.after_ticks:
-            runner.human(session.run.id, supervised.op, "supervisor")
+            waiting, answered = 0, answered + 1
+            op = supervised.op if answered <= supervised.answers else "resolve_terminate"
+            runner.human(session.run.id, op, "supervisor")
+
+
+def adopt(runner: Runner, policy: PolicySet) -> None:
+    """Let a cell believe authorizations under another policy from now on, as it does when one is activated."""
+    runner.adopt(policy_digest=policy.digest, key=_KEY.public_key())
+
+
+def signed(permit: Authorization) -> SignedAuthorization:
+    """Sign an authorization as the kernel of these executions does."""
+    return mint(permit, _KEY)
 
 
 def authorize(cell: Workcell, method: Method, policy: PolicySet, proposal: Proposal, profile: str) -> Authorization:

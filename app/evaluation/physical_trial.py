@@ -21,6 +21,7 @@ from app.evaluation.truth import SIGMA, Truth
 from app.governance.guard import check
 from app.governance.model import AgentFacts, Context, Proposal
 from app.governance.policy import watch_plan
+from app.sim.sensors import AS_MEASURED, Quality
 
 if TYPE_CHECKING:
     from app.evaluation.capabilities import Judge
@@ -55,9 +56,9 @@ class Bench:
     journals: Journals = field(default_factory=Journals)
 
     @classmethod
-    def of(cls, policy: PolicySet) -> Bench:
-        """Set a bench up for a policy."""
-        return cls(policy, Stage(policy.site))
+    def of(cls, policy: PolicySet, quality: Quality = AS_MEASURED) -> Bench:
+        """Set a bench up for a policy, with sensors of a quality."""
+        return cls(policy, Stage(policy.site, quality))
 
 
 @dataclass(slots=True)
@@ -117,7 +118,8 @@ def _drawn(policy: PolicySet, seed: int, number: int, wanted: Kind | Violation |
     return draw(policy, seed, number, kind=wanted, turn=turn)
 
 
-def _prepared(bench: Bench, drawn: Drawn, turn: int) -> Trial:
+def ready(bench: Bench, drawn: Drawn, turn: int = 0) -> tuple[Trial, Workcell]:
+    """Return a drawn trial without its twin, and the workcell as it stands there when the trial begins."""
     policy = bench.policy
     cell = bench.stage.set(drawn.start, drawn.world, drawn.scenario)
     params = policy.validate_params(drawn.capability, drawn.params)
@@ -137,10 +139,15 @@ def _prepared(bench: Bench, drawn: Drawn, turn: int) -> Trial:
         verdict = check(policy, proposal, context)
         proposal = Proposal(capability=drawn.capability, params=verdict.effective)
     plan = watch_plan(policy, drawn.capability, drawn.profile, proposal.params)
-    twin = None
+    return Trial(drawn, turn, proposal, context, plan, None), cell
+
+
+def _prepared(bench: Bench, drawn: Drawn, turn: int) -> Trial:
+    trial, cell = ready(bench, drawn, turn)
     if drawn.kind is not Kind.UNAUTHORIZED:
-        twin = ungoverned(cell, drawn.capability, proposal.params, looking(policy, drawn, plan), judge_of(drawn))
-    return Trial(drawn, turn, proposal, context, plan, twin)
+        truth = looking(bench.policy, drawn, trial.plan)
+        trial.twin = ungoverned(cell, drawn.capability, trial.proposal.params, truth, judge_of(drawn))
+    return trial
 
 
 def looking(policy: PolicySet, drawn: Drawn, plan: WatchPlan) -> Truth:

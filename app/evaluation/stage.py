@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from app.sim.sensors import AS_MEASURED, Quality
 from app.sim.trial import run_skill
 from app.sim.workcell import Workcell, make_workcell
 
@@ -39,9 +40,10 @@ class Start:
 
 @dataclass(slots=True)
 class Stage:
-    """The prepared worlds of one process."""
+    """The prepared worlds of one process; `quality` is how good their sensors are."""
 
     site: Site
+    quality: Quality = AS_MEASURED
     _ready: dict[Start, tuple[Workcell, object]] = field(default_factory=dict["Start", tuple[Workcell, object]])
 
     def set(self, start: Start, seed: int, scenario: Scenario) -> Workcell:
@@ -63,7 +65,7 @@ class Stage:
 
     def _prepare(self, start: Start) -> tuple[Workcell, object]:
         site = replace(self.site, start=start.stand)
-        cell = make_workcell(site, cell_id=CELL, seed=PREPARED_WITH, people=PEOPLE)
+        cell = make_workcell(site, cell_id=CELL, seed=PREPARED_WITH, people=PEOPLE, quality=self.quality)
         if start.holding:
             fragile = site.objects[start.holding].fragile
             params = {
