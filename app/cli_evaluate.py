@@ -37,7 +37,8 @@ def evaluate(  # noqa: PLR0913  # its options
     ] = None,
     seeds: Annotated[str, typer.Option(help="With commas between them; the default are the paper's.")] = "",
     trials: Annotated[
-        int | None, typer.Option(help="For each method, task and seed; default: the protocol's.", min=1)
+        int | None,
+        typer.Option(help="For each method, task and seed; default: the protocol's. 0: studies alone.", min=0),
     ] = None,
     jobs: Annotated[int, typer.Option(help="Processes; 0: one for each core.", min=0)] = 0,
     folder: Annotated[
@@ -54,6 +55,9 @@ def evaluate(  # noqa: PLR0913  # its options
     long: Annotated[
         bool, typer.Option("--long", help="Reins alone, 1,000 trials for each seed, unless said otherwise.")
     ] = False,
+    studies: Annotated[
+        str, typer.Option(help="Also run studies beyond the paper: names with commas between them, or all.")
+    ] = "",
     fresh: Annotated[bool, typer.Option("--fresh", help="Remove the former campaign from the folder first.")] = False,
     readme: Annotated[
         Path | None, typer.Option(help="Also write the measured figures into this file, between its comments.")
@@ -66,6 +70,8 @@ def evaluate(  # noqa: PLR0913  # its options
     [bold]reins evaluate --protocol physical --methods direct,reins[/]   two methods in the simulated workcell
 
     [bold]reins evaluate --protocol physical --long[/]                   Reins alone, 5,000 trials
+
+    [bold]reins evaluate --protocol physical --studies all --trials 0[/]  what goes beyond the paper, and nothing else
 
     [bold]reins evaluate --seeds 1,2 --trials 50 --out try[/]            a quick look, with seeds of your own
 
@@ -88,6 +94,7 @@ def evaluate(  # noqa: PLR0913  # its options
             plugins=tuple(plugin or ()),
             policies=find_policies(policies),
             long=long,
+            studies=studies,
         )
     except (UnknownName, PluginError, ValueError) as error:
         say_error(str(error))
@@ -107,11 +114,12 @@ def _request(  # noqa: PLR0913  # the command's options
     plugins: tuple[Path, ...],
     policies: Path,
     long: bool,
+    studies: str,
 ) -> Request:
     """Read the options.
 
     Raises:
-        UnknownName: a method, a task or a protocol that nobody registered.
+        UnknownName: a method, a task, a study or a protocol that nobody registered.
         PluginError: a plugin that does not load.
         ValueError: a seed that is no integer.
     """
@@ -119,7 +127,7 @@ def _request(  # noqa: PLR0913  # the command's options
     from app.evaluation.extensions import REGISTRY, find_method, find_task, load_plugins
     from app.evaluation.methods import ABLATIONS, METHODS
     from app.evaluation.model import SEEDS
-    from app.evaluation.protocols import find_protocol
+    from app.evaluation.protocols import find_protocol, find_study, study_names
 
     load_plugins(plugins)
     standard = _LONG_TRIALS if long else getattr(find_protocol(protocol), "TRIALS", _TRIALS)
@@ -128,11 +136,15 @@ def _request(  # noqa: PLR0913  # the command's options
         protocol=protocol,
         methods=tuple(dict.fromkeys(find_method(name).name for name in (*named, *(ABLATIONS if ablations else ())))),
         seeds=tuple(dict.fromkeys(_seed(word) for word in _words(seeds))) or SEEDS,
-        trials=trials or standard,
+        trials=standard if trials is None else trials,
         policies=policies,
         tasks=tuple(dict.fromkeys(find_task(name).name for name in _words(tasks))),
         plugins=plugins,
         long=long,
+        studies=tuple(
+            find_study(protocol, name)
+            for name in (study_names(protocol) if studies == "all" else dict.fromkeys(_words(studies)))
+        ),
     )
 
 

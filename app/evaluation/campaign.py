@@ -18,14 +18,14 @@ import shutil
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, cast
 
 import orjson
 
 import app
 from app.evaluation.extensions import find_method, find_task, load_plugins, plugin_digests
 from app.evaluation.parts import Parts, Rows, write_tables
-from app.evaluation.protocols import EvaluationProtocol, find_protocol
+from app.evaluation.protocols import EvaluationProtocol, HasStudies, find_protocol, find_study
 from app.evaluation.rows import COLUMNS
 from app.evaluation.workers import run_jobs
 from app.governance.bundle import load
@@ -90,6 +90,7 @@ class Request:
         tasks: Task types; empty: the protocol's own choice.
         plugins: Python files that register more.
         long: Whether the protocol's long run is meant.
+        studies: Studies of the protocol to run besides; with `trials` 0 they are all that runs.
     """
 
     protocol: str
@@ -100,6 +101,7 @@ class Request:
     tasks: tuple[str, ...] = ()
     plugins: tuple[Path, ...] = ()
     long: bool = False
+    studies: tuple[str, ...] = ()
 
     def describe(self) -> dict[str, Json]:
         """Return everything that the rows follow from, as plain data."""
@@ -110,6 +112,7 @@ class Request:
             "trials": self.trials,
             "tasks": list(self.tasks),
             "long": self.long,
+            "studies": list(self.studies),
             "policy": load(self.policies).digest,
             "plugins": {**plugin_digests(self.plugins)},
             "version": app.__version__,
@@ -131,7 +134,7 @@ class _Work:
         """Load plugins, protocol and policy once."""
         load_plugins(self.plugins)
         protocol, policy = find_protocol(self.protocol), load(self.policies)
-        parts = Parts(self.folder, self.configuration, _columns(protocol))
+        parts = Parts(self.folder, self.configuration, _columns(protocol, studies=True))
         return lambda job: parts.write(job, protocol.run(job, policy))
 
 
@@ -160,10 +163,8 @@ def run_campaign(
     configuration = request.describe()
     with _claimed(out, configuration, fresh=fresh):
         digest = _digest(configuration)
-        parts = Parts(out / PARTS, digest, _columns(protocol))
-        jobs = protocol.jobs(
-            methods=request.methods, tasks=request.tasks, seeds=request.seeds, trials=request.trials, long=request.long
-        )
+        parts = Parts(out / PARTS, digest, _columns(protocol, studies=bool(request.studies)))
+        jobs = _jobs(request, protocol)
         _check_jobs(jobs)
         _run(request, parts, jobs, workers=workers, progress=progress)
         rows = Rows(parts, jobs)
@@ -272,6 +273,22 @@ def _check_names(request: Request) -> None:
         find_method(method)
     for task in request.tasks:
         find_task(task)
+    for study in request.studies:
+        find_study(request.protocol, study)
+    if not (request.trials or request.studies):
+        raise CampaignError("`0` trials and no studies: valid are at least one trial, or a study")
+
+
+def _jobs(request: Request, protocol: EvaluationProtocol) -> list[Job]:
+    """Return the jobs of the comparison, then those of the studies."""
+    jobs: list[Job] = []
+    if request.trials:
+        jobs += protocol.jobs(
+            methods=request.methods, tasks=request.tasks, seeds=request.seeds, trials=request.trials, long=request.long
+        )
+    if request.studies:
+        jobs += cast("HasStudies", protocol).study_jobs(request.studies, request.seeds)
+    return jobs
 
 
 def _check_jobs(jobs: Sequence[Job]) -> None:
@@ -280,8 +297,9 @@ def _check_jobs(jobs: Sequence[Job]) -> None:
         raise CampaignError("two jobs of the protocol have one name: valid are names that tell them apart")
 
 
-def _columns(protocol: EvaluationProtocol) -> Mapping[str, str]:
-    return getattr(protocol, "COLUMNS", COLUMNS)
+def _columns(protocol: EvaluationProtocol, *, studies: bool) -> Mapping[str, str]:
+    own: Mapping[str, str] = getattr(protocol, "COLUMNS", COLUMNS)
+    return {**own, **getattr(protocol, "STUDY_COLUMNS", {})} if studies else own
 
 
 def _digest(configuration: Mapping[str, Json]) -> str:

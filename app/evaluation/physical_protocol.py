@@ -20,13 +20,14 @@ from app.evaluation.physical_rows import COLUMNS, MEANINGS, Class, row
 from app.evaluation.physical_trial import Bench, prepare
 from app.evaluation.physical_trial import run as run_trial
 from app.evaluation.statistics import effect_sizes
+from app.evaluation.studies import STUDIES, STUDY_COLUMNS, is_study, run_study, study_jobs, study_results
 
 if TYPE_CHECKING:
     from app.evaluation.model import Row
     from app.governance.model import Json
     from app.governance.policy import PolicySet
 
-__all__ = ["COLUMNS", "jobs", "results", "run"]
+__all__ = ["COLUMNS", "STUDIES", "STUDY_COLUMNS", "jobs", "results", "run", "study_jobs"]
 
 CHUNK: Final = 10
 LONG: Final[tuple[tuple[Kind | Violation | Failure, int], ...]] = (
@@ -134,7 +135,10 @@ def jobs(
 
 
 def run(job: Job, policy: PolicySet) -> Iterator[Row]:
-    """Run ten trials under all methods."""
+    """Run ten trials under all methods, or a part of a study."""
+    if is_study(job):
+        yield from run_study(job, policy)
+        return
     bench = _bench.setdefault(policy.digest, Bench.of(policy))
     methods = [find_method(name) for name in job.method.split(_SEPARATOR)]
     wanted = _wanted(job.task)
@@ -224,8 +228,12 @@ def results(rows: Iterable[Row], policy: PolicySet) -> dict[str, Json]:
         policy: Π that they were run under.
     """
     sums: dict[str, _Sums] = defaultdict(_Sums)
+    studied: list[Row] = []
     for one in rows:
-        sums[str(one["method"])].add(one)
+        if one.get("study"):
+            studied.append(one)
+        else:
+            sums[str(one["method"])].add(one)
     entries = {name: mine.tally.entries() for name, mine in sums.items()}
     methods = {name: found for name, found in entries.items() if name not in ABLATIONS}
     ours = sums.get(REINS.name, _Sums())
@@ -245,5 +253,6 @@ def results(rows: Iterable[Row], policy: PolicySet) -> dict[str, Json]:
             "recovery_s": {name: mine.recoveries for name, mine in sums.items() if mine.recoveries},
         },
         "unpublished": [one._asdict() for one in CHOICES],
+        **study_results(studied, policy),
     }
     return cast("dict[str, Json]", tables)  # all of it is numbers and names

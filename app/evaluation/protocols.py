@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 class EvaluationProtocol(Protocol):
     """How methods are put to the test. Everything it does follows from its arguments alone: no clock, no state.
 
-    A module may declare `COLUMNS`, if its rows have more than those of `app.evaluation.rows`.
+    A module may declare `COLUMNS`, if its rows have more than those of `app.evaluation.rows`; and it may have studies,
+    extra jobs beside those that compare methods: `STUDIES` (name → anything), `STUDY_COLUMNS`, and `study_jobs(names,
+    seeds)`. Their rows come to `results` like any other.
     """
 
     def jobs(
@@ -63,8 +65,19 @@ class EvaluationProtocol(Protocol):
             | `distributions` | `latency_ticks`: violation → numbers; `recovery_s`: method → numbers |
             | `cross_profile` | proposal → profile → what became of it |
             | `scorecard` | dimension → `{value, how}` |
+            | `studies` | study → `{title, about, tables: [{caption, stub, rows: row → column → value or entry}], …}` |
             | `unpublished` | list of `{parameter, paper, here, affects}` |
         """
+        ...
+
+
+class HasStudies(Protocol):
+    """A protocol with studies."""
+
+    STUDIES: Mapping[str, object]
+
+    def study_jobs(self, names: Sequence[str], seeds: Sequence[int]) -> Sequence[Job]:
+        """Cut some studies into jobs, in the canonical order; their names tell them from the comparison's."""
         ...
 
 
@@ -91,3 +104,20 @@ def find_protocol(name: str) -> EvaluationProtocol:
     if name not in protocol_names():
         raise UnknownName("protocol", name, protocol_names())
     return cast("EvaluationProtocol", import_module(PROTOCOLS[name]))
+
+
+def find_study(protocol: str, name: str) -> str:
+    """Return the name of a study that a protocol has.
+
+    Raises:
+        UnknownName: it has none of that name.
+    """
+    names = study_names(protocol)
+    if name not in names:
+        raise UnknownName("study", name, names or ("none, with this protocol",))
+    return name
+
+
+def study_names(protocol: str) -> tuple[str, ...]:
+    """Return the names of a protocol's studies; most have none."""
+    return tuple(getattr(find_protocol(protocol), "STUDIES", ()))

@@ -17,6 +17,7 @@ from app.evaluation import plots, published
 from app.evaluation.methods import ABLATIONS
 from app.evaluation.metrics import METRICS, Metric
 from app.evaluation.model import TUNING_SEEDS
+from app.evaluation.report_studies import study_grids
 from app.evaluation.report_tables import (
     Grid,
     Results,
@@ -90,6 +91,7 @@ def sections(results: Results) -> list[Section]:
         _classes(results),
         _cross_profile(results),
         _scorecard(results),
+        *_studies(results),
         _unpublished(results),
         _definitions(),
     ]
@@ -259,6 +261,11 @@ def _scorecard(results: Results) -> Section:
         "This campaign has no scorecard.",
         items=items,
     )
+
+
+def _studies(results: Results) -> Iterator[Section]:
+    for name, title, about, grids in study_grids(results):
+        yield Section(f"study-{name}", title, about, "Nothing was measured.", grids=grids)
 
 
 def _unpublished(results: Results) -> Section:

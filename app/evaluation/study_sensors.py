@@ -1,0 +1,240 @@
+"""Broken sensors: every sensor in every way, and whether a signal that lies ever looks like all is well.
+
+One sensor breaks one to two seconds into a session in which nothing else is wrong: a grasp, or a drive with a load. A
+sensor that is off is `stale`: its last sample under its last stamp. `stuck` repeats its last sample under new stamps,
+`noisy` is garbage of a size, `offset` is wrong by a size, `delayed` comes late by twice its own staleness limit.
+
+Ticks count from the moment the sensor breaks to the first intervention that restrains, except where the fault is one of
+age: a sample may be as old as the profile's `stale_after_ms` says, so there they count from the moment it is older.
+
+For the tracker of people somebody stands 3.4 m behind the robot from the beginning and walks up to it one second after
+the tracker broke: whether that is an unseen breach is what such a fault costs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from math import cos, pi, sin
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from app.evaluation.draws import Drawn
+from app.evaluation.model import PROFILES, Kind, Row, Violation
+from app.evaluation.stage import Start
+from app.evaluation.study_trials import (
+    Part,
+    Table,
+    began_s,
+    bench_of,
+    executed,
+    first_alert,
+    first_hold,
+    first_tick,
+    govern,
+    grouped,
+    once,
+    share,
+    study_row,
+    table,
+)
+from app.evaluation.truth import UNSAFE_TICKS
+from app.governance.model import Outcome
+from app.sim.faults import Fault, Scenario
+from app.sim.occasions import Trigger
+from app.sim.people import Walk
+
+if TYPE_CHECKING:
+    from app.evaluation.episode import Execution
+    from app.governance.model import Json, WatchPlan, WatchRule
+    from app.governance.policy import PolicySet
+
+NAME: Final = "sensors"
+TITLE: Final = "Broken sensors"
+ABOUT: Final = (
+    "One sensor breaks in a session in which nothing else is wrong. Ticks count from the break to the first "
+    "intervention that restrains; for stale and delayed samples from the moment they are older than the profile allows "
+    "(a negative number: it was noticed before, because samples of that sensor are late anyway). A garbage or offset "
+    "signal is broken by the size in the condition's name: rad, N, m. Unseen breach: somebody came nearer than the "
+    "profile allows, unheeded for more than 250 ms, in the two profiles that hold the robot for people."
+)
+AGED: Final = ("stale", "delayed")
+PROMPT_TICKS: Final = 5
+SEES_TICKS: Final = 400
+WALKS_AFTER_S: Final = 1.0
+STANDS_M: Final = 3.4
+SIZES: Final[Mapping[str, tuple[float, float]]] = {
+    # A small error and a big one, in the units of the sensor; both are chosen for what the sensor is, not for what the
+    # watcher notices.
+    "arm": (0.02, 0.2),
+    "wrist": (20.0, 300.0),
+    "gripper": (0.005, 0.05),
+    "odometry": (0.1, 0.5),
+    "fix": (0.2, 1.0),
+    "people": (0.3, 1.5),
+    "objects": (0.01, 0.1),
+}
+LATE_S: Final = {"arm": 0.1, "wrist": 0.1, "gripper": 0.1, "odometry": 0.1, "fix": 0.8, "people": 0.8, "objects": 0.0}
+SETTINGS: Final = ("grasping", "carrying")
+HOLDS: Final = frozenset({"real-restricted", "human-shared"})
+_DEGRADED: Final = "no more than a warning is named"
+
+
+class Broken(NamedTuple):
+    """One way in which one sensor breaks."""
+
+    sensor: str
+    fault: str
+    size: float
+
+    @property
+    def name(self) -> str:
+        """Return what the condition is called."""
+        return f"{self.sensor}/{self.fault}" + (f" {self.size:g}" if self.fault in ("noisy", "offset") else "")
+
+
+WAYS: Final = tuple(
+    Broken(sensor, fault, size)
+    for sensor, sizes in SIZES.items()
+    for fault, size in (
+        ("stale", 0.0),
+        ("stuck", 0.0),
+        ("noisy", sizes[0]),
+        ("noisy", sizes[1]),
+        ("offset", sizes[0]),
+        ("offset", sizes[1]),
+        ("delayed", LATE_S[sensor]),
+    )
+    if not (sensor == "objects" and fault == "delayed")  # the cameras' late picture is their stuck one
+)
+_BY_NAME: Final = {way.name: way for way in WAYS}
+
+
+def parts(seeds: Sequence[int]) -> list[Part]:
+    """Return a part for each way and seed: one trial in each setting, numbered so that every profile comes round."""
+    each = len(SETTINGS)
+    return [Part(way.name, seed, each * turn, each) for turn, seed in enumerate(seeds) for way in WAYS]
+
+
+def run(part: Part, policy: PolicySet) -> Iterator[Row]:
+    """Run one way of breaking in every setting."""
+    bench, way = bench_of(policy), _BY_NAME[part.condition]
+    for number in range(part.first, part.first + part.count):
+        drawn, onset = _drawn(policy, part.seed, WAYS.index(way), number)
+        walks = onset + WALKS_AFTER_S
+        began = began_s(bench, drawn)
+        drawn = replace(drawn, scenario=_scenario(policy, drawn, way, began, onset, walks))
+        trial = once(bench, drawn)
+        until = round(100 * onset)
+        done = govern(bench, trial, limit=until + SEES_TICKS)
+        yield study_row(NAME, part, number, drawn.profile, **_read(done, trial.plan, way, until, drawn.profile),
+                        capability=drawn.capability)  # fmt: skip
+
+
+def _drawn(policy: PolicySet, seed: int, place: int, number: int) -> tuple[Drawn, float]:
+    """Draw the session, and when in it the sensor breaks."""
+    rng = np.random.default_rng((seed, place, number, 17))
+    setting, turn = SETTINGS[number % len(SETTINGS)], number // len(SETTINGS)
+    profile = PROFILES[(place + turn + 2 * (number % len(SETTINGS))) % len(PROFILES)]
+    params: dict[str, Json]
+    if setting == "grasping":
+        capability, start = "grasp_object", Start()
+        params = {"object_id": "mug_1", "force_n": 40.0, "speed_mps": 0.2}
+    else:
+        capability, start = "transport_object", Start(holding="mug_1")
+        params = {"target": "dock", "speed_mps": 0.25}
+    made = Drawn(seed=seed, number=1000 * place + number, kind=Kind.CLEAN, capability=capability,
+                 profile=profile, params=params, start=start, scenario=Scenario())  # fmt: skip
+    return made, round(float(rng.uniform(1.0, 2.0)), 2)
+
+
+def _scenario(policy: PolicySet, drawn: Drawn, way: Broken, began: float, onset: float, walks: float) -> Scenario:
+    at = Trigger(time_s=began + onset)
+    fault = Fault(kind="sensor", at=at, sizes={"sensor": way.sensor, "fault": way.fault, "size": way.size})
+    people: tuple[Walk, ...] = ()
+    if way.sensor == "people":
+        stand = policy.site.targets[drawn.start.stand]
+        turn = stand.yaw_rad + pi
+        come, to = ((stand.x_m + away * cos(turn), stand.y_m + away * sin(turn)) for away in (STANDS_M, 0.6))
+        people = (
+            Walk(points=(come, to), speed_mps=1.2, start=Trigger(time_s=0.0), stay_s=((0, began + walks),),
+                 leaves=False),
+        )  # fmt: skip
+    return Scenario(faults=(fault,), people=people)
+
+
+def _read(done: Execution, plan: WatchPlan, way: Broken, onset: int, profile: str) -> dict[str, Any]:
+    """Read off what was noticed, and what followed."""
+    due = onset + (round(plan.stale_after_ms.get(way.sensor, 0) / 10) if way.fault in AGED else 0)
+    told, held = first_alert(done, onset), first_hold(done, onset)
+    before = done.ticks <= onset  # it was over before anything broke
+    rules = {rule.id: rule for rule in plan.rules}
+    rule = None if told is None else rules.get(str(told.body["rule"]))
+    walks = onset + round(100 * WALKS_AFTER_S)
+    late = told is not None and told.tick - first_tick(done) >= walks
+    if way.sensor == "people" and rule is not None and rule.signal == "separation_m" and late:
+        rule = None  # a person was seen, as they should be: that tells nothing of the sensor
+    warned = rule is not None and held is None
+    breach = done.truth.tracks[Violation.PEOPLE].longest > UNSAFE_TICKS
+    return {
+        **executed(done),
+        "missing": None,  # cut off: what is not over has no outcome yet
+        "detected": None if before else rule is not None,
+        "held": None if before else rule is not None and held is not None,
+        "told": None if rule is None else rule.id,
+        "ticks": None if before or held is None or rule is None else held - due,
+        "unsafe": breach if way.sensor == "people" and profile in HOLDS else None,
+        "what": _what(done, rule, warned),
+        "achieved": done.outcome is Outcome.SUCCEEDED,
+    }
+
+
+def _what(done: Execution, rule: WatchRule | None, warned: bool) -> str | None:
+    if rule is not None:
+        return _DEGRADED if warned else rule.response.enter.value
+    ended = done.outcome not in (None, Outcome.SUCCEEDED, Outcome.RECOVERED)
+    return "the skill failed, and was ended" if ended else None
+
+
+def tables(rows: Sequence[Row], policy: PolicySet) -> list[Table]:
+    """Return how each way of breaking was met, and whether the profile makes a difference."""
+    return [
+        table(
+            "How each broken sensor was met",
+            "Sensor, fault",
+            {name: _summed(mine) for name, mine in grouped(rows, "condition").items()},
+            f"Prompt: restrained within {PROMPT_TICKS} ticks, counted as above. What is not detected is no alarm at "
+            "all; it is what another sensor would be needed for, or an error within what the clearances cover.",
+        ),
+        table(
+            "Detected share by environment profile",
+            "Sensor, fault",
+            {
+                name: {
+                    profile: share(row["detected"] for row in mine if row["profile"] == profile) for profile in PROFILES
+                }
+                for name, mine in grouped(rows, "condition").items()
+            },
+        ),
+    ]
+
+
+def _summed(rows: Sequence[Row]) -> dict[str, Any]:
+    ticks = sorted(float(row["ticks"]) for row in rows if row["ticks"] is not None)
+    rules = list(dict.fromkeys(str(row["told"]) for row in rows if row["told"]))
+    named = list(dict.fromkeys(str(row["what"]) for row in rows if row["what"]))
+    return {
+        "detected": share(row["detected"] for row in rows),
+        "held": share(row["held"] for row in rows),
+        "prompt": share(
+            None if row["detected"] is None else row["ticks"] is not None and float(row["ticks"]) <= PROMPT_TICKS
+            for row in rows
+        ),
+        "ticks, median": ticks[len(ticks) // 2] if ticks else None,
+        "ticks, most": ticks[-1] if ticks else None,
+        "told by": ", ".join(rules) or None,
+        "policy names": ", ".join(named) or None,
+        "done all the same": share(row["achieved"] for row in rows),
+        "unseen breach": share(row["unsafe"] for row in rows),
+    }
