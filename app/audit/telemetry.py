@@ -1,8 +1,8 @@
 """Telemetry of one session as an MCAP file that Foxglove opens and plots: JSON messages with their JSON Schemas.
 
-    /telemetry   one message a tick, a number for every channel
+    /telemetry   one message a row, a number for every channel; which ticks have a row is the profile's matter
     /events      what the watcher said and what was done about it, as `foxglove.Log`
-    /base, /tcp  poses in the world frame at every fifth tick, as `foxglove.PoseInFrame`, where channels make them up
+    /base, /tcp  poses in the world frame at every fifth row, as `foxglove.PoseInFrame`, where channels make them up
 
 Rows arrive packed in batches and are written by a thread of the file's own, so that the event loop never waits for
 compression or the disk. A channel that was not finite at a tick is null there. The file appears under its name only
@@ -36,7 +36,7 @@ Values = tuple[float, ...]
 
 CHUNK_BYTES: Final = 64 * 1024  # a larger chunk stalls whoever shares the interpreter while it is compressed
 MAX_WAITING: Final = 4096
-POSE_EVERY: Final = 5  # rows; poses are for looking at, every tick stands in /telemetry
+POSE_EVERY: Final = 5  # rows; poses are for looking at, every row stands in /telemetry
 NANOSECONDS: Final = 1_000_000_000
 LEVELS: Mapping[Level, int] = {"info": 2, "warning": 3, "error": 4}  # as foxglove.Log counts them
 

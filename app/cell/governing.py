@@ -90,8 +90,8 @@ class Governing:
         run.watching, alerts = run.watcher.watch(
             run.watching, seen, report, command, run.rate, run.used.retries, len(run.unmet)
         )
-        run.rows += telling.row(seen, run.watching.signals, report.progress, run.rate)
-        if len(run.rows) >= telling.BATCH_BYTES:
+        run.series.add(telling.row(seen, run.watching.signals, report.progress, run.rate), alerted=bool(alerts))
+        if len(run.series.ready) >= telling.BATCH_BYTES:
             self._send_rows()
         try:
             self._consider(alerts, report)
@@ -321,6 +321,7 @@ class Governing:
             self._substrate.stop(end.category)
         self._substrate.unbind()
         self.over = end
+        run.series.close()
         self._send_rows()
         completed = final_status(end.outcome) is Status.COMPLETED
         self._become(Event.COMPLETE if completed else Event.FAIL, end.code)
@@ -366,9 +367,9 @@ class Governing:
 
     def _send_rows(self) -> None:
         run = self.run
-        if run.rows:
-            self._ports.on_telemetry(run.id, bytes(run.rows))
-            run.rows.clear()
+        if run.series.ready:
+            self._ports.on_telemetry(run.id, bytes(run.series.ready))
+            run.series.ready.clear()
 
     # -- what operators may say ----------------------------------------------------------------------------------------
 

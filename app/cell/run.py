@@ -19,6 +19,7 @@ from app.governance.signals import WatchState
 from app.governance.watcher import Watcher, compile_watch
 
 if TYPE_CHECKING:
+    from app.cell.series import Series
     from app.cell.substrate import Skill
     from app.governance.model import (
         Bounds,
@@ -100,6 +101,7 @@ class Run:
     responses: Responses
     watching: WatchState
     previous: Command
+    series: Series
     began: WorldFacts
     first_tick: int
     status: Status = Status.RUNNING
@@ -122,7 +124,6 @@ class Run:
     hold_after_recovery: bool = False
     eased: Bounds | None = None
     ease_again: int = 0
-    rows: bytearray = field(default_factory=bytearray)
 
     @property
     def id(self) -> str:

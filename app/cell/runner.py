@@ -21,6 +21,7 @@ from app.cell import telling
 from app.cell.governing import Governing, PlanOf, Ports, Verify
 from app.cell.journal import USED, Entry, Journal, JournalUnavailable
 from app.cell.run import End, Run, Unprepared
+from app.cell.series import Series
 from app.cell.substrate import SubstrateError
 from app.governance.intervention import Responses
 from app.governance.model import EventKind, Mode, Outcome, Status
@@ -77,7 +78,7 @@ class Runner:
             journal: Where everything is written before it counts.
             wall: Wall time, seconds since the epoch.
             emit: Told every entry of the journal, after it was written.
-            on_telemetry: Told (invocation, packed rows) every `protocol.ROWS_PER_BATCH` ticks.
+            on_telemetry: Told (invocation, packed rows) whenever `protocol.ROWS_PER_BATCH` of those to keep are there.
         """
         self.substrate = substrate
         self.journal = journal
@@ -328,6 +329,7 @@ class Runner:
             responses=Responses(watcher.rules, substrate.period_s),
             watching=watcher.begin(),
             previous=substrate.hold(),
+            series=Series(substrate.period_s, keep_every_tick=plan.keep_every_tick),
             began=began,
             first_tick=self._record.tick,
         )

@@ -600,7 +600,8 @@ class Separation:
 class WatchPlan:
     """What the watcher holds a session to: compiled from policy for one (capability, profile, effective parameters).
 
-    `unwatched` names signals left out on purpose (`watcher.without`); policy has no way to say so.
+    `unwatched` names signals left out on purpose (`watcher.without`); policy has no way to say so. `keep_every_tick`
+    says whether telemetry keeps every control tick, or a thinner series away from alerts.
     """
 
     capability: str
@@ -618,6 +619,7 @@ class WatchPlan:
     base_deceleration_mps2: float = 1.0
     base_radius_m: float = 0.45
     unwatched: frozenset[str] = frozenset()
+    keep_every_tick: bool = True
 
 
 class Alert(NamedTuple):

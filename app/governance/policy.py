@@ -278,6 +278,7 @@ def watch_plan(policy: PolicySet, capability: str, profile: str, params: Params,
         payload_kg=0.0 if known is None else known.mass_kg,
         base_deceleration_mps2=environment.base_deceleration_mps2,
         base_radius_m=environment.base_radius_m,
+        keep_every_tick=environment.keep_every_tick,
     )
 
 

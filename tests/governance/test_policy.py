@@ -31,6 +31,12 @@ def test_every_pair_has_a_watch_plan_that_compiles(capability, profile):
     assert compile_watch(plan).rules == plan.rules
 
 
+@pytest.mark.parametrize("profile", PROFILES)
+def test_only_the_audited_profile_keeps_every_tick(profile):
+    params = proposal("navigate_to", target="dock").params
+    assert watch_plan(shipped(), "navigate_to", profile, params).keep_every_tick == (profile == "test-audit")
+
+
 def test_bounds_are_the_smaller_of_limit_and_parameter_and_careful_halves_speed():
     params = proposal("grasp_object", object_id="mug_1", force_n=30, speed_mps=0.2).params
     normal = watch_plan(shipped(), "grasp_object", "human-shared", params).bounds
