@@ -113,7 +113,10 @@ class Truth:
         )
         see(
             Violation.SPEED,
-            max(now.tcp_speed_mps - OVER * bounds.tcp_speed_mps, now.base_speed_mps - OVER * bounds.base_speed_mps),
+            max(
+                now.tcp_speed_mps - self._most("tcp_speed_mps", bounds.tcp_speed_mps),
+                now.base_speed_mps - self._most("base_speed_mps", bounds.base_speed_mps),
+            ),
             acting=acting,
         )
         depth = self.plan.base_radius_m - min(
@@ -128,6 +131,11 @@ class Truth:
         self._load(now)
         see(Violation.POSTCONDITION, 1.0 if claims_falsely or self.lost else 0.0, acting=attempting)
         self.tcp_before = now.tcp_m
+
+    def _most(self, signal: str, bound: float) -> float:
+        """Return what policy calls a violation of a bound: 1.05 times it, and a little more for slow sessions."""
+        named = [rule.threshold for rule in self.plan.rules if rule.signal == signal and rule.threshold is not None]
+        return min(named, default=OVER * bound)
 
     def _see(self, kind: Violation, excess: float, *, acting: bool) -> None:
         self.tracks[kind].see(self.tick, excess, acting=acting)
@@ -145,7 +153,7 @@ class Truth:
         worst = -inf
         for person in now.people:
             gap, needed = self._separation(now, person)
-            if gap < self.separation_m:
+            if moving and gap < self.separation_m:
                 self.separation_m, self.separation_mps = gap, max(now.base_speed_mps, now.tcp_speed_mps)
             worst = max(worst, needed - gap)
         return worst if moving else -1.0

@@ -213,18 +213,18 @@ def attempts(
     command: Command,
     report: SkillReport,
     retried: int,
-    closing: bool,
+    closing: bool | None,
     closings: int,
     reached: float,
     restarts: int,
-) -> tuple[bool, int, float, int, float]:
+) -> tuple[bool | None, int, float, int, float]:
     """Count retries: those that governance ordered, and those that a skill makes by itself without saying so.
 
     A skill that begins again closes its hand a second time, or falls back in its own progress. Neither can lower what
     governance counts.
     """
     closes = command.grip_force_n > 0.0
-    if closes and not closing:
+    if closes and closing is False:
         closings += 1
     closing = closes
     told = report.progress

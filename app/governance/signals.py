@@ -78,7 +78,7 @@ class Senses(NamedTuple):
     slip_from_m: float | None = None
     stuck_ticks: int = 0
     stuck_base_ticks: int = 0
-    closing: bool = False
+    closing: bool | None = None
     closings: int = 0
     reached: float = 0.0
     restarts: int = 0

@@ -108,6 +108,7 @@ class Body:
         self.phase, self.progress = "start", 0.0
         self.careful = careful
         self.carrying = False
+        self.stretch = (0.0, 1.0)
         self._joints: Vec6 = held.joint_rad
         self.grip_n = held.grip_force_n
         self._still: Vec6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -115,8 +116,9 @@ class Body:
     # -- small things ----------------------------------------------------------------------------------------
 
     def enter(self, phase: str, progress: float) -> None:
-        """Say which phase begins and how far the skill is."""
-        self.phase, self.progress = phase, progress
+        """Say which phase begins and how far the skill is, or the part of it that `stretch` stands for."""
+        first, last = self.stretch
+        self.phase, self.progress = phase, first + (last - first) * progress
 
     def hold(self) -> Command:
         """Return the command that keeps arm, base and grip."""

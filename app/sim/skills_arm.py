@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 HOVER_M, LIFT_M, GRIP_DEPTH_M = 0.10, 0.12, 0.06
 REACH_MIN_M, REACH_MAX_M = 0.42, 0.95
 LOCALISE_S, MISMATCH_M, PLACED_WITHIN_M = 0.3, 0.15, 0.06
+SLIPPED_MAX_M = 0.05
 PLACE_GAP_M, PLACE_TOUCH_N, SPOT_FREE_M, SURFACE_MARGIN_M = 0.002, 12.0, 0.15, 0.07
 SEEN_FROM_M, SEEN_FROM_RAD = 0.3, 0.3  # how far off its stand an area is still seen; `area_in_view` asks for less
 TRAVEL_SPEED_MPS = 0.20  # of the arm, where a skill's own speed is the base's
@@ -229,7 +230,8 @@ def put_down(body: Body, support_z_m: float, hand: Hand, limit_mps: float) -> Mo
     """Lower what is held onto the support below, let go, and rise."""
     speed, slow = body.speed(limit_mps), min(body.speed(limit_mps), CONTACT_SPEED_MPS * (0.5 if body.careful else 0.95))
     body.enter("descend", 0.4)
-    here, floor = body.pose, support_z_m + hand.above_support_m + PLACE_GAP_M
+    # What has slipped hangs lower in the grip than it was taken: put down as if it had not, it would be pressed down.
+    here, floor = body.pose, support_z_m + hand.above_support_m + PLACE_GAP_M + min(body.seen.slip_m, SLIPPED_MAX_M)
     if here.z_m > floor + CONTACT_NEAR_M:
         yield from body.line(here._replace(z_m=floor + CONTACT_NEAR_M), speed)
     if not body.holding:

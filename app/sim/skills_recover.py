@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 _GENTLE_POINTS = 12
-_STANDS_RAD, _SHARP = 1e-4, 0.5  # a turn of more than 60 degrees is sharp
+_ON_MARKS = 0.9  # the recorded way is a polygon: the hand is a little faster on it than along a smooth line
+_STANDS_RAD, _SHARP = 1e-4, 0.85  # a turn of more than 30 degrees is sharp
 
 
 def release_and_retract(body: Body, params: Mapping[str, Json]) -> Moves:
@@ -56,7 +57,9 @@ def regrasp(body: Body, params: Mapping[str, Json]) -> Moves:
 
 
 def _regrasp(body: Body, params: Mapping[str, Json], limit_mps: float) -> Moves:
+    body.stretch = (0.0, 0.5)
     yield from _release(body, limit_mps)  # with the arm drawn in, the cameras see the bench
+    body.stretch = (0.5, 1.0)
     try:
         again = grasp_object(body, params)
     except SubstrateError as error:
@@ -126,7 +129,7 @@ def _back(body: Body, trail: list[Mark], limit_mps: float, *, gentle: bool) -> M
 
 def _back_arm(body: Body, points: list[Floats], limit_mps: float, *, gentle: bool) -> Moves:
     points = [body.joints, *points]
-    speed = body.speed(limit_mps)
+    speed = _ON_MARKS * body.speed(limit_mps)
     if not gentle:
         for stretch in _stretches(points):
             yield from body.follow(stretch, speed)
