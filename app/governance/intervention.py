@@ -15,6 +15,7 @@ the first half of the answer, and recovery is the other.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from app.governance.model import Intervention
@@ -31,6 +32,8 @@ SEVERITY: Final = {
 }
 GRACE_MS: Final = 1000
 """How long a recovery may find the violation still there that it was started for."""
+GROWTH: Final = {"zone_margin_m": 0.02}
+"""By how much it may grow meanwhile, where growing is worse than staying: a robot that goes deeper does not leave."""
 
 
 class Engaged(NamedTuple):
@@ -56,11 +59,19 @@ class Decision(NamedTuple):
     holding: Decision | None = None
 
 
+class Grace(NamedTuple):
+    """A rule a recovery was started for: the tick its grace ends, and how far it was violated when the grace began."""
+
+    rule: str
+    until: int
+    excess: float | None = None
+
+
 class InterventionState(NamedTuple):
-    """All responses under way, and the rules a recovery was started for, with the tick their grace ends."""
+    """All responses under way, and the rules that have grace."""
 
     engaged: tuple[Engaged, ...] = ()
-    grace: tuple[tuple[str, int], ...] = ()
+    grace: tuple[Grace, ...] = ()
 
 
 GO_ON: Final = Decision(Intervention.CONTINUE)
@@ -83,11 +94,15 @@ class Responses:
         """Return what is under way after this tick's alerts, and what has to be done now."""
         if not alerts and state is NOTHING:
             return NOTHING, GO_ON
-        grace = tuple(entry for entry in state.grace if tick < entry[1])
-        spared = {rule for rule, _ in grace}
-        speaking = {alert.rule: alert for alert in alerts if alert.rule not in spared}
+        speaking = {alert.rule: alert for alert in alerts}
         # Grace ends with the violation: one that comes back is a new one.
-        grace = tuple(entry for entry in grace if any(alert.rule == entry[0] for alert in alerts))
+        grace = tuple(
+            kept
+            for one in state.grace
+            if tick < one.until and one.rule in speaking and (kept := self._spare(one, speaking[one.rule])) is not None
+        )
+        for one in grace:
+            del speaking[one.rule]
         engaged: list[Engaged] = []
         for one in state.engaged:
             if (kept := self._advance(one, speaking.pop(one.rule, None), tick)) is not None:
@@ -101,6 +116,14 @@ class Responses:
         if not engaged and not grace:
             return NOTHING, decision
         return InterventionState(tuple(engaged), grace), decision
+
+    def _spare(self, grace: Grace, alert: Alert) -> Grace | None:
+        """Return the grace that is left; none where what should end grows instead."""
+        excess = abs(alert.value - alert.threshold)
+        if grace.excess is None:
+            return grace._replace(excess=excess)
+        growth = GROWTH.get(self._rules[alert.rule].signal, math.inf)
+        return grace if excess <= grace.excess + growth else None
 
     def _advance(self, one: Engaged, alert: Alert | None, tick: int) -> Engaged | None:
         response = self._rules[one.rule].response
@@ -144,7 +167,7 @@ def released(state: InterventionState) -> InterventionState:
 def recovering(rules: tuple[str, ...], tick: int, period_s: float) -> InterventionState:
     """Return the state a recovery begins with: the violations it was started for get `GRACE_MS` to end."""
     until = tick + round(GRACE_MS / (1000.0 * period_s))
-    return InterventionState(grace=tuple((rule, until) for rule in rules))
+    return InterventionState(grace=tuple(Grace(rule, until) for rule in rules))
 
 
 def _severity(decision: Decision) -> tuple[int, bool]:

@@ -36,9 +36,14 @@ def _release(body: Body, limit_mps: float) -> Moves:
     speed = body.speed(limit_mps)
     hand = body.senses.hand
     below = body.support_below()
+    put = False
     if body.holding and hand is not None and below is not None:
-        yield from put_down(body, below, hand, limit_mps)
-    else:
+        try:
+            yield from put_down(body, below, hand, limit_mps)
+            put = True
+        except SkillFailed:  # it slid out on the way down: what was to be let go of is gone already
+            body.senses.hand = None
+    if not put:
         body.enter("release", 0.2)
         yield from body.open()
         body.senses.hand = None

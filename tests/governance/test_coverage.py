@@ -100,3 +100,15 @@ def test_a_recovery_is_told_the_object_in_hand_and_not_covered_where_there_is_no
     found = covered(proposed, policy=policy, holding=holding)
     params = {recovery.params["object_id"] for _, recovery in found.items() if recovery.capability == "safe_retreat"}
     assert params == (set() if told is None else {told})
+
+
+def test_a_recovery_is_told_the_object_that_is_held_and_grips_it_no_harder_than_policy_has_it():
+    held = covered(proposal("place_object", surface="bench_a"), "human-shared", holding="glass_1")
+    again = held[Strategy.RECOVERY_CAPABILITY, "regrasp", Mode.NORMAL]
+    assert (again.params["object_id"], again.params["force_n"]) == ("glass_1", 20.0)
+    assert "regrasp" not in {name for _, name, _ in covered(proposal("place_object", surface="bench_a"))}
+
+
+def test_a_recovery_may_no_more_than_the_agent_it_is_made_for():
+    kept = covered(proposal("place_object", surface="shelf"), holding="solvent_1")
+    assert "regrasp" not in {name for _, name, _ in kept}

@@ -172,3 +172,10 @@ def test_whatever_fails_again_and_again_motion_ends_after_a_bounded_number_of_re
     capability_budget = sum(row.budget.get(S.RECOVERY_CAPABILITY, 1) for row in rows)
     assert used.retries <= retries
     assert moved <= retries + 1 + capability_budget
+
+
+def test_no_new_attempt_is_made_on_top_of_a_recovery_that_failed() -> None:
+    used = ask("slip").used  # its one release and retract
+    assert ask("slip", used, recovering=True).strategy is S.ASK_HUMAN
+    assert ask("slip", used).strategy is S.RETRY
+    assert ask("miss", recovering=True).strategy is S.ROLLBACK

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -11,6 +12,7 @@ from app.governance.intervention import (
     NOTHING,
     SEVERITY,
     Decision,
+    Grace,
     InterventionState,
     Responses,
     ends_attempt,
@@ -162,7 +164,22 @@ def test_grace_spares_only_what_the_recovery_was_started_for() -> None:
     responses = Responses((lost, KEEP_AWAY), 0.01)
     _, decision = responses.intervene(recovering(("lost",), 0, 0.01), said("lost", "gap"), 0)
     assert decision.intervention is PAUSE
-    assert released(InterventionState(grace=(("lost", 9),))).grace == (("lost", 9),)
+    assert released(InterventionState(grace=(Grace("lost", 9),))).grace == (Grace("lost", 9),)
+
+
+def test_grace_is_over_where_the_robot_goes_deeper_instead_of_leaving() -> None:
+    zone = replace(rule("zone", Response(enter=STOP), "zone"), signal="zone_margin_m", above=False, threshold=0.0)
+    responses = Responses((zone,), 0.01)
+    state = recovering(("zone",), 0, 0.01)
+
+    def inside(depth_m: float) -> tuple[Alert, ...]:
+        return (Alert(Signal.VIOLATION, "zone", -depth_m, 0.0, "zone"),)
+
+    for tick, depth_m in enumerate((0.010, 0.025, 0.004)):
+        state, decision = responses.intervene(state, inside(depth_m), tick)
+        assert decision == GO_ON
+    _, decision = responses.intervene(state, inside(0.031), 3)
+    assert decision.intervention is STOP
 
 
 @given(st.lists(st.sets(st.sampled_from(["gap", "stop", "warn"])), max_size=60))
