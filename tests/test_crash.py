@@ -102,6 +102,26 @@ def test_no_restart_of_a_cell_brings_its_reports_into_the_log_again(servers: Ser
     assert len({hello["journal"] for hello in hellos}) == 1
 
 
+def test_a_cell_whose_journal_was_lost_begins_another_and_nothing_of_it_is_missed(servers: Servers) -> None:
+    server = servers.start()
+    first = server.propose("navigate_to", target="dock")["id"]
+    server.await_status(first, "completed")
+    server.stop()
+    (server.data / "cells" / "workcell-1" / "journal").unlink()
+    again = servers.start(server.data)
+    second = again.propose("navigate_to", target="bench_a_stand")["id"]
+    again.await_status(second, "completed")
+    events = again.get("/v1/audit/events?limit=1000")["items"]
+    journals = [event["body"]["journal"] for event in events if event["body"].get("link") == "attached"]
+    assert len(set(journals)) == len(journals) == 2
+    for invocation in (first, second):
+        told = [event for event in events if event["invocation"] == invocation and "cell_seq" in event["body"]]
+        assert told[0]["kind"] == "launch"
+        numbers = [event["body"]["cell_seq"] for event in told]
+        assert numbers[0] == 1, "each journal counts for itself"
+        assert numbers == sorted(set(numbers))
+
+
 def test_what_is_proposed_right_after_a_reset_is_launched(servers: Servers) -> None:
     server = servers.start(None, "--pace", "3", "--profile", "sim-relaxed")
     for _ in range(3):
