@@ -130,6 +130,12 @@ def locator(references: Mapping[str, str], site: Site) -> Locate:
     return lambda params, facts: NOWHERE
 
 
+def leading(references: Mapping[str, str]) -> frozenset[str]:
+    """Return the parameters that `locator` reads, for a capability with these references (kind → parameter)."""
+    kind = next((kind for kind in _LOCATORS if kind in references), None)
+    return frozenset() if kind is None else frozenset({references[kind], "x_m", "y_m"})
+
+
 def _target(param: str, ground: _Map) -> Locate:
     known = {
         name: ground.point(name, "target", (target.x_m, target.y_m), target.corridor)

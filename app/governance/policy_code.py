@@ -11,7 +11,8 @@ def check(proposal, context):            what is emitted, in this order
     verdict                              deny > escalate > modify > allow
 ```
 
-So the cost of a decision follows the rules that apply. Everything outside the rules' own blocks is guarded as a whole:
+So the cost of a decision follows the rules that apply. Where a condition reads what another rule or a limit changes,
+the function is run again on what it made (`settling`). Everything outside the rules' own blocks is guarded as a whole:
 whatever raises, the answer is a denial with code `rule_error`.
 """
 
@@ -26,6 +27,7 @@ from app.governance.expression_tree import BOOL, STRING, references
 from app.governance.model import Change, PolicyOutcome, Reason, Verdict
 from app.governance.places import finder, locator, names
 from app.governance.policy_model import Effect
+from app.governance.settling import parameters_behind, settled
 from app.governance.vocabulary import NAMES, always_there, properties, referring
 
 if TYPE_CHECKING:
@@ -144,6 +146,7 @@ class Generator:
         self.capability, self.profile, self.site, self.vocabulary = capability, profile, site, vocabulary
         self.constants: dict[str, object] = {}
         self.used: set[str] = set()
+        self.read: set[str] = set()
         self.numbers = {
             name: _Bounded(
                 name,
@@ -182,7 +185,13 @@ class Generator:
         lines += [f"        {line}" for line in (*prelude, *body)]
         lines += ["    except Exception as error:", "        return failed(params, error)", ""]
         source = "\n".join(lines)
-        return Compiled(check=self._load(source), source=source)
+        check = self._load(source)
+        return Compiled(check=settled(check) if self._interferes() else check, source=source)
+
+    def _interferes(self) -> bool:
+        """Say whether a condition reads what a rule or a limit may change."""
+        bounded = {name for name, found in self.numbers.items() if found.rules or found.limit is not None}
+        return not parameters_behind(self.read, self.capability).isdisjoint(bounded | self.names.keys())
 
     def _settings(self, rule: Rule) -> list[Setting]:
         return [setting for setting in rule.settings if setting.param in properties(self.capability)]
@@ -325,6 +334,7 @@ class Generator:
 
     def _text(self, source: str, expect: Type) -> str:
         typed = self.vocabulary.typed(source, self.capability.name, expect)
+        self.read |= references(typed).keys()
         self.used |= {NAMES[path.partition(".")[0]] for path in references(typed) if path not in self.inlined}
         return to_python(typed, {**NAMES, **self.inlined})
 
