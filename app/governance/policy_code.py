@@ -1,7 +1,7 @@
 """Turns the rules that apply to one (capability, profile) into one Python function.
 
 ```
-def check(proposal, context):            what is emitted, in this order
+def check(proposal, context, given):     what is emitted, in this order
     params = …                           only the variables that some rule uses
     finite?                              a NaN that slipped through denies
     static limits                        reasons are constants, made beforehand
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from app.governance.expression_tree import Type
     from app.governance.model import Capability, Context, Json, Params, Proposal, Site
     from app.governance.policy_model import Limit, Profile, Rule, Setting
+    from app.governance.settling import Checking
     from app.governance.vocabulary import Vocabulary
 
 Check: TypeAlias = "Callable[[Proposal, Context], Verdict]"
@@ -181,7 +182,8 @@ class Generator:
         prelude = [_PRELUDE[name] for name in _PRELUDE if name in self.used]
         if "tool" in self.used:
             prelude.append(f'tool = TOOLS[params["{referring(self.capability)["tool"]}"]]')
-        lines = ["def check(proposal, context):", "    params = proposal.params", "    try:"]
+        lines = ["def check(proposal, context, given=None):"]
+        lines += ["    params = proposal.params if given is None else given", "    try:"]
         lines += [f"        {line}" for line in (*prelude, *body)]
         lines += ["    except Exception as error:", "        return failed(params, error)", ""]
         source = "\n".join(lines)
@@ -338,7 +340,7 @@ class Generator:
         self.used |= {NAMES[path.partition(".")[0]] for path in references(typed) if path not in self.inlined}
         return to_python(typed, {**NAMES, **self.inlined})
 
-    def _load(self, source: str) -> Check:
+    def _load(self, source: str) -> Checking:
         namespace: dict[str, object] = {
             **INTRINSICS,
             **self.constants,
@@ -352,7 +354,7 @@ class Generator:
         }
         code = compile(source, f"<{self.profile.name}/{self.capability.name}>", "exec")
         exec(code, namespace)  # noqa: S102  # our own text: names are identifiers, values are reprs of checked constants
-        return cast("Check", namespace["check"])
+        return cast("Checking", namespace["check"])
 
 
 def _setter(name: str) -> Callable[[Verdict, object], None]:

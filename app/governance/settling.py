@@ -7,7 +7,6 @@ capability and profile pay for a second check; what does not settle by it is den
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from app.governance.model import PolicyOutcome, Reason, Verdict
@@ -16,11 +15,19 @@ from app.governance.vocabulary import properties, referring
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
-    from typing import TypeAlias
+    from typing import Protocol, TypeAlias
 
-    from app.governance.model import Capability, Context, Proposal
+    from app.governance.model import Capability, Context, Params, Proposal
 
     Check: TypeAlias = Callable[[Proposal, Context], Verdict]
+
+    class Checking(Protocol):
+        """A generated check; `given` are parameters to judge in the place of the proposal's own."""
+
+        def __call__(self, proposal: Proposal, context: Context, given: Params | None = None) -> Verdict:
+            """Return the verdict about the proposal, or about these parameters of it."""
+            ...
+
 
 UNSETTLED: Final = "unsettled"
 
@@ -46,14 +53,14 @@ def parameters_behind(paths: Iterable[str], capability: Capability) -> frozenset
     return frozenset(found)
 
 
-def settled(check: Check) -> Check:
+def settled(check: Checking) -> Check:
     """Return the check that looks again at what it changed, and denies what would be changed or refused once more."""
 
     def check_again(proposal: Proposal, context: Context) -> Verdict:
         verdict = check(proposal, context)
         if not verdict.changes:
             return verdict
-        again = check(replace(proposal, params=verdict.effective), context)
+        again = check(proposal, context, verdict.effective)
         if not again.changes and again.outcome in (PolicyOutcome.ALLOW, verdict.outcome):
             return verdict
         return Verdict(
