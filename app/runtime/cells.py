@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 import orjson
 from pydantic import TypeAdapter, ValidationError
 
+from app.audit.event import RowWrite
 from app.clock import monotonic_s
 from app.governance.model import WorldFacts
 from app.protocol import Human
@@ -100,6 +101,15 @@ class Cell:
     def expected(self) -> bool:
         """Say whether the cell is on its way, and will say itself what became of its session."""
         return monotonic_s() < self.expected_until_s
+
+    def progress(self, taken: Mapping[str, int], at: str) -> list[RowWrite]:
+        """Return the rows that say how far the log has come in the cell's journal, and in those it had before."""
+        present = {"cell": self.id, "up_seq": taken.get(self.journal, 0), "journal": self.journal, "updated_at": at}
+        rows = [RowWrite(table="cell_progress", values=present)]
+        if former := {name: seq for name, seq in taken.items() if name != self.journal}:
+            values = {"name": f"journals/{self.id}", "value": orjson.dumps(former), "updated_at": at}
+            rows.append(RowWrite(table="settings", values=values))
+        return rows
 
     def away_s(self) -> float | None:
         """Return for how long the cell has been away; None where nobody knows."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import orjson
 
@@ -34,43 +34,12 @@ if TYPE_CHECKING:
     from app.protocol import Hello, Message, State, UpEvent
     from app.runtime.link import Link
     from app.runtime.register import Register
+    from app.runtime.reports import Reports
 
 TEND_S: Final = 0.25
 SETTLE_S: Final = 0.3
 EXPECTED_S: Final = 10.0  # a process that takes longer to start is missed like any other
 RESET_S: Final = 1.0  # a cell states itself ten times a second, and on every change
-
-
-class Reports(Protocol):
-    """Who makes a cell's reports, its return and its absence part of the record."""
-
-    def check(self, cell: str, event: UpEvent) -> None:
-        """Refuse a report that this cell may not make. Raises `ProtocolError`."""
-        ...
-
-    async def absorb(self, cell: str, events: Sequence[UpEvent], rows: Sequence[RowWrite]) -> None:
-        """Record reports, the rows given, and what follows for invocations. Raises `RecordUnavailable`."""
-        ...
-
-    async def attached(self, cell: str, hello: Hello) -> None:
-        """Record that a cell is there."""
-        ...
-
-    async def reconcile(self, cell: str, hello: Hello, believed: str | None) -> None:
-        """Compare what the cell held at `Hello` with the session it was believed to have, older reports being in."""
-        ...
-
-    async def left(self, cell: str) -> None:
-        """Record that a cell's link is gone."""
-        ...
-
-    async def overdue(self, cell: str, absent_s: float | None) -> None:
-        """See to what a cell owes: a session while it is away (for so long), or word of its launch."""
-        ...
-
-    def telemetry(self, cell: str, invocation: str, rows: Sequence[tuple[float, ...]]) -> None:
-        """Keep rows of telemetry."""
-        ...
 
 
 class Fleet:
@@ -406,18 +375,8 @@ class Fleet:
             if not fresh:
                 return
             taken = {**cell.taken, journal: fresh[-1].seq}
-            await self._desk.absorb(cell.id, fresh, self._progress(cell, taken))
+            await self._desk.absorb(cell.id, fresh, cell.progress(taken, self._register.now()))
             cell.taken = taken
-
-    def _progress(self, cell: Cell, taken: Mapping[str, int]) -> list[RowWrite]:
-        """Return the rows that say how far the log has come in the cell's journal, and in those it had before."""
-        now = self._register.now()
-        present = {"cell": cell.id, "up_seq": taken.get(cell.journal, 0), "journal": cell.journal, "updated_at": now}
-        rows = [RowWrite(table="cell_progress", values=present)]
-        if former := {name: seq for name, seq in taken.items() if name != cell.journal}:
-            values = {"name": f"journals/{cell.id}", "value": orjson.dumps(former), "updated_at": now}
-            rows.append(RowWrite(table="settings", values=values))
-        return rows
 
     # -- remembering -------------------------------------------------------------------------------------------------
 
@@ -436,7 +395,7 @@ class Fleet:
     async def introduce(self, cell: Cell, drafts: Sequence[EventDraft]) -> None:
         """Record that a cell is there, so that it is known after a restart. Raises `RecordUnavailable`."""
         async with cell.recording:  # or an older count could follow a newer one into the record
-            await self._register.append(drafts, self._progress(cell, cell.taken))
+            await self._register.append(drafts, cell.progress(cell.taken, self._register.now()))
 
     async def recall(self) -> None:
         """Read back which cells there are, their profiles and latched stops, and who had them when the server ended."""
