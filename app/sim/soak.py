@@ -121,6 +121,7 @@ class Chain:
             ("grasp_object", grasp, self._lifted),
             ("retrace", {}, lambda: self._back(home)),
             ("grasp_object", grasp, self._lifted),
+            ("regrasp", grasp, self._lifted),
             (
                 "transport_object",
                 {**drive, "target": "bench_b_stand", "corridor": "aisle"},

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from app.governance.model import Site
+from app.governance.model import Site, SkillState
 from app.sim.faults import Fault
 from app.sim.occasions import Trigger
 from app.sim.people import Walk
@@ -143,3 +143,47 @@ def test_an_unknown_fault_or_size_is_refused_by_name():
         fault("gremlin")
     with pytest.raises(ValueError, match="has no size `colour`"):
         fault("grip_gain", colour=3)
+
+
+def test_an_obstinate_skill_starts_over_instead_of_failing(site: Site):
+    gone = fault("missing", Trigger(capability="grasp_object", phase="approach"), object="mug_1")
+    honest = run_skill(cell_with(site, gone), "grasp_object", GRASP, limit_s=12.0)
+    assert honest.failure == "object_not_found"
+    obstinate = run_skill(cell_with(site, gone, fault("habit", habit="obstinate")), "grasp_object", GRASP, limit_s=12.0)
+    assert obstinate.state is SkillState.RUNNING
+    assert obstinate.seconds == pytest.approx(12.0)
+
+
+def test_an_overconfident_skill_claims_what_is_not_so(site: Site):
+    gone = fault("missing", Trigger(capability="grasp_object", phase="approach"), object="mug_1")
+    cell = cell_with(site, gone, fault("habit", habit="overconfident"))
+    ran = run_skill(cell, "grasp_object", GRASP)
+    assert ran.done
+    assert cell.truth().held is None
+
+
+def test_a_hung_skill_does_nothing_until_the_fault_is_over(site: Site):
+    hung = Fault(kind="habit", at=AT_ONCE, sizes={"habit": "hung"}, for_s=3.0)
+    assert drive(cell_with(site, hung), limit_s=20.0).seconds > drive(cell_with(site), limit_s=20.0).seconds + 2.0
+
+
+def test_dead_reckoning_believes_a_drifting_odometry_and_leaves_the_way(site: Site):
+    drift = fault("odometry_bias", x_mps=0.1)
+    careful, blind = cell_with(site, drift), cell_with(site, drift, fault("habit", habit="dead_reckoning"))
+    for cell in (careful, blind):
+        drive(cell, limit_s=20.0)
+    assert abs(careful.truth().base[0] - 1.6) < 0.05
+    assert careful.truth().base[0] - blind.truth().base[0] > 0.2
+
+
+def test_a_misplaced_object_stands_elsewhere(site: Site):
+    cell = cell_with(site, fault("misplaced", object="mug_1", x_m=-0.2))
+    before = cell_with(site).truth().objects["mug_1"]
+    for _ in range(20):
+        cell.step(cell.hold())
+    assert cell.truth().objects["mug_1"][0] == pytest.approx(before[0] - 0.2, abs=0.01)
+
+
+def test_a_habit_that_nobody_knows_is_refused():
+    with pytest.raises(ValueError, match=r"habit `lazy`: valid are obstinate"):
+        Fault(kind="habit", at=AT_ONCE, sizes={"habit": "lazy"})

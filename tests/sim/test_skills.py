@@ -11,7 +11,7 @@ pytestmark = [pytest.mark.physics, pytest.mark.timeout(300)]
 
 SKILLS = (
     "inspect_area", "grasp_object", "release_and_retract", "retrace", "transport_object", "place_object",
-    "safe_retreat", "reposition_base", "navigate_to", "operate_tool",
+    "safe_retreat", "reposition_base", "navigate_to", "operate_tool", "regrasp",
 )  # fmt: skip
 SEEDS = 20
 FIRST = 1000  # other worlds than those the skills were tuned on

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.cell.substrate import SubstrateError
-from app.governance.model import Command, Site, SkillState
+from app.governance.model import Command, Observation, Site, SkillState
 from app.sim.faults import Scenario
 from app.sim.occasions import Trigger
 from app.sim.people import Walk
@@ -224,3 +224,32 @@ def test_a_noise_free_tracker_still_misses_people_and_is_late_as_configured(site
 def test_sensors_that_cannot_be_are_refused(wrong: dict[str, float]):
     with pytest.raises(ValueError, match=f"{next(iter(wrong.values()))}"):
         Quality(**wrong)
+
+
+def test_a_run_that_begins_anew_depends_on_its_own_seed_alone(site: Site):
+    cell = make_workcell(site, cell_id="again", seed=1, people=1)
+    ready = cell.snapshot()
+
+    def run(seed: int) -> tuple[Observation, ...]:
+        cell.restore(ready)
+        cell.begin(seed, Scenario(people=(Walk(points=((1.0, 1.0), (1.0, 3.0))),)))
+        return tuple(cell.step(cell.hold()) for _ in range(20))
+
+    first, other, again = run(5), run(6), run(5)
+    assert repr(first) == repr(again)
+    assert repr(first) != repr(other)
+
+
+def test_a_run_cannot_begin_with_more_people_than_there_are_figures(site: Site):
+    cell = make_workcell(site, cell_id="again", seed=1)
+    with pytest.raises(ValueError, match="`1` people in a world built for 0"):
+        cell.begin(1, Scenario(people=(Walk(points=((1.0, 1.0),)),)))
+
+
+def test_what_is_held_is_felt_and_not_what_it_passes_over(site: Site):
+    cell = make_workcell(site, cell_id="over", seed=3)
+    assert run_skill(cell, "grasp_object", {"object_id": "driver_1", "force_n": 40.0, "speed_mps": 0.25}).done
+    x, y, z = cell.truth().objects["driver_1"]
+    cell.plant.place_object("glass_1", x, y, z - 0.1)
+    seen = cell.step(cell.hold())
+    assert seen.slip_m < 0.01
