@@ -103,9 +103,14 @@ def took(drawn: Drawn, twin: Execution) -> bool:
 
 def prepare(bench: Bench, seed: int, number: int, *, wanted: Kind | Violation | Failure | None = None) -> Trial:
     """Draw a trial until its fault takes, and run its ungoverned twin."""
+    return taken(bench, lambda turn: _drawn(bench.policy, seed, number, wanted, turn))
+
+
+def taken(bench: Bench, draw_turn: Callable[[int], Drawn]) -> Trial:
+    """Draw with a function of the turn until the fault takes, and run the ungoverned twin."""
     turn = 0
     while True:
-        trial = _prepared(bench, _drawn(bench.policy, seed, number, wanted, turn), turn)
+        trial = twinned(bench, draw_turn(turn), turn)
         faultless = trial.drawn.violation is None and trial.drawn.failure is None
         turn += 1
         if faultless or trial.occurred or turn == MOST_TURNS:
@@ -142,7 +147,8 @@ def ready(bench: Bench, drawn: Drawn, turn: int = 0) -> tuple[Trial, Workcell]:
     return Trial(drawn, turn, proposal, context, plan, None), cell
 
 
-def _prepared(bench: Bench, drawn: Drawn, turn: int) -> Trial:
+def twinned(bench: Bench, drawn: Drawn, turn: int = 0) -> Trial:
+    """Return a drawn trial with its ungoverned twin; what is not authorized has none."""
     trial, cell = ready(bench, drawn, turn)
     if drawn.kind is not Kind.UNAUTHORIZED:
         truth = looking(bench.policy, drawn, trial.plan)

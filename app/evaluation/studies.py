@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Protocol, cast
 
-from app.evaluation import study_sensors
+from app.evaluation import study_drift, study_profiles, study_sensors
 from app.evaluation.study_trials import STUDY_COLUMNS, TASK, Part, Table
 
 if TYPE_CHECKING:
@@ -46,7 +46,9 @@ class Study(Protocol):
 
 
 STUDIES: Final[Mapping[str, Study]] = {
+    "profiles": cast("Study", study_profiles),
     "sensors": cast("Study", study_sensors),
+    "drift": cast("Study", study_drift),
 }
 """Name → study, in the order of the report."""
 
@@ -80,4 +82,6 @@ def study_results(rows: Sequence[Row], policy: PolicySet) -> dict[str, Any]:
         told[name] = {"title": study.TITLE, "about": study.ABOUT, "tables": study.tables(by_study[name], policy)}
     if told:
         found["studies"] = told
+    if "profiles" in by_study:
+        found["cross_profile"] = study_profiles.cross_profile(by_study["profiles"])
     return found

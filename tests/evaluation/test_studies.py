@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from app.cli import app
-from app.evaluation import study_sensors
+from app.evaluation import study_drift, study_profiles, study_sensors
 from app.evaluation.model import TUNING_SEEDS, Row
 from app.evaluation.physical_protocol import COLUMNS, STUDIES, STUDY_COLUMNS, jobs, results, run, study_jobs
 from app.evaluation.report import render
@@ -79,3 +79,29 @@ def test_a_part_of_a_study_is_a_plain_function_of_its_job() -> None:
     sensors("arm/noisy 0.2")  # whatever ran in between
     assert list(run(job, policy())) == once
     assert {row["study"] for row in once} == {"sensors"}
+
+
+@pytest.mark.physics
+def test_the_same_proposal_is_changed_asked_about_or_denied_as_the_profile_says() -> None:
+    rows = [
+        row
+        for profile in ("sim-relaxed", "human-shared")
+        for row in study_profiles.run(Part(profile, SEED, 3, 4), policy())
+    ]
+    cells = told(rows)["cross_profile"]
+    mug = cells["grasp the mug, 100 N at 0.6 m/s"]
+    assert mug["sim-relaxed"].startswith("as proposed: succeeded 1/1")
+    assert mug["human-shared"].startswith("asks 1; force_n 100 to 60, speed_mps 0.6 to 0.25: succeeded 1/1")
+    assert cells["grasp the mug, confidence 0.4"]["sim-relaxed"] == "escalate (organization/low-confidence)"
+
+
+@pytest.mark.physics
+def test_a_tightened_policy_binds_the_next_session_and_not_the_one_that_runs() -> None:
+    running, then = study_drift.run(Part("human-shared", SEED, 0, 1), policy())
+    assert running["held"] is True
+    assert running["told"] == "wrong_policy"
+    assert running["what"] == "busy"
+    assert float(running["ticks"] or 0) > 100  # it goes on at the old speed, twice what is allowed by now
+    assert (then["achieved"], then["unsafe"]) == (True, False)
+    summed = told([running, then])["studies"]["drift"]["tables"][0]["rows"]["all"]
+    assert summed["old authorization refused"]["mean"] == 1.0
