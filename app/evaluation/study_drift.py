@@ -55,9 +55,9 @@ NAME: Final = "drift"
 TITLE: Final = "Policy drift: the policy tightens while a session runs"
 ABOUT: Final = (
     "Every speed limit and the grip limit are halved 1.5 to 2.5 s after the launch. The running session keeps the "
-    "policy that it was authorized under until it ends; authorizations of the old policy are void at once, and the next "
-    "proposal is decided under the new one. Over the new limit: the running session's time beyond 1.05 times the new "
-    "speed or grip limit, by the simulator's exact state."
+    "policy that it was authorized under until it ends; authorizations of the old policy are void at once, and the "
+    "next proposal is decided under the new one. Over the new limit: the running session's time beyond 1.05 times the "
+    "new speed or grip limit, by the simulator's exact state."
 )
 TIGHTER: Final = 0.5
 _LIMIT: Final = re.compile(r"((?:tcp_speed_mps|base_speed_mps|grip_force_n): *\{max: *)([0-9.]+)")
