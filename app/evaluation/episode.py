@@ -98,10 +98,12 @@ def ungoverned(
     *,
     retries: int = AGENT_RETRIES,
     limit: int = LIMIT_TICKS,
+    enough: Callable[[Truth], bool] = lambda _: False,
 ) -> Execution:
     """Run a skill with nobody between it and the actuators; the agent tries again where the skill fails.
 
-    This is the method `direct`, and the twin that tells whether a fault took.
+    This is the method `direct`, and the twin that tells whether a fault took. `enough` ends it early, for those who
+    only ask that.
     """
     done = Execution(truth)
     grant = _grant(cell, capability, params)
@@ -115,7 +117,7 @@ def ungoverned(
             break
         done.attempts = attempt + 1
         seen = cell.observe()
-        while truth.tick < limit and skill.report().state is SkillState.RUNNING:
+        while truth.tick < limit and skill.report().state is SkillState.RUNNING and not enough(truth):
             seen = cell.step(skill.act(seen, 1.0))
             claimed = skill.report().state is SkillState.SUCCEEDED
             falsely = claimed and not achieved(cell)
@@ -332,7 +334,7 @@ _INTERNAL_ROWS: Final = (
 def _recovery(method: Method, plan: RecoveryPlan) -> RecoveryPlan:
     match method.recovery:
         case Recovering.GOVERNED:
-            return plan
+            return replace(plan, can_ask=plan.can_ask and method.human)
         case Recovering.INTERNAL:
             return replace(plan, rules=_INTERNAL_ROWS, retry_budget=1, rollback="optional", rollback_capability=None)
         case _:

@@ -17,7 +17,7 @@ from app.evaluation.methods import ABLATIONS, REINS
 from app.evaluation.metrics import Tally, percentile
 from app.evaluation.model import Failure, Kind, Violation
 from app.evaluation.physical_rows import COLUMNS, MEANINGS, Class, row
-from app.evaluation.physical_trial import Bench, prepare
+from app.evaluation.physical_trial import Bench, prepare, shares_twin
 from app.evaluation.physical_trial import run as run_trial
 from app.evaluation.statistics import effect_sizes
 from app.evaluation.studies import STUDIES, STUDY_COLUMNS, is_study, run_study, study_jobs, study_results
@@ -141,9 +141,9 @@ def run(job: Job, policy: PolicySet) -> Iterator[Row]:
         return
     bench = _bench.setdefault(policy.digest, Bench.of(policy))
     methods = [find_method(name) for name in job.method.split(_SEPARATOR)]
-    wanted = _wanted(job.task)
+    wanted, whole = _wanted(job.task), any(map(shares_twin, methods))
     for number in range(job.first, job.first + job.count):
-        trial = prepare(bench, job.seed, number, wanted=wanted)
+        trial = prepare(bench, job.seed, number, wanted=wanted, whole=whole)
         ran = run_trial(bench, trial, methods)
         for method in methods:
             yield row(policy, trial, method, ran[method.name])

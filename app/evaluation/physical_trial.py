@@ -63,7 +63,11 @@ class Bench:
 
 @dataclass(slots=True)
 class Trial:
-    """A trial that took: what was drawn, how often it had to be, its twin, and the proposal that all methods get."""
+    """A trial that took: what was drawn, how often it had to be, its twin, and the proposal that all methods get.
+
+    A twin that is not `whole` was ended once it had shown whether the fault took, and by enough to be beyond the
+    boundary band; it tells nothing else, and no method shares it. A clean trial needs none then.
+    """
 
     drawn: Drawn
     turns: int
@@ -71,6 +75,7 @@ class Trial:
     context: Context
     plan: WatchPlan
     twin: Execution | None
+    whole: bool = True
 
     @property
     def occurred(self) -> bool:
@@ -101,16 +106,23 @@ def took(drawn: Drawn, twin: Execution) -> bool:
             return bool(twin.failures)
 
 
-def prepare(bench: Bench, seed: int, number: int, *, wanted: Kind | Violation | Failure | None = None) -> Trial:
-    """Draw a trial until its fault takes, and run its ungoverned twin."""
-    return taken(bench, lambda turn: _drawn(bench.policy, seed, number, wanted, turn))
+def prepare(
+    bench: Bench,
+    seed: int,
+    number: int,
+    *,
+    wanted: Kind | Violation | Failure | None = None,
+    whole: bool = True,
+) -> Trial:
+    """Draw a trial until its fault takes, and run its ungoverned twin, whole or as far as that needs."""
+    return taken(bench, lambda turn: _drawn(bench.policy, seed, number, wanted, turn), whole=whole)
 
 
-def taken(bench: Bench, draw_turn: Callable[[int], Drawn]) -> Trial:
+def taken(bench: Bench, draw_turn: Callable[[int], Drawn], *, whole: bool = True) -> Trial:
     """Draw with a function of the turn until the fault takes, and run the ungoverned twin."""
     turn = 0
     while True:
-        trial = twinned(bench, draw_turn(turn), turn)
+        trial = twinned(bench, draw_turn(turn), turn, whole=whole)
         faultless = trial.drawn.violation is None and trial.drawn.failure is None
         turn += 1
         if faultless or trial.occurred or turn == MOST_TURNS:
@@ -147,13 +159,35 @@ def ready(bench: Bench, drawn: Drawn, turn: int = 0) -> tuple[Trial, Workcell]:
     return Trial(drawn, turn, proposal, context, plan, None), cell
 
 
-def twinned(bench: Bench, drawn: Drawn, turn: int = 0) -> Trial:
+def twinned(bench: Bench, drawn: Drawn, turn: int = 0, *, whole: bool = True) -> Trial:
     """Return a drawn trial with its ungoverned twin; what is not authorized has none."""
     trial, cell = ready(bench, drawn, turn)
-    if drawn.kind is not Kind.UNAUTHORIZED:
-        truth = looking(bench.policy, drawn, trial.plan)
-        trial.twin = ungoverned(cell, drawn.capability, trial.proposal.params, truth, judge_of(drawn))
+    trial.whole = whole
+    needless = drawn.kind is Kind.CLEAN and not whole
+    if drawn.kind is not Kind.UNAUTHORIZED and not needless:
+        truth, judge = looking(bench.policy, drawn, trial.plan), judge_of(drawn)
+        params = trial.proposal.params
+        if whole:
+            trial.twin = ungoverned(cell, drawn.capability, params, truth, judge)
+        else:
+            shown = _shown(drawn)
+            trial.twin = ungoverned(cell, drawn.capability, params, truth, judge, retries=0, enough=shown)
     return trial
+
+
+def _shown(drawn: Drawn) -> Callable[[Truth], bool]:
+    """Return what says that a twin has shown what it is for."""
+    violation = drawn.violation
+    if violation is not None:
+        band = BAND_SIGMAS * SIGMA[violation]
+        return lambda truth: truth.tracks[violation].onset is not None and truth.tracks[violation].excess >= band
+    match drawn.failure:
+        case Failure.FAILED_GRASP:
+            return lambda truth: truth.tracks[Violation.POSTCONDITION].onset is not None
+        case Failure.TIMEOUT | Failure.WITHDRAWN:
+            return lambda truth: truth.tick > drawn.size * 100
+        case _:
+            return lambda _: False
 
 
 def looking(policy: PolicySet, drawn: Drawn, plan: WatchPlan) -> Truth:
@@ -179,7 +213,7 @@ def run(bench: Bench, trial: Trial, methods: Sequence[Method], *, change: Change
         passed = pass_gate(method, bench.policy, trial.proposal, trial.context, approved=approved)
         spent_us = (precise_ns() - began) / 1000.0
         execution = restored = None
-        if passed.launched and trial.twin is not None:
+        if passed.launched and trial.drawn.kind is not Kind.UNAUTHORIZED:
             key = (*_alike(method), tuple(sorted(passed.effective.items())))
             if key not in shared:
                 shared[key] = _execute(bench, trial, method, passed.effective, change)
@@ -188,19 +222,22 @@ def run(bench: Bench, trial: Trial, methods: Sequence[Method], *, change: Change
     return found
 
 
+def shares_twin(method: Method) -> bool:
+    """Say whether a method's executions are the ungoverned twin itself."""
+    return _alike(method) == ("twin",)
+
+
 def _alike(method: Method) -> tuple[object, ...]:
     if method.watch is Watching.NOTHING and method.recovery is Recovering.RETRY:
         return ("twin",)
-    return (method.watch, method.recovery, method.human, method.guard)
+    return (method.watch, method.recovery, method.human, method.guard or method.watch is not Watching.NOTHING)
 
 
 def _execute(
     bench: Bench, trial: Trial, method: Method, effective: Params, change: Change | None
 ) -> tuple[Execution, bool | None]:
     drawn, twin = trial.drawn, trial.twin
-    if twin is None:
-        raise AssertionError("what is executed has a twin")
-    if _alike(method) == ("twin",) and effective == trial.proposal.params:
+    if twin is not None and trial.whole and _alike(method) == ("twin",) and effective == trial.proposal.params:
         return twin, None
     cell = bench.stage.set(drawn.start, drawn.world, drawn.scenario)
     restored: Judge = restored_of(drawn, cell.truth())

@@ -32,7 +32,7 @@ SEVERITY: Final = {
 }
 GRACE_MS: Final = 1000
 """How long a recovery may find the violation still there that it was started for."""
-GROWTH: Final = {"zone_margin_m": 0.02}
+GROWTH: Final = {"zone_margin_m": 0.01}
 """By how much it may grow meanwhile, where growing is worse than staying: a robot that goes deeper does not leave."""
 
 

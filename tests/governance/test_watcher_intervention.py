@@ -175,10 +175,10 @@ def test_grace_is_over_where_the_robot_goes_deeper_instead_of_leaving() -> None:
     def inside(depth_m: float) -> tuple[Alert, ...]:
         return (Alert(Signal.VIOLATION, "zone", -depth_m, 0.0, "zone"),)
 
-    for tick, depth_m in enumerate((0.010, 0.025, 0.004)):
+    for tick, depth_m in enumerate((0.010, 0.015, 0.004)):
         state, decision = responses.intervene(state, inside(depth_m), tick)
         assert decision == GO_ON
-    _, decision = responses.intervene(state, inside(0.031), 3)
+    _, decision = responses.intervene(state, inside(0.021), 3)
     assert decision.intervention is STOP
 
 
