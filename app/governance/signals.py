@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from app.governance.estimation import BaseEstimate, PersonEstimate
@@ -97,7 +98,7 @@ class WatchState(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """What detectors take from a plan, worked out once. `age_limits_s` holds (place in the stamps, limit).
+    """What detectors take from a plan, worked out once. `age_limits_s` goes with `SensorStamps`, ∞ where none is set.
 
     The protective separation S_p = v_h (T_r + T_s) + v_r T_r + v_r T_s / 2 + C + Z_d + Z_r is split into what is fixed
     (`fixed_gap_m`) and what v_r multiplies (`gap_per_speed_s`).
@@ -107,7 +108,7 @@ class Constants(NamedTuple):
     keepouts: tuple[Keepout, ...]
     base_deceleration_mps2: float
     base_radius_m: float
-    age_limits_s: tuple[tuple[int, float], ...]
+    age_limits_s: tuple[float, ...]
     fixed_gap_m: float
     gap_per_speed_s: float
 
@@ -130,7 +131,7 @@ class Constants(NamedTuple):
             keepouts=tuple(Keepout.of(zone) for zone in plan.zones),
             base_deceleration_mps2=plan.base_deceleration_mps2,
             base_radius_m=plan.base_radius_m,
-            age_limits_s=tuple((known.index(name), limit / 1000.0) for name, limit in plan.stale_after_ms.items()),
+            age_limits_s=tuple(plan.stale_after_ms.get(name, math.inf) / 1000.0 for name in known),
             fixed_gap_m=0.0 if gap is None else (
                 gap.human_speed_mps * (gap.reaction_s + gap.stopping_s)
                 + gap.intrusion_m + gap.position_uncertainty_m + gap.robot_uncertainty_m
@@ -140,5 +141,5 @@ class Constants(NamedTuple):
 
     def stale(self, seen: Observation) -> tuple[str, ...]:
         """Name the sensors whose newest sample is too old; for the record, not for the loop."""
-        stamps, names = seen.stamps_s, SensorStamps._fields
-        return tuple(names[place] for place, limit_s in self.age_limits_s if not seen.time_s - stamps[place] <= limit_s)
+        samples = zip(SensorStamps._fields, seen.stamps_s, self.age_limits_s, strict=True)
+        return tuple(name for name, stamp_s, limit_s in samples if not seen.time_s <= stamp_s + limit_s)

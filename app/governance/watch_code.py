@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias, cast
 
 from app.governance import detectors
 from app.governance.fusing import fuse, needed
-from app.governance.model import Command, Observation
+from app.governance.model import Command, Observation, SensorStamps
 from app.governance.signals import SHOWN, Constants, Senses, Signals, WatchState
 
 if TYPE_CHECKING:
@@ -36,7 +36,11 @@ Watch: TypeAlias = (
 )
 Judge: TypeAlias = "Callable[[WatchState, Senses, Signals], tuple[WatchState, tuple[Alert, ...]]]"
 
-_UNPACKED: Final = {"seen": Observation._fields, "command": Command._fields}
+_UNPACKED: Final = {
+    "seen": Observation._fields,
+    "stamps": SensorStamps._fields,
+    "command": Command._fields,
+}
 _CONSTANT: Final = {"plan": Constants._fields}
 
 _FRAME: Final = """
@@ -45,6 +49,7 @@ def watch(state, seen, report, command, rate, retried, unmet):
     {senses} = senses
     if before is None:
         before = seen
+    stamps = seen.stamps_s
     ...
     before = seen
     senses = new(Senses, ({senses}))

@@ -36,6 +36,7 @@ def one_by_one(
         **senses._asdict(),
         "before": senses.before or seen,
         "seen": seen,
+        "stamps": seen.stamps_s,
         "report": report,
         "command": command,
         "rate": rate,
