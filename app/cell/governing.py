@@ -90,7 +90,7 @@ class Governing:
         run.watching, alerts = run.watcher.watch(
             run.watching, seen, report, command, run.rate, run.used.retries, len(run.unmet)
         )
-        run.series.add(telling.row(seen, run.watching.signals, report.progress, run.rate), alerted=bool(alerts))
+        run.series.add(telling.row(seen, run.watching.measured, report.progress, run.rate), alerted=bool(alerts))
         if len(run.series.ready) >= telling.BATCH_BYTES:
             self._send_rows()
         try:

@@ -7,10 +7,12 @@ number that is not finite becomes null, because JSON has none and a guard's brok
 from __future__ import annotations
 
 import math
+from operator import itemgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from app.cell.journal import Entry, Journal, JournalUnavailable
 from app.governance.model import EMPTY, EventKind, Signal, Strategy
+from app.governance.signals import Signals
 from app.protocol import ROW, ROWS_PER_BATCH
 
 if TYPE_CHECKING:
@@ -28,7 +30,6 @@ if TYPE_CHECKING:
         WatchPlan,
     )
     from app.governance.recovery import RecoveryDecision
-    from app.governance.signals import Signals
 
 CELL: Final = "cell"
 BATCH_BYTES: Final = ROW.size * ROWS_PER_BATCH
@@ -210,29 +211,41 @@ def _finite(number: float) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def row(seen: Observation, signals: Signals, progress: float, rate: float) -> bytes:
-    """Pack one control tick as `protocol.CHANNELS` lists it."""
+_SHOWN: Final = itemgetter(
+    *map(
+        Signals._fields.index,
+        (
+            *("base_x_m", "base_y_m", "base_yaw_rad", "base_speed_mps", "contact_force_n", "slip_m", "residual_nm"),
+            *("separation_m", "protective_separation_m", "zone_margin_m"),
+        ),
+    )
+)
+
+
+def row(seen: Observation, measured: tuple[float, ...], progress: float, rate: float) -> bytes:
+    """Pack one control tick as `protocol.CHANNELS` lists it; `measured` are the values of `Signals`."""
     tcp_x, tcp_y, tcp_z = seen.tcp_m
     q1, q2, q3, q4, q5, q6 = seen.joint_rad  # by name: a starred argument costs a third more
+    base_x, base_y, base_yaw, base_speed, force, slip, residual, separation, protective, margin = _SHOWN(measured)
     return ROW.pack(
         seen.time_s,
-        signals.base_x_m,
-        signals.base_y_m,
-        signals.base_yaw_rad,
-        signals.base_speed_mps,
+        base_x,
+        base_y,
+        base_yaw,
+        base_speed,
         tcp_x,
         tcp_y,
         tcp_z,
         seen.tcp_speed_mps,
-        signals.contact_force_n,
+        force,
         seen.peak_force_n,
         seen.grip_width_m,
         seen.grip_force_n,
-        signals.slip_m,
-        signals.residual_nm,
-        signals.separation_m,
-        signals.protective_separation_m,
-        signals.zone_margin_m,
+        slip,
+        residual,
+        separation,
+        protective,
+        margin,
         progress,
         rate,
         q1,

@@ -88,13 +88,25 @@ class Senses(NamedTuple):
 class WatchState(NamedTuple):
     """Everything watching remembers: what measuring does, the last signals, and how long which rule has been violated.
 
-    `lasting` holds (row, ticks) of the rules violated now, `sums` the cumulative sums of the CUSUM rules in order.
+    `remembered` are the values of `Senses`, `measured` those of `Signals`: plain tuples are made and taken apart in a
+    third of the time, and in most ticks nobody asks for a name. `lasting` holds (row, ticks) of the rules violated now,
+    `sums` the cumulative sums of the CUSUM rules in order.
     """
 
-    senses: Senses = Senses()
-    signals: Signals = Signals()
+    remembered: tuple[object, ...] = tuple(Senses())
+    measured: tuple[float, ...] = tuple(Signals())
     lasting: tuple[tuple[int, int], ...] = ()
     sums: tuple[float, ...] = ()
+
+    @property
+    def senses(self) -> Senses:
+        """Return what measuring remembers, by name."""
+        return Senses(*self.remembered)  # type: ignore[arg-type]
+
+    @property
+    def signals(self) -> Signals:
+        """Return the last signals, by name."""
+        return Signals._make(self.measured)
 
 
 class Constants(NamedTuple):

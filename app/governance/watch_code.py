@@ -2,12 +2,11 @@
 
 ```
 def watch(state, seen, report, command, rate, retried, unmet):
-    base, people, before, … = state.senses
+    base, people, before, … = state.remembered
     <the detectors that some rule or telemetry needs>
-    signals = Signals(…)
     if <every rule's signal is within its limit, and nothing adds up>:
         return the next state, no alerts                      a quiet tick ends here
-    return judge(state, senses, signals)                      the rules one by one (`watcher`)
+    return judge(state, remembered, measured)                 the rules one by one (`watcher`)
 ```
 
 Its text depends on which signals are bounded in which direction alone; numbers are constants of the function's
@@ -34,7 +33,9 @@ if TYPE_CHECKING:
 Watch: TypeAlias = (
     "Callable[[WatchState, Observation, SkillReport, Command, float, int, int], tuple[WatchState, tuple[Alert, ...]]]"
 )
-Judge: TypeAlias = "Callable[[WatchState, Senses, Signals], tuple[WatchState, tuple[Alert, ...]]]"
+Judge: TypeAlias = (
+    "Callable[[WatchState, tuple[object, ...], tuple[float, ...]], tuple[WatchState, tuple[Alert, ...]]]"
+)
 
 _UNPACKED: Final = {
     "seen": Observation._fields,
@@ -45,18 +46,18 @@ _CONSTANT: Final = {"plan": Constants._fields}
 
 _FRAME: Final = """
 def watch(state, seen, report, command, rate, retried, unmet):
-    senses, _, _, sums = state
-    {senses} = senses
+    remembered, _, _, sums = state
+    {senses} = remembered
     if before is None:
         before = seen
     stamps = seen.stamps_s
     ...
     before = seen
-    senses = new(Senses, ({senses}))
-    signals = new(Signals, ({signals}))
+    remembered = ({senses})
+    measured = ({signals})
     if {quiet}:
-        return new(WatchState, (senses, signals, QUIET, sums)), QUIET
-    return judge(state, senses, signals)
+        return new(WatchState, (remembered, measured, QUIET, sums)), QUIET
+    return judge(state, remembered, measured)
 """
 
 
@@ -105,8 +106,6 @@ def _code(shape: tuple[tuple[str, bool, str], ...], adds_up: bool) -> CodeType:
 
 
 _SUPPORT: Final[dict[str, object]] = {  # pyright: ignore[reportUnknownVariableType]  # tuple.__new__
-    "Senses": Senses,
-    "Signals": Signals,
     "WatchState": WatchState,
     "QUIET": (),
     "new": tuple.__new__,  # pyright: ignore[reportUnknownMemberType]

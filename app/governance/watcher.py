@@ -107,7 +107,7 @@ class Watcher:
         if before is None:
             return fresh
         kept = before.senses
-        return fresh._replace(senses=Senses(base=kept.base, people=kept.people, before=kept.before))
+        return fresh._replace(remembered=tuple(Senses(base=kept.base, people=kept.people, before=kept.before)))
 
     def watch(
         self,
@@ -142,8 +142,11 @@ class Watcher:
         """Name the sensors whose newest sample is too old; for the record, not for the loop."""
         return self._constants.stale(seen)
 
-    def _judge(self, state: WatchState, senses: Senses, signals: Signals) -> tuple[WatchState, tuple[Alert, ...]]:
+    def _judge(
+        self, state: WatchState, remembered: tuple[object, ...], measured: tuple[float, ...]
+    ) -> tuple[WatchState, tuple[Alert, ...]]:
         """Judge a tick in which something is out of bounds, or adds up."""
+        signals = Signals._make(measured)
         sums = tuple(
             [
                 cusum(total, row.sign * signals[row.place], row.reference, row.limit)
@@ -155,7 +158,7 @@ class Watcher:
         violated += [row.row for total, row in zip(sums, self._sums, strict=True) if not total <= row.limit]
         before = dict(state.lasting)
         lasting = tuple([(number, before.get(number, 0) + 1) for number in violated])
-        return WatchState(senses, signals, lasting, sums), tuple(self._alerts(lasting, signals))
+        return WatchState(remembered, measured, lasting, sums), tuple(self._alerts(lasting, signals))
 
     def _alerts(self, lasting: tuple[tuple[int, int], ...], signals: Signals) -> Iterator[Alert]:
         for number, ticks in lasting:
