@@ -11,7 +11,7 @@ NaN never passes as well: what is not finite makes `implausible`, whatever its f
 from __future__ import annotations
 
 import math
-from math import cos, hypot, inf, nan, sin, sqrt
+from math import cos, dist, hypot, inf, nan, sin, sqrt
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from app.governance.estimation import now, tcp_velocity, track_base, track_people
@@ -96,24 +96,31 @@ def position(seen: Observation, base: BaseEstimate, sound: bool) -> tuple[BaseEs
     return base, fix_jumped, base_x_m, base_y_m, base_yaw_rad
 
 
-def motion(seen: Observation, base_yaw_rad: float) -> tuple[float, Pair, Pair]:
-    """Return the base's speed, its heading as cosine and sine, and its velocity in the world frame."""
+def motion(seen: Observation, base_yaw_rad: float) -> tuple[float, float, float, Pair]:
+    """Return the base's speed, the cosine and sine of its heading, and its velocity in the world frame."""
     vx, vy, _ = seen.base_velocity
-    c, s = cos(base_yaw_rad), sin(base_yaw_rad)
-    return sqrt(vx * vx + vy * vy), (c, s), (c * vx - s * vy, s * vx + c * vy)
+    heading_x, heading_y = cos(base_yaw_rad), sin(base_yaw_rad)
+    velocity = heading_x * vx - heading_y * vy, heading_y * vx + heading_x * vy
+    return sqrt(vx * vx + vy * vy), heading_x, heading_y, velocity
 
 
 def zone_margin(
-    sound: bool, base: BaseEstimate, base_x_m: float, base_y_m: float, velocity: Pair, plan: Constants
+    sound: bool,
+    base: BaseEstimate,
+    base_x_m: float,
+    base_y_m: float,
+    base_speed_mps: float,
+    velocity: Pair,
+    plan: Constants,
 ) -> float:
     """Return the least clearance between the hull and a zone on the way to standstill, if braking began now."""
     zone_margin_m = nan
     if sound and plan.keepouts:
         vx, vy = velocity
-        speed = hypot(vx, vy)
+        speed = base_speed_mps
         if speed > CREEP_MPS:
             vx, vy = vx + base.drift_x_mps, vy + base.drift_y_mps
-            speed = hypot(vx, vy)
+            speed = sqrt(vx * vx + vy * vy)
         reach_s = REACTION_S + speed / (2.0 * plan.base_deceleration_mps2)
         ahead = speed * reach_s
         zone_margin_m = FAR_M
@@ -152,7 +159,8 @@ def separation(
     people: tuple[PersonEstimate, ...],
     base_x_m: float,
     base_y_m: float,
-    heading: Pair,
+    heading_x: float,
+    heading_y: float,
     velocity: Pair,
     plan: Constants,
 ) -> tuple[float, float, float]:
@@ -161,7 +169,7 @@ def separation(
     protective_separation_m = plan.fixed_gap_m
     if sound and people:
         separation_margin_m = inf
-        c, s = heading
+        c, s = heading_x, heading_y
         vx, vy = velocity
         tx, ty, _ = seen.tcp_m
         jx, jy = tcp_velocity(seen.jacobian, seen.joint_speed_radps)
@@ -393,9 +401,9 @@ def stuck_drives(
 def implausible(
     seen: Observation,
     before: Observation,
-    stamps: SensorStamps,
     placed: float,
     fastest_radps: float,
+    residual_nm: float,
     fix_jumped: bool,
     stuck_ticks: int,
     stuck_base_ticks: int,
@@ -403,31 +411,27 @@ def implausible(
     """Say whether a reading is not finite, cannot be, jumps, repeats, or comes with a clock that stands."""
     total = (
         placed
-        + (stamps.arm + stamps.wrist + stamps.gripper + stamps.odometry + stamps.fix + stamps.people + stamps.objects)
+        + sum(seen.stamps_s)
         + (seen.tcp_speed_mps + seen.contact_force_n + seen.peak_force_n)
         + (seen.grip_width_m + seen.grip_force_n + seen.slip_m)
     )
     x, y, _ = seen.tcp_m
     vx, vy, _ = seen.base_velocity
-    latest_s = seen.time_s + LATEST_STAMP_S
-    # A norm within the limit says so of each part, in half the time, and is not for what is not finite.
+    # A norm within the limit says so of each part, in half the time, and is not for what is not finite. Torques are
+    # at most their distance from the residual and that residual: one norm for both.
     believed = (
         total - total == 0.0
-        and hypot(*seen.residual_nm) < inf
         and (hypot(*seen.joint_rad) < LARGEST_JOINT_RAD or within(seen.joint_rad, LARGEST_JOINT_RAD))
         and (fastest_radps < LARGEST_JOINT_SPEED_RADPS or within(seen.joint_speed_radps, LARGEST_JOINT_SPEED_RADPS))
-        and (hypot(*seen.joint_torque_nm) < LARGEST_TORQUE_NM or within(seen.joint_torque_nm, LARGEST_TORQUE_NM))
+        and (
+            dist(seen.joint_torque_nm, seen.residual_nm) + residual_nm < LARGEST_TORQUE_NM
+            or (within(seen.joint_torque_nm, LARGEST_TORQUE_NM) and hypot(*seen.residual_nm) < inf)
+        )
         and 0.0 <= seen.contact_force_n <= LARGEST_FORCE_N
         and -0.05 <= seen.grip_width_m <= LARGEST_WIDTH_M
         and abs(x) + abs(y) <= LONGEST_REACH_M
         and abs(vx) + abs(vy) <= LARGEST_BASE_SPEED_MPS
-        and stamps.arm <= latest_s
-        and stamps.wrist <= latest_s
-        and stamps.gripper <= latest_s
-        and stamps.odometry <= latest_s
-        and stamps.fix <= latest_s
-        and stamps.people <= latest_s
-        and stamps.objects <= latest_s
+        and max(seen.stamps_s) <= seen.time_s + LATEST_STAMP_S
         and stuck_ticks < STUCK_TICKS
         and stuck_base_ticks < STUCK_TICKS
         and not fix_jumped
@@ -445,7 +449,7 @@ DETECTORS: Final[tuple[Part, ...]] = parts(
     {
         soundness: ("placed", "sound", "same_people", "fastest_radps"),
         position: ("base", "fix_jumped", "base_x_m", "base_y_m", "base_yaw_rad"),
-        motion: ("base_speed_mps", "heading", "velocity"),
+        motion: ("base_speed_mps", "heading_x", "heading_y", "velocity"),
         zone_margin: ("zone_margin_m",),
         people_around: ("people",),
         separation: ("separation_m", "protective_separation_m", "separation_margin_m"),

@@ -96,7 +96,14 @@ def needed(of: Sequence[Part], wanted: Iterable[str]) -> tuple[Part, ...]:
     return tuple(part for part in of if part.name in kept)
 
 
-def fuse(frame: str, body: Sequence[Part], unpacked: Records, constant: Records, filename: str) -> CodeType:
+def fuse(
+    frame: str,
+    body: Sequence[Part],
+    unpacked: Records,
+    constant: Records,
+    numbers: Mapping[str, float],
+    filename: str,
+) -> CodeType:
     """Return the code of one function.
 
     Args:
@@ -104,6 +111,7 @@ def fuse(frame: str, body: Sequence[Part], unpacked: Records, constant: Records,
         body: The parts, in order.
         unpacked: Named tuples by name, with their fields: locals of the frame, unpacked where the parts begin.
         constant: The same of those whose fields the namespace holds as `record_field`.
+        numbers: What never changes, by name; it stands in the code and need not be looked up.
         filename: The source of the parts.
     """
     whole = ast.parse(frame)
@@ -112,7 +120,7 @@ def fuse(frame: str, body: Sequence[Part], unpacked: Records, constant: Records,
         if hasattr(node, "lineno"):
             node.lineno, node.end_lineno, node.col_offset, node.end_col_offset = 1, 1, 0, 0  # type: ignore[attr-defined]
     first = [_unpack(name, fields) for name, fields in unpacked.items()]
-    inlined = [statement for part in body for statement in _inlined(part, {**unpacked, **constant})]
+    inlined = [statement for part in body for statement in _inlined(part, {**unpacked, **constant}, numbers)]
     place = next(at for at, node in enumerate(function.body) if _is_ellipsis(node))
     function.body[place : place + 1] = [*first, *inlined]
     compiled = compile(ast.fix_missing_locations(whole), filename, "exec")
@@ -127,10 +135,10 @@ def _is_ellipsis(node: ast.stmt) -> bool:
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and node.value.value is ...
 
 
-def _inlined(part: Part, records: Records) -> list[ast.stmt]:
+def _inlined(part: Part, records: Records, numbers: Mapping[str, float]) -> list[ast.stmt]:
     code = part.do.__code__
     own = set(code.co_varnames + code.co_cellvars) - set(part.takes) - set(part.gives)
-    rename = _Rename(part.name, own, records)
+    rename = _Rename(part.name, own, records, {name: numbers[name] for name in numbers if name not in part.takes})
     body = [rename.visit(copy.deepcopy(statement)) for statement in part.body]
     return [*body[:-1], *_given(part, body[-1])]
 
@@ -153,14 +161,16 @@ def _is_name(node: ast.AST, name: str) -> bool:
 
 
 class _Rename(ast.NodeTransformer):
-    """Gives a part's own names its name in front, and turns `record.field` into the local it was unpacked to."""
+    """Gives a part's own names its name in front, writes numbers out, and turns `record.field` into its local."""
 
-    def __init__(self, prefix: str, own: set[str], records: Records) -> None:
-        self.prefix, self.own, self.records = prefix, own, records
+    def __init__(self, prefix: str, own: set[str], records: Records, numbers: Mapping[str, float]) -> None:
+        self.prefix, self.own, self.records, self.numbers = prefix, own, records, numbers
 
-    def visit_Name(self, node: ast.Name) -> ast.Name:
+    def visit_Name(self, node: ast.Name) -> ast.expr:
         if node.id in self.own:
             node.id = f"{self.prefix}_{node.id}"
+        elif node.id in self.numbers and isinstance(node.ctx, ast.Load):
+            return ast.copy_location(ast.Constant(self.numbers[node.id]), node)
         return node
 
     def visit_Attribute(self, node: ast.Attribute) -> ast.expr:

@@ -43,6 +43,7 @@ _UNPACKED: Final = {
     "command": Command._fields,
 }
 _CONSTANT: Final = {"plan": Constants._fields}
+_NUMBERS: Final = {name: value for name, value in vars(detectors).items() if type(value) in (int, float)}
 
 _FRAME: Final = """
 def watch(state, seen, report, command, rate, retried, unmet):
@@ -102,7 +103,7 @@ def _code(shape: tuple[tuple[str, bool, str], ...], adds_up: bool) -> CodeType:
     frame = _FRAME.format(
         senses=", ".join(Senses._fields), signals=", ".join(Signals._fields), quiet=" and ".join(quiet) or "True"
     )
-    return fuse(frame, needed(detectors.DETECTORS, wanted), _UNPACKED, _CONSTANT, detectors.__file__)
+    return fuse(frame, needed(detectors.DETECTORS, wanted), _UNPACKED, _CONSTANT, _NUMBERS, detectors.__file__)
 
 
 _SUPPORT: Final[dict[str, object]] = {  # pyright: ignore[reportUnknownVariableType]  # tuple.__new__

@@ -48,6 +48,7 @@ class Run:
         self._body, self._params = body, params
         self._moves = SKILLS[capability](body, params)
         self._state, self._failure = SkillState.RUNNING, ""
+        self._said = SkillReport(body.phase, body.progress)
         self.detail = ""
 
     def act(self, observation: Observation, rate: float) -> Command:
@@ -85,7 +86,15 @@ class Run:
 
     def report(self) -> SkillReport:
         """Say phase, progress and state."""
-        return SkillReport(self._body.phase, self._body.progress, self._state, self._failure)
+        body, said = self._body, self._said
+        if (
+            said.progress != body.progress
+            or said.phase != body.phase
+            or said.state is not self._state
+            or said.failure != self._failure
+        ):
+            self._said = said = SkillReport(body.phase, body.progress, self._state, self._failure)
+        return said
 
 
 def start(

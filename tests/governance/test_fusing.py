@@ -64,7 +64,8 @@ def whole(force, load_n):
 
 
 def build(made: tuple[Part, ...], result: str = "load_n, is_heavy") -> FunctionType:
-    code = fuse(FRAME.format(result=result), made, {"force": Reading._fields}, {"plan": Sizes._fields}, __file__)
+    frame, unpacked, constant = FRAME.format(result=result), {"force": Reading._fields}, {"plan": Sizes._fields}
+    code = fuse(frame, made, unpacked, constant, {"MOST_N": MOST_N}, __file__)
     return FunctionType(code, {"plan_heavy_n": 5.0, "range": range})
 
 
