@@ -83,15 +83,18 @@ class Governing:
     def tick(self) -> Observation:
         """Do one control period and return what the sensors saw."""
         run, substrate = self.run, self._substrate
-        report, command = self._ask(run.ramp(substrate.period_s))
-        command, _ = clamp(command, run.previous, run.bounds, self.seen.jacobian, substrate.period_s)
+        period_s = substrate.period_s
+        report, command = self._ask(run.ramp(period_s))
+        command, _ = clamp(command, run.previous, run.bounds, self.seen.jacobian, period_s)
         self.seen = seen = substrate.step(command)
         run.previous = command
-        run.watching, alerts = run.watcher.watch(
-            run.watching, seen, report, command, run.rate, run.used.retries, len(run.unmet)
+        rate = run.rate
+        watching, alerts = run.watcher.watch(
+            run.watching, seen, report, command, rate, run.used.retries, len(run.unmet)
         )
-        run.series.add(telling.row(seen, run.watching.measured, report.progress, run.rate), alerted=bool(alerts))
-        if len(run.series.ready) >= telling.BATCH_BYTES:
+        run.watching, series = watching, run.series
+        series.add(telling.row(seen, watching.measured, report.progress, rate), alerted=bool(alerts))
+        if len(series.ready) >= telling.BATCH_BYTES:
             self._send_rows()
         try:
             self._consider(alerts, report)

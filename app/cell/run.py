@@ -91,7 +91,12 @@ Next: TypeAlias = Bind | End
 
 @dataclass(slots=True, kw_only=True)
 class Run:
-    """The session under way."""
+    """The session under way.
+
+    `bounds` is what the clamp holds commands to: those of the plan, and less grip (`eased`) where the gripper gives too
+    much. A stop keeps the grip, and letting go may drop what is held: a gripper that gives more than it is told has to
+    be told less, at once and until the session ends.
+    """
 
     grant: Grant
     plan: WatchPlan
@@ -122,8 +127,13 @@ class Run:
     still_ticks: int = 0
     speaking: dict[str, int] = field(default_factory=dict[str, int])
     hold_after_recovery: bool = False
+    bounds: Bounds = field(init=False)
     eased: Bounds | None = None
     ease_again: int = 0
+
+    def __post_init__(self) -> None:
+        """Begin with the bounds of the plan."""
+        self.bounds = self.plan.bounds
 
     @property
     def id(self) -> str:
@@ -146,29 +156,20 @@ class Run:
             self.confirmed.add(self.escalated_by.removeprefix("confirm:"))
         self.escalated_by = ""
 
-    @property
-    def bounds(self) -> Bounds:
-        """Return what the clamp holds commands to: the plan's bounds, and less grip where the gripper gives too much.
-
-        A stop keeps the grip, and letting go may drop what is held: a gripper that gives more than it is told has to
-        be told less, at once and until the session ends.
-        """
-        return self.eased or self.plan.bounds
-
     def ease_grip(self, measured_n: float, tick: int) -> None:
         """Lower the bound of the grip so far that what the gripper makes of it is within what policy allows."""
         if tick < self.ease_again or not measured_n > 0.0:
             return
         allowed_n = self.plan.bounds.grip_force_n
         told_n = min(self.previous.grip_force_n, self.bounds.grip_force_n)
-        self.eased = self.bounds._replace(grip_force_n=max(0.0, told_n * EASED * allowed_n / measured_n))
+        self.bounds = self.eased = self.bounds._replace(grip_force_n=max(0.0, told_n * EASED * allowed_n / measured_n))
         self.ease_again = tick + EASE_TICKS
 
     def watch_with(self, plan: WatchPlan, period_s: float) -> None:
         """Go on under another plan, with timers of its own; estimates live on."""
         if self.eased is not None:
             self.eased = plan.bounds._replace(grip_force_n=min(self.eased.grip_force_n, plan.bounds.grip_force_n))
-        self.plan = plan
+        self.plan, self.bounds = plan, self.eased or plan.bounds
         self.watcher = compile_watch(plan, period_s)
         self.responses = Responses(self.watcher.rules, period_s)
         self.watching = self.watcher.begin(self.watching)
@@ -179,7 +180,7 @@ class Run:
 
     def ramp(self, period_s: float) -> float:
         """Advance the rate by one tick and return it: towards 1 where the skill may move, else to 0 as declared."""
-        if self.moves():
+        if self.next is None and self.status in MOVING:  # `moves`, without the call
             if self.rate < 1.0:
                 self.rate = min(1.0, self.rate + period_s / RAMP_UP_S)
         elif self.rate > 0.0:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from app.governance.model import Command
 
 if TYPE_CHECKING:
-    from app.governance.model import Bounds
+    from app.governance.model import Bounds, Vec6
 
 RESTING = (0.0, 0.0, 0.0)
 STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -44,25 +44,15 @@ def clamp(
     """
     joints, speeds, base, grip = command
     last = previous.joint_rad
-    a, b, c, d, e, f = joints
-    u, v, w, x, y, z = speeds
     vx, vy, wz = base
+    stepped, arm, total = STILL, 0.0, vx + vy + wz + grip
+    if speeds != STILL or joints != last:  # NaN equals nothing, and what was sent before is finite
+        total += sum(joints) + sum(speeds)
+        stepped = _stepped(joints, last, 1.0 / period_s)
+        arm = max(_excess(stepped, jacobian, bounds), _excess(speeds, jacobian, bounds))
     # One sum finds any NaN or infinity: it is finite only if every term is.
-    total = a + b + c + d + e + f + u + v + w + x + y + z + vx + vy + wz + grip
     if total - total != 0.0:
         return hold(previous), True
-    stepped, arm = STILL, 0.0
-    if speeds != STILL or joints != last:
-        rate = 1.0 / period_s
-        stepped = (
-            (a - last[0]) * rate,
-            (b - last[1]) * rate,
-            (c - last[2]) * rate,
-            (d - last[3]) * rate,
-            (e - last[4]) * rate,
-            (f - last[5]) * rate,
-        )
-        arm = max(_excess(stepped, jacobian, bounds), _excess(speeds, jacobian, bounds))
     drive = math.sqrt(vx * vx + vy * vy) / bounds.base_speed_mps
     turn = abs(wz) / LARGEST_TURN_RADPS
     if arm <= 1.0 and drive <= 1.0 and turn <= 1.0 and grip <= bounds.grip_force_n:
@@ -72,11 +62,19 @@ def clamp(
         (l1, l2, l3, l4, l5, l6), q = last, period_s * slower
         s1, s2, s3, s4, s5, s6 = stepped
         joints = (l1 + s1 * q, l2 + s2 * q, l3 + s3 * q, l4 + s4 * q, l5 + s5 * q, l6 + s6 * q)
+        u, v, w, x, y, z = speeds
         speeds = (u * slower, v * slower, w * slower, x * slower, y * slower, z * slower)
     worst = max(drive, turn)
     if worst > 1.0:
         base = (vx / worst, vy / worst, wz / worst)
     return Command(joints, speeds, base, min(grip, bounds.grip_force_n)), True
+
+
+def _stepped(joints: Vec6, last: Vec6, rate: float) -> Vec6:
+    """Return the joint speeds that a step from the last targets amounts to."""
+    a, b, c, d, e, f = joints
+    g, h, i, j, k, m = last
+    return (a - g) * rate, (b - h) * rate, (c - i) * rate, (d - j) * rate, (e - k) * rate, (f - m) * rate
 
 
 def _excess(speeds: tuple[float, ...], jacobian: tuple[float, ...], bounds: Bounds) -> float:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import functools
 from types import FunctionType
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias, cast
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol, TypeAlias, cast
 
 from app.governance import detectors
 from app.governance.fusing import fuse, needed
@@ -30,9 +30,6 @@ if TYPE_CHECKING:
 
     from app.governance.model import Alert, SkillReport
 
-Watch: TypeAlias = (
-    "Callable[[WatchState, Observation, SkillReport, Command, float, int, int], tuple[WatchState, tuple[Alert, ...]]]"
-)
 Judge: TypeAlias = (
     "Callable[[WatchState, tuple[object, ...], tuple[float, ...]], tuple[WatchState, tuple[Alert, ...]]]"
 )
@@ -60,6 +57,33 @@ def watch(state, seen, report, command, rate, retried, unmet):
         return new(WatchState, (remembered, measured, QUIET, sums)), QUIET
     return judge(state, remembered, measured)
 """
+
+
+class Watch(Protocol):
+    """`watch` of one plan."""
+
+    def __call__(
+        self,
+        state: WatchState,
+        seen: Observation,
+        report: SkillReport,
+        command: Command,
+        rate: float = 1.0,
+        retried: int = 0,
+        unmet: int = 0,
+    ) -> tuple[WatchState, tuple[Alert, ...]]:
+        """Return the next state and an alert for every rule that has been violated for long enough.
+
+        Args:
+            state: What the tick before left.
+            seen: What the sensors say now.
+            report: What the skill says of itself.
+            command: What the actuators were told, after the clamp.
+            rate: How fast the skill was let run; at 0 neither timeout nor stall goes on.
+            retried: Recoveries of kind retry so far, counted by governance.
+            unmet: How many postconditions were found unmet when the skill said it was done.
+        """
+        ...
 
 
 class Bound(NamedTuple):
@@ -90,7 +114,7 @@ def generate(plan: Constants, bounds: tuple[Bound, ...], none: tuple[float, ...]
         "NO_SUMS": none,
         "judge": judge,
     }
-    return cast("Watch", FunctionType(_code(shape, bool(none)), namespace))
+    return cast("Watch", FunctionType(_code(shape, bool(none)), namespace, argdefs=(1.0, 0, 0)))
 
 
 @functools.lru_cache(maxsize=64)

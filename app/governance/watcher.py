@@ -27,7 +27,7 @@ from app.governance.watch_code import Bound, generate
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from app.governance.model import Command, Observation, SkillReport, WatchPlan
+    from app.governance.model import Observation, WatchPlan
 
 HEADROOM: Final = 1.05
 """A violation is more than this times the limit: the truth overshoots a command on the limit by a few percent."""
@@ -80,9 +80,14 @@ class _Sum(NamedTuple):
 
 
 class Watcher:
-    """Watches one session. Immutable: all that changes is in the `WatchState` that goes in and comes out."""
+    """Watches one session. Immutable: all that changes is in the `WatchState` that goes in and comes out.
 
-    __slots__ = ("_constants", "_none", "_plain", "_rows", "_signals", "_sums", "_watch", "plan", "rules")
+    `watch` is the function generated for the plan (`watch_code.Watch`): it returns the next state and an alert for every
+    rule that is violated now and has been for long enough. Alerts repeat as long as the violation lasts; which of them
+    are news is for the caller to tell.
+    """
+
+    __slots__ = ("_constants", "_none", "_plain", "_rows", "_signals", "_sums", "plan", "rules", "watch")
 
     def __init__(self, plan: WatchPlan, rows: tuple[_Row, ...], period_s: float) -> None:
         """Arrange compiled rows; use `compile_watch`."""
@@ -99,7 +104,7 @@ class Watcher:
         )
         self._constants = Constants.of(plan, period_s)
         self._none = (0.0,) * len(self._sums)
-        self._watch = generate(self._constants, tuple(row.bound() for row in rows), self._none, self._judge)
+        self.watch: Final = generate(self._constants, tuple(row.bound() for row in rows), self._none, self._judge)
 
     def begin(self, before: WatchState | None = None) -> WatchState:
         """Return the state an attempt begins with: estimates live on, timers, sums and the grip start afresh."""
@@ -108,31 +113,6 @@ class Watcher:
             return fresh
         kept = before.senses
         return fresh._replace(remembered=tuple(Senses(base=kept.base, people=kept.people, before=kept.before)))
-
-    def watch(
-        self,
-        state: WatchState,
-        observation: Observation,
-        report: SkillReport,
-        command: Command,
-        rate: float = 1.0,
-        retries: int = 0,
-        unmet: int = 0,
-    ) -> tuple[WatchState, tuple[Alert, ...]]:
-        """Return the next state and an alert for every rule that is violated now and has been for long enough.
-
-        Alerts repeat as long as the violation lasts; which of them are news is for the caller to tell.
-
-        Args:
-            state: What the tick before left.
-            observation: What the sensors say now.
-            report: What the skill says of itself.
-            command: What the actuators were told, after the clamp.
-            rate: How fast the skill was let run; at 0 neither timeout nor stall goes on.
-            retries: Recoveries of kind retry so far, counted by governance.
-            unmet: How many postconditions were found unmet when the skill said it was done.
-        """
-        return self._watch(state, observation, report, command, rate, retries, unmet)
 
     def signal_of(self, rule: str) -> str:
         """Return the signal that a rule watches; empty where the plan has no such rule."""

@@ -145,6 +145,6 @@ def test_plans_that_differ_in_numbers_alone_share_their_code() -> None:
     one = compile_watch(watching(rule("slip_m", threshold=0.1)))
     other = compile_watch(replace(watching(rule("slip_m", threshold=0.2)), sensitivity=0.9, timeout_s=9.0))
     below = compile_watch(watching(rule("slip_m", threshold=0.2, above=False)))
-    codes = [made._watch.__code__ for made in (one, other, below)]  # type: ignore[attr-defined]
+    codes = [made.watch.__code__ for made in (one, other, below)]  # type: ignore[attr-defined]
     assert codes[0] is codes[1]
     assert codes[0] is not codes[2]

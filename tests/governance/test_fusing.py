@@ -10,6 +10,9 @@ import pytest
 from app.governance.fusing import Part, fuse, needed, parts
 
 
+MOST_N = 9.0
+
+
 class Reading(NamedTuple):
     force_n: float
     width_m: float
@@ -35,6 +38,10 @@ def heavy(load_n: float, plan: Sizes) -> tuple[bool, float]:
 
 def ratio(load_n: float, force: Reading) -> float:
     return load_n / force.width_m
+
+
+def capped(load_n: float) -> float:
+    return MOST_N if load_n > MOST_N else load_n
 
 
 def leaves_early(load_n: float) -> float:
@@ -74,6 +81,12 @@ def test_parts_run_one_after_the_other_and_keep_their_own_names_apart() -> None:
     assert whole(Reading(4.0, 0.1), 2.0) == (1.5, True)
     assert whole(Reading(1.0, 0.1), 2.0) == (0.75, False)
     assert {"total_held", "heavy_held"} <= set(whole.__code__.co_varnames)
+
+
+def test_numbers_stand_in_the_code() -> None:
+    whole = build(parts({capped: ("load_n",)}), "load_n")
+    assert [whole(Reading(4.0, 0.1), load_n) for load_n in (8.0, 10.0)] == [8.0, 9.0]
+    assert "MOST_N" not in whole.__code__.co_names
 
 
 def test_what_breaks_in_a_part_is_found_in_its_own_source() -> None:

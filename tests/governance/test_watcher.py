@@ -308,8 +308,8 @@ def test_the_timeout_counts_the_time_a_session_may_move() -> None:
 
 def test_retries_and_unmet_postconditions_are_what_governance_counted() -> None:
     plan = watching(rule("retries", threshold=1.0))
-    assert first_alert(plan, [seen(0)], retries=1) == (None, None)
-    assert first_alert(plan, [seen(0)], retries=2)[0] == 0
+    assert first_alert(plan, [seen(0)], retried=1) == (None, None)
+    assert first_alert(plan, [seen(0)], retried=2)[0] == 0
     tick, alert = first_alert(plan, [seen(0)], unmet=1)
     assert tick == 0
     assert alert is not None
