@@ -6,7 +6,6 @@ row waits until it is known that no alert follows within a second. Rows leave in
 
 from __future__ import annotations
 
-from collections import deque
 from typing import Final
 
 EVERY: Final = 5
@@ -23,34 +22,36 @@ class Series:
         self.ready = bytearray()
         self._keeps_all = keep_every_tick
         self._around = round(AROUND_S / period_s)
-        self._waiting: deque[bytes] = deque()
+        self._waiting: list[bytes] = []
         self._number = -1
         self._alert = -self._around - 1
 
     def add(self, row: bytes, *, alerted: bool) -> None:
         """Take the row of the next tick, and whether the watcher alerted in it."""
-        self._number += 1
+        number = self._number = self._number + 1
         if alerted:
-            self._alert = self._number
+            self._thin(number)
+            self._alert = number
             self.ready += b"".join(self._waiting)
             self._waiting.clear()
-        if self._keeps_all or self._number - self._alert <= self._around:
+        if self._keeps_all or number - self._alert <= self._around:
             self.ready += row
             return
         self._waiting.append(row)
-        if len(self._waiting) > self._around:
-            self._thin()
+        if number % EVERY == 0:  # not in every tick: what that costs, the control loop pays
+            self._thin(number + 1)
 
     def close(self) -> None:
         """Let the rows that still wait be sent; the last row of all is kept."""
-        while len(self._waiting) > 1:
-            self._thin()
-        self.ready += b"".join(self._waiting)
+        last = self._waiting[-1:]
+        self._around = len(last)
+        self._thin(self._number + 1)
+        self.ready += b"".join(last)
         self._waiting.clear()
 
-    def _thin(self) -> None:
-        """Decide about the row that has waited longest."""
-        number = self._number - len(self._waiting) + 1
-        row = self._waiting.popleft()
-        if number % EVERY == 0:
-            self.ready += row
+    def _thin(self, after: int) -> None:
+        """Decide about the rows that have waited for a second, where all that wait came before tick `after`."""
+        first = after - len(self._waiting)
+        over = max(0, len(self._waiting) - self._around)
+        self.ready += b"".join(self._waiting[-first % EVERY : over : EVERY])
+        del self._waiting[:over]

@@ -7,12 +7,10 @@ number that is not finite becomes null, because JSON has none and a guard's brok
 from __future__ import annotations
 
 import math
-from operator import itemgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from app.cell.journal import Entry, Journal, JournalUnavailable
 from app.governance.model import EMPTY, EventKind, Signal, Strategy
-from app.governance.signals import Signals
 from app.protocol import ROW, ROWS_PER_BATCH
 
 if TYPE_CHECKING:
@@ -211,22 +209,14 @@ def _finite(number: float) -> float | None:
     return number if math.isfinite(number) else None
 
 
-_SHOWN: Final = itemgetter(
-    *map(
-        Signals._fields.index,
-        (
-            *("base_x_m", "base_y_m", "base_yaw_rad", "base_speed_mps", "contact_force_n", "slip_m", "residual_nm"),
-            *("separation_m", "protective_separation_m", "zone_margin_m"),
-        ),
-    )
-)
-
-
 def row(seen: Observation, measured: tuple[float, ...], progress: float, rate: float) -> bytes:
     """Pack one control tick as `protocol.CHANNELS` lists it; `measured` are the values of `Signals`."""
     tcp_x, tcp_y, tcp_z = seen.tcp_m
     q1, q2, q3, q4, q5, q6 = seen.joint_rad  # by name: a starred argument costs a third more
-    base_x, base_y, base_yaw, base_speed, force, slip, residual, separation, protective, margin = _SHOWN(measured)
+    (
+        force, residual, _, base_speed, margin, separation, _, _, _, slip, _, _, _, _, _, _, _, protective, _, _,
+        base_x, base_y, base_yaw,
+    ) = measured  # fmt: skip
     return ROW.pack(
         seen.time_s,
         base_x,

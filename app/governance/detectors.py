@@ -96,12 +96,11 @@ def position(seen: Observation, base: BaseEstimate, sound: bool) -> tuple[BaseEs
     return base, fix_jumped, base_x_m, base_y_m, base_yaw_rad
 
 
-def motion(seen: Observation, base_yaw_rad: float) -> tuple[float, float, float, Pair]:
-    """Return the base's speed, the cosine and sine of its heading, and its velocity in the world frame."""
+def motion(seen: Observation, base_yaw_rad: float) -> tuple[float, Pair, Pair]:
+    """Return the base's speed, its heading as cosine and sine, and its velocity in the world frame."""
     vx, vy, _ = seen.base_velocity
-    heading_x, heading_y = cos(base_yaw_rad), sin(base_yaw_rad)
-    velocity = heading_x * vx - heading_y * vy, heading_y * vx + heading_x * vy
-    return sqrt(vx * vx + vy * vy), heading_x, heading_y, velocity
+    c, s = cos(base_yaw_rad), sin(base_yaw_rad)
+    return sqrt(vx * vx + vy * vy), (c, s), (c * vx - s * vy, s * vx + c * vy)
 
 
 def zone_margin(
@@ -159,8 +158,7 @@ def separation(
     people: tuple[PersonEstimate, ...],
     base_x_m: float,
     base_y_m: float,
-    heading_x: float,
-    heading_y: float,
+    heading: Pair,
     velocity: Pair,
     plan: Constants,
 ) -> tuple[float, float, float]:
@@ -169,7 +167,7 @@ def separation(
     protective_separation_m = plan.fixed_gap_m
     if sound and people:
         separation_margin_m = inf
-        c, s = heading_x, heading_y
+        c, s = heading
         vx, vy = velocity
         tx, ty, _ = seen.tcp_m
         jx, jy = tcp_velocity(seen.jacobian, seen.joint_speed_radps)
@@ -358,9 +356,7 @@ def staleness(seen: Observation, stamps: SensorStamps, plan: Constants) -> tuple
     return (seen.time_s - taken_s) * 1000.0, (seen.time_s - expires_s) * 1000.0
 
 
-def stuck_arm(
-    seen: Observation, before: Observation, stamps: SensorStamps, command: Command, stuck_ticks: int
-) -> int:
+def stuck_arm(seen: Observation, before: Observation, stamps: SensorStamps, command: Command, stuck_ticks: int) -> int:
     """Count ticks of commanded arm movement in which a signal that never repeats bit by bit has just done so.
 
     Only under a new stamp: an old one is stale, which is another matter, and over when the next comes.
@@ -449,7 +445,7 @@ DETECTORS: Final[tuple[Part, ...]] = parts(
     {
         soundness: ("placed", "sound", "same_people", "fastest_radps"),
         position: ("base", "fix_jumped", "base_x_m", "base_y_m", "base_yaw_rad"),
-        motion: ("base_speed_mps", "heading_x", "heading_y", "velocity"),
+        motion: ("base_speed_mps", "heading", "velocity"),
         zone_margin: ("zone_margin_m",),
         people_around: ("people",),
         separation: ("separation_m", "protective_separation_m", "separation_margin_m"),

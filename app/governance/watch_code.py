@@ -30,9 +30,7 @@ if TYPE_CHECKING:
 
     from app.governance.model import Alert, SkillReport
 
-Judge: TypeAlias = (
-    "Callable[[WatchState, tuple[object, ...], tuple[float, ...]], tuple[WatchState, tuple[Alert, ...]]]"
-)
+Judge: TypeAlias = "Callable[[WatchState, tuple[object, ...], tuple[float, ...]], tuple[WatchState, tuple[Alert, ...]]]"
 
 _UNPACKED: Final = {
     "seen": Observation._fields,

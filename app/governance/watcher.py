@@ -82,9 +82,8 @@ class _Sum(NamedTuple):
 class Watcher:
     """Watches one session. Immutable: all that changes is in the `WatchState` that goes in and comes out.
 
-    `watch` is the function generated for the plan (`watch_code.Watch`): it returns the next state and an alert for every
-    rule that is violated now and has been for long enough. Alerts repeat as long as the violation lasts; which of them
-    are news is for the caller to tell.
+    `watch` is the function generated for the plan (`watch_code.Watch`). The alerts it returns repeat as long as the
+    violation lasts; which of them are news is for the caller to tell.
     """
 
     __slots__ = ("_constants", "_none", "_plain", "_rows", "_signals", "_sums", "plan", "rules", "watch")

@@ -9,7 +9,6 @@ import pytest
 
 from app.governance.fusing import Part, fuse, needed, parts
 
-
 MOST_N = 9.0
 
 

@@ -1,0 +1,34 @@
+"""The rows of telemetry, by the names of their channels."""
+
+from __future__ import annotations
+
+import pytest
+
+from app.cell import telling
+from app.governance.signals import SHOWN, Signals
+from app.protocol import CHANNELS, ROW
+from tests.governance.test_watcher import seen
+
+
+def test_a_row_holds_every_channel_in_its_place() -> None:
+    signals = Signals(*(1.0 + place for place in range(len(Signals._fields))))
+    one = seen(
+        7,
+        tcp_m=(0.1, 0.2, 0.3),
+        tcp_speed_mps=0.4,
+        joint_rad=(1.1, 1.2, 1.3, 1.4, 1.5, 1.6),
+        peak_force_n=50.0,
+        grip_width_m=0.05,
+        grip_force_n=60.0,
+    )
+    row = dict(zip(CHANNELS, ROW.unpack(telling.row(one, tuple(signals), 0.25, 0.75)), strict=True))
+    said = {
+        **{name: value for name, value in one._asdict().items() if name in CHANNELS},
+        **dict(zip(("tcp_x_m", "tcp_y_m", "tcp_z_m"), one.tcp_m, strict=True)),
+        **{f"q{joint}_rad": angle for joint, angle in enumerate(one.joint_rad, 1)},
+        **{name: value for name, value in signals._asdict().items() if name in SHOWN and name in CHANNELS},
+        "tcp_speed_mps": one.tcp_speed_mps,
+        "progress": 0.25,
+        "rate": 0.75,
+    }
+    assert row == pytest.approx(said)
