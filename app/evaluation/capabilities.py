@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from app.evaluation.draws import Drawn
-    from app.sim.workcell import Truth, Workcell
+    from app.sim.truth import Truth
+    from app.sim.workcell import Workcell
 
 ARRIVED_M: Final = 0.15
 STANDS_M: Final = 0.03

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from app.governance.model import Point, WatchPlan, Zone
-    from app.sim.workcell import Glance
+    from app.sim.truth import Glance
 
 OVER: Final = 1.05
 LOST_M: Final = 0.025

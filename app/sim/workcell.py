@@ -11,8 +11,8 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import cos, dist, hypot, isfinite, sin
-from typing import TYPE_CHECKING, NamedTuple
+from math import hypot, isfinite
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,7 +24,6 @@ from app.sim.faults import FaultClock, Scenario, Victim
 from app.sim.hand import Mark
 from app.sim.kinematics import ArmSolver, Residual, SelfModel, speed_of
 from app.sim.localisation import Localiser, to_base
-from app.sim.navigation import distance_to
 from app.sim.occasions import Occasions
 from app.sim.people import People
 from app.sim.perception import LOOK_PERIOD_TICKS, Perception
@@ -32,6 +31,7 @@ from app.sim.plant import Plant
 from app.sim.sensors import AS_MEASURED, PAD_LOADED_N, Quality, Sensors
 from app.sim.skills import RECOVERIES, SKILLS, Run, start
 from app.sim.skills_arm import within_reach
+from app.sim.truth import Glance, Truth, glance_of, truth_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -71,45 +71,6 @@ class State:
     pressed_s: dict[str, float] = field(default_factory=dict[str, float])
     observation: Observation | None = None
     habits: set[str] = field(default_factory=set[str])
-
-
-class Truth(NamedTuple):
-    """What truly is; for evaluation and tests alone."""
-
-    time_s: float
-    base: Vec3
-    base_speed_mps: float
-    tcp_m: Vec3
-    tcp_speed_mps: float
-    contact_force_n: float
-    peak_force_n: float
-    held: str | None
-    grip_force_n: float
-    people_m: float
-    people: tuple[Point, ...]
-    zones: tuple[str, ...]
-    objects: Mapping[str, Vec3]
-    upright: Mapping[str, bool]
-    tools: Mapping[str, float]
-
-
-class Glance(NamedTuple):
-    """What truly is in one tick, as far as limits speak of it: the part of `Truth` that is cheap.
-
-    `base_velocity` is in the world frame (m/s), `tcp_m` too; `load_m` is where the object that the robot believes to
-    hold is, relative to the tool centre, or None.
-    """
-
-    tcp_speed_mps: float
-    base_speed_mps: float
-    contact_force_n: float
-    peak_force_n: float
-    grip_force_n: float
-    base: Vec3
-    base_velocity: Point
-    tcp_m: Vec3
-    load_m: float | None
-    people: tuple[Point, ...]
 
 
 class Workcell:
@@ -364,53 +325,12 @@ class Workcell:
 
     def truth(self) -> Truth:
         """Return what truly is (evaluation and tests; no skill and no watcher sees it)."""
-        plant = self.plant
-        tick, held = plant.read(), plant.true_held()
-        base = plant.read_base()
-        contact, peak = plant.true_contact_n(held)
-        speed = self._self_model.tcp_speed(tick.joint_rad, tick.joint_speed)
-        people = [hypot(x - base[0], y - base[1]) for x, y in self._state.people.present.values()]
-        at = (np.array([base[0]]), np.array([base[1]]))
-        objects = {name: plant.true_object(name) for name in plant.objects}
-        return Truth(
-            time_s=self._state.tick * CONTROL_PERIOD_S,
-            base=base,
-            base_speed_mps=hypot(*tick.base_velocity[:2]),
-            tcp_m=plant.true_tcp(),
-            tcp_speed_mps=speed,
-            contact_force_n=contact,
-            peak_force_n=peak,
-            held=held,
-            grip_force_n=0.5 * sum(tick.pad_force_n),
-            people_m=min(people, default=99.0),
-            people=tuple(self._state.people.present.values()),
-            zones=tuple(
-                name for name, zone in self.site.zones.items() if float(distance_to(zone.polygon, *at)[0]) == 0.0
-            ),
-            objects={name: found[0] for name, found in objects.items()},
-            upright={name: found[2] > 0.9 for name, found in objects.items()},  # cosine of the lean
-            tools={name: plant.tool_angle(name) for name in self.site.tools},
-        )
+        state = self._state
+        return truth_of(self.plant, self._self_model, self.site, state.people.present, state.tick * CONTROL_PERIOD_S)
 
     def glance(self) -> Glance:
         """Return what truly is as far as limits speak of it, without the cost of the whole truth."""
-        plant, hand = self.plant, self._state.hand
-        tick = plant.read()
-        held = hand.name if hand and min(tick.pad_force_n) > PAD_LOADED_N else None
-        tcp, base = plant.true_tcp(), tick.base_pose
-        vx, vy, _ = tick.base_velocity
-        c, s = cos(base[2]), sin(base[2])
-        return Glance(
-            self._self_model.tcp_speed(tick.joint_rad, tick.joint_speed),
-            hypot(vx, vy),
-            *plant.true_contact_n(held),
-            0.5 * sum(tick.pad_force_n),
-            base,
-            (c * vx - s * vy, s * vx + c * vy),
-            tcp,
-            None if hand is None else dist(plant.true_object(hand.name)[0], tcp),
-            tuple(self._state.people.present.values()),
-        )
+        return glance_of(self.plant, self._self_model, self._state.hand, self._state.people.present)
 
     # -- inside ----------------------------------------------------------------------------------------------
 
