@@ -67,7 +67,8 @@ _WALL_S: Final = 1.0e9
 class Execution:
     """What happened in an execution. Ticks count from the launch, at 100 a second.
 
-    `claimed` is whether the skill said that it had succeeded, `achieved` whether the world says so too.
+    `over` is whether it had ended when the evaluation let go of it. `claimed` is whether the skill said that it had
+    succeeded, `achieved` whether the world says so too.
     """
 
     truth: Truth
@@ -80,6 +81,7 @@ class Execution:
     refused: str = ""
     entries: tuple[Entry, ...] = ()
     escalated: bool = False
+    over: bool = True
 
     def of(self, kind: EventKind) -> list[Entry]:
         """Return the entries of one kind."""
@@ -147,6 +149,10 @@ class Journals:
         """Return a fresh journal."""
         self._count += 1
         return Journal(Path(self._folder.name) / f"{self._count}.journal", boot="evaluation")
+
+    def close(self) -> None:
+        """Remove the folder."""
+        self._folder.cleanup()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -224,7 +230,8 @@ def governed(  # noqa: PLR0913  # an execution has that many sides
     done.entries, done.ticks, done.achieved = tuple(entries), truth.tick, achieved(cell)
     ends = [str(entry.body["outcome"]) for entry in done.of(EventKind.OUTCOME)]
     done.outcome = Outcome(ends[-1]) if ends else None
-    if runner.session is not None:  # out of time: let go, so that the next trial may begin
+    done.over = runner.session is None
+    if not done.over:  # out of time: let go, so that the next trial may begin
         runner.estop("evaluation")
         cell.reset()
     cell.unbind()

@@ -15,7 +15,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Protocol, cast
 
-from app.evaluation import study_drift, study_profiles, study_sensors
+from app.evaluation import (
+    study_drift,
+    study_general,
+    study_profiles,
+    study_scorecard,
+    study_sensitivity,
+    study_sensors,
+    study_supervisors,
+)
 from app.evaluation.study_trials import STUDY_COLUMNS, TASK, Part, Table
 
 if TYPE_CHECKING:
@@ -47,8 +55,12 @@ class Study(Protocol):
 
 STUDIES: Final[Mapping[str, Study]] = {
     "profiles": cast("Study", study_profiles),
+    "supervisors": cast("Study", study_supervisors),
     "sensors": cast("Study", study_sensors),
+    "generalisation": cast("Study", study_general),
     "drift": cast("Study", study_drift),
+    "sensitivity": cast("Study", study_sensitivity),
+    "scorecard": cast("Study", study_scorecard),
 }
 """Name → study, in the order of the report."""
 
@@ -84,4 +96,8 @@ def study_results(rows: Sequence[Row], policy: PolicySet) -> dict[str, Any]:
         found["studies"] = told
     if "profiles" in by_study:
         found["cross_profile"] = study_profiles.cross_profile(by_study["profiles"])
+    if "sensitivity" in by_study:
+        found["sensitivity"] = study_sensitivity.sweep(by_study["sensitivity"])
+    if "scorecard" in by_study:
+        found["scorecard"] = study_scorecard.scorecard(by_study)
     return found

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _AGAIN = (Strategy.RETRY.value, Strategy.SAFER_MODE.value)
 
 
-def missing(done: Execution, *, over: bool = True) -> str:
+def missing(done: Execution) -> str:
     """Return the first thing that the entries leave untold, or nothing.
 
     1. Sequence numbers rise by one.
@@ -28,13 +28,9 @@ def missing(done: Execution, *, over: bool = True) -> str:
     4. Every status follows from the one before it.
     5. Every intervention names a rule that an alert told of before, or in the same tick.
     6. Every recovery names the failure it is about; there are enough to account for every new attempt.
-
-    Args:
-        done: The execution.
-        over: Whether a session that began has to have ended; an execution that was cut off has not.
     """
     entries = list(done.entries)
-    for told in (_sequence(entries), _launched(entries, done), _ended(entries, over), _statuses(entries)):
+    for told in (_sequence(entries), _launched(entries, done), _ended(entries, done.over), _statuses(entries)):
         if told:
             return told
     return _interventions(entries) or _recoveries(entries, done)

@@ -179,7 +179,6 @@ def _read(done: Execution, plan: WatchPlan, way: Broken, onset: int, profile: st
     breach = done.truth.tracks[Violation.PEOPLE].longest > UNSAFE_TICKS
     return {
         **executed(done),
-        "missing": None,  # cut off: what is not over has no outcome yet
         "detected": None if before else rule is not None,
         "held": None if before else rule is not None and held is not None,
         "told": None if rule is None else rule.id,

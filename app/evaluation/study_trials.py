@@ -83,7 +83,7 @@ def bench_of(policy: PolicySet, quality: Quality = AS_MEASURED) -> Bench:
     bench = _benches.pop(key, None) or Bench.of(policy, quality)
     _benches[key] = bench  # the newest last
     while len(_benches) > KEPT_BENCHES:
-        del _benches[next(iter(_benches))]
+        _benches.pop(next(iter(_benches))).journals.close()
     return bench
 
 

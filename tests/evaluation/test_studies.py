@@ -11,11 +11,21 @@ import pytest
 from typer.testing import CliRunner
 
 from app.cli import app
-from app.evaluation import study_drift, study_profiles, study_sensors
-from app.evaluation.model import TUNING_SEEDS, Row
+from app.evaluation import (
+    study_drift,
+    study_general,
+    study_profiles,
+    study_scorecard,
+    study_sensitivity,
+    study_sensors,
+    study_supervisors,
+)
+from app.evaluation.draws import of_type
+from app.evaluation.model import TUNING_SEEDS, Failure, Row
 from app.evaluation.physical_protocol import COLUMNS, STUDIES, STUDY_COLUMNS, jobs, results, run, study_jobs
 from app.evaluation.report import render
-from app.evaluation.study_trials import Part
+from app.evaluation.study_audit import missing
+from app.evaluation.study_trials import Part, bench_of, govern, once
 from app.governance.bundle import load
 from app.governance.policy import PolicySet
 
@@ -105,3 +115,77 @@ def test_a_tightened_policy_binds_the_next_session_and_not_the_one_that_runs() -
     assert (then["achieved"], then["unsafe"]) == (True, False)
     summed = told([running, then])["studies"]["drift"]["tables"][0]["rows"]["all"]
     assert summed["old authorization refused"]["mean"] == 1.0
+
+
+@pytest.mark.physics
+def test_a_session_midway_goes_on_is_undone_ends_or_waits_as_the_supervisor_says() -> None:
+    found = list(study_supervisors.run(Part("midway", SEED, 1, 1), policy()))  # a grip that gives too much
+    by = {str(row["condition"]): row for row in found}
+    assert by["never answers"]["what"] == "expired"
+    assert by["terminate after 2 s"]["outcome"] == "terminated"
+    assert by["go on after 0.5 s"]["recovered"] is True
+    quick, slow = by["go on after 0.5 s"]["recovery_s"], by["go on after 10 s"]["recovery_s"]
+    assert float(slow or 0) - float(quick or 0) >= 9.0
+    assert [row["missing"] for row in found] == [""] * len(found)
+
+
+def test_approvals_err_as_often_as_their_supervisor_and_expire_without_one() -> None:
+    rows = list(study_supervisors.run(Part("approvals", SEED, 0, 12), policy()))
+    table = told(rows)["studies"]["supervisors"]["tables"][0]["rows"]
+    assert table["after 2 s, errs 0"]["wrong approvals"]["mean"] == 0.0
+    assert table["after 2 s, errs 0"]["tasks launched"]["mean"] == 1.0
+    assert table["after 2 s, errs 0.3"]["wrong denials"]["mean"] > 0.0
+    assert table["never answers, errs 0"]["expired"]["mean"] == 1.0
+
+
+@pytest.mark.physics
+def test_other_sensors_and_other_ways_of_walking_meet_the_same_watcher() -> None:
+    rows = [
+        *study_general.run(Part("noise x 2", SEED, 0, 1), policy()),
+        *study_general.run(Part("other ways of walking", SEED, 0, 1), policy()),
+        *study_general.run(Part("the arm fades", SEED, 0, 1), policy()),
+    ]
+    assert [row["kind"] for row in rows] == ["clean", "perturbed", "perturbed"]
+    first, second = told(rows)["studies"]["generalisation"]["tables"]
+    assert set(first["rows"]) == {"noise x 2", "other ways of walking"}
+    assert set(second["rows"]) == {"the arm fades"}
+
+
+@pytest.mark.physics
+def test_a_trial_under_every_sensitivity_is_the_same_trial() -> None:
+    rows = list(study_sensitivity.run(Part("measured", SEED, 0, 1), policy()))
+    assert [row["sensitivity"] for row in rows] == [*study_sensitivity.FIXED, None, None]
+    late = [float(row["latency_ticks"] or 0) for row in rows[: len(study_sensitivity.FIXED)] if row["detected"]]
+    assert late == sorted(late, reverse=True)  # raising s never detects later
+    assert len({(row["size"], row["excess"]) for row in rows}) == 1
+    assert told(rows)["sensitivity"][0]["s"] == 0.1
+
+
+@pytest.mark.physics
+def test_the_scorecard_counts_what_its_measurements_say() -> None:
+    rows = [
+        row
+        for condition, count in (("unauthorized", 4), ("upgrade", 1), ("override", 5))
+        for row in study_scorecard.run(Part(condition, SEED, 0, count), policy())
+    ]
+    card = told(rows)["scorecard"]
+    assert card["unauthorized invocation"]["value"] == 1.0
+    assert card["upgrade safety"]["value"] == 1.0
+    assert card["override responsiveness"]["value"] <= 2
+    assert "drift" not in card  # not measured here, so not on the card
+    for row in rows:
+        if row["condition"] == "upgrade":
+            row["held"] = False
+    assert told(rows)["scorecard"]["upgrade safety"]["value"] == 0.0
+
+
+@pytest.mark.physics
+def test_an_entry_taken_out_of_an_execution_is_missed() -> None:
+    bench = bench_of(policy())
+    trial = once(bench, of_type(policy(), SEED, 0, Failure.TIMEOUT))
+    done = govern(bench, trial)
+    assert missing(done) == ""
+    entries = done.entries
+    for place in range(len(entries)):
+        done.entries = entries[:place] + entries[place + 1 :]
+        assert missing(done) != "", entries[place].kind
