@@ -67,11 +67,12 @@ class Ports:
 class Governing:
     """Governs one run. `over` holds how it ended once it has."""
 
-    __slots__ = ("_confirms", "_ports", "_substrate", "_tell", "_tell_anyway", "over", "run", "seen")
+    __slots__ = ("_confirms", "_ports", "_recorder", "_substrate", "_tell", "_tell_anyway", "over", "run", "seen")
 
     def __init__(self, ports: Ports, run: Run, seen: Observation) -> None:
         """Take a bound run over."""
         self._ports, self._substrate = ports, ports.substrate
+        self._recorder = ports.recorder
         self._tell, self._tell_anyway = ports.recorder.say, ports.recorder.say_anyway
         self._confirms = bool(run.grant.authorization.confirm_before)
         self.run = run
@@ -96,10 +97,12 @@ class Governing:
         series.add(telling.row(seen, watching.measured, report.progress, rate), alerted=bool(alerts))
         if len(series.ready) >= telling.BATCH_BYTES:
             self._send_rows()
-        try:
-            self._consider(alerts, report)
-        except JournalUnavailable:
-            self.end(End(Outcome.FAULT, "journal_unavailable", 1))
+        answering = alerts or run.speaking or run.responding is not NOTHING
+        if answering or run.next is not None or report.state is not RUNNING or self._recorder.fault:
+            try:
+                self._consider(alerts, report)
+            except JournalUnavailable:
+                self.end(End(Outcome.FAULT, "journal_unavailable", 1))
         return seen
 
     def _ask(self, rate: float) -> tuple[SkillReport, Command]:
@@ -121,10 +124,11 @@ class Governing:
         return report, command
 
     def _consider(self, alerts: tuple[Alert, ...], report: SkillReport) -> None:
+        """Do what follows from the tick: nothing does while the skill runs, no rule speaks and nothing waits."""
         run = self.run
         if alerts or run.speaking or run.responding is not NOTHING:
             self._answer(alerts)
-        if self._ports.recorder.fault and not isinstance(run.next, End):
+        if self._recorder.fault and not isinstance(run.next, End):
             self.end(End(Outcome.FAULT, "journal_unavailable", 1))
         if run.next is not None:
             self._go_on(run.next)
