@@ -88,7 +88,7 @@ def run(part: Part, policy: PolicySet) -> Iterator[Row]:
     for number in range(part.first, part.first + part.count):
         if part.condition in QUALITIES:
             kind = Kind.CLEAN if number % 5 < 2 else Kind.PERTURBED
-            yield _compared(bench, part, prepare(bench, part.seed, number, wanted=kind))
+            yield _compared(bench, part, prepare(bench, part.seed, number, wanted=kind, whole=False))
         elif part.condition == ON_FOOT:
             yield _compared(bench, part, _walked(bench, part.seed, number))
         else:
@@ -109,7 +109,7 @@ def _compared(bench: Bench, part: Part, trial: Trial) -> Row:
 
 def _walked(bench: Bench, seed: int, number: int) -> Trial:
     """Draw a trial in which somebody comes by another way, until it leads too near."""
-    return taken(bench, lambda turn: _other_way(bench.policy, seed, number, turn))
+    return taken(bench, lambda turn: _other_way(bench.policy, seed, number, turn), whole=False)
 
 
 def _other_way(policy: PolicySet, seed: int, number: int, turn: int) -> Drawn:

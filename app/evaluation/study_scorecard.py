@@ -92,7 +92,7 @@ def _unauthorized(bench: Bench, part: Part, number: int) -> Iterator[Row]:
 
 def _recovery(bench: Bench, part: Part, number: int) -> Iterator[Row]:
     """Fail in one of the four ways of the paper."""
-    trial = prepare(bench, part.seed, number, wanted=PAPER_FAILURES[number % len(PAPER_FAILURES)])
+    trial = prepare(bench, part.seed, number, wanted=PAPER_FAILURES[number % len(PAPER_FAILURES)], whole=False)
     ran = run_trial(bench, trial, [REINS])[REINS.name]
     made = {**study_row(NAME, part, number, trial.drawn.profile), **row(bench.policy, trial, REINS, ran)}
     made["decision_us"] = None

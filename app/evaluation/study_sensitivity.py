@@ -86,7 +86,7 @@ def run(part: Part, policy: PolicySet) -> Iterator[Row]:
     """Run trials under every sensitivity."""
     bench = bench_of(policy, NOISY if part.condition == "noisy" else AS_MEASURED)
     for number in range(part.first, part.first + part.count):
-        trial = taken(bench, lambda turn, number=number: _drawn(policy, part.seed, number, turn))
+        trial = taken(bench, lambda turn, number=number: _drawn(policy, part.seed, number, turn), whole=False)
         for s in FIXED:
             yield _under(bench, part, trial, f"s = {s:g}", s, change=partial(_fixed, s))
         yield _under(bench, part, trial, OWN, None)

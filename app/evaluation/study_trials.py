@@ -6,6 +6,7 @@ execution of every study whether its entries tell the whole story.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
@@ -44,6 +45,7 @@ STUDY_COLUMNS: Final = {
     "missing": "what the entries of the execution do not tell; empty where they tell everything",
 }
 KEPT_BENCHES: Final = 2
+_NO_NAME: Final = re.compile(r"[^A-Za-z0-9._]+")  # what a job's name may not hold
 ANSWERS: Final = Supervised()
 
 Table: TypeAlias = "dict[str, Any]"
@@ -62,7 +64,7 @@ class Part(NamedTuple):
 
     def job(self, study: str) -> Job:
         """Return the job that runs this part."""
-        name = f"study_{study}_{self.condition.replace('/', '.').replace(' ', '-')}_{self.seed}_{self.first:05d}"
+        name = f"study_{study}_{_NO_NAME.sub('-', self.condition)}_{self.seed}_{self.first:05d}"
         return Job(name, REINS.name, f"{TASK}{study}:{self.condition}", self.seed, self.first, self.count)
 
     @classmethod

@@ -22,6 +22,7 @@ from app.evaluation import (
 )
 from app.evaluation.draws import of_type
 from app.evaluation.model import TUNING_SEEDS, Failure, Row
+from app.evaluation.parts import Parts
 from app.evaluation.physical_protocol import COLUMNS, STUDIES, STUDY_COLUMNS, jobs, results, run, study_jobs
 from app.evaluation.report import render
 from app.evaluation.study_audit import missing
@@ -55,6 +56,7 @@ def test_jobs_of_a_study_have_names_of_their_own_and_split_over_seeds(name: str)
     made = study_jobs([name], [1, 2, 3])
     assert len({job.name for job in made}) == len(made)
     assert {job.seed for job in made} == {1, 2, 3}
+    assert all(Parts(Path(), "configuration").path(job).suffix == ".jsonl" for job in made)  # each is a file's name
 
 
 def test_the_command_line_names_the_studies_there_are(tmp_path: Path) -> None:
@@ -84,7 +86,7 @@ def test_a_stale_wrist_is_noticed_at_once_and_a_stuck_tracker_of_people_by_nothi
 
 @pytest.mark.physics
 def test_a_part_of_a_study_is_a_plain_function_of_its_job() -> None:
-    job = next(job for job in study_jobs(["sensors"], [SEED]) if "odometry.stale" in job.name)
+    job = next(job for job in study_jobs(["sensors"], [SEED]) if "odometry-stale" in job.name)
     once = list(run(job, policy()))
     sensors("arm/noisy 0.2")  # whatever ran in between
     assert list(run(job, policy())) == once
