@@ -200,6 +200,27 @@ def spread(groups: Mapping[str, Sequence[float]], unit: str, caption: str) -> Pl
                 f"{caption} Bar: quartiles; upright: median; line: 5 to 95 %; dots: ends.")  # fmt: skip
 
 
+def shares(cells: Mapping[str, Mapping[str, float]], caption: str) -> Plot:
+    """Draw shares in rows and columns: a square is as full as its share, and says it; a gap is what nobody measured."""
+    columns = list(dict.fromkeys(name for row in cells.values() for name in row))
+    with _axes(1.0 + ROW_IN * len(cells)) as (axes, drawn):
+        for place, row in enumerate(cells.values()):
+            for name, share in row.items():
+                at = columns.index(name)
+                axes.barh(place, 0.9, 0.8, left=at - 0.45, color=GRID, linewidth=0)
+                axes.barh(place, 0.9 * share, 0.8, left=at - 0.45, color=FIRST, alpha=0.45, linewidth=0)
+                axes.text(at, place, f"{share:.2f}", ha="center", va="center", fontsize=8.5)
+        axes.set_xticks(range(len(columns)), columns)
+        axes.set_yticks(range(len(cells)), list(cells))
+        axes.set_xlim(-0.6, len(columns) - 0.4)
+        axes.set_ylim(len(cells) - 0.5, -0.5)
+        axes.grid(visible=False)
+        axes.tick_params(length=0)
+    told = "; ".join(f"{row} " + ", ".join(f"{name} {share:.2f}" for name, share in found.items())
+                     for row, found in cells.items())  # fmt: skip
+    return Plot(drawn[0], f"{caption} {told}.", caption)
+
+
 def _unit(axes: Axes, across: str, up: str) -> None:
     axes.set_xlim(-0.03, 1.05)
     axes.set_ylim(-0.07, 1.07)

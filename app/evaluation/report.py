@@ -17,7 +17,7 @@ from app.evaluation import plots, published
 from app.evaluation.methods import ABLATIONS
 from app.evaluation.metrics import METRICS, Metric
 from app.evaluation.model import TUNING_SEEDS
-from app.evaluation.report_studies import study_grids
+from app.evaluation.report_studies import study_grids, study_plots
 from app.evaluation.report_tables import (
     Grid,
     Results,
@@ -265,7 +265,7 @@ def _scorecard(results: Results) -> Section:
 
 def _studies(results: Results) -> Iterator[Section]:
     for name, title, about, grids in study_grids(results):
-        yield Section(f"study-{name}", title, about, "Nothing was measured.", grids=grids)
+        yield Section(f"study-{name}", title, about, "Nothing was measured.", grids, study_plots(name, results))
 
 
 def _unpublished(results: Results) -> Section:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from app.evaluation.report_tables import Grid, Results, entry_text, mapping, plain_text
+from app.evaluation.plots import shares
+from app.evaluation.report_tables import Grid, Results, entry_text, mapping, mean_of, plain_text
+
+if TYPE_CHECKING:
+    from app.evaluation.plots import Plot
 
 
 def study_grids(results: Results) -> Iterator[tuple[str, str, str, tuple[Grid, ...]]]:
@@ -15,6 +19,46 @@ def study_grids(results: Results) -> Iterator[tuple[str, str, str, tuple[Grid, .
         yield name, study["title"], study["about"], tuple(
             _grid(name, number, table) for number, table in enumerate(study["tables"])
         )  # fmt: skip
+
+
+def study_plots(name: str, results: Results) -> tuple[Plot, ...]:
+    """Return the plots of a study: where many shares are compared, a picture is read sooner than a table."""
+    tables: Sequence[Mapping[str, Any]] = results["studies"][name]["tables"]
+    match name:
+        case "sensors":
+            return tuple(_drawn(_pivot(tables[0]["rows"], "detected"), "Broken sensors: share that was detected."))
+        case "supervisors":
+            rows: Mapping[str, Mapping[str, Any]] = tables[1]["rows"]
+            wanted = ("done (RSR)", "expired", "violated for over 250 ms")
+            cells = {row: _means({key: found[key] for key in wanted}) for row, found in rows.items()}
+            return tuple(_drawn(cells, "Sessions that waited for a human: what became of them."))
+        case "generalisation":
+            rows = tables[0]["rows"]
+            cells = {row: _means({key: found[key] for key in ("RVDR", "UCR", "FAS")}) for row, found in rows.items()}
+            return tuple(_drawn(cells, "Other sensors, other ways of walking."))
+        case _:
+            return ()
+
+
+def _drawn(cells: Mapping[str, Mapping[str, float]], caption: str) -> Iterator[Plot]:
+    if any(cells.values()):
+        yield shares(cells, caption)
+
+
+def _pivot(rows: Mapping[str, Mapping[str, Any]], key: str) -> dict[str, dict[str, float]]:
+    """Return rows named `sensor/fault size` as sensor → fault → mean; the smaller size of a fault comes first."""
+    cells: dict[str, dict[str, float]] = {}
+    for name, found in rows.items():
+        sensor, fault = name.split("/")
+        kind = fault.split()[0]
+        cell = cells.setdefault(sensor, {})
+        kind = f"{kind}\nbig" if kind in cell else kind
+        cell.update(_means({kind: found[key]}))
+    return cells
+
+
+def _means(entries: Mapping[str, Any]) -> dict[str, float]:
+    return {name: mean for name, entry in entries.items() if (mean := mean_of(entry)) is not None}
 
 
 def _grid(name: str, number: int, table: Mapping[str, Any]) -> Grid:
