@@ -110,8 +110,15 @@ def draw(policy: PolicySet, seed: int, number: int, *, kind: Kind | None = None,
         seed: the run's.
         number: the trial's.
         kind: only this kind, where a run asks for it.
-        turn: how often it was drawn before because the fault did not take.
+        turn: how often it was drawn before because the fault did not take. The same violation or failure is drawn
+            again, or those that rarely take would become rare.
     """
+    if turn:
+        first = draw(policy, seed, number, kind=kind)
+        wanted = first.violation or first.failure
+        if wanted is None:
+            raise ValueError(f"trial {seed}/{number} is `{first.kind}`: valid to be drawn again is one with a fault")
+        return of_type(policy, seed, number, wanted, turn=turn)
     rng = np.random.default_rng((seed, number, turn, 11))
     chosen = _kind(rng) if kind is None else kind
     return _Draw(policy, rng, seed, number)[chosen]()
@@ -295,8 +302,9 @@ class _Draw:
             x, y = self.rng.uniform(5.4, 6.2), self.rng.uniform(2.4, 2.6)
             params = {"x_m": float(x), "y_m": float(y), "yaw_rad": 0.0, "speed_mps": speed}
         else:
-            start, drift = Start(holding=self.pick(GRASPABLE)), {"x_mps": -bias, "y_mps": 0.0}
-            params = {"target": "tool_stand", "speed_mps": speed}
+            name = self.pick(GRASPABLE)
+            start, drift = Start(holding=name), {"x_mps": -bias, "y_mps": 0.0}
+            params = {"target": "tool_stand", "speed_mps": self._carried(name, speed)}
         faults = (
             Fault(kind="habit", at=Trigger(time_s=0.0), sizes={"habit": "dead_reckoning"}),
             self._fault("odometry_bias", capability, "drive", **drift),
@@ -344,6 +352,9 @@ class _Draw:
         asked = params.get("speed_mps")
         return float(asked) if isinstance(asked, float) else self._limit("tcp_speed_mps")
 
+    def _carried(self, name: str, speed_mps: float) -> float:
+        return min(speed_mps, 0.15) if self.policy.site.objects[name].fragile else speed_mps
+
     def _held_with(self, start: Start) -> float:
         return 20.0 if self.policy.site.objects[start.holding].fragile else 40.0
 
@@ -356,7 +367,8 @@ class _Draw:
             case "navigate_to":
                 return {**self._goal(speed), "speed_mps": speed}, Start()
             case "transport_object":
-                return {"target": self.pick(("dock", "tool_stand")), "speed_mps": speed}, Start(holding=name)
+                target = self.pick(("dock", "tool_stand"))
+                return {"target": target, "speed_mps": self._carried(name, speed)}, Start(holding=name)
             case "inspect_area":
                 return {"area": "bench_a_top", "dwell_s": 1.0}, Start()
             case "grasp_object":

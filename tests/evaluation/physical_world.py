@@ -1,0 +1,26 @@
+"""One bench for all tests that execute in the workcell: preparing its starts takes seconds."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from app.evaluation.methods import REINS, Method
+from app.evaluation.model import Failure, Kind, Row, Violation
+from app.evaluation.physical_rows import row
+from app.evaluation.physical_trial import Bench, Change, Trial, prepare, run
+from tests.governance.policy_world import shipped
+
+
+@cache
+def bench() -> Bench:
+    return Bench.of(shipped())
+
+
+@cache
+def trial(seed: int, number: int, wanted: Kind | Violation | Failure | None = None) -> Trial:
+    return prepare(bench(), seed, number, wanted=wanted)
+
+
+def ran(one: Trial, method: Method = REINS, *, change: Change | None = None) -> Row:
+    """Run a trial and read its row."""
+    return row(shipped(), one, method, run(bench(), one, (method,), change=change)[method.name])
