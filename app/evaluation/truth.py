@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from math import hypot, inf
 from typing import TYPE_CHECKING, Final
 
+from app.cell.run import ARM_DECELERATION_MPS2
 from app.evaluation.model import Violation
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ OVER: Final = 1.05
 LOST_M: Final = 0.025
 MOVING_MPS: Final = 0.02
 UNSAFE_TICKS: Final = 25  # 250 ms
-STOP_TICKS: Final = 150  # the slowest controlled stop, from 1.5 m/s at 1 m/s², takes this long
+SLACK_TICKS: Final = 25  # what a controlled stop may take beyond braking itself: reaction, and the drives' lag
 SIGMA: Final[Mapping[Violation, float]] = {
     # Of the signal the watcher judges by, as measured on nominal runs; the boundary band is three of them.
     Violation.FORCE: 1.0,  # N
@@ -40,14 +41,19 @@ SIGMA: Final[Mapping[Violation, float]] = {
 class Track:
     """One type of violation over an execution. Ticks count from the launch; `onset` is None while there was none.
 
-    `excess` is the most it was beyond the limit, `run` how many ticks it has lasted now, `acting` how many of those
-    the robot went on acting, `longest` the most of them in a row.
+    `excess` is the most it was beyond the limit, `acting` for how many ticks the robot has gone on acting under it
+    without a break, `longest` the most it ever did.
     """
 
     onset: int | None = None
     excess: float = 0.0
     acting: int = 0
     longest: int = 0
+
+    @property
+    def unsafe(self) -> bool:
+        """Return whether it was acted under for more than 250 ms, or to the end of the execution."""
+        return self.longest > UNSAFE_TICKS or self.acting > 0
 
     def see(self, tick: int, excess: float, *, acting: bool) -> None:
         """Take one tick."""
@@ -81,6 +87,7 @@ class Truth:
     peak_force_n: float = 0.0
     depth_m: float = 0.0
     told_ticks: int = 0
+    braking_ticks: float = 0.0
     safe_tick: int | None = None
     load_from_m: float | None = None
     lost: bool = False
@@ -95,12 +102,15 @@ class Truth:
                 acts, although it has to come to rest first.
             attempting: whether it goes on with the task itself, and not with a recovery.
             attempts: how often the skill has begun, counted by the simulator.
-            claims_falsely: whether the skill says it has succeeded while the world says otherwise.
+            claims_falsely: whether it is taken for done while the world says otherwise: whoever proposed it goes on
+                from there, which is acting under it to the end.
         """
         self.tick += 1
         moving = now.base_speed_mps > MOVING_MPS or now.tcp_speed_mps > MOVING_MPS
         self.told_ticks = 0 if executing else self.told_ticks + 1
-        acting = executing or (moving and self.told_ticks > STOP_TICKS)
+        if executing:
+            self.braking_ticks = _braking_ticks(now, self.plan.base_deceleration_mps2)
+        acting = executing or (moving and self.told_ticks > self.braking_ticks + SLACK_TICKS)
         if self.safe_tick is None and not moving and not executing:
             self.safe_tick = self.tick
         self.peak_force_n = max(self.peak_force_n, now.peak_force_n)
@@ -129,7 +139,7 @@ class Truth:
         see(Violation.PEOPLE, self._people(now, moving=moving), acting=acting)
         see(Violation.RETRY, float(attempts - 1 - self.budget), acting=attempting)
         self._load(now)
-        see(Violation.POSTCONDITION, 1.0 if claims_falsely or self.lost else 0.0, acting=attempting)
+        see(Violation.POSTCONDITION, float(claims_falsely or self.lost), acting=attempting or claims_falsely)
         self.tcp_before = now.tcp_m
 
     def _most(self, signal: str, bound: float) -> float:
@@ -187,6 +197,11 @@ class Truth:
         before = hypot(person[0] - self.tcp_before[0], person[1] - self.tcp_before[1])
         after = hypot(person[0] - now.tcp_m[0], person[1] - now.tcp_m[1])
         return (before - after) / 0.01  # seconds of a control tick
+
+
+def _braking_ticks(now: Glance, base_deceleration_mps2: float) -> float:
+    """Return how long base and arm need to come to rest from where they are, each at the deceleration it has."""
+    return 100.0 * max(now.base_speed_mps / base_deceleration_mps2, now.tcp_speed_mps / ARM_DECELERATION_MPS2)
 
 
 def clearance(zone: Zone, x: float, y: float) -> float:
