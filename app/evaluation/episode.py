@@ -6,10 +6,12 @@ governance goes the whole way: a signed permit, the cell's runner with its journ
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import weakref
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from shutil import rmtree
+from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Final
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -41,9 +43,12 @@ from app.governance.model import (
 )
 from app.governance.permit import mint, verify
 from app.governance.policy import recovery_plan, watch_plan, watch_plan_for
+from app.governance.signals import SIGNAL_NAMES
+from app.governance.watcher import without
 from app.sim.skills import Run
 
 if TYPE_CHECKING:
+    from app.cell.substrate import Skill
     from app.evaluation.methods import Method
     from app.evaluation.truth import Truth
     from app.governance.model import Params, WorldFacts
@@ -55,8 +60,14 @@ LIMIT_TICKS: Final = 3000  # most trials take 5 to 16 s; the longest carry at 0.
 RECOVERY_TICKS: Final = 3000  # and what recovering may add
 ANSWER_TICKS: Final = 200  # the supervisor is there within two seconds
 AGENT_RETRIES: Final = 1
-INTERNAL_SIGNALS: Final = frozenset({"contact_force_n", "slip_m", "grip_lost", "elapsed_s"})
+INTERNAL_SIGNALS: Final = frozenset({"contact_force_n", "grip_force_n", "slip_m", "grip_lost", "elapsed_s"})
 """What a skill's embedded checks can see: its own gripper, its own contact force, its own time."""
+UNSEEN: Final[Mapping[Watching, frozenset[str]]] = {
+    Watching.GOVERNED: frozenset(),
+    Watching.INTERNAL: frozenset(SIGNAL_NAMES) - INTERNAL_SIGNALS,
+    Watching.NOTHING: frozenset(SIGNAL_NAMES),
+}
+"""What a method's watcher is blind to, the rules included that a watcher has without being asked."""
 
 _KEY: Final = Ed25519PrivateKey.generate()
 _UNBOUNDED: Final = Bounds(1e3, 1e3, 1e4, 1e5, 1e2)
@@ -68,7 +79,8 @@ class Execution:
     """What happened in an execution. Ticks count from the launch, at 100 a second.
 
     `over` is whether it had ended when the evaluation let go of it. `claimed` is whether the skill said that it had
-    succeeded, `achieved` whether the world says so too.
+    succeeded, `achieved` whether the world says so too; `going` holds for every tick under governance whether the skill
+    was let go on.
     """
 
     truth: Truth
@@ -82,6 +94,7 @@ class Execution:
     entries: tuple[Entry, ...] = ()
     escalated: bool = False
     over: bool = True
+    going: bytearray = field(default_factory=bytearray)
 
     def of(self, kind: EventKind) -> list[Entry]:
         """Return the entries of one kind."""
@@ -142,17 +155,18 @@ class Journals:
 
     def __init__(self) -> None:
         """Make the folder; it goes with this object."""
-        self._folder = TemporaryDirectory(prefix="reins-evaluation-")
+        self._folder = Path(mkdtemp(prefix="reins-evaluation-"))
+        self._remove = weakref.finalize(self, rmtree, self._folder)
         self._count = 0
 
     def open(self) -> Journal:
         """Return a fresh journal."""
         self._count += 1
-        return Journal(Path(self._folder.name) / f"{self._count}.journal", boot="evaluation")
+        return Journal(self._folder / f"{self._count}.journal", boot="evaluation")
 
     def close(self) -> None:
         """Remove the folder."""
-        self._folder.cleanup()
+        self._remove()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -216,7 +230,11 @@ def governed(  # noqa: PLR0913  # an execution has that many sides
         truth.plan = plan  # a recovery is held to what policy allows it, not to what the task was allowed
         return plan_change(_watch(method, plan)), then
 
+    promised = policy.capabilities[proposal.capability].postconditions
+
     def verified(postconditions: tuple[str, ...], params: Params, facts: WorldFacts) -> tuple[str, ...]:
+        if "postcondition" in UNSEEN[method.watch] and postconditions == promised:
+            return ()  # who does not look at what was promised takes the skill's word for it
         return tuple(found.condition for found in unmet(postconditions, params, facts, policy.site))
 
     runner = Runner(cell, plan_of=plan_of, verify=verified, journal=journal, wall=lambda: _WALL_S, emit=entries.append)
@@ -248,29 +266,29 @@ def _watch_over(  # an execution has that many sides
     during: Callable[[Runner], None],
     limit: int,
 ) -> None:
-    truth, waiting, answered, skill, starts = done.truth, 0, 0, None, 0
+    truth, waiting, answered, skill, ended = done.truth, 0, 0, None, 0
+    capability = runner.session.run.grant.authorization.capability if runner.session is not None else ""
     while (session := runner.session) is not None and truth.tick < limit:
         runner.tick()
         during(runner)
         bound = session.run.skill
-        if bound is not skill and isinstance(bound, Run):
-            starts += bound.capability == session.run.grant.authorization.capability
-            skill = bound
-        extra = skill.starts - 1 if isinstance(skill, Run) else 0
+        if bound is not skill:
+            ended, skill = ended + _starts(skill, capability), bound
+        done.attempts = ended + _starts(skill, capability)
         claims = (
             session.over is not None
             and session.over.outcome in (Outcome.SUCCEEDED, Outcome.RECOVERED)
             and not achieved(cell)
         )
         going = session.over is None and session.run.moves()
+        done.going.append(going)
         truth.see(
             cell.glance(),
-            attempts=starts + extra,
+            attempts=done.attempts,
             claims_falsely=claims,
             executing=going,
             attempting=going and session.run.doing is Doing.ATTEMPT,
         )
-        done.attempts = starts + extra
         done.escalated = done.escalated or runner.status is Status.ESCALATED
         waiting = waiting + 1 if runner.status is Status.ESCALATED else 0
         if supervised.order and truth.tick == supervised.order_tick and session.over is None:
@@ -289,6 +307,11 @@ def adopt(runner: Runner, policy: PolicySet) -> None:
 def signed(permit: Authorization) -> SignedAuthorization:
     """Sign an authorization as the kernel of these executions does."""
     return mint(permit, _KEY)
+
+
+def _starts(skill: Skill | None, capability: str) -> int:
+    """Return how often a skill has begun with the task itself: what begins anew in a recovery is no retry of it."""
+    return skill.starts if isinstance(skill, Run) and skill.capability == capability else 0
 
 
 def authorize(cell: Workcell, method: Method, policy: PolicySet, proposal: Proposal, profile: str) -> Authorization:
@@ -352,13 +375,7 @@ def _recovery(method: Method, plan: RecoveryPlan) -> RecoveryPlan:
 def _watch(method: Method, plan: WatchPlan) -> WatchPlan:
     if not method.guard:  # bounds are what policy allows: a method that does not ask it has none
         plan = replace(plan, bounds=_UNBOUNDED) if method.watch is Watching.NOTHING else plan
-    match method.watch:
-        case Watching.GOVERNED:
-            return plan
-        case Watching.INTERNAL:
-            return replace(plan, rules=tuple(rule for rule in plan.rules if rule.signal in INTERNAL_SIGNALS))
-        case Watching.NOTHING:
-            return replace(plan, rules=())
+    return without(plan, *sorted(UNSEEN[method.watch]))
 
 
 def _grant(cell: Workcell, capability: str, params: Params) -> Grant:

@@ -1,0 +1,113 @@
+"""Executions are functions of their trial: repeatable bit by bit, whatever ran before, governed as much as asked."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+import pytest
+
+from app.evaluation.capabilities import judge_of
+from app.evaluation.episode import Execution, ungoverned
+from app.evaluation.methods import ABLATIONS, METHODS, REINS, Recovering, Watching
+from app.evaluation.model import Failure, Kind, Violation
+from app.evaluation.physical_rows import row
+from app.evaluation.physical_trial import Bench, Trial, looking, prepare, run
+from app.governance.model import EventKind, Outcome, Signal
+from tests.evaluation.physical_world import bench, ran, trial
+from tests.governance.policy_world import shipped
+
+SEED = 7
+WITHOUT = replace(REINS, name="nothing", watch=Watching.NOTHING, recovery=Recovering.NOTHING)
+
+
+def seen(done: Execution | None) -> dict[str, Any]:
+    """Everything that the truth noted, and how it ended."""
+    assert done is not None
+    noted = {one.name: repr(getattr(done.truth, one.name)) for one in fields(done.truth) if one.name != "plan"}
+    return {**noted, "ticks": done.ticks, "achieved": done.achieved, "failures": done.failures}
+
+
+def executed(one: Trial, method: Any = REINS) -> Execution:
+    done = run(bench(), one, (method,))[method.name].execution
+    assert done is not None
+    return done
+
+
+def taken(violation: Violation) -> Trial:
+    return next(one for number in range(9) if (one := trial(SEED, number, violation)).occurred)
+
+
+@pytest.mark.parametrize("violation", [Violation.FORCE, Violation.SPEED, Violation.POSTCONDITION])
+def test_the_ungoverned_twin_is_repeatable_bit_by_bit(violation: Violation) -> None:
+    one = taken(violation)
+    executed(one)  # something else on the same stage
+    again = prepare(bench(), SEED, one.drawn.number, wanted=violation)
+    assert seen(again.twin) == seen(one.twin)
+
+
+def test_a_trial_after_others_is_the_same_as_alone() -> None:
+    one = taken(Violation.SPEED)
+    after = ran(one)
+    alone = Bench.of(shipped())
+    fresh = prepare(alone, SEED, one.drawn.number, wanted=Violation.SPEED)
+    first = row(shipped(), fresh, REINS, run(alone, fresh, (REINS,))["reins"])
+    assert {**first, "decision_us": None} == {**after, "decision_us": None}
+
+
+def test_methods_that_behave_alike_share_an_execution_and_say_the_same_as_alone() -> None:
+    one = taken(Violation.FORCE)
+    methods = (*METHODS.values(), *ABLATIONS.values())
+    together = run(bench(), one, methods)
+    assert together["direct"].execution is together["static-rule"].execution is one.twin
+    assert together["reins"].execution is together["-human"].execution
+    assert len({id(found.execution) for found in together.values() if found.execution}) == 5
+    for name in ("capability-internal", "-policy"):
+        method = {**METHODS, **ABLATIONS}[name]
+        assert seen(run(bench(), one, (method,))[name].execution) == seen(together[name].execution)
+
+
+def test_who_watches_nothing_hears_nothing_not_even_of_what_is_watched_without_being_asked() -> None:
+    ones = (trial(SEED, number, Violation.POSTCONDITION) for number in range(20))
+    one = next(one for one in ones if one.twin and one.twin.claimed and not one.twin.achieved)
+    done = executed(one, WITHOUT)
+    assert {entry.body["signal"] for entry in done.of(EventKind.ALERT)} <= {Signal.COMPLETION.value}
+    assert not done.of(EventKind.INTERVENTION)
+    assert done.outcome is Outcome.SUCCEEDED
+    assert not done.achieved
+    assert done.truth.tracks[Violation.POSTCONDITION].unsafe
+
+
+def test_a_clean_trial_is_done_with_and_without_governance() -> None:
+    one = trial(SEED, 1, Kind.CLEAN)
+    for done in (one.twin, executed(one), executed(one, WITHOUT)):
+        assert done is not None
+        assert done.achieved
+        assert all(track.onset is None for track in done.truth.tracks.values())
+
+
+def test_attempts_are_those_of_the_skill_and_of_governance_together() -> None:
+    one = taken(Violation.RETRY)
+    budget = shipped().profiles[one.drawn.profile].retry_budget
+    free, watched = executed(one, WITHOUT), executed(one)
+    assert free.attempts > budget + 2
+    assert free.attempts - 1 - budget == free.truth.tracks[Violation.RETRY].excess
+    assert 1 < watched.attempts <= budget + 3
+    assert watched.attempts - 1 - budget == watched.truth.tracks[Violation.RETRY].excess or watched.attempts <= budget
+
+
+def test_what_is_withdrawn_midway_is_undone_in_the_world() -> None:
+    one = next(one for number in range(9) if (one := trial(SEED, number, Failure.WITHDRAWN)).occurred)
+    found = ran(one)
+    assert found["outcome"] == Outcome.ROLLED_BACK
+    assert found["rolled_back"] is True
+    assert found["recovered"] is None
+
+
+def test_an_execution_ends_at_its_limit() -> None:
+    one = taken(Violation.RETRY)
+    cell = bench().stage.set(one.drawn.start, one.drawn.world, one.drawn.scenario)
+    truth = looking(shipped(), one.drawn, one.plan)
+    done = ungoverned(cell, one.drawn.capability, one.proposal.params, truth, judge_of(one.drawn), limit=50)
+    assert done.ticks == 50
+    assert not done.claimed
