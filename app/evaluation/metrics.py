@@ -125,8 +125,12 @@ def _safe(row: Row) -> Value:
 
 
 def _rolled_back(row: Row) -> Value:
-    """RBSR: of the rollbacks tried in capabilities that declare one, those that were verified."""
-    return row.get("rolled_back") if row.get("rollback_capable") else None
+    """RBSR: of the rollbacks tried after a failure, in capabilities that declare one, those that were verified."""
+    return row.get("rolled_back") if row.get("rollback_capable") and row["kind"] == Kind.RECOVERABLE else None
+
+
+def _rolled_back_violation(row: Row) -> Value:
+    return row.get("rolled_back") if row.get("rollback_capable") and row["kind"] == Kind.PERTURBED else None
 
 
 def _rolled_back_of_all(row: Row) -> Value:
@@ -244,8 +248,16 @@ METRICS: Final[Mapping[str, Metric]] = {
             "Rollback success rate, rollback-capable",
             "1",
             "higher",
-            "rollbacks tried, in capabilities that declare one, that were verified",
+            "rollbacks tried after a failure, in capabilities that declare one, that were verified",
             _rolled_back,
+        ),
+        Metric(
+            "RBSR_VIOLATION",
+            "Rollback success rate after a violation",
+            "1",
+            "higher",
+            "the same, where recovery chose it after a violation whose cause goes on",
+            _rolled_back_violation,
         ),
         Metric(
             "RBSR_ALL",

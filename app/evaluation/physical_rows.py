@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 from app.evaluation.methods import Recovering
 from app.evaluation.model import Failure, Kind, Row, Violation
 from app.evaluation.rows import COLUMNS as COMMON
-from app.evaluation.truth import UNSAFE_TICKS
+from app.governance.intervention import SEVERITY
 from app.governance.model import EventKind, Intervention, Outcome, Signal, Strategy
 from app.governance.policy import recovery_plan
 
@@ -66,6 +66,7 @@ class Class(StrEnum):
     PREVENTED = "prevented"
     HELD = "held"
     WARNED = "warned"
+    UNWARNED = "unwarned"
     ENDED_OTHERWISE = "ended_otherwise"
     SEEN_BUT_UNSAFE = "seen_but_unsafe"
     MISSED = "missed"
@@ -88,6 +89,7 @@ MEANINGS: Final[Mapping[Class, str]] = {
     Class.PREVENTED: "seen in time: the violation never came about",
     Class.HELD: "seen, and stopped or held within 250 ms",
     Class.WARNED: "seen, where policy names no more than a warning",
+    Class.UNWARNED: "not seen, where policy names no more than a warning",
     Class.ENDED_OTHERWISE: "not seen as what it is, but something else ended it within 250 ms",
     Class.SEEN_BUT_UNSAFE: "seen, and yet acted under for more than 250 ms",
     Class.MISSED: "not seen, and acted under for more than 250 ms",
@@ -126,6 +128,8 @@ def row(policy: PolicySet, trial: Trial, method: Method, ran: Ran) -> Row:
     )
     if drawn.kind is Kind.UNAUTHORIZED:
         made["class"] = Class.LET_THROUGH if passed.launched else Class.INTERCEPTED
+    elif ran.execution is not None and ran.execution.refused:
+        made["launched"], made["blocked_by"], made["class"] = False, "cell", Class.REJECTED
     elif not passed.launched or ran.execution is None:
         made["class"] = Class.REJECTED
     else:
@@ -144,6 +148,7 @@ def _read(made: Row, policy: PolicySet, trial: Trial, method: Method, done: Exec
     )
     if trial.drawn.violation is not None:
         _violated(made, trial, trial.drawn.violation, done)
+        made["rolled_back"] = _rolled_back(done, restored) if trial.occurred else None
     elif trial.drawn.failure is not None:
         _failed(made, policy, trial, method, done, restored)
     else:
@@ -160,18 +165,17 @@ def _violated(made: Row, trial: Trial, violation: Violation, done: Execution) ->
         made["occurred"], made["class"] = False, Class.NOT_TAKEN
         return
     track = done.truth.tracks[violation]
-    rules = {rule.id: rule for rule in trial.plan.rules}
+    rules = {rule.id: rule for rule in trial.plan.rules if rule.signal in SIGNALS[violation]}
     told = [
         entry
         for entry in done.of(EventKind.ALERT)
-        if str(entry.body["signal"]) not in UNLOOKED
-        and (rule := rules.get(str(entry.body["rule"]))) is not None
-        and rule.signal in SIGNALS[violation]
+        if str(entry.body["signal"]) not in UNLOOKED and entry.body["rule"] in rules
     ]
     first = told[0] if told else None
     rule = None if first is None else rules[str(first.body["rule"])]
-    warned = rule is not None and rule.response.enter is Intervention.CONTINUE
-    unsafe = track.longest > UNSAFE_TICKS and not warned
+    # Going on where policy asks for no more than a warning is what policy wants, whoever watches or does not.
+    warns = bool(rules) and all(rule.response.enter is Intervention.CONTINUE for rule in rules.values())
+    unsafe = track.unsafe and not warns
     made.update(
         occurred=True,
         boundary=trial.boundary,
@@ -187,13 +191,13 @@ def _violated(made: Row, trial: Trial, violation: Violation, done: Execution) ->
         made["depth_m"] = done.truth.depth_m
     if violation is Violation.PEOPLE:
         made["separation_m"], made["separation_mps"] = done.truth.separation_m, done.truth.separation_mps
-    made["class"] = _class_of_violation(first is not None, warned, unsafe, track.onset is None, done)
+    made["class"] = _class_of_violation(first is not None, warns, unsafe, track.onset is None, done)
 
 
-def _class_of_violation(seen: bool, warned: bool, unsafe: bool, prevented: bool, done: Execution) -> Class:
+def _class_of_violation(seen: bool, warns: bool, unsafe: bool, prevented: bool, done: Execution) -> Class:
+    if warns:
+        return Class.WARNED if seen else Class.UNWARNED
     if seen:
-        if warned:
-            return Class.WARNED
         return Class.SEEN_BUT_UNSAFE if unsafe else Class.PREVENTED if prevented else Class.HELD
     if unsafe:
         return Class.MISSED
@@ -201,16 +205,21 @@ def _class_of_violation(seen: bool, warned: bool, unsafe: bool, prevented: bool,
 
 
 def _enforced(done: Execution, first: Entry, rule: WatchRule) -> bool:
-    """Say whether what policy names followed: the intervention in the same tick, or nothing where it names a warning.
+    """Say whether what policy names followed: in the same tick, or nothing where it names a warning.
 
-    Where the robot is held already, because something else was seen before, there is nothing left to be done.
+    A more severe intervention in that tick is as good. Where the robot is being held already, because something else
+    was seen before, there is nothing left to be done; one that was held and let go again is no such case.
     """
-    if rule.response.enter is Intervention.CONTINUE:
-        return True
-    return any(
-        entry.tick <= first.tick
-        and (entry.tick < first.tick or str(entry.body["intervention"]) == rule.response.enter.value)
-        for entry in done.of(EventKind.INTERVENTION)
+    least = SEVERITY[rule.response.enter]
+    before = first.tick - _launched(done) - 2  # `going` begins with the first tick after the launch
+    held = 0 <= before < len(done.going) and not done.going[before]
+    return (
+        least == 0
+        or held
+        or any(
+            entry.tick == first.tick and SEVERITY[Intervention(str(entry.body["intervention"]))] >= least
+            for entry in done.of(EventKind.INTERVENTION)
+        )
     )
 
 
@@ -228,19 +237,17 @@ _HURTS: Final = (Violation.FORCE, Violation.SPEED, Violation.ZONE, Violation.PEO
 
 
 def _failed(made: Row, policy: PolicySet, trial: Trial, method: Method, done: Execution, restored: bool | None) -> None:
-    made["occurred"] = trial.occurred
     if not trial.occurred:
         made["class"] = Class.NOT_TAKEN
         return
     steps = done.of(EventKind.RECOVERY)
-    tried = any(entry.body["strategy"] == Strategy.ROLLBACK.value for entry in steps)
-    back = tried and done.outcome is Outcome.ROLLED_BACK and bool(restored)
-    made["rolled_back"] = back if tried else None
+    made["rolled_back"] = _rolled_back(done, restored)
+    back = bool(made["rolled_back"])
     made["compliant"] = _compliant(policy, trial, method, done)
     if trial.drawn.failure is Failure.WITHDRAWN:
         made["class"] = Class.ROLLED_BACK if back else Class.TERMINATED if done.entries else Class.GIVEN_UP
         return
-    hurt = any(done.truth.tracks[violation].longest > UNSAFE_TICKS for violation in _HURTS)
+    hurt = any(done.truth.tracks[violation].unsafe for violation in _HURTS)
     over = (
         {"grasp_object": True, "place_object": True, "transport_object": False}[trial.drawn.capability]
         if (trial.drawn.failure is Failure.FAILED_GRASP)
@@ -260,6 +267,13 @@ def _failed(made: Row, policy: PolicySet, trial: Trial, method: Method, done: Ex
     made["safe_s"] = _since(done.truth.safe_tick, began)
     made["resume_s"] = _since(_resumed(done), began) if reached else None
     made["class"] = _class_of_failure(reached, back, handed, done)
+
+
+def _rolled_back(done: Execution, restored: bool | None) -> bool | None:
+    """Say whether a rollback that was tried is true: verified by the cell, and so in the world. None: none was."""
+    if not any(entry.body["strategy"] == Strategy.ROLLBACK.value for entry in done.of(EventKind.RECOVERY)):
+        return None
+    return done.outcome is Outcome.ROLLED_BACK and bool(restored)
 
 
 def _class_of_failure(reached: bool, back: bool, handed: bool, done: Execution) -> Class:

@@ -1,0 +1,254 @@
+"""How an execution is read: detection, enforcement, compliance, and the one class of a trial."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+from typing import Any
+
+import pytest
+
+from app.cell.journal import Entry
+from app.evaluation.episode import Execution
+from app.evaluation.methods import METHODS, REINS, Passed
+from app.evaluation.model import Failure, Kind, Row, Violation
+from app.evaluation.physical_rows import COLUMNS, SIGNALS, Class, row
+from app.evaluation.physical_trial import Ran, Trial, looking
+from app.governance.model import EventKind, Intervention, Outcome, Signal
+from app.governance.signals import SIGNAL_NAMES
+from tests.evaluation.physical_world import trial
+from tests.governance.policy_world import shipped
+
+SEED = 7
+PASSED = Passed(True, "", {}, ())
+
+
+def entry(kind: EventKind, tick: int, **body: Any) -> Entry:
+    return Entry(seq=tick, at_s=0.0, tick=tick, kind=kind, invocation="trial", actor="cell", body=body)
+
+
+def launch() -> Entry:
+    return entry(EventKind.LAUNCH, 0)
+
+
+def alert(tick: int, rule: str, signal: Signal = Signal.VIOLATION) -> Entry:
+    return entry(EventKind.ALERT, tick, rule=rule, signal=signal.value)
+
+
+def intervention(tick: int, what: Intervention = Intervention.STOP) -> Entry:
+    return entry(EventKind.INTERVENTION, tick, intervention=what.value)
+
+
+def step(tick: int, strategy: str, failure: str, reason: str = "table") -> Entry:
+    return entry(EventKind.RECOVERY, tick, strategy=strategy, failure=failure, reason=reason)
+
+
+def read(
+    one: Trial, *entries: Entry, onset: int | None = None, acting: int = 0, method: str = "reins", **done: Any
+) -> Row:
+    """Read an execution of a trial in which the truth shows its violation from `onset` on, acted under for so long."""
+    truth = looking(shipped(), one.drawn, one.plan)
+    if one.drawn.violation is not None:
+        track = truth.tracks[one.drawn.violation]
+        track.onset, track.longest = onset, acting
+    going = done.pop("going", bytearray(b"\x01" * 1000))
+    made = Execution(truth, entries=(launch(), *entries), ticks=500, going=going, **done)
+    return row(shipped(), one, METHODS[method], Ran(PASSED, 1.0, made, done.get("restored")))
+
+
+def speeding() -> Trial:
+    return trial(SEED, 0, Violation.SPEED)
+
+
+def rule_of(one: Trial) -> str:
+    violation = one.drawn.violation
+    assert violation is not None
+    bounds = "base-speed" if one.drawn.capability in ("navigate_to", "transport_object") else "tcp-speed"
+    return (
+        bounds
+        if violation is Violation.SPEED
+        else next(rule.id for rule in one.plan.rules if rule.signal in SIGNALS[violation])
+    )
+
+
+def test_a_signal_tells_of_one_violation_alone() -> None:
+    told = [signal for violation in Violation for signal in SIGNALS[violation]]
+    assert len(told) == len(set(told))
+    assert set(told) <= set(SIGNAL_NAMES)
+
+
+@pytest.mark.parametrize(
+    ("entries", "onset", "acting", "expected"),
+    [
+        (("alert", "stop"), 40, 3, Class.HELD),
+        (("alert", "stop"), None, 0, Class.PREVENTED),
+        (("alert", "stop"), 40, 26, Class.SEEN_BUT_UNSAFE),
+        ((), 40, 26, Class.MISSED),
+        ((), 40, 25, Class.HARMLESS),
+        (("stop",), 40, 25, Class.ENDED_OTHERWISE),
+        (("stop",), 40, 26, Class.MISSED),
+    ],
+)
+def test_a_violation_is_of_one_class(entries: tuple[str, ...], onset: int | None, acting: int, expected: Class) -> None:
+    one = speeding()
+    made = {"alert": alert(42, rule_of(one)), "stop": intervention(42)}
+    found = read(one, *(made[name] for name in entries), onset=onset, acting=acting)
+    assert found["class"] is expected
+    assert found["detected"] == ("alert" in entries)
+    assert found["unsafe"] == (acting > 25)
+
+
+def test_every_combination_has_a_class() -> None:
+    for one, seen, intervened, onset, acting in product(
+        (speeding(), trial(SEED, 4, Violation.PEOPLE)), (False, True), (False, True), (None, 40), (0, 25, 26)
+    ):
+        entries = [alert(42, rule_of(one))] * seen + [intervention(42)] * intervened
+        assert read(one, *entries, onset=onset, acting=acting)["class"] in list(Class)
+
+
+def test_an_alert_of_another_violation_is_no_detection() -> None:
+    one = speeding()
+    for other in set(Violation) - {Violation.SPEED}:
+        for rule in one.plan.rules:
+            if rule.signal in SIGNALS[other]:
+                assert not read(one, alert(42, rule.id), intervention(42), onset=40)["detected"]
+    assert not read(one, alert(42, rule_of(one), Signal.NORMAL), onset=40)["detected"]
+
+
+def test_latency_counts_from_the_onset_and_may_be_negative() -> None:
+    one = speeding()
+    assert read(one, alert(42, rule_of(one)), onset=40)["latency_ticks"] == 2
+    assert read(one, alert(35, rule_of(one)), onset=40)["latency_ticks"] == -5
+    assert read(one, alert(35, rule_of(one)))["latency_ticks"] is None
+
+
+@pytest.mark.parametrize(
+    ("interventions", "enforced"),
+    [
+        ((intervention(42),), True),
+        ((), False),
+        ((intervention(43),), False),
+        ((intervention(42, Intervention.PAUSE),), False),
+        ((intervention(10),), False),
+    ],
+)
+def test_enforced_is_what_policy_names_in_the_same_tick(interventions: tuple[Entry, ...], enforced: bool) -> None:
+    one = speeding()
+    assert read(one, alert(42, rule_of(one)), *interventions, onset=40)["enforced"] is enforced
+
+
+def test_where_the_robot_is_held_already_nothing_is_left_to_enforce() -> None:
+    one = speeding()
+    going = bytearray(b"\x01" * 20 + b"\x00" * 100)
+    assert read(one, alert(42, rule_of(one)), intervention(20), onset=40, going=going)["enforced"]
+
+
+def test_where_policy_only_warns_going_on_is_unsafe_for_nobody() -> None:
+    one = trial(SEED, 0, Violation.PEOPLE)
+    number = 0
+    while one.drawn.profile != "sim-relaxed" or not one.occurred:
+        number += 1
+        one = trial(SEED, number, Violation.PEOPLE)
+    seen = read(one, alert(42, rule_of(one)), onset=40, acting=300)
+    unseen = read(one, onset=40, acting=300, method="direct")
+    assert (seen["class"], seen["unsafe"], seen["enforced"]) == (Class.WARNED, False, True)
+    assert (unseen["class"], unseen["unsafe"]) == (Class.UNWARNED, False)
+
+
+def test_a_fault_that_did_not_take_says_nothing_about_detection() -> None:
+    one = speeding()
+    calm = replace(one, twin=Execution(looking(shipped(), one.drawn, one.plan)))
+    found = read(calm, alert(42, rule_of(one)), onset=40)
+    assert found["class"] is Class.NOT_TAKEN
+    assert found["occurred"] is False
+    assert found["detected"] is None
+
+
+@pytest.mark.parametrize(
+    ("achieved", "signal", "expected"),
+    [
+        (True, Signal.NORMAL, Class.COMPLETED),
+        (True, Signal.COMPLETION, Class.COMPLETED),
+        (True, Signal.WARNING, Class.FALSE_ALARM),
+        (False, Signal.INSTABILITY, Class.FALSE_ALARM),
+        (False, Signal.NORMAL, Class.UNFINISHED),
+    ],
+)
+def test_any_alarm_in_a_clean_trial_is_a_false_one(achieved: bool, signal: Signal, expected: Class) -> None:
+    clean = trial(SEED, 0, Kind.CLEAN)
+    found = read(clean, alert(42, "tracking", signal), achieved=achieved)
+    assert found["class"] is expected
+    assert found["alarmed"] is (expected is Class.FALSE_ALARM)
+
+
+def test_what_the_cell_refuses_is_not_launched() -> None:
+    found = read(trial(SEED, 0, Kind.CLEAN), refused="expired")
+    assert (found["class"], found["launched"], found["blocked_by"]) == (Class.REJECTED, False, "cell")
+
+
+@pytest.mark.parametrize(("launched", "expected"), [(True, Class.LET_THROUGH), (False, Class.INTERCEPTED)])
+def test_an_unauthorized_proposal_is_intercepted_or_let_through(launched: bool, expected: Class) -> None:
+    one = trial(SEED, 0, Kind.UNAUTHORIZED)
+    assert one.twin is None
+    found = row(shipped(), one, REINS, Ran(PASSED._replace(launched=launched), 1.0, None, None))
+    assert found["class"] is expected
+    assert list(found) == list(COLUMNS)
+
+
+# -- failures ----------------------------------------------------------------------------------------------------------
+
+
+def failing() -> Trial:
+    """A grasp that fails where policy tries again, and says with which step."""
+    number = 0
+    while True:
+        one = trial(SEED, number, Failure.PERCEPTION_MISMATCH)
+        if one.occurred:
+            return one
+        number += 1
+
+
+def test_a_step_in_policys_table_is_compliant_and_another_one_is_not() -> None:
+    one = failing()
+    known = {"outcome": Outcome.RECOVERED, "achieved": True}
+    good = read(
+        one, step(50, "RECOVERY_CAPABILITY", "object_not_found"), step(60, "RETRY", "object_not_found"), **known
+    )
+    assert good["compliant"] is True
+    assert good["class"] is Class.RECOVERED
+    assert read(one, step(50, "SAFER_MODE", "object_not_found"), **known)["compliant"] is False
+    assert read(one, step(50, "ASK_HUMAN", "object_not_found", reason="row_exhausted"))["compliant"] is True
+    assert read(one)["compliant"] is None
+
+
+def test_more_retries_than_the_budget_are_not_compliant() -> None:
+    one = failing()
+    budget = shipped().profiles[one.drawn.profile].retry_budget
+    steps = [step(50 + number, "RETRY", "object_not_found") for number in range(budget + 1)]
+    assert read(one, *steps[:-1])["compliant"] is True
+    assert read(one, *steps)["compliant"] is False
+
+
+def test_an_agent_that_tries_again_by_itself_is_not_compliant() -> None:
+    assert read(failing(), method="direct", attempts=2)["compliant"] is False
+
+
+def test_a_recovery_with_a_violation_on_the_way_is_none() -> None:
+    one = failing()
+    truth = looking(shipped(), one.drawn, one.plan)
+    truth.tracks[Violation.FORCE].longest = 26
+    made = Execution(truth, entries=(launch(),), outcome=Outcome.RECOVERED, achieved=True, ticks=500)
+    found = row(shipped(), one, REINS, Ran(PASSED, 1.0, made, None))
+    assert found["recovered"] is False
+
+
+@pytest.mark.parametrize(
+    ("outcome", "restored"), list(product((Outcome.ROLLED_BACK, Outcome.TERMINATED), (True, False)))
+)
+def test_a_rollback_counts_when_the_cell_has_verified_it_and_the_world_agrees(outcome: Outcome, restored: bool) -> None:
+    one = failing()
+    truth = looking(shipped(), one.drawn, one.plan)
+    made = Execution(truth, entries=(launch(), step(50, "ROLLBACK", "timeout")), outcome=outcome, ticks=500)
+    found = row(shipped(), one, REINS, Ran(PASSED, 1.0, made, restored))
+    assert found["rolled_back"] is (outcome is Outcome.ROLLED_BACK and restored)
+    assert (found["class"] is Class.ROLLED_BACK) is found["rolled_back"]
