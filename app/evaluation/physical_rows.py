@@ -47,7 +47,7 @@ COLUMNS: Final = {
     "separation_mps": "speed of the robot at that distance",
     "walk_mps": "speed of the person who walked in",
     "peak_force_n": "highest contact force",
-    "excess": "how far the twin was beyond the limit at most, in the limit's unit",
+    "excess": "how far the twin was beyond the limit at most, in the limit's unit; empty where it was cut short",
     "attempts": "how often the capability was begun, counted by the simulator",
     "seconds": "simulated time until the session was over",
 }
@@ -184,7 +184,7 @@ def _violated(made: Row, trial: Trial, violation: Violation, done: Execution) ->
         unsafe=unsafe,
         rule=None if rule is None else rule.id,
         latency_ticks=None if first is None or track.onset is None else first.tick - _launched(done) - track.onset,
-        excess=trial.twin.truth.tracks[violation].excess,
+        excess=trial.twin.truth.tracks[violation].excess if trial.whole else None,
         safe_s=_since(done.truth.safe_tick, track.onset),
     )
     if violation is Violation.ZONE:

@@ -60,9 +60,9 @@ def test_methods_that_behave_alike_share_an_execution_and_say_the_same_as_alone(
     methods = (*METHODS.values(), *ABLATIONS.values())
     together = run(bench(), one, methods)
     assert together["direct"].execution is together["static-rule"].execution is one.twin
-    assert together["reins"].execution is together["-human"].execution
-    assert len({id(found.execution) for found in together.values() if found.execution}) == 5
-    for name in ("capability-internal", "-policy"):
+    assert together["reins"].execution is together["-policy"].execution is together["-admission"].execution
+    assert len({id(found.execution) for found in together.values() if found.execution}) == 6
+    for name in ("capability-internal", "-policy", "-human"):
         method = {**METHODS, **ABLATIONS}[name]
         assert seen(run(bench(), one, (method,))[name].execution) == seen(together[name].execution)
 
