@@ -13,7 +13,8 @@ from app.evaluation.draws import Drawn
 from app.evaluation.model import CAPABILITIES, Kind
 from app.evaluation.stage import Start
 from app.sim.faults import Scenario
-from app.sim.workcell import Truth, Workcell
+from app.sim.truth import Truth
+from app.sim.workcell import Workcell
 from tests.governance.policy_world import shipped
 
 SITE = shipped().site
