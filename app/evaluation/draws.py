@@ -110,15 +110,15 @@ def draw(policy: PolicySet, seed: int, number: int, *, kind: Kind | None = None,
         seed: the run's.
         number: the trial's.
         kind: only this kind, where a run asks for it.
-        turn: how often it was drawn before because the fault did not take. The same violation or failure is drawn
-            again, or those that rarely take would become rare.
+        turn: how often it was drawn before because the fault did not take. The same kind and type is drawn again, or
+            those that rarely take would become rare.
     """
     if turn:
         first = draw(policy, seed, number, kind=kind)
         wanted = first.violation or first.failure
-        if wanted is None:
-            raise ValueError(f"trial {seed}/{number} is `{first.kind}`: valid to be drawn again is one with a fault")
-        return of_type(policy, seed, number, wanted, turn=turn)
+        if wanted is not None:
+            return of_type(policy, seed, number, wanted, turn=turn)
+        kind = first.kind
     rng = np.random.default_rng((seed, number, turn, 11))
     chosen = _kind(rng) if kind is None else kind
     return _Draw(policy, rng, seed, number)[chosen]()

@@ -130,20 +130,12 @@ def test_each_part_of_the_gate_is_the_only_one_to_stop_something(ablation: str, 
     assert through == breaches
 
 
-def test_drawn_again_is_the_same_violation_with_other_circumstances() -> None:
+def test_drawn_again_is_of_the_same_type_in_other_circumstances() -> None:
     for drawn in many():
-        if (drawn.violation or drawn.failure) is None:
-            continue
         again = draw(shipped(), SEED, drawn.number, turn=1)
         assert (again.kind, again.violation, again.failure) == (drawn.kind, drawn.violation, drawn.failure)
-        assert again != drawn
+        assert again.scenario != drawn.scenario or drawn.scenario == Scenario()
         assert again.world == drawn.world
-
-
-def test_what_has_no_fault_is_not_drawn_again() -> None:
-    clean = next(drawn for drawn in many() if drawn.kind is Kind.CLEAN)
-    with pytest.raises(ValueError, match="valid to be drawn again"):
-        draw(shipped(), SEED, clean.number, turn=1)
 
 
 @pytest.mark.parametrize("wanted", [*Violation, *Failure])
