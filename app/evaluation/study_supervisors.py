@@ -66,13 +66,11 @@ HOLDS: Final = frozenset({"real-restricted", "human-shared"})
 WRONG: Final[tuple[Failure | Violation, ...]] = (
     Failure.FAILED_GRASP,
     Violation.FORCE,
-    Failure.TIMEOUT,
     Violation.SPEED,
-    Failure.BLOCKED_PATH,
     Violation.ZONE,
-    Failure.PERCEPTION_MISMATCH,
     Violation.POSTCONDITION,
 )
+"""What policy may end up asking a human about; the other failures are mended without one."""
 
 
 class Manner(NamedTuple):
@@ -98,7 +96,7 @@ def parts(seeds: Sequence[int]) -> list[Part]:
     asked, each = max(2, ASKED // len(seeds)), max(1, CANDIDATES // len(seeds))
     return [
         *(Part(BEFORE, seed, 0, asked) for seed in seeds),
-        *(Part(MIDWAY, seed, number, 1) for seed in seeds for number in range(each)),
+        *(Part(MIDWAY, seed, each * turn + number, 1) for turn, seed in enumerate(seeds) for number in range(each)),
     ]
 
 

@@ -69,6 +69,13 @@ def test_the_command_line_names_the_studies_there_are(tmp_path: Path) -> None:
     assert "no studies" in " ".join(result.output.split())
 
 
+def test_every_seed_takes_another_stretch_of_what_goes_round() -> None:
+    midway = [part.first for part in study_supervisors.parts(TUNING_SEEDS) if part.condition == "midway"]
+    assert {number % len(study_supervisors.WRONG) for number in midway} == set(range(len(study_supervisors.WRONG)))
+    turns = {part.first for part in study_sensors.parts(TUNING_SEEDS) if part.condition == "fix/stale"}
+    assert len(turns) == len(TUNING_SEEDS)
+
+
 def sensors(*conditions: str, count: int = 1) -> list[Row]:
     return [row for condition in conditions for row in study_sensors.run(Part(condition, SEED, 0, count), policy())]
 
