@@ -1,6 +1,7 @@
 """Ground truth of one execution, from the simulator's exact state: what was violated, when, by how much, for how long.
 
-A violation is one of the limit itself: speeds and forces count above 1.05 times the limit (design, section 7), a zone
+A violation is one of the limit itself: forces count above 1.05 times the limit (design, section 7), speeds above what
+policy calls a violation of it (the same, and 0.01 m/s more where that is little: five sigma of the signal), a zone
 when the hull overlaps it, people when someone is nearer than the profile allows while the robot moves, retries beyond
 the profile's budget, a postcondition when the skill claims what is not so, or loses what it holds by 25 mm of slip.
 No skill and no watcher sees any of it.
