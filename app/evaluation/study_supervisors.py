@@ -155,12 +155,12 @@ def _asking(policy: PolicySet, seed: int, number: int, *, wrong: bool) -> Drawn:
 
 def _midway(bench: Bench, part: Part, number: int) -> Iterator[Row]:
     """Run one trial under every supervisor; one in which nobody is asked is one row, under its own condition."""
-    trial = once(bench, _failing(bench.policy, part.seed, number))
-    silent = _answered(bench, part, number, trial, MANNERS[DELAYS_S.index(None)])
+    trial = once(bench, failing(bench.policy, part.seed, number))
+    silent = answered(bench, part, number, trial, MANNERS[DELAYS_S.index(None)])
     if not silent["handed_over"]:
         yield {**silent, "condition": "nobody is asked"}
         return
-    rows = {manner: _answered(bench, part, number, trial, manner) for manner in MANNERS if manner.after_s is not None}
+    rows = {manner: answered(bench, part, number, trial, manner) for manner in MANNERS if manner.after_s is not None}
     yield silent
     yield from rows.values()
     for place, error in enumerate(ERRORS):
@@ -172,7 +172,7 @@ def _midway(bench: Bench, part: Part, number: int) -> Iterator[Row]:
         yield {**rows[Manner(word, USUAL_S)], "condition": f"go on after {USUAL_S:g} s, errs {error:g}"}
 
 
-def _failing(policy: PolicySet, seed: int, number: int) -> Drawn:
+def failing(policy: PolicySet, seed: int, number: int) -> Drawn:
     """Draw a trial that goes wrong, in a profile in which somebody can be asked."""
     turn = 0
     while True:
@@ -182,7 +182,7 @@ def _failing(policy: PolicySet, seed: int, number: int) -> Drawn:
         turn += 1
 
 
-def _answered(bench: Bench, part: Part, number: int, trial: Trial, manner: Manner) -> Row:
+def answered(bench: Bench, part: Part, number: int, trial: Trial, manner: Manner) -> Row:
     """Run a trial under one supervisor."""
     waits = None if manner.after_s is None else round(100 * manner.after_s)
     supervised = Supervised(after_ticks=waits, op=WORDS[manner.word])

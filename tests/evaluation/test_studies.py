@@ -128,14 +128,15 @@ def test_a_tightened_policy_binds_the_next_session_and_not_the_one_that_runs() -
 
 @pytest.mark.physics
 def test_a_session_midway_goes_on_is_undone_ends_or_waits_as_the_supervisor_says() -> None:
-    found = list(study_supervisors.run(Part("midway", SEED, 1, 1), policy()))  # a grip that gives too much
-    by = {str(row["condition"]): row for row in found}
-    assert by["never answers"]["what"] == "expired"
-    assert by["terminate after 2 s"]["outcome"] == "terminated"
-    assert by["go on after 0.5 s"]["recovered"] is True
-    quick, slow = by["go on after 0.5 s"]["recovery_s"], by["go on after 10 s"]["recovery_s"]
-    assert float(slow or 0) - float(quick or 0) >= 9.0
-    assert [row["missing"] for row in found] == [""] * len(found)
+    bench, part = bench_of(policy()), Part("midway", SEED, 1, 1)  # a grip that gives too much
+    trial = once(bench, study_supervisors.failing(policy(), SEED, 1))
+    manners = [study_supervisors.Manner(*how) for how in (("go on", None), ("go on", 0.5), ("terminate", 2.0))]
+    silent, quick, ended = (study_supervisors.answered(bench, part, 1, trial, manner) for manner in manners)
+    assert (silent["what"], silent["recovered"], silent["outcome"]) == ("expired", False, None)
+    assert quick["recovered"] is True
+    assert ended["outcome"] == "terminated"
+    assert float(ended["recovery_s"] or 0) < float(quick["recovery_s"] or 0)
+    assert [row["missing"] for row in (silent, quick, ended)] == ["", "", ""]
 
 
 def test_approvals_err_as_often_as_their_supervisor_and_expire_without_one() -> None:
