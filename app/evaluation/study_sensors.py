@@ -185,7 +185,6 @@ def _read(done: Execution, plan: WatchPlan, way: Broken, onset: int, profile: st
         "ticks": None if before or held is None or rule is None else held - due,
         "unsafe": breach if way.sensor == "people" and profile in HOLDS else None,
         "what": _what(done, rule, warned),
-        "achieved": done.outcome is Outcome.SUCCEEDED,
     }
 
 
@@ -234,6 +233,5 @@ def _summed(rows: Sequence[Row]) -> dict[str, Any]:
         "ticks, most": ticks[-1] if ticks else None,
         "told by": ", ".join(rules) or None,
         "policy names": ", ".join(named) or None,
-        "done all the same": share(row["achieved"] for row in rows),
         "unseen breach": share(row["unsafe"] for row in rows),
     }
