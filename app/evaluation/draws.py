@@ -121,13 +121,13 @@ def draw(policy: PolicySet, seed: int, number: int, *, kind: Kind | None = None,
         kind = first.kind
     rng = np.random.default_rng((seed, number, turn, 11))
     chosen = _kind(rng) if kind is None else kind
-    return _Draw(policy, rng, seed, number)[chosen]()
+    return Drawing(policy, rng, seed, number)[chosen]()
 
 
 def of_type(policy: PolicySet, seed: int, number: int, wanted: Violation | Failure, *, turn: int = 0) -> Drawn:
     """Draw a trial of one violation or failure, for runs that want so many of each."""
     rng = np.random.default_rng((seed, number, turn, 13))
-    drawing = _Draw(policy, rng, seed, number)
+    drawing = Drawing(policy, rng, seed, number)
     return drawing.perturbed(wanted) if isinstance(wanted, Violation) else drawing.recoverable(wanted)
 
 
@@ -141,7 +141,7 @@ def _kind(rng: Generator) -> Kind:
     return Kind.RECOVERABLE if at < CLEAN_SHARE + RECOVERABLE_SHARE else Kind.PERTURBED
 
 
-class _Draw:
+class Drawing:
     """Draws one trial from one generator."""
 
     def __init__(self, policy: PolicySet, rng: Generator, seed: int, number: int) -> None:
@@ -186,10 +186,10 @@ class _Draw:
         start = Start("shelf_stand") if breach is Breach.OBJECT else Start()
         return self._put(Kind.UNAUTHORIZED, capability, params, start, Scenario(), breach=breach)
 
-    def perturbed(self, violation: Violation | None = None) -> Drawn:
+    def perturbed(self, violation: Violation | None = None, capability: str = "") -> Drawn:
         """An allowed request that is going to violate something."""
         violation = self.pick(tuple(Violation)) if violation is None else violation
-        capability = self.pick(WHERE[violation])
+        capability = capability or self.pick(WHERE[violation])
         return {
             Violation.FORCE: self._force,
             Violation.SPEED: self._speed,
@@ -199,10 +199,10 @@ class _Draw:
             Violation.PEOPLE: self._people,
         }[violation](capability)
 
-    def recoverable(self, failure: Failure | None = None) -> Drawn:
+    def recoverable(self, failure: Failure | None = None, capability: str = "") -> Drawn:
         """An allowed request that is going to fail in a way that can be mended."""
         failure = self.pick(tuple(Failure)) if failure is None else failure
-        capability = self.pick(WHERE[failure])
+        capability = capability or self.pick(WHERE[failure])
         params, start = self._request(capability)
         if failure is Failure.WITHDRAWN:
             # An object that has been put down cannot be taken back by going back: what can be undone is undone.

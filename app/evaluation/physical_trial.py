@@ -214,7 +214,7 @@ def run(bench: Bench, trial: Trial, methods: Sequence[Method], *, change: Change
         spent_us = (precise_ns() - began) / 1000.0
         execution = restored = None
         if passed.launched and trial.drawn.kind is not Kind.UNAUTHORIZED:
-            key = (*_alike(method), tuple(sorted(passed.effective.items())))
+            key = (*alike(method), tuple(sorted(passed.effective.items())))
             if key not in shared:
                 shared[key] = _execute(bench, trial, method, passed.effective, change)
             execution, restored = shared[key]
@@ -224,10 +224,11 @@ def run(bench: Bench, trial: Trial, methods: Sequence[Method], *, change: Change
 
 def shares_twin(method: Method) -> bool:
     """Say whether a method's executions are the ungoverned twin itself."""
-    return _alike(method) == ("twin",)
+    return alike(method) == ("twin",)
 
 
-def _alike(method: Method) -> tuple[object, ...]:
+def alike(method: Method) -> tuple[object, ...]:
+    """Return what tells the executions of methods apart, once they have launched the same parameters."""
     if method.watch is Watching.NOTHING and method.recovery is Recovering.RETRY:
         return ("twin",)
     return (method.watch, method.recovery, method.human, method.guard or method.watch is not Watching.NOTHING)
@@ -237,12 +238,12 @@ def _execute(
     bench: Bench, trial: Trial, method: Method, effective: Params, change: Change | None
 ) -> tuple[Execution, bool | None]:
     drawn, twin = trial.drawn, trial.twin
-    if twin is not None and trial.whole and _alike(method) == ("twin",) and effective == trial.proposal.params:
+    if twin is not None and trial.whole and alike(method) == ("twin",) and effective == trial.proposal.params:
         return twin, None
     cell = bench.stage.set(drawn.start, drawn.world, drawn.scenario)
     restored: Judge = restored_of(drawn, cell.truth())
     truth = looking(bench.policy, drawn, trial.plan)
-    if _alike(method) == ("twin",):
+    if alike(method) == ("twin",):
         return ungoverned(cell, drawn.capability, effective, truth, judge_of(drawn)), None
     withdrawn = drawn.failure is Failure.WITHDRAWN
     supervised = Supervised(order="rollback", order_tick=round(drawn.size * 100)) if withdrawn else Supervised()
