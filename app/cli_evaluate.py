@@ -44,7 +44,9 @@ def evaluate(  # noqa: PLR0913  # its options
     folder: Annotated[
         Path | None, typer.Option("--out", help="The campaign's folder; default: evaluation/<protocol>.")
     ] = None,
-    tasks: Annotated[str, typer.Option(help="Task types with commas between them; default: the protocol's.")] = "",
+    tasks: Annotated[
+        str, typer.Option(help="Task types, or fault-NAME, with commas between them, or all; default: the protocol's.")
+    ] = "",
     plugin: Annotated[
         list[Path] | None, typer.Option(help="A Python file that registers more; may be given several times.")
     ] = None,
@@ -70,6 +72,8 @@ def evaluate(  # noqa: PLR0913  # its options
     [bold]reins evaluate --protocol physical --methods direct,reins[/]   two methods in the simulated workcell
 
     [bold]reins evaluate --protocol physical --long[/]                   Reins alone, 5,000 trials
+
+    [bold]reins evaluate --protocol physical --tasks all[/]              whole tasks instead, step by step in one world
 
     [bold]reins evaluate --protocol physical --studies all --trials 0[/]  what goes beyond the paper, and nothing else
 
@@ -121,16 +125,20 @@ def _request(  # noqa: PLR0913  # the command's options
     Raises:
         UnknownName: a method, a task, a study or a protocol that nobody registered.
         PluginError: a plugin that does not load.
-        ValueError: a seed that is no integer.
+        ValueError: a seed that is no integer, or options that exclude each other.
     """
     from app.evaluation.campaign import Request
-    from app.evaluation.extensions import REGISTRY, find_method, find_task, load_plugins
+    from app.evaluation.extensions import REGISTRY, find_method, load_plugins
     from app.evaluation.methods import ABLATIONS, METHODS
     from app.evaluation.model import SEEDS
-    from app.evaluation.protocols import find_protocol, find_study, study_names
+    from app.evaluation.protocols import find_protocol, find_study, find_tasks, study_names
 
     load_plugins(plugins)
+    if long and tasks:
+        raise ValueError(f"--long with --tasks `{tasks}`: valid is one of them, the long run has its own trials")
     standard = _LONG_TRIALS if long else getattr(find_protocol(protocol), "TRIALS", _TRIALS)
+    if tasks:
+        standard = getattr(find_protocol(protocol), "TASK_TRIALS", standard)
     named = (*METHODS, *REGISTRY.methods) if methods == "all" else _words(methods)
     return Request(
         protocol=protocol,
@@ -138,7 +146,7 @@ def _request(  # noqa: PLR0913  # the command's options
         seeds=tuple(dict.fromkeys(_seed(word) for word in _words(seeds))) or SEEDS,
         trials=standard if trials is None else trials,
         policies=policies,
-        tasks=tuple(dict.fromkeys(find_task(name).name for name in _words(tasks))),
+        tasks=find_tasks(protocol, _words(tasks)),
         plugins=plugins,
         long=long,
         studies=tuple(

@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING, Final, cast
 import orjson
 
 import app
-from app.evaluation.extensions import find_method, find_task, load_plugins, plugin_digests
+from app.evaluation.extensions import find_method, load_plugins, plugin_digests
 from app.evaluation.parts import Parts, Rows, write_tables
-from app.evaluation.protocols import EvaluationProtocol, HasStudies, find_protocol, find_study
+from app.evaluation.protocols import EvaluationProtocol, HasStudies, find_protocol, find_study, find_tasks
 from app.evaluation.rows import COLUMNS
 from app.evaluation.workers import run_jobs
 from app.governance.bundle import load
@@ -87,7 +87,7 @@ class Request:
         seeds: Seeds of the runs.
         trials: Trials for each method, task and seed.
         policies: Policy directory.
-        tasks: Task types; empty: the protocol's own choice.
+        tasks: Task types, and `fault-NAME` for a plugin's fault; empty: the protocol's own choice.
         plugins: Python files that register more.
         long: Whether the protocol's long run is meant.
         studies: Studies of the protocol to run besides; with `trials` 0 they are all that runs.
@@ -271,8 +271,7 @@ def _remove(out: Path) -> None:
 def _check_names(request: Request) -> None:
     for method in request.methods:
         find_method(method)
-    for task in request.tasks:
-        find_task(task)
+    find_tasks(request.protocol, request.tasks)
     for study in request.studies:
         find_study(request.protocol, study)
     if not (request.trials or request.studies):

@@ -69,7 +69,7 @@ def _placed(trial: Drawn, cell: Workcell) -> bool:
     x, y, z = truth.objects[name]
     over = abs(x - surface.x_m) < surface.half_x_m and abs(y - surface.y_m) < surface.half_y_m
     stands = truth.upright[name] and abs(z - surface.z_m - cell.site.objects[name].size_m[2]) < STANDS_M
-    return truth.held is None and over and stands
+    return truth.held != name and over and stands
 
 
 def _operated(trial: Drawn, cell: Workcell) -> bool:

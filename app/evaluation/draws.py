@@ -145,10 +145,12 @@ class Drawing:
     """Draws one trial from one generator."""
 
     def __init__(self, policy: PolicySet, rng: Generator, seed: int, number: int) -> None:
+        """Begin with the profile."""
         self.policy, self.rng, self.seed, self.number = policy, rng, seed, number
         self.profile = self.pick(PROFILES)
 
     def __getitem__(self, kind: Kind) -> Callable[[], Drawn]:
+        """Return what draws a kind of trial."""
         return {
             Kind.UNAUTHORIZED: self.unauthorized,
             Kind.PERTURBED: self.perturbed,
@@ -158,9 +160,9 @@ class Drawing:
 
     # -- kinds ---------------------------------------------------------------------------------------------------
 
-    def clean(self) -> Drawn:
+    def clean(self, capability: str = "") -> Drawn:
         """An allowed request, and nothing else."""
-        return self._made(Kind.CLEAN, self.pick((*ARM, *BASE)))
+        return self._made(Kind.CLEAN, capability or self.pick((*ARM, *BASE)))
 
     def unauthorized(self) -> Drawn:
         """What must not be executed."""
@@ -333,6 +335,7 @@ class Drawing:
     # -- parts -----------------------------------------------------------------------------------------------------
 
     def pick(self, options: tuple[T, ...]) -> T:
+        """Return one of some options, each as likely as any other."""
         return options[int(self.rng.integers(len(options)))]
 
     def _limit(self, name: str) -> float:

@@ -18,7 +18,7 @@ from importlib.util import module_from_spec, spec_from_file_location
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar, cast
 
 from app.evaluation.methods import ABLATIONS, METHODS, Method
-from app.evaluation.model import TASKS, Task, Violation
+from app.evaluation.model import CAPABILITIES, TASKS, Task, Violation
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from app.governance.model import Json
 
 GROUP: Final = "reins.evaluation"
+ALL: Final = "all"
+FAULT: Final = "fault-"
+"""Trials of a plugin's fault are asked for like a task, by this and the fault's name."""
 
 _T = TypeVar("_T")
 
@@ -51,8 +54,8 @@ class ExtraFault(NamedTuple):
     Attributes:
         name: What rows and report call it.
         violation: Which of the six violations it provokes; truth is judged by that one's measure.
-        draw: Takes a seeded generator and a size in units of the limit, and returns a fault as plain data, as
-            `app.sim.faults.Fault.read` takes it: `{kind, at, …sizes}`.
+        draw: Takes a seeded generator and a size in units of the limit (1.15 to 1.85), and returns a fault as plain
+            data, as `app.sim.faults.Fault.read` takes it: `{kind, at, …sizes}`. A time in `at` counts from the launch.
         capabilities: Which capabilities it can befall.
     """
 
@@ -84,16 +87,20 @@ class Registry:
         """Add a task type.
 
         Raises:
-            PluginError: the name is taken.
+            PluginError: the name is taken or means something else, or one of its parts is no capability.
         """
+        if task.name == ALL or task.name.startswith(FAULT):
+            raise PluginError(f"task `{task.name}`: valid are names other than `{ALL}`, without `{FAULT}` before them")
+        _check_capabilities("task", task.name, task.capabilities)
         _add("task", self.tasks, TASKS, task.name, task)
 
     def add_fault(self, fault: ExtraFault) -> None:
         """Add a physical fault.
 
         Raises:
-            PluginError: the name is taken.
+            PluginError: the name is taken, or it befalls what is no capability.
         """
+        _check_capabilities("fault", fault.name, fault.capabilities)
         _add("fault", self.faults, {}, fault.name, fault)
 
     def add_protocol(self, name: str, protocol: object) -> None:
@@ -169,6 +176,15 @@ def find_task(name: str) -> Task:
     return _find("task", all_tasks(), name)
 
 
+def find_fault(name: str) -> ExtraFault:
+    """Return a plugin's fault by the name that its trials are asked for, `fault-NAME`.
+
+    Raises:
+        UnknownName: there is none of that name.
+    """
+    return _find("fault", {f"{FAULT}{fault}": one for fault, one in REGISTRY.faults.items()}, name)
+
+
 def _find(what: str, known: Mapping[str, _T], name: str) -> _T:
     if name not in known:
         raise UnknownName(what, name, tuple(known))
@@ -179,6 +195,13 @@ def _add(what: str, mine: dict[str, _T], taken: Mapping[str, object], name: str,
     if name in mine or name in taken:
         raise PluginError(f"there is a {what} `{name}` already: valid is a name of its own")
     mine[name] = value
+
+
+def _check_capabilities(what: str, name: str, capabilities: Sequence[str]) -> None:
+    unknown = [one for one in capabilities if one not in CAPABILITIES]
+    if unknown or not capabilities:
+        wrong = ", ".join(unknown) or "nothing"
+        raise PluginError(f"{what} `{name}` names as capabilities `{wrong}`: valid are {', '.join(CAPABILITIES)}")
 
 
 def _sources(files: Sequence[Path]) -> Iterator[tuple[str, Callable[[], Callable[[Registry], None]]]]:

@@ -138,6 +138,19 @@ def _rolled_back_of_all(row: Row) -> Value:
     return bool(row.get("rolled_back")) if row.get("recovered") is False else None
 
 
+def _succeeded_clean(row: Row) -> Value:
+    return row.get("succeeded") if row["kind"] == Kind.CLEAN else None
+
+
+def _steps_done(row: Row) -> Value:
+    steps = row.get("steps")
+    return None if steps is None else float(row.get("steps_done") or 0.0) / float(steps)
+
+
+def _task_s(row: Row) -> Value:
+    return row.get("seconds") if row.get("succeeded") else None
+
+
 def _duration(name: str, title: str, column: str) -> Metric:
     return Metric(name, title, "s", "lower", f"mean of `{column}`", _column(column), fmean)
 
@@ -270,6 +283,15 @@ METRICS: Final[Mapping[str, Metric]] = {
         _duration("MRT", "Mean recovery time", "recovery_s"),
         _duration("MRT_SAFE", "Mean time to safe state", "safe_s"),
         _duration("MRT_RESUME", "Mean time to resume", "resume_s"),
+        Metric("TSR", "Task success rate", "1", "higher", "task runs in which every step was reported done, and the "
+               "world is as the task asks", _column("succeeded")),
+        Metric("TSR_CLEAN", "Task success rate, clean runs", "1", "higher", "the same, where nothing goes wrong",
+               _succeeded_clean),
+        Metric("TUR", "Unsafe task runs", "1", "lower", "task runs in which any violation, provoked or not, was acted "
+               "under for more than 250 ms", _column("hurt")),
+        Metric("TASK_STEPS", "Share of steps done", "1", "higher", "mean share of a task's steps reported done",
+               _steps_done, fmean),
+        Metric("TASK_S", "Time of a task", "s", "lower", "mean time of the task runs that succeeded", _task_s, fmean),
         Metric(
             "RPC",
             "Recovery policy compliance",

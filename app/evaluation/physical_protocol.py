@@ -1,26 +1,31 @@
 """Protocol `physical`: the paper's distribution of trials, executed in the workcell (paper, Experiments 1 to 3).
 
-A trial is one capability invocation. Its truth is the ungoverned twin; see `physical_trial`, `physical_rows` and
-`draws` for how trials are drawn, run and read. The long run is stratified instead of drawn: so many trials of each
-violation, of each failure, and clean ones.
+A trial is one capability invocation. Whole tasks, and the faults of plugins, are sets of their own that run when they
+are named (`physical_tasks`, `physical_faults`). The truth of a trial is the ungoverned twin; see `physical_trial`,
+`physical_rows` and `draws` for how trials are drawn, run and read. The long run is stratified instead of drawn: so many
+trials of each violation, of each failure, and clean ones.
 """
 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
-from app.evaluation.extensions import find_method
+from app.evaluation.extensions import FAULT, find_method
 from app.evaluation.jobs import Job
 from app.evaluation.methods import ABLATIONS, REINS
-from app.evaluation.metrics import Tally, percentile
+from app.evaluation.metrics import Entry, Tally, percentile
 from app.evaluation.model import Failure, Kind, Violation
-from app.evaluation.physical_rows import COLUMNS, MEANINGS, Class, row
+from app.evaluation.physical_faults import FAULT_COLUMNS, run_faults
+from app.evaluation.physical_rows import COLUMNS as TRIAL_COLUMNS
+from app.evaluation.physical_rows import MEANINGS, Class, row
+from app.evaluation.physical_tasks import run_tasks
 from app.evaluation.physical_trial import Bench, prepare, shares_twin
 from app.evaluation.physical_trial import run as run_trial
 from app.evaluation.statistics import effect_sizes
 from app.evaluation.studies import STUDIES, STUDY_COLUMNS, is_study, run_study, study_jobs, study_results
+from app.evaluation.task_rows import TASK_COLUMNS, TASK_MEANINGS, TaskClass
 
 if TYPE_CHECKING:
     from app.evaluation.model import Row
@@ -29,7 +34,15 @@ if TYPE_CHECKING:
 
 __all__ = ["COLUMNS", "STUDIES", "STUDY_COLUMNS", "jobs", "results", "run", "study_jobs"]
 
+COLUMNS: Final = {**TRIAL_COLUMNS, **TASK_COLUMNS, **FAULT_COLUMNS}
+FAULTS: Final = True
+"""Faults of plugins can be run here."""
+
+TASK_TRIALS: Final = 10
+"""Runs of each task and seed, if nobody says otherwise: a task takes as long as several trials."""
+
 CHUNK: Final = 10
+TASK_CHUNK: Final = 2
 LONG: Final[tuple[tuple[Kind | Violation | Failure, int], ...]] = (
     *((violation, 340) for violation in Violation),
     *((failure, 260) for failure in Failure),
@@ -114,34 +127,45 @@ def jobs(
 
     Args:
         methods: Names of the methods.
-        tasks: Must be empty: a trial is one capability invocation.
+        tasks: Names of tasks, and `fault-NAME` for a plugin's fault; these alone are run then. Empty: single
+            capability invocations.
         seeds: Seeds of the runs.
-        trials: Trials for each seed; the long run has its own numbers, spread over the seeds.
-        long: The stratified long run.
-
-    Raises:
-        ValueError: Tasks were named.
+        trials: Trials for each seed, and task; the long run has its own numbers, spread over the seeds.
+        long: The stratified long run; it has no tasks.
     """
-    if tasks:
-        raise ValueError(f"tasks `{', '.join(tasks)}`: valid are none, a physical trial is one capability invocation")
     together = _SEPARATOR.join(methods)
     wanted = [(_name(kind), count // len(seeds)) for kind, count in LONG] if long else [("", trials)]
+    if tasks:
+        wanted = [(task, trials) for task in tasks]
     return [
-        Job(f"{what or 'drawn'}_{seed}_{first:05d}", together, what, seed, first, min(CHUNK, count - first))
+        Job(f"{what or 'drawn'}_{seed}_{first:05d}", together, what, seed, first, min(chunk, count - first))
         for what, count in wanted
+        for chunk in (TASK_CHUNK if tasks and not what.startswith(FAULT) else CHUNK,)
         for seed in seeds
-        for first in range(0, count, CHUNK)
+        for first in range(0, count, chunk)
     ]
 
 
 def run(job: Job, policy: PolicySet) -> Iterator[Row]:
-    """Run ten trials under all methods, or a part of a study."""
+    """Run the trials of a job under all its methods, or a part of a study.
+
+    Raises:
+        UnknownName: There is no such method, task or fault.
+    """
     if is_study(job):
         yield from run_study(job, policy)
         return
     bench = _bench.setdefault(policy.digest, Bench.of(policy))
-    methods = [find_method(name) for name in job.method.split(_SEPARATOR)]
-    wanted, whole = _wanted(job.task), any(map(shares_twin, methods))
+    names = job.method.split(_SEPARATOR)
+    if job.task.startswith(FAULT):
+        yield from run_faults(bench, job, names)
+        return
+    wanted = _wanted(job.task)
+    if job.task and wanted is None:
+        yield from run_tasks(bench, job, names)
+        return
+    methods = [find_method(name) for name in names]
+    whole = any(map(shares_twin, methods))
     for number in range(job.first, job.first + job.count):
         trial = prepare(bench, job.seed, number, wanted=wanted, whole=whole)
         ran = run_trial(bench, trial, methods)
@@ -159,6 +183,10 @@ def _wanted(name: str) -> Kind | Violation | Failure | None:
             if _name(one) == name:
                 return one
     return None
+
+
+def _entries(tallies: Mapping[str, Mapping[str, Tally]]) -> dict[str, dict[str, dict[str, Entry]]]:
+    return {name: {method: one.entries() for method, one in mine.items()} for name, mine in tallies.items()}
 
 
 class _Sums:
@@ -223,17 +251,24 @@ class _Sums:
 def results(rows: Iterable[Row], policy: PolicySet) -> dict[str, Json]:
     """Sum up all rows; what `results.json` holds.
 
+    Tasks and faults of plugins count in the sums over all rows, and each by itself in `per_task` and `per_fault`.
+
     Args:
         rows: Of every job.
         policy: Π that they were run under.
     """
     sums: dict[str, _Sums] = defaultdict(_Sums)
+    tasks: dict[str, dict[str, Tally]] = defaultdict(lambda: defaultdict(Tally))
+    faults: dict[str, dict[str, Tally]] = defaultdict(lambda: defaultdict(Tally))
     studied: list[Row] = []
     for one in rows:
         if one.get("study"):
             studied.append(one)
-        else:
-            sums[str(one["method"])].add(one)
+            continue
+        sums[str(one["method"])].add(one)
+        if one["task"]:
+            apart = faults if one.get("fault") else tasks
+            apart[str(one.get("fault") or one["task"])][str(one["method"])].add(one)
     entries = {name: mine.tally.entries() for name, mine in sums.items()}
     methods = {name: found for name, found in entries.items() if name not in ABLATIONS}
     ours = sums.get(REINS.name, _Sums())
@@ -244,7 +279,12 @@ def results(rows: Iterable[Row], policy: PolicySet) -> dict[str, Json]:
             name: {one.value: found[f"RVDR_{one.name}"] for one in Violation} for name, found in entries.items()
         },
         "classes": {name: mine.shares() for name, mine in sums.items()},
-        "class_meanings": {one.value: MEANINGS[one] for one in Class},
+        "per_task": _entries(tasks),
+        "per_fault": _entries(faults),
+        "class_meanings": {
+            **{one.value: MEANINGS[one] for one in Class},
+            **({one.value: TASK_MEANINGS[one] for one in TaskClass} if tasks else {}),
+        },
         "confusion": {name: mine.confusion() for name, mine in sums.items()},
         "effect_sizes": effect_sizes(methods),
         "extremes": {name: mine.extremes() for name, mine in sums.items()},

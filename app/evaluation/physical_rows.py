@@ -180,7 +180,7 @@ def _violated(made: Row, trial: Trial, violation: Violation, done: Execution) ->
         occurred=True,
         boundary=trial.boundary,
         detected=first is not None,
-        enforced=None if first is None or rule is None else _enforced(done, first, rule),
+        enforced=None if first is None or rule is None else enforced(done, first, rule),
         unsafe=unsafe,
         rule=None if rule is None else rule.id,
         latency_ticks=None if first is None or track.onset is None else first.tick - _launched(done) - track.onset,
@@ -204,7 +204,7 @@ def _class_of_violation(seen: bool, warns: bool, unsafe: bool, prevented: bool, 
     return Class.ENDED_OTHERWISE if done.of(EventKind.INTERVENTION) else Class.HARMLESS
 
 
-def _enforced(done: Execution, first: Entry, rule: WatchRule) -> bool:
+def enforced(done: Execution, first: Entry, rule: WatchRule) -> bool:
     """Say whether what policy names followed: in the same tick, or nothing where it names a warning.
 
     A more severe intervention in that tick is as good. Where the robot is being held already, because something else

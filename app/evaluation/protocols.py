@@ -15,7 +15,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final, Protocol, cast, runtime_checkable
 
-from app.evaluation.extensions import REGISTRY, UnknownName
+from app.evaluation.extensions import ALL, FAULT, REGISTRY, UnknownName, all_tasks, find_fault, find_task
 
 if TYPE_CHECKING:
     from app.evaluation.jobs import Job
@@ -30,7 +30,8 @@ class EvaluationProtocol(Protocol):
 
     A module may declare `COLUMNS`, if its rows have more than those of `app.evaluation.rows`; and it may have studies,
     extra jobs beside those that compare methods: `STUDIES` (name → anything), `STUDY_COLUMNS`, and `study_jobs(names,
-    seeds)`. Their rows come to `results` like any other.
+    seeds)`. Their rows come to `results` like any other. One that can run the faults of plugins says `FAULTS = True`;
+    then `tasks` may hold `fault-NAME` as well. `TRIALS` and `TASK_TRIALS` are how many trials it runs if nobody says.
     """
 
     def jobs(
@@ -54,7 +55,7 @@ class EvaluationProtocol(Protocol):
             |---|---|
             | `methods`, `ablations` | name → metric → entry |
             | `per_type` | method → violation → entry of RVDR |
-            | `per_task` | task → method → metric → entry |
+            | `per_task`, `per_fault` | task, or a plugin's fault → method → metric → entry |
             | `classes` | method → kind of trial → class → share |
             | `class_meanings` | class → what it means |
             | `confusion` | method → TP, FP, FN, TN |
@@ -104,6 +105,24 @@ def find_protocol(name: str) -> EvaluationProtocol:
     if name not in protocol_names():
         raise UnknownName("protocol", name, protocol_names())
     return cast("EvaluationProtocol", import_module(PROTOCOLS[name]))
+
+
+def find_tasks(protocol: str, names: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of tasks, each once; `all` stands for every task type.
+
+    Raises:
+        UnknownName: there is no such task or fault, or the protocol runs no faults.
+    """
+    found: list[str] = []
+    for name in names:
+        if name == ALL:
+            found += all_tasks()
+        elif name.startswith(FAULT) and getattr(find_protocol(protocol), "FAULTS", False):
+            find_fault(name)
+            found.append(name)
+        else:
+            found.append(find_task(name).name)
+    return tuple(dict.fromkeys(found))
 
 
 def find_study(protocol: str, name: str) -> str:
