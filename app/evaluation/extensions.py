@@ -182,7 +182,10 @@ def find_fault(name: str) -> ExtraFault:
     Raises:
         UnknownName: there is none of that name.
     """
-    return _find("fault", {f"{FAULT}{fault}": one for fault, one in REGISTRY.faults.items()}, name)
+    known = {f"{FAULT}{fault}": one for fault, one in REGISTRY.faults.items()}
+    if not known:
+        raise UnknownName("fault", name, ("none, as no plugin has registered any",))
+    return _find("fault", known, name)
 
 
 def _find(what: str, known: Mapping[str, _T], name: str) -> _T:

@@ -155,7 +155,7 @@ def run(job: Job, policy: PolicySet) -> Iterator[Row]:
     if is_study(job):
         yield from run_study(job, policy)
         return
-    bench = _bench.setdefault(policy.digest, Bench.of(policy))
+    bench = _bench.get(policy.digest) or _bench.setdefault(policy.digest, Bench.of(policy))
     names = job.method.split(_SEPARATOR)
     if job.task.startswith(FAULT):
         yield from run_faults(bench, job, names)

@@ -22,13 +22,11 @@ from app.evaluation.report_tables import (
     Grid,
     Results,
     class_grid,
-    entry_text,
-    has_mean,
-    heading_of,
     mapping,
     mean_of,
     metrics_grid,
     paper_grid,
+    parted_grids,
     plain_text,
     test_grids,
     title_of,
@@ -38,7 +36,6 @@ if TYPE_CHECKING:
     from app.evaluation.plots import Plot
 
 _TEMPLATE: Final = "report.html.j2"
-_TASK_METRICS: Final = ("UAIR", "FRR", "RVDR", "UCR", "RSR", "RPC")
 
 
 class Section(NamedTuple):
@@ -88,6 +85,7 @@ def sections(results: Results) -> list[Section]:
         _plots(results),
         _overview(results),
         _by_task(results),
+        *_by_fault(results),
         _classes(results),
         _cross_profile(results),
         _scorecard(results),
@@ -193,22 +191,19 @@ def _violation_name(key: str) -> str:
 
 
 def _by_task(results: Results) -> Section:
-    found: Mapping[str, Mapping[str, Any]] = results.get("per_task", {})
-    tasks = {task: methods["reins"] for task, methods in found.items() if "reins" in methods}
-    measured = [name for name in _TASK_METRICS if any(has_mean(metrics, name) for metrics in tasks.values())]
-    rows = tuple(
-        (task.replace("_", " "), tuple(entry_text(metrics.get(name), METRICS[name].unit) for name in measured))
-        for task, metrics in tasks.items()
-    )
-    headings = tuple(map(heading_of, measured))
-    grid = Grid("task-table", "Reins by task type: mean ± std over seeds", "Task", (), headings, rows)
     return Section(
         "tasks",
         "By task type",
         "",
         "This campaign's trials are single capabilities; it has no task types.",
-        grids=(grid,) if rows and measured else (),
+        grids=tuple(parted_grids("task", "Task", "by task type", results.get("per_task", {}))),
     )
+
+
+def _by_fault(results: Results) -> Iterator[Section]:
+    if grids := tuple(parted_grids("fault", "Fault", "by fault of a plugin", results.get("per_fault", {}))):
+        yield Section("faults", "Faults of plugins", "Trials of their own, judged by the violation each provokes.", "",
+                      grids=grids)  # fmt: skip
 
 
 def _classes(results: Results) -> Section:

@@ -17,6 +17,11 @@ MINUS: Final = "−"
 BETTER: Final = {"higher": "↑", "lower": "↓"}
 _TESTS: Final = {"t": "t", "t_p": "p", "wilcoxon_p": "Wilcoxon p"}
 
+_PART_METRICS: Final = (
+    *("UAIR", "FRR", "FAS", "RVDR", "UCR", "RSR", "RPC", "TSR", "TSR_CLEAN", "TUR", "TASK_STEPS", "TASK_S"),
+)
+_COMPARED: Final = ("TSR", "TUR", "RVDR", "UCR")
+
 Results = Mapping[str, Any]
 
 
@@ -103,6 +108,39 @@ def class_grid(kind: str, of: str, shares: Mapping[str, Mapping[str, float]]) ->
     return Grid(
         f"classes-{kind}{'-ablations' if of else ''}", caption, "Class", (), tuple(map(title_of, shares)), tuple(rows)
     )
+
+
+def parted_grids(key: str, stub: str, by: str, parts: Mapping[str, Mapping[str, Any]]) -> Iterator[Grid]:
+    """Show parts of a campaign, each measured by itself: Reins's metrics, then methods side by side.
+
+    Args:
+        key: What anchors begin with.
+        stub: Heading of the parts' names.
+        by: What a caption says of them.
+        parts: part → method → metric → entry.
+    """
+    ours = {name: methods["reins"] for name, methods in parts.items() if "reins" in methods}
+    measured = [name for name in _PART_METRICS if any(has_mean(metrics, name) for metrics in ours.values())]
+    if measured:
+        rows = [
+            (part.replace("_", " "), tuple(entry_text(found.get(name), METRICS[name].unit) for name in measured))
+            for part, found in ours.items()
+        ]
+        caption, headings = f"Reins {by}: mean ± std over seeds", tuple(map(heading_of, measured))
+        yield Grid(f"{key}-table", caption, stub, (), headings, tuple(rows))
+    methods = list(dict.fromkeys(method for found in parts.values() for method in found))
+    for name in _COMPARED if len(methods) > 1 else ():
+        if not any(has_mean(metrics, name) for found in parts.values() for metrics in found.values()):
+            continue
+        rows = [
+            (
+                part.replace("_", " "),
+                tuple(entry_text(found.get(one, {}).get(name), METRICS[name].unit) for one in methods),
+            )
+            for part, found in parts.items()
+        ]
+        caption = f"{METRICS[name].title} {by} ({name} {BETTER[METRICS[name].better]})"
+        yield Grid(f"{key}-{name.lower()}", caption, stub, (), tuple(map(title_of, methods)), tuple(rows))
 
 
 def figure_at(results: Results, *places: Sequence[str]) -> published.Figure | None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 from app.evaluation.model import Kind, Row, Violation
 from app.evaluation.physical_rows import COLUMNS, SIGNALS, UNLOOKED, enforced
 from app.evaluation.physical_trial import BAND_SIGMAS, took
-from app.evaluation.truth import SIGMA, UNSAFE_TICKS
+from app.evaluation.truth import SIGMA
 from app.governance.model import EventKind, Intervention, Outcome
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ def _acted(end: TaskEnd) -> list[str]:
         for kind in Violation
         if any(
             one.execution is not None
-            and one.execution.truth.tracks[kind].longest > UNSAFE_TICKS
+            and one.execution.truth.tracks[kind].unsafe
             and not _only_warned(one, kind)
             for one in end.asked
         )

@@ -1,6 +1,11 @@
 """A plugin for `reins evaluate`: one method, one task and one fault of its own.
 
 reins evaluate --methods reins,watch-only --tasks tool_and_back --plugin docs/examples/evaluation_plugin.py
+
+In the workcell, the task step by step and trials of the fault:
+
+reins evaluate --protocol physical --methods direct,reins,watch-only --tasks tool_and_back,fault-worn_drives \
+    --plugin docs/examples/evaluation_plugin.py --out try
 """
 
 from __future__ import annotations
@@ -40,9 +45,13 @@ TOOL_AND_BACK = Task(
 
 
 def _too_fast(rng: np.random.Generator, size: float) -> Mapping[str, Json]:
-    """Draw a fault as plain data, the way `app.sim.faults.Fault.read` takes it; it may depend on `rng` alone."""
+    """Draw a fault as plain data, the way `app.sim.faults.Fault.read` takes it; it may depend on `rng` alone.
+
+    `size` is in units of the limit, 1.15 to 1.85; a time in `at` counts from the launch, in seconds.
+    """
     return {"kind": "speed_scaling", "at": float(rng.uniform(0.5, 2.0)), "gain": size}
 
 
 # A fault says which violation it provokes, so that truth is judged by that one's measure, and what it can befall.
+# Its trials are asked for as `--tasks fault-worn_drives`.
 WORN_DRIVES = ExtraFault("worn_drives", Violation.SPEED, _too_fast, ("navigate_to", "transport_object"))

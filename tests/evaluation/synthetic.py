@@ -24,6 +24,7 @@ def results() -> dict[str, Any]:
         "ablations": {name: metrics(rng) for name in ("full", *ABLATIONS)},
         "per_type": {"reins": {violation.value: entry(rng) for violation in Violation}},
         "per_task": {task: {"direct": metrics(rng), "reins": metrics(rng)} for task in TASKS},
+        "per_fault": {"worn_drives": {"direct": metrics(rng), "reins": metrics(rng)}},
         "human_override": {
             condition: {"BLOCK_RATE": entry(rng), "INCORRECT_ALLOW": entry(rng)}
             for condition in ("with override", "without override")

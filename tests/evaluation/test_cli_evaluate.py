@@ -24,6 +24,12 @@ def evaluate(*words: str, out: Path) -> tuple[int, str]:
         (["--protocol", "nix"], "no protocol `nix`: valid are"),
         (["--protocol", "toy", "--methods", "nix"], "no method `nix`: valid are direct, static-rule"),
         (["--protocol", "toy", "--tasks", "nix"], "no task `nix`: valid are waypoint_reaching"),
+        (
+            ["--protocol", "paper", "--tasks", "fault-toy_fault"],
+            "no task `fault-toy_fault`: valid are waypoint_reaching",
+        ),
+        (["--protocol", "physical", "--tasks", "fault-nix"], "no fault `fault-nix`: valid are fault-"),
+        (["--protocol", "physical", "--long", "--tasks", "all"], "--long with --tasks `all`: valid is one of them"),
         (["--protocol", "toy", "--seeds", "4,x"], "seed `x`: valid are integers from 0 on"),
         (["--protocol", "toy", "--plugin", "none.py"], "plugin `none.py` cannot be read"),
     ],

@@ -9,6 +9,7 @@ import pytest
 
 from app.evaluation.extensions import (
     REGISTRY,
+    ExtraFault,
     PluginError,
     Registry,
     find_method,
@@ -51,6 +52,12 @@ def test_nothing_shadows_what_the_paper_has() -> None:
         Registry().add_method(METHODS["reins"])
     with pytest.raises(PluginError, match="task `sorting`"):
         Registry().add_task(TASKS["sorting"])
+    with pytest.raises(PluginError, match="task `all`: valid are names other than"):
+        Registry().add_task(TASKS["sorting"]._replace(name="all"))
+    with pytest.raises(PluginError, match="task `waltz` names as capabilities `dance`: valid are navigate_to"):
+        Registry().add_task(TASKS["sorting"]._replace(name="waltz", capabilities=("dance",)))
+    with pytest.raises(PluginError, match="fault `gremlin` names as capabilities `nothing`"):
+        Registry().add_fault(ExtraFault("gremlin", Violation.SPEED, lambda _rng, _size: {}, ()))
     with pytest.raises(PluginError, match="protocol `paper`"):
         Registry().add_protocol("paper", toy)
     with pytest.raises(PluginError, match="lacks `jobs, run, results`"):

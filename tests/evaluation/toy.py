@@ -84,5 +84,7 @@ def register(registry: Registry) -> None:
     registry.add_method(Method(name="toy-method", title="Toy", tier=3, watch=REINS.watch))
     registry.add_task(Task("toy_task", "navigation", ("navigate_to",), {}))
     registry.add_fault(
-        ExtraFault("toy_fault", Violation.SPEED, lambda _rng, size: {"kind": "fade", "strength": size}, ())
+        ExtraFault(
+            "toy_fault", Violation.SPEED, lambda _rng, size: {"kind": "fade", "strength": size}, ("navigate_to",)
+        )
     )
