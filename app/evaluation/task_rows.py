@@ -150,9 +150,7 @@ def _acted(end: TaskEnd) -> list[str]:
         kind.value
         for kind in Violation
         if any(
-            one.execution is not None
-            and one.execution.truth.tracks[kind].unsafe
-            and not _only_warned(one, kind)
+            one.execution is not None and one.execution.truth.tracks[kind].unsafe and not _only_warned(one, kind)
             for one in end.asked
         )
     ]
