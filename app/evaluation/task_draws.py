@@ -20,11 +20,10 @@ from zlib import crc32
 
 import numpy as np
 
-from app.evaluation.draws import BIAS_MPS, GRASPABLE, WHERE, Drawing, Drawn
+from app.evaluation.draws import GRASPABLE, WHERE, Drawing, Drawn
 from app.evaluation.model import PAPER_FAILURES, Failure, Kind, Violation
 from app.evaluation.stage import Start
 from app.sim.faults import Fault, Scenario
-from app.sim.occasions import Trigger
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -48,7 +47,6 @@ DRIVING: Final = ("navigate_to", "transport_object")
 HOLDING: Final = ("place_object", "transport_object")
 TOOLS: Final = (("lever", "pull_down"), ("press", "press"))
 _NEAR: Final = ("dock", "tool_stand")  # straight across the floor from where a task starts
-_DRIFT_MPS: Final = (0.15, 0.3)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -237,11 +235,10 @@ class _TaskDrawing(Drawing):
 
     def _can(self, wanted: Violation | Failure, step: Drawn) -> bool:
         """Say whether it can come about there: ways across the floor only, and objects that are known."""
-        straight = step.start.stand == self.policy.site.start
-        if wanted is Violation.ZONE:
-            return straight and step.params.get("target") == "tool_stand"
+        if wanted is Violation.ZONE:  # no way of a task leads along a forbidden zone, so that no drift leads into one
+            return False
         if wanted is Failure.BLOCKED_PATH:
-            return straight and step.params.get("target") in _NEAR
+            return step.start.stand == self.policy.site.start and step.params.get("target") in _NEAR
         if wanted is Failure.PERCEPTION_MISMATCH:
             return step.params.get("object_id") in GRASPABLE
         return True
@@ -249,16 +246,6 @@ class _TaskDrawing(Drawing):
     def _request(self, capability: str) -> tuple[dict[str, Json], Start]:
         del capability  # it is the step's
         return self._asked
-
-    def _zone(self, capability: str) -> Drawn:
-        """Let the robot drift toward the press area on its way to the tools."""
-        params, start = self._asked
-        params["speed_mps"] = min(float(self.rng.uniform(*_DRIFT_MPS)), self._limit("base_speed_mps"))
-        bias = float(self.rng.uniform(*BIAS_MPS))
-        habit = Fault(kind="habit", at=Trigger(time_s=0.0), sizes={"habit": "dead_reckoning"})
-        drift = self._fault("odometry_bias", capability, "drive", x_mps=-bias, y_mps=0.0)
-        scenario = Scenario(faults=(habit, drift))
-        return self._violating(Violation.ZONE, capability, params, start, scenario, size=bias)
 
     def _block(self, capability: str, params: dict[str, Json], start: Start) -> tuple[Fault, float]:
         """Put a crate in the way that the task takes."""

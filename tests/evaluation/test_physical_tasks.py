@@ -13,7 +13,7 @@ import pytest
 from app.evaluation.episode import Execution
 from app.evaluation.extensions import REGISTRY, load_plugins
 from app.evaluation.methods import METHODS, Passed
-from app.evaluation.model import TASKS, TUNING_SEEDS, Kind, Row, Task, Violation
+from app.evaluation.model import TASKS, TUNING_SEEDS, Failure, Kind, Row, Task, Violation
 from app.evaluation.physical_faults import draw_fault
 from app.evaluation.physical_protocol import COLUMNS, TASK_TRIALS, jobs, results, run
 from app.evaluation.physical_tasks import Asked, TaskEnd
@@ -82,6 +82,14 @@ def test_what_goes_wrong_befalls_the_first_run_of_a_capability(task: str) -> Non
             assert befallen not in [step.capability for step in one.steps[: one.befallen]]
             walks = [person.start for person in one.scenario.people]
             assert all(at.run == 1 for at in (*walks, *(fault.at for fault in one.scenario.faults)))
+
+
+def test_what_cannot_come_about_on_the_ways_of_a_task_is_not_drawn() -> None:
+    befallen = [one.step for task in TASKS for one in drawn(task) if one.step is not None]
+    assert {step.violation for step in befallen} == {None, *Violation} - {Violation.ZONE}
+    blocked = [step for step in befallen if step.failure is Failure.BLOCKED_PATH]
+    assert blocked
+    assert {step.params["target"] for step in blocked} <= {"dock", "tool_stand"}
 
 
 def test_the_next_turn_has_the_same_steps_and_the_same_type_of_another_size() -> None:
