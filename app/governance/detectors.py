@@ -29,7 +29,7 @@ Pair: TypeAlias = "tuple[float, float]"
 NEAR_ZONE_M: Final = 1.5
 EDGE_M: Final = 0.03
 REACTION_S: Final = 0.05  # from a violation to less speed: two ticks, the filter's lag and the drives'
-STUCK_TICKS: Final = 20
+STUCK_TICKS: Final = 3  # readings carry noise: that two repeat bit by bit is chance, three in a row never are
 HELD_TICKS: Final = 10
 LOST_TICKS: Final = 3
 FIST_M: Final = 0.008
@@ -84,15 +84,15 @@ def position(seen: Observation, base: BaseEstimate, sound: bool) -> tuple[BaseEs
     fix_jumped = False
     base_x_m = base_y_m = base_yaw_rad = nan
     if sound:
-        last = base
         if seen.time_s >= base.due_s or (seen.fix is not None and seen.fix.stamp_s != base.fix_s):
             base = track_base(base, seen.time_s, seen.odometry, seen.fix)
-            fix_jumped = base.miss_m > FIX_JUMP_M and base.fix_s != last.fix_s
         x, y, yaw = seen.odometry
         ahead_s = seen.time_s - base.at_s
         base_x_m = x + (base.x_m + base.drift_x_mps * ahead_s)
         base_y_m = y + (base.y_m + base.drift_y_mps * ahead_s)
         base_yaw_rad = yaw + base.yaw_rad
+        # Until another fix says otherwise: fixes come every fifth tick, and what is debounced has to last.
+        fix_jumped = base.miss_m > FIX_JUMP_M
     return base, fix_jumped, base_x_m, base_y_m, base_yaw_rad
 
 

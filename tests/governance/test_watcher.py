@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from app.governance.detectors import STUCK_TICKS
 from app.governance.model import (
     Alert,
     Bounds,
@@ -378,7 +379,7 @@ MOVING = HOLD._replace(joint_speed_radps=(0.1,) * 6, base_velocity=(0.1, 0.0, 0.
 def test_a_reading_that_repeats_bit_by_bit_while_moving_is_implausible(field: str) -> None:
     frozen = getattr(seen(0), field)
     stream = [seen(tick, **{field: frozen}) for tick in range(40)]
-    assert first_alert(PLAN, stream, command=MOVING)[0] == 20
+    assert first_alert(PLAN, stream, command=MOVING)[0] == STUCK_TICKS
     assert first_alert(PLAN, stream, command=HOLD) == (None, None)
 
 
@@ -388,7 +389,7 @@ def test_only_a_full_hand_s_reading_cannot_repeat(moved: str) -> None:
     empty = [seen(tick, grip_force_n=0.0, pads_loaded=False) for tick in range(40)]
     assert first_alert(PLAN, empty, command=command) == (None, None)
     full = [one._replace(grip_force_n=20.0, pads_loaded=True) for one in empty]
-    assert first_alert(PLAN, full, command=command)[0] == 20
+    assert first_alert(PLAN, full, command=command)[0] == STUCK_TICKS
 
 
 @pytest.mark.parametrize(("sensor", "field"), [("wrist", "contact_force_n"), ("odometry", "base_velocity")])
@@ -574,3 +575,19 @@ def test_watching_is_pure() -> None:
 def test_every_signal_has_a_name_policy_can_use() -> None:
     assert SIGNAL_NAMES[-1] == "grip_force_n"
     assert set(SIGNAL_NAMES) <= set(Signals._fields)
+
+
+@pytest.mark.parametrize("sensitivity", [0.3, 0.5, 0.7, 0.9])
+def test_a_fix_that_jumps_is_implausible_in_every_profile(sensitivity: float) -> None:
+    """Fixes come every fifth tick; a debounce of several ticks must not wait for what is there in one of them alone."""
+    plan = watching(rule("implausible", threshold=0.5, for_ms=50, emits=Signal.INSTABILITY), sensitivity=sensitivity)
+    watcher = compile_watch(plan)
+    state, told = watcher.begin(), []
+    for tick in range(1, 120):
+        at_s = tick // 5 * 5 / 100
+        jumped = 1.0 if at_s >= 0.5 else 0.0
+        fix = Fix(at_s, jumped, 0.0, 0.0)
+        state, alerts = watcher.watch(state, seen(tick, fix=fix), SkillReport("move", 0.1), MOVING)
+        told += [tick for alert in alerts if alert.rule == "implausible"]
+    assert told
+    assert 50 <= told[0] <= 65
