@@ -5,6 +5,7 @@ An agent sees and cancels its own invocations alone; the runtime decides that by
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Annotated
 
 from fastapi import Path, Query
@@ -18,6 +19,7 @@ from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
 from app.api.wire import EmptyBody, ProposalBody, read_body, read_idempotency_key, read_optional
 from app.audit.reader import parse_cursor
+from app.clock import parse_rfc3339
 from app.governance.model import Mode, Status, Strategy
 from app.runtime.invocation import ProposalRequest
 
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 
 MAX_WAIT_S = 60.0
 MAX_LIMIT = 200
+_STAMP = re.compile(r"\d{4}-\d{2}-\d{2}T\d{2}:\d{2}:\d{2}\.\d{3}Z", re.ASCII)  # the one form `updated_at` is written in
 
 Identifier = Annotated[str, Path(min_length=1, max_length=128)]
 Filter = Annotated[str | None, Field(min_length=1, max_length=128)]
@@ -33,6 +36,13 @@ Filter = Annotated[str | None, Field(min_length=1, max_length=128)]
 
 def _cursor(text: str) -> str:
     parse_cursor(text)
+    return text
+
+
+def _seen(text: str) -> str:
+    if not _STAMP.fullmatch(text):
+        raise ValueError(f"`{text}` is no `updated_at`: valid is for instance `2026-03-01T09:30:00.250Z`")
+    parse_rfc3339(text)
     return text
 
 
@@ -63,6 +73,7 @@ class WaitQuery(BaseModel):
     seen: Annotated[
         str | None,
         Field(max_length=40, description="The `updated_at` known already: a newer version is answered at once."),
+        AfterValidator(_seen),
     ] = None
 
 

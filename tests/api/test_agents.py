@@ -90,6 +90,20 @@ async def test_refuses_to_wait_for_ever(house: House, query: str) -> None:
     assert (answer.status_code, answer.json()["code"]) == (422, "request_invalid")
 
 
+@pytest.mark.parametrize(
+    "seen",
+    ["garbage", "1", "2026-03-01", "2026-03-01 09:30:00.250Z", "2026-13-01T09:30:00.250Z", "2026-03-01T09:30:00.25Z"],
+)
+@pytest.mark.parametrize("wait", ["", "wait=25&"])
+async def test_refuses_what_is_no_time_of_a_version(house: House, seen: str, wait: str) -> None:
+    async with house.client() as agent:
+        document = await refused(agent)
+        answer = await agent.get(f"/v1/invocations/{document['id']}?{wait}seen={seen}")
+    assert (answer.status_code, answer.json()["code"]) == (422, "request_invalid")
+    assert f"`{seen}`" in answer.text
+    assert "`2026-03-01T09:30:00.250Z`" in answer.text
+
+
 async def test_the_same_key_and_body_get_the_same_invocation(house: House) -> None:
     async with house.client() as agent:
         key = {"Idempotency-Key": "fetch the mug, first try"}
