@@ -90,11 +90,15 @@ class Episode:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnderWay:
-    """A proposal that was sent and whose end is not yet known; asking again under its key finds the same invocation."""
+    """A proposal that was sent and whose end is not yet known; asking again under its key finds the same invocation.
+
+    A key stands for one proposal, metadata included: another goal, capability or parameter is another proposal.
+    """
 
     key: str
     capability: str
     params: dict[str, Any]
+    goal: Goal | None = None
 
 
 @dataclass(slots=True, kw_only=True)
@@ -275,7 +279,8 @@ class ReferenceAgent:
     ) -> list[Result]:
         """Reach a goal and return the results on the way; an unfinished plan for the same goal is taken up again.
 
-        Raises `GoalFailed` when governance's reasons leave nothing to try.
+        Raises `GoalFailed` when governance's reasons leave nothing to try, or a proposal itself was refused; what
+        the client raises when the site cannot be read, or the server gives no answer.
         """
         site: Site = (await self._client.call("GET", "/v1/policies/active"))["site"]
         if self.state.goals[:1] != [goal] or not self.state.plan:
@@ -289,6 +294,8 @@ class ReferenceAgent:
             try:
                 results.append(await self._propose(step, on_update))
                 self.state.plan.pop(0)
+            except Problem as refused:
+                raise GoalFailed(goal, step, str(refused)) from refused
             except NotCompleted as failed:
                 self._remember(step, failed.invocation, tuple(failed.codes))
                 chosen = repair(step, goal, site, failed)
@@ -311,15 +318,20 @@ class ReferenceAgent:
     async def _propose(self, step: Step, on_update: OnUpdate | None) -> Result:
         params = self._within_known_limits(step)
         under_way = self.state.memory.under_way
-        if under_way is None or under_way.capability != step.capability:
-            under_way = UnderWay(key=uuid.uuid4().hex, capability=step.capability, params=params)
+        goal = self.state.goals[0]
+        if under_way is None or (under_way.goal, under_way.capability, under_way.params) != (
+            goal,
+            step.capability,
+            params,
+        ):
+            under_way = UnderWay(key=uuid.uuid4().hex, capability=step.capability, params=params, goal=goal)
             self.state.memory.under_way = under_way
             self._save()
         try:
             result = await self._client.invoke(
                 step.capability,
                 idempotency_key=under_way.key,
-                metadata={"confidence": 0.9, "intent": self.state.goals[0].text()},
+                metadata={"confidence": 0.9, "intent": goal.text()},
                 on_update=on_update,
                 **under_way.params,
             )

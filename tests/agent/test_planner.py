@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from app.agent.client import AsyncReinsClient, ExecutionFailed, Refused
+from app.agent.client import AsyncReinsClient, ExecutionFailed, Refused, Unreachable
 from app.agent.planner import Goal, GoalFailed, ReferenceAgent, Step, plan_for, recall, repair
 
 from .scripted_server import Turn, serve
@@ -138,6 +138,45 @@ async def test_a_restarted_agent_asks_for_the_same_invocation_under_the_same_key
     posts = [turn for turn in server.turns if turn.method == "POST"]
     assert posts[0].headers["idempotency-key"] == posts[1].headers["idempotency-key"]
     assert len(results) == 5
+
+
+@pytest.mark.anyio
+async def test_an_agent_restarted_with_another_goal_proposes_under_a_new_key(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("app.agent.client._SEND_ATTEMPTS", 1)
+    lost = {"now": True}
+
+    def answer(turn: Turn):
+        if turn.path == "/v1/policies/active":
+            return 200, {"site": SITE}
+        return None if lost["now"] else (201, ended("completed", outcome="succeeded"))
+
+    with serve(answer) as server:
+        async with AsyncReinsClient(server.url, "t", defers=0) as client:
+            with pytest.raises(Unreachable):
+                await ReferenceAgent(client, tmp_path / "memory.json").pursue(FETCH)
+            lost["now"] = False
+            await ReferenceAgent(client, tmp_path / "memory.json").pursue(Goal(kind="inspect", subject="bench_a_top"))
+    lost_one, asked, *_ = [turn for turn in server.turns if turn.method == "POST"]
+    assert lost_one.body["params"] == asked.body["params"]
+    assert lost_one.body["metadata"] != asked.body["metadata"]
+    assert lost_one.headers["idempotency-key"] != asked.headers["idempotency-key"]
+
+
+@pytest.mark.anyio
+async def test_a_refused_request_ends_the_goal_in_the_servers_words(tmp_path: Path):
+    def answer(turn: Turn):
+        if turn.path == "/v1/policies/active":
+            return 200, {"site": SITE}
+        return 422, {"code": "idempotency_mismatch", "detail": "another proposal bore this key"}
+
+    with serve(answer) as server:
+        async with AsyncReinsClient(server.url, "t", defers=0) as client:
+            agent = ReferenceAgent(client, tmp_path / "memory.json")
+            with pytest.raises(GoalFailed, match="idempotency_mismatch: another proposal bore this key"):
+                await agent.pursue(FETCH)
+    assert recall(tmp_path / "memory.json", "planner").memory.under_way is None
 
 
 def test_a_damaged_memory_is_named_instead_of_forgotten(tmp_path: Path):
