@@ -103,10 +103,14 @@ class UnderWay:
 
 @dataclass(slots=True, kw_only=True)
 class Memory:
-    """M_t: episodes, the limits it ran into (by profile and `capability.param`), and what was under way."""
+    """M_t: episodes, limits it ran into, the profile last decided under, and what was under way.
+
+    Limits stand by profile, then by `capability(what it is about).param`: what holds for a glass says nothing of a box.
+    """
 
     episodes: list[Episode] = field(default_factory=list[Episode])
     limits: dict[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]])
+    profile: str | None = None
     under_way: UnderWay | None = None
 
 
@@ -258,6 +262,16 @@ def repair(step: Step, goal: Goal, site: Site, failed: NotCompleted) -> Repair:
 _HUMAN_ENDINGS = frozenset({"stopped", "cancelled", "taken_over"})
 
 
+def _about(step: Step, goal: Goal) -> str:
+    """Return a step's capability with what it is about, as its limits depend on it: the things named and carried."""
+    names = [str(value) for _, value in sorted(step.params.items()) if isinstance(value, str)]
+    carried = [goal.subject] if step.capability in _CARRIES else []
+    return f"{step.capability}({', '.join(carried + names)})"
+
+
+_CARRIES = frozenset({"transport_object", "place_object"})
+
+
 # -- the agent ------------------------------------------------------------------------------------
 
 _STATE = TypeAdapter(AgentState)
@@ -343,14 +357,16 @@ class ReferenceAgent:
         return result
 
     def _within_known_limits(self, step: Step) -> dict[str, Any]:
-        known = {name: value for limits in self.state.memory.limits.values() for name, value in limits.items()}
+        memory = self.state.memory
+        known = memory.limits.get(memory.profile or "", {})
+        about = _about(step, self.state.goals[0])
         return {
-            name: min(value, known.get(f"{step.capability}.{name}", value)) if isinstance(value, float) else value
+            name: min(value, known.get(f"{about}.{name}", value)) if isinstance(value, float) else value
             for name, value in step.params.items()
         }
 
     def _remember(self, step: Step, invocation: Mapping[str, Any], codes: tuple[str, ...]) -> None:
-        """Keep the episode, and the limits it ran into, for this profile."""
+        """Keep the episode, and the limits it ran into, for this profile and what the step was about."""
         memory = self.state.memory
         memory.under_way = None
         memory.episodes.append(
@@ -364,10 +380,12 @@ class ReferenceAgent:
             )
         )
         del memory.episodes[:-_EPISODES]
+        memory.profile = invocation["profile"]
         limits = memory.limits.setdefault(invocation["profile"], {})
+        about = _about(step, self.state.goals[0])
         for change in Result(invocation=dict(invocation)).changes:
             if isinstance(change["effective"], float | int):
-                limits[f"{step.capability}.{change['param']}"] = float(change["effective"])
+                limits[f"{about}.{change['param']}"] = float(change["effective"])
         self._save()
 
     def _save(self) -> None:

@@ -1,3 +1,5 @@
+import itertools
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -114,6 +116,52 @@ async def test_remembers_a_limit_and_asks_for_no_more(tmp_path: Path):
         if turn.body and turn.body["capability"] == "grasp_object"
     ]
     assert asked == [80.0, 60.0]
+
+
+TWO_THINGS = {**SITE, "objects": {"glass_1": {"surface": "bench_a"}, "box_1": {"surface": "bench_a"}}}
+
+
+def _constrains(profiles: Iterator[str]):
+    """Constrain the glass: 20 N of grip, and 0.2 m/s while it is carried; each proposal under the next profile."""
+    limits = {"grasp_object": ("force_n", 20.0), "transport_object": ("speed_mps", 0.2)}
+
+    def answer(turn: Turn):
+        if turn.path == "/v1/policies/active":
+            return 200, {"site": TWO_THINGS}
+        param, most = limits.get(turn.body["capability"], ("", 0.0))
+        change = {"param": param, "requested": turn.body["params"].get(param), "effective": most, "rule": "x"}
+        changes = [change] if param and "glass_1" in turn.body["metadata"]["intent"] else []
+        return 201, ended(
+            "completed", outcome="succeeded", profile=next(profiles), policy={"reasons": [], "changes": changes}
+        )
+
+    return answer
+
+
+def _asked(turns: list[Turn], capability: str, param: str) -> list[float]:
+    return [turn.body["params"][param] for turn in turns if turn.body and turn.body["capability"] == capability]
+
+
+@pytest.mark.anyio
+async def test_limits_of_one_object_are_not_those_of_another(tmp_path: Path):
+    with serve(_constrains(itertools.repeat("human-shared"))) as server:
+        async with AsyncReinsClient(server.url, "t", defers=0) as client:
+            for thing in ("glass_1", "box_1", "glass_1"):
+                goal = Goal(kind="fetch", subject=thing, destination="bench_b")
+                await ReferenceAgent(client, tmp_path / "memory.json").pursue(goal)
+    assert _asked(server.turns, "grasp_object", "force_n") == [80.0, 80.0, 20.0]
+    assert _asked(server.turns, "transport_object", "speed_mps") == [0.8, 0.8, 0.2]
+
+
+@pytest.mark.anyio
+async def test_limits_of_one_profile_are_not_those_of_another(tmp_path: Path):
+    fetch = Goal(kind="fetch", subject="glass_1", destination="bench_b")
+    profiles = itertools.chain(["strict"] * 5, itertools.repeat("relaxed"))
+    with serve(_constrains(profiles)) as server:
+        async with AsyncReinsClient(server.url, "t", defers=0) as client:
+            for _ in range(3):
+                await ReferenceAgent(client, tmp_path / "memory.json").pursue(fetch)
+    assert _asked(server.turns, "grasp_object", "force_n") == [80.0, 80.0, 20.0]
 
 
 @pytest.mark.anyio
