@@ -224,7 +224,10 @@ def _invoke(body: Document, key: str | None, defers: int, on_update: OnUpdate | 
 
 
 def _follow(invocation: Document, on_update: OnUpdate | None) -> _Talk[Document]:
-    """Long-poll until the invocation has ended, telling every change."""
+    """Long-poll until the invocation has ended, telling every change.
+
+    Each poll names the version known already, so that a change since then is answered at once.
+    """
     told: tuple[Any, ...] = ()
     while True:
         seen = (invocation["status"], invocation.get("updated_at"))
@@ -234,7 +237,10 @@ def _follow(invocation: Document, on_update: OnUpdate | None) -> _Talk[Document]
         if invocation["status"] in _TERMINAL:
             return invocation
         path = f"/v1/invocations/{invocation['id']}"
-        invocation = yield from _send(_Call(method="GET", path=path, query={"wait": str(_WAIT_S)}))
+        query = {"wait": str(_WAIT_S)}
+        if invocation.get("updated_at"):
+            query["seen"] = str(invocation["updated_at"])
+        invocation = yield from _send(_Call(method="GET", path=path, query=query))
 
 
 def _conclude(invocation: Document) -> Result:

@@ -1,4 +1,5 @@
 import itertools
+from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
@@ -52,7 +53,36 @@ def test_returns_a_result_when_the_invocation_completes():
     first, second, _ = server.turns
     assert first.body == {"capability": "grasp_object", "params": {"object_id": "mug_1"}}
     assert first.headers["authorization"] == "Bearer secret"
-    assert second.path == "/v1/invocations/inv_1?wait=20"
+    assert second.path.startswith("/v1/invocations/inv_1?wait=20")
+
+
+def _versions():
+    """Answer with one version after another of an invocation that completes in the third."""
+    times = iter(["2026-01-01T00:00:00.1Z", "2026-01-01T00:00:00.2Z", "2026-01-01T00:00:00.3Z"])
+
+    def answer(_: Turn):
+        now = next(times)
+        return 200, invocation("completed" if now.endswith(".3Z") else "running", updated_at=now)
+
+    return answer
+
+
+def _seen(turns: list[Turn]) -> list[list[str] | None]:
+    return [parse_qs(urlsplit(turn.path).query).get("seen") for turn in turns]
+
+
+def test_each_poll_names_the_version_known_already():
+    with serve(_versions()) as server, ReinsClient(server.url, "t") as client:
+        client.follow("inv_1")
+    assert _seen(server.turns) == [None, ["2026-01-01T00:00:00.1Z"], ["2026-01-01T00:00:00.2Z"]]
+
+
+@pytest.mark.anyio
+async def test_each_asynchronous_poll_names_the_version_known_already():
+    with serve(_versions()) as server:
+        async with AsyncReinsClient(server.url, "t") as client:
+            await client.invoke("navigate_to", target="dock")
+    assert _seen(server.turns) == [None, ["2026-01-01T00:00:00.1Z"], ["2026-01-01T00:00:00.2Z"]]
 
 
 def test_raises_refused_with_the_reasons_of_a_denial():
