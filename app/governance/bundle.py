@@ -142,6 +142,7 @@ def load_files(files: Mapping[str, str]) -> PolicySet:
         profiles=frozenset(shape.profile for _, shape in source.profiles),
         permissions=permissions,
         vocabulary=Vocabulary(capabilities, permissions | {GOVERNANCE}),
+        names=names(bundle_build.site(source.site[1])),
     )
     problems = _check(source, known)
     if problems:

@@ -15,7 +15,7 @@ import jsonschema_rs
 from app.governance.bundle_yaml import Document, Path, dotted
 from app.governance.conditions import TESTS
 from app.governance.errors import DeclarationError, ExpressionError, PolicyError
-from app.governance.expression_tree import BOOL, STRING
+from app.governance.expression_tree import BOOL, STRING, Conditional, Constant
 from app.governance.policy_model import (
     LIMIT_UNITS,
     REFERENCES,
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
 
     from app.governance import bundle_shapes as shapes
+    from app.governance.expression_tree import Typed
     from app.governance.model import Capability, Json
 
 UNITS: Final[Mapping[str, str]] = {
@@ -66,6 +67,7 @@ class Known:
     profiles: frozenset[str]
     permissions: frozenset[str]
     vocabulary: Vocabulary
+    names: Mapping[str, frozenset[str]]  # those of the site, by kind of reference
 
 
 # Capabilities --------------------------------------------------------------------------------------------------------
@@ -260,7 +262,8 @@ def _settings(
             yield reader.problem(here, "`to` says the value, it goes without `min` and `max`")
         else:
             yield from _named_setting(reader, here, param, [known.capabilities[name] for name in holders])
-            yield from _condition(reader, (*here, "to"), setting.to, holders, known, STRING)
+            mistyped = list(_condition(reader, (*here, "to"), setting.to, holders, known, STRING))
+            yield from mistyped or _constants(reader, (*here, "to"), param, setting.to, holders, known)
 
 
 def _numeric_setting(
@@ -296,6 +299,40 @@ def _beyond_schema(
         yield reader.problem(
             (*path, "max"), f"max `{setting.max:g}` is below the minimum `{lowest:g}` of {what}", valid
         )
+
+
+def _constants(
+    reader: Reader, path: Path, param: str, source: str, holders: Sequence[str], known: Known
+) -> Iterator[PolicyError]:
+    """A constant that the parameter can never be denies every proposal its rule holds for."""
+    told: set[str] = set()
+    for holder in holders:
+        spec = properties(known.capabilities[holder])[param]
+        what, allowed = _nameable(param, spec, known)
+        for value in _outcomes(known.vocabulary.typed(source, holder, STRING)) if allowed is not None else ():
+            if value not in told:
+                told.add(value)
+                yield from reader.unknown(path, what, value, cast("Collection[str]", allowed))
+
+
+def _nameable(param: str, spec: Mapping[str, Json], known: Known) -> tuple[str, Collection[str] | None]:
+    """Return what a parameter names, and the names it may be: those of its list, else the site's."""
+    listed = spec.get("enum")
+    if isinstance(listed, list):
+        return f"value of `{param}` called", [str(value) for value in listed]
+    return str(spec.get("x-ref")), known.names.get(str(spec.get("x-ref")))
+
+
+def _outcomes(node: Typed) -> Iterator[str]:
+    """Yield the constants an expression may come to; what it reads is held against the names when it is decided."""
+    match node:
+        case Constant(value=value):
+            yield str(value)
+        case Conditional(then=then, otherwise=otherwise):
+            yield from _outcomes(then)
+            yield from _outcomes(otherwise)
+        case _:
+            return
 
 
 def _named_setting(reader: Reader, path: Path, param: str, holders: Sequence[Capability]) -> Iterator[PolicyError]:

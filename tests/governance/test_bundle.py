@@ -72,6 +72,10 @@ BROKEN = [
     ("modify without set", ORG, "    set: {force_n: {max: 20}, speed_mps: {max: 0.15}}\n", "", "needs `set`"),
     ("a bound and a value", HUMAN, "{to: place.corridor}", "{to: place.corridor, max: 3}", "without `min` and `max`"),
     ("a bound on a name", HUMAN, "{to: place.corridor}", "{max: 3}", "is a string, it has no bounds"),
+    ("a constant that names nothing", HUMAN, "{to: place.corridor}", "{to: \"'nope'\"}",
+     "human-shared.yaml:33: rules[2].set.corridor.to: there is no corridor `nope`; valid: `aisle`"),
+    ("a constant of one branch", HUMAN, "{to: place.corridor}", "{to: \"mode == 'careful' ? 'aisle' : 'ailse'\"}",
+     "there is no corridor `ailse`; valid: `aisle`"),
     ("a value for a number", HUMAN, "clearance_m: {min: 0.3}", "clearance_m: {to: place.corridor}", "is a number"),
     ("a bound on what may be left out", ORG, "{force_n: {max: 20}, speed_mps: {max: 0.15}}", "{x_m: {max: 2}}",
      "may be left out"),
@@ -239,6 +243,29 @@ def test_a_capability_forbidden_in_a_profile_has_no_gate_there():
     policy = bundle.load_files(text)
     assert ("grasp_object", "sim-relaxed") not in policy.gates
     assert ("grasp_object", "test-audit") in policy.gates
+
+
+@pytest.mark.parametrize(("value", "good"), [("left", True), ("light", False)])
+def test_a_rule_sets_a_value_of_the_list(value, good):
+    text = files()
+    name = "capabilities/navigate_to.yaml"
+    hand = "  properties:\n    hand: {type: string, enum: [left, right], default: right}\n"
+    rule = f"""
+  - {{id: way, applies_to: [navigate_to], then: modify, set: {{hand: {{to: '"{value}"'}}}}, because: So.}}
+"""
+    changed = {name: text[name].replace("  properties:\n", hand, 1), ORG: text[ORG] + rule}
+    if good:
+        assert "organization/way" in bundle.load_files({**text, **changed}).rules
+        return
+    with pytest.raises(PolicyErrors, match="no value of `hand` called `light`; valid: `right`, `left`"):
+        bundle.load_files({**text, **changed})
+
+
+def test_a_constant_that_names_nothing_is_told_once_for_all_its_capabilities():
+    text = files()
+    with pytest.raises(PolicyErrors) as caught:
+        bundle.load_files({**text, HUMAN: text[HUMAN].replace("{to: place.corridor}", "{to: \"'nope'\"}")})
+    assert len(caught.value.problems) == 1
 
 
 def test_parameters_may_be_counted_chosen_from_a_list_or_switched():
