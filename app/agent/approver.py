@@ -20,7 +20,7 @@ from __future__ import annotations
 import asyncio
 import random
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias, cast
 
@@ -57,12 +57,16 @@ class Habits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """What the approver decided about one escalation, and whether it erred."""
+    """What the approver decided about one escalation, whether it erred, and the `status` the question has since.
+
+    After an approval the question may still be `pending`: policy constrained the edit, or it takes another person.
+    """
 
     escalation: str
     decision: str
     erred: bool
     edit: Mapping[str, Any]
+    status: str = ""
 
 
 OnAnswer: TypeAlias = Callable[[Document, Answer], None]
@@ -132,6 +136,7 @@ class ScriptedApprover:
         self._random = random.Random(habits.seed)  # noqa: S311 - simulates a person, guards nothing
         self._on_answer = on_answer
         self._seen: set[tuple[str, str]] = set()
+        self._edited: set[str] = set()
 
     async def run(self) -> None:
         """Answer until cancelled.
@@ -161,18 +166,21 @@ class ScriptedApprover:
     async def _answer(self, escalation: Document) -> None:
         reading_s = self._random.uniform(self._habits.reads_min_s, self._habits.reads_max_s)
         answer = decide(self._habits, escalation, self._random.random())
+        if escalation["id"] in self._edited:  # policy constrained the edit: asking for it again would change nothing
+            answer = replace(answer, edit={})
         await asyncio.sleep(reading_s)
         if answer.decision == "ignore":
             return
         body: Document = {"decision": answer.decision, "digest": escalation["digest"]}
         if answer.decision == "approve" and answer.edit:
             body["params"] = {**escalation["effective"], **answer.edit}
+            self._edited.add(escalation["id"])
         if answer.decision == "deny":
             body["comment"] = "denied by rule of the scripted approver"
         try:
-            await self._client.call("POST", f"/v1/escalations/{escalation['id']}/resolve", json=body)
+            resolved = await self._client.call("POST", f"/v1/escalations/{escalation['id']}/resolve", json=body)
         except Problem as refused:
             if refused.status != 409:  # somebody else was faster, or it expired while being read
                 raise
             return
-        self._on_answer(escalation, answer)
+        self._on_answer(escalation, replace(answer, status=resolved["status"]))

@@ -2,7 +2,7 @@ import asyncio
 
 import pytest
 
-from app.agent.approver import ScriptedApprover, decide, parse_habits
+from app.agent.approver import Answer, ScriptedApprover, decide, parse_habits
 from app.agent.client import AsyncReinsClient, Problem
 
 from .scripted_server import Turn, serve
@@ -83,6 +83,42 @@ async def test_answers_each_escalation_once_with_its_digest_and_edit():
             await asyncio.gather(task, return_exceptions=True)
     posts = [turn.body for turn in server.turns if turn.method == "POST"]
     assert posts == [{"decision": "approve", "digest": "sha256:a", "params": {"object_id": "mug_1", "force_n": 40}}]
+
+
+@pytest.mark.anyio
+async def test_approves_the_constrained_question_when_policy_constrains_its_edit():
+    asked = {"now": escalation(effective={"object_id": "mug_1", "force_n": 10}, status="pending")}
+
+    def answer(turn: Turn):
+        if turn.method == "GET":
+            return 200, {"items": [asked["now"]] if asked["now"]["status"] == "pending" else [], "next": None}
+        edit = turn.body.get("params")
+        asked["now"] = (
+            {**asked["now"], "effective": {**edit, "force_n": 20}, "digest": "sha256:b"}
+            if edit
+            else {**asked["now"], "status": "approved"}
+        )
+        return 200, asked["now"]
+
+    told: list[tuple[str, str]] = []
+    approved = asyncio.Event()
+
+    def note(_asked: dict[str, object], given: Answer) -> None:
+        told.append((given.decision, given.status))
+        if given.status == "approved":
+            approved.set()
+
+    with serve(answer) as server:
+        async with AsyncReinsClient(server.url, "t") as client:
+            task = asyncio.create_task(ScriptedApprover(client, parse_habits(HABITS), on_answer=note).run())
+            await asyncio.wait_for(approved.wait(), 5)
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+    assert told == [("approve", "pending"), ("approve", "approved")]
+    assert [turn.body for turn in server.turns if turn.method == "POST"] == [
+        {"decision": "approve", "digest": "sha256:a", "params": {"object_id": "mug_1", "force_n": 40}},
+        {"decision": "approve", "digest": "sha256:b"},
+    ]
 
 
 @pytest.mark.anyio
