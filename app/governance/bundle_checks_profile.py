@@ -31,6 +31,7 @@ def profile(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterato
     for name in shape.stale_after_ms:
         yield from reader.unknown(("stale_after_ms", name), "sensor", name, SENSORS)
     yield from _watch(reader, shape, known)
+    yield from _shared(reader, shape, known)
     yield from _recovery(reader, shape, known)
     yield from _authority(reader, shape, known)
     yield from _room(reader, shape, known)
@@ -50,6 +51,24 @@ def _watch(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator
             yield from reader.unknown((*path, "failure"), "failure", row.failure, FAILURES)
         yield from _threshold(reader, path, row, shape)
         yield from _response(reader, path, row, shape)
+
+
+def _shared(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[PolicyError]:
+    """Where people work on the same floor, the distance to them is watched, whatever the robot is allowed to do."""
+    if not shape.shared_floor:
+        return
+    watched: set[str] = set()
+    for row in shape.watch:
+        if row.signal == "separation_m" and row.below is not None:
+            watched.update(known.capabilities if row.applies_to is None else row.applies_to)
+    enabled = {
+        name for name, found in known.capabilities.items() if found.env_profile.get(shape.profile) != "forbidden"
+    }
+    left_out = sorted(enabled - watched)
+    if left_out:
+        of = "" if not watched else " of " + ", ".join(f"`{name}`" for name in left_out)
+        message = f"people share the floor, and no watch rule holds `separation_m`{of} from below"
+        yield reader.problem(("shared_floor",), message, ["a watch rule with `signal: separation_m` and `below`"])
 
 
 def _threshold(reader: Reader, path: Path, row: shapes.WatchShape, shape: shapes.ProfileShape) -> Iterator[PolicyError]:
@@ -117,6 +136,12 @@ def _authority(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iter
         yield reader.problem(("authority",), "modes that ask for approval need `approval`", ["approval"])
     if not asks and approval is not None:
         yield reader.problem(("authority", "approval"), "no mode of this profile asks for approval", sorted(ASKING))
+    if "approval-required" in modes and approval is not None and not approval.risk:
+        message = (
+            "`approval-required` asks by risk, and no risk is named: no proposal would be asked about for its risk"
+        )
+        valid = ["risk: [high, critical]", "approval-on-escalation"]
+        yield reader.problem(("authority", "approval", "risk"), message, valid)
     for name, found in known.capabilities.items():
         if found.env_profile.get(shape.profile) == "approval-required" and not asks:
             message = f"`{name}` requires approval here, but no mode of this profile asks for it"

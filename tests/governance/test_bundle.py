@@ -122,6 +122,14 @@ BROKEN = [
     ("recovery without capability", HUMAN, "    capability: safe_retreat\n", "", "needs `capability`"),
     ("uncovered failures", HUMAN, "on: any", "on: stall", "uncovered"),
     ("no approval", HUMAN, "  approval: {risk", "  # approval: {risk", "need `approval`"),
+    ("approval by no risk", HUMAN, "{risk: [medium, high, critical],", "{risk: [],",
+     "human-shared.yaml:211: authority.approval.risk: `approval-required` asks by risk, and no risk is named"),
+    ("a shared floor watched for some", HUMAN, "    signal: separation_m\n",
+     "    signal: separation_m\n    applies_to: [navigate_to]\n",
+     "no watch rule holds `separation_m` of `grasp_object`, "),
+    ("a shared floor watched from the wrong side", HUMAN, "    below: protective_separation_m ",
+     "    above: protective_separation_m ",
+     "shared_floor: people share the floor, and no watch rule holds `separation_m`"),
     ("no room", HUMAN, "{max: 60,", "{max: 1,", "no room"),
     ("unknown sensor", HUMAN, "stale_after_ms: {arm", "stale_after_ms: {leg", "sensor `leg`"),
     ("no list", HUMAN, "modes: [normal, careful]", "modes: normal", "expected a list, found `normal`"),
@@ -266,6 +274,19 @@ def test_a_constant_that_names_nothing_is_told_once_for_all_its_capabilities():
     with pytest.raises(PolicyErrors) as caught:
         bundle.load_files({**text, HUMAN: text[HUMAN].replace("{to: place.corridor}", "{to: \"'nope'\"}")})
     assert len(caught.value.problems) == 1
+
+
+def test_a_floor_people_share_is_watched_for_them():
+    text = files()
+    unwatched = text[RELAXED].replace(
+        "    signal: separation_m\n    below: 0.5\n", "    signal: stall_s\n    above: 5\n"
+    )
+    assert unwatched != text[RELAXED]
+    assert not bundle.load_files({**text, RELAXED: unwatched}).profiles["sim-relaxed"].shared_floor
+    shared = unwatched.replace("shared_floor: false", "shared_floor: true")
+    said = "sim-relaxed.yaml:5: shared_floor: people share the floor, and no watch rule holds `separation_m` from below"
+    with pytest.raises(PolicyErrors, match=said):
+        bundle.load_files({**text, RELAXED: shared})
 
 
 def test_parameters_may_be_counted_chosen_from_a_list_or_switched():
