@@ -113,6 +113,12 @@ class EscalationReference(Document):
     expires_at: str | None
 
 
+class FailureDocument(Document):
+    """Why a session ended without its task done: what went wrong first, then how it ended."""
+
+    reasons: list[ReasonDocument]
+
+
 class InvocationDocument(Document):
     """One proposal and everything that became of it."""
 
@@ -131,6 +137,9 @@ class InvocationDocument(Document):
     policy: PolicyDocument | None
     escalation: EscalationReference | None
     outcome: Outcome | None
+    failure: FailureDocument | None = Field(
+        default=None, description="Why a session that was launched ended without its task done; absent otherwise."
+    )
     created_at: str
     updated_at: str
     recorded: bool | None = Field(default=None, description="Stands in the answer to a pause, stop or cancel alone.")

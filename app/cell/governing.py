@@ -340,6 +340,7 @@ class Governing:
                 ticks=self._ports.recorder.tick - run.first_tick,
                 recoveries=run.recoveries,
                 retries=run.used.retries,
+                failure=(run.failed or (run.deciding.failure if run.deciding else "")) or None,
             ),
             marks={"open": None},
         )

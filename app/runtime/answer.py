@@ -133,7 +133,8 @@ class Answer:
         closed = counted.evolve(now, status=APPROVED)
         invocation = self._invocation.evolve(now, escalation=closed.reference())
         approved = self._event("approve", closed)
-        if not judgement.conforms(counted.effective):
+        # What was shown was shown under a profile: the same parameters under another one are watched differently.
+        if judgement.profile != invocation.profile or not judgement.conforms(counted.effective):
             ended = judgement.refuse(invocation)
             await self._desk.commit(
                 [approved, *judgement.recheck_events(ended), outcome_event(ended, SERVER, *judgement.ending_reasons())],

@@ -94,13 +94,19 @@ class Fleet:
         return cell_id in self._cells
 
     def choose(self) -> Cell | None:
-        """Return the cell for a proposal that names none: one that is free, else one that is there, else any."""
+        """Return the cell for a proposal that names none: one that is free, else one to wait for, else any.
+
+        A latched or holding cell is not free; it is chosen only where no other is there. A busy one is worth waiting
+        for, a latched one is not.
+        """
         if not self._cells:
             return None
         cells = self.cells()
         fresh = [cell for cell in cells if cell.fresh]
-        free = [cell for cell in fresh if self.busy(cell) is None]
-        return next(iter(free or fresh or cells), None)
+        usable = [cell for cell in fresh if not self.latched(cell)]
+        awake = [cell for cell in usable if cell.state is None or not cell.state.holding]
+        free = [cell for cell in awake if self.busy(cell) is None]
+        return next(iter(free or awake or usable or fresh or cells), None)
 
     def busy(self, cell: Cell) -> str | None:
         """Return the invocation that has the cell: claimed by the server, or held by the cell itself."""

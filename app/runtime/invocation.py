@@ -128,6 +128,7 @@ class Invocation:
     created_at: str
     updated_at: str
     terms: Terms
+    failure: Mapping[str, Any] | None = None
 
     @property
     def final(self) -> bool:
@@ -141,7 +142,7 @@ class Invocation:
         return replace(self, updated_at=at, **changes)
 
     def public(self) -> dict[str, Any]:
-        """Return the document of design section 8."""
+        """Return the document of design section 8; `failure` stands in it where a session ended without its task done."""
         return {
             "id": self.id,
             "status": self.status,
@@ -156,6 +157,7 @@ class Invocation:
             "policy": self.policy,
             "escalation": self.escalation,
             "outcome": self.outcome,
+            **({} if self.failure is None else {"failure": self.failure}),
             "created_at": self.created_at,
             "updated_at": self.updated_at,
         }

@@ -172,7 +172,8 @@ class Judgement(NamedTuple):
 
     def refuse(self, invocation: Invocation) -> Invocation:
         """Return the invocation ended as this decision says, after an approval that came too late for the world."""
-        status, invocation = self.status, replace(invocation, **self.parts())
+        effective = self.effective(invocation.effective or {})
+        status, invocation = self.status, replace(invocation, effective=effective, **self.parts())
         if status not in REFUSED_OUTCOME:  # it may launch, but not with what was approved
             reason = CHANGED._asdict()
             admission = {

@@ -239,6 +239,7 @@ class Sessions:
                 return
             open_question = self._desk.withdrawal(name)
             changes: dict[str, Any] = {} if open_question is None else {"escalation": open_question.reference()}
+            changes["failure"] = {"reasons": [reason(RULE, code, message)]}
             ended = present.evolve(self._register.now(), status=Status.FAILED, outcome=Outcome.FAULT, **changes)
             rows = [] if open_question is None else [open_question.row()]
             await self._register.append([outcome_event(ended, SERVER, reason(RULE, code, message))], rows, [ended])

@@ -13,6 +13,7 @@ from app.governance.model import TERMINAL, EventKind, Outcome, Status
 from app.governance.session import final_status
 from app.runtime.drafts import SERVER, outcome_event, reason
 from app.runtime.escalation import PENDING, WITHDRAWN
+from app.runtime.failures import failure
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 RULE: Final = "runtime/session"
 ITSELF: Final = "cell"  # how a cell names itself as an actor
 NOTHING: Final[Mapping[str, Any]] = {}
+DONE: Final = frozenset({Outcome.SUCCEEDED, Outcome.RECOVERED})
 
 
 class Story:
@@ -71,13 +73,14 @@ class Story:
             case EventKind.LAUNCH if "refused" not in event.body:
                 self._versions[version.id] = version.evolve(at, terms=replace(version.terms, confirmed=True))
             case EventKind.LAUNCH if not version.terms.confirmed:  # nothing moved, and nothing will on this permit
-                return self._end(version, Outcome.FAULT, at)
+                return self._end(version, Outcome.FAULT, at, str(event.body["refused"]))
             case EventKind.STATUS:
                 return self._status(version, Status(str(event.body["status"])), event, at)
             case EventKind.ESCALATION:
                 return self._status(version, Status.ESCALATED, event, at)
             case EventKind.OUTCOME:
-                return self._end(version, Outcome(str(event.body["outcome"])), at)
+                codes = (str(event.body.get("failure") or ""), str(event.body.get("code") or ""))
+                return self._end(version, Outcome(str(event.body["outcome"])), at, *codes)
             case _:
                 pass
         return NOTHING
@@ -108,12 +111,12 @@ class Story:
             self._versions[version.id] = version.evolve(at, status=Status.ESCALATED, escalation=asked.reference())
         return {"escalation": asked.public()} if event.kind == EventKind.ESCALATION else NOTHING
 
-    def _end(self, version: Invocation, outcome: Outcome, at: str) -> Mapping[str, Any]:
+    def _end(self, version: Invocation, outcome: Outcome, at: str, *codes: str) -> Mapping[str, Any]:
         question = self._open(version.id)
-        status = final_status(outcome)
+        status, why = final_status(outcome), None if outcome in DONE else failure(*codes)
         if question is not None:
-            return self._withdraw(version, question, at, status=status, outcome=outcome)
-        self._versions[version.id] = version.evolve(at, status=status, outcome=outcome)
+            return self._withdraw(version, question, at, status=status, outcome=outcome, failure=why)
+        self._versions[version.id] = version.evolve(at, status=status, outcome=outcome, failure=why)
         return NOTHING
 
     def _withdraw(

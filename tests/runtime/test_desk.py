@@ -20,6 +20,7 @@ from .conftest import (
     AT_TOOLS,
     AUDITOR,
     CELL,
+    ENGINEER,
     OPERATOR,
     OPERATOR_2,
     HandCell,
@@ -327,6 +328,17 @@ async def test_an_approval_under_a_stricter_profile_does_not_launch_the_laxer_on
     assert late["status"] == "deferred"
     assert late["admission"]["reasons"][-1]["code"] == "conditions_changed"
     assert late["admission"]["retry_after_s"] > 0
+    assert not cell.all("launch")
+
+
+async def test_an_approval_given_under_one_profile_launches_under_no_other(runtime: Runtime, cell: HandCell) -> None:
+    """The same parameters under a laxer profile would be watched by laxer rules, and that is not what was shown."""
+    document, question = await asked(runtime)
+    await runtime.governor.set_profile(CELL, "sim-relaxed", ENGINEER)
+    await answer(runtime, question)
+    late = await runtime.governor.invocation(document["id"], AGENT)
+    assert late["status"] == "deferred"
+    assert late["admission"]["reasons"][-1]["code"] == "conditions_changed"
     assert not cell.all("launch")
 
 

@@ -547,3 +547,17 @@ async def test_a_reunion_that_cannot_be_recorded_is_seen_to_later(
     await runtime.fleet.tend_once()
     assert (await runtime.governor.invocation(name, AGENT))["outcome"] == "fault"
     assert "attached" in [event.payload().get("link") for event in await runtime.store.events(kind="cell")]
+
+
+async def test_a_proposal_that_names_no_cell_passes_a_latched_one_by(runtime: Runtime, cell: HandCell) -> None:
+    other = await HandCell(runtime, id="workcell-2").dial()
+    await other.state()
+    latched = runtime.fleet.cell(cell.id)
+    latched.latched = True
+    chosen = runtime.fleet.choose()
+    assert chosen is not None
+    assert chosen.id == "workcell-2"
+    chosen.claim = "inv_1"
+    waited_for = runtime.fleet.choose()
+    assert waited_for is not None
+    assert waited_for.id == "workcell-2", "a busy cell is worth waiting for, a latched one is not"

@@ -542,3 +542,22 @@ async def test_readiness_names_what_is_broken(runtime: Runtime) -> None:
     assert "lease" in runtime.governor.ready()[f"cell/{CELL}"]
     await cell.hang_up()
     assert "not attached" in runtime.governor.ready()[f"cell/{CELL}"]
+
+
+async def test_a_failed_session_tells_the_agent_what_went_wrong_first_and_how_it_ended(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    await cell.expect("launch")
+    await cell.report("launch", document["id"], permit="auth", capability="navigate_to")
+    await cell.report("outcome", document["id"], outcome="terminated", code="operator", failure="blocked")
+    ended = await runtime.governor.invocation(document["id"], AGENT)
+    assert [one["code"] for one in ended["failure"]["reasons"]] == ["blocked", "operator"]
+    assert all(set(one) == {"rule", "code", "message", "remedy"} for one in ended["failure"]["reasons"])
+
+
+async def test_a_session_that_did_its_task_has_no_failure(runtime: Runtime, cell: HandCell) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    await cell.expect("launch")
+    await cell.report("outcome", document["id"], outcome="succeeded", code="verified")
+    assert "failure" not in await runtime.governor.invocation(document["id"], AGENT)

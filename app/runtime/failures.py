@@ -1,0 +1,53 @@
+"""Why a session ended without its task done, in terms an agent can replan on: {rule, code, message, remedy}.
+
+The code is the failure as skills, watch rules and recovery name it, or the cell's own word for how it ended.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from app.runtime.drafts import reason
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+RULE: Final = "cell/session"
+_KNOWN: Final[Mapping[str, tuple[str, str]]] = {
+    "object_not_found": ("the object is not where it was remembered", "inspect the area where it may be"),
+    "grasp_failed": ("the grasp did not succeed", "look again, then grasp again"),
+    "object_lost": ("the object slipped out of the grip", "inspect the area, then grasp it again"),
+    "no_path": ("no way leads there", "choose another target, or wait until the way is free"),
+    "blocked": ("something stands in the way", "choose another way or target, or wait until it is free"),
+    "unreachable": ("it is out of reach from here", "navigate to the stand beside it"),
+    "placement_failed": ("the object does not stand where it was put", "inspect the surface, then place it again"),
+    "tool_failed": ("the tool is not in the state asked for", "operate it again"),
+    "perception_mismatch": ("the world is not as it was perceived", "inspect the area"),
+    "timeout": ("it took longer than the capability may", "propose it again, or a smaller step"),
+    "stall": ("it made no progress", "propose it again"),
+    "postcondition_failed": ("sensors do not confirm that it was done", "inspect, then propose it again"),
+    "contact": ("contact was harder than policy allows", "look at what is in the way first"),
+    "overgrip": ("the gripper closed harder than it was told", "leave it to a human: the gripper needs service"),
+    "overspeed": ("the robot moved faster than it was told", "leave it to a human: the drives need service"),
+    "zone": ("the robot came to a forbidden zone", "choose a way that keeps away from it"),
+    "instability": ("the robot did not follow its commands", "leave it to a human"),
+    "sensor_fault": ("a sensor cannot be believed", "wait until it is mended"),
+    "retries_exhausted": ("it was tried as often as policy allows", "change what is proposed"),
+    "rollback_failed": ("it could not be undone and verified", "inspect before anything else"),
+    "operator": ("an operator ended it", "ask before it is proposed again"),
+    "cancelled": ("it was cancelled", ""),
+    "estop": ("an emergency stop was pressed", "wait until it is reset"),
+    "shutdown": ("the cell was shut down", "propose it again when the cell is back"),
+    "verified": ("it was rolled back; the world is as it was before", "change what is proposed"),
+}
+
+
+def failure(*codes: str) -> dict[str, Any]:
+    """Return the `failure` of an invocation: one reason for each code, what went wrong first.
+
+    Args:
+        codes: The failure that recovery could not mend, and how the session ended; empty and repeated ones are left
+            out.
+    """
+    named = [code for code in dict.fromkeys(codes) if code]
+    return {"reasons": [reason(RULE, code, *_KNOWN.get(code, (f"the session ended: {code}", ""))) for code in named]}
