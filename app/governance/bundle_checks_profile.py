@@ -8,12 +8,13 @@ from app.governance.policy_model import FAILURES, LIMIT_UNITS, NAMED_THRESHOLDS,
 from app.governance.vocabulary import always_there, properties
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from app.governance import bundle_shapes as shapes
     from app.governance.bundle_checks import Known, Reader
     from app.governance.bundle_yaml import Path
     from app.governance.errors import PolicyError
+    from app.governance.model import Json
 
 ASKING: Final = frozenset({"approval-required", "approval-on-escalation"})
 HUMANS: Final = ASKING | {"takeover-enabled"}
@@ -152,16 +153,30 @@ def _authority(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iter
 
 
 def _room(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[PolicyError]:
+    """Every limit leaves what it holds some room, is always there to be held, and holds something at all."""
     limits = {name: (LIMIT_UNITS[name], cast("float", getattr(shape.limits, name).max)) for name in LIMIT_UNITS}
+    highest: dict[str, float] = {}  # by limit, the most that any parameter it holds may be by its own schema
     for name, found in known.capabilities.items():
         for param, spec in properties(found).items():
-            named = spec.get("x-limit")
-            same = [(value, key) for key, (unit, value) in limits.items() if unit == spec.get("unit")]
-            value, key = (limits[str(named)][1], str(named)) if named in limits else min(same, default=(None, ""))
+            value, key = _limited(spec, limits)
+            if value is None:
+                continue
             low = spec.get("minimum")
-            if value is not None and isinstance(low, (int, float)) and low > value:
+            if isinstance(low, (int, float)) and low > value:
                 message = f"`{value}` leaves `{param}` of `{name}` no room: its minimum is `{low}`"
                 yield reader.problem(("limits", key, "max"), message)
-            if value is not None and param not in always_there(found):
+            if param not in always_there(found):
                 message = f"`{param}` of `{name}` is limited by `{key}` but may be left out: give it a default"
                 yield reader.problem(("limits", key), message)
+            highest[key] = max(highest.get(key, 0.0), cast("float", spec["maximum"]))
+    for key, most in highest.items():
+        if limits[key][1] > most:
+            message = f"a dead limit: `{limits[key][1]:g}` is above `{most:g}`, the most any parameter it holds may be"
+            yield reader.problem(("limits", key, "max"), message, [f"up to {most:g}"])
+
+
+def _limited(spec: Mapping[str, Json], limits: Mapping[str, tuple[str, float]]) -> tuple[float, str] | tuple[None, str]:
+    """Return the limit that holds a parameter, and its name: the one it names, else the least of its unit."""
+    named = str(spec.get("x-limit"))
+    same = [(value, key) for key, (unit, value) in limits.items() if unit == spec.get("unit")]
+    return (limits[named][1], named) if named in limits else min(same, default=(None, ""))

@@ -131,6 +131,9 @@ BROKEN = [
      "    above: protective_separation_m ",
      "shared_floor: people share the floor, and no watch rule holds `separation_m`"),
     ("no room", HUMAN, "{max: 60,", "{max: 1,", "no room"),
+    ("a limit above what may be proposed", HUMAN, "{max: 60,", "{max: 500,",
+     "human-shared.yaml:13: limits.grip_force_n.max: a dead limit: `500` is above `140`, the most any parameter it "
+     "holds may be; valid: `up to 140`"),
     ("unknown sensor", HUMAN, "stale_after_ms: {arm", "stale_after_ms: {leg", "sensor `leg`"),
     ("no list", HUMAN, "modes: [normal, careful]", "modes: normal", "expected a list, found `normal`"),
     ("no mapping", HUMAN, "motion: {base_deceleration_mps2: 1.0, base_radius_m: 0.45}", "motion: [1.0, 0.45]",
@@ -287,6 +290,14 @@ def test_a_floor_people_share_is_watched_for_them():
     said = "sim-relaxed.yaml:5: shared_floor: people share the floor, and no watch rule holds `separation_m` from below"
     with pytest.raises(PolicyErrors, match=said):
         bundle.load_files({**text, RELAXED: shared})
+
+
+def test_a_limit_may_be_as_high_as_what_it_holds():
+    text = files()
+    policy = bundle.load_files(
+        {**text, HUMAN: text[HUMAN].replace("grip_force_n: {max: 60,", "grip_force_n: {max: 140,")}
+    )
+    assert policy.profiles["human-shared"].limits["grip_force_n"].maximum == 140
 
 
 def test_parameters_may_be_counted_chosen_from_a_list_or_switched():
