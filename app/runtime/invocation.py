@@ -142,7 +142,7 @@ class Invocation:
         return replace(self, updated_at=at, **changes)
 
     def public(self) -> dict[str, Any]:
-        """Return the document of design section 8; `failure` stands in it where a session ended without its task done."""
+        """Return the document of design section 8; `failure` stands in it where a session did not do its task."""
         return {
             "id": self.id,
             "status": self.status,
