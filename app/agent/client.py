@@ -14,6 +14,7 @@ server names, with growing patience.
 Exceptions:
 
     ReinsError
+     ├─ Unsendable           a value that cannot be sent: not JSON, or not what a header takes; nothing was sent
      ├─ Unreachable          no answer from the server, however often asked
      ├─ Problem              the server refused the request itself (application/problem+json)
      └─ NotCompleted         the proposal was decided, but the task is not done; carries the invocation
@@ -24,9 +25,10 @@ Exceptions:
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 import uuid
-from collections.abc import Awaitable, Callable, Generator, Mapping
+from collections.abc import Awaitable, Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Self, TypeAlias, TypeVar, cast
 
@@ -41,10 +43,17 @@ _WAIT_S = 20
 _SEND_ATTEMPTS = 8
 _BACKOFF_S = 0.2
 _BACKOFF_MAX_S = 5.0
+_MAX_DEPTH = 32
+_MAX_KEY = 255
+_MAX_TOKEN = 1024
 
 
 class ReinsError(Exception):
     """Anything this client raises on purpose."""
+
+
+class Unsendable(ReinsError):
+    """A value given to the client cannot be sent; nothing was."""
 
 
 class Unreachable(ReinsError):
@@ -180,11 +189,12 @@ def _backoff_s(attempt: int) -> float:
 
 def _send(call: _Call) -> _Talk[Any]:
     """Send until there is an answer; raise `Problem` for one that refuses. Only safe for calls that may be repeated."""
+    _check_sendable(call)
     last: _Reply | None = None
     for attempt in range(_SEND_ATTEMPTS):
         last = yield call
         if last.status in range(200, 300):
-            return last.json
+            return _read(last)
         code = document(last.json).get("code")
         transient = last.status in (0, 502, 503, 504) or (last.status == 409 and code == "in_flight")
         if not transient:
@@ -193,6 +203,56 @@ def _send(call: _Call) -> _Talk[Any]:
     if last is None or last.status == 0:
         raise Unreachable(f"no answer to `{call.method} {call.path}` after {_SEND_ATTEMPTS} attempts")
     raise _problem(last)
+
+
+def _read(reply: _Reply) -> Any:  # noqa: ANN401 - whatever the route answers with
+    if not isinstance(reply.json, dict | list):
+        said = str(reply.json)[:80]
+        raise Problem(reply.status, "unreadable_answer", f"`{said}` is no JSON document; valid is the URL of a server")
+    return cast("Any", reply.json)
+
+
+def _check_sendable(call: _Call) -> None:
+    """Raise `Unsendable` for the first value that has no place in a request, before anything is sent."""
+    for name, value in (("json", call.json), ("query", dict(call.query))):
+        for wrong in _misfits(value, name):
+            raise Unsendable(f"{wrong}; nothing was sent")
+    if not call.path.isprintable():
+        raise Unsendable(f"the path is {call.path!r}; valid are printable characters; nothing was sent")
+
+
+def _misfits(value: object, name: str, depth: int = 0) -> Iterator[str]:
+    """Say of every value in a document that is no JSON where it stands, what it is, and what would be valid."""
+    if depth > _MAX_DEPTH:
+        yield f"`{name}` is nested too deep; valid are at most {_MAX_DEPTH} levels"
+    elif isinstance(value, dict):
+        for key, item in cast("dict[object, object]", value).items():
+            if not isinstance(key, str):
+                yield f"`{name}` has the key `{key!r}`; valid keys are strings"
+            yield from _misfits(key, f"{name}, key {key!r}", depth + 1)
+            yield from _misfits(item, f"{name}.{key}".removeprefix("json."), depth + 1)
+    elif isinstance(value, list | tuple):
+        for place, item in enumerate(cast("list[object]", value)):
+            yield from _misfits(item, f"{name}[{place}]", depth + 1)
+    else:
+        yield from _misfit(value, name)
+
+
+def _misfit(value: object, name: str) -> Iterator[str]:
+    if isinstance(value, float) and not math.isfinite(value):
+        yield f"`{name}` is `{value}`; valid are finite numbers"
+    elif isinstance(value, str) and any("\ud800" <= character <= "\udfff" for character in value):
+        yield f"`{name}` is `{value!r}`; valid is text without lone surrogates"
+    elif not isinstance(value, str | int | float | None):
+        yield f"`{name}` is `{value!r}`, a {type(value).__name__}; valid are JSON's types: text, numbers, lists, …"
+
+
+def _header_text(name: str, value: object, most: int) -> str:
+    """Return a value that may stand in a header. Raises `Unsendable` naming it; a token is not repeated."""
+    if not isinstance(value, str) or not (0 < len(value) <= most and value.isascii() and value.isprintable()):
+        shown = "" if name == "token" else f" `{value!r}`"
+        raise Unsendable(f"{name}{shown}: valid are 1 to {most} printable ASCII characters; nothing was sent")
+    return value
 
 
 def document(value: object) -> Document:
@@ -209,8 +269,9 @@ def _problem(reply: _Reply) -> Problem:
 
 def _invoke(body: Document, key: str | None, defers: int, on_update: OnUpdate | None) -> _Talk[Result]:
     """Propose, propose again while deferred, follow to the end."""
+    first_key = uuid.uuid4().hex if key is None else _header_text("idempotency_key", key, _MAX_KEY)
     for attempt in range(defers + 1):
-        headers = {"Idempotency-Key": key if key and attempt == 0 else uuid.uuid4().hex}
+        headers = {"Idempotency-Key": uuid.uuid4().hex if attempt else first_key}
         invocation: Document = yield from _send(
             _Call(method="POST", path="/v1/invocations", json=body, headers=headers)
         )
@@ -258,8 +319,15 @@ def _proposal(capability: str, params: Mapping[str, Any], options: Mapping[str, 
 def _reply(response: httpx.Response) -> _Reply:
     after = response.headers.get("retry-after", "")
     kind = response.headers.get("content-type", "")
-    content = response.json() if "json" in kind else response.text
+    try:
+        content = response.json() if "json" in kind else response.text
+    except ValueError:  # says that it is JSON, and is not: `_read` shows it
+        content = response.text
     return _Reply(status=response.status_code, json=content, retry_after_s=float(after) if after.isdigit() else None)
+
+
+def _authorization(token: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {_header_text('token', token, _MAX_TOKEN)}"}
 
 
 _NOTHING = _Reply(status=0, json=None)
@@ -275,7 +343,7 @@ class ReinsClient:
     def __init__(self, url: str, token: str, *, defers: int = 20) -> None:
         """Speak to `url` as the owner of `token`; propose a deferred invocation again up to `defers` times."""
         self._defers = defers
-        self._http = httpx.Client(base_url=url, headers={"Authorization": f"Bearer {token}"}, timeout=_TIMEOUT)
+        self._http = httpx.Client(base_url=url, headers=_authorization(token), timeout=_TIMEOUT)
 
     def __enter__(self) -> Self:
         """Return the client."""
@@ -305,8 +373,9 @@ class ReinsClient:
         """Propose a capability and wait for its end.
 
         Returns the result of a completed invocation. Raises `Refused` if it was not launched, `ExecutionFailed` if it
-        ended without success, `Problem` if the request was malformed or not allowed, `Unreachable` if there was no
-        answer. `on_update` is called with the invocation at every change.
+        ended without success, `Problem` if the request was malformed or not allowed, `Unsendable` if it could
+        not even be sent, `Unreachable` if there was no answer. `on_update` is called with the invocation at every
+        change.
         """
         options = {"mode": mode, "cell": cell, "metadata": metadata, "recovery_preference": recovery_preference}
         return self._run(_invoke(_proposal(capability, params, options), idempotency_key, self._defers, on_update))
@@ -362,7 +431,7 @@ class AsyncReinsClient:
     def __init__(self, url: str, token: str, *, defers: int = 20) -> None:
         """Speak to `url` as the owner of `token`; propose a deferred invocation again up to `defers` times."""
         self._defers = defers
-        self._http = httpx.AsyncClient(base_url=url, headers={"Authorization": f"Bearer {token}"}, timeout=_TIMEOUT)
+        self._http = httpx.AsyncClient(base_url=url, headers=_authorization(token), timeout=_TIMEOUT)
 
     async def __aenter__(self) -> Self:
         """Return the client."""

@@ -1,9 +1,10 @@
 import itertools
+import re
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
-from app.agent.client import AsyncReinsClient, ExecutionFailed, Problem, Refused, ReinsClient, Unreachable
+from app.agent.client import AsyncReinsClient, ExecutionFailed, Problem, Refused, ReinsClient, Unreachable, Unsendable
 
 from .scripted_server import Turn, serve
 
@@ -151,6 +152,53 @@ def test_raises_problem_at_once_when_the_request_itself_is_refused():
         client.invoke("navigate_to", target="dock")
     assert (caught.value.status, caught.value.code) == (401, "token_invalid")
     assert len(server.turns) == 1
+
+
+CIRCLE: list[object] = []
+CIRCLE.append(CIRCLE)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"force_n": float("nan")}, "`params.force_n` is `nan`; valid are finite numbers"),
+        ({"pose": [0.0, float("inf")]}, "`params.pose[1]` is `inf`; valid are finite numbers"),
+        ({"object_id": {"mug_1"}}, "`params.object_id` is `{'mug_1'}`, a set; valid are JSON's types"),
+        ({"object_id": "\ud800"}, "`params.object_id` is `'\\ud800'`; valid is text without lone surrogates"),
+        ({"pose": {1: 2.0}}, "`params.pose` has the key `1`; valid keys are strings"),
+        ({"pose": CIRCLE}, "nested too deep; valid are at most 32 levels"),
+        ({"metadata": {"confidence": float("nan")}}, "`metadata.confidence` is `nan`"),
+        ({"idempotency_key": "clé"}, "idempotency_key `'clé'`: valid are 1 to 255 printable ASCII characters"),
+        ({"idempotency_key": ""}, "idempotency_key `''`"),
+        ({"idempotency_key": "a\nb"}, "idempotency_key `'a\\nb'`"),
+        ({"idempotency_key": 3}, "idempotency_key `3`"),
+    ],
+)
+@pytest.mark.anyio
+async def test_a_value_that_cannot_be_sent_is_named_and_nothing_is_sent(given, message):
+    with serve(lambda _: (201, invocation("completed", outcome="succeeded"))) as server:
+        with ReinsClient(server.url, "t") as client, pytest.raises(Unsendable, match=re.escape(message)):
+            client.invoke("grasp_object", **given)
+        async with AsyncReinsClient(server.url, "t") as client:
+            with pytest.raises(Unsendable, match=re.escape(message)):
+                await client.invoke("grasp_object", **given)
+    assert server.turns == []
+
+
+@pytest.mark.parametrize("client", [ReinsClient, AsyncReinsClient])
+def test_a_token_that_fits_no_header_is_refused_without_repeating_it(client):
+    with pytest.raises(Unsendable, match="token: valid are") as caught:
+        client("http://127.0.0.1:1", "geheimschlüssel")
+    assert "geheim" not in str(caught.value)
+
+
+def test_an_answer_that_is_no_document_is_shown():
+    with (
+        serve(lambda _: (200, "welcome to another server")) as server,
+        ReinsClient(server.url, "t") as client,
+        pytest.raises(Problem, match="200 unreadable_answer: `welcome to another server` is no JSON document"),
+    ):
+        client.invoke("navigate_to", target="dock")
 
 
 def test_raises_unreachable_when_nothing_ever_answers(monkeypatch: pytest.MonkeyPatch):
