@@ -18,7 +18,7 @@ from app.audit.places import Places
 from app.audit.store import AuditStore
 from app.cli import app
 from app.config import CellSettings, ConfigError, Settings, find_policies
-from tests.audit.conftest import fill
+from tests.audit.conftest import fill, hide_from_index
 from tests.governance.policy_world import POLICIES
 
 COMMANDS = [
@@ -80,6 +80,23 @@ def test_says_how_far_an_altered_log_is_good(tmp_path: Path, seq: int, relied_on
     assert code == 1
     assert f"event {seq}: " in said
     assert relied_on in said
+
+
+@pytest.mark.parametrize("hidden", [True, False])
+def test_verification_finds_an_index_that_hides_an_event(tmp_path: Path, hidden: bool) -> None:
+    async def write() -> None:
+        store = AuditStore.open(tmp_path)
+        await fill(store)
+        await store.close()
+
+    asyncio.run(write())
+    if hidden:
+        hide_from_index(Places(tmp_path).database, "inv_1")
+    code, said = run("audit", "verify", "--data", str(tmp_path))
+    assert code == (1 if hidden else 0)
+    assert ("missing from index events_by_invocation" in said) is hidden
+    assert ("leave events out" in said) is hidden
+    assert "not compared: the state kept beside them" in said
 
 
 @pytest.mark.parametrize(

@@ -105,7 +105,10 @@ async def checkpoint(request: Request) -> Response:
 
 
 async def verify(request: Request) -> Response:
-    """Recompute the whole log from its stored bytes; `first_bad` is the first event that does not hold."""
+    """Recompute the whole log from its stored bytes; `first_bad` is the first event that does not hold.
+
+    Events are read by their place: the indexes that queries go by are compared by `reins audit verify` alone.
+    """
     parts = parts_of(request)
     async with parts.verifying:  # it reads everything there is: one at a time
         return answer(asdict(await parts.store.verify()))

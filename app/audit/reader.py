@@ -167,6 +167,17 @@ class Reader:
         query = sa.select(*columns).where(checkpoints.c.size > after, checkpoints.c.size <= until)
         return [Batch(*row) for row in self._all(query.order_by(checkpoints.c.size).limit(limit))]
 
+    def faults(self, limit: int) -> list[str]:
+        """Return the first faults SQLite finds in its file: damaged pages, and indexes that disagree with their tables.
+
+        It reads every page in one go, during which a writer's log ahead of the file cannot be taken back.
+
+        Raises:
+            RecordDamaged: the database cannot be read.
+        """
+        found = self._all(sa.text(f"PRAGMA integrity_check({bounded(limit)})"))
+        return [] if [tuple(row) for row in found] == [("ok",)] else [str(row[0]) for row in found]
+
     # -- the runtime's state -----------------------------------------------------------------------------------------
 
     def row(self, table: str, **key: str | int) -> Row | None:
@@ -219,7 +230,7 @@ class Reader:
         items = items[:limit]
         return Page(items, f"{items[-1][STORE_GIVEN]}.{items[-1]['id']}" if more else None)
 
-    def _all(self, query: sa.Select[*tuple[Any, ...]]) -> list[sa.Row[*tuple[Any, ...]]]:
+    def _all(self, query: sa.Select[*tuple[Any, ...]] | sa.TextClause) -> list[sa.Row[*tuple[Any, ...]]]:
         try:
             with self._engine.connect() as connection:
                 return list(connection.execute(query).all())

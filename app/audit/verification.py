@@ -5,6 +5,7 @@
     3. The recomputed root is the signed root at every checkpoint; behind the last one stands no event.
     4. The file outside the database holds the same checkpoints, the last one excepted, which may still be on its way.
 
+It reads events by their place: an index that hides one from a query, and the state beside the log, are no part of it.
 A writer may go on meanwhile: the walk ends where the log ended when it began.
 """
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import AsyncIterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +54,19 @@ def invocation_row(key: str, **changes: Any) -> RowWrite:
 
 def permit_row(permit: str) -> RowWrite:
     return RowWrite(table="permits_used", values={"permit": permit, "invocation": "inv_1", "used_at": TIME}, once=True)
+
+
+def hide_from_index(database: Path, invocation: str) -> None:
+    """Raise one byte of a closed database: the end of an invocation's name, in the index's entry for its last event."""
+    with closing(sqlite3.connect(database)) as connection:
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        query = "SELECT rootpage FROM sqlite_master WHERE name = 'events_by_invocation'"
+        ((page,),) = connection.execute(query).fetchall()
+        ((size,),) = connection.execute("PRAGMA page_size").fetchall()
+    content = bytearray(database.read_bytes())
+    at = content.index(invocation.encode(), (page - 1) * size, page * size)
+    content[at + len(invocation) - 1] += 1
+    database.write_bytes(content)
 
 
 async def fill(store: AuditStore, batches: int = 4, each: int = 3) -> None:

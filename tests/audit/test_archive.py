@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from app.audit.archive import export, show, tail, telemetry_problems, verify_file
+from app.audit.archive import database_problems, export, show, tail, telemetry_problems, verify_file
 from app.audit.checkpoint import Signer
 from app.audit.errors import RecordDamaged
 from app.audit.event import EventDraft
@@ -16,7 +16,7 @@ from app.audit.merkle import Frontier, leaf_hash
 from app.audit.places import Places
 from app.audit.store import AuditStore
 from app.audit.telemetry import TelemetryWriter, channels
-from tests.audit.conftest import draft, fill
+from tests.audit.conftest import draft, fill, hide_from_index
 
 pytestmark = pytest.mark.anyio
 
@@ -113,6 +113,19 @@ async def test_says_that_a_key_is_none(store: AuditStore, data: Path) -> None:
     Places(data).public_key.write_text("nothing")
     with pytest.raises(RecordDamaged, match=r"log\.pub"):
         verify_file(data)
+
+
+async def test_finds_an_index_that_hides_an_event(data: Path) -> None:
+    store = AuditStore.open(data)
+    await fill(store)
+    await store.close()
+    assert database_problems(data) == []
+    hide_from_index(Places(data).database, "inv_1")
+    assert len(show(data, "inv_1")) == 11
+    assert verify_file(data).ok, "the walk by place finds every event"
+    found = database_problems(data)
+    assert any("missing from index events_by_invocation" in problem for problem in found), found
+    assert all(str(Places(data).database) in problem for problem in found)
 
 
 async def test_compares_telemetry_files_with_the_log(store: AuditStore, data: Path) -> None:
