@@ -139,18 +139,18 @@ class Result:
 
 def reasons_of(invocation: Document) -> tuple[Reason, ...]:
     """Return all reasons of an invocation document: admission first, then policy, then those of its end."""
-    found: list[Reason] = []
-    for part in ("admission", "policy", "failure"):
-        for item in cast("list[Document]", document(invocation.get(part)).get("reasons") or []):
-            found.append(
-                Reason(
-                    rule=item.get("rule", ""),
-                    code=item.get("code", ""),
-                    message=item.get("message", ""),
-                    remedy=item.get("remedy", ""),
-                )
-            )
-    return tuple(found)
+    decided = (document(invocation.get(part)).get("reasons") or [] for part in ("admission", "policy"))
+    found = [item for reasons in decided for item in cast("list[Document]", reasons)]
+    failure = document(invocation.get("failure"))  # one reason, not a list: what the task failed of
+    return tuple(
+        Reason(
+            rule=item.get("rule", ""),
+            code=item.get("code", ""),
+            message=item.get("message", ""),
+            remedy=item.get("remedy", ""),
+        )
+        for item in (*found, *([failure] if failure else []))
+    )
 
 
 # -- the conversation, without I/O -----------------------------------------------------------------

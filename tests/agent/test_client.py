@@ -109,6 +109,16 @@ def test_raises_execution_failed_when_a_launched_invocation_ends_without_success
     assert caught.value.outcome == "stopped"
 
 
+def test_a_failure_is_the_last_of_the_reasons():
+    failure = {"rule": "outcome", "code": "object_lost", "message": "the object fell", "remedy": "look for it"}
+    caught = ExecutionFailed(invocation("failed", outcome="terminated", failure=failure))
+    (reason,) = caught.reasons
+    assert (reason.rule, reason.code, reason.remedy) == ("outcome", "object_lost", "look for it")
+    assert caught.codes == {"object_lost"}
+    assert str(caught) == "`grasp_object` failed: the object fell"
+    assert ExecutionFailed(invocation("failed", outcome="terminated", failure=None)).reasons == ()
+
+
 def test_proposes_a_deferred_invocation_again_under_a_new_key():
     deferred = invocation("deferred", admission={"outcome": "defer", "reasons": [], "retry_after_s": 0.01})
     answers = iter([deferred, deferred, invocation("completed", outcome="succeeded")])

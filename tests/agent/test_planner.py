@@ -28,6 +28,11 @@ def ended(status: str, *reasons: tuple[str, str], outcome: str | None = None, **
     }  # fmt: skip
 
 
+def failed_of(code: str) -> dict[str, object]:
+    failure = {"rule": "outcome", "code": code, "message": f"it was {code}", "remedy": ""}
+    return ended("failed", outcome="terminated", admission={"outcome": "accept", "reasons": []}, failure=failure)
+
+
 def test_a_fetch_is_planned_as_the_papers_sequence():
     assert [step.capability for step in plan_for(FETCH, SITE)] == [
         "navigate_to", "inspect_area", "grasp_object", "transport_object", "place_object",
@@ -52,12 +57,12 @@ def test_planning_names_what_the_site_does_not_know():
         (Refused(ended("denied", ("organization/hazmat", "rule"))), True, ()),
         (Refused(ended("rejected", ("admission", "unknown_capability"))), True, ()),
         (ExecutionFailed(ended("failed", outcome="stopped")), True, ()),
-        (
-            ExecutionFailed(ended("failed", ("x", "grasp_failed"), outcome="terminated")),
-            False,
-            ("navigate_to", "inspect_area"),
-        ),
-        (ExecutionFailed(ended("failed", ("x", "never_heard_of"), outcome="terminated")), True, ()),
+        (ExecutionFailed(failed_of("grasp_failed")), False, ("navigate_to", "inspect_area")),
+        (ExecutionFailed(failed_of("object_lost")), False, ()),
+        (ExecutionFailed(failed_of("blocked")), False, ()),
+        (ExecutionFailed(failed_of("shutdown")), True, ()),
+        (ExecutionFailed(failed_of("never_heard_of")), True, ()),
+        (ExecutionFailed(ended("failed", outcome="terminated", failure=None)), True, ()),
     ],
 )
 def test_a_repair_follows_from_the_reasons(failed, gives_up, first):
