@@ -138,10 +138,14 @@ class Result:
 
 
 def reasons_of(invocation: Document) -> tuple[Reason, ...]:
-    """Return all reasons of an invocation document: admission first, then policy, then those of its end."""
-    decided = (document(invocation.get(part)).get("reasons") or [] for part in ("admission", "policy"))
-    found = [item for reasons in decided for item in cast("list[Document]", reasons)]
-    failure = document(invocation.get("failure"))  # one reason, not a list: what the task failed of
+    """Return all reasons of an invocation document: admission first, then policy, then those of its end.
+
+    A part holds a list of `reasons`, or is itself the only one.
+    """
+    found: list[Document] = []
+    for part in ("admission", "policy", "failure"):
+        said = document(invocation.get(part))
+        found += cast("list[Document]", said.get("reasons") or ([said] if "code" in said else []))
     return tuple(
         Reason(
             rule=item.get("rule", ""),
@@ -149,7 +153,7 @@ def reasons_of(invocation: Document) -> tuple[Reason, ...]:
             message=item.get("message", ""),
             remedy=item.get("remedy", ""),
         )
-        for item in (*found, *([failure] if failure else []))
+        for item in found
     )
 
 

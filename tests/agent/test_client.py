@@ -4,7 +4,16 @@ from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
-from app.agent.client import AsyncReinsClient, ExecutionFailed, Problem, Refused, ReinsClient, Unreachable, Unsendable
+from app.agent.client import (
+    AsyncReinsClient,
+    ExecutionFailed,
+    Problem,
+    Reason,
+    Refused,
+    ReinsClient,
+    Unreachable,
+    Unsendable,
+)
 
 from .scripted_server import Turn, serve
 
@@ -109,13 +118,18 @@ def test_raises_execution_failed_when_a_launched_invocation_ends_without_success
     assert caught.value.outcome == "stopped"
 
 
-def test_a_failure_is_the_last_of_the_reasons():
-    failure = {"rule": "outcome", "code": "object_lost", "message": "the object fell", "remedy": "look for it"}
-    caught = ExecutionFailed(invocation("failed", outcome="terminated", failure=failure))
-    (reason,) = caught.reasons
-    assert (reason.rule, reason.code, reason.remedy) == ("outcome", "object_lost", "look for it")
-    assert caught.codes == {"object_lost"}
-    assert str(caught) == "`grasp_object` failed: the object fell"
+LOST = {"rule": "outcome", "code": "object_lost", "message": "the object fell", "remedy": "look for it"}
+
+
+@pytest.mark.parametrize("failure", [{"reasons": [LOST]}, LOST])
+def test_a_failure_is_the_last_of_the_reasons(failure):
+    caught = ExecutionFailed(invocation("failed", outcome="terminated", policy=DENIED["policy"], failure=failure))
+    assert [reason.code for reason in caught.reasons] == ["rule", "object_lost"]
+    assert caught.reasons[-1] == Reason(**LOST)
+    assert str(caught) == "`grasp_object` failed: hazardous; the object fell"
+
+
+def test_without_a_failure_there_is_no_reason():
     assert ExecutionFailed(invocation("failed", outcome="terminated", failure=None)).reasons == ()
 
 

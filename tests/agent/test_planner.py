@@ -29,7 +29,7 @@ def ended(status: str, *reasons: tuple[str, str], outcome: str | None = None, **
 
 
 def failed_of(code: str) -> dict[str, object]:
-    failure = {"rule": "outcome", "code": code, "message": f"it was {code}", "remedy": ""}
+    failure = {"reasons": [{"rule": "cell/session", "code": code, "message": f"it was {code}", "remedy": ""}]}
     return ended("failed", outcome="terminated", admission={"outcome": "accept", "reasons": []}, failure=failure)
 
 
