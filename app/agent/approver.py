@@ -18,6 +18,7 @@ is recorded under its own name.
 from __future__ import annotations
 
 import asyncio
+import math
 import random
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -31,6 +32,8 @@ from app.agent.client import AsyncReinsClient, Document, Problem, ReinsError
 _POLL_S = 0.1
 _MATCHABLE = frozenset({"capability", "risk", "kind", "agent"})
 _DECISIONS = ("approve", "deny", "ignore")
+_READS = frozenset({"min", "max"})
+_RULE = frozenset({"match", "decision", "edit"})
 _KEYS = frozenset({"approver", "reads_s", "error_rate", "seed", "rules"})
 
 
@@ -79,39 +82,66 @@ def load_habits(path: Path) -> Habits:
 
 def parse_habits(raw: object, source: str = "habits") -> Habits:
     """Return habits from plain data. Raises `ValueError` naming the key and what would be valid."""
-    if not isinstance(raw, dict):
-        raise TypeError(f"{source}: expected a mapping with {', '.join(sorted(_KEYS))}")
-    data = cast("dict[str, Any]", raw)
-    unknown = set(data) - _KEYS
-    if unknown:
-        raise ValueError(f"{source}: unknown key `{sorted(unknown)[0]}`; valid: {', '.join(sorted(_KEYS))}")
-    reads = data.get("reads_s", {"min": 0.5, "max": 1.5})
-    low, high = float(reads["min"]), float(reads["max"])
-    rate = float(data.get("error_rate", 0.0))
-    if not 0 <= low <= high:
+    data = _mapping(raw, source, _KEYS)
+    reads = _mapping(data.get("reads_s", {"min": 0.5, "max": 1.5}), f"{source}: `reads_s`", _READS)
+    low, high = (_number(reads.get(key), f"{source}: `reads_s.{key}`") for key in ("min", "max"))
+    rate = _number(data.get("error_rate", 0.0), f"{source}: `error_rate`")
+    if not 0 <= low <= high < math.inf:
         raise ValueError(f"{source}: `reads_s` is {low}…{high}; valid: 0 ≤ min ≤ max")
     if not 0 <= rate <= 1:
         raise ValueError(f"{source}: `error_rate` is {rate}; valid: 0…1")
+    seed, rules = data.get("seed", 0), data.get("rules", [])
+    if not isinstance(seed, int):
+        raise ValueError(f"{source}: `seed` is `{seed}`; valid: a whole number")
+    if not isinstance(rules, list):
+        raise ValueError(f"{source}: `rules` is `{rules}`; valid: a list of rules")
     return Habits(
         name=str(data.get("approver", "operator")),
         reads_min_s=low,
         reads_max_s=high,
         error_rate=rate,
-        seed=int(data.get("seed", 0)),
-        rules=tuple(_rule(item, source) for item in data.get("rules", [])),
+        seed=seed,
+        rules=tuple(
+            _rule(item, f"{source}: `rules[{place}]`") for place, item in enumerate(cast("list[object]", rules))
+        ),
     )
 
 
-def _rule(item: Mapping[str, Any], source: str) -> Rule:
-    match = cast("dict[str, Any]", item.get("match", {}))
+def _mapping(value: object, what: str, valid: frozenset[str] | None = None) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        keys = "parameters and values" if valid is None else ", ".join(sorted(valid))
+        raise ValueError(f"{what} is `{value}`; valid: a mapping with {keys}")
+    found = cast("dict[str, Any]", value)
+    unknown = sorted(str(key) for key in found if valid is not None and key not in valid)
+    if unknown and valid is not None:
+        raise ValueError(f"{what}: unknown key `{unknown[0]}`; valid: {', '.join(sorted(valid))}")
+    return found
+
+
+def _number(value: object, what: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{what} is `{value}`; valid: a number")
+    return float(value)
+
+
+def _rule(raw: object, source: str) -> Rule:
+    item = _mapping(raw, source, _RULE)
+    match = _mapping(item.get("match", {}), f"{source}: `match`")
     for field in match:
         if field not in _MATCHABLE:
             raise ValueError(f"{source}: cannot match on `{field}`; valid: {', '.join(sorted(_MATCHABLE))}")
     decision = item.get("decision", "deny")
     if decision not in _DECISIONS:
         raise ValueError(f"{source}: decision `{decision}`; valid: {', '.join(_DECISIONS)}")
-    values = {field: frozenset([value] if isinstance(value, str) else value) for field, value in match.items()}
-    return Rule(match=values, decision=decision, edit=item.get("edit", {}))
+    values = {field: _names(value, f"{source}: `match.{field}`") for field, value in match.items()}
+    return Rule(match=values, decision=decision, edit=_mapping(item.get("edit", {}), f"{source}: `edit`"))
+
+
+def _names(value: object, what: str) -> frozenset[str]:
+    names = cast("list[object]", value if isinstance(value, list) else [value])
+    if not all(isinstance(name, str) for name in names):
+        raise ValueError(f"{what} is `{value}`; valid: a name or a list of names")
+    return frozenset(str(name) for name in names)
 
 
 def decide(habits: Habits, escalation: Document, draw: float) -> Answer:

@@ -56,11 +56,27 @@ def test_an_error_turns_the_answer_round():
         ({"reads_s": {"min": 2, "max": 1}}, "valid: 0 ≤ min ≤ max"),
         ({"rules": [{"match": {"mood": "good"}}]}, "cannot match on `mood`"),
         ({"rules": [{"decision": "maybe"}]}, "decision `maybe`"),
+        ({"rules": 3}, "`rules` is `3`; valid: a list of rules"),
+        ({"rules": [3]}, r"`rules\[0\]` is `3`; valid: a mapping with decision, edit, match"),
+        ({"rules": [{"decison": "approve"}]}, "unknown key `decison`; valid: decision, edit, match"),
+        ({"rules": [{"edit": 3}]}, "`edit` is `3`; valid: a mapping"),
+        ({"rules": [{"match": 3}]}, "`match` is `3`; valid: a mapping"),
+        ({"rules": [{"match": {"risk": 3}}]}, "`match.risk` is `3`; valid: a name or a list of names"),
+        ({"reads_s": {"min": 1}}, "`reads_s.max` is `None`; valid: a number"),
+        ({"reads_s": 3}, "`reads_s` is `3`; valid: a mapping with max, min"),
+        ({"reads_s": {"min": 0, "max": float("inf")}}, "valid: 0 ≤ min ≤ max"),
+        ({"error_rate": "often"}, "`error_rate` is `often`; valid: a number"),
+        ({"seed": "x"}, "`seed` is `x`; valid: a whole number"),
     ],
 )
 def test_bad_habits_are_refused_with_what_would_be_valid(change, message):
     with pytest.raises(ValueError, match=message):
         parse_habits({**HABITS, **change})
+
+
+def test_habits_that_are_no_mapping_are_refused():
+    with pytest.raises(ValueError, match="habits is `3`; valid: a mapping with approver"):
+        parse_habits(3)
 
 
 @pytest.mark.anyio
