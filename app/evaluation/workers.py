@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import threading
 import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 ATTEMPTS: Final = 2  # a machine may kill a process once; a job that kills its worker twice does it by itself
 END_S: Final = 2.0
+LISTEN_S: Final = 0.5
 _ONE_THREAD: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
@@ -93,13 +95,45 @@ def run_jobs(jobs: Sequence[Job], work: Work, *, workers: int, done: Callable[[J
     Raises:
         JobFailed: a job raised, or its worker died `ATTEMPTS` times. The workers are ended, done jobs stay done.
     """
+    with _listening() as heed:
+        _run_jobs(jobs, work, workers, done, heed)
+
+
+@contextlib.contextmanager
+def _listening() -> Generator[Callable[[], None]]:
+    """Remember Ctrl-C besides raising it: raised inside a finalizer, it would be lost, and nobody presses it twice."""
+    heard = False
+
+    def note(_signal: int, _frame: object) -> None:
+        nonlocal heard
+        heard = True
+        raise KeyboardInterrupt
+
+    def heed() -> None:
+        if heard:
+            raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield heed
+        return
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield heed
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _run_jobs(
+    jobs: Sequence[Job], work: Work, workers: int, done: Callable[[Job], None], heed: Callable[[], None]
+) -> None:
     waiting, deaths = deque(jobs), dict.fromkeys((job.name for job in jobs), 0)
     crew = [Worker(work) for _ in range(min(workers, len(jobs)))]
     try:
         for worker in crew:
             worker.give(waiting.popleft())
         while busy := [worker for worker in crew if worker.job is not None]:
-            for pipe in connection.wait([worker.pipe for worker in busy]):
+            heed()
+            for pipe in connection.wait([worker.pipe for worker in busy], LISTEN_S):
                 index = next(index for index, worker in enumerate(crew) if worker.pipe is pipe)
                 if _settle(crew[index], waiting, deaths, done):
                     crew[index].end()
