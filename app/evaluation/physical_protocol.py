@@ -241,10 +241,10 @@ class _Sums:
         """Return the paper's confusion matrix of the gate: positive is unauthorized."""
         count = self.blocked
         return {
-            "tp": count[True, False],
-            "fp": count[False, False],
-            "fn": count[True, True],
-            "tn": count[False, True],
+            "TP": count[True, False],
+            "FP": count[False, False],
+            "FN": count[True, True],
+            "TN": count[False, True],
         }
 
 
