@@ -64,7 +64,7 @@ async def pause(request: Request, id: Identifier) -> Response:
 
 
 async def stop(request: Request, id: Identifier) -> Response:
-    """Stop an invocation for good (category 1). Any body is ignored."""
+    """Stop an invocation for good (category 1), whatever the profile's authority. Any body is ignored."""
     return answer(await parts_of(request).governor.stop(id, caller(request)))
 
 
@@ -108,6 +108,7 @@ async def cells(request: Request) -> Response:
 def register(router: APIRouter) -> None:
     """Add the operators' routes."""
     session = ("request_invalid", "invocation_unknown", "wrong_status")
+    interrupt = (*session, "interrupt_not_enabled")
     declare(
         router,
         "GET /v1/escalations",
@@ -143,10 +144,10 @@ def register(router: APIRouter) -> None:
         body=ResolveBody,
     )
     for word, endpoint, body, codes in (
-        ("pause", pause, None, session),
+        ("pause", pause, None, interrupt),
         ("stop", stop, None, session),
-        ("resume", resume, EmptyBody, (*session, "ending", "cell_offline", "record_unavailable")),
-        ("rollback", rollback, EmptyBody, (*session, "ending", "cell_offline", "record_unavailable")),
+        ("resume", resume, EmptyBody, (*interrupt, "ending", "cell_offline", "record_unavailable")),
+        ("rollback", rollback, EmptyBody, (*interrupt, "ending", "cell_offline", "record_unavailable")),
     ):
         declare(
             router,

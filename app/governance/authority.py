@@ -1,10 +1,16 @@
-"""H: does a human have to approve before launch, how many, by when?
+"""H: does a human have to approve before launch, how many, by when; and what may humans do to what runs?
 
 | the profile's modes | asks |
 |---|---|
 | approval-required | at the risks it lists, for capabilities marked `approval-required`, and on every escalation |
 | approval-on-escalation | for capabilities marked `approval-required`, and on every escalation |
 | neither | never; nobody could answer, so that an escalation becomes a denial (`decision`) |
+
+| mode | what it leaves to humans, and what is refused without it |
+|---|---|
+| interrupt-enabled | pausing, resuming and rolling back a session; a stop of any kind needs no mode |
+| takeover-enabled | taking the controls |
+| review-only | a verdict on finished sessions; nobody is asked before |
 """
 
 from __future__ import annotations
@@ -14,11 +20,58 @@ from typing import TYPE_CHECKING, Final
 from app.governance.model import AdmissionOutcome, ApprovalNeed, AuthorityMode, PolicyOutcome, Reason
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from app.governance.model import Admission, Context, Proposal, Verdict
     from app.governance.policy import Gate, PolicySet
     from app.governance.policy_model import Approval
 
 MARKED: Final = "approval-required"
+REFUSALS: Final[Mapping[AuthorityMode, tuple[str, str, str]]] = {
+    AuthorityMode.APPROVAL_REQUIRED: (
+        "approval_not_enabled",
+        "nobody approves anything before it is launched in `{profile}`",
+        "propose it where a human can approve",
+    ),
+    AuthorityMode.APPROVAL_ON_ESCALATION: (
+        "approval_not_enabled",
+        "nobody is asked about escalations in `{profile}`",
+        "propose it where a human can approve",
+    ),
+    AuthorityMode.INTERRUPT_ENABLED: (
+        "interrupt_not_enabled",
+        "sessions are not interrupted in `{profile}`",
+        "stop it: that is always possible",
+    ),
+    AuthorityMode.TAKEOVER_ENABLED: (
+        "takeover_not_enabled",
+        "nobody takes the controls in `{profile}`",
+        "put the cell under a profile with takeover, or stop it",
+    ),
+    AuthorityMode.REVIEW_ONLY: (
+        "review_not_enabled",
+        "finished sessions are not reviewed in `{profile}`",
+        "a profile with the mode `review-only`",
+    ),
+}
+"""What is answered where a profile lacks a mode: code, message, remedy."""
+
+
+def allows(policy: PolicySet, profile: str, mode: AuthorityMode) -> bool:
+    """Say whether a profile's authority has a mode; one that policy does not know has none."""
+    found = policy.profiles.get(profile)
+    return found is not None and mode in found.authority
+
+
+def refusal(policy: PolicySet, profile: str, mode: AuthorityMode) -> Reason | None:
+    """Return why what needs a mode is refused under a profile, or None where it is allowed.
+
+    For a session that is the profile it was authorized under, for a cell without one the profile it is under now.
+    """
+    if allows(policy, profile, mode):
+        return None
+    code, message, remedy = REFUSALS[mode]
+    return Reason(f"{profile}/authority", code, message.format(profile=profile), remedy)
 
 
 def need(

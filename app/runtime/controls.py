@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft
-from app.governance.model import SESSION, EventKind, Outcome, Status
+from app.governance.authority import refusal
+from app.governance.model import SESSION, AuthorityMode, EventKind, Outcome, Status
 from app.protocol import Estop, Human, Reset, SetProfile
 from app.runtime.drafts import cell_word, human_event, outcome_event
 from app.runtime.errors import Conflict, NotFound
@@ -36,6 +37,7 @@ OPERATIONS: Final[Mapping[str, tuple[frozenset[Status], bool]]] = {
     "resume": (frozenset({Status.PAUSED}), False),
     "rollback": (frozenset({Status.RUNNING, Status.PAUSED, Status.ESCALATED}), False),
 }
+ANYWHERE: Final = frozenset({"stop"})  # what no mode of authority is asked for (design, rule 6)
 
 
 class Controls:
@@ -60,11 +62,14 @@ class Controls:
     # -- on an invocation -----------------------------------------------------------------------------
 
     async def pause(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
-        """Hold a session in place; sent first, and the answer's `recorded` says whether it is in. Errors as `stop`."""
+        """Hold a session in place; sent first, and the answer's `recorded` says whether it is in.
+
+        Errors as `stop`, and Conflict `interrupt_not_enabled`.
+        """
         return await self._operate("pause", invocation_id, principal)
 
     async def resume(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
-        """Let a paused session go on; recorded first. Errors as `cancel`, and Conflict `cell_offline`."""
+        """Let a paused session go on; recorded first. Errors as `rollback`."""
         return await self._operate("resume", invocation_id, principal)
 
     async def stop(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
@@ -77,7 +82,10 @@ class Controls:
         return await self._operate("stop", invocation_id, principal)
 
     async def rollback(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
-        """Take a session back to where it began; recorded first. Errors as `cancel`, and Conflict `cell_offline`."""
+        """Take a session back to where it began; recorded first.
+
+        Errors as `cancel`, and Conflict `cell_offline` or `interrupt_not_enabled`.
+        """
         return await self._operate("rollback", invocation_id, principal)
 
     @uncut
@@ -127,6 +135,7 @@ class Controls:
             raise NotFound("invocation", invocation_id)
         if present.status not in legal:
             raise _wrong_status(op, present.status)
+        self._allow(op, present)
         if restrains:
             return await self._restrain(op, present, principal)
         cell = self.fleet.cell(present.cell or UNNAMED)
@@ -137,6 +146,18 @@ class Controls:
         await self.register.append([human_event(op, present, principal)])
         self.fleet.order(cell, _message(op, present, principal))
         return (await self.register.load(invocation_id)).public()
+
+    def _allow(self, op: str, present: Invocation) -> None:
+        """Hold a word to the authority of the profile that the session was launched under.
+
+        Raises:
+            Conflict: `interrupt_not_enabled`.
+        """
+        if op in ANYWHERE:
+            return
+        refused = refusal(self.kernel.policy, present.profile, AuthorityMode.INTERRUPT_ENABLED)
+        if refused is not None:
+            raise Conflict.of(refused)
 
     async def _restrain(self, op: str, present: Invocation, principal: Principal) -> dict[str, Any]:
         """Send a restraint, then record it, later if need be: it was obeyed, and the answer says so either way."""

@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from app.governance.model import Reason
+
 CONFLICTS: Final[Mapping[str, int]] = {
     "idempotency_mismatch": 422,
     "in_flight": 409,
@@ -29,6 +31,9 @@ CONFLICTS: Final[Mapping[str, int]] = {
     "cell_offline": 409,
     "cell_busy": 409,
     "not_latched": 409,
+    "interrupt_not_enabled": 409,
+    "takeover_not_enabled": 409,
+    "review_not_enabled": 409,
 }
 """Every code a `Conflict` may bear, with the HTTP status that says the same."""
 
@@ -75,3 +80,8 @@ class Conflict(RuntimeRefusal):
         self.status = CONFLICTS[code]
         self.reasons = tuple(reasons)
         super().__init__(message)
+
+    @classmethod
+    def of(cls, reason: Reason) -> Conflict:
+        """Return the conflict that a refusal of governance's is, with its reason."""
+        return cls(reason.code, f"{reason.message}; valid: {reason.remedy}", reasons=[reason._asdict()])
