@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from app.audit.event import EventDraft
 from app.clock import wall_s as wall_clock_s
 from app.governance.model import EventKind, Outcome
+from app.runtime.broadcast import Broadcast
 from app.runtime.desk import Desk
 from app.runtime.feed import Feed
 from app.runtime.fleet import Fleet
@@ -63,6 +64,7 @@ class Runtime:
         self.telemetry = Telemetry(telemetry_folder or store.places.telemetry, wall_s)
         self.sessions = Sessions(self.register, self.fleet, self.desk, self.telemetry, absent_s=absent_s)
         self.fleet.report_to(self.sessions)
+        self.broadcast = Broadcast(store, self.register, self.desk, self.fleet)
         self.register.on_final = self._release
         self.governor = Governor(
             register=self.register, kernel=self.kernel, fleet=self.fleet, desk=self.desk, feed=self.feed
@@ -94,6 +96,7 @@ class Runtime:
             ]
         )
         await self.desk.expire_due()
+        await self.broadcast.open()
 
     @asynccontextmanager
     async def running(self) -> AsyncGenerator[Governor]:
@@ -102,6 +105,7 @@ class Runtime:
         tasks = [
             asyncio.create_task(self.fleet.beat(), name="beat"),
             asyncio.create_task(self.fleet.tend(), name="tend"),
+            asyncio.create_task(self.broadcast.run(), name="broadcast"),
             asyncio.create_task(self.desk.watch_deadlines(), name="deadlines"),
         ]
         try:
@@ -113,4 +117,5 @@ class Runtime:
                 with suppress(asyncio.CancelledError):
                     await task
             self.feed.close()
+            self.broadcast.close()
             await self.sessions.close()

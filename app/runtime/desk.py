@@ -31,7 +31,7 @@ from app.runtime.escalation import (
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from app.audit.event import EventDraft, RowWrite
     from app.governance.model import ApprovalNeed
@@ -53,6 +53,7 @@ class Desk:
         self.kernel = kernel
         self._pending: dict[str, Escalation] = {}
         self._asked = asyncio.Event()
+        self.on_held: Callable[[Escalation], None] = lambda _: None
 
     # -- asking ------------------------------------------------------------------------------------------------------
 
@@ -101,6 +102,11 @@ class Desk:
                 self._asked.set()
             else:
                 self._pending.pop(version.id, None)
+            self.on_held(version)
+
+    def pending(self) -> list[Escalation]:
+        """Return the questions that are open."""
+        return list(self._pending.values())
 
     def pending_for(self, invocation: str) -> Escalation | None:
         """Return the question that is open about an invocation."""
@@ -279,6 +285,7 @@ class Desk:
         except RecordUnavailable:
             self.hold(stray)
             raise
+        self.hold(closed)
 
     async def watch_deadlines(self) -> None:
         """Close questions when their time is over, for ever."""

@@ -27,7 +27,7 @@ from app.runtime.link import DEAD_S, SILENT_S, TRY_LATER, Attachment
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
-    from collections.abc import Coroutine, Mapping, Sequence
+    from collections.abc import Callable, Coroutine, Mapping, Sequence
 
     from app.audit.event import EventDraft
     from app.governance.model import WorldFacts
@@ -52,6 +52,7 @@ class Fleet:
         self._cells: dict[str, Cell] = {}
         self._closings: set[asyncio.Task[None]] = set()
         self._reports: Reports | None = None
+        self.on_stated: Callable[[Cell], None] = lambda _: None
         self.kernel_key = ""
         self.policy_digest = ""
         self.policy_files: Mapping[str, str] = {}
@@ -350,6 +351,7 @@ class Fleet:
         cell.stated = asyncio.Event()
         cell.world = None
         cell.trouble = None
+        self.on_stated(cell)
 
     def take_telemetry(self, cell: Cell, invocation: str, rows: Sequence[tuple[float, ...]]) -> None:
         """Pass rows of telemetry on."""

@@ -47,6 +47,7 @@ class Register:
         self._live: dict[str, Entry] = {}
         self._unsaid: list[EventDraft] = []  # what the record could not take yet
         self.on_final: Callable[[Invocation], None] = lambda _: None
+        self.on_shown: Callable[[Invocation], None] = lambda _: None
 
     def now(self) -> str:
         """Return the wall time as text."""
@@ -80,6 +81,11 @@ class Register:
             cursor = page.next
             if cursor is None:
                 return
+
+    async def newest_ones(self, limit: int) -> list[Invocation]:
+        """Return the invocations proposed last, newest first, final or not."""
+        page = await self.store.page("invocations", limit=limit)
+        return [read_invocation(row["document"]) for row in page.items]
 
     async def append(
         self, drafts: Sequence[EventDraft], rows: Sequence[RowWrite] = (), versions: Sequence[Invocation] = ()
@@ -150,6 +156,7 @@ class Register:
         return entry.newest
 
     def _show(self, version: Invocation) -> None:
+        self.on_shown(version)
         entry = self._live.get(version.id)
         if entry is None:
             if not version.final:

@@ -1,0 +1,258 @@
+"""The broadcast: what every console is shown, encoded once for all of them.
+
+Committed events, and the newest documents of whatever changed, collect for a moment and leave as one text for
+everybody. A console joins at such a moment as well: what is due goes to those who are there, then the newcomers get
+one snapshot, and from the next update on all get the same. Nothing is awaited in between, so no event is missed and
+none comes twice.
+
+The last events are kept in memory, so that a console that comes back with the last `seq` it saw misses none of them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections import deque
+from typing import TYPE_CHECKING, Any, Final
+
+import orjson
+
+from app.clock import monotonic_s, wall_s
+from app.runtime.outlet import Outlet
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from app.audit.event import Event
+    from app.audit.store import AuditStore
+    from app.runtime.cells import Cell
+    from app.runtime.desk import Desk
+    from app.runtime.escalation import Escalation
+    from app.runtime.fleet import Fleet
+    from app.runtime.invocation import Invocation
+    from app.runtime.register import Register
+
+TICK_S: Final = 0.033
+GATHER_S: Final = 0.004  # documents become visible right behind their events: let them leave together
+BEAT_S: Final = 0.2
+REFRESH_S: Final = 1.0  # facts and gauges of a cell that otherwise has not changed
+KEPT_EVENTS: Final = 2000
+SHOWN_EVENTS: Final = 200
+SHOWN_INVOCATIONS: Final = 20
+PAGE: Final = 1000
+GOING_AWAY: Final = 1001
+
+
+class Broadcast:
+    """Tells all consoles of one server what has become durable, and what things are like now."""
+
+    def __init__(self, store: AuditStore, register: Register, desk: Desk, fleet: Fleet) -> None:
+        """Listen to the record, the register, the desk and the fleet."""
+        self._store, self._register, self._desk, self._fleet = store, register, desk, fleet
+        self._events: deque[Event] = deque(maxlen=KEPT_EVENTS)
+        self._fresh: list[Event] = []
+        self._invocations: dict[str, Invocation] = {}
+        self._newest: dict[str, Invocation] = {}
+        self._escalations: dict[str, Escalation] = {}
+        self._cells: dict[str, Mapping[str, Any]] = {}
+        self._consoles: set[Outlet] = set()
+        self._joining: dict[Outlet, int | None] = {}
+        self._due: asyncio.TimerHandle | None = None
+        self._flushed_s = self._refreshed_s = 0.0
+        self._beats = 0
+        self.seq = 0
+        self.boot = f"boot_{secrets.token_hex(8)}"
+        self._leave = store.subscribe(self._committed)
+        register.on_shown = self._shown
+        desk.on_held = self._held
+        fleet.on_stated = self._stated
+
+    async def open(self) -> None:
+        """Read what the log and the invocations were before this run; call it once, right after the start."""
+        after = max(0, self._store.size - KEPT_EVENTS)
+        older: list[Event] = []
+        first = self._events[0].seq if self._events else None
+        while page := await self._store.events(after=after, limit=PAGE):
+            older.extend(event for event in page if first is None or event.seq < first)
+            after = page[-1].seq
+            if first is not None and after >= first:
+                break
+        live, self._events = self._events, deque(older, KEPT_EVENTS)
+        self._events.extend(event for event in live if not older or event.seq > older[-1].seq)
+        self.seq = self._events[-1].seq if self._events else 0
+        newest = {known.id: known for known in reversed(await self._register.newest_ones(SHOWN_INVOCATIONS))}
+        self._newest = {**newest, **self._newest}
+
+    async def run(self) -> None:
+        """Beat, and look after cells that have fallen silent, for ever."""
+        while True:
+            await asyncio.sleep(BEAT_S)
+            self.beat()
+
+    def close(self) -> None:
+        """End every console."""
+        self._leave()
+        if self._due is not None:
+            self._due.cancel()
+        for outlet in (*self._consoles, *self._joining):
+            outlet.end(GOING_AWAY, "the server stops")
+
+    # -- consoles ----------------------------------------------------------------------------------------------------
+
+    def join(self, outlet: Outlet, after: int | None) -> None:
+        """Send a console a snapshot, and every update from then on.
+
+        Args:
+            outlet: where to.
+            after: the last `seq` it saw; the snapshot then holds every event behind it that is kept.
+        """
+        self._joining[outlet] = after
+        self._schedule()
+
+    def leave(self, outlet: Outlet) -> None:
+        """Forget a console."""
+        self._consoles.discard(outlet)
+        self._joining.pop(outlet, None)
+
+    def beat(self) -> None:
+        """Say to every console that the server lives, and what became of cells that say nothing."""
+        self._look_at_cells()
+        if not self._consoles:
+            return
+        self._beats += 1
+        beat = orjson.dumps({"type": "beat", "n": self._beats, "at": wall_s(), "seq": self._told()}).decode()
+        for outlet in tuple(self._consoles):
+            outlet.say(beat, ("beat", self._beats))
+        self._drop_ended()
+
+    def _told(self) -> int:
+        return self._fresh[0].seq - 1 if self._fresh else self.seq
+
+    # -- what changes ------------------------------------------------------------------------------------------------
+
+    def _committed(self, events: tuple[Event, ...]) -> None:
+        self._events.extend(events)
+        self.seq = events[-1].seq
+        if self._consoles:
+            self._fresh.extend(events)
+            self._schedule()
+
+    def _shown(self, version: Invocation) -> None:
+        newest = self._newest
+        if version.id not in newest and len(newest) >= SHOWN_INVOCATIONS:
+            del newest[next(iter(newest))]
+        newest[version.id] = version
+        if self._consoles:
+            self._invocations[version.id] = version
+            self._schedule()
+
+    def _held(self, version: Escalation) -> None:
+        if self._consoles:
+            self._escalations[version.id] = version
+            self._schedule()
+
+    def _stated(self, cell: Cell) -> None:
+        if self._consoles and self._changed(cell.id, self._fleet.document(cell)):
+            self._schedule()
+
+    def _look_at_cells(self) -> None:
+        """Notice what changes without a word: a cell that came, left, or fell silent."""
+        if not self._consoles:
+            return
+        now_s = monotonic_s()
+        refresh = now_s - self._refreshed_s >= REFRESH_S
+        if refresh:
+            self._refreshed_s = now_s
+        for cell in self._fleet.cells():
+            if refresh or self._changed(cell.id, self._fleet.document(cell)):
+                self._cells.pop(cell.id, None)
+                self._schedule()
+
+    def _changed(self, cell: str, document: Mapping[str, Any]) -> bool:
+        return _steady(document) != self._cells.get(cell)
+
+    # -- telling -----------------------------------------------------------------------------------------------------
+
+    def _schedule(self) -> None:
+        if self._due is None:
+            wait_s = max(GATHER_S, self._flushed_s + TICK_S - monotonic_s())
+            self._due = asyncio.get_running_loop().call_later(wait_s, self._flush)
+
+    def _flush(self) -> None:
+        self._due = None
+        self._flushed_s = monotonic_s()
+        update = self._update()
+        if update is not None:
+            for outlet in tuple(self._consoles):
+                outlet.say(update)
+        self._welcome()
+        self._drop_ended()
+
+    def _update(self) -> str | None:
+        parts: list[bytes] = []
+        if not self._consoles:
+            self._fresh, self._invocations, self._escalations = [], {}, {}
+            return None
+        if self._fresh:
+            parts.append(b'"events":' + _events(self._fresh))
+        if self._invocations:
+            parts.append(b'"invocations":' + orjson.dumps([one.public() for one in self._invocations.values()]))
+        if self._escalations:
+            parts.append(b'"escalations":' + orjson.dumps([one.public() for one in self._escalations.values()]))
+        if cells := self._changed_cells():
+            parts.append(b'"cells":' + orjson.dumps(cells))
+        self._fresh, self._invocations, self._escalations = [], {}, {}
+        if not parts:
+            return None
+        return (b'{"type":"update","seq":%d,' % self.seq + b",".join(parts) + b"}").decode()
+
+    def _changed_cells(self) -> list[Mapping[str, Any]]:
+        changed: list[Mapping[str, Any]] = []
+        for cell in self._fleet.cells():
+            document = self._fleet.document(cell)
+            if self._changed(cell.id, document):
+                self._cells[cell.id] = _steady(document)
+                changed.append(document)
+        return changed
+
+    def _welcome(self) -> None:
+        if not self._joining:
+            return
+        documents = self._documents()
+        for outlet, after in self._joining.items():
+            if outlet.ended is None:
+                events = _events(self._behind(after))
+                outlet.say((b'{"type":"snapshot","seq":%d,"events":' % self.seq + events + documents).decode())
+                self._consoles.add(outlet)
+        self._joining = {}
+
+    def _behind(self, after: int | None) -> list[Event]:
+        if after is None or after > self.seq:  # a `seq` this log has not reached is another log's
+            return list(self._events)[-SHOWN_EVENTS:]
+        return [event for event in self._events if event.seq > after]
+
+    def _documents(self) -> bytes:
+        cells = [self._fleet.document(cell) for cell in self._fleet.cells()]
+        self._cells = {document["id"]: _steady(document) for document in cells}
+        invocations = {**self._newest, **{one.id: one for one in self._register.live()}}
+        documents = {
+            "cells": cells,
+            "invocations": [one.public() for one in invocations.values()],
+            "escalations": [one.public() for one in self._desk.pending()],
+            "grants": [],
+            "reviews": [],
+        }
+        return b"," + orjson.dumps(documents)[1:]
+
+    def _drop_ended(self) -> None:
+        self._consoles = {outlet for outlet in self._consoles if outlet.ended is None}
+
+
+def _events(events: Iterable[Event]) -> bytes:
+    """Return events as a JSON array; each is in the bytes that were hashed."""
+    return b"[" + b",".join(event.body for event in events) + b"]"
+
+
+def _steady(document: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return what of a cell's document is worth an update at once: all but what its sensors read."""
+    return {name: value for name, value in document.items() if name not in {"facts", "gauges"}}
