@@ -174,6 +174,7 @@ async def open_house(settings: Settings, policies: PolicySet) -> AsyncGenerator[
                 "desk": runtime.desk,
                 "fleet": runtime.fleet,
                 "feed": runtime.feed,
+                "broadcast": runtime.broadcast,
                 "store": store,
                 "policy": lambda: runtime.kernel.policy,
             }

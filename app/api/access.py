@@ -62,6 +62,7 @@ ACCESS: Mapping[tuple[str, str], frozenset[Role] | None] = {
     ("GET", "/v1/audit/verify"): PEOPLE,
     ("GET", "/v1/events"): PEOPLE,
     (WEBSOCKET, "/v1/cells/{id}/link"): frozenset({CELL}),
+    (WEBSOCKET, "/v1/console"): PEOPLE,
     ("GET", "/healthz"): PUBLIC,
     ("GET", "/readyz"): PUBLIC,
     ("GET", "/openapi.json"): PUBLIC,

@@ -19,7 +19,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app import __version__
-from app.api import agents, audits, documents, links, operators, policies, problems
+from app.api import agents, audits, console, documents, links, operators, policies, problems
 from app.api.access import GuardedRoute, direct_routes, verify_routes
 from app.api.openapi import Answers, answer, declare, describe
 from app.api.parts import Parts, parts_of
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from app.api.auth import Principals
     from app.audit.store import AuditStore
     from app.governance.policy import PolicySet
+    from app.runtime.broadcast import Broadcast
     from app.runtime.desk import Desk
     from app.runtime.feed import Feed
     from app.runtime.fleet import Fleet
@@ -68,12 +69,13 @@ class Application(FastAPI):
         return problems.Frame(ExceptionMiddleware(inner, handlers=handlers), direct_routes(self.routes))
 
 
-def create_app(
+def create_app(  # noqa: PLR0913  # every part of a server, by name
     *,
     governor: Governor,
     desk: Desk,
     fleet: Fleet,
     feed: Feed,
+    broadcast: Broadcast,
     store: AuditStore,
     policy: Callable[[], PolicySet],
     principals: Principals,
@@ -86,6 +88,7 @@ def create_app(
         desk: owns escalations.
         fleet: owns cells and their links.
         feed: fans events out.
+        broadcast: what consoles are shown.
         store: the record.
         policy: returns the policy set in force.
         principals: who may come in.
@@ -104,13 +107,14 @@ def create_app(
         desk=desk,
         fleet=fleet,
         feed=feed,
+        broadcast=broadcast,
         store=store,
         policy=policy,
         principals=principals,
         checks=dict(checks or {}),
     )
     problems.install(app)
-    for room in (agents, operators, policies, audits, links):
+    for room in (agents, operators, policies, audits, links, console):
         room.register(app.router)
     declare(app.router, "GET /healthz", healthz, Answers(model=documents.Health))
     declare(app.router, "GET /readyz", readyz, Answers(model=documents.Readiness, also={503: documents.Readiness}))

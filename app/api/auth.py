@@ -117,9 +117,17 @@ class Principals:
                 "the request bears no token: valid is the header `Authorization: Bearer <token>`",
                 headers={"WWW-Authenticate": CHALLENGE},
             )
+        return self.recognize(token.strip())
+
+    def recognize(self, token: str) -> Principal:
+        """Return who a token stands for.
+
+        Raises:
+            Problem: 401 `token_invalid` or `token_expired`.
+        """
         self._look_again()
         # Looking up by digest and comparing digests tells nothing about the token by its timing.
-        digest = sha256(token.strip().encode("utf-8", "surrogateescape")).digest()
+        digest = sha256(token.encode("utf-8", "surrogateescape")).digest()
         credential = self._known.get(digest)
         if credential is None or not hmac.compare_digest(credential.digest, digest):
             raise _refused("token_invalid", "the token is not known here")

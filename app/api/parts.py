@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from app.api.auth import Principals
     from app.audit.store import AuditStore
     from app.governance.policy import PolicySet
+    from app.runtime.broadcast import Broadcast
     from app.runtime.desk import Desk
     from app.runtime.feed import Feed
     from app.runtime.fleet import Fleet
@@ -26,6 +27,9 @@ MAX_STREAMS: Final = 64
 EACH_STREAMS: Final = 16
 MAX_WAITS: Final = 1024
 EACH_WAITS: Final = 256
+MAX_CONSOLES: Final = 128
+EACH_CONSOLES: Final = 32
+MAX_UNGREETED: Final = 64  # sockets that nobody has signed in on yet
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,12 +44,19 @@ class Parts:
     desk: Desk
     fleet: Fleet
     feed: Feed
+    broadcast: Broadcast
     store: AuditStore
     policy: Callable[[], PolicySet]
     principals: Principals
     verifying: asyncio.Lock = field(default_factory=asyncio.Lock)
     streams: Seats = field(default_factory=lambda: Seats(code="too_many_streams", limit=MAX_STREAMS, each=EACH_STREAMS))
     waits: Seats = field(default_factory=lambda: Seats(code="too_many_waits", limit=MAX_WAITS, each=EACH_WAITS))
+    consoles: Seats = field(
+        default_factory=lambda: Seats(code="too_many_streams", limit=MAX_CONSOLES, each=EACH_CONSOLES)
+    )
+    ungreeted: Seats = field(
+        default_factory=lambda: Seats(code="too_many_streams", limit=MAX_UNGREETED, each=MAX_UNGREETED)
+    )
     checks: Mapping[str, Callable[[], str | None]] = field(default_factory=dict[str, "Callable[[], str | None]"])
 
 

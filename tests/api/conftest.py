@@ -261,6 +261,7 @@ async def open_house(folder: Path, profile: str) -> AsyncIterator[House]:
             desk=runtime.desk,
             fleet=runtime.fleet,
             feed=runtime.feed,
+            broadcast=runtime.broadcast,
             store=store,
             policy=lambda: runtime.kernel.policy,
             principals=principals,

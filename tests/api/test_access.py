@@ -35,6 +35,7 @@ EXPECTED = {
     "GET /v1/audit/verify": "oeu",
     "GET /v1/events": "oeu",
     "WS /v1/cells/{id}/link": "c",
+    "WS /v1/console": "oeu",
     "GET /healthz": "public",
     "GET /readyz": "public",
     "GET /openapi.json": "public",

@@ -1,0 +1,292 @@
+"""The console's door: `WS /v1/console`, as docs/design/console.md says.
+
+The first frame signs in, because a token has no place in a URL and a browser can set no header here. From then on one
+task reads what the console says, another writes what its outlet holds; whichever ends first ends the other. What is
+shown is made by the runtime, once for all consoles.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from typing import TYPE_CHECKING, Annotated, Final, Literal, TypeAlias
+from urllib.parse import urlsplit
+
+import orjson
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+
+from app.api.access import WEBSOCKET, allowed_roles
+from app.api.parts import parts_of
+from app.api.problems import Problem
+from app.clock import wall_s
+from app.runtime.outlet import Outlet
+
+if TYPE_CHECKING:
+    from collections.abc import Generator
+
+    from fastapi import APIRouter
+
+    from app.api.parts import Parts
+    from app.runtime.invocation import Principal
+
+PATH: Final = "/v1/console"
+SUBPROTOCOL: Final = "reins.console.1"
+VERSION: Final = 1
+HELLO_S: Final = 5.0
+CLOSE_S: Final = 1.0  # for a close frame to get into a socket that may not drain
+STILL_KNOWN_S: Final = 1.0
+MAX_FRAME: Final = 8192  # characters; a `watch` of many cells is the longest there is
+NO_MESSAGE, BAD_TOKEN, FORBIDDEN, NO_HELLO, NO_SEAT = 4400, 4401, 4403, 4408, 4429
+
+
+class Word(BaseModel):
+    """What a console says: unknown fields, NaN and infinities are errors."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+
+
+class Hello(Word):
+    """Signs in; `after` is the last `seq` seen."""
+
+    type: Literal["hello"]
+    token: Annotated[str, Field(max_length=512)]
+    after: Annotated[int, Field(ge=0, lt=2**63)] | None = None
+
+
+class Watch(Word):
+    """Names the cells whose poses are wanted from now on, in place of those before."""
+
+    type: Literal["watch"]
+    cells: Annotated[list[Annotated[str, Field(max_length=128)]], Field(max_length=32)]
+
+
+class Ack(Word):
+    """Says that a beat, or a frame of a cell, has come, and with it everything before."""
+
+    type: Literal["ack"]
+    beat: Annotated[int, Field(ge=0)] | None = None
+    cell: Annotated[int, Field(ge=0)] | None = None
+    frame: Annotated[int, Field(ge=0)] | None = None
+
+    def key(self) -> tuple[str | int, int]:
+        """Return the mark it names. Raises `NotAWord`."""
+        match self:
+            case Ack(beat=int(beat), cell=None, frame=None):
+                return "beat", beat
+            case Ack(beat=None, cell=int(cell), frame=int(frame)):
+                return cell, frame
+            case _:
+                raise NotAWord("an `ack` names a `beat`, or a `cell` and a `frame`")
+
+
+class Ping(Word):
+    """Wants its own time back, to measure the line by."""
+
+    type: Literal["ping"]
+    at_ms: float
+
+
+Speed: TypeAlias = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
+class Jog(Word):
+    """One hold-to-run command, good for 100 ms: m/s and rad/s in the base frame."""
+
+    type: Literal["jog"]
+    cell: Annotated[str, Field(max_length=128)]
+    lease: Annotated[str, Field(max_length=128)]
+    n: Annotated[int, Field(ge=0, lt=2**53)]
+    base: Speed
+    tool: Speed
+    grip: Literal["open", "close"] | None = None
+
+
+Words: TypeAlias = Annotated[Hello | Watch | Ack | Ping | Jog, Field(discriminator="type")]
+_WORDS: Final[TypeAdapter[Words]] = TypeAdapter(Words)
+
+
+class NotAWord(Exception):
+    """A frame that is no message of this protocol; says what is wrong with it."""
+
+
+class Refused(Exception):
+    """The console may not come in, or not stay: the close code and why."""
+
+    def __init__(self, code: int, reason: str) -> None:
+        """Keep both."""
+        self.code, self.reason = code, reason
+        super().__init__(reason)
+
+
+async def console(socket: WebSocket) -> None:
+    """Serve one console until either side ends it."""
+    offered: list[str] = socket.scope["subprotocols"]
+    await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
+    parts = parts_of(socket)
+    try:
+        with _signing_in(parts):
+            _check_origin(socket)
+            hello, principal = await _sign_in(socket, parts)
+        with _seated(parts, principal):
+            await Console(socket, parts, principal, hello.token).run(hello.after)
+    except WebSocketDisconnect:
+        pass
+    except NotAWord as error:
+        await _close(socket, NO_MESSAGE, str(error))
+    except Refused as refusal:
+        await _close(socket, refusal.code, refusal.reason)
+
+
+class Console:
+    """One console that has signed in."""
+
+    def __init__(self, socket: WebSocket, parts: Parts, principal: Principal, token: str) -> None:
+        """Take an accepted socket and who is behind it."""
+        self._socket, self._parts = socket, parts
+        self._principal, self._token = principal, token
+        self._outlet = Outlet()
+
+    async def run(self, after: int | None) -> None:
+        """Show and listen until either side ends it.
+
+        Raises:
+            NotAWord, Refused, WebSocketDisconnect: why it ended.
+        """
+        self._say(
+            {
+                "type": "welcome",
+                "version": VERSION,
+                "name": self._principal.name,
+                "role": self._principal.role,
+                "boot": self._parts.broadcast.boot,
+                "at": wall_s(),
+            }
+        )
+        self._parts.broadcast.join(self._outlet, after)
+        jobs = [asyncio.create_task(job) for job in (self._show(), self._listen(), self._stay_known())]
+        try:
+            done, _ = await asyncio.wait(jobs, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self._parts.broadcast.leave(self._outlet)
+            for job in jobs:
+                job.cancel()
+            await asyncio.gather(*jobs, return_exceptions=True)
+        for job in done:
+            job.result()
+
+    async def _show(self) -> None:
+        outlet, send = self._outlet, self._socket.send
+        while (frame := await outlet.next()) is not None:
+            if isinstance(frame, str):
+                await send({"type": "websocket.send", "text": frame})
+            else:
+                await send({"type": "websocket.send", "bytes": frame})
+        raise Refused(*(outlet.ended or (NO_MESSAGE, "")))
+
+    async def _listen(self) -> None:
+        while True:
+            self._take(await _receive(self._socket))
+
+    def _take(self, word: Words) -> None:
+        match word:
+            case Ack():
+                self._outlet.acknowledged(word.key())
+            case Ping():
+                self._say({"type": "pong", "at_ms": word.at_ms})
+            case Watch():
+                self._parts.governor.kernel.heard(self._principal)
+            case Jog():
+                self._say({"type": "jogged", "cell": word.cell, "n": word.n, "refused": "not_supported"})
+            case Hello():
+                raise NotAWord("`hello` was said already: valid once, first")
+
+    async def _stay_known(self) -> None:
+        """End the console when its token is withdrawn or expires."""
+        while True:
+            await asyncio.sleep(STILL_KNOWN_S)
+            _recognize(self._parts, self._token)
+
+    def _say(self, message: dict[str, object]) -> None:
+        self._outlet.say(orjson.dumps(message).decode())
+
+
+async def _sign_in(socket: WebSocket, parts: Parts) -> tuple[Hello, Principal]:
+    try:
+        async with asyncio.timeout(HELLO_S):
+            hello = await _receive(socket)
+    except TimeoutError:
+        raise Refused(NO_HELLO, f"nobody signed in within {HELLO_S:.0f} s") from None
+    if not isinstance(hello, Hello):
+        raise NotAWord(f"a console begins with `hello`, not with `{hello.type}`")
+    if socket.scope["subprotocols"] and SUBPROTOCOL not in socket.scope["subprotocols"]:
+        raise NotAWord(f"the subprotocol is not known here: valid is `{SUBPROTOCOL}`")
+    return hello, _recognize(parts, hello.token)
+
+
+def _recognize(parts: Parts, token: str) -> Principal:
+    try:
+        principal = parts.principals.recognize(token)
+    except Problem as problem:
+        raise Refused(BAD_TOKEN, problem.detail) from problem
+    allowed = allowed_roles(WEBSOCKET, PATH) or frozenset()
+    if principal.role not in allowed:
+        valid = ", ".join(sorted(role.value for role in allowed))
+        raise Refused(FORBIDDEN, f"the role `{principal.role.value}` may not do this: valid are {valid}")
+    return principal
+
+
+def _check_origin(socket: WebSocket) -> None:
+    """Refuse a page of another server; what is no browser names no origin."""
+    origin = socket.headers.get("origin")
+    if origin is not None and urlsplit(origin).netloc != socket.headers.get("host"):
+        raise Refused(FORBIDDEN, "the page comes from another origin: valid is this server's own console")
+
+
+async def _receive(socket: WebSocket) -> Words:
+    message = await socket.receive()
+    if message["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(message["code"], message.get("reason"))
+    text: str | None = message.get("text")
+    if text is None:
+        raise NotAWord("a console speaks in text frames")
+    if len(text) > MAX_FRAME:
+        raise NotAWord(f"a frame has at most {MAX_FRAME} characters")
+    try:
+        return _WORDS.validate_json(text)
+    except ValidationError as error:
+        first = error.errors(include_input=False)[0]  # what was sent may be a token
+        where = ".".join(str(part) for part in first["loc"])
+        raise NotAWord(f"no message at `{where}`: {first['msg']}") from None
+
+
+@contextlib.contextmanager
+def _signing_in(parts: Parts) -> Generator[None]:
+    """Bound how many sockets may be open that nobody has signed in on."""
+    try:
+        with parts.ungreeted.take(""):
+            yield
+    except Problem as problem:
+        raise Refused(NO_SEAT, problem.detail) from problem
+
+
+@contextlib.contextmanager
+def _seated(parts: Parts, principal: Principal) -> Generator[None]:
+    try:
+        with parts.consoles.take(principal.name):
+            yield
+    except Problem as problem:
+        raise Refused(NO_SEAT, problem.detail) from problem
+
+
+async def _close(socket: WebSocket, code: int, reason: str) -> None:
+    """Say why, if the socket still takes it; one that does not drain is cut when this returns."""
+    if socket.application_state is WebSocketState.CONNECTED:
+        with contextlib.suppress(TimeoutError, RuntimeError, WebSocketDisconnect):
+            async with asyncio.timeout(CLOSE_S):
+                await socket.close(code, reason.encode()[:120].decode(errors="ignore"))
+
+
+def register(router: APIRouter) -> None:
+    """Add the console's door."""
+    router.add_api_websocket_route(PATH, console)

@@ -1,0 +1,286 @@
+"""The console's door over a real socket, with a real record; only the cell is a puppet."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from typing import Any
+
+import orjson
+import pytest
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed
+from websockets.typing import Subprotocol
+
+from app.api import console as door
+from tests.api.conftest import CELL, House
+
+pytestmark = pytest.mark.anyio
+REFUSED = {"capability": "grasp_object", "params": {"object_id": "solvent_1"}, "metadata": {"confidence": 0.9}}
+NOTHING = {"capability": "no_such_thing", "params": {}}
+
+
+class Screen:
+    """A console without a browser: reads everything, acknowledges as it reads."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self.socket = socket
+        self.heard: list[dict[str, Any]] = []
+
+    async def say(self, **message: Any) -> None:
+        await self.socket.send(orjson.dumps(message).decode())
+
+    async def next(self, within_s: float = 10.0) -> dict[str, Any]:
+        async with asyncio.timeout(within_s):
+            while True:
+                frame = await self.socket.recv()
+                if isinstance(frame, bytes):
+                    continue
+                message: dict[str, Any] = orjson.loads(frame)
+                self.heard.append(message)
+                if message["type"] == "beat":
+                    await self.say(type="ack", beat=message["n"])
+                return message
+
+    async def until(self, condition: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
+        """Return the next message that fits."""
+        async with asyncio.timeout(10.0):
+            while not condition(message := await self.next()):
+                pass
+            return message
+
+    async def until_type(self, kind: str) -> dict[str, Any]:
+        return await self.until(lambda message: message["type"] == kind)
+
+    async def ended(self) -> tuple[int, str]:
+        """Read to the end and return the close code and why."""
+        try:
+            while True:
+                await self.next()
+        except ConnectionClosed as end:
+            return (0, "") if end.rcvd is None else (end.rcvd.code, end.rcvd.reason)
+
+    def seqs(self) -> list[int]:
+        """Return the `seq` of every event heard, in order."""
+        return [event["seq"] for message in self.heard for event in message.get("events", [])]
+
+
+def console_url(house: House) -> str:
+    return house.url.replace("http:", "ws:") + door.PATH
+
+
+@asynccontextmanager
+async def dial(house: House, **options: Any) -> AsyncIterator[Screen]:
+    given: dict[str, Any] = {"subprotocols": [Subprotocol(door.SUBPROTOCOL)], "proxy": None, "compression": None}
+    async with connect(console_url(house), **(given | options)) as socket:
+        yield Screen(socket)
+
+
+@asynccontextmanager
+async def signed_in(house: House, key: str = "operator", after: int | None = None) -> AsyncIterator[Screen]:
+    async with dial(house) as screen:
+        await screen.say(type="hello", token=house.tokens[key], after=after)
+        yield screen
+
+
+async def propose(house: House, times: int = 1) -> list[dict[str, Any]]:
+    async with house.client() as client:
+        return [(await client.post("/v1/invocations", json=NOTHING)).json() for _ in range(times)]
+
+
+@pytest.mark.parametrize(("key", "role"), [("operator", "operator"), ("engineer", "engineer"), ("auditor", "auditor")])
+async def test_people_sign_in_and_are_shown_a_snapshot(house: House, key: str, role: str) -> None:
+    async with signed_in(house, key) as screen:
+        welcome, snapshot = await screen.next(), await screen.next()
+    assert screen.socket.subprotocol == door.SUBPROTOCOL
+    assert (welcome["type"], welcome["version"], welcome["role"]) == ("welcome", 1, role)
+    assert snapshot["type"] == "snapshot"
+    assert snapshot.keys() >= {"seq", "cells", "invocations", "escalations", "grants", "reviews", "events"}
+    assert snapshot["events"][-1]["seq"] == snapshot["seq"]
+
+
+@pytest.mark.parametrize(("token", "code"), [("nobody's", 4401), ("agent", 4403), ("cell", 4403)])
+async def test_nobody_else_comes_in(house: House, token: str, code: int) -> None:
+    async with dial(house) as screen:
+        known = {**house.tokens, "cell": house.cell_token}
+        await screen.say(type="hello", token=known.get(token, token))
+        assert (await screen.ended())[0] == code
+    assert screen.heard == []
+
+
+async def test_who_does_not_sign_in_in_time_is_shown_out(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(door, "HELLO_S", 0.1)
+    async with dial(house) as screen:
+        assert (await screen.ended())[0] == 4408
+
+
+@pytest.mark.parametrize("origin", ["https://elsewhere.example", "null", "http://127.0.0.1:1"])
+async def test_a_page_of_another_origin_is_refused(house: House, origin: str) -> None:
+    async with dial(house, origin=origin) as screen:
+        with contextlib.suppress(ConnectionClosed):
+            await screen.say(type="hello", token=house.tokens["operator"])
+        assert (await screen.ended())[0] == 4403
+
+
+async def test_the_servers_own_page_comes_in(house: House) -> None:
+    async with dial(house, origin=house.url) as screen:
+        await screen.say(type="hello", token=house.tokens["operator"])
+        assert (await screen.next())["type"] == "welcome"
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        "{",
+        "[]",
+        '{"type": "nothing"}',
+        '{"type": "ack"}',
+        '{"type": "ack", "beat": 1, "cell": 0, "frame": 2}',
+        '{"type": "watch", "cells": "all"}',
+        '{"type": "ping", "at_ms": NaN}',
+        '{"type": "jog", "cell": "c", "lease": "l", "n": 1, "base": [0, 0], "tool": [0, 0, 0], "grip": null}',
+        '{"type": "hello", "token": "again"}',
+        '{"type": "ping", "at_ms": 1, "more": 1}',
+        "x" * 9000,
+        b"\x00\x01",
+    ],
+)
+async def test_a_frame_that_is_no_message_ends_the_console_and_says_why(house: House, frame: str | bytes) -> None:
+    async with signed_in(house) as screen:
+        await screen.until_type("snapshot")
+        await screen.socket.send(frame)
+        code, reason = await screen.ended()
+    assert code == 4400
+    assert reason
+
+
+async def test_a_token_in_a_bad_frame_is_not_echoed(house: House) -> None:
+    async with dial(house) as screen:
+        await screen.socket.send('{"type": "hello", "token": {"secret": 1}}')
+        code, reason = await screen.ended()
+    assert code == 4400
+    assert "secret" not in reason
+
+
+async def test_what_happens_is_neither_lost_nor_doubled_between_snapshot_and_updates(house: House) -> None:
+    stop = asyncio.Event()
+
+    async def keep_proposing() -> None:
+        while not stop.is_set():
+            await propose(house, 5)
+
+    proposing = asyncio.create_task(keep_proposing())
+    try:
+        for _ in range(5):
+            async with signed_in(house) as screen:
+                snapshot = await screen.until_type("snapshot")
+                target = snapshot["seq"] + 30
+                await screen.until(lambda message, target=target: message.get("seq", 0) >= target)
+            seqs = screen.seqs()
+            assert seqs == list(range(seqs[0], seqs[0] + len(seqs)))
+            assert seqs[-1] >= target
+    finally:
+        stop.set()
+        await proposing
+
+
+async def test_many_events_come_in_few_updates(house: House) -> None:
+    async with signed_in(house) as screen:
+        await screen.until_type("snapshot")
+        before = len(screen.heard)
+        async with house.client() as client:
+            answers = await asyncio.gather(*(client.post("/v1/invocations", json=NOTHING) for _ in range(60)))
+        last = answers[-1].json()["id"]
+        await screen.until(lambda message: any(one["id"] == last for one in message.get("invocations", [])))
+        updates = [message for message in screen.heard[before:] if message["type"] == "update"]
+    told = {one["id"] for update in updates for one in update.get("invocations", [])}
+    assert {answer.json()["id"] for answer in answers} <= told
+    assert len(updates) < 30
+
+
+async def test_a_console_that_comes_back_misses_nothing(house: House) -> None:
+    async with signed_in(house) as screen:
+        seen = (await screen.until_type("snapshot"))["seq"]
+    await propose(house, 100)  # more than a snapshot shows to a newcomer
+    async with signed_in(house, after=seen) as back:
+        snapshot = await back.until_type("snapshot")
+    assert back.seqs() == list(range(seen + 1, snapshot["seq"] + 1))
+    assert len(back.seqs()) >= 200
+
+
+async def test_a_seq_of_another_log_is_no_place_to_go_on_from(house: House) -> None:
+    async with signed_in(house, after=10**12) as screen:
+        snapshot = await screen.until_type("snapshot")
+    assert snapshot["events"][-1]["seq"] == snapshot["seq"]
+
+
+async def test_beats_come_at_least_four_times_a_second_and_a_ping_is_answered(house: House) -> None:
+    async with signed_in(house) as screen:
+        await screen.until_type("snapshot")
+        await screen.say(type="ping", at_ms=12.5)
+        assert (await screen.until_type("pong"))["at_ms"] == 12.5
+        first, *_, last = [await screen.until_type("beat") for _ in range(6)]
+    assert last["n"] == first["n"] + 5
+    assert last["at"] - first["at"] < 5 / 4
+
+
+async def test_two_consoles_are_told_the_same(house: House) -> None:
+    async with signed_in(house) as one, signed_in(house, "operator_2") as two:
+        await one.until_type("snapshot")
+        await two.until_type("snapshot")
+        (proposed,) = await propose(house)
+        for screen in (one, two):
+            shown = await screen.until(
+                lambda message: any(known["id"] == proposed["id"] for known in message.get("invocations", []))
+            )
+            assert shown["invocations"] == [proposed]
+
+
+async def test_a_cell_that_comes_and_goes_and_latches_is_shown(house: House) -> None:
+    def says(message: dict[str, Any], **facts: Any) -> bool:
+        cells = [cell for cell in message.get("cells", []) if cell["id"] == CELL]
+        return any(all(cell[name] == value for name, value in facts.items()) for cell in cells)
+
+    async with signed_in(house) as screen, house.client("operator") as operator:
+        await screen.until_type("snapshot")
+        async with house.cell():
+            await screen.until(lambda message: says(message, online=True, latched=False))
+            await operator.post(f"/v1/cells/{CELL}/estop")
+            await screen.until(lambda message: says(message, latched=True))
+            await operator.post(f"/v1/cells/{CELL}/reset")
+            await screen.until(lambda message: says(message, latched=False))
+        await screen.until(lambda message: says(message, online=False))
+
+
+async def test_an_escalation_appears_and_its_answer_too(shared_house: House) -> None:
+    def about(message: dict[str, Any], status: str) -> bool:
+        return any(question["status"] == status for question in message.get("escalations", []))
+
+    async with shared_house.cell(), signed_in(shared_house) as screen, shared_house.client("operator") as operator:
+        await screen.until_type("snapshot")
+        async with shared_house.client() as agent:
+            wish = {"capability": "grasp_object", "params": {"object_id": "mug_1"}}
+            proposed = (await agent.post("/v1/invocations", json=wish)).json()
+        shown = await screen.until(lambda message: about(message, "pending"))
+        (question,) = shown["escalations"]
+        assert question["id"] == proposed["escalation"]["id"]
+        async with signed_in(shared_house) as late:
+            assert (await late.until_type("snapshot"))["escalations"] == [question]
+        answer = {"decision": "deny", "digest": question["digest"]}
+        await operator.post(f"/v1/escalations/{question['id']}/resolve", json=answer)
+        await screen.until(lambda message: about(message, "denied"))
+        async with signed_in(shared_house) as late:
+            assert (await late.until_type("snapshot"))["escalations"] == []
+
+
+async def test_a_console_whose_token_is_withdrawn_is_shown_out(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(door, "STILL_KNOWN_S", 0.05)
+    principals = house.app.state.parts.principals
+    async with signed_in(house, "auditor") as screen:
+        await screen.until_type("snapshot")
+        known = principals._known
+        monkeypatch.setattr(principals, "_known", {})
+        assert (await screen.ended())[0] == 4401
+        monkeypatch.setattr(principals, "_known", known)
