@@ -299,6 +299,7 @@ class PolicySetDocument(Document):
     profiles: dict[str, Any]
     rules: list[dict[str, Any]]
     agents: dict[str, Any]
+    authority: dict[str, Any]
     files: list[str]
     site: dict[str, Any]
 

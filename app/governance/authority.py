@@ -15,18 +15,27 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
-from app.governance.model import AdmissionOutcome, ApprovalNeed, AuthorityMode, PolicyOutcome, Reason
+from app.governance.model import (
+    AdmissionOutcome,
+    ApprovalNeed,
+    AuthorityMode,
+    GrantScope,
+    PolicyOutcome,
+    Reason,
+    Risk,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from app.governance.model import Admission, Context, Proposal, Verdict
+    from app.governance.model import Admission, Context, Grant, Outcome, Proposal, Verdict
     from app.governance.policy import Gate, PolicySet
-    from app.governance.policy_model import Approval
+    from app.governance.policy_model import Approval, Denial
 
 MARKED: Final = "approval-required"
+REQUIRED: Final = "approval_required"
 REFUSALS: Final[Mapping[AuthorityMode, tuple[str, str, str]]] = {
     AuthorityMode.APPROVAL_REQUIRED: (
         "approval_not_enabled",
@@ -72,6 +81,9 @@ def refusal(policy: PolicySet, profile: str, mode: AuthorityMode) -> Reason | No
         return None
     code, message, remedy = REFUSALS[mode]
     return Reason(f"{profile}/authority", code, message.format(profile=profile), remedy)
+
+
+# -- before launch ----------------------------------------------------------------------------------------------------
 
 
 def need(
@@ -121,7 +133,7 @@ def _required(gate: Gate, approval: Approval) -> tuple[Reason, ...]:
         message = f"`{capability.name}` needs approval in {profile.name}"
     else:
         return ()
-    return (Reason(rule, "approval_required", message, "wait for a human's answer"),)
+    return (Reason(rule, REQUIRED, message, "wait for a human's answer"),)
 
 
 def _approvers(policy: PolicySet, gate: Gate, approval: Approval, verdict: Verdict) -> int:
@@ -129,3 +141,113 @@ def _approvers(policy: PolicySet, gate: Gate, approval: Approval, verdict: Verdi
     escalated = verdict.reasons if verdict.outcome is PolicyOutcome.ESCALATE else ()
     wanted = (policy.rules[reason.rule].approvers for reason in escalated if reason.rule in policy.rules)
     return max(by_risk, *wanted, 1)
+
+
+# -- in advance -------------------------------------------------------------------------------------------------------
+
+
+def grantable(policy: PolicySet, capability: str, profile: str) -> Reason | None:
+    """Return why no standing grant is given for a capability under a profile, or None where it may be.
+
+    A grant spares a human the same answer again, and nothing else: only where the profile's own requirement asks, only
+    where one person's answer is enough, and never at critical risk.
+    """
+    gate, terms = policy.gates.get((capability, profile)), policy.authority.grants
+    rule = f"{profile}/authority"
+    if terms is None:
+        return Reason(rule, "grants_not_enabled", "policy knows no standing grants", "approve each proposal")
+    if gate is None or gate.profile.approval is None or not answers(gate) or not _required(gate, gate.profile.approval):
+        message = f"`{capability}` needs no approval in {profile} that a grant could stand for"
+        return Reason(rule, "nothing_to_grant", message, "a capability that needs approval here")
+    risk = gate.capability.risk
+    if risk is Risk.CRITICAL or risk not in terms.risks:
+        return Reason(rule, "risk_not_granted", f"{risk.value} risk is never granted", "approve each proposal")
+    if gate.profile.approval.approvers.get(risk, gate.profile.approval.default_approvers) > 1:
+        message = f"`{capability}` takes more than one person's approval in {profile}"
+        return Reason(rule, "quorum_not_granted", message, "approve each proposal")
+    return None
+
+
+def granted(policy: PolicySet, proposal: Proposal, wanted: ApprovalNeed, context: Context) -> Grant | None:
+    """Return the standing grant that answers what authority asks for, or None where a human has to.
+
+    What a rule or admission escalates is never answered by a grant: somebody wrote that rule to have a human look at
+    this very proposal. Nor is what takes more than one person.
+    """
+    if wanted.approvers != 1 or any(reason.code != REQUIRED for reason in wanted.reasons):
+        return None
+    if grantable(policy, proposal.capability, context.profile) is not None:
+        return None
+    return next((grant for grant in context.grants if covers(policy, grant, proposal, context)), None)
+
+
+def covers(policy: PolicySet, grant: Grant, proposal: Proposal, context: Context) -> bool:
+    """Say whether a grant is for this proposal, here and now: every bound it has must hold."""
+    bound = (grant.capability, grant.agent, grant.cell, grant.profile, grant.policy_digest)
+    if bound != (proposal.capability, context.agent.name, context.cell.id, context.profile, policy.digest):
+        return False
+    if not grant.issued_at_s <= context.time_s < grant.expires_at_s:
+        return False
+    match grant.scope:
+        case GrantScope.OBJECT:
+            return handled(policy, proposal, context) == grant.object
+        case GrantScope.TASK:
+            return proposal.metadata.get("task") == grant.task
+        case _:  # time alone
+            return True
+
+
+def handled(policy: PolicySet, proposal: Proposal, context: Context) -> str | None:
+    """Return the object a proposal handles: the one it names, else the one in the gripper."""
+    gate = policy.gates.get((proposal.capability, context.profile))
+    for param, kind, _ in () if gate is None else gate.known:
+        if kind == "object":
+            return str(proposal.params[param]) if param in proposal.params else None
+    return None if context.cell.facts is None else context.cell.facts.holding
+
+
+# -- in mid-execution, and afterwards ---------------------------------------------------------------------------------
+
+
+class Wait(NamedTuple):
+    """How long a session waits for a human, and what a denial and silence lead to: `terminate` or `rollback`."""
+
+    within_s: float
+    on_deny: str
+    on_timeout: str
+
+
+def waiting(policy: PolicySet, capability: str, profile: str, phase: str | None) -> Wait:
+    """Return how a session of a capability waits for a human: before a phase that policy names, else for any cause."""
+    authority = policy.authority
+    for entry in authority.confirm_before:
+        if (entry.capability, entry.profile) == (capability, profile) and phase in entry.phases:
+            within_s = authority.within_s if entry.within_s is None else entry.within_s
+            return Wait(within_s, entry.on_deny, entry.on_timeout)
+    return Wait(authority.within_s, "terminate", authority.on_timeout)
+
+
+def denial(policy: PolicySet, code: str | None) -> Denial | None:
+    """Return what a denial's code means, the declared default where there is none; None for a code policy lacks."""
+    denials = policy.authority.denials
+    return denials[0] if code is None else next((known for known in denials if known.code == code), None)
+
+
+def reviewed(policy: PolicySet, capability: str, profile: str, outcome: Outcome) -> tuple[Reason, ...]:
+    """Return why a session that ended so waits for a human's verdict; empty where policy does not ask for one."""
+    found, package = policy.profiles.get(profile), policy.capabilities.get(capability)
+    if (
+        found is None
+        or package is None
+        or found.review is None
+        or not allows(policy, profile, AuthorityMode.REVIEW_ONLY)
+    ):
+        return ()
+    rule, reasons = f"{profile}/authority", list[Reason]()
+    if package.risk in found.review.risks:
+        message = f"what is of {package.risk.value} risk is reviewed in {profile}"
+        reasons.append(Reason(rule, "reviewed_for_risk", message, "look at the trace, and give a verdict"))
+    if outcome in found.review.outcomes:
+        message = f"what ended as `{outcome.value}` is reviewed in {profile}"
+        reasons.append(Reason(rule, "reviewed_for_outcome", message, "look at the trace, and give a verdict"))
+    return tuple(reasons)

@@ -143,6 +143,7 @@ def load_files(files: Mapping[str, str]) -> PolicySet:
         permissions=permissions,
         vocabulary=Vocabulary(capabilities, permissions | {GOVERNANCE}),
         names=names(bundle_build.site(source.site[1])),
+        modes={shape.profile: frozenset(shape.authority.modes) for _, shape in source.profiles},
     )
     problems = _check(source, known)
     if problems:

@@ -11,6 +11,7 @@ from app.governance.model import (
     Corridor,
     Intervention,
     Mode,
+    Outcome,
     RecoveryRule,
     Response,
     Risk,
@@ -26,14 +27,18 @@ from app.governance.model import (
 )
 from app.governance.policy_model import (
     LIMIT_UNITS,
+    UNSPECIFIED,
     Agent,
     Approval,
     Authority,
     Confirmation,
+    Denial,
     Effect,
+    GrantTerms,
     Limit,
     Profile,
     RecoveryRow,
+    ReviewTerms,
     Rule,
     Setting,
     WatchRow,
@@ -106,6 +111,7 @@ def profile(shape: shapes.ProfileShape) -> Profile:
         recovery=tuple(_recovery(row) for row in shape.recovery),
         authority=frozenset(AuthorityMode(mode) for mode in shape.authority.modes),
         approval=None if shape.authority.approval is None else _approval(shape.authority.approval),
+        review=None if shape.authority.review is None else _review(shape.authority.review),
     )
 
 
@@ -167,6 +173,13 @@ def _approval(shape: shapes.ApprovalShape) -> Approval:
     )
 
 
+def _review(shape: shapes.ReviewShape) -> ReviewTerms:
+    return ReviewTerms(
+        risks=frozenset(Risk(risk) for risk in shape.risk),
+        outcomes=frozenset(Outcome(outcome) for outcome in shape.outcomes),
+    )
+
+
 def agents(shape: shapes.OrganizationShape) -> dict[str, Agent]:
     """Build what the agents may do."""
     return {
@@ -181,10 +194,29 @@ def authority(shape: shapes.AuthorityFileShape) -> Authority:
         within_s=shape.mid_execution.within_s,
         on_timeout=shape.mid_execution.on_timeout,
         confirm_before=tuple(
-            Confirmation(capability=entry.capability, profile=entry.profile, phases=tuple(entry.phases))
+            Confirmation(
+                capability=entry.capability,
+                profile=entry.profile,
+                phases=tuple(entry.phases),
+                within_s=entry.within_s,
+                on_deny=entry.on_deny,
+                on_timeout=entry.on_timeout,
+            )
             for entry in shape.confirm_before
         ),
+        denials=(UNSPECIFIED,) if shape.denials is None else _denials(shape.denials),
+        grants=None
+        if shape.grants is None
+        else GrantTerms(
+            up_to_s=shape.grants.up_to_minutes * 60.0, risks=frozenset(Risk(risk) for risk in shape.grants.risk)
+        ),
     )
+
+
+def _denials(shape: shapes.DenialsShape) -> tuple[Denial, ...]:
+    """Build the reasons for denials, the default one first."""
+    codes = sorted(shape.codes, key=lambda code: code != shape.default)
+    return tuple(Denial(code=code, says=shape.codes[code].says, remedy=shape.codes[code].remedy) for code in codes)
 
 
 def _points(points: Sequence[Sequence[float]]) -> tuple[tuple[float, float], ...]:

@@ -68,6 +68,7 @@ class Known:
     permissions: frozenset[str]
     vocabulary: Vocabulary
     names: Mapping[str, frozenset[str]]  # those of the site, by kind of reference
+    modes: Mapping[str, frozenset[str]]  # modes of authority, by profile
 
 
 # Capabilities --------------------------------------------------------------------------------------------------------

@@ -143,6 +143,7 @@ def _authority(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iter
         )
         valid = ["risk: [high, critical]", "approval-on-escalation"]
         yield reader.problem(("authority", "approval", "risk"), message, valid)
+    yield from _review(reader, shape)
     for name, found in known.capabilities.items():
         if found.env_profile.get(shape.profile) == "approval-required" and not asks:
             message = f"`{name}` requires approval here, but no mode of this profile asks for it"
@@ -150,6 +151,18 @@ def _authority(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iter
         if shape.rollback == "required" and MANIPULATION in found.permissions and found.rollback is None:
             message = f"rollback is required for manipulation, and `{name}` has none"
             yield reader.problem(("rollback",), message, ["optional", "always"])
+
+
+def _review(reader: Reader, shape: shapes.ProfileShape) -> Iterator[PolicyError]:
+    review = shape.authority.review
+    if review is None:
+        return
+    if "review-only" not in shape.authority.modes:
+        message = "no mode of this profile reviews what is finished"
+        yield reader.problem(("authority", "review"), message, ["review-only"])
+    if not review.risk and not review.outcomes:
+        message = "neither a risk nor an outcome is named: no session would wait for a verdict"
+        yield reader.problem(("authority", "review"), message, ["risk: [high, critical]", "outcomes: [fault]"])
 
 
 def _room(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[PolicyError]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from app.governance.bundle_checks import ASKING
 from app.governance.places import inside
 from app.governance.policy_model import GOVERNANCE
 
@@ -12,7 +13,9 @@ if TYPE_CHECKING:
 
     from app.governance import bundle_shapes as shapes
     from app.governance.bundle_checks import Known, Reader
+    from app.governance.bundle_yaml import Path
     from app.governance.errors import PolicyError
+    from app.governance.model import Capability
 
 
 def organization(reader: Reader, shape: shapes.OrganizationShape) -> Iterator[PolicyError]:
@@ -42,6 +45,22 @@ def authority(reader: Reader, shape: shapes.AuthorityFileShape, known: Known) ->
         for at, phase in enumerate(entry.phases):
             what = f"phase of `{entry.capability}` called"
             yield from reader.unknown((*path, "phases", at), what, phase, found.phases)
+        yield from _confirming(reader, path, entry, found, known)
+    if shape.denials is not None:
+        yield from reader.unknown(("denials", "default"), "code", shape.denials.default, shape.denials.codes)
+
+
+def _confirming(
+    reader: Reader, path: Path, entry: shapes.ConfirmShape, found: Capability, known: Known
+) -> Iterator[PolicyError]:
+    """A phase waits for somebody who can be asked, and what is to be undone has something that undoes it."""
+    modes = known.modes.get(entry.profile, ASKING)
+    if ASKING.isdisjoint(modes):
+        message = f"nobody is asked in `{entry.profile}`: the phase would end every session"
+        yield reader.problem((*path, "profile"), message, sorted(ASKING))
+    for key in ("on_deny", "on_timeout"):
+        if getattr(entry, key) == "rollback" and found.rollback is None:
+            yield reader.problem((*path, key), f"`{entry.capability}` has no rollback", ["terminate"])
 
 
 def site(reader: Reader, shape: shapes.SiteShape) -> Iterator[PolicyError]:

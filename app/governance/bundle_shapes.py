@@ -24,6 +24,10 @@ Enabling: TypeAlias = Literal["allowed", "guarded", "approval-required", "forbid
 AuthorityName: TypeAlias = Literal[
     "approval-required", "approval-on-escalation", "interrupt-enabled", "takeover-enabled", "review-only"
 ]
+SessionOutcome: TypeAlias = Literal[
+    "succeeded", "recovered", "rolled_back", "terminated", "stopped", "cancelled", "taken_over", "fault"
+]
+Ending: TypeAlias = Literal["terminate", "rollback"]
 InterventionName: TypeAlias = Literal["continue", "pause", "stop", "rollback", "escalate"]
 StrategyName: TypeAlias = Literal["retry", "recovery_capability", "rollback", "safer_mode", "terminate", "ask_human"]
 
@@ -180,11 +184,19 @@ class ApprovalShape(Shape):
     approvers: ApproversShape = ApproversShape()
 
 
+class ReviewShape(Shape):
+    """Which finished sessions wait for a verdict."""
+
+    risk: list[RiskName] = []
+    outcomes: list[SessionOutcome] = []
+
+
 class AuthorityShape(Shape):
     """The authority block of a profile."""
 
     modes: Annotated[list[AuthorityName], Field(min_length=1)]
     approval: ApprovalShape | None = None
+    review: ReviewShape | None = None
 
 
 class ProfileShape(Shape):
@@ -239,6 +251,30 @@ class ConfirmShape(Shape):
     capability: Name
     profile: Slug
     phases: Annotated[list[Name], Field(min_length=1)]
+    within_s: Annotated[float, Field(gt=0, le=86_400)] | None = None
+    on_deny: Ending = "terminate"
+    on_timeout: Ending = "terminate"
+
+
+class DenialShape(Shape):
+    """One reason for a denial, in the words that the agent gets with its code."""
+
+    says: Text
+    remedy: Text
+
+
+class DenialsShape(Shape):
+    """Why a person denies, by code."""
+
+    default: Name
+    codes: Annotated[dict[Name, DenialShape], Field(min_length=1)]
+
+
+class GrantsShape(Shape):
+    """Standing grants: for which risks, and for how long."""
+
+    up_to_minutes: Annotated[float, Field(gt=0, le=15)]
+    risk: Annotated[list[Literal["low", "medium", "high"]], Field(min_length=1)]
 
 
 class AuthorityFileShape(Shape):
@@ -247,6 +283,8 @@ class AuthorityFileShape(Shape):
     authority: Slug
     mid_execution: WaitShape
     confirm_before: list[ConfirmShape] = []
+    grants: GrantsShape | None = None
+    denials: DenialsShape | None = None
     rules: list[RuleShape] = []
 
 

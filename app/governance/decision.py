@@ -10,8 +10,8 @@ reject > deny > defer > escalate > modify > allow
 | any other | deny | – | denied |
 | any other | escalate, or admission escalates or would | nobody to ask | denied (`no_authority`) |
 | defer | any other | – | deferred |
-| accept, escalate | any other | yes | awaiting_approval |
-| accept | allow, modify | no | allowed |
+| accept, escalate | any other | yes, and no standing grant answers | awaiting_approval |
+| accept | allow, modify | no, or a standing grant answers | allowed |
 
 What nobody can be asked about is denied, and its verdict still says what policy said: `escalate`. A defer hides neither
 kind of denial: it asks to propose again, and that has to have a chance.
@@ -23,12 +23,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from app.governance.admission import admit, supervised
-from app.governance.authority import answers, need
+from app.governance.authority import answers, granted, need
 from app.governance.guard import check
 from app.governance.model import AdmissionOutcome, PolicyOutcome, Reason, Status, Verdict
 
 if TYPE_CHECKING:
-    from app.governance.model import Admission, ApprovalNeed, Context, Proposal
+    from app.governance.model import Admission, ApprovalNeed, Context, Grant, Proposal
     from app.governance.policy import PolicySet
 
 Decided: TypeAlias = Status | Literal["allowed"]
@@ -36,12 +36,16 @@ Decided: TypeAlias = Status | Literal["allowed"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decision:
-    """What was decided about a proposal; `verdict` is None where admission rejected, `need` where nobody is asked."""
+    """What was decided about a proposal; `verdict` is None where admission rejected, `need` where nobody is asked.
+
+    `grant` is the standing grant by which nobody has to be.
+    """
 
     status: Decided
     admission: Admission
     verdict: Verdict | None
     need: ApprovalNeed | None
+    grant: Grant | None = None
 
 
 def decide(policy: PolicySet | None, proposal: Proposal, context: Context) -> Decision:
@@ -65,9 +69,10 @@ def decide(policy: PolicySet | None, proposal: Proposal, context: Context) -> De
     if admission.outcome is AdmissionOutcome.DEFER:
         return Decision(status=Status.DEFERRED, admission=admission, verdict=verdict, need=None)
     wanted = need(policy, proposal, admission, verdict, context)
-    if wanted is not None:
+    grant = None if wanted is None else granted(policy, proposal, wanted, context)
+    if wanted is not None and grant is None:
         return Decision(status=Status.AWAITING_APPROVAL, admission=admission, verdict=verdict, need=wanted)
-    return Decision(status="allowed", admission=admission, verdict=verdict, need=None)
+    return Decision(status="allowed", admission=admission, verdict=verdict, need=None, grant=grant)
 
 
 def _unanswerable(verdict: Verdict, context: Context) -> Verdict:

@@ -20,6 +20,7 @@ Vec3: TypeAlias = tuple[float, float, float]
 Vec6: TypeAlias = tuple[float, float, float, float, float, float]
 Point: TypeAlias = tuple[float, float]
 
+LONGEST_GRANT_S = 900.0  # what a human allowed in advance is asked about again after at most a quarter of an hour
 CONTROL_PERIOD_S = 0.01  # 100 Hz control over 500 Hz physics (design, section 4)
 EMPTY: Mapping[str, Json] = MappingProxyType({})
 
@@ -51,6 +52,14 @@ class AuthorityMode(StrEnum):
     INTERRUPT_ENABLED = "interrupt-enabled"
     TAKEOVER_ENABLED = "takeover-enabled"
     REVIEW_ONLY = "review-only"
+
+
+class GrantScope(StrEnum):
+    """What a standing grant is for: one object, one task, or whatever comes within its time."""
+
+    OBJECT = "object"
+    TASK = "task"
+    TIME = "time"
 
 
 class Role(StrEnum):
@@ -163,6 +172,8 @@ class EventKind(StrEnum):
     INTERVENTION = "intervention"
     RECOVERY = "recovery"
     HUMAN = "human"
+    GRANT = "grant"
+    REVIEW = "review"
     TELEMETRY = "telemetry"
     OUTCOME = "outcome"
     STATUS = "status"
@@ -271,6 +282,38 @@ class CellFacts:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Grant:
+    """A human's approval in advance, against approval fatigue: bound on every side, and short.
+
+    It answers for one agent and one capability on one cell, under one profile and one policy, and within that for one
+    object, for one task (the proposal's `metadata.task`), or for time alone. Times are seconds since the epoch; no
+    grant lives longer than `LONGEST_GRANT_S`.
+    """
+
+    id: str
+    capability: str
+    agent: str
+    cell: str
+    profile: str
+    policy_digest: str
+    scope: GrantScope
+    issued_by: str
+    issued_at_s: float
+    expires_at_s: float
+    object: str | None = None
+    task: str | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a grant without an end, and one whose scope names nothing or something else."""
+        if not 0.0 < self.expires_at_s - self.issued_at_s <= LONGEST_GRANT_S:
+            raise ValueError(f"a grant lives for more than 0 s and at most {LONGEST_GRANT_S:g} s")
+        if (self.object is not None) != (self.scope is GrantScope.OBJECT):
+            raise ValueError("a grant names an object where its scope is `object`, and nowhere else")
+        if (self.task is not None) != (self.scope is GrantScope.TASK):
+            raise ValueError("a grant names a task where its scope is `task`, and nowhere else")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Context:
     """Γ_t: everything besides the proposal and the policy that a decision may depend on."""
 
@@ -279,6 +322,7 @@ class Context:
     agent: AgentFacts
     cell: CellFacts
     operator_on_duty: bool = False
+    grants: tuple[Grant, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

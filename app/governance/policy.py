@@ -142,6 +142,7 @@ class PolicySet:
                 name: {"permissions": sorted(agent.permissions), "supervised": sorted(agent.supervised)}
                 for name, agent in sorted(self.agents.items())
             },
+            "authority": _describe_authority(self.authority),
             "files": sorted(self.files),
             "site": _describe_site(self.site),
         }
@@ -403,7 +404,7 @@ def _manifest(capability: Capability) -> dict[str, Any]:
 
 
 def _describe_profile(profile: Profile) -> dict[str, Any]:
-    approval = profile.approval
+    approval, review = profile.approval, profile.review
     return {
         "sensitivity": profile.sensitivity,
         "modes": sorted(mode.value for mode in profile.admits),
@@ -428,7 +429,37 @@ def _describe_profile(profile: Profile) -> dict[str, Any]:
                     **{risk.value: count for risk, count in approval.approvers.items()},
                 },
             },
+            "review": None
+            if review is None
+            else {
+                "risk": sorted(risk.value for risk in review.risks),
+                "outcomes": sorted(outcome.value for outcome in review.outcomes),
+            },
         },
+    }
+
+
+def _describe_authority(authority: Authority) -> dict[str, Any]:
+    grants = authority.grants
+    return {
+        "mid_execution": {"within_s": authority.within_s, "on_timeout": authority.on_timeout},
+        "confirm_before": [
+            {
+                "capability": entry.capability,
+                "profile": entry.profile,
+                "phases": list(entry.phases),
+                "within_s": authority.within_s if entry.within_s is None else entry.within_s,
+                "on_deny": entry.on_deny,
+                "on_timeout": entry.on_timeout,
+            }
+            for entry in authority.confirm_before
+        ],
+        "grants": None
+        if grants is None
+        else {"up_to_s": grants.up_to_s, "risk": sorted(risk.value for risk in grants.risks)},
+        "denials": [
+            {"code": denial.code, "says": denial.says, "remedy": denial.remedy} for denial in authority.denials
+        ],
     }
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final
 
-from app.governance.model import AuthorityMode, Mode, RecoveryRule, Response, Risk, Separation, Signal
+from app.governance.model import AuthorityMode, Mode, Outcome, RecoveryRule, Response, Risk, Separation, Signal
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -130,6 +130,14 @@ class Approval:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ReviewTerms:
+    """Which finished sessions wait for a verdict: those of these risks, and those that ended in one of these ways."""
+
+    risks: frozenset[Risk]
+    outcomes: frozenset[Outcome]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class WatchRow:
     """A watch rule before it is bound to a session: the threshold is a number, a name, or a limit times a factor."""
 
@@ -176,6 +184,7 @@ class Profile:
     recovery: tuple[RecoveryRow, ...]
     authority: frozenset[AuthorityMode]
     approval: Approval | None
+    review: ReviewTerms | None = None
 
     @property
     def asks(self) -> bool:
@@ -185,20 +194,56 @@ class Profile:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Confirmation:
-    """Phases of a capability that wait for a human in the middle of execution."""
+    """Phases of a capability that wait for a human in the middle of execution.
+
+    `within_s` None is as long as any session may wait; `on_deny` and `on_timeout` are `terminate` or `rollback`.
+    """
 
     capability: str
     profile: str
     phases: tuple[str, ...]
+    within_s: float | None = None
+    on_deny: str = "terminate"
+    on_timeout: str = "terminate"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Denial:
+    """Why a person denies: the code goes to the agent with these words, whatever the person adds does not."""
+
+    code: str
+    says: str
+    remedy: str
+
+
+UNSPECIFIED: Final = Denial(code="unspecified", says="a human denied this", remedy="propose something else")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GrantTerms:
+    """For which risks a human may approve in advance, and for how long; never for critical risk."""
+
+    up_to_s: float
+    risks: frozenset[Risk]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Authority:
-    """H as far as every profile shares it: how long a session may wait for a human, and what silence then means."""
+    """H as far as every profile shares it.
+
+    Attributes:
+        within_s: How long a session may wait for a human.
+        on_timeout: What silence then means.
+        confirm_before: Phases that wait for a confirmation.
+        denials: Reason codes of denials; the first is what a denial without one means.
+        grants: Terms of standing grants; None allows none.
+    """
 
     within_s: float
     on_timeout: str
     confirm_before: tuple[Confirmation, ...] = ()
+    denials: tuple[Denial, ...] = (UNSPECIFIED,)
+    grants: GrantTerms | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
