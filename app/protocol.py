@@ -1,9 +1,9 @@
 """What server and cell say to each other over the link: typed messages, strict on both ends.
 
 The cell dials in (`WS /v1/cells/{id}/link`). Text frames carry one JSON message each; binary frames carry telemetry
-rows. Everything the cell reports upward as an `UpEvent` bears a sequence number that never repeats within the cell's
-journal, which `Hello` names; the server acknowledges the highest number that is durable in its log, and the cell sends
-again what was not acknowledged.
+rows, or poses while somebody watches. Everything the cell reports upward as an `UpEvent` bears a sequence number that
+never repeats within the cell's journal, which `Hello` names; the server acknowledges the highest number that is durable
+in its log, and the cell sends again what was not acknowledged.
 State, beats and poses are not sequenced: only the newest matters.
 
 Link lease: the server beats every `BEAT_MS`; a cell that has heard nothing for `LEASE_MS` holds (category 2) and
@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, TypeAdapter, Valid
 LEASE_MS = 300
 BEAT_MS = 75
 STATE_MS = 100
-VERSION = 2
+VERSION = 3
 
 
 class Message(BaseModel):
@@ -97,6 +97,13 @@ class Ack(Message):
     seq: int
 
 
+class Watch(Message):
+    """Somebody watches the cell, or nobody does any more; poses go up only while it is `on`."""
+
+    type: Literal["watch"] = "watch"
+    on: bool
+
+
 class Beat(Message):
     """The link is alive."""
 
@@ -104,7 +111,7 @@ class Beat(Message):
 
 
 Down: TypeAlias = Annotated[
-    Welcome | Policy | Launch | Human | Estop | Reset | SetProfile | Ack | Beat, Field(discriminator="type")
+    Welcome | Policy | Launch | Human | Estop | Reset | SetProfile | Ack | Watch | Beat, Field(discriminator="type")
 ]
 
 # -- up: cell to server ----------------------------------------------------------------------------
@@ -139,6 +146,20 @@ class UpEvent(Message):
     body: dict[str, JsonValue]
 
 
+class Sitting(Message):
+    """What a session is at, for displays: the skill's phase, what is bound, and why it does not go on if it does not.
+
+    `violated` names the watch rules whose condition holds now, `paused_by` the rules that hold the session, and
+    `waits_for` what it asks a human about.
+    """
+
+    phase: str
+    doing: str
+    violated: list[str]
+    paused_by: list[str]
+    waits_for: str
+
+
 class State(Message):
     """The cell's newest state, ten times a second and on every change."""
 
@@ -153,9 +174,27 @@ class State(Message):
     profile: str | None
     facts: dict[str, JsonValue]  # a WorldFacts as plain JSON
     gauges: dict[str, float]  # newest watcher signals, for displays
+    session: Sitting | None = None
 
 
-Up: TypeAlias = Annotated[Hello | UpEvent | State | Beat, Field(discriminator="type")]
+class Scene(Message):
+    """What is there to be drawn, once in a link: static bodies, shapes and zones, and the order of pose frames."""
+
+    type: Literal["scene"] = "scene"
+    scene: dict[str, JsonValue]
+    bodies: list[str]
+    gauges: list[str]
+
+
+class Path(Message):
+    """The way the base is planned to go, in metres; empty when there is none. For displays alone."""
+
+    type: Literal["path"] = "path"
+    invocation: str | None
+    points: list[tuple[float, float]]
+
+
+Up: TypeAlias = Annotated[Hello | UpEvent | State | Scene | Path | Beat, Field(discriminator="type")]
 
 _DOWN: TypeAdapter[Down] = TypeAdapter(Down)
 _UP: TypeAdapter[Up] = TypeAdapter(Up)
@@ -225,3 +264,40 @@ def unpack_batch(frame: bytes) -> tuple[str, list[tuple[float, ...]]]:
     if magic != _MAGIC or size != ROW.size or len(frame) != HEADER.size + count * size:
         raise ProtocolError("telemetry frame does not match its header")
     return name.rstrip(b"\0").decode("ascii"), list(ROW.iter_unpack(frame[HEADER.size :]))
+
+
+# -- poses: binary frames --------------------------------------------------------------------------
+
+POSES = struct.Struct("<4sHHHHIId")
+"""Magic, cell, bodies, gauges, reserved, frame, tick, wall clock (s); the server fills in `cell` and `frame`."""
+
+_POSES_MAGIC = b"RPF1"
+POSE_BYTES = 7 * 4
+
+
+def pack_poses(tick: int, at_s: float, poses: bytes, gauges: bytes) -> bytes:
+    """Return a binary frame: seven float32 a body (x, y, z, qw, qx, qy, qz), then one a gauge."""
+    return POSES.pack(_POSES_MAGIC, 0, len(poses) // POSE_BYTES, len(gauges) // 4, 0, 0, tick, at_s) + poses + gauges
+
+
+def is_poses(frame: bytes) -> bool:
+    """Say whether a binary frame carries poses."""
+    return frame.startswith(_POSES_MAGIC)
+
+
+def measure_poses(frame: bytes) -> tuple[int, int]:
+    """Return how many bodies and gauges a frame of poses holds. Raises `ProtocolError` on anything malformed."""
+    if len(frame) < POSES.size:
+        raise ProtocolError(f"a frame of poses of `{len(frame)}` bytes is shorter than its header ({POSES.size})")
+    _, _, bodies, gauges, *_ = POSES.unpack_from(frame)
+    if len(frame) != POSES.size + bodies * POSE_BYTES + gauges * 4:
+        raise ProtocolError("a frame of poses does not match its header")
+    return bodies, gauges
+
+
+def address_poses(frame: bytes, cell: int, number: int) -> bytes:
+    """Return a frame of poses that says which of a console's cells it is of, and its number."""
+    addressed = bytearray(frame)
+    struct.pack_into("<H", addressed, 4, cell)
+    struct.pack_into("<I", addressed, 12, number)
+    return bytes(addressed)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final, assert_never
 import orjson
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
+from app.cell.display import describe, look, sitting
 from app.cell.journal import JournalUnavailable
 from app.cell.loop import NewPolicy, Shutdown, Welcomed
 from app.cell.runner import Runner
@@ -26,6 +27,7 @@ from app.protocol import Ack, Estop, Human, Launch, Reset, SetProfile, State, Up
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from app.cell.display import Moment
     from app.cell.journal import Entry, Journal
     from app.cell.loop import Order, Outbox
     from app.cell.substrate import Substrate
@@ -78,6 +80,7 @@ class GovernedCell:
             emit=self._tell,
             on_telemetry=self._show,
         )
+        outbox.scene = describe(substrate)
         self._runner.hold("link")
         self._adopt(policies)
 
@@ -145,7 +148,13 @@ class GovernedCell:
             profile=self._profile,
             facts=facts,
             gauges={**gauges, "late_ticks": float(overruns)},
+            session=sitting(self._runner.session),
         )
+
+    def look(self) -> Moment:
+        """Return what there is to be seen at this moment."""
+        runner = self._runner
+        return look(runner.substrate, runner.observation, runner.session, self._wall())
 
     def _adopt(self, policies: PolicySet) -> None:
         self._policies[policies.digest] = policies

@@ -26,6 +26,7 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus, WebSocketException
 
 from app import protocol
+from app.cell.display import Drawing
 from app.cell.loop import STOPPING_S, NewPolicy, Shutdown, Welcomed
 from app.clock import monotonic_s
 from app.governance import bundle
@@ -41,6 +42,7 @@ from app.protocol import (
     ProtocolError,
     Reset,
     SetProfile,
+    Watch,
     Welcome,
 )
 
@@ -164,6 +166,7 @@ class Link:
         self._wake = asyncio.Event()
         self._heard_ack = asyncio.Event()
         self._acknowledged = 0
+        self._watched = 0
         self._retry_s = FIRST_RETRY_S
         self._welcomed_s = float("inf")
         self._last_word = ""
@@ -242,6 +245,7 @@ class Link:
             for job in done & jobs:
                 job.result()
         finally:
+            self._outbox.watched = 0  # the next welcome says it anew
             for job in jobs:
                 job.cancel()
             await asyncio.gather(*jobs, return_exceptions=True)
@@ -290,6 +294,9 @@ class Link:
                     pass
                 case Ack():
                     self._acknowledge(message.seq)
+                case Watch():
+                    self._watched += message.on
+                    self._outbox.watched = self._watched if message.on else 0
                 case Estop() | Human():
                     self._inbox.put(message)
                 case _:
@@ -330,7 +337,7 @@ class Link:
 
     async def _report(self, socket: ClientConnection) -> NoReturn:
         """Send what the loop hands over: events first, then telemetry, then the newest state if it is another."""
-        sent, shown = self._acknowledged, None
+        sent, shown, drawing = self._acknowledged, None, Drawing(self._outbox)
         while True:
             await self._wake.wait()
             self._wake.clear()
@@ -339,6 +346,7 @@ class Link:
                 sent = event.seq
             while self._outbox.batches:
                 await socket.send(self._outbox.batches.popleft())
+            await drawing.show(socket)
             state = self._outbox.state
             if state is not None and state is not shown:
                 await socket.send(protocol.encode(state))

@@ -21,12 +21,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from queue import SimpleQueue
 
+    from app.cell.display import Moment
     from app.governance.policy import PolicySet
-    from app.protocol import UpEvent
+    from app.protocol import Scene, UpEvent
 
 MAX_LAG_S: Final = 0.1  # a loop further behind than this starts afresh instead of catching up
 MAX_BATCHES: Final = 3000  # about ten minutes of telemetry while nobody listens
 STOPPING_S: Final = 2.0  # how long a controlled stop may take before the loop ends anyway
+LOOK_S: Final = 1 / 30
 WORKING: Final = frozenset({Status.RUNNING, Status.PAUSED, Status.RECOVERING})
 
 
@@ -81,6 +83,10 @@ class Governed(Protocol):
         """Say whether nothing moves."""
         ...
 
+    def look(self) -> Moment:
+        """Return what there is to be seen at this moment, for displays."""
+        ...
+
 
 class Lease:
     """When the server was last heard; written by the link, read by the loop."""
@@ -113,6 +119,9 @@ class Outbox:
         self.state: State | None = None
         self.last_seq = last_seq
         self.changed = False
+        self.scene: Scene | None = None
+        self.watched = 0  # which time it is that somebody wants to see; 0 while nobody does
+        self.moment: Moment | None = None
         self.wake: Callable[[], None] = lambda: None
 
     def event(self, event: UpEvent) -> None:
@@ -149,7 +158,7 @@ class TickLoop:
         self._pace = pace
         self._held = True
         self._ending = False
-        self._state_due_s = 0.0
+        self._state_due_s = self._look_due_s = 0.0
         self._thread = threading.Thread(target=self.run, name="tick", daemon=True)
         self.overruns = 0
         self.ticks = 0
@@ -233,6 +242,10 @@ class TickLoop:
     def _publish(self) -> None:
         """Make the newest state public ten times a second and on every change."""
         now_s = monotonic_s()
+        if self._outbox.watched and now_s >= self._look_due_s:
+            self._look_due_s = max(self._look_due_s + LOOK_S, now_s)
+            self._outbox.moment = self._runner.look()
+            self._outbox.wake()
         if now_s < self._state_due_s and not self._outbox.changed:
             return
         self._outbox.changed = False

@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from app.governance.model import Command, Json, Observation, SkillReport, WorldFacts
     from app.governance.permit import Grant
@@ -80,8 +80,15 @@ class Substrate(Protocol):
         """Return the static scene for displays: bodies, shapes, zones."""
         ...
 
-    def poses(self) -> Mapping[str, tuple[float, ...]]:
-        """Return body poses (x, y, z, qw, qx, qy, qz) by name, for displays."""
+    def poses(self) -> Callable[[], bytes]:
+        """Copy the body poses of this moment, for displays, and return what packs them; any thread may call that.
+
+        Packed are float32 x, y, z, qw, qx, qy, qz for each of the scene's `bodies`, in their order.
+        """
+        ...
+
+    def way(self) -> tuple[tuple[float, float], ...]:
+        """Return the way the base is planned to go, x and y in metres, for displays; empty where there is none."""
         ...
 
     def snapshot(self) -> object:

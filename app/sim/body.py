@@ -108,6 +108,7 @@ class Body:
         self.phase, self.progress = "start", 0.0
         self.careful = careful
         self.carrying = False
+        self.way: tuple[Point, ...] = ()  # the base is planned to go
         self.stretch = (0.0, 1.0)
         self._joints: Vec6 = held.joint_rad
         self.grip_n = held.grip_force_n

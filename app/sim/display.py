@@ -5,9 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import mujoco
+import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
 
     from app.governance.model import Json, Site
 
@@ -52,9 +55,15 @@ def describe(model: mujoco.MjModel, site: Site) -> Mapping[str, Json]:
     }
 
 
-def body_poses(model: mujoco.MjModel, data: mujoco.MjData) -> Mapping[str, tuple[float, ...]]:
-    """Return the pose (x, y, z, qw, qx, qy, qz) of every body that can move, by name."""
-    return {name: (*data.xpos[k].tolist(), *data.xquat[k].tolist()) for name, k in _moving(model).items()}
+def moving_bodies(model: mujoco.MjModel) -> NDArray[np.intp]:
+    """Return the numbers of the bodies that can move, in the order of the scene's `bodies`."""
+    return np.array([*_moving(model).values()], dtype=np.intp)
+
+
+def copy_poses(data: mujoco.MjData, bodies: NDArray[np.intp]) -> Callable[[], bytes]:
+    """Copy the poses of bodies as they are now, and return what packs them: float32 x, y, z, qw, qx, qy, qz each."""
+    positions, turns = data.xpos[bodies], data.xquat[bodies]
+    return lambda: np.hstack((positions, turns)).astype("<f4").tobytes()
 
 
 def _fixed(model: mujoco.MjModel) -> Json:

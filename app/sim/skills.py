@@ -14,6 +14,7 @@ from app.sim.skills_recover import regrasp, release_and_retract, retrace
 from app.sim.skills_tool import operate_tool
 
 if TYPE_CHECKING:
+    from app.governance.model import Point
     from app.sim.body import Senses
 
 Prepare: TypeAlias = Callable[[Body, Mapping[str, Json]], Moves]
@@ -67,6 +68,11 @@ class Run:
         except SkillFailed as failed:
             self._give_up(failed)
         return body.hold()
+
+    @property
+    def way(self) -> tuple[Point, ...]:
+        """Return the way the base is planned to go; empty where there is none."""
+        return self._body.way
 
     def _give_up(self, failed: SkillFailed) -> None:
         """Fail, unless a fault has taught the skill something worse."""

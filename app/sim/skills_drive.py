@@ -90,6 +90,7 @@ def _plan(body: Body, goal: Vec3, params: Mapping[str, Json]) -> list[Point]:
 
 
 def _go(body: Body, goal: Vec3, way: list[Point], limit_mps: float, tcp_mps: float = TRAVEL_SPEED_MPS) -> Moves:
+    body.way = tuple((float(x), float(y)) for x, y in way)
     body.enter("retract", 0.0)
     yield from body.retract(body.speed(tcp_mps))
     body.enter("drive", 0.1)

@@ -9,7 +9,7 @@ faults; it does not carry a skill in flight (a generator cannot be copied): bind
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import hypot, isfinite
 from typing import TYPE_CHECKING
@@ -19,7 +19,7 @@ import numpy as np
 from app.cell.substrate import SubstrateError
 from app.governance.model import CONTROL_PERIOD_S, Command, ObjectFact, Observation, SensorStamps, WorldFacts
 from app.sim import robot
-from app.sim.display import body_poses, describe
+from app.sim.display import copy_poses, describe, moving_bodies
 from app.sim.faults import FaultClock, Scenario, Victim
 from app.sim.hand import Mark
 from app.sim.kinematics import ArmSolver, Residual, SelfModel, speed_of
@@ -107,6 +107,7 @@ class Workcell:
         start_at = site.targets[site.start]
         at = (start_at.x_m, start_at.y_m, start_at.yaw_rad)
         self._walls = _tall(site)
+        self._shown = moving_bodies(self.plant.model)
         self._grant: Grant | None = None
         self._run: Run | None = None
         held = Command(robot.HOME_RAD, (0.0,) * 6, (0.0, 0.0, 0.0), 0.0)  # type: ignore[arg-type]  # six of them
@@ -226,9 +227,13 @@ class Workcell:
         """Return the static scene for displays."""
         return describe(self.plant.model, self.site)
 
-    def poses(self) -> Mapping[str, tuple[float, ...]]:
-        """Return body poses for displays."""
-        return body_poses(self.plant.model, self.plant.data)
+    def poses(self) -> Callable[[], bytes]:
+        """Copy the body poses for displays; what is returned packs them."""
+        return copy_poses(self.plant.data, self._shown)
+
+    def way(self) -> tuple[Point, ...]:
+        """Return the way the base is planned to go, for displays."""
+        return () if self._run is None else self._run.way
 
     def snapshot(self) -> object:
         """Return everything but a skill in flight."""

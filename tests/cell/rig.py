@@ -178,8 +178,11 @@ class FakeCell:
     def scene(self) -> Mapping[str, object]:
         return {}
 
-    def poses(self) -> Mapping[str, tuple[float, ...]]:
-        return {}
+    def poses(self) -> Callable[[], bytes]:
+        return lambda: b""
+
+    def way(self) -> tuple[tuple[float, float], ...]:
+        return ()
 
     def snapshot(self) -> object:
         return self._tick

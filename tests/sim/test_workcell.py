@@ -165,10 +165,26 @@ def test_facts_come_from_sensors_and_say_what_is_held(site: Site):
 
 def test_the_scene_and_the_poses_name_the_same_bodies(site: Site):
     cell = cell_of(site)
-    poses = cell.poses()
-    assert {"mug_1", "glass_1", "box_1"} <= set(poses)
-    assert all(len(pose) == 7 for pose in poses.values())
-    assert cell.scene()
+    bodies = cell.scene()["bodies"]
+    assert {"mug_1", "glass_1", "box_1"} <= set(bodies)
+    pack = cell.poses()
+    poses = np.frombuffer(pack(), "<f4").reshape(len(bodies), 7)
+    x, y, _ = cell.truth().objects["mug_1"]
+    assert poses[bodies.index("mug_1"), :2] == pytest.approx((x, y), abs=1e-3)
+    assert np.linalg.norm(poses[:, 3:], axis=1) == pytest.approx(1.0, abs=1e-5)
+    run_skill(cell, "navigate_to", {"target": "dock", "speed_mps": 0.6})
+    assert pack() == poses.tobytes()  # a copy of its own moment
+
+
+def test_a_drive_shows_the_way_it_is_planned_to_go(site: Site):
+    cell = cell_of(site)
+    assert cell.way() == ()
+    dock = site.targets["dock"]
+    params = {"target": "dock", "speed_mps": 0.6}
+    cell.bind(grant_for(cell.id, "navigate_to", params), "navigate_to", params).act(cell.observe(), 1.0)
+    assert cell.way()[-1] == pytest.approx((dock.x_m, dock.y_m))
+    cell.unbind()
+    assert cell.way() == ()
 
 
 def test_a_robot_model_without_the_needed_joints_is_refused(site: Site, tmp_path):

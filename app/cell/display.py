@@ -1,0 +1,159 @@
+"""What a cell shows to people: its scene once, and while somebody watches, what each moment looks like.
+
+The control loop only hands over references (`look`): copied poses, the observation, the numbers of the tick. Working
+them into frames, and sending them, is done on the link's thread (`Drawing`). Nothing here decides anything.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol, cast
+
+from app import protocol
+from app.governance.signals import FAR_M, Signals
+from app.protocol import Path, Scene, Sitting, pack_poses
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from app.cell.governing import Governing
+    from app.cell.loop import Outbox
+    from app.cell.substrate import Substrate
+    from app.governance.model import Bounds, Observation
+
+GAUGES: Final = (
+    "separation_m", "protective_separation_m", "zone_margin_m", "tcp_speed_mps", "tcp_speed_limit_mps",
+    "base_speed_mps", "base_speed_limit_mps", "grip_force_n", "grip_force_limit_n", "contact_force_n",
+    "contact_force_limit_n", "progress", "rate",
+)  # fmt: skip
+"""The gauges of a frame, in order; limits bear the name of what they limit."""
+
+_ROW: Final = struct.Struct(f"<{len(GAUGES)}f")
+
+UNKNOWN: Final = math.nan
+
+
+class Session(NamedTuple):
+    """The numbers of a session at one moment: what watching measured, the limits, how far and how fast it is."""
+
+    measured: tuple[float, ...]
+    bounds: Bounds
+    progress: float
+    rate: float
+
+
+class Moment(NamedTuple):
+    """Everything to be seen at one moment, by reference."""
+
+    at_s: float
+    tick: int
+    poses: Callable[[], bytes]
+    seen: Observation
+    session: Session | None
+    invocation: str | None
+    way: tuple[tuple[float, float], ...]
+
+
+class Socket(Protocol):
+    """Where frames are sent."""
+
+    async def send(self, message: str | bytes) -> None:
+        """Send one frame."""
+        ...
+
+
+def describe(substrate: Substrate) -> Scene:
+    """Return a substrate's scene as it goes up."""
+    scene = dict(substrate.scene())
+    bodies = cast("list[str]", scene.pop("bodies", []))
+    return Scene(scene=scene, bodies=bodies, gauges=list(GAUGES))
+
+
+def look(substrate: Substrate, seen: Observation, session: Governing | None, at_s: float) -> Moment:
+    """Take hold of what there is to be seen; costs the control loop microseconds."""
+    if session is None:
+        return Moment(at_s, seen.tick, substrate.poses(), seen, None, None, ())
+    run = session.run
+    numbers = Session(run.watching.measured, run.plan.bounds, run.skill.report().progress, run.rate)
+    return Moment(at_s, seen.tick, substrate.poses(), seen, numbers, run.id, substrate.way())
+
+
+def sitting(session: Governing | None) -> Sitting | None:
+    """Return what a session is at; None where there is none."""
+    if session is None:
+        return None
+    run = session.run
+    rules = run.watcher.rules
+    return Sitting(
+        phase=run.skill.report().phase,
+        doing=run.doing.value,
+        violated=[rules[row].id for row, _ in run.watching.lasting],
+        paused_by=sorted(run.paused_by),
+        waits_for=run.escalated_by,
+    )
+
+
+class Drawing:
+    """Shows a cell over one link: the scene whenever somebody begins to watch, then frames and ways as they come."""
+
+    def __init__(self, outbox: Outbox) -> None:
+        """Begin with nothing shown; what is left of an earlier link is old."""
+        self._outbox = outbox
+        self._described = 0
+        self._way: tuple[str | None, tuple[tuple[float, float], ...]] = (None, ())
+        self._shown = outbox.moment
+
+    async def show(self, socket: Socket) -> None:
+        """Send what there is to be seen, if somebody watches and it is another moment."""
+        outbox = self._outbox
+        moment = outbox.moment
+        if moment is None or moment is self._shown or not outbox.watched:
+            return
+        self._shown = moment
+        if (time := outbox.watched) != self._described and outbox.scene is not None:
+            self._described, self._way = time, (None, ())
+            await socket.send(protocol.encode(outbox.scene))
+        if (moment.invocation, moment.way) != self._way:
+            self._way = moment.invocation, moment.way
+            await socket.send(protocol.encode(Path(invocation=moment.invocation, points=list(moment.way))))
+        await socket.send(frame(moment))
+
+
+def frame(moment: Moment) -> bytes:
+    """Return a moment as a binary frame."""
+    return pack_poses(moment.tick, moment.at_s, moment.poses(), _ROW.pack(*gauges(moment)))
+
+
+def gauges(moment: Moment) -> tuple[float, ...]:
+    """Return the gauges of a moment, as `GAUGES` lists them; NaN is not known.
+
+    Without a session nobody measures how near people and zones are, and nothing is limited.
+    """
+    seen, session = moment.seen, moment.session
+    if session is None:
+        base = math.hypot(seen.base_velocity[0], seen.base_velocity[1])
+        return (
+            UNKNOWN, UNKNOWN, UNKNOWN, seen.tcp_speed_mps, UNKNOWN, base, UNKNOWN, seen.grip_force_n, UNKNOWN,
+            seen.contact_force_n, UNKNOWN, UNKNOWN, UNKNOWN,
+        )  # fmt: skip
+    signals, bounds = Signals._make(session.measured), session.bounds
+    return (
+        _near(signals.separation_m),
+        signals.protective_separation_m if signals.protective_separation_m > 0.0 else UNKNOWN,
+        _near(signals.zone_margin_m),
+        signals.tcp_speed_mps,
+        bounds.tcp_speed_mps,
+        signals.base_speed_mps,
+        bounds.base_speed_mps,
+        seen.grip_force_n,
+        bounds.grip_force_n,
+        signals.contact_force_n,
+        bounds.contact_force_n,
+        session.progress,
+        session.rate,
+    )
+
+
+def _near(distance_m: float) -> float:
+    return distance_m if distance_m < FAR_M else UNKNOWN
