@@ -169,6 +169,7 @@ class Console:
             done, _ = await asyncio.wait(jobs, return_when=asyncio.FIRST_COMPLETED)
         finally:
             self._parts.broadcast.leave(self._outlet)
+            self._parts.fleet.screens.watch(self._outlet, [])
             for job in jobs:
                 job.cancel()
             await asyncio.gather(*jobs, return_exceptions=True)
@@ -196,6 +197,7 @@ class Console:
                 self._say({"type": "pong", "at_ms": word.at_ms})
             case Watch():
                 self._parts.governor.kernel.heard(self._principal)
+                self._parts.fleet.screens.watch(self._outlet, word.cells)
             case Jog():
                 self._say({"type": "jogged", "cell": word.cell, "n": word.n, "refused": "not_supported"})
             case Hello():

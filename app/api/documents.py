@@ -244,6 +244,16 @@ class VerificationDocument(Document):
     problem: str | None
 
 
+class SittingDocument(Document):
+    """What a cell says of its session: phase, what is bound, the rules violated now, and why it does not go on."""
+
+    phase: str
+    doing: str
+    violated: list[str]
+    paused_by: list[str]
+    waits_for: str
+
+
 class CellDocument(Document):
     """A cell as the server knows it; `facts` and `gauges` are what it says of itself."""
 
@@ -258,6 +268,7 @@ class CellDocument(Document):
     policy_version: str | None
     facts: dict[str, Any] | None
     gauges: dict[str, float]
+    session: SittingDocument | None
     recorded: bool | None = Field(default=None, description="Stands in the answer to an emergency stop alone.")
 
 

@@ -20,10 +20,11 @@ from app.audit.errors import RecordUnavailable
 from app.audit.event import RowWrite
 from app.clock import monotonic_s
 from app.governance.model import SESSION, CellFacts
-from app.protocol import BEAT_MS, LEASE_MS, Estop, Human, ProtocolError
+from app.protocol import BEAT_MS, LEASE_MS, Estop, Human, ProtocolError, Watch
 from app.runtime.cells import Cell, Reunion, read_world
 from app.runtime.errors import Conflict, NotFound
 from app.runtime.link import DEAD_S, SILENT_S, TRY_LATER, Attachment
+from app.runtime.screens import Screens
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ class Fleet:
         self._cells: dict[str, Cell] = {}
         self._closings: set[asyncio.Task[None]] = set()
         self._reports: Reports | None = None
+        self.screens = Screens(self.show_cell)
         self.on_stated: Callable[[Cell], None] = lambda _: None
         self.kernel_key = ""
         self.policy_digest = ""
@@ -163,6 +165,7 @@ class Fleet:
             "policy_version": None if state is None else state.policy_digest,
             "facts": None if state is None else state.facts,
             "gauges": {} if state is None else state.gauges,
+            "session": None if state is None or state.session is None else state.session.model_dump(),
         }
 
     def problems(self) -> dict[str, str]:
@@ -255,6 +258,12 @@ class Fleet:
             raise Conflict("cell_offline", f"the cell `{cell.id}` is not attached")
         attachment.post(message)
 
+    def show_cell(self, cell_id: str, on: bool) -> None:
+        """Have a cell show itself, or not any more; one that is away is asked again at its welcome."""
+        cell = self._cells.get(cell_id)
+        if cell is not None and cell.attachment is not None and cell.attachment.welcomed:
+            cell.attachment.post(Watch(on=on))
+
     def attached(self, cell: Cell) -> bool:
         """Say whether the cell is there to be spoken to."""
         return cell.attachment is not None and cell.attachment.welcomed
@@ -304,6 +313,8 @@ class Fleet:
             attachment.post(message)
         cell.owed = {key: message for key, message in cell.owed.items() if cell.ends(message)}
         # Only what is believed now: a session launched on this very link must not be held against its `Hello`.
+        if self.screens.watched(cell.id):
+            attachment.post(Watch(on=True))
         cell.unreconciled = Reunion(hello=hello, believed=cell.claim)
         await self._desk.attached(cell.id, hello)
         await self.caught_up(attachment)

@@ -23,13 +23,16 @@ from app.protocol import (
     Ack,
     Beat,
     Hello,
+    Path,
     Policy,
     ProtocolError,
+    Scene,
     State,
     UpEvent,
     Welcome,
     decode_up,
     encode,
+    is_poses,
     unpack_batch,
 )
 
@@ -134,7 +137,7 @@ class Attachment:
         self.heard_s = monotonic_s()
         try:
             if isinstance(frame, bytes):
-                self._take_telemetry(frame)
+                self._take_bytes(frame)
             else:
                 await self._take(frame)
         except ProtocolError as error:
@@ -154,14 +157,19 @@ class Attachment:
                 self._queue(message)
             case State():
                 self._fleet.take_state(self.cell, message)
+            case Scene() | Path():
+                self._fleet.screens.draw(self.cell.id, message)
             case Beat():
                 pass
             case _:
                 assert_never(message)
 
-    def _take_telemetry(self, frame: bytes) -> None:
+    def _take_bytes(self, frame: bytes) -> None:
         if self.hello is None:
             raise ProtocolError("a link begins with `hello`, not with telemetry")
+        if is_poses(frame):
+            self._fleet.screens.show(self.cell.id, frame)
+            return
         invocation, rows = unpack_batch(frame)
         self._fleet.take_telemetry(self.cell, invocation, rows)
 

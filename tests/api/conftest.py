@@ -7,6 +7,7 @@ import base64
 import contextlib
 import json
 import re
+import struct
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
@@ -29,7 +30,20 @@ from app.api.problems import MEDIA_TYPE
 from app.audit.store import AuditStore
 from app.clock import monotonic_s, wall_s
 from app.governance.bundle import load
-from app.protocol import Ack, Beat, Estop, Hello, Human, Launch, Reset, State, UpEvent, decode_down, encode
+from app.protocol import (
+    Estop,
+    Hello,
+    Human,
+    Launch,
+    Reset,
+    Scene,
+    State,
+    UpEvent,
+    Watch,
+    decode_down,
+    encode,
+    pack_poses,
+)
 from app.runtime.assembly import Runtime
 
 POLICIES = Path(__file__).resolve().parents[2] / "policies"
@@ -85,6 +99,7 @@ class Puppet:
     seq: int = 0
     launches: list[dict[str, Any]] = field(default_factory=list)
     words: list[str] = field(default_factory=list)
+    watched: list[bool] = field(default_factory=list)
 
     async def tell(self, kind: str, **body: Any) -> None:
         self.seq += 1
@@ -98,6 +113,11 @@ class Puppet:
             body=body,
         )
         await self.socket.send(encode(event))
+
+    async def show(self, x_m: float, progress: float) -> None:
+        """Send one frame of poses."""
+        pose = struct.pack("<7f", x_m, 0.0, 0.8, 1.0, 0.0, 0.0, 0.0)
+        await self.socket.send(pack_poses(7, wall_s(), pose, struct.pack("<f", progress)))
 
     async def end(self, outcome: str) -> None:
         await self.tell("outcome", outcome=outcome)
@@ -119,6 +139,13 @@ class Puppet:
         )
         await self.socket.send(encode(state))
 
+    async def obey(self, op: str) -> None:
+        self.words.append(op)
+        if op in SPOKEN_STATUS:
+            await self.tell("status", status=SPOKEN_STATUS[op])
+        elif op in SPOKEN_OUTCOME:
+            await self.end(SPOKEN_OUTCOME[op])
+
     async def take(self, frame: str | bytes) -> None:
         match decode_down(frame):
             case Launch(body=body):
@@ -129,19 +156,17 @@ class Puppet:
                 await self.tell("status", status="running")
                 await self.say_state()
             case Human(op=op):
-                self.words.append(op)
-                if op in SPOKEN_STATUS:
-                    await self.tell("status", status=SPOKEN_STATUS[op])
-                elif op in SPOKEN_OUTCOME:
-                    await self.end(SPOKEN_OUTCOME[op])
+                await self.obey(op)
             case Estop():
                 self.latched = True
                 await self.say_state()
             case Reset():
                 self.latched = False
                 await self.say_state()
-            case Ack() | Beat():
-                pass
+            case Watch(on=on):
+                self.watched.append(on)
+                if on:
+                    await self.socket.send(encode(Scene(scene={"zones": []}, bodies=["mug_1"], gauges=["progress"])))
             case _:
                 pass
 

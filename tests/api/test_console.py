@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import struct
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 import orjson
 import pytest
@@ -15,11 +16,32 @@ from websockets.exceptions import ConnectionClosed
 from websockets.typing import Subprotocol
 
 from app.api import console as door
-from tests.api.conftest import CELL, House
+from app.protocol import pack_poses
+from tests.api.conftest import CELL, House, eventually
 
 pytestmark = pytest.mark.anyio
 REFUSED = {"capability": "grasp_object", "params": {"object_id": "solvent_1"}, "metadata": {"confidence": 0.9}}
 NOTHING = {"capability": "no_such_thing", "params": {}}
+
+
+class Frame(NamedTuple):
+    """A frame of poses as docs/design/console.md lays it out."""
+
+    cell: int
+    number: int
+    tick: int
+    at_s: float
+    poses: list[tuple[float, ...]]
+    gauges: tuple[float, ...]
+
+    @classmethod
+    def read(cls, frame: bytes) -> Frame:
+        magic, cell, bodies, gauges, _, number, tick, at_s = struct.unpack_from("<4sHHHHIId", frame)
+        assert magic == b"RPF1"
+        values = struct.unpack_from(f"<{bodies * 7 + gauges}f", frame, 28)
+        assert len(frame) == 28 + 4 * len(values)
+        poses = [values[place : place + 7] for place in range(0, bodies * 7, 7)]
+        return cls(cell, number, tick, at_s, poses, values[bodies * 7 :])
 
 
 class Screen:
@@ -28,6 +50,7 @@ class Screen:
     def __init__(self, socket: ClientConnection) -> None:
         self.socket = socket
         self.heard: list[dict[str, Any]] = []
+        self.frames: list[Frame] = []
 
     async def say(self, **message: Any) -> None:
         await self.socket.send(orjson.dumps(message).decode())
@@ -37,12 +60,19 @@ class Screen:
             while True:
                 frame = await self.socket.recv()
                 if isinstance(frame, bytes):
+                    self.frames.append(Frame.read(frame))
                     continue
                 message: dict[str, Any] = orjson.loads(frame)
                 self.heard.append(message)
                 if message["type"] == "beat":
                     await self.say(type="ack", beat=message["n"])
                 return message
+
+    async def until_frames(self, number: int) -> list[Frame]:
+        """Read on until so many frames have come, and return them."""
+        while len(self.frames) < number:
+            await self.next()
+        return self.frames
 
     async def until(self, condition: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
         """Return the next message that fits."""
@@ -284,3 +314,53 @@ async def test_a_console_whose_token_is_withdrawn_is_shown_out(house: House, mon
         monkeypatch.setattr(principals, "_known", {})
         assert (await screen.ended())[0] == 4401
         monkeypatch.setattr(principals, "_known", known)
+
+
+async def test_poses_come_to_whoever_watches_and_stop_when_nobody_does(house: House) -> None:
+    async with house.cell() as puppet:
+        async with signed_in(house) as one, signed_in(house, "auditor") as two:
+            await one.say(type="watch", cells=["elsewhere", CELL])
+            scene = await one.until_type("scene")
+            assert (scene["cell"], scene["bodies"], scene["gauges"]) == (CELL, ["mug_1"], ["progress"])
+            await puppet.show(1.5, 0.25)
+            (frame,) = await one.until_frames(1)
+            assert (frame.cell, frame.tick) == (1, 7)
+            assert frame.poses == [(1.5, 0.0, pytest.approx(0.8), 1.0, 0.0, 0.0, 0.0)]
+            assert frame.gauges == (0.25,)
+            await two.say(type="watch", cells=[CELL])
+            assert (await two.until_type("scene")) == scene
+            await puppet.show(2.5, 0.5)
+            assert (await two.until_frames(1))[0].cell == 0
+            assert (await one.until_frames(2))[1].poses[0][0] == 2.5
+            await one.say(type="watch", cells=[])
+            await two.say(type="watch", cells=[])
+            await eventually(lambda: puppet.watched == [True, False])
+        assert house.runtime.fleet.attached(house.runtime.fleet.cell(CELL))
+
+
+async def test_a_console_that_leaves_watches_no_more(house: House) -> None:
+    async with house.cell() as puppet:
+        async with signed_in(house) as screen:
+            await screen.say(type="watch", cells=[CELL])
+            await eventually(lambda: puppet.watched == [True])
+        await eventually(lambda: puppet.watched == [True, False])
+
+
+async def test_a_cell_that_comes_back_is_watched_again(house: House) -> None:
+    async with signed_in(house) as screen:
+        async with house.cell():
+            await screen.say(type="watch", cells=[CELL])
+            await screen.until_type("scene")
+        async with house.cell() as again:
+            await screen.until_type("scene")
+            await again.show(3.5, 1.0)
+            assert (await screen.until_frames(1))[0].poses[0][0] == 3.5
+
+
+async def test_a_frame_that_does_not_fit_its_scene_is_a_fault_of_the_cell(house: House) -> None:
+    async with house.cell() as puppet, signed_in(house) as screen:
+        await screen.say(type="watch", cells=[CELL])
+        await screen.until_type("scene")
+        await puppet.socket.send(pack_poses(7, 1.0, b"", b""))
+        await puppet.socket.wait_closed()
+        assert puppet.socket.close_code == 1002
