@@ -1,7 +1,8 @@
 """Rows on disk: one file per finished job, and the tables merged from them.
 
-A part is JSON lines: a head that names the configuration and the job, the rows, and a tail that counts them. It is
-written under another name and renamed when it is whole, so that a part that is there is a job that is done.
+A part is JSON lines: a head that names the configuration and the job, the rows, and a tail with their number and
+digest. It is written under another name and renamed when it is whole, so that a part that is there is a job that is
+done; one that was damaged since counts as none, and is run again.
 
 `trials.csv` holds what follows from the configuration alone, so it is the same byte for byte on every run;
 `timings.csv` holds what a clock said.
@@ -10,6 +11,7 @@ written under another name and renamed when it is whole, so that a part that is 
 from __future__ import annotations
 
 import csv
+import hashlib
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -58,12 +60,13 @@ class Parts:
         try:
             with self.path(job).open("rb") as file:
                 head = orjson.loads(next(file))
-                count, last = -1, b""
-                for count, last in enumerate(file):  # noqa: B007  # only how many, and the last
-                    pass
+                count, state, last = -1, hashlib.sha256(), b""
+                for line in file:  # one behind, so that the tail is not taken for a row
+                    state.update(last)
+                    count, last = count + 1, line
         except (FileNotFoundError, StopIteration, orjson.JSONDecodeError):
             return False
-        return head == self._head(job) and last == _tail(count)
+        return head == self._head(job) and last == _tail(count, state.hexdigest())
 
     def write(self, job: Job, rows: Iterable[Row]) -> None:
         """Write a job's rows as they come, and let them count when all are there.
@@ -76,14 +79,16 @@ class Parts:
         try:
             with partial.open("wb") as file:
                 file.write(orjson.dumps(self._head(job)) + b"\n")
-                count = 0
+                count, state = 0, hashlib.sha256()
                 for row in rows:
                     if not self.columns.keys() >= row.keys():
                         names = ", ".join(sorted(row.keys() - self.columns.keys()))
                         raise RowError(f"a row has the columns `{names}`: valid are those that the protocol declares")
-                    file.write(orjson.dumps(row) + b"\n")
+                    line = orjson.dumps(row) + b"\n"
+                    file.write(line)
+                    state.update(line)
                     count += 1
-                file.write(_tail(count))
+                file.write(_tail(count, state.hexdigest()))
                 file.flush()
                 os.fsync(file.fileno())
             partial.replace(path)
@@ -147,5 +152,5 @@ def _text(value: Value) -> str:
             return str(value)
 
 
-def _tail(count: int) -> bytes:
-    return orjson.dumps({"rows": count}) + b"\n"
+def _tail(count: int, digest: str) -> bytes:
+    return orjson.dumps({"rows": count, "sha256": digest}) + b"\n"

@@ -222,6 +222,22 @@ def test_a_part_of_another_configuration_does_not_count(tmp_path: Path) -> None:
     assert not Parts(tmp_path, "sha256:0").has(JOB._replace(seed=2))
 
 
+def test_a_part_that_was_changed_since_does_not_count(tmp_path: Path) -> None:
+    parts = Parts(tmp_path, "sha256:0")
+    parts.write(JOB, [{"method": "reins", "launched": True}, {"trial": 1}])
+    whole = parts.path(JOB).read_text(encoding="utf-8")
+    for damaged in (
+        whole.replace("true", "null"),
+        whole.replace('"trial"', '"tri'),
+        whole.replace('{"trial":1}\n', ""),
+    ):
+        assert damaged != whole
+        parts.path(JOB).write_text(damaged, encoding="utf-8")
+        assert not parts.has(JOB)
+    parts.path(JOB).write_text(whole, encoding="utf-8")
+    assert parts.has(JOB)
+
+
 def test_a_job_name_is_a_file_name(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"job name `\.\./a`"):
         Parts(tmp_path, "sha256:0").path(JOB._replace(name="../a"))
