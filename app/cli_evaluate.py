@@ -139,30 +139,36 @@ def _request(  # noqa: PLR0913  # the command's options
     standard = _LONG_TRIALS if long else getattr(find_protocol(protocol), "TRIALS", _TRIALS)
     if tasks:
         standard = getattr(find_protocol(protocol), "TASK_TRIALS", standard)
-    named = (*METHODS, *REGISTRY.methods) if methods == "all" else _words(methods)
+    if studies and not study_names(protocol):
+        raise ValueError(f"--studies `{studies}`: protocol `{protocol}` has none; valid is a protocol that has")
+    named = (*METHODS, *REGISTRY.methods) if methods == "all" else _given("methods", methods)
     return Request(
         protocol=protocol,
         methods=tuple(dict.fromkeys(find_method(name).name for name in (*named, *(ABLATIONS if ablations else ())))),
-        seeds=tuple(dict.fromkeys(_seed(word) for word in _words(seeds))) or SEEDS,
+        seeds=tuple(dict.fromkeys(_seed(word) for word in _given("seeds", seeds))) if seeds else SEEDS,
         trials=standard if trials is None else trials,
         policies=policies,
-        tasks=find_tasks(protocol, _words(tasks)),
+        tasks=find_tasks(protocol, _given("tasks", tasks) if tasks else ()),
         plugins=plugins,
         long=long,
         studies=tuple(
             find_study(protocol, name)
-            for name in (study_names(protocol) if studies == "all" else dict.fromkeys(_words(studies)))
-        ),
+            for name in (study_names(protocol) if studies == "all" else dict.fromkeys(_given("studies", studies)))
+        )
+        if studies
+        else (),
     )
 
 
 def _run(request: Request, folder: Path, *, workers: int, fresh: bool, readme: Path | None) -> int:
     from app.evaluation.campaign import CampaignError
-    from app.evaluation.readme import ReadmeError, refresh
+    from app.evaluation.readme import ReadmeError, check_place, refresh
     from app.evaluation.report import write_report
     from app.evaluation.workers import JobFailed
 
     try:
+        if readme is not None:  # before half an hour of trials, not after it
+            check_place(readme, request.protocol)
         results = _measured(request, folder, workers=workers, fresh=fresh)
         write_report(results, folder / "report.html")
         if readme is not None:
@@ -227,6 +233,13 @@ def _mapping(value: Json) -> Mapping[str, Json]:
 
 def _words(text: str) -> tuple[str, ...]:
     return tuple(word for word in (part.strip() for part in text.split(",")) if word)
+
+
+def _given(option: str, text: str) -> tuple[str, ...]:
+    """Return the names in an option; nothing but commas is no choice."""
+    if words := _words(text):
+        return words
+    raise ValueError(f"--{option} `{text}` names nothing: valid are names with commas between them")
 
 
 def _seed(word: str) -> int:

@@ -47,19 +47,38 @@ def refresh(path: Path, results: Results) -> None:
         ReadmeError: the file has no such comments.
         OSError: it cannot be read or written.
     """
-    name = results["protocol"]
-    begin, end = f"<!-- evaluate:{name} -->", f"<!-- /evaluate:{name} -->"
-    text = path.read_text(encoding="utf-8")
+    begin, end = _comments(results["protocol"])
+    text = check_place(path, results["protocol"])
     block = "\n".join([begin, *_lines(results), end])
-    found, places = re.subn(f"{re.escape(begin)}.*?{re.escape(end)}", lambda _: block, text, count=1, flags=re.DOTALL)
-    if not places:
+    path.write_text(_place(begin, end).sub(lambda _: block, text, count=1), encoding="utf-8")
+
+
+def check_place(path: Path, protocol: str) -> str:
+    """Return the text of a file that has a place for the table of a protocol.
+
+    Raises:
+        ReadmeError: the file has no such comments.
+        OSError: it cannot be read.
+    """
+    begin, end = _comments(protocol)
+    text = path.read_text(encoding="utf-8")
+    if not _place(begin, end).search(text):
         raise ReadmeError(f"`{path}` has no place for the table: valid is a file with `{begin}` and `{end}`")
-    path.write_text(found, encoding="utf-8")
+    return text
+
+
+def _comments(protocol: str) -> tuple[str, str]:
+    return f"<!-- evaluate:{protocol} -->", f"<!-- /evaluate:{protocol} -->"
+
+
+def _place(begin: str, end: str) -> re.Pattern[str]:
+    return re.compile(f"{re.escape(begin)}.*?{re.escape(end)}", re.DOTALL)
 
 
 def _lines(results: Results) -> Iterator[str]:
     seeds = ", ".join(map(str, results["seeds"]))
-    yield f"Protocol `{results['protocol']}`, seeds {seeds}, {results['trials']} trials for each task and seed:"
+    each = "task and seed" if results.get("per_task") else "seed"
+    yield f"Protocol `{results['protocol']}`, seeds {seeds}, {results['trials']} trials for each {each}:"
     yield ""
     goals = results["protocol"] == "physical"
     yield "| metric | paper | Reins |" + (" goal |" if goals else "")
@@ -77,7 +96,7 @@ def _paper(metric: str) -> str:
     for table in TABLES:
         for place, column in enumerate(table.columns):
             if column.key == metric and "reins" in table.rows and (figure := table.rows["reins"][1][place]) is not None:
-                return _text(figure)
+                return _text(figure) + (" (over all)" if metric == "RBSR" else "")
     return "–"
 
 

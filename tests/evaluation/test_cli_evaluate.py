@@ -31,6 +31,10 @@ def evaluate(*words: str, out: Path) -> tuple[int, str]:
         (["--protocol", "physical", "--tasks", "fault-nix"], "no fault `fault-nix`: valid are fault-"),
         (["--protocol", "physical", "--long", "--tasks", "all"], "--long with --tasks `all`: valid is one of them"),
         (["--protocol", "toy", "--seeds", "4,x"], "seed `x`: valid are integers from 0 on"),
+        (["--protocol", "toy", "--seeds", ","], "--seeds `,` names nothing: valid are names"),
+        (["--protocol", "toy", "--methods", ""], "--methods `` names nothing: valid are names"),
+        (["--protocol", "paper", "--studies", "all"], "--studies `all`: protocol `paper` has none"),
+        (["--protocol", "toy", "--readme", __file__], "has no place for the table"),
         (["--protocol", "toy", "--plugin", "none.py"], "plugin `none.py` cannot be read"),
     ],
 )

@@ -28,7 +28,7 @@ def test_replaces_what_stands_between_its_comments(tmp_path: Path) -> None:
     refresh(file, RESULTS)
     text = file.read_text(encoding="utf-8")
     assert text.startswith(
-        "# A\n<!-- evaluate:physical -->\nProtocol `physical`, seeds 42, 123, 200 trials for each task and seed:\n"
+        "# A\n<!-- evaluate:physical -->\nProtocol `physical`, seeds 42, 123, 200 trials for each seed:\n"
     )
     assert text.endswith("<!-- /evaluate:physical -->\nafter\n")
     assert "| Recovery success rate (RSR) | 0.907 ± 0.030 | 0.955 | ≥ 0.95 |" in text
