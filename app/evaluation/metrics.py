@@ -28,6 +28,9 @@ Entry: TypeAlias = "dict[str, Any]"
 Take: TypeAlias = Callable[[Row], Value]
 Summary: TypeAlias = Callable[[Sequence[float]], float]
 
+WARNINGS: Final = frozenset({"warned", "unwarned"})
+"""Classes of violations after which policy lets the robot go on."""
+
 TICK_MS: Final = 1000.0 * CONTROL_PERIOD_S
 
 
@@ -86,14 +89,35 @@ def _seen_of(violation: Violation) -> Take:
     return lambda row: _seen(row) if row.get("violation") == violation else None
 
 
-def _delay(scale: float) -> Take:
+def _delay(scale: float, *types: Violation) -> Take:
     """DL: control ticks from onset in the truth to the alert, of the violations that were there and seen."""
 
     def take(row: Row) -> Value:
         ticks = row.get("latency_ticks")
-        return scale * float(ticks) if row.get("occurred") and row.get("detected") and ticks is not None else None
+        if not row.get("occurred") or not row.get("detected") or ticks is None:
+            return None
+        return scale * float(ticks) if not types or row.get("violation") in types else None
 
     return take
+
+
+def _entered(row: Row) -> Value:
+    """Beyond the boundary band; 0 where the robot stopped before the edge."""
+    depth = row.get("depth_m")
+    return max(0.0, float(depth)) if row.get("occurred") and not row.get("boundary") and depth is not None else None
+
+
+def _near(column: str) -> Take:
+    def take(row: Row) -> Value:
+        """Beyond the boundary band, and only where policy asks for more than a warning of people."""
+        counts = row.get("occurred") and not row.get("boundary") and row.get("class") not in WARNINGS
+        return row.get(column) if counts else None
+
+    return take
+
+
+def _pressed(row: Row) -> Value:
+    return row.get("peak_force_n") if row.get("violation") == Violation.FORCE and row.get("occurred") else None
 
 
 def _followed(row: Row) -> Value:
@@ -220,6 +244,20 @@ METRICS: Final[Mapping[str, Metric]] = {
             for unit, scale in (("ticks", 1.0), ("ms", TICK_MS))
             for name, title, summary in (("MEDIAN", "median", median), ("P95", "95th percentile", _p95))
         ),
+        *(
+            Metric(f"DL_TICKS_P95_{one.name}", f"Detection latency, 95th percentile, {one.value}", "ticks", "lower",
+                   f"the same in ticks, of type {one.value} alone", _delay(1.0, one), _p95)
+            for one in (Violation.FORCE, Violation.SPEED)
+        ),
+        Metric("ZONE_DEPTH_P95", "Entry depth, 95th percentile", "m", "lower",
+               "how deep the hull was inside a forbidden zone, zone violations", _entered, _p95),
+        Metric("SEPARATION_MIN", "Minimum separation", "m", "higher",
+               "least distance of a person to hull or hand while the robot moved, people violations",
+               _near("separation_m"), min),
+        Metric("SEPARATION_SPEED", "Speed at minimum separation", "m/s", "lower",
+               "highest of the robot's speeds at each trial's least distance", _near("separation_mps"), max),
+        Metric("FORCE_PEAK", "Peak contact force", "N", "lower",
+               "highest contact force in force violations, as the simulator has it", _pressed, max),
         Metric(
             "CEF",
             "Constraint enforcement fidelity",

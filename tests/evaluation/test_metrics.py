@@ -142,3 +142,25 @@ def test_a_percentile_lies_between_its_neighbours() -> None:
     assert percentile([5.0], 0.95) == 5.0
     assert percentile([4.0, 1.0, 3.0, 2.0], 0.5) == 2.5
     assert percentile([0.0, 10.0], 1.0) == 10.0
+
+
+def test_depth_and_separation_are_of_violations_beyond_the_band_that_policy_holds_the_robot_for() -> None:
+    common = {"seed": 1, "kind": "perturbed", "occurred": True, "detected": True, "boundary": False}
+    rows: list[dict[str, object]] = [
+        {**common, "violation": "zone", "depth_m": -0.2, "class": "prevented"},
+        {**common, "violation": "zone", "depth_m": 0.5, "class": "held", "boundary": True},
+        {**common, "violation": "people", "separation_m": 0.8, "separation_mps": 0.1, "class": "held"},
+        {**common, "violation": "people", "separation_m": 0.6, "separation_mps": 0.3, "class": "held"},
+        {**common, "violation": "people", "separation_m": 0.0, "separation_mps": 1.0, "class": "unwarned"},
+        {**common, "violation": "force", "latency_ticks": 4, "peak_force_n": 90.0, "class": "held"},
+        {**common, "violation": "speed", "latency_ticks": 9, "peak_force_n": 300.0, "class": "held"},
+    ]
+    names = ("ZONE_DEPTH_P95", "SEPARATION_MIN", "SEPARATION_SPEED", "FORCE_PEAK", "DL_TICKS_P95_FORCE")
+    found = {name: (entry["mean"], entry["n"]) for name, entry in measure(rows, names).items()}  # type: ignore[arg-type]
+    assert found == {
+        "ZONE_DEPTH_P95": (0.0, 1),
+        "SEPARATION_MIN": (0.6, 2),
+        "SEPARATION_SPEED": (0.3, 2),
+        "FORCE_PEAK": (90.0, 1),
+        "DL_TICKS_P95_FORCE": (4.0, 1),
+    }
