@@ -17,6 +17,7 @@ from app.evaluation import plots, published
 from app.evaluation.methods import ABLATIONS
 from app.evaluation.metrics import METRICS, Metric
 from app.evaluation.model import TUNING_SEEDS
+from app.evaluation.report_goals import goal_grids
 from app.evaluation.report_studies import study_grids, study_plots
 from app.evaluation.report_tables import (
     Grid,
@@ -28,6 +29,7 @@ from app.evaluation.report_tables import (
     paper_grid,
     parted_grids,
     plain_text,
+    sweep_grids,
     test_grids,
     title_of,
 )
@@ -81,6 +83,7 @@ def render(results: Results) -> str:
 def sections(results: Results) -> list[Section]:
     """Return the parts of the page, in order."""
     return [
+        *_goals(results),
         _paper_tables(results),
         _plots(results),
         _overview(results),
@@ -100,13 +103,25 @@ def _facts(results: Results) -> list[tuple[str, str]]:
     facts = [
         ("Protocol", str(results["protocol"])),
         ("Reported seeds", ", ".join(map(str, results["seeds"]))),
-        ("Trials per method, task and seed", str(results["trials"])),
+        (f"Trials per method{', task' if results.get('per_task') else ''} and seed", str(results["trials"])),
         ("Seeds used for tuning, never reported", ", ".join(map(str, TUNING_SEEDS))),
     ]
     facts += [(name.capitalize(), str(configuration[name])) for name in ("version", "policy") if name in configuration]
     if shared := sorted(set(results["seeds"]) & set(TUNING_SEEDS)):
         facts.append(("Warning", f"seeds {', '.join(map(str, shared))} were used for tuning: these are no results"))
     return facts
+
+
+def _goals(results: Results) -> Iterator[Section]:
+    if grids := tuple(goal_grids(results)):
+        yield Section(
+            "goals",
+            "What Reins must reach in the workcell",
+            "Each goal with what this campaign measured, and over how many rows: few rows prove little, whatever they "
+            "say. A dash: not measured here.",
+            "",
+            grids=grids,
+        )
 
 
 def _overview(results: Results) -> Section:
@@ -132,7 +147,11 @@ def _paper_tables(results: Results) -> Section:
         "Each with our number, the paper's, and the difference (ours less the paper's). ± is the standard deviation "
         "over seeds. A dash: not measured in this campaign, or not printed in the paper.",
         "",
-        grids=(*(paper_grid(table, results) for table in published.TABLES), *test_grids(results)),
+        grids=(
+            *(paper_grid(table, results) for table in published.TABLES),
+            *sweep_grids(results),
+            *test_grids(results),
+        ),
     )
 
 

@@ -64,6 +64,27 @@ def paper_grid(table: PublishedTable, results: Results) -> Grid:
     )
 
 
+def sweep_grids(results: Results) -> Iterator[Grid]:
+    """Show every step of the sensitivity sweep; the paper prints seven of eleven."""
+    points: Sequence[Mapping[str, Any]] = results.get("sensitivity", ())
+    keys = [key for key in dict.fromkeys(key for point in points for key in point) if key != "s"]
+    if points:
+        yield Grid(
+            "sweep",
+            "Every step of the sensitivity sweep",
+            "Sensitivity",
+            (),
+            tuple(key.replace("_", " ") for key in keys),
+            tuple((f"{point['s']:.1f}", tuple(_entry_or_number(point.get(key)) for key in keys)) for point in points),
+            "FAR: clean sessions with an alarm." if "FAR" in keys else "",
+        )
+
+
+def _entry_or_number(value: object) -> str:
+    entry = mapping(value)
+    return entry_text(entry, "1") if "mean" in entry else plain_text(value)
+
+
 def test_grids(results: Results) -> Iterator[Grid]:
     """Show the tests of significance that the paper reports in its text."""
     baselines: Mapping[str, Mapping[str, Any]] = results.get("effect_sizes", {})
@@ -73,7 +94,7 @@ def test_grids(results: Results) -> Iterator[Grid]:
         for name, found in baselines.items()
     )
     paper = ", ".join(f"t {number_text(t, 2)} ({metric})" for metric, t in published.T_TESTS.items())
-    if rows:
+    if metrics:
         yield Grid(
             "tests",
             "Significance of Reins's difference to each baseline",

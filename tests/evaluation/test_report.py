@@ -12,7 +12,9 @@ import pytest
 from app.evaluation import published
 from app.evaluation.metrics import METRICS
 from app.evaluation.report import render, sections, write_report
+from app.evaluation.report_goals import goal_grids
 from app.evaluation.report_tables import figure_at, paper_grid
+from app.evaluation.report_tables import test_grids as significance_grids
 from tests.evaluation.synthetic import results
 
 VOID = {"meta", "link", "br", "hr", "img", "input"}
@@ -173,3 +175,27 @@ def test_is_written_whole_and_the_same_each_time(tmp_path: Path) -> None:
     write_report(results(), tmp_path / "report.html")
     assert (tmp_path / "report.html").read_bytes() == first
     assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_goals_are_judged_by_what_was_measured_and_say_by_how_much() -> None:
+    document = results()
+    document["protocol"] = "physical"
+    reins = document["methods"]["reins"]
+    reins["RVDR"] = {"mean": 0.989, "std": 0.0, "n": 200}
+    reins["ZONE_DEPTH_P95"] = {"mean": 0.04, "std": None, "n": 12}
+    reins["RBSR_VIOLATION"] = {"mean": None, "std": None, "n": 0}
+    document["per_type"]["reins"] = {"force": {"mean": 1.0}, "people": {"mean": 0.97}, "zone": {"mean": None}}
+    (table, *_) = goal_grids(document)
+    rows = dict(table.rows)
+    assert rows["Runtime violation detection rate (RVDR)"][1:] == ("200", "≥ 0.99", "missed")
+    assert rows["Entry depth, 95th percentile (ZONE DEPTH P95)"][1:] == ("12", "≤ 0.04", "met")
+    assert rows["RVDR of the worst type (people)"][2:] == ("≥ 0.98", "missed")
+    assert rows["Rollback success rate after a violation (RBSR VIOLATION)"] == ("–", "0", "≥ 0.97", "–")
+
+
+def test_another_protocol_has_no_goals() -> None:
+    assert [*goal_grids(results() | {"protocol": "paper"})] == []
+
+
+def test_a_single_seed_has_no_empty_table_of_tests() -> None:
+    assert [*significance_grids({"effect_sizes": {"direct": {}, "static-rule": {}}})] == []
