@@ -47,6 +47,7 @@ ACCESS: Mapping[tuple[str, str], frozenset[Role] | None] = {
     ("GET", "/v1/escalations"): PEOPLE,
     ("GET", "/v1/escalations/{id}"): PEOPLE,
     ("POST", "/v1/escalations/{id}/resolve"): OPERATORS,
+    ("POST", "/v1/escalations/{id}/acknowledge"): OPERATORS,
     ("POST", "/v1/invocations/{id}/pause"): OPERATORS,
     ("POST", "/v1/invocations/{id}/resume"): OPERATORS,
     ("POST", "/v1/invocations/{id}/stop"): OPERATORS,

@@ -43,17 +43,30 @@ EXAMPLE_ESCALATION: dict[str, Any] = {
     "id": "esc_01KAHZ5E8N",
     "invocation": EXAMPLE_INVOCATION["id"],
     "kind": "approval",
+    "phase": None,
     "capability": "grasp_object",
     "agent": EXAMPLE_INVOCATION["agent"],
+    "cell": "workcell-1",
+    "profile": "human-shared",
     "risk": "medium",
     "reasons": [EXAMPLE_REASON],
     "requested": EXAMPLE_INVOCATION["requested"],
+    "constrained": EXAMPLE_INVOCATION["effective"],
     "effective": EXAMPLE_INVOCATION["effective"],
+    "approved": None,
     "digest": "sha256:51ab…",
     "status": "pending",
     "approvals": [],
+    "edits": [],
     "needed": 1,
+    "acknowledged": [{"by": "operator", "since": "2026-03-01T09:30:04.000Z"}],
+    "denial": None,
+    "grant": None,
     "expires_at": "2026-03-01T09:32:00.000Z",
+    "on_deny": "deny",
+    "on_timeout": "deny",
+    "created_at": "2026-03-01T09:30:00.250Z",
+    "updated_at": "2026-03-01T09:30:04.000Z",
 }
 EXAMPLE_EVENT: dict[str, Any] = {
     "seq": 42,
@@ -106,11 +119,12 @@ class PolicyDocument(Document):
 
 
 class EscalationReference(Document):
-    """The question a human was asked about an invocation."""
+    """The question a human was asked about an invocation; `code` stands with a denial."""
 
     id: str
     status: Literal["pending", "approved", "denied", "expired", "withdrawn"]
     expires_at: str | None
+    code: str | None = None
 
 
 class FailureDocument(Document):
@@ -162,25 +176,75 @@ class VerdictDocument(Document):
     outcome: Outcome | None
 
 
+class ApprovalDocument(Document):
+    """One person's approval, of the parameters with this digest."""
+
+    by: str
+    at: str
+    digest: str
+
+
+class EditDocument(Document):
+    """What an approver's edit came to after policy; it voided the approvals before it."""
+
+    by: str
+    at: str
+    params: dict[str, Any]
+    digest: str
+
+
+class AcknowledgementDocument(Document):
+    """Who looks at a question, and since when."""
+
+    by: str
+    since: str
+
+
+class DenialDocument(Document):
+    """Who denied it, and why by code; `says` is what policy has to say of the code."""
+
+    by: str
+    at: str
+    code: str
+    says: str
+
+
 class EscalationDocument(Document):
-    """A question to a human: what is to be decided, bound to a digest, by when."""
+    """A question to a human: what is to be decided, bound to a digest, by when.
+
+    `requested`, `constrained` and `approved` are the three versions of the parameters, `effective` is what is asked
+    about now. `phase` is what waits for a confirmation. `on_deny` and `on_timeout` say what a denial and silence do.
+    """
 
     model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [EXAMPLE_ESCALATION]})
 
     id: str
     invocation: str
-    kind: str
+    kind: Literal["approval", "session"]
+    phase: str | None
     capability: str
     agent: str
+    cell: str | None
+    profile: str | None
     risk: Risk
     reasons: list[ReasonDocument]
     requested: dict[str, Any]
+    constrained: dict[str, Any]
     effective: dict[str, Any]
+    approved: dict[str, Any] | None
     digest: str
     status: Literal["pending", "approved", "denied", "expired", "withdrawn"]
-    approvals: list[Any]
+    approvals: list[ApprovalDocument]
+    edits: list[EditDocument]
     needed: int
+    acknowledged: list[AcknowledgementDocument]
+    denial: DenialDocument | None
+    grant: str | None = Field(description="The standing grant that was given with the approval.")
     expires_at: str | None
+    on_deny: Literal["deny", "terminate", "rollback"]
+    on_timeout: Literal["deny", "terminate", "rollback"]
+    created_at: str
+    updated_at: str
 
 
 class EventDocument(Document):

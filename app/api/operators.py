@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from fastapi import Query
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 from starlette.requests import Request
 from starlette.responses import Response
 
@@ -30,13 +30,23 @@ class EscalationQuery(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     status: Literal["pending", "approved", "denied", "expired", "withdrawn"] | None = None
+    sort: Literal["newest", "urgency"] = "newest"
     limit: Annotated[int, Field(ge=1, le=MAX_LIMIT)] = 50
     cursor: Cursor | None = None
 
+    @model_validator(mode="after")
+    def _urgent_is_what_waits(self) -> EscalationQuery:
+        if self.sort == "urgency" and (self.status != "pending" or self.cursor is not None):
+            raise ValueError("`sort=urgency` goes with `status=pending` and without `cursor`")
+        return self
+
 
 async def escalations(request: Request, query: Annotated[EscalationQuery, Query()]) -> Response:
-    """List escalations, newest first."""
-    items, following = await parts_of(request).desk.list(**query.model_dump())
+    """List escalations, newest first; with `sort=urgency` the pending ones, the one that ends first first."""
+    desk = parts_of(request).desk
+    if query.sort == "urgency":
+        return answer({"items": desk.most_urgent(query.limit), "next": None})
+    items, following = await desk.list(**query.model_dump(include={"status", "limit", "cursor"}))
     return answer({"items": items, "next": following})
 
 
@@ -48,14 +58,22 @@ async def escalation(request: Request, id: Identifier) -> Response:
 async def resolve(request: Request, id: Identifier) -> Response:
     """Answer an escalation with `approve` or `deny`, bound to the digest of what was shown.
 
+    A denial has a `code`; without one it is the default that policy declares. The agent gets the code, never the
+    comment.
     Edited `params` are checked again, and void earlier approvals; a session under way cannot be edited. A second
     answer, a late one or another digest is refused with 409.
     """
     body = await read_body(request, ResolveBody)
     document = await parts_of(request).desk.resolve(
-        id, caller(request), body.decision, body.digest, params=body.params, comment=body.comment
+        id, caller(request), body.decision, body.digest, params=body.params, comment=body.comment, code=body.code
     )
     return answer(document)
+
+
+async def acknowledge(request: Request, id: Identifier) -> Response:
+    """Say that one looks at an escalation, for every other console to see. Decides nothing; once is enough."""
+    await read_optional(request, EmptyBody)
+    return answer(await parts_of(request).desk.acknowledge(id, caller(request)))
 
 
 async def pause(request: Request, id: Identifier) -> Response:
@@ -142,6 +160,16 @@ def register(router: APIRouter) -> None:
             ),
         ),
         body=ResolveBody,
+    )
+    declare(
+        router,
+        "POST /v1/escalations/{id}/acknowledge",
+        acknowledge,
+        Answers(
+            model=documents.EscalationDocument,
+            codes=("escalation_unknown", "already_resolved", "escalation_expired", "record_unavailable"),
+        ),
+        body=EmptyBody,
     )
     for word, endpoint, body, codes in (
         ("pause", pause, None, interrupt),

@@ -83,6 +83,11 @@ class ResolveBody(Body):
     decision: Literal["approve", "deny"]
     digest: Name = Field(description="The escalation's `digest`, as shown to the human.")
     params: dict[str, Any] | None = Field(default=None, description="Edited parameters; they are checked again.")
+    code: Name | None = Field(
+        default=None,
+        description="Why it is denied, one of the active policy's `authority.denials`; the agent gets it.",
+        examples=["person_in_the_way"],
+    )
     comment: Freeform | None = Field(default=None, description="For the record; never shown to the agent.")
 
 

@@ -5,7 +5,7 @@ constrains the edit further, the constrained proposal is a new question. With th
 once more, because the world went on while people thought.
 
 Answering a session's question: *approve* lets it go on (recorded first, and only to a cell that is there), *deny* ends
-it (sent first).
+it as policy says: it comes to rest (sent first), or is undone (recorded first).
 """
 
 from __future__ import annotations
@@ -24,12 +24,14 @@ from app.runtime.invocation import reasons_document
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from app.governance.policy_model import Denial
     from app.runtime.desk import Desk
     from app.runtime.escalation import Escalation
     from app.runtime.invocation import Invocation, Principal
     from app.runtime.kernel import Judgement
 
 RULE: Final = "authority/approval"
+DENIAL: Final = "authority/denial"
 
 
 class Answer:
@@ -50,22 +52,27 @@ class Answer:
 
     # -- before launch -----------------------------------------------------------------------------------------------
 
-    async def deny(self) -> Escalation:
-        """End the invocation: one denial is enough."""
+    async def deny(self, why: Denial) -> Escalation:
+        """End the invocation: one denial is enough. The agent gets the code's words, never the person's."""
         now = self._register.now()
-        closed = self._escalation.evolve(now, status=DENIED)
-        because = reason(RULE, "denied_by_human", "a human denied this", "propose something else")
+        closed = self._denied(now, why)
+        reasons = [reason(RULE, "denied_by_human", "a human denied this", why.remedy)]
+        if why != self._kernel.policy.authority.denials[0]:
+            reasons.insert(0, reason(DENIAL, why.code, why.says, why.remedy))
+        policy = self._invocation.policy
+        for because in reasons:
+            policy = with_reason(policy, because)
         ended = self._invocation.evolve(
-            now,
-            status=Status.DENIED,
-            outcome=Outcome.DENIED,
-            escalation=closed.reference(),
-            policy=with_reason(self._invocation.policy, because),
+            now, status=Status.DENIED, outcome=Outcome.DENIED, escalation=closed.reference(), policy=policy
         )
         await self._desk.commit(
-            [self._event("deny", closed), outcome_event(ended, self._principal.name, because)], closed, ended
+            [self._event("deny", closed), outcome_event(ended, self._principal.name, *reasons)], closed, ended
         )
         return closed
+
+    def _denied(self, at: str, why: Denial) -> Escalation:
+        said = {"by": self._principal.name, "at": at, "code": why.code, "says": why.says}
+        return self._escalation.evolve(at, status=DENIED, denial=said)
 
     async def approve(self, params: Mapping[str, Any] | None) -> Escalation:
         """Count this approval, of the question as shown or as edited, and launch with the last one needed."""
@@ -85,11 +92,14 @@ class Answer:
             raise Conflict("edit_refused", "policy refuses the edited proposal", reasons=reasons)
         effective = judgement.effective(filled)
         self._note_edit(judgement)
+        now, bound = self._register.now(), bound_digest(self._invocation, effective)
+        edit = {"by": self._principal.name, "at": now, "params": effective, "digest": bound}
         edited = self._escalation.evolve(
-            self._register.now(),
+            now,
             effective=effective,
-            digest=bound_digest(self._invocation, effective),
+            digest=bound,
             approvals=(),
+            edits=(*self._escalation.edits, edit),
             **self._asked_for(judgement),
         )
         if effective == filled:
@@ -184,27 +194,26 @@ class Answer:
             raise Conflict("ending", f"the session is coming to its end after `{word}`: it cannot go on")
         if not self._fleet.attached(cell):
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to go on")
-        closed = await self._commit_session("approve", APPROVED)
-        self._fleet.order(cell, self._human("resolve_continue"))
-        return closed
-
-    async def terminate(self) -> Escalation:
-        """End the session: sent first."""
-        cell = self._fleet.cell(self._invocation.cell or "")
-        self._fleet.restrain(cell, self._human("resolve_terminate"))
-        return await self._commit_session("deny", DENIED)
-
-    async def _commit_session(self, decision: str, status: str) -> Escalation:
         now = self._register.now()
         approval = {"by": self._principal.name, "at": now, "digest": self._escalation.digest}
-        approvals = (approval,) if status == APPROVED else ()
-        closed = self._escalation.evolve(now, status=status, approvals=approvals)
-        invocation = self._invocation.evolve(now, escalation=closed.reference())
-        await self._desk.commit([self._event(decision, closed)], closed, invocation)
+        closed = self._escalation.evolve(now, status=APPROVED, approvals=(approval,))
+        await self._commit_session("approve", closed)
+        self._fleet.order(
+            cell, Human(invocation=self._invocation.id, op="resolve_continue", actor=self._principal.name)
+        )
         return closed
 
-    def _human(self, op: str) -> Human:
-        return Human.model_validate({"invocation": self._invocation.id, "op": op, "actor": self._principal.name})
+    async def end(self, why: Denial) -> Escalation:
+        """End the session as policy says of a denial."""
+        closed = self._denied(self._register.now(), why)
+        await self._desk.end_session(
+            self._invocation, closed.on_deny, self._principal.name, self._commit_session("deny", closed)
+        )
+        return closed
+
+    async def _commit_session(self, decision: str, closed: Escalation) -> None:
+        invocation = self._invocation.evolve(closed.updated_at, escalation=closed.reference())
+        await self._desk.commit([self._event(decision, closed)], closed, invocation)
 
     def _event(self, decision: str, escalation: Escalation) -> EventDraft:
         return EventDraft(

@@ -13,15 +13,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.errors import RecordUnavailable
 from app.clock import rfc3339
+from app.governance.authority import denial, waiting
 from app.governance.model import Outcome, Status
 from app.protocol import Human
 from app.runtime.answer import RULE, Answer
-from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason, with_reason
-from app.runtime.errors import Conflict, Forbidden, NotFound
+from app.runtime.drafts import SERVER, acknowledged_event, escalation_event, outcome_event, reason, with_reason
+from app.runtime.errors import Conflict, Forbidden, InvalidParams, NotFound
 from app.runtime.escalation import (
     APPROVAL,
     EXPIRED,
     PENDING,
+    ROLLBACK,
     SESSION_QUESTION,
     WITHDRAWN,
     Escalation,
@@ -31,14 +33,15 @@ from app.runtime.escalation import (
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Coroutine, Mapping, Sequence
 
     from app.audit.event import EventDraft, RowWrite
     from app.governance.model import ApprovalNeed
+    from app.governance.policy_model import Denial
     from app.runtime.fleet import Fleet
     from app.runtime.invocation import Invocation, Principal
     from app.runtime.kernel import Kernel
-    from app.runtime.register import Register
+    from app.runtime.register import Entry, Register
 
 POLL_S: Final = 0.5  # the wall clock may step; a deadline is met within this all the same
 
@@ -67,13 +70,25 @@ class Desk:
             reasons=[reason._asdict() for reason in need.reasons],
             needed=need.approvers,
             expires_at=rfc3339(now_s + need.within_s),
+            on_timeout=need.on_timeout,
         )
 
-    def session_question(self, invocation: Invocation, reasons: Sequence[Mapping[str, str]]) -> Escalation:
-        """Return the question whether a held session may go on; `hold` it once it is recorded."""
-        risk = self.kernel.risk(invocation.capability)
-        until = rfc3339(self.register.now_s() + self.kernel.policy.authority.within_s)
-        return self._build(invocation, kind=SESSION_QUESTION, risk=risk, reasons=reasons, needed=1, expires_at=until)
+    def session_question(
+        self, invocation: Invocation, reasons: Sequence[Mapping[str, str]], phase: str | None = None
+    ) -> Escalation:
+        """Return the question whether a held session may go on, or begin a phase; `hold` it once it is recorded."""
+        wait = waiting(self.kernel.policy, invocation.capability, invocation.profile, phase)
+        return self._build(
+            invocation,
+            kind=SESSION_QUESTION,
+            phase=phase,
+            risk=self.kernel.risk(invocation.capability),
+            reasons=reasons,
+            needed=1,
+            expires_at=rfc3339(self.register.now_s() + wait.within_s),
+            on_deny=wait.on_deny,
+            on_timeout=wait.on_timeout,
+        )
 
     def _build(self, invocation: Invocation, **fields: Any) -> Escalation:  # noqa: ANN401  # fields of an escalation
         effective = invocation.requested if invocation.effective is None else invocation.effective
@@ -83,6 +98,8 @@ class Desk:
             invocation=invocation.id,
             capability=invocation.capability,
             agent=invocation.agent,
+            cell=invocation.cell,
+            profile=invocation.profile,
             requested=invocation.requested,
             constrained=effective,
             effective=effective,
@@ -129,6 +146,11 @@ class Desk:
         page = await self.register.store.page("escalations", {"status": status}, limit=limit, cursor=cursor)
         return [read_escalation(row["document"]).public() for row in page.items], page.next
 
+    def most_urgent(self, limit: int = 50) -> list[dict[str, Any]]:
+        """Return the open questions, the most urgent first: the one that ends first, of two the one of higher risk."""
+        found = sorted(self._pending.values(), key=lambda escalation: escalation.urgency)
+        return [escalation.public() for escalation in found[:limit]]
+
     async def get(self, escalation_id: str) -> dict[str, Any]:
         """Return one question.
 
@@ -158,51 +180,90 @@ class Desk:
         *,
         params: Mapping[str, Any] | None = None,
         comment: str | None = None,
+        code: str | None = None,
     ) -> dict[str, Any]:
         """Take one person's answer, `approve` or `deny`, and return the question as it stands then.
+
+        A denial has a `code`, the declared default one where it names none: that is what the agent learns.
 
         Raises:
             NotFound: no such question.
             Conflict: `already_resolved`, `escalation_expired`, `digest_mismatch`, `already_approved`, `edit_refused`
                 (with policy's reasons), `cell_offline`, `ending`.
             Forbidden: `own_proposal`, nobody approves what they proposed.
-            InvalidParams: edited parameters that do not fit the schema, or edit a session under way.
+            InvalidParams: edited parameters that do not fit the schema, or edit a session under way; a code that policy
+                does not declare, or one with an approval.
             RecordUnavailable: nothing was recorded; a denial of a session has been sent to the cell all the same.
         """
-        known = self._pending.get(escalation_id)
-        entry = None if known is None else self.register.entry(known.invocation)
-        if entry is None:
-            await self._withdraw_stray(escalation_id)
-            raise _gone(await self._load(escalation_id))
+        why = self._denial(decision, code)
+        entry = await self._open(escalation_id)
         async with entry.lock:
-            present = self._pending.get(escalation_id)
-            if present is None:
-                raise _gone(await self._load(escalation_id))
-            await self._check_answer(present, principal, digest, entry.newest)
+            present = await self._present(escalation_id, entry.newest)
+            _check_answer(present, principal, digest)
             answer = Answer(self, entry.newest, present, principal, comment)
             match present.kind, decision:
                 case "session", "approve":
                     final = await answer.go_on(params)
                 case "session", _:
-                    final = await answer.terminate()
+                    final = await answer.end(why)
                 case _, "approve":
                     final = await answer.approve(params)
                 case _:
-                    final = await answer.deny()
+                    final = await answer.deny(why)
         return final.public()
 
-    async def _check_answer(
-        self, present: Escalation, principal: Principal, digest: str, invocation: Invocation
-    ) -> None:
+    def _denial(self, decision: str, code: str | None) -> Denial:
+        policy = self.kernel.policy
+        found = denial(policy, code)
+        if decision != "deny" and code is not None:
+            raise InvalidParams([{"path": "code", "message": "belongs to a denial; valid: none with an approval"}])
+        if found is None:
+            valid = ", ".join(f"`{known.code}`" for known in policy.authority.denials)
+            raise InvalidParams([{"path": "code", "message": f"`{code}` is no code of a denial; valid: {valid}"}])
+        return found
+
+    @uncut
+    async def acknowledge(self, escalation_id: str, principal: Principal) -> dict[str, Any]:
+        """Note that somebody looks at a question, so that everybody else can see it; nothing is decided by it.
+
+        Saying it again changes nothing.
+
+        Raises:
+            NotFound: no such question.
+            Conflict: `already_resolved`, `escalation_expired`.
+            RecordUnavailable: nothing was recorded.
+        """
+        entry = await self._open(escalation_id)
+        async with entry.lock:
+            present = await self._present(escalation_id, entry.newest)
+            if any(word["by"] == principal.name for word in present.acknowledged):
+                return present.public()
+            now = self.register.now()
+            known = present.evolve(now, acknowledged=(*present.acknowledged, {"by": principal.name, "since": now}))
+            await self.register.append([acknowledged_event(known, principal)], [known.row()])
+            self.hold(known)
+        return known.public()
+
+    async def _open(self, escalation_id: str) -> Entry:
+        """Return the entry of the invocation that an open question is about. Errors as `acknowledge`."""
+        known = self._pending.get(escalation_id)
+        entry = None if known is None else self.register.entry(known.invocation)
+        if entry is None:
+            await self._withdraw_stray(escalation_id)
+            raise _gone(await self._load(escalation_id))
+        return entry
+
+    async def _present(self, escalation_id: str, invocation: Invocation) -> Escalation:
+        """Return an open question under its invocation's lock. Errors as `acknowledge`."""
+        present = self._pending.get(escalation_id)
+        if present is None:
+            raise _gone(await self._load(escalation_id))
         deadline_s = present.deadline_s
         if deadline_s is not None and self.register.now_s() >= deadline_s:
             with contextlib.suppress(RecordUnavailable):  # it stays pending, and is tried again; the answer is the same
                 await self._expire(present, invocation)
             raise Conflict("escalation_expired", f"the escalation `{present.id}` expired at `{present.expires_at}`")
-        if digest != present.digest:
-            raise Conflict("digest_mismatch", f"`{digest}` is not what is asked now: valid is `{present.digest}`")
-        if principal.name == present.agent:
-            raise Forbidden("own_proposal", "nobody answers for what they proposed themselves")
+        return present
 
     async def commit(
         self,
@@ -246,12 +307,39 @@ class Desk:
             await self._expire_approval(present, invocation)
 
     async def _expire_session(self, present: Escalation, invocation: Invocation) -> None:
-        """End a held session that nobody spoke for: sent first, as any restraint."""
-        op = Human(invocation=invocation.id, op="resolve_terminate", actor=SERVER)
-        self.fleet.restrain(self.fleet.cell(invocation.cell or ""), op)
+        """End a held session that nobody spoke for."""
         now = self.register.now()
         closed = present.evolve(now, status=EXPIRED)
-        await self.commit([escalation_event(closed)], closed, invocation.evolve(now, escalation=closed.reference()))
+        ended = invocation.evolve(now, escalation=closed.reference())
+        await self.end_session(
+            invocation, present.on_timeout, SERVER, self.commit([escalation_event(closed)], closed, ended)
+        )
+
+    async def end_session(
+        self, invocation: Invocation, ending: str, actor: str, recording: Coroutine[Any, Any, None]
+    ) -> None:
+        """Have a held session come to rest, or undone where policy says so.
+
+        Coming to rest is sent first, as any restraint. Undoing moves, so it is recorded first; where it cannot be
+        recorded, or the cell is away or ending the session already, the session comes to rest instead.
+
+        Raises:
+            RecordUnavailable: it is not recorded; the session comes to rest all the same.
+        """
+        cell = self.fleet.cell(invocation.cell or "")
+        rest = Human(invocation=invocation.id, op="resolve_terminate", actor=actor)
+        if ending != ROLLBACK or not self.fleet.attached(cell) or cell.ending(invocation.id):
+            self.fleet.restrain(cell, rest)
+            await recording
+            return
+        try:
+            await recording
+            self.fleet.order(cell, Human(invocation=invocation.id, op="rollback", actor=actor))
+        except RecordUnavailable:
+            self.fleet.restrain(cell, rest)
+            raise
+        except Conflict:  # the cell left while this was recorded
+            self.fleet.restrain(cell, rest)
 
     async def _expire_approval(self, present: Escalation, invocation: Invocation) -> None:
         now = self.register.now()
@@ -312,6 +400,13 @@ class Desk:
             cursor = page.next
             if cursor is None:
                 return
+
+
+def _check_answer(present: Escalation, principal: Principal, digest: str) -> None:
+    if digest != present.digest:
+        raise Conflict("digest_mismatch", f"`{digest}` is not what is asked now: valid is `{present.digest}`")
+    if principal.name == present.agent:
+        raise Forbidden("own_proposal", "nobody answers for what they proposed themselves")
 
 
 def _gone(escalation: Escalation) -> Conflict:

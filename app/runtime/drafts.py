@@ -78,6 +78,12 @@ def escalation_event(escalation: Escalation) -> EventDraft:
     return EventDraft(kind=EventKind.ESCALATION, actor=SERVER, invocation=escalation.invocation, body=body)
 
 
+def acknowledged_event(escalation: Escalation, principal: Principal) -> EventDraft:
+    """Return the event of a person's saying that they look at a question."""
+    body = {"op": "acknowledge", "role": principal.role, "escalation": escalation.public()}
+    return EventDraft(kind=EventKind.HUMAN, actor=principal.name, invocation=escalation.invocation, body=body)
+
+
 def human_event(op: str, invocation: Invocation, principal: Principal) -> EventDraft:
     """Return the event of a person's word on an invocation."""
     body = {"op": op, "role": principal.role, "cell": invocation.cell, "status": invocation.status}

@@ -1,10 +1,11 @@
 """A question to a human: what is asked, bound by digest to exactly what was shown, and what became of it.
 
-Two kinds. `approval` is asked before launch, `session` while a session is held in mid-execution. Both have a deadline
-that policy sets; silence denies the one and terminates the other, and is reported as what it is.
+Two kinds. `approval` is asked before launch, `session` while a session is held in mid-execution, with the `phase` that
+waits for it where policy has a human confirm one. Both have a deadline that policy sets; silence denies the one and
+ends the other as policy says, and is reported as what it is.
 
-Three versions of the parameters are kept: as requested, as policy constrained them (`constrained`), and as approved
-(`effective`, which an approver may have edited).
+Three versions of the parameters are kept: as requested, as policy constrained them (`constrained`), and as approved.
+`effective` is what is asked about now: the constrained ones, or what an approver's edit (`edits`) came to.
 """
 
 from __future__ import annotations
@@ -31,6 +32,10 @@ APPROVED: Final = "approved"
 DENIED: Final = "denied"
 EXPIRED: Final = "expired"
 WITHDRAWN: Final = "withdrawn"
+TERMINATE: Final = "terminate"
+ROLLBACK: Final = "rollback"
+RISKS: Final = ("critical", "high", "medium", "low")
+NEVER_S: Final = float("inf")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,6 +59,26 @@ class Escalation:
     expires_at: str | None
     created_at: str
     updated_at: str
+    on_deny: str = "deny"
+    on_timeout: str = "deny"
+    cell: str | None = None
+    profile: str | None = None
+    phase: str | None = None
+    edits: Sequence[Mapping[str, Any]] = ()
+    acknowledged: Sequence[Mapping[str, Any]] = ()
+    denial: Mapping[str, Any] | None = None
+    grant: str | None = None
+
+    @property
+    def approved(self) -> Mapping[str, Any] | None:
+        """Return the parameters that were approved; None while they are not, and of a session, which has its own."""
+        return self.effective if self.kind == APPROVAL and self.status == APPROVED else None
+
+    @property
+    def urgency(self) -> tuple[float, int]:
+        """Return what open questions are sorted by: the one that ends first, of two the one of higher risk."""
+        deadline_s = self.deadline_s
+        return NEVER_S if deadline_s is None else deadline_s, RISKS.index(self.risk)
 
     @property
     def deadline_s(self) -> float | None:
@@ -65,8 +90,9 @@ class Escalation:
         return replace(self, updated_at=at, **changes)
 
     def reference(self) -> dict[str, Any]:
-        """Return what an invocation's document says of its escalation."""
-        return {"id": self.id, "status": self.status, "expires_at": self.expires_at}
+        """Return what an invocation's document says of its escalation: of a denial, its code."""
+        reference = {"id": self.id, "status": self.status, "expires_at": self.expires_at}
+        return reference if self.denial is None else {**reference, "code": self.denial["code"]}
 
     def public(self) -> dict[str, Any]:
         """Return the document of design section 8."""
@@ -74,26 +100,34 @@ class Escalation:
             "id": self.id,
             "invocation": self.invocation,
             "kind": self.kind,
+            "phase": self.phase,
             "capability": self.capability,
             "agent": self.agent,
+            "cell": self.cell,
+            "profile": self.profile,
             "risk": self.risk,
             "reasons": list(self.reasons),
             "requested": dict(self.requested),
+            "constrained": dict(self.constrained),
             "effective": dict(self.effective),
+            "approved": None if self.approved is None else dict(self.approved),
             "digest": self.digest,
             "status": self.status,
             "approvals": [dict(approval) for approval in self.approvals],
+            "edits": [dict(edit) for edit in self.edits],
             "needed": self.needed,
+            "acknowledged": [dict(word) for word in self.acknowledged],
+            "denial": None if self.denial is None else dict(self.denial),
+            "grant": self.grant,
             "expires_at": self.expires_at,
+            "on_deny": self.on_deny,
+            "on_timeout": self.on_timeout,
+            "created_at": self.created_at,
+            "updated_at": self.updated_at,
         }
 
     def row(self) -> RowWrite:
         """Return the row that holds this version."""
-        hidden = {
-            "constrained": dict(self.constrained),
-            "created_at": self.created_at,
-            "updated_at": self.updated_at,
-        }
         return RowWrite(
             table="escalations",
             values={
@@ -101,7 +135,7 @@ class Escalation:
                 "invocation": self.invocation,
                 "status": self.status,
                 "expires_at": self.expires_at,
-                "document": orjson.dumps({**self.public(), PRIVATE: hidden}),
+                "document": orjson.dumps(self.public()),
                 "created_at": self.created_at,
                 "updated_at": self.updated_at,
             },
@@ -109,9 +143,10 @@ class Escalation:
 
 
 def read_escalation(document: bytes) -> Escalation:
-    """Read a stored document back."""
+    """Read a stored document back; one of an earlier release kept some of it apart."""
     fields: dict[str, Any] = orjson.loads(document)
-    return Escalation(**fields.pop(PRIVATE), **fields)
+    fields.pop("approved", None)
+    return Escalation(**fields.pop(PRIVATE, {}), **fields)
 
 
 def bound_digest(invocation: Invocation, effective: Mapping[str, Any]) -> str:

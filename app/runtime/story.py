@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 RULE: Final = "runtime/session"
 ITSELF: Final = "cell"  # how a cell names itself as an actor
+CONFIRM: Final = "confirm:"  # how a cell says which phase waits
+CONFIRM_RULE: Final = "authority/confirm_before"
 NOTHING: Final[Mapping[str, Any]] = {}
 DONE: Final = frozenset({Outcome.SUCCEEDED, Outcome.RECOVERED})
 
@@ -101,9 +103,11 @@ class Story:
         self, version: Invocation, question: Escalation | None, event: UpEvent, at: str
     ) -> Mapping[str, Any]:
         """Ask a human, or say better why one was asked."""
-        reasons = _reasons_of(event)
+        phase, reasons = _asked(event)
         if question is None:
-            asked = self._desk.session_question(version, reasons)
+            asked = self._desk.session_question(version, reasons, phase)
+        elif phase != question.phase:  # its terms are those of what it waits for
+            asked = replace(self._desk.session_question(version, reasons, phase), id=question.id)
         else:
             asked = question.evolve(at, reasons=reasons)
         self.questions[asked.id] = asked
@@ -138,9 +142,16 @@ class Story:
         return self._desk.pending_for(name)
 
 
-def _reasons_of(event: UpEvent) -> list[dict[str, str]]:
-    """Return why a cell asks, as reasons: its `reason` is a code, `failure` what had gone wrong before."""
+def _asked(event: UpEvent) -> tuple[str | None, list[dict[str, str]]]:
+    """Return the phase that waits for a confirmation, if one does, and why a cell asks.
+
+    Its `reason` is a code, `failure` what had gone wrong before.
+    """
     code = str(event.body.get("reason") or "escalated")
+    if code.startswith(CONFIRM):
+        phase = code.removeprefix(CONFIRM)
+        message = f"policy has a human confirm `{phase}` before it begins; the session is held"
+        return phase, [reason(CONFIRM_RULE, code, message)]
     failure = event.body.get("failure")
     because = f" after `{failure}`" if failure else ""
-    return [reason(RULE, code, f"the session is held (`{code}`){because} and waits for a human")]
+    return None, [reason(RULE, code, f"the session is held (`{code}`){because} and waits for a human")]

@@ -20,6 +20,7 @@ EXPECTED = {
     "GET /v1/escalations": "oeu",
     "GET /v1/escalations/{id}": "oeu",
     "POST /v1/escalations/{id}/resolve": "o",
+    "POST /v1/escalations/{id}/acknowledge": "o",
     "POST /v1/invocations/{id}/pause": "o",
     "POST /v1/invocations/{id}/resume": "o",
     "POST /v1/invocations/{id}/stop": "o",

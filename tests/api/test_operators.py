@@ -57,6 +57,40 @@ async def test_a_denial_ends_it_and_its_words_never_reach_the_agent(shared_house
         assert "the boss" in (await auditor.get(f"/v1/invocations/{question['invocation']}/trace")).text
 
 
+async def test_a_denial_names_one_of_policys_codes(shared_house: House) -> None:
+    async with shared_house.cell(), shared_house.client("operator") as operator:
+        active = (await operator.get("/v1/policies/active")).json()["authority"]
+        codes = [known["code"] for known in active["denials"]]
+        assert codes[0] == "unspecified"
+        question = await ask(shared_house)
+        unknown = await resolve(operator, question, decision="deny", code="bad_hair_day")
+        assert (unknown.status_code, unknown.json()["code"]) == (422, "params_invalid")
+        assert all(code in unknown.json()["errors"][0]["message"] for code in codes)
+        denied = await resolve(operator, question, decision="deny", code="wrong_target")
+        assert denied.json()["denial"]["code"] == "wrong_target"
+    async with shared_house.client() as agent:
+        final = (await agent.get(f"/v1/invocations/{question['invocation']}")).json()
+    assert final["escalation"]["code"] == "wrong_target"
+
+
+async def test_one_operator_sees_that_another_looks_at_it(shared_house: House) -> None:
+    async with (
+        shared_house.cell(),
+        shared_house.client("operator") as one,
+        shared_house.client("operator_2") as other,
+    ):
+        question = await ask(shared_house)
+        place = f"/v1/escalations/{question['id']}"
+        assert (await one.post(f"{place}/acknowledge")).status_code == 200
+        urgent = (await other.get("/v1/escalations?status=pending&sort=urgency")).json()["items"]
+        assert [[word["by"] for word in item["acknowledged"]] for item in urgent] == [["operator"]]
+        misused = await other.get("/v1/escalations?sort=urgency")
+        assert (misused.status_code, misused.json()["code"]) == (422, "request_invalid")
+        assert (await resolve(other, question, decision="deny")).status_code == 200
+        late = await one.post(f"{place}/acknowledge")
+        assert (late.status_code, late.json()["code"]) == (409, "already_resolved")
+
+
 async def test_an_operator_pauses_resumes_and_stops_what_runs(house: House) -> None:
     async with house.cell() as cell, house.client() as agent, house.client("operator") as operator:
         document = (await agent.post("/v1/invocations", json=DRIVE)).json()
