@@ -45,6 +45,7 @@ _LINE_STEP_M, _TURN_STEP_RAD, _TURN_M_PER_RAD = 0.01, 0.05, 0.12
 _JOINT_SPEED_RADPS = 1.6
 _SOLVES_PER_TICK = 3
 _DRIVE_GAIN, _TURN_GAIN = 1.5, 1.5
+_DOCKED_M, _DOCKED_RAD, _DOCKED_TICKS, _DOCKING_S = 0.006, 0.01, 20, 2.5
 _BLOCKED_ERROR_M, _LOOKAHEAD_M = 0.20, 0.9
 _TURN_SPEED_RADPS = 0.8
 
@@ -327,10 +328,11 @@ class Body:
         )
 
     def _settle(self, goal: Vec3, speed_mps: float) -> Moves:
+        """Dock: correct what is left as the belief sharpens at rest, until it keeps calm or time is up."""
         calm, passed = 0, 0.0
-        while calm < 20 and passed < 2.5:
+        while calm < _DOCKED_TICKS and passed < _DOCKING_S:
             x, y, yaw = self.senses.believed_pose()
-            near = hypot(goal[0] - x, goal[1] - y) < 0.012 and abs(wrapped(goal[2] - yaw)) < 0.01
+            near = hypot(goal[0] - x, goal[1] - y) < _DOCKED_M and abs(wrapped(goal[2] - yaw)) < _DOCKED_RAD
             calm = calm + 1 if near else 0
             passed += self.rate * CONTROL_PERIOD_S
             yield self._drive_command(goal, (0.0, 0.0, 0.0), min(speed_mps, 0.1))
