@@ -64,6 +64,7 @@ ACCESS: Mapping[tuple[str, str], frozenset[Role] | None] = {
     ("GET", "/v1/events"): PEOPLE,
     (WEBSOCKET, "/v1/cells/{id}/link"): frozenset({CELL}),
     (WEBSOCKET, "/v1/console"): PEOPLE,
+    **{("GET", path): PUBLIC for path in ("/", "/live", "/audit", "/policy", "/fleet", "/icon.svg", "/assets/{file}")},
     ("GET", "/healthz"): PUBLIC,
     ("GET", "/readyz"): PUBLIC,
     ("GET", "/openapi.json"): PUBLIC,

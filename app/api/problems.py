@@ -40,6 +40,7 @@ SECURITY_HEADERS: tuple[tuple[bytes, bytes], ...] = (
     (b"x-frame-options", b"DENY"),
     (b"content-security-policy", b"default-src 'none'; frame-ancestors 'none'"),
 )
+HEADERS = "reins.headers"  # where in the scope a page says which headers it is sent with instead
 
 
 # Every code the server may answer with, its status and what it means. Codes are stable; the words are not.
@@ -218,7 +219,7 @@ class Frame:
             nonlocal started
             if message["type"] == "http.response.start":
                 started = True
-                message["headers"] = [*message["headers"], *SECURITY_HEADERS]
+                message["headers"] = [*message["headers"], *scope.get(HEADERS, SECURITY_HEADERS)]
             await send(message)
 
         try:
