@@ -185,8 +185,11 @@ def test_goals_are_judged_by_what_was_measured_and_say_by_how_much() -> None:
     reins["ZONE_DEPTH_P95"] = {"mean": 0.04, "std": None, "n": 12}
     reins["RBSR_VIOLATION"] = {"mean": None, "std": None, "n": 0}
     document["per_type"]["reins"] = {"force": {"mean": 1.0}, "people": {"mean": 0.97}, "zone": {"mean": None}}
+    reins["SEPARATION_MIN"] = {"mean": 0.6, "std": 0.6, "n": 20}
+    document["extremes"] = {"reins": {"separation_least_m": 0.0}}
     (table, *_) = goal_grids(document)
     rows = dict(table.rows)
+    assert rows["Minimum separation (SEPARATION MIN)"] == ("0.000", "20", "≥ 0.25", "missed")
     assert rows["Runtime violation detection rate (RVDR)"][1:] == ("200", "≥ 0.99", "missed")
     assert rows["Entry depth, 95th percentile (ZONE DEPTH P95)"][1:] == ("12", "≤ 0.04", "met")
     assert rows["RVDR of the worst type (people)"][2:] == ("≥ 0.98", "missed")
