@@ -94,11 +94,12 @@ class Governing:
             run.watching, seen, report, command, rate, run.used.retries, len(run.unmet)
         )
         run.watching, series = watching, run.series
-        series.add(telling.row(seen, watching.measured, report.progress, rate), alerted=bool(alerts))
+        _, progress, state, _ = report
+        series.add(telling.row(seen, watching.measured, progress, rate), alerted=bool(alerts))
         if len(series.ready) >= telling.BATCH_BYTES:
             self._send_rows()
         answering = alerts or run.speaking or run.responding is not NOTHING
-        if answering or run.next is not None or report.state is not RUNNING or self._recorder.fault:
+        if answering or run.next is not None or state is not RUNNING or self._recorder.fault:
             try:
                 self._consider(alerts, report)
             except JournalUnavailable:

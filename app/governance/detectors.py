@@ -87,12 +87,14 @@ def position(seen: Observation, base: BaseEstimate, sound: bool) -> tuple[BaseEs
         if seen.time_s >= base.due_s or (seen.fix is not None and seen.fix.stamp_s != base.fix_s):
             base = track_base(base, seen.time_s, seen.odometry, seen.fix)
         x, y, yaw = seen.odometry
-        ahead_s = seen.time_s - base.at_s
-        base_x_m = x + (base.x_m + base.drift_x_mps * ahead_s)
-        base_y_m = y + (base.y_m + base.drift_y_mps * ahead_s)
-        base_yaw_rad = yaw + base.yaw_rad
+        # Taken apart as a whole: looking seven fields up one by one takes half as long again.
+        at_s, off_x, off_y, off_yaw, drift_x, drift_y, _, _, _, _, miss_m, _, _ = base
+        ahead_s = seen.time_s - at_s
+        base_x_m = x + (off_x + drift_x * ahead_s)
+        base_y_m = y + (off_y + drift_y * ahead_s)
+        base_yaw_rad = yaw + off_yaw
         # Until another fix says otherwise: fixes come every fifth tick, and what is debounced has to last.
-        fix_jumped = base.miss_m > FIX_JUMP_M
+        fix_jumped = miss_m > FIX_JUMP_M
     return base, fix_jumped, base_x_m, base_y_m, base_yaw_rad
 
 
@@ -413,6 +415,8 @@ def implausible(
     )
     x, y, _ = seen.tcp_m
     vx, vy, _ = seen.base_velocity
+    arm_s, wrist_s, gripper_s, odometry_s, fix_s, people_s, objects_s = seen.stamps_s
+    latest_s = seen.time_s + LATEST_STAMP_S
     # A norm within the limit says so of each part, in half the time, and is not for what is not finite. Torques are
     # at most their distance from the residual and that residual: one norm for both.
     believed = (
@@ -427,7 +431,13 @@ def implausible(
         and -0.05 <= seen.grip_width_m <= LARGEST_WIDTH_M
         and abs(x) + abs(y) <= LONGEST_REACH_M
         and abs(vx) + abs(vy) <= LARGEST_BASE_SPEED_MPS
-        and max(seen.stamps_s) <= seen.time_s + LATEST_STAMP_S
+        and arm_s <= latest_s  # written out: a third of the time of max()
+        and wrist_s <= latest_s
+        and gripper_s <= latest_s
+        and odometry_s <= latest_s
+        and fix_s <= latest_s
+        and people_s <= latest_s
+        and objects_s <= latest_s
         and stuck_ticks < STUCK_TICKS
         and stuck_base_ticks < STUCK_TICKS
         and not fix_jumped

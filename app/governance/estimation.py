@@ -59,6 +59,9 @@ class BaseEstimate(NamedTuple):
     history: tuple[_Moment, ...] = ()
 
 
+_made: Final = BaseEstimate._make  # a quarter less than by the call that knows their names
+
+
 def track_base(estimate: BaseEstimate, time_s: float, odometry: Vec3, fix: Fix | None) -> BaseEstimate:
     """Return the estimate after what came in by now: the same one, unless a fix is new or history is due.
 
@@ -72,10 +75,11 @@ def track_base(estimate: BaseEstimate, time_s: float, odometry: Vec3, fix: Fix |
     elif not new:
         return estimate
     if fix is None or not new:
-        return BaseEstimate(at_s, x, y, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, miss_m, due_s, history)
+        return _made((at_s, x, y, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, miss_m, due_s, history))
     stamp_s, fix_x, fix_y, fix_yaw = fix
-    x, y = x + dx * (time_s - at_s), y + dy * (time_s - at_s)
-    gone_s = max(0.0, time_s - at_s)
+    gone_s = time_s - at_s
+    x, y = x + dx * gone_s, y + dy * gone_s
+    gone_s = max(0.0, gone_s)
     p_oo += gone_s * (2.0 * p_od + gone_s * p_dd) + OFFSET_NOISE_M2PS * gone_s
     p_od += gone_s * p_dd
     p_dd += DRIFT_NOISE * gone_s
@@ -87,20 +91,22 @@ def track_base(estimate: BaseEstimate, time_s: float, odometry: Vec3, fix: Fix |
     sure = 1.0 / (p_oo + FIX_SIGMA_M**2)
     gain_o, gain_d = p_oo * sure, p_od * sure
     first = fix_s < 0.0
-    return BaseEstimate(
-        time_s,
-        x + gain_o * off_x,
-        y + gain_o * off_y,
-        yaw + (turned if first else YAW_GAIN * turned),
-        dx + gain_d * off_x,
-        dy + gain_d * off_y,
-        (1.0 - gain_o) * p_oo,
-        (1.0 - gain_o) * p_od,
-        p_dd - gain_d * p_od,
-        stamp_s,
-        0.0 if first else math.hypot(off_x, off_y),
-        due_s,
-        history,
+    return _made(
+        (
+            time_s,
+            x + gain_o * off_x,
+            y + gain_o * off_y,
+            yaw + (turned if first else YAW_GAIN * turned),
+            dx + gain_d * off_x,
+            dy + gain_d * off_y,
+            (1.0 - gain_o) * p_oo,
+            (1.0 - gain_o) * p_od,
+            p_dd - gain_d * p_od,
+            stamp_s,
+            0.0 if first else math.hypot(off_x, off_y),
+            due_s,
+            history,
+        )
     )
 
 

@@ -21,19 +21,20 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol, TypeAlias, cast
 
 from app.governance import detectors
 from app.governance.fusing import fuse, needed
-from app.governance.model import Command, Observation, SensorStamps
+from app.governance.model import Command, Observation, SensorStamps, SkillReport
 from app.governance.signals import SHOWN, Constants, Senses, Signals, WatchState
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from types import CodeType
 
-    from app.governance.model import Alert, SkillReport
+    from app.governance.model import Alert
 
 Judge: TypeAlias = "Callable[[WatchState, tuple[object, ...], tuple[float, ...]], tuple[WatchState, tuple[Alert, ...]]]"
 
 _UNPACKED: Final = {
     "seen": Observation._fields,
+    "report": SkillReport._fields,
     "stamps": SensorStamps._fields,
     "command": Command._fields,
 }
