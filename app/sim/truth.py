@@ -72,7 +72,7 @@ def truth_of(plant: Plant, self_model: SelfModel, site: Site, people: Mapping[in
         time_s: cell time.
     """
     tick, held, base = plant.read(), plant.true_held(), plant.read_base()
-    contact, peak = plant.true_contact_n(held)
+    contact, peak = _contact(plant, held)
     at = (np.array([base[0]]), np.array([base[1]]))
     objects = {name: plant.true_object(name) for name in plant.objects}
     return Truth(
@@ -111,7 +111,7 @@ def glance_of(plant: Plant, self_model: SelfModel, hand: Hand | None, people: Ma
     return Glance(
         self_model.tcp_speed(tick.joint_rad, tick.joint_speed),
         hypot(vx, vy),
-        *plant.true_contact_n(held),
+        *_contact(plant, held),
         0.5 * sum(tick.pad_force_n),
         base,
         (c * vx - s * vy, s * vx + c * vy),
@@ -119,3 +119,9 @@ def glance_of(plant: Plant, self_model: SelfModel, hand: Hand | None, people: Ma
         None if hand is None else dist(plant.true_object(hand.name)[0], tcp),
         tuple(people.values()),
     )
+
+
+def _contact(plant: Plant, held: str | None) -> tuple[float, float]:
+    """Return the force of an unwanted contact, mean over 20 ms and highest: of the hand, or of the arm and a crate."""
+    (hand, hand_peak), (arm, arm_peak) = plant.true_contact_n(held), plant.true_push_n()
+    return max(hand, arm), max(hand_peak, arm_peak)

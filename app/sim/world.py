@@ -31,6 +31,7 @@ BUTTON_TRAVEL_M = 0.02
 UNDER_FLOOR_M = -3.0
 TOP_THICKNESS_M = 0.02
 _FOOT_M = 0.004
+_FELT_M = 0.02
 _BENCH_FRICTION = (0.5, 0.005, 0.0001)
 _WOOD = (0.62, 0.48, 0.34, 1.0)
 _STEEL = (0.55, 0.58, 0.62, 1.0)
@@ -102,6 +103,8 @@ def _add_sensors(spec: mujoco.MjSpec) -> None:
         spec.add_sensor(
             name=pad, type=mujoco.mjtSensor.mjSENS_TOUCH, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=f"{pad}_touch"
         )
+    for crate in CRATES:  # for the truth alone: the robot has no such sensor
+        spec.add_sensor(name=crate, type=mujoco.mjtSensor.mjSENS_TOUCH, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=crate)
 
 
 def _fixed(
@@ -327,3 +330,5 @@ def _add_crates(spec: mujoco.MjSpec, names: Iterable[str]) -> None:
             friction=_BENCH_FRICTION,
             rgba=_WOOD,
         )
+        around = tuple(half + _FELT_M for half in CRATE_HALF_M)
+        body.add_site(name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=around, group=4)
