@@ -25,6 +25,7 @@ from app.sim.motion import ARM_ACCELERATION, ARM_JERK, BASE_ACCELERATION, BASE_J
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from collections.abc import Set as AbstractSet
 
     from numpy.typing import NDArray
 
@@ -69,8 +70,8 @@ class Senses(Protocol):
     trail: list[Mark]
 
     @property
-    def habits(self) -> set[str]:
-        """Return the bad habits that faults have given the skills: `faults.HABITS`."""
+    def habits(self) -> AbstractSet[str]:
+        """Return the bad habits that faults have given the skill: `faults.HABITS`."""
         ...
 
     def believed_pose(self) -> Vec3:

@@ -17,7 +17,8 @@ They never tell the watcher; what they do shows in physics and sensors alone.
 | `habit` | habit | the skill starts over instead of failing (`obstinate`), claims success instead (`overconfident`), |
 | | | does nothing (`hung`), or drives by dead reckoning alone (`dead_reckoning`) |
 
-A person who walks in is a `Walk`. `for_s` ends a fault by itself.
+Habits are those of tasks: a recovery is another skill and has none of them. A person who walks in is a `Walk`.
+`for_s` ends a fault by itself.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from math import hypot, isfinite
 from typing import TYPE_CHECKING
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from app.sim.plant import Tick
 
 _WARM_UP_TICKS = 40
+_NO_HABITS: AbstractSet[str] = frozenset()
 _MARK_TICKS, _MARK_RAD, _MARK_MAX = 5, 0.004, 20000
 _DOZE_TICKS = 5
 _FRESH_S, _VISIBLE_S, _RETRACTED_RAD, _READY_RAD, _READY_RADPS = 0.5, 1.0, 0.08, 0.05, 0.05
@@ -110,6 +112,7 @@ class Workcell:
         self._shown = moving_bodies(self.plant.model)
         self._grant: Grant | None = None
         self._run: Run | None = None
+        self._recovers = False
         held = Command(robot.HOME_RAD, (0.0,) * 6, (0.0, 0.0, 0.0), 0.0)  # type: ignore[arg-type]  # six of them
         self._state = State(
             sensors=Sensors(seed, at, self.plant.gripper_kg, quality),
@@ -142,6 +145,7 @@ class Workcell:
         state = self._state
         if permit.invocation != state.invocation and capability not in RECOVERIES:
             state.invocation, state.trail = permit.invocation, [self._mark(driving=False)]
+        self._recovers = capability in RECOVERIES
         try:
             run = start(capability, params, self, self.observe(), state.held, careful=careful)
         except KeyError as error:
@@ -243,7 +247,7 @@ class Workcell:
         """Bring back a snapshot; a skill that was in flight has to be bound anew."""
         physics, own, self._grant = state  # type: ignore[misc]  # opaque outside this class
         self.plant.restore(physics)
-        self._state, self._run = copy.deepcopy(own), None
+        self._state, self._run, self._recovers = copy.deepcopy(own), None, False
 
     def begin(self, seed: int, scenario: Scenario) -> None:
         """Begin another run from the present state: randomness, faults and people anew, the world as it is.
@@ -286,14 +290,14 @@ class Workcell:
         return self._state.trail
 
     @property
-    def habits(self) -> set[str]:
-        """The bad habits that faults have given the skills."""
-        return self._state.habits
+    def habits(self) -> AbstractSet[str]:
+        """The bad habits that faults have given the skills: those of tasks, which recovery does not share."""
+        return _NO_HABITS if self._recovers else self._state.habits
 
     def believed_pose(self) -> Vec3:
         """Return where the robot believes its base is."""
         state = self._state
-        if "dead_reckoning" in state.habits:
+        if "dead_reckoning" in self.habits:
             x, y, yaw = self.observe().odometry
             return x, y, yaw
         return state.localiser.pose

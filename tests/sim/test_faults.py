@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import pytest
 
-from app.governance.model import Site, SkillState
+from app.governance.model import Json, Site, SkillState
 from app.sim.faults import Fault
 from app.sim.occasions import Trigger
 from app.sim.people import Walk
-from app.sim.trial import Ran, run_skill
+from app.sim.skills import Run
+from app.sim.trial import Ran, grant_for, run_skill
 from app.sim.workcell import Workcell
 from app.sim.world import UNDER_FLOOR_M
 
@@ -27,6 +28,11 @@ def cell_with(site: Site, *faults: Fault, people: Sequence[Walk] = ()) -> Workce
 
 def fault(kind: str, at: Trigger = AT_ONCE, **sizes: object) -> Fault:
     return Fault(kind=kind, at=at, sizes=sizes)
+
+
+def bound(cell: Workcell, capability: str, params: Mapping[str, Json]) -> Run:
+    cell.unbind()
+    return cell.bind(grant_for(cell.id, capability, params), capability, params)
 
 
 def drive(cell: Workcell, limit_s: float = 4.0) -> Ran:
@@ -70,6 +76,18 @@ def test_a_crate_that_hangs_in_the_way_is_no_obstacle_on_the_floor_and_holds_wha
     ran = drive(cell, limit_s=20.0)
     assert (ran.failure, ran.detail) == ("blocked", "the base does not follow: something holds it")
     assert cell.truth().base[1] > 4.2
+
+
+def test_what_hangs_in_the_arms_way_is_felt_by_the_truth_where_the_wrist_feels_nothing(site: Site):
+    over = fault("blocked", Trigger(capability="grasp_object", phase="approach"), x_m=1.6, y_m=5.35, z_m=1.6)
+    cell = cell_with(site, over)
+    felt, pressed = 0.0, 0.0
+    skill = bound(cell, "grasp_object", GRASP)
+    for _ in range(150):
+        felt = max(felt, cell.step(skill.act(cell.observe(), 1.0)).contact_force_n)
+        pressed = max(pressed, cell.glance().contact_force_n)
+    assert felt < 10.0
+    assert pressed > 250.0
 
 
 def test_a_faded_arm_sinks_below_where_it_was_told_to_be(site: Site):
@@ -174,6 +192,17 @@ def test_dead_reckoning_believes_a_drifting_odometry_and_leaves_the_way(site: Si
         drive(cell, limit_s=20.0)
     assert abs(careful.truth().base[0] - 1.6) < 0.05
     assert careful.truth().base[0] - blind.truth().base[0] > 0.2
+
+
+def test_a_recovery_is_another_skill_and_has_not_the_habits_of_the_one_it_mends(site: Site):
+    cell = cell_with(site, fault("odometry_bias", x_mps=0.1), fault("habit", habit="dead_reckoning"))
+    drive(cell, limit_s=20.0)
+    true = cell.truth().base
+    assert abs(cell.believed_pose()[0] - true[0]) > 0.2
+    bound(cell, "retrace", {})
+    assert abs(cell.believed_pose()[0] - true[0]) < 0.05
+    bound(cell, "navigate_to", DRIVE)
+    assert abs(cell.believed_pose()[0] - true[0]) > 0.2
 
 
 def test_a_misplaced_object_stands_elsewhere(site: Site):
