@@ -41,6 +41,7 @@ Verify: TypeAlias = "Callable[[tuple[str, ...], Params, WorldFacts], tuple[str, 
 SETTLE_TICKS: Final = 50
 VERIFY_EVERY: Final = 5
 QUIET_TICKS: Final = 50
+PRESSING: Final = frozenset({"contact_force_n", "residual_nm"})
 RUNNING: Final = SkillState.RUNNING
 FAILED: Final = SkillState.FAILED
 
@@ -86,6 +87,8 @@ class Governing:
         run, substrate = self.run, self._substrate
         period_s = substrate.period_s
         report, command = self._ask(run.ramp(period_s))
+        if run.given is not None:
+            command = run.yielding(command, self.seen)
         command, _ = clamp(command, run.previous, run.bounds, self.seen.jacobian, period_s)
         self.seen = seen = substrate.step(command)
         run.previous = command
@@ -129,6 +132,8 @@ class Governing:
         run = self.run
         if alerts or run.speaking or run.responding is not NOTHING:
             self._answer(alerts)
+            if not run.moves() and any(run.watcher.signal_of(alert.rule) in PRESSING for alert in alerts):
+                run.give_way()
         if self._recorder.fault and not isinstance(run.next, End):
             self.end(End(Outcome.FAULT, "journal_unavailable", 1))
         if run.next is not None:

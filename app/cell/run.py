@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         Observation,
         Params,
         RecoveryPlan,
+        Vec6,
         WatchPlan,
         WorldFacts,
     )
@@ -41,6 +42,9 @@ STILL_JOINT_RADPS: Final = 0.05
 LONGEST_WAIT_TICKS: Final = 150
 MOVING: Final = (Status.RUNNING, Status.RECOVERING)
 EASED: Final = 0.9
+GIVES_RAD: Final = 0.15  # a push of 600 N bends the arm by less
+GIVES_TICKS: Final = 60
+_AT_REST: Final = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 EASE_TICKS: Final = 20  # the gripper needs 0.2 s to follow; judged earlier, it would be told too little
 
 
@@ -96,6 +100,9 @@ class Run:
     `bounds` is what the clamp holds commands to: those of the plan, and less grip (`eased`) where the gripper gives too
     much. A stop keeps the grip, and letting go may drop what is held: a gripper that gives more than it is told has to
     be told less, at once and until the session ends.
+
+    `given` is where the arm gave way to what it met, from where it was `told` to be, until something moves it again: an
+    arm that keeps where it was told to be presses on, however still it stands.
     """
 
     grant: Grant
@@ -130,6 +137,9 @@ class Run:
     bounds: Bounds = field(init=False)
     eased: Bounds | None = None
     ease_again: int = 0
+    told: Vec6 = _AT_REST
+    given: Vec6 | None = None
+    giving_ticks: int = 0
 
     def __post_init__(self) -> None:
         """Begin with the bounds of the plan."""
@@ -164,6 +174,30 @@ class Run:
         told_n = min(self.previous.grip_force_n, self.bounds.grip_force_n)
         self.bounds = self.eased = self.bounds._replace(grip_force_n=max(0.0, told_n * EASED * allowed_n / measured_n))
         self.ease_again = tick + EASE_TICKS
+
+    def give_way(self) -> None:
+        """Have the arm keep where it is instead of where it was told to be, so that its servos stop pressing.
+
+        For a while it follows what it pressed against (the reaction of De Luca et al. 2006: no stiffness after a
+        collision), by no more than `GIVES_RAD`; then it keeps where that has led.
+        """
+        self.giving_ticks = GIVES_TICKS
+        if self.given is None:
+            self.told = self.given = self.previous.joint_rad
+
+    def yielding(self, command: Command, seen: Observation) -> Command:
+        """Return a command with the arm kept where it gives way; once the skill is let go on that is over."""
+        if self.given is None or self.moves():
+            self.given = None
+            return command
+        if self.giving_ticks > 0:
+            self.giving_ticks -= 1
+            # The constants go first in min() and max(): there they win against a reading that is no number.
+            self.given = tuple(  # type: ignore[assignment]  # six of them
+                max(told - GIVES_RAD, min(told + GIVES_RAD, q))
+                for told, q in zip(self.told, seen.joint_rad, strict=True)
+            )
+        return command._replace(joint_rad=self.given, joint_speed_radps=_AT_REST)
 
     def watch_with(self, plan: WatchPlan, period_s: float) -> None:
         """Go on under another plan, with timers of its own; estimates live on."""
