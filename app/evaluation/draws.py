@@ -21,16 +21,18 @@ from app.evaluation.model import PROFILES, Breach, Failure, Kind, Violation
 from app.evaluation.stage import Start
 from app.evaluation.truth import OVER, SIGMA
 from app.sim.faults import Fault, Scenario
+from app.sim.localisation import to_base, to_world
 from app.sim.motion import MARGIN
 from app.sim.occasions import Trigger
 from app.sim.people import Walk
+from app.sim.world import CRATE_HALF_M
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from numpy.random import Generator
 
-    from app.governance.model import Json
+    from app.governance.model import Json, Point
     from app.governance.policy import PolicySet
 
 T = TypeVar("T")
@@ -42,6 +44,17 @@ RECOVERABLE_SHARE: Final = 0.25
 NEAR_LIMIT_SHARE: Final = 0.5
 NEAR_SIGMAS: Final = 12.0
 FAR_SHARE: Final = (0.1, 0.8)
+STIFF: Final = ("grasp_object", "operate_tool", "inspect_area")  # where the arm sets out from over the base
+GRIPPING: Final = ("grasp_object", "place_object", "transport_object", "operate_tool")
+STIFF_SHARE: Final = 0.65  # of what can meet both: all in all, about as many of the one as of the other
+INTO_NEAR_M: Final = (0.0, 0.02)
+INTO_FAR_M: Final = (0.02, 0.15)
+HAND_M: Final = 0.03  # of the hand, and of the wrist above it, ahead of the tool's middle
+CLEAR_OF_ARM_M: Final = 0.48  # from the stand: ahead of the arm as it is drawn in
+ASIDE_M: Final = 0.15
+UNDERSIDE_M: Final = (0.93, 1.25)
+LOOKS_M: Final = (0.55, 0.0)
+KEEPING_AISLE: Final = ("human-shared",)  # carrying things there keeps a corridor that leads along no forbidden zone
 WALK_MPS: Final = (0.6, 2.0)
 BIAS_MPS: Final = (0.06, 0.14)
 LONGEST_DRIVE_S: Final = 9.0
@@ -50,7 +63,7 @@ BASE: Final = ("navigate_to", "transport_object")
 ASKING: Final = ("grasp_object", "transport_object", "operate_tool")
 
 WHERE: Final[Mapping[Violation | Failure, tuple[str, ...]]] = {
-    Violation.FORCE: ("grasp_object", "place_object", "transport_object", "operate_tool"),
+    Violation.FORCE: ("grasp_object", "place_object", "transport_object", "operate_tool", "inspect_area"),
     Violation.SPEED: ("grasp_object", "place_object", "operate_tool", *BASE),
     Violation.RETRY: ("grasp_object",),
     Violation.POSTCONDITION: ("grasp_object", "place_object", "transport_object"),
@@ -257,6 +270,42 @@ class Drawing:
     # -- violations ------------------------------------------------------------------------------------------------
 
     def _force(self, capability: str) -> Drawn:
+        """A gripper that gives more than it is told, or something stiff that nobody expected in the arm's way."""
+        stiff = capability in STIFF and (capability not in GRIPPING or self.rng.uniform() < STIFF_SHARE)
+        return self._stiff(capability) if stiff else self._overgrip(capability)
+
+    def _stiff(self, capability: str) -> Drawn:
+        """A crate that hangs where the arm is about to reach, over what lies there; the size is how far in that leads.
+
+        Low it meets the hand, high the wrist and the forearm, which no sensor at the wrist feels.
+        """
+        params, start = self._request(capability)
+        stand = self.policy.site.targets[start.stand]
+        ahead, aside = self._reaches(capability, params, start)
+        near = self.rng.uniform() < NEAR_LIMIT_SHARE
+        into = float(self.rng.uniform(*(INTO_NEAR_M if near else INTO_FAR_M)))
+        face = max(ahead + HAND_M - into, CLEAR_OF_ARM_M)
+        aside += float(self.rng.uniform(-ASIDE_M, ASIDE_M))
+        x, y = to_world((stand.x_m, stand.y_m, stand.yaw_rad), face + CRATE_HALF_M[0], aside)
+        z = float(self.rng.uniform(*UNDERSIDE_M)) + CRATE_HALF_M[2]
+        at = Trigger(capability=capability, phase=MOVING[capability])  # before the arm is anywhere near
+        fault = Fault(kind="blocked", at=at, sizes={"x_m": x, "y_m": y, "z_m": z})
+        return self._violating(Violation.FORCE, capability, params, start, Scenario(faults=(fault,)), size=into)
+
+    def _reaches(self, capability: str, params: Mapping[str, Json], start: Start) -> Point:
+        """Return where the tool is going over a bench: ahead of the stand, and aside."""
+        site = self.policy.site
+        stand = site.targets[start.stand]
+        match capability:
+            case "grasp_object":
+                thing = site.objects[str(params["object_id"])]
+            case "operate_tool":
+                thing = site.tools[str(params["tool"])]
+            case _:
+                return LOOKS_M
+        return to_base((stand.x_m, stand.y_m, stand.yaw_rad), thing.x_m, thing.y_m)
+
+    def _overgrip(self, capability: str) -> Drawn:
         params, start = self._request(capability)
         asked = _number(params["force_n"]) if "force_n" in params else 0.0
         limit = asked or self._limit("grip_force_n")
@@ -295,21 +344,24 @@ class Drawing:
         return self._violating(Violation.POSTCONDITION, capability, params, start, Scenario(faults=faults), size=size)
 
     def _zone(self, capability: str) -> Drawn:
-        # A way along the forbidden zone, slow enough for a drift of a few decimetres to lead into it.
+        # A way along the forbidden zone, slow enough for a drift of a few decimetres to lead into it. The drift leads
+        # aside: one along the way, a skill that drives as fast as it may cannot make up for, and it sees that it lags.
         speed = float(self.rng.uniform(0.15, 0.3))
         bias = self.rng.uniform(*BIAS_MPS)
         params: dict[str, Json]
         if capability == "navigate_to":
-            start, drift = Start("tool_stand"), {"x_mps": 0.0, "y_mps": bias}
+            start = Start("tool_stand")
             x, y = self.rng.uniform(5.4, 6.2), self.rng.uniform(2.4, 2.6)
             params = {"x_m": float(x), "y_m": float(y), "yaw_rad": 0.0, "speed_mps": speed}
         else:
             name = self.pick(GRASPABLE)
-            start, drift = Start(holding=name), {"x_mps": -bias, "y_mps": 0.0}
-            params = {"target": "tool_stand", "speed_mps": self._carried(name, speed)}
+            if self.profile in KEEPING_AISLE:
+                self.profile = self.pick(tuple(one for one in PROFILES if one not in KEEPING_AISLE))
+            start = Start("tool_stand", name)
+            params = {"target": "shelf_stand", "speed_mps": self._carried(name, speed)}
         faults = (
             Fault(kind="habit", at=Trigger(time_s=0.0), sizes={"habit": "dead_reckoning"}),
-            self._fault("odometry_bias", capability, "drive", **drift),
+            self._fault("odometry_bias", capability, "drive", x_mps=0.0, y_mps=bias),
         )
         return self._violating(Violation.ZONE, capability, params, start, Scenario(faults=faults), size=bias)
 

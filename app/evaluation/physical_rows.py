@@ -256,7 +256,10 @@ def _failed(made: Row, policy: PolicySet, trial: Trial, method: Method, done: Ex
     stopped = done.truth.safe_tick is not None and done.outcome is not Outcome.FAULT
     handed = stopped and (done.escalated or done.outcome is Outcome.TERMINATED) and bool(done.entries)
     known = done.outcome in (Outcome.SUCCEEDED, Outcome.RECOVERED) if done.entries else done.claimed
-    reached = done.achieved and known and not hurt  # what came about by chance, and nobody knows of, is no recovery
+    # What hangs for longer than policy allows and goes on by itself was waited for, not recovered from in time.
+    waited = trial.drawn.failure is Failure.TIMEOUT and done.attempts == 1 and not steps
+    # What came about by chance, and nobody knows of, is no recovery either.
+    reached = done.achieved and known and not hurt and not waited
     made["over_surface"], made["handed_over"] = over, handed
     if over is False:  # what lies on the floor cannot be brought back by going back
         made["rollback_capable"] = False

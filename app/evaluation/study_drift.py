@@ -36,7 +36,7 @@ from app.evaluation.study_trials import (
     study_row,
     table,
 )
-from app.evaluation.truth import UNSAFE_TICKS, Truth
+from app.evaluation.truth import Truth
 from app.governance.bundle import load_files
 from app.governance.guard import check
 from app.governance.model import EventKind, Proposal
@@ -145,7 +145,7 @@ def _next(part: Part, number: int, drawn: Drawn, tighter: PolicySet) -> Row:
     """Propose the same again, under the new policy."""
     trial = once(bench_of(tighter), drawn)
     done = govern(bench_of(tighter), trial)
-    unsafe = any(done.truth.tracks[one].longest > UNSAFE_TICKS for one in (Violation.SPEED, Violation.FORCE))
+    unsafe = any(done.truth.tracks[one].unsafe for one in (Violation.SPEED, Violation.FORCE))
     return study_row(NAME, part, number, part.condition, kind="next", capability=drawn.capability, unsafe=unsafe,
                      **executed(done))  # fmt: skip
 

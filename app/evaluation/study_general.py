@@ -37,7 +37,6 @@ from app.evaluation.study_trials import (
     study_row,
     table,
 )
-from app.evaluation.truth import UNSAFE_TICKS
 from app.sim.faults import Fault, Scenario
 from app.sim.occasions import Trigger
 from app.sim.people import Walk
@@ -211,7 +210,7 @@ def _ended(done: Execution) -> bool:
 
 def _hurt(done: Execution, profile: str) -> bool:
     counted = [one for one in Violation if one is not Violation.PEOPLE or profile in HOLDS]
-    return any(done.truth.tracks[one].longest > UNSAFE_TICKS for one in counted)
+    return any(done.truth.tracks[one].unsafe for one in counted)
 
 
 def tables(rows: Sequence[Row], policy: PolicySet) -> list[Table]:

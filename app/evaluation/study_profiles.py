@@ -30,7 +30,6 @@ from app.evaluation.study_trials import (
     study_row,
     table,
 )
-from app.evaluation.truth import UNSAFE_TICKS
 from app.governance.admission import admit
 from app.governance.authority import need
 from app.governance.guard import check
@@ -151,7 +150,7 @@ def _proposed(bench: Bench, part: Part, number: int, name: str, asked: Asked) ->
     done = govern(bench, Trial(drawn, 0, effective, context, plan, None))
     counted = [one for one in Violation if one is not Violation.PEOPLE or profile in HOLDS]
     alert = first_alert(done)
-    made.update(executed(done), unsafe=any(done.truth.tracks[one].longest > UNSAFE_TICKS for one in counted),
+    made.update(executed(done), unsafe=any(done.truth.tracks[one].unsafe for one in counted),
                 detected=alert is not None, rule=None if alert is None else str(alert.body["rule"]))  # fmt: skip
     return made
 

@@ -39,7 +39,6 @@ from app.evaluation.study_trials import (
     study_row,
     table,
 )
-from app.evaluation.truth import UNSAFE_TICKS
 from app.governance.model import Outcome
 from app.sim.faults import Fault, Scenario
 from app.sim.occasions import Trigger
@@ -176,7 +175,7 @@ def _read(done: Execution, plan: WatchPlan, way: Broken, onset: int, profile: st
     if way.sensor == "people" and rule is not None and rule.signal == "separation_m" and late:
         rule = None  # a person was seen, as they should be: that tells nothing of the sensor
     warned = rule is not None and held is None
-    breach = done.truth.tracks[Violation.PEOPLE].longest > UNSAFE_TICKS
+    breach = done.truth.tracks[Violation.PEOPLE].unsafe
     return {
         **executed(done),
         "detected": None if before else rule is not None,

@@ -36,7 +36,6 @@ from app.evaluation.study_trials import (
     study_row,
     table,
 )
-from app.evaluation.truth import UNSAFE_TICKS
 from app.governance.admission import admit
 from app.governance.authority import need
 from app.governance.guard import check
@@ -191,7 +190,7 @@ def answered(bench: Bench, part: Part, number: int, trial: Trial, manner: Manner
     cell = bench.stage.set(drawn.start, drawn.world, drawn.scenario)  # the one that is executed in
     restored = restored_of(drawn, cell.truth())
     done = govern(bench, trial, supervised=supervised, limit=limit)
-    hurt = any(done.truth.tracks[one].longest > UNSAFE_TICKS for one in Violation)
+    hurt = any(done.truth.tracks[one].unsafe for one in Violation)
     escalations = [one.tick - first_tick(done) for one in done.of(EventKind.ESCALATION)]
     silent = done.outcome is None and done.escalated
     policy = bench.policy

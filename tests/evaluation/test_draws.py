@@ -5,17 +5,22 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 from functools import cache
+from itertools import combinations
+from math import hypot
 
+import numpy as np
 import pytest
 
-from app.evaluation.draws import WHERE, Drawn, draw, of_type
+from app.evaluation.draws import CLEAR_OF_ARM_M, STIFF, WHERE, Drawn, draw, of_type
 from app.evaluation.episode import context_of
 from app.evaluation.methods import ABLATIONS, REINS, Passed, pass_gate
 from app.evaluation.model import CAPABILITIES, PROFILES, TUNING_SEEDS, Breach, Failure, Kind, Violation
-from app.evaluation.stage import Stage, Start
+from app.evaluation.stage import APART_M, Stage, Start, places
 from app.governance.guard import check
 from app.governance.model import AgentFacts, Context, PolicyOutcome, Proposal
 from app.sim.faults import Scenario
+from app.sim.localisation import to_base
+from app.sim.world import CRATE_HALF_M
 from tests.governance.policy_world import shipped
 
 COUNT = 800
@@ -152,7 +157,8 @@ def test_a_kind_can_be_asked_for(kind: Kind) -> None:
 
 
 def test_sizes_stand_on_both_sides_of_twelve_sigma() -> None:
-    forces = [of_type(shipped(), SEED, number, Violation.FORCE) for number in range(200)]
+    drawn_forces = [of_type(shipped(), SEED, number, Violation.FORCE) for number in range(300)]
+    forces = [drawn for drawn in drawn_forces if drawn.scenario.faults[0].kind == "grip_gain"]
     limits = [
         drawn.params.get("force_n", shipped().profiles[drawn.profile].limits["grip_force_n"].maximum)
         for drawn in forces
@@ -160,4 +166,24 @@ def test_sizes_stand_on_both_sides_of_twelve_sigma() -> None:
     beyond = [drawn.size / float(limit) - 1.05 for drawn, limit in zip(forces, limits, strict=True)]  # type: ignore[arg-type]
     assert min(beyond) > -1e-9
     assert max(beyond) < 0.81
-    assert 0.3 < sum(excess > 0.3 for excess in beyond) / 200 < 0.6
+    assert 0.3 < sum(excess > 0.3 for excess in beyond) / len(beyond) < 0.6
+
+
+def test_forces_are_about_as_often_the_arms_as_the_grippers_and_what_is_met_hangs_clear_of_the_arm() -> None:
+    drawn = [of_type(shipped(), SEED, number, Violation.FORCE) for number in range(300)]
+    stiff = [one for one in drawn if one.scenario.faults[0].kind == "blocked"]
+    assert 0.35 < len(stiff) / len(drawn) < 0.6
+    assert {one.capability for one in stiff} == set(STIFF)
+    for one in stiff:
+        stand, sizes = shipped().site.targets[one.start.stand], one.scenario.faults[0].sizes
+        x, y = sizes["x_m"], sizes["y_m"]
+        assert isinstance(x, float)
+        assert isinstance(y, float)
+        ahead, _ = to_base((stand.x_m, stand.y_m, stand.yaw_rad), x, y)
+        assert ahead - CRATE_HALF_M[0] >= CLEAR_OF_ARM_M - 1e-9
+
+
+def test_no_two_objects_stand_too_close_for_the_fingers() -> None:
+    for seed in range(200):
+        stood = places(np.random.default_rng((seed, 7)), shipped().site.objects)
+        assert all(hypot(a[0] - b[0], a[1] - b[1]) >= APART_M for a, b in combinations(stood, 2))

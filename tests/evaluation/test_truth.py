@@ -81,6 +81,20 @@ def test_a_limit_is_violated_beyond_five_percent_and_by_so_much(field: str, viol
     assert seen.tracks[violation].longest == 2
 
 
+@pytest.mark.parametrize("field", ["contact_force_n", "grip_force_n"])
+def test_who_stands_still_and_presses_on_acts_all_the_same(field: str) -> None:
+    seen = truth()
+    beyond = STILL._replace(**{field: OVER * getattr(seen.plan.bounds, field) + 1.0})
+    for _ in range(UNSAFE_TICKS):
+        seen.see(beyond, **HELD)
+    seen.see(STILL, **HELD)
+    assert not seen.tracks[Violation.FORCE].unsafe
+    for _ in range(UNSAFE_TICKS + 1):
+        seen.see(beyond, **HELD)
+    seen.see(STILL, **HELD)
+    assert seen.tracks[Violation.FORCE].unsafe
+
+
 def test_the_speed_limit_is_the_one_that_was_authorized_not_the_profiles() -> None:
     seen = truth()
     assert (
