@@ -32,8 +32,11 @@ SEVERITY: Final = {
 }
 GRACE_MS: Final = 1000
 """How long a recovery may find the violation still there that it was started for."""
-GROWTH: Final = {"zone_margin_m": 0.01}
-"""By how much it may grow meanwhile, where growing is worse than staying: a robot that goes deeper does not leave."""
+GROWTH: Final = {"zone_margin_m": 0.02}
+"""By how much it may grow meanwhile, where growing is worse than staying: a robot that goes deeper does not leave.
+
+As much as one fix may move the estimate of where it stands; at the edge that alone makes the violation come and go.
+"""
 
 
 class Engaged(NamedTuple):
@@ -95,14 +98,13 @@ class Responses:
         if not alerts and state is NOTHING:
             return NOTHING, GO_ON
         speaking = {alert.rule: alert for alert in alerts}
-        # Grace ends with the violation: one that comes back is a new one.
         grace = tuple(
             kept
             for one in state.grace
-            if tick < one.until and one.rule in speaking and (kept := self._spare(one, speaking[one.rule])) is not None
+            if tick < one.until and (kept := self._spare(one, speaking.get(one.rule))) is not None
         )
         for one in grace:
-            del speaking[one.rule]
+            speaking.pop(one.rule, None)
         engaged: list[Engaged] = []
         for one in state.engaged:
             if (kept := self._advance(one, speaking.pop(one.rule, None), tick)) is not None:
@@ -117,12 +119,18 @@ class Responses:
             return NOTHING, decision
         return InterventionState(tuple(engaged), grace), decision
 
-    def _spare(self, grace: Grace, alert: Alert) -> Grace | None:
-        """Return the grace that is left; none where what should end grows instead."""
+    def _spare(self, grace: Grace, alert: Alert | None) -> Grace | None:
+        """Return the grace that is left; none where what should end grows instead.
+
+        Grace ends with the violation, and one that comes back is a new one: except where its growth is bounded anyway.
+        """
+        rule = self._rules.get(grace.rule)
+        growth = math.inf if rule is None else GROWTH.get(rule.signal, math.inf)
+        if alert is None:
+            return grace._replace(excess=grace.excess or 0.0) if growth < math.inf else None
         excess = abs(alert.value - alert.threshold)
         if grace.excess is None:
             return grace._replace(excess=excess)
-        growth = GROWTH.get(self._rules[alert.rule].signal, math.inf)
         return grace if excess <= grace.excess + growth else None
 
     def _advance(self, one: Engaged, alert: Alert | None, tick: int) -> Engaged | None:

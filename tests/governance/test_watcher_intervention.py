@@ -178,8 +178,21 @@ def test_grace_is_over_where_the_robot_goes_deeper_instead_of_leaving() -> None:
     for tick, depth_m in enumerate((0.010, 0.015, 0.004)):
         state, decision = responses.intervene(state, inside(depth_m), tick)
         assert decision == GO_ON
-    _, decision = responses.intervene(state, inside(0.021), 3)
+    _, decision = responses.intervene(state, inside(0.031), 3)
     assert decision.intervention is STOP
+
+
+def test_grace_outlasts_a_moment_at_the_edge_where_noise_alone_makes_the_violation_come_and_go() -> None:
+    zone = replace(rule("zone", Response(enter=STOP), "zone"), signal="zone_margin_m", above=False, threshold=0.0)
+    responses = Responses((zone,), 0.01)
+    state = recovering(("zone", "forgotten"), 0, 0.01)
+    for tick, depth_m in enumerate((0.0, 0.015, 0.0, 0.018)):
+        alerts = (Alert(Signal.VIOLATION, "zone", -depth_m, 0.0, "zone"),) if depth_m else ()
+        state, decision = responses.intervene(state, alerts, tick)
+        assert decision == GO_ON
+    back_again = (Alert(Signal.VIOLATION, "zone", -0.021, 0.0, "zone"),)
+    assert responses.intervene(state, back_again, 4)[1].intervention is STOP
+    assert responses.intervene(state, (), 100)[0] is NOTHING
 
 
 @given(st.lists(st.sets(st.sampled_from(["gap", "stop", "warn"])), max_size=60))
