@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from functools import cache
 
+import numpy as np
 import pytest
 
+from app.evaluation.draws import INTO_NEAR_M, Drawing, of_type
 from app.evaluation.methods import ABLATIONS, METHODS
 from app.evaluation.metrics import measure
 from app.evaluation.model import TUNING_SEEDS, Row, Violation
 from app.evaluation.physical_rows import SIGNALS, Class
-from app.evaluation.physical_trial import Change, Trial
+from app.evaluation.physical_trial import Change, Trial, twinned
 from app.governance.watcher import without
-from tests.evaluation.physical_world import ran, trial
+from app.sim.world import CRATE_HALF_M
+from tests.evaluation.physical_world import bench, ran, trial
+from tests.governance.policy_world import shipped
 
 SEED = TUNING_SEEDS[3]
-COUNT = 4
+COUNT = 3
 SEEN = 1.0
 LOST = 0.25
 
@@ -78,6 +82,78 @@ def test_without_a_watcher_nothing_is_seen_and_the_truth_is_the_twins(violation:
     unwatched = ran(one, ABLATIONS["-watcher"])
     assert not unwatched["detected"]
     assert unwatched["class"] in (Class.MISSED, Class.HARMLESS, Class.UNWARNED)
+
+
+@cache
+def met(low_m: float, high_m: float) -> tuple[Trial, ...]:
+    """A trial in which the arm meets something stiff whose underside hangs at that height, and not softly."""
+    found: list[Trial] = []
+    number = 0
+    while not found:
+        drawn = of_type(shipped(), SEED, number, Violation.FORCE)
+        (fault,) = drawn.scenario.faults
+        number += 1
+        if fault.kind == "blocked" and drawn.size > INTO_NEAR_M[1] and drawn.capability == "grasp_object":
+            under_m = float(str(fault.sizes["z_m"])) - CRATE_HALF_M[2]
+            one = twinned(bench(), drawn) if low_m <= under_m < high_m else None
+            if one is not None and one.occurred:
+                found.append(one)
+    return tuple(found)
+
+
+def seen(one: Trial, *taken_out: str) -> bool:
+    return bool(ran(one, change=lambda plan: without(plan, *taken_out))["detected"])
+
+
+def test_what_meets_the_arm_above_the_wrist_is_seen_by_the_residual_alone() -> None:
+    for one in met(1.15, 1.25):
+        assert seen(one, "contact_force_n")
+        assert not seen(one, "residual_nm")
+
+
+def test_what_meets_the_hand_goes_unseen_once_both_detectors_of_contact_are_out() -> None:
+    for one in met(0.93, 1.05):
+        assert seen(one)
+        assert not seen(one, "contact_force_n", "residual_nm")
+
+
+def test_an_arm_that_presses_on_does_so_only_where_no_detector_of_contact_is_left() -> None:
+    for one in met(1.15, 1.25):
+        assert not ran(one)["unsafe"]
+        assert ran(one, change=lambda plan: without(plan, "contact_force_n", "residual_nm"))["unsafe"]
+
+
+@pytest.mark.parametrize(
+    ("violation", "capability", "taken_out"),
+    [
+        (Violation.FORCE, "transport_object", ("grip_force_n",)),
+        (Violation.SPEED, "grasp_object", ("tcp_speed_mps",)),
+        (Violation.SPEED, "navigate_to", ("base_speed_mps",)),
+    ],
+)
+def test_each_detector_is_the_only_one_for_what_it_sees(
+    violation: Violation, capability: str, taken_out: tuple[str, ...]
+) -> None:
+    one = first_of(violation, capability)
+    assert seen(one)
+    assert not seen(one, *taken_out)
+
+
+@cache
+def first_of(violation: Violation, capability: str) -> Trial:
+    """The first trial of a type in a capability whose fault took, well beyond the boundary band."""
+    for number in range(40):
+        rng = np.random.default_rng((SEED, number, 29))
+        one = twinned(bench(), Drawing(shipped(), rng, SEED, 9000 + number).perturbed(violation, capability))
+        if one.occurred and not one.boundary:
+            return one
+    raise AssertionError(f"no {violation} took in `{capability}`")
+
+
+def test_a_slip_is_acted_under_to_the_end_where_neither_slip_nor_loss_is_looked_for() -> None:
+    one = first_of(Violation.POSTCONDITION, "transport_object")
+    assert not ran(one)["unsafe"]
+    assert ran(one, change=lambda plan: without(plan, "slip_m", "grip_lost"))["unsafe"]
 
 
 def test_the_detectors_of_other_types_do_not_stand_in() -> None:
