@@ -9,7 +9,7 @@ MEASURED := $(filter-out tests/governance/test_expression_properties.py,\
 TYPINGS := typings/mujoco/__init__.pyi
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo run test check bench evaluate format lock clean
+.PHONY: help setup console demo run test check bench evaluate format lock clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
@@ -25,15 +25,19 @@ $(STAMP): requirements/dev.txt pyproject.toml
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $(STAMP)
 
-setup: $(STAMP)  ## make .venv with pinned dependencies
+setup: $(STAMP) console  ## make .venv with pinned dependencies, and the console
 
-demo: $(STAMP)  ## the paper's Algorithm 1, live, in a simulated workcell
+console: $(STAMP)  ## build the operator's console into app/console (skipped while web/ is unchanged)
+	@$(BIN)/python web/build.py build
+
+demo: $(STAMP) console  ## the paper's Algorithm 1, live, in a simulated workcell
 	@$(BIN)/reins demo --approver scripted
 
-run: $(STAMP)  ## a server with one simulated cell and a demo agent; keeps running
+run: $(STAMP) console  ## a server with one simulated cell and a demo agent; keeps running
 	@$(BIN)/reins demo --keep --port 8000
 
 test: $(STAMP)  ## the whole test suite; what decides and what proves covered to the last branch
+	@$(BIN)/python web/build.py test
 	@$(BIN)/coverage run -m pytest $(MEASURED)
 	@$(BIN)/coverage report
 	@$(BIN)/python -m pytest $(MEASURED:%=--ignore=%)
@@ -47,6 +51,7 @@ check: $(STAMP) $(TYPINGS)  ## format, lint, types, import contracts, policy che
 	@$(BIN)/ruff check .
 	@$(BIN)/lint-imports --no-cache
 	@$(BIN)/basedpyright
+	@$(BIN)/python web/build.py check
 	@$(BIN)/reins policy check
 	@$(BIN)/reins policy test
 
@@ -70,4 +75,4 @@ lock: $(STAMP)  ## resolve the dependencies anew (needs uv)
 	  --custom-compile-command "make lock" pyproject.toml --group dev -o requirements/dev.txt
 
 clean:  ## remove everything the other targets made
-	rm -rf $(VENV) .demo build dist typings .pytest_cache .ruff_cache .hypothesis *.egg-info
+	rm -rf $(VENV) .demo build dist typings app/console web/node_modules .pytest_cache .ruff_cache .hypothesis *.egg-info

@@ -1,0 +1,113 @@
+import type { Capability, Cell, Escalation, Grant, Invocation, Json, List, LogEvent, Params, PolicySet, Problem, Verdict } from './documents';
+
+/** The server's refusal of a request, or `unreachable` where no answer came. */
+export class ApiError extends Error {
+  constructor(
+    readonly problem: Problem,
+  ) {
+    super(problem.detail);
+  }
+
+  get code(): string {
+    return this.problem.code;
+  }
+}
+
+const UNREACHABLE: Problem = { title: 'No answer', status: 0, detail: 'The server did not answer.', code: 'unreachable' };
+const PATIENCE_MS = 10_000;
+const STOP_PATIENCE_MS = 1_500;
+
+type Method = 'GET' | 'POST' | 'PUT' | 'DELETE';
+
+export interface Answer {
+  decision: 'approve' | 'deny';
+  digest: string;
+  params?: Params;
+  code?: string;
+  comment?: string;
+}
+
+/** What a grant covers: an object or a task, or, without them, everything of the capability for at most 15 minutes. */
+export interface GrantAsk {
+  escalation: string;
+  scope: 'object' | 'task' | 'time';
+  for_s?: number;
+}
+
+/** The HTTP contract as calls. Every call raises `ApiError` unless it was answered with success. */
+export class Api {
+  constructor(
+    private readonly token: string,
+    private readonly fetcher: typeof fetch = (input, init) => fetch(input, init),
+  ) {}
+
+  get<T>(path: string): Promise<T> {
+    return this.call<T>('GET', path);
+  }
+
+  async call<T>(method: Method, path: string, body?: unknown, patienceMs = PATIENCE_MS): Promise<T> {
+    const headers: Record<string, string> = { Authorization: `Bearer ${this.token}` };
+    if (body !== undefined) headers['Content-Type'] = 'application/json';
+    let response: Response;
+    try {
+      response = await this.fetcher(path, {
+        method,
+        headers,
+        body: body === undefined ? null : JSON.stringify(body),
+        signal: AbortSignal.timeout(patienceMs),
+        cache: 'no-store',
+      });
+    } catch {
+      throw new ApiError(UNREACHABLE);
+    }
+    if (!response.ok) throw new ApiError(await problemOf(response));
+    try {
+      return (await response.json()) as T;
+    } catch {
+      throw new ApiError({ ...UNREACHABLE, detail: 'The server broke off within its answer.' });
+    }
+  }
+
+  cells = (): Promise<List<Cell>> => this.get('/v1/cells');
+  capabilities = (): Promise<List<Capability>> => this.get('/v1/capabilities');
+  policy = (): Promise<PolicySet> => this.get('/v1/policies/active');
+  trace = (id: string): Promise<List<LogEvent>> => this.get(`/v1/invocations/${seg(id)}/trace`);
+  invocation = (id: string): Promise<Invocation> => this.get(`/v1/invocations/${seg(id)}`);
+
+  /** `as` is the agent whose permissions apply; an operator checks an edit on the agent's behalf. */
+  check = (proposal: { capability: string; params: Params; cell?: string | null; agent?: string }): Promise<Verdict> =>
+    this.call('POST', '/v1/check', proposal);
+
+  resolve = (id: string, answer: Answer): Promise<Escalation> =>
+    this.call('POST', `/v1/escalations/${seg(id)}/resolve`, answer);
+  acknowledge = (id: string): Promise<Escalation> => this.call('POST', `/v1/escalations/${seg(id)}/acknowledge`);
+  grant = (ask: GrantAsk): Promise<Grant> => this.call('POST', '/v1/grants', ask);
+  revoke = (id: string): Promise<Grant> => this.call('POST', `/v1/grants/${seg(id)}/revoke`);
+  review = (id: string, verdict: string, note: string): Promise<unknown> =>
+    this.call('POST', `/v1/reviews/${seg(id)}/resolve`, { verdict, note });
+
+  estop = (cell: string): Promise<Cell> =>
+    this.call('POST', `/v1/cells/${seg(cell)}/estop`, undefined, STOP_PATIENCE_MS);
+  reset = (cell: string): Promise<Cell> => this.call('POST', `/v1/cells/${seg(cell)}/reset`);
+  setProfile = (cell: string, profile: string): Promise<Cell> =>
+    this.call('PUT', `/v1/cells/${seg(cell)}/profile`, { profile });
+
+  operate = (id: string, word: 'pause' | 'resume' | 'stop' | 'rollback' | 'takeover' | 'release' | 'cancel', body?: Json): Promise<Invocation> =>
+    this.call('POST', `/v1/invocations/${seg(id)}/${word}`, body);
+}
+
+function seg(id: string): string {
+  return encodeURIComponent(id);
+}
+
+async function problemOf(response: Response): Promise<Problem> {
+  try {
+    const said = (await response.json()) as Partial<Problem>;
+    if (typeof said.code === 'string' && typeof said.detail === 'string') {
+      return { title: '', ...said, status: response.status, code: said.code, detail: said.detail };
+    }
+  } catch {
+    // an answer without a problem document: a proxy's, or one cut short
+  }
+  return { title: response.statusText, status: response.status, detail: `The server answered ${response.status}.`, code: 'unknown' };
+}

@@ -1,0 +1,189 @@
+/** What the server answers with, as its HTTP contract names it. Quantities are SI and carry their unit in their name. */
+
+export type Json = null | boolean | number | string | Json[] | { [key: string]: Json };
+export type Params = Record<string, Json>;
+
+export type Risk = 'low' | 'medium' | 'high' | 'critical';
+export type Status =
+  | 'rejected'
+  | 'deferred'
+  | 'denied'
+  | 'awaiting_approval'
+  | 'running'
+  | 'paused'
+  | 'escalated'
+  | 'recovering'
+  | 'taken_over'
+  | 'completed'
+  | 'failed';
+
+export interface Reason {
+  rule: string;
+  code: string;
+  message: string;
+  remedy: string;
+}
+
+export interface Change {
+  param: string;
+  requested: Json;
+  effective: Json;
+  rule: string;
+}
+
+export interface Invocation {
+  id: string;
+  status: Status;
+  capability: string;
+  agent: string;
+  cell: string | null;
+  profile: string;
+  policy_version: string;
+  requested: Params;
+  effective: Params | null;
+  admission: { outcome: string; reasons: Reason[]; retry_after_s?: number | null };
+  policy: { outcome: string; reasons: Reason[]; changes: Change[] } | null;
+  escalation: { id: string; status: string; expires_at: string | null } | null;
+  outcome: string | null;
+  failure?: { reasons: Reason[] } | null;
+  created_at: string;
+  updated_at: string;
+}
+
+/** What would become of a proposal now. */
+export type Verdict = Omit<Invocation, 'id' | 'status' | 'created_at' | 'updated_at'> & {
+  status: 'allowed' | 'rejected' | 'deferred' | 'denied' | 'awaiting_approval';
+};
+
+export interface Approval {
+  by: string;
+  at: string;
+  digest: string;
+}
+
+export interface Escalation {
+  id: string;
+  invocation: string;
+  kind: string;
+  capability: string;
+  agent: string;
+  risk: Risk;
+  reasons: Reason[];
+  requested: Params;
+  constrained?: Params;
+  effective: Params;
+  digest: string;
+  status: 'pending' | 'approved' | 'denied' | 'expired' | 'withdrawn';
+  approvals: Approval[];
+  needed: number;
+  expires_at: string | null;
+  created_at?: string;
+  acknowledged?: { by: string; at: string }[];
+}
+
+export interface LogEvent {
+  seq: number;
+  at: string;
+  kind: string;
+  invocation: string | null;
+  actor: string;
+  body: Record<string, Json>;
+}
+
+/** Who drives a cell by hand. */
+export interface Control {
+  holder: string;
+  where: string;
+  since: string;
+  lease: string;
+  invocation: string | null;
+}
+
+export interface WorldFacts {
+  holding?: string | null;
+  base?: [number, number, number];
+  objects?: Record<string, { visible: boolean; reachable: boolean; x_m: number; y_m: number; z_m: number }>;
+  people_count?: number;
+  people_nearest_m?: number;
+}
+
+export interface Cell {
+  id: string;
+  online: boolean;
+  latched: boolean;
+  profile: string;
+  busy: string | null;
+  status: string | null;
+  holding_link: boolean;
+  robot: string | null;
+  policy_version: string | null;
+  facts: WorldFacts | null;
+  gauges: Record<string, number>;
+  control?: Control | null;
+  recorded?: boolean | null;
+}
+
+export interface Grant {
+  id: string;
+  capability: string;
+  agent?: string | null;
+  by: string;
+  object_id?: string | null;
+  task?: string | null;
+  expires_at: string | null;
+}
+
+export interface Review {
+  id: string;
+  invocation: string;
+  capability?: string;
+  agent?: string;
+  outcome?: string | null;
+  status?: string;
+  created_at?: string;
+}
+
+/** A capability package; `inputs` is a JSON Schema whose numbers carry `unit`. */
+export interface Capability {
+  name: string;
+  version: string;
+  summary: string;
+  inputs: { properties?: Record<string, InputSchema>; required?: string[] };
+  risk: Risk;
+}
+
+export interface InputSchema {
+  type?: string;
+  unit?: string;
+  minimum?: number;
+  maximum?: number;
+  default?: Json;
+  enum?: Json[];
+  'x-limit'?: string;
+  'x-ref'?: string;
+}
+
+export interface PolicySet {
+  version: string;
+  capabilities: string[];
+  profiles: Record<string, { limits?: Record<string, { max?: number; min?: number }>; [key: string]: unknown }>;
+  rules: Record<string, unknown>[];
+  agents: Record<string, unknown>;
+  authority?: { denials?: unknown; grants?: { up_to_minutes?: number; [key: string]: unknown } | null; [key: string]: unknown };
+  site: Record<string, unknown>;
+}
+
+export interface List<T> {
+  items: T[];
+  next: string | number | null;
+}
+
+/** RFC 9457 with a stable `code`. */
+export interface Problem {
+  title: string;
+  status: number;
+  detail: string;
+  code: string;
+  errors?: { field: string; message: string }[];
+  reasons?: Reason[];
+}

@@ -1,0 +1,37 @@
+import type { Params } from '../api/documents';
+
+function text(params: Params, name: string): string | null {
+  const value = params[name];
+  return typeof value === 'string' ? value : null;
+}
+
+/** A place to stand is named after what it stands at. */
+function place(name: string | null): string {
+  return name === null ? 'somewhere' : name.replace(/_stand$/, '');
+}
+
+function spot(params: Params): string {
+  const { x_m: x, y_m: y } = params;
+  if (typeof x === 'number' && typeof y === 'number') return `${x.toFixed(1)}, ${y.toFixed(1)}`;
+  return place(text(params, 'target'));
+}
+
+const SENTENCES: Record<string, (params: Params, held: string) => string> = {
+  navigate_to: (params) => `Drive to ${spot(params)}`,
+  inspect_area: (params) => `Look over ${text(params, 'area') ?? 'an area'}`,
+  grasp_object: (params) => `Grasp ${text(params, 'object_id') ?? 'an object'}`,
+  place_object: (params, held) => `Put ${held} on ${text(params, 'surface') ?? 'a surface'}`,
+  transport_object: (params, held) => `Carry ${held} to ${spot(params)}`,
+  operate_tool: (params) => `${words(text(params, 'action') ?? 'operate')} at the ${text(params, 'tool') ?? 'tool'}`,
+  takeover: () => 'Drive by hand',
+};
+
+export function words(name: string): string {
+  const spaced = name.replaceAll('_', ' ');
+  return spaced.charAt(0).toUpperCase() + spaced.slice(1);
+}
+
+/** What a proposal would do, as a short sentence: `Carry glass_1 to bench_b`. */
+export function titleOf(capability: string, params: Params, holding: string | null = null): string {
+  return SENTENCES[capability]?.(params, holding ?? 'what it holds') ?? words(capability);
+}

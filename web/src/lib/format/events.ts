@@ -1,0 +1,213 @@
+import type { Json, LogEvent } from '../api/documents';
+import { goodOutcome, outcomeWords, statusWords, type Tone } from './status';
+import { titleOf, words } from './capability';
+import { labelOf, valueOf } from './quantity';
+import { clockTime } from './time';
+
+export type EventIcon = 'dot' | 'scale' | 'check' | 'alert' | 'pause' | 'stop' | 'hand' | 'undo' | 'person' | 'plug' | 'flag' | 'log' | 'refused';
+
+/** One line of the event log: an icon, perhaps a strong beginning, and the rest. */
+export interface Line {
+  icon: EventIcon;
+  tone: Tone;
+  strong: string;
+  text: string;
+}
+
+type Body = LogEvent['body'];
+type Writer = (body: Body, event: LogEvent) => Line;
+
+const str = (value: Json | undefined): string => (typeof value === 'string' ? value : '');
+const num = (value: Json | undefined): number | null => (typeof value === 'number' ? value : null);
+const obj = (value: Json | undefined): Record<string, Json> =>
+  value !== null && typeof value === 'object' && !Array.isArray(value) ? value : {};
+const list = (value: Json | undefined): Json[] => (Array.isArray(value) ? value : []);
+const line = (icon: EventIcon, tone: Tone, text: string, strong = ''): Line => ({ icon, tone, strong, text });
+
+/** Rules of the watcher in words; others speak by their name. */
+const RULES: Record<string, string> = {
+  separation: 'Separation',
+  'contact-force': 'Contact force',
+  'grip-force': 'Grip force',
+  'tcp-speed': 'Tool speed',
+  'base-speed': 'Base speed',
+  zone: 'Zone margin',
+  'external-torque': 'External torque',
+  slip: 'Slip',
+  'grip-lost': 'Grip lost',
+  stall: 'No progress',
+  timeout: 'Time limit',
+  stale: 'Sensor stale',
+  implausible: 'Sensor implausible',
+  postcondition: 'Result not verified',
+  'watch/completion': 'Completion',
+};
+
+export function ruleWords(rule: string): string {
+  return RULES[rule] ?? words(rule.replace(/^.*\//, '').replaceAll('-', '_'));
+}
+
+function reading(rule: string, value: number | null, limit: number | null): string {
+  if (value === null) return '';
+  const unit = rule === 'separation' ? ' m' : '';
+  const said = ` ${value.toFixed(2)}${unit}`;
+  return limit === null ? said : `${said}, limit ${limit.toFixed(2)}${unit}`;
+}
+
+function alert(body: Body): Line {
+  const rule = str(body['rule']);
+  const what = ruleWords(rule);
+  switch (str(body['signal'])) {
+    case 'NORMAL':
+      return line('check', 'quiet', `${what} back within its limit`);
+    case 'COMPLETION':
+      return line('check', 'quiet', `Verified by sensors: ${list(body['verified']).map(str).join(', ').replaceAll('_', ' ')}`);
+    case 'WARNING':
+      return line('alert', 'warn', `${what}${reading(rule, num(body['value']), num(body['threshold']))}`);
+    default: {
+      const binary = rule === 'grip-lost' || rule === 'postcondition' || rule === 'implausible';
+      return line('alert', 'danger', binary ? what : `${what}${reading(rule, num(body['value']), num(body['threshold']))}`);
+    }
+  }
+}
+
+const INTERVENTIONS: Record<string, Line> = {
+  PAUSE: line('pause', 'warn', ', category 2 stop, power kept', 'Paused'),
+  STOP: line('stop', 'danger', ' by the watcher', 'Stopped'),
+  ROLLBACK: line('undo', 'warn', ' ordered by the watcher', 'Roll back'),
+  ESCALATE: line('hand', 'warn', ' asks a human', 'The watcher'),
+};
+
+function intervention(body: Body): Line {
+  const what = str(body['intervention']);
+  return INTERVENTIONS[what] ?? line('dot', 'plain', words(what.toLowerCase()));
+}
+
+function changes(body: Body): string {
+  return list(body['changes'])
+    .map(obj)
+    .map((change) => {
+      const name = str(change['param']);
+      return `${labelOf(name)} ${valueOf(name, change['requested'])} → ${valueOf(name, change['effective'])}`;
+    })
+    .join(', ');
+}
+
+function policy(body: Body): Line {
+  const again = body['recheck'] === true ? 'Checked again: ' : '';
+  const cut = changes(body);
+  switch (str(body['outcome'])) {
+    case 'allow':
+      return line('scale', 'quiet', `${again}allowed as proposed`.replace(/^a/, 'A'));
+    case 'modify':
+      return line('scale', 'plain', again + cut);
+    case 'deny':
+      return line('refused', 'danger', firstMessage(body), 'Denied by policy. ');
+    default:
+      return line('scale', 'warn', cut === '' ? 'needs a human' : `needs a human; ${cut}`, 'Policy: ');
+  }
+}
+
+function firstMessage(body: Body): string {
+  return str(obj(list(body['reasons'])[0])['message']);
+}
+
+function admission(body: Body): Line {
+  const outcome = str(body['outcome']);
+  if (outcome === 'accept') return line('check', 'quiet', body['recheck'] === true ? 'Admitted again' : 'Admitted');
+  return line('refused', outcome === 'defer' ? 'warn' : 'danger', ` ${firstMessage(body)}`, words(outcome === 'defer' ? 'deferred.' : 'rejected.'));
+}
+
+function approval(body: Body, event: LogEvent): Line {
+  const asked = obj(body['escalation']);
+  const given = list(asked['approvals']).length;
+  const of = num(asked['needed']) ?? 1;
+  switch (str(body['decision'])) {
+    case 'approve':
+      return line('check', 'plain', ` approved, ${given} of ${of}`, event.actor);
+    case 'edit':
+      return line('scale', 'plain', ' edited the proposal', event.actor);
+    case 'deny':
+      return line('refused', 'danger', ' denied', event.actor);
+    default:
+      return line('hand', 'quiet', `Question ${str(asked['status']) || 'closed'}`);
+  }
+}
+
+function escalation(body: Body): Line {
+  const asked = obj(body['escalation']);
+  const status = str(asked['status']);
+  if (status !== '' && status !== 'pending') return line('hand', 'quiet', `The question is ${status}`);
+  const until = str(asked['expires_at']);
+  return line('hand', 'warn', until === '' ? '' : `, deadline ${clockTime(until)}`, 'Asked you');
+}
+
+function recovery(body: Body): Line {
+  const strategy = words(str(body['strategy']).toLowerCase());
+  const capability = str(body['capability']);
+  return line('undo', 'warn', capability === '' ? '' : `: ${words(capability).toLowerCase()}`, strategy);
+}
+
+function human(body: Body, event: LogEvent): Line {
+  const op = str(body['op']) || str(body['decision']) || 'spoke';
+  return line('person', op === 'estop' || op === 'stop' ? 'danger' : 'human', `: ${op.replaceAll('_', ' ')}`, event.actor);
+}
+
+function launch(body: Body): Line {
+  const refused = str(body['refused']);
+  if (refused !== '') return line('refused', 'danger', ` ${refused.replaceAll('_', ' ')}`, 'Launch refused:');
+  return line('dot', 'plain', `Launched under ${str(body['permit']).replace(/^auth_/, '').slice(-6)}`);
+}
+
+function outcome(body: Body): Line {
+  const label = str(body['outcome']);
+  const good = goodOutcome(label);
+  const why = str(body['failure']);
+  return line(good ? 'flag' : 'stop', good ? 'ok' : 'danger', why === '' || good ? '' : `, ${why.replaceAll('_', ' ')}`, words(outcomeWords(label)));
+}
+
+function status(body: Body): Line {
+  const { text } = statusWords(str(body['status']));
+  const why = str(body['reason']).toLowerCase().replaceAll('_', ' ');
+  return line('dot', 'quiet', why === '' ? text : `${text} (${why})`);
+}
+
+function cell(body: Body, event: LogEvent): Line {
+  const op = str(body['op']);
+  const link = str(body['link']);
+  if (op === 'estop') return line('stop', 'danger', ` by ${event.actor}`, 'Emergency stop');
+  if (op === 'reset') return line('undo', 'human', ` by ${event.actor}, nothing moved`, 'Reset');
+  if (link !== '') return line('plug', link === 'lost' ? 'danger' : 'quiet', `Cell link ${link}`);
+  return line('plug', 'quiet', `Cell: ${words(op || 'report').toLowerCase()}`);
+}
+
+const WRITERS: Record<string, Writer> = {
+  proposal: (body, event) =>
+    line('dot', 'plain', `: ${titleOf(str(body['capability']), obj(body['params'])).replace(/^./, (c) => c.toLowerCase())}`, event.actor),
+  admission,
+  policy,
+  escalation,
+  approval,
+  authorization: () => line('check', 'quiet', 'Authorization signed'),
+  launch,
+  alert,
+  intervention,
+  recovery,
+  human,
+  telemetry: (body) => line('log', 'quiet', `Telemetry kept, ${num(body['rows']) ?? 0} rows`),
+  outcome,
+  status,
+  policy_activated: (body) => line('scale', 'plain', `Policy ${str(body['policy_version']).replace('sha256:', '').slice(0, 7)} in force`),
+  profile_changed: (body, event) => line('scale', 'human', ` set the profile to ${str(body['profile'])}`, event.actor),
+  principal: (body) => line('person', 'quiet', `${str(body['principal'])}: token ${str(body['op'])}`),
+  cell,
+  boot: () => line('plug', 'quiet', 'Server started'),
+};
+
+/** One event in words. */
+export function eventLine(event: LogEvent): Line {
+  return WRITERS[event.kind]?.(event.body, event) ?? line('dot', 'quiet', words(event.kind));
+}
+
+/** Kinds that only repeat what another line says better; the log shows them on demand. */
+export const QUIET_KINDS: ReadonlySet<string> = new Set(['authorization', 'telemetry', 'principal', 'status']);

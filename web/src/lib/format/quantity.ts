@@ -1,0 +1,62 @@
+import type { Json } from '../api/documents';
+
+/** Units by the ending of a quantity's name. */
+const UNITS: readonly (readonly [string, string])[] = [
+  ['_mps2', 'm/s²'],
+  ['_mps', 'm/s'],
+  ['_nm', 'N·m'],
+  ['_n', 'N'],
+  ['_m', 'm'],
+  ['_rad', 'rad'],
+  ['_kg', 'kg'],
+  ['_ms', 'ms'],
+  ['_s', 's'],
+];
+
+const LABELS: Record<string, string> = {
+  speed_mps: 'Speed',
+  force_n: 'Grip force',
+  clearance_m: 'Clearance',
+  object_id: 'Object',
+  dwell_s: 'Dwell',
+  x_m: 'x',
+  y_m: 'y',
+  yaw_rad: 'Heading',
+};
+
+export function unitOf(name: string): string {
+  return UNITS.find(([ending]) => name.endsWith(ending))?.[1] ?? '';
+}
+
+/** `Grip force` for `force_n`; otherwise the name in words, without its unit. */
+export function labelOf(name: string): string {
+  const known = LABELS[name];
+  if (known !== undefined) return known;
+  const ending = UNITS.find(([unit]) => name.endsWith(unit))?.[0] ?? '';
+  const words = name.slice(0, name.length - ending.length).replaceAll('_', ' ');
+  return words.charAt(0).toUpperCase() + words.slice(1);
+}
+
+/** A number with as many digits as its unit deserves. */
+export function number(value: number, unit: string): string {
+  if (!Number.isFinite(value)) return '–';
+  if (unit === 'N' || unit === 'N·m' || unit === 'ms') return trimmed(value, Math.abs(value) < 100 ? 1 : 0);
+  return value.toFixed(2);
+}
+
+function trimmed(value: number, digits: number): string {
+  return value.toFixed(digits).replace(/\.0$/, '');
+}
+
+/** A parameter's value in words; numbers by the unit of their name. */
+export function valueOf(name: string, value: Json | undefined): string {
+  if (value === undefined || value === null) return '–';
+  if (typeof value === 'number') return number(value, unitOf(name));
+  if (typeof value === 'string') return value;
+  return typeof value === 'boolean' ? (value ? 'yes' : 'no') : JSON.stringify(value);
+}
+
+export function withUnit(name: string, value: Json | undefined): string {
+  const unit = typeof value === 'number' ? unitOf(name) : '';
+  return unit === '' ? valueOf(name, value) : `${valueOf(name, value)} ${unit}`;
+}

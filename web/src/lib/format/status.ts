@@ -1,0 +1,64 @@
+import type { Cell, Status } from '../api/documents';
+
+export type Tone = 'plain' | 'quiet' | 'ok' | 'warn' | 'danger' | 'human' | 'accent';
+
+const STATUS: Record<Status, { text: string; tone: Tone }> = {
+  rejected: { text: 'Rejected', tone: 'danger' },
+  deferred: { text: 'Deferred', tone: 'quiet' },
+  denied: { text: 'Denied', tone: 'danger' },
+  awaiting_approval: { text: 'Waits for approval', tone: 'warn' },
+  running: { text: 'Running', tone: 'plain' },
+  paused: { text: 'Paused, holding', tone: 'danger' },
+  escalated: { text: 'Held, asks you', tone: 'warn' },
+  recovering: { text: 'Recovering', tone: 'warn' },
+  taken_over: { text: 'Driven by hand', tone: 'human' },
+  completed: { text: 'Done', tone: 'ok' },
+  failed: { text: 'Failed', tone: 'danger' },
+};
+
+export function statusWords(status: string): { text: string; tone: Tone } {
+  return (STATUS as Record<string, { text: string; tone: Tone } | undefined>)[status] ?? { text: status.replaceAll('_', ' '), tone: 'plain' };
+}
+
+/** What the robot reports of itself, the gravest thing first. */
+export function robotSays(cell: Cell | null): { text: string; tone: Tone } {
+  if (cell === null) return { text: 'No cell', tone: 'quiet' };
+  if (cell.latched) return { text: 'Stopped, latched', tone: 'danger' };
+  if (!cell.online) return { text: 'Not heard', tone: 'danger' };
+  if (cell.holding_link) return { text: 'Holding, link lapsed', tone: 'danger' };
+  if (cell.control != null) return { text: 'Driven by hand', tone: 'human' };
+  if (cell.status === null || cell.busy === null) return { text: 'Idle', tone: 'plain' };
+  return statusWords(cell.status);
+}
+
+const OUTCOMES: Record<string, string> = {
+  succeeded: 'done, verified',
+  recovered: 'done after recovery',
+  rolled_back: 'rolled back',
+  terminated: 'terminated',
+  stopped: 'stopped',
+  cancelled: 'cancelled',
+  taken_over: 'taken over',
+  rejected: 'rejected',
+  denied: 'denied',
+  deferred: 'deferred',
+  expired: 'expired',
+  fault: 'fault',
+};
+
+export function outcomeWords(outcome: string): string {
+  return OUTCOMES[outcome] ?? outcome.replaceAll('_', ' ');
+}
+
+export function goodOutcome(outcome: string): boolean {
+  return outcome === 'succeeded' || outcome === 'recovered';
+}
+
+export function shortId(id: string): string {
+  return id.length > 14 ? `${id.slice(0, 4)}…${id.slice(-6)}` : id;
+}
+
+/** The first digits of a digest: enough to tell two policies apart at a glance. */
+export function shortDigest(digest: string | null): string {
+  return digest === null ? '–' : digest.replace(/^sha256:/, '').slice(0, 7);
+}

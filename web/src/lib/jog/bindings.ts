@@ -1,0 +1,39 @@
+import type { Axis, Grip } from './hold';
+
+/** Physical keys (`KeyboardEvent.code`) while driving; none of them decides a question. */
+export const JOG_KEYS: Record<string, { axis: Axis; deflection: 1 | -1 }> = {
+  ArrowUp: { axis: 'base_x', deflection: 1 },
+  ArrowDown: { axis: 'base_x', deflection: -1 },
+  ArrowLeft: { axis: 'base_y', deflection: 1 },
+  ArrowRight: { axis: 'base_y', deflection: -1 },
+  KeyQ: { axis: 'base_yaw', deflection: 1 },
+  KeyE: { axis: 'base_yaw', deflection: -1 },
+  KeyI: { axis: 'tool_x', deflection: 1 },
+  KeyK: { axis: 'tool_x', deflection: -1 },
+  KeyJ: { axis: 'tool_y', deflection: 1 },
+  KeyL: { axis: 'tool_y', deflection: -1 },
+  KeyU: { axis: 'tool_z', deflection: 1 },
+  KeyO: { axis: 'tool_z', deflection: -1 },
+};
+
+export const GRIP_KEYS: Record<string, Exclude<Grip, null>> = { BracketLeft: 'open', BracketRight: 'close' };
+
+const DEAD = 0.18;
+
+/** A gamepad's sticks as deflections: left drives the base, right the tool; triggers lift and lower, bumpers turn. */
+export function gamepadAxes(pad: { axes: readonly number[]; buttons: readonly { value: number }[] }): Record<Axis, number> {
+  const axis = (k: number): number => {
+    const value = pad.axes[k] ?? 0;
+    return Math.abs(value) < DEAD ? 0 : (value - Math.sign(value) * DEAD) / (1 - DEAD);
+  };
+  const button = (k: number): number => pad.buttons[k]?.value ?? 0;
+  const lift = button(7) - button(6);
+  return {
+    base_x: 0 - axis(1),
+    base_y: 0 - axis(0),
+    base_yaw: button(4) - button(5),
+    tool_x: 0 - axis(3),
+    tool_y: 0 - axis(2),
+    tool_z: Math.abs(lift) < DEAD ? 0 : lift,
+  };
+}

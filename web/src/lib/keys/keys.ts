@@ -1,0 +1,86 @@
+/** The keyboard: one listener, shortcuts by key, and the stop that is heard everywhere. */
+export interface Shortcut {
+  key: string;
+  /** What it does, for the list that `?` opens. */
+  says: string;
+  run: () => void;
+}
+
+interface KeyLike {
+  key: string;
+  repeat: boolean;
+  ctrlKey: boolean;
+  metaKey: boolean;
+  altKey: boolean;
+  defaultPrevented: boolean;
+}
+
+/** Whether keys typed into this element are text. */
+export function isTyping(target: { tagName?: string; type?: string; isContentEditable?: boolean } | null): boolean {
+  if (target === null) return false;
+  if (target.isContentEditable === true) return true;
+  if (target.tagName === 'TEXTAREA' || target.tagName === 'SELECT') return true;
+  const buttons = ['button', 'checkbox', 'radio', 'range', 'submit', 'reset'];
+  return target.tagName === 'INPUT' && !buttons.includes(target.type ?? 'text');
+}
+
+/** Says whether a key press is the emergency stop: `.` anywhere, with Ctrl or Cmd while typing. */
+export function isStop(event: KeyLike, typing: boolean): boolean {
+  if (event.key !== '.') return false;
+  return typing ? event.ctrlKey || event.metaKey : true;
+}
+
+/** Says whether a key press may be a shortcut at all. */
+export function mayBeShortcut(event: KeyLike, typing: boolean): boolean {
+  return !typing && !event.repeat && !event.ctrlKey && !event.metaKey && !event.altKey && !event.defaultPrevented;
+}
+
+export class Keys {
+  private readonly shortcuts: Shortcut[] = [];
+  private stop: () => void = () => undefined;
+
+  /** What the newest registration of a key says counts; returns how to take it back. */
+  on(key: string, says: string, run: () => void): () => void {
+    const shortcut = { key, says, run };
+    this.shortcuts.push(shortcut);
+    return () => {
+      const at = this.shortcuts.indexOf(shortcut);
+      if (at !== -1) this.shortcuts.splice(at, 1);
+    };
+  }
+
+  onStop(run: () => void): void {
+    this.stop = run;
+  }
+
+  list(): Shortcut[] {
+    return [...new Map(this.shortcuts.map((shortcut) => [shortcut.key, shortcut])).values()];
+  }
+
+  /** Returns true when the key was taken. */
+  press(event: KeyLike, typing: boolean): boolean {
+    if (isStop(event, typing)) {
+      if (!event.repeat) this.stop();
+      return true;
+    }
+    if (!mayBeShortcut(event, typing)) return false;
+    const wanted = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+    const shortcut = this.shortcuts.findLast((known) => known.key === wanted);
+    shortcut?.run();
+    return shortcut !== undefined;
+  }
+
+  /** Listens before anything else on the page does. */
+  attach(target: Window): () => void {
+    const listen = (event: KeyboardEvent): void => {
+      if (this.press(event, isTyping(event.target as HTMLElement | null))) {
+        event.preventDefault();
+        event.stopPropagation();
+      }
+    };
+    target.addEventListener('keydown', listen, { capture: true });
+    return () => target.removeEventListener('keydown', listen, { capture: true });
+  }
+}
+
+export const keys = new Keys();

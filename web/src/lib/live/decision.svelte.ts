@@ -1,0 +1,105 @@
+import { ApiError, type Answer, type Api } from '../api/client';
+import type { Escalation, InputSchema } from '../api/documents';
+import { checkEdit, mayApprove, readEdit, rowsOf, type Check, type Typed } from './edit';
+
+const SETTLE_MS = 250;
+/** A question that has just moved under the keys takes no key yet: the last press may have been meant for another. */
+export const ARM_MS = 700;
+
+const WORDS: Record<string, string> = {
+  digest_mismatch: 'The question has changed since you read it. Look again.',
+  already_resolved: 'Somebody has answered this already.',
+  already_approved: 'You approved this already: it takes another person.',
+  escalation_expired: 'The time to answer is over.',
+  own_proposal: 'Nobody answers for what they proposed themselves.',
+  edit_refused: 'Policy refuses the edited values.',
+  unreachable: 'No answer from the server: it is not known whether this arrived.',
+};
+
+type Asks = Pick<Api, 'check' | 'resolve'>;
+
+/** One person's answer in the making: what was typed, what policy says to it, and what became of sending it. */
+export class Decision {
+  typed = $state.raw<Typed>({});
+  check = $state.raw<Check>({ is: 'untouched' });
+  sending = $state<'approve' | 'deny' | null>(null);
+  problem = $state('');
+  code = $state('');
+  asked: Escalation;
+  private timer: ReturnType<typeof setTimeout> | undefined;
+  private turn = 0;
+
+  constructor(
+    private readonly api: Asks,
+    asked: Escalation,
+    private readonly context: () => { schema: Record<string, InputSchema>; cell: string | null },
+  ) {
+    this.asked = $state.raw(asked);
+  }
+
+  readonly rows = $derived.by(() => rowsOf(this.asked));
+  readonly edit = $derived.by(() => readEdit(this.typed, this.asked.effective, this.context().schema));
+  readonly edited = $derived.by(() => Object.keys(this.edit.params).length > 0);
+  readonly ready = $derived.by(() => this.sending === null && mayApprove(this.check));
+
+  /** Takes a newer version of the question. Another digest is another question: what was typed no longer stands. */
+  update(newer: Escalation): void {
+    if (newer.digest !== this.asked.digest) this.discard();
+    this.asked = newer;
+  }
+
+  type(name: string, text: string): void {
+    this.typed = { ...this.typed, [name]: text };
+    this.problem = '';
+    this.turn += 1;
+    clearTimeout(this.timer);
+    if (Object.keys(this.edit.faults).length > 0) this.check = { is: 'faulty' };
+    else if (!this.edited) this.check = { is: 'untouched' };
+    else {
+      this.check = { is: 'checking' };
+      this.timer = setTimeout(() => void this.ask(), SETTLE_MS);
+    }
+  }
+
+  discard(): void {
+    clearTimeout(this.timer);
+    this.turn += 1;
+    this.typed = {};
+    this.check = { is: 'untouched' };
+  }
+
+  approve(): Promise<Escalation | null> {
+    if (!this.ready) return Promise.resolve(null);
+    const answer: Answer = { decision: 'approve', digest: this.asked.digest };
+    if (this.edited) answer.params = this.edit.params;
+    return this.send(answer);
+  }
+
+  deny(): Promise<Escalation | null> {
+    if (this.sending !== null) return Promise.resolve(null);
+    const answer: Answer = { decision: 'deny', digest: this.asked.digest };
+    if (this.code !== '') answer.code = this.code;
+    return this.send(answer);
+  }
+
+  private async ask(): Promise<void> {
+    const turn = (this.turn += 1);
+    const check = await checkEdit(this.api, this.asked, this.edit.params, this.context().cell);
+    if (turn === this.turn) this.check = check;
+  }
+
+  private async send(answer: Answer): Promise<Escalation | null> {
+    this.sending = answer.decision;
+    this.problem = '';
+    try {
+      return await this.api.resolve(this.asked.id, answer);
+    } catch (error) {
+      const code = error instanceof ApiError ? error.code : '';
+      const reasons = error instanceof ApiError ? (error.problem.reasons ?? []).map((reason) => reason.message) : [];
+      this.problem = [WORDS[code] ?? String(error instanceof Error ? error.message : error), ...reasons].join(' ');
+      return null;
+    } finally {
+      this.sending = null;
+    }
+  }
+}

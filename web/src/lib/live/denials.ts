@@ -1,0 +1,33 @@
+import type { Escalation, PolicySet } from '../api/documents';
+
+/** Why a person denies: the agent gets the code and policy's words for it, never the person's own. */
+export interface Denial {
+  code: string;
+  says: string;
+}
+
+interface Declared {
+  code?: unknown;
+  says?: unknown;
+  message?: unknown;
+}
+
+/** Returns the codes that the policy in force declares; its first is the default. */
+export function denialsOf(policy: PolicySet | null): Denial[] {
+  const declared = policy?.authority?.denials;
+  if (!Array.isArray(declared)) return [];
+  return (declared as Declared[])
+    .filter((entry) => typeof entry.code === 'string')
+    .map((entry) => {
+      const code = String(entry.code);
+      const says = entry.says ?? entry.message;
+      return { code, says: code.replaceAll('_', ' ') || String(says) };
+    });
+}
+
+/** The code that fits what is asked: a question about a person in the way is most often denied for that person. */
+export function likelyDenial(escalation: Escalation, denials: readonly Denial[]): string {
+  const aboutPeople = escalation.reasons.some((reason) => /separation|person/.test(`${reason.rule} ${reason.code}`));
+  const fitting = aboutPeople ? denials.find((denial) => denial.code === 'person_in_the_way') : undefined;
+  return (fitting ?? denials[0])?.code ?? '';
+}

@@ -1,0 +1,95 @@
+import { ApiError, type Api } from '../api/client';
+import type { Escalation, InputSchema, Json, Params, Reason, Verdict } from '../api/documents';
+
+/** What an approver typed, by parameter; untouched parameters are absent. */
+export type Typed = Record<string, string>;
+
+export interface Row {
+  name: string;
+  requested: Json | undefined;
+  effective: Json | undefined;
+  editable: boolean;
+}
+
+/** One row per parameter, those with numbers first; a session under way cannot be edited. */
+export function rowsOf(escalation: Escalation): Row[] {
+  const names = [...new Set([...Object.keys(escalation.effective), ...Object.keys(escalation.requested)])];
+  const allowed = escalation.constrained ?? escalation.effective;
+  const rows = names.map((name) => ({
+    name,
+    requested: escalation.requested[name],
+    effective: allowed[name],
+    editable: escalation.kind === 'approval' && typeof escalation.effective[name] === 'number',
+  }));
+  return rows.sort((a, b) => Number(b.editable) - Number(a.editable));
+}
+
+export interface Edited {
+  /** Only what differs from what is asked. */
+  params: Params;
+  /** Words on what was typed and cannot be meant, by parameter. */
+  faults: Record<string, string>;
+}
+
+/** Reads what was typed against what is asked and the capability's schema. */
+export function readEdit(typed: Typed, effective: Params, schema: Record<string, InputSchema>): Edited {
+  const params: Params = {};
+  const faults: Record<string, string> = {};
+  for (const [name, text] of Object.entries(typed)) {
+    const value = readNumber(text);
+    const fault = value === null ? 'a number, please' : outOfRange(value, schema[name]);
+    if (fault !== null) faults[name] = fault;
+    else if (value !== null && value !== effective[name]) params[name] = value;
+  }
+  return { params, faults };
+}
+
+function readNumber(text: string): number | null {
+  const cleaned = text.trim().replace(',', '.');
+  if (!/^-?(\d+\.?\d*|\.\d+)$/.test(cleaned)) return null;
+  const value = Number(cleaned);
+  return Number.isFinite(value) ? value : null;
+}
+
+function outOfRange(value: number, schema: InputSchema | undefined): string | null {
+  if (schema?.minimum !== undefined && value < schema.minimum) return `at least ${schema.minimum}`;
+  if (schema?.maximum !== undefined && value > schema.maximum) return `at most ${schema.maximum}`;
+  return null;
+}
+
+export type Check =
+  | { is: 'untouched' }
+  | { is: 'faulty' }
+  | { is: 'checking' }
+  | { is: 'allowed' }
+  | { is: 'cut'; to: Params }
+  | { is: 'refused'; reasons: Reason[] }
+  | { is: 'unchecked'; why: string };
+
+/** What a verdict on the edited proposal means to the person who edited it. */
+export function checkOf(verdict: Verdict, wanted: Params): Check {
+  if (verdict.status === 'denied' || verdict.status === 'rejected') {
+    return { is: 'refused', reasons: [...verdict.admission.reasons, ...(verdict.policy?.reasons ?? [])] };
+  }
+  const effective = verdict.effective ?? wanted;
+  const cut = Object.entries(effective).filter(([name, value]) => name in wanted && wanted[name] !== value);
+  return cut.length === 0 ? { is: 'allowed' } : { is: 'cut', to: Object.fromEntries(cut) };
+}
+
+/** Asks the server what policy would make of the edited proposal. Whatever goes wrong, the server checks once more on approval. */
+export async function checkEdit(api: Pick<Api, 'check'>, escalation: Escalation, edit: Params, cell: string | null): Promise<Check> {
+  const params = { ...escalation.effective, ...edit };
+  try {
+    return checkOf(await api.check({ capability: escalation.capability, params, cell, agent: escalation.agent }), params);
+  } catch (error) {
+    if (error instanceof ApiError && error.code === 'params_invalid') {
+      return { is: 'refused', reasons: [{ rule: 'schema', code: error.code, message: error.message, remedy: '' }] };
+    }
+    return { is: 'unchecked', why: error instanceof ApiError ? error.message : String(error) };
+  }
+}
+
+/** Whether `approve` may be pressed. */
+export function mayApprove(check: Check): boolean {
+  return check.is === 'untouched' || check.is === 'allowed' || check.is === 'cut' || check.is === 'unchecked';
+}

@@ -1,0 +1,61 @@
+import type { Invocation } from '../api/documents';
+import { number } from '../format/quantity';
+
+/** A gauge as it is drawn: its newest value, its limit, and on which side of it things are wrong. */
+export interface GaugeSpec {
+  key: string;
+  label: string;
+  unit: string;
+  source: string;
+  limit: string | null;
+  side: 'least' | 'most' | 'none';
+  /** Top of the scale while the values stay below it. */
+  span: number;
+}
+
+const SEPARATION: GaugeSpec = { key: 'separation', label: 'Separation', unit: 'm', source: 'separation_m', limit: 'protective_separation_m', side: 'least', span: 3 };
+const TOOL: GaugeSpec = { key: 'speed', label: 'Tool speed', unit: 'm/s', source: 'tcp_speed_mps', limit: 'tcp_speed_limit_mps', side: 'most', span: 0.3 };
+const BASE: GaugeSpec = { key: 'speed', label: 'Base speed', unit: 'm/s', source: 'base_speed_mps', limit: 'base_speed_limit_mps', side: 'most', span: 0.4 };
+const GRIP: GaugeSpec = { key: 'grip', label: 'Grip force', unit: 'N', source: 'grip_force_n', limit: 'grip_force_limit_n', side: 'most', span: 25 };
+const CONTACT: GaugeSpec = { key: 'contact', label: 'Contact force', unit: 'N', source: 'contact_force_n', limit: 'contact_force_limit_n', side: 'most', span: 25 };
+const PROGRESS: GaugeSpec = { key: 'progress', label: 'Progress', unit: '%', source: 'progress', limit: null, side: 'none', span: 1 };
+
+const DRIVES = new Set(['navigate_to', 'transport_object', 'reposition_base', 'takeover']);
+
+/** The gauges worth watching for what runs: the speed that matters is the base's or the tool's. */
+export function gaugesFor(session: Invocation | null): GaugeSpec[] {
+  const drives = session !== null && DRIVES.has(session.capability);
+  return [SEPARATION, drives ? BASE : TOOL, GRIP, CONTACT, PROGRESS];
+}
+
+export interface Reading {
+  value: number | null;
+  limit: number | null;
+  beyond: boolean;
+  near: boolean;
+}
+
+/** Reads a gauge out of a frame's numbers; not a number is not known. */
+export function readGauge(spec: GaugeSpec, names: readonly string[], values: ArrayLike<number>): Reading {
+  const at = (name: string | null): number | null => {
+    const value = name === null ? undefined : values[names.indexOf(name)];
+    return value === undefined || !Number.isFinite(value) ? null : value;
+  };
+  const value = at(spec.source);
+  const limit = at(spec.limit);
+  if (value === null || limit === null || spec.side === 'none') return { value, limit, beyond: false, near: false };
+  // A violation is beyond 1.05 times a limit, as the watcher counts it; separation has no such margin.
+  const beyond = spec.side === 'least' ? value < limit : value > limit * 1.05;
+  const near = spec.side === 'least' ? value < limit * 1.15 : value > limit * 0.98;
+  return { value, limit, beyond, near };
+}
+
+export function valueText(spec: GaugeSpec, value: number | null): string {
+  if (value === null) return '–';
+  return spec.unit === '%' ? String(Math.round(value * 100)) : number(value, spec.unit);
+}
+
+export function limitText(spec: GaugeSpec, limit: number | null): string {
+  if (limit === null) return '';
+  return `at ${spec.side} ${valueText(spec, limit)} ${spec.unit}`;
+}

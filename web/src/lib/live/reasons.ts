@@ -1,0 +1,40 @@
+import type { Escalation, Invocation, Reason } from '../api/documents';
+import { ruleWords } from '../format/events';
+
+export interface ReasonLine {
+  icon: 'person' | 'scale' | 'hand';
+  strong: string;
+  text: string;
+  rule: string;
+}
+
+/** Why a held session asks, by the code the cell gives. */
+const HELD: Record<string, string> = {
+  separation: 'A person stayed inside the protective distance.',
+  stale: 'A sensor has gone silent.',
+  implausible: 'A sensor says what cannot be.',
+  retries: 'The tries that policy allows are used up.',
+  confirm: 'Policy wants a person to confirm the next phase.',
+};
+
+function lineOf(reason: Reason, held: boolean): ReasonLine {
+  const icon = /separation|person/.test(`${reason.rule} ${reason.code}`) ? 'person' : held ? 'hand' : 'scale';
+  const strong = held ? (HELD[reason.code] ?? '') : '';
+  const text = strong === '' ? sentence(reason.message) : 'The robot holds where it is and waits.';
+  return { icon, strong, text, rule: reason.rule.replaceAll('/', ' / ') };
+}
+
+function sentence(text: string): string {
+  const upper = text.charAt(0).toUpperCase() + text.slice(1);
+  return /[.!?]$/.test(upper) ? upper : `${upper}.`;
+}
+
+/** Why a person is asked, the question's own reasons first, then the rules that cut a value. */
+export function reasonLines(escalation: Escalation, invocation: Invocation | null): ReasonLine[] {
+  const held = escalation.kind !== 'approval';
+  const asked = escalation.reasons.map((reason) => lineOf(reason, held));
+  const known = new Set(escalation.reasons.map((reason) => reason.rule));
+  const cuts = (held ? [] : (invocation?.policy?.reasons ?? [])).filter((reason) => !known.has(reason.rule));
+  const lines = [...asked, ...cuts.map((reason) => lineOf(reason, false))];
+  return lines.map((line) => (line.text === '' ? { ...line, text: ruleWords(line.rule) } : line));
+}

@@ -1,0 +1,94 @@
+import type { Invocation, LogEvent } from '../api/documents';
+import { goodOutcome, outcomeWords } from '../format/status';
+import { clockTime } from '../format/time';
+
+export const STAGES = ['Goal', 'Proposal', 'Decision', 'Launch', 'Watch', 'Recover', 'Outcome'] as const;
+export type StageName = (typeof STAGES)[number];
+/** `now`: here the session stands; `asks`: here it waits for a person; `bad`: here something went wrong. */
+export type StageState = 'done' | 'now' | 'asks' | 'bad' | 'skipped' | 'open';
+
+export interface Stage {
+  name: StageName;
+  state: StageState;
+  note: string;
+}
+
+/** Where an invocation stands in the seven stages, from its document and its events. */
+export function stagesOf(invocation: Invocation, log: readonly LogEvent[]): Stage[] {
+  const events = log.filter((event) => event.invocation === invocation.id);
+  const at = (kind: string): LogEvent | undefined => events.find((event) => event.kind === kind);
+  const time = (event: LogEvent | undefined): string => (event === undefined ? '' : clockTime(event.at));
+  const proposed = time(at('proposal')) || clockTime(invocation.created_at);
+  return [
+    { name: 'Goal', state: 'done', note: proposed },
+    proposal(invocation, proposed),
+    decision(invocation),
+    launch(invocation, at('launch'), time(at('launch'))),
+    watch(invocation, events),
+    recover(invocation, events),
+    outcome(invocation),
+  ];
+}
+
+function launched(invocation: Invocation): boolean {
+  if (['running', 'paused', 'escalated', 'recovering', 'taken_over', 'completed'].includes(invocation.status)) return true;
+  return invocation.status === 'failed';
+}
+
+function proposal(invocation: Invocation, time: string): Stage {
+  const outcome = invocation.admission.outcome;
+  if (outcome === 'reject') return { name: 'Proposal', state: 'bad', note: 'rejected' };
+  if (outcome === 'defer') return { name: 'Proposal', state: 'bad', note: 'deferred' };
+  return { name: 'Proposal', state: 'done', note: time };
+}
+
+function decision(invocation: Invocation): Stage {
+  if (invocation.status === 'awaiting_approval') return { name: 'Decision', state: 'asks', note: 'waits for you' };
+  if (invocation.status === 'denied') return { name: 'Decision', state: 'bad', note: invocation.outcome === 'expired' ? 'expired' : 'denied' };
+  const policy = invocation.policy;
+  if (policy === null) return { name: 'Decision', state: 'open', note: 'open' };
+  const cut = policy.changes.length;
+  return { name: 'Decision', state: 'done', note: cut === 0 ? 'allowed' : `${cut} value${cut === 1 ? '' : 's'} cut` };
+}
+
+function launch(invocation: Invocation, event: LogEvent | undefined, time: string): Stage {
+  if (event !== undefined && 'refused' in event.body) return { name: 'Launch', state: 'bad', note: 'refused' };
+  if (event === undefined && !launched(invocation)) return { name: 'Launch', state: 'open', note: 'open' };
+  return { name: 'Launch', state: 'done', note: time || 'launched' };
+}
+
+function watch(invocation: Invocation, events: readonly LogEvent[]): Stage {
+  if (!launched(invocation)) return { name: 'Watch', state: 'open', note: 'open' };
+  const counted = violationsIn(events);
+  switch (invocation.status) {
+    case 'running':
+      return { name: 'Watch', state: 'now', note: counted || 'running' };
+    case 'paused':
+      return { name: 'Watch', state: 'bad', note: counted === '' ? 'paused' : `paused, ${counted}` };
+    case 'taken_over':
+      return { name: 'Watch', state: 'now', note: 'driven by hand' };
+    default:
+      return { name: 'Watch', state: counted === '' ? 'done' : 'bad', note: counted || 'no violation' };
+  }
+}
+
+function violationsIn(events: readonly LogEvent[]): string {
+  const count = events.filter((event) => event.kind === 'alert' && event.body['signal'] === 'VIOLATION').length;
+  if (count === 0) return '';
+  return count === 1 ? '1 violation' : `${count} violations`;
+}
+
+function recover(invocation: Invocation, events: readonly LogEvent[]): Stage {
+  const steps = events.filter((event) => event.kind === 'recovery').length;
+  const counted = `${steps} step${steps === 1 ? '' : 's'}`;
+  if (invocation.status === 'escalated') return { name: 'Recover', state: 'asks', note: 'waits for you' };
+  if (invocation.status === 'recovering') return { name: 'Recover', state: 'now', note: counted };
+  if (steps > 0) return { name: 'Recover', state: 'done', note: counted };
+  const over = invocation.outcome !== null;
+  return { name: 'Recover', state: over ? 'skipped' : 'open', note: over ? 'not needed' : 'open' };
+}
+
+function outcome(invocation: Invocation): Stage {
+  if (invocation.outcome === null) return { name: 'Outcome', state: 'open', note: 'open' };
+  return { name: 'Outcome', state: goodOutcome(invocation.outcome) ? 'done' : 'bad', note: outcomeWords(invocation.outcome) };
+}

@@ -1,0 +1,56 @@
+import type { Cell } from '../api/documents';
+import type { Scene } from '../socket/messages';
+
+export interface SceneTrouble {
+  separation: boolean;
+  zones: ReadonlySet<string>;
+  /** In words, the measured value first; null where nothing is wrong. */
+  words: { strong: string; text: string } | null;
+}
+
+const FINE: SceneTrouble = { separation: false, zones: new Set(), words: null };
+
+/** Which zones a point of the floor lies in. */
+export function zonesAt(scene: Scene, x: number, y: number): string[] {
+  return scene.zones.filter((zone) => inside(zone.polygon, x, y)).map((zone) => zone.name);
+}
+
+function inside(polygon: readonly (readonly [number, number])[], x: number, y: number): boolean {
+  let within = false;
+  polygon.forEach(([ax, ay], k) => {
+    const [bx, by] = polygon[(k + 1) % polygon.length] ?? [ax, ay];
+    if (ay > y !== by > y && x < ax + ((bx - ax) * (y - ay)) / (by - ay)) within = !within;
+  });
+  return within;
+}
+
+interface Near {
+  separationM: number | null;
+  neededM: number | null;
+  zoneMarginM: number | null;
+}
+
+/** What is wrong in the cell now, for the scene and its headline. */
+export function troubleOf(cell: Cell | null, near: Near, scene: Scene | null): SceneTrouble {
+  if (cell === null) return FINE;
+  return tooNear(cell, near) ?? (scene === null ? null : intoZone(cell, near, scene)) ?? FINE;
+}
+
+function tooNear(cell: Cell, { separationM, neededM }: Near): SceneTrouble | null {
+  if (separationM === null || neededM === null || separationM >= neededM) return null;
+  const halted = cell.status === 'running' ? 'and is being stopped.' : 'and has stopped moving.';
+  return {
+    separation: true,
+    zones: new Set(),
+    words: { strong: `${separationM.toFixed(2)} m`, text: `to a person. Robot needs ${neededM.toFixed(2)} m ${halted}` },
+  };
+}
+
+function intoZone(cell: Cell, { zoneMarginM }: Near, scene: Scene): SceneTrouble | null {
+  if (zoneMarginM === null || zoneMarginM >= 0) return null;
+  const guarded = new Set(scene.zones.filter((zone) => zone.kind !== 'shared').map((zone) => zone.name));
+  const [x = 0, y = 0] = cell.facts?.base ?? [];
+  const here = zonesAt(scene, x, y).filter((name) => guarded.has(name));
+  const zones = new Set(here.length > 0 ? here : guarded);
+  return { separation: false, zones, words: { strong: 'Zone:', text: `the robot cannot stop outside ${[...zones].join(', ')}.` } };
+}

@@ -1,0 +1,43 @@
+import type { Escalation, Risk } from '../api/documents';
+
+const RISKS: Record<Risk, number> = { critical: 3, high: 2, medium: 1, low: 0 };
+export const LAST_CALL_MS = 30_000;
+
+export function leftMs(escalation: Escalation, nowMs: number): number | null {
+  return escalation.expires_at === null ? null : Date.parse(escalation.expires_at) - nowMs;
+}
+
+export function iApproved(escalation: Escalation, me: string | null): boolean {
+  return me !== null && escalation.approvals.some((approval) => approval.by === me);
+}
+
+/**
+ * Orders questions by what a person should look at first: what I can still answer; what is about to lapse; a robot
+ * that is held in mid-motion; the higher risk; the nearer deadline.
+ */
+export function byUrgency(nowMs: number, me: string | null): (a: Escalation, b: Escalation) => number {
+  const key = (item: Escalation): number[] => {
+    const left = leftMs(item, nowMs) ?? Number.MAX_SAFE_INTEGER;
+    return [
+      iApproved(item, me) ? 1 : 0,
+      left < LAST_CALL_MS ? 0 : 1,
+      item.kind === 'approval' ? 1 : 0,
+      -RISKS[item.risk],
+      left,
+    ];
+  };
+  return (a, b) => {
+    const left = key(a);
+    const right = key(b);
+    const at = left.findIndex((value, k) => value !== right[k]);
+    return at === -1 ? a.id.localeCompare(b.id) : (left[at] ?? 0) - (right[at] ?? 0);
+  };
+}
+
+/**
+ * Says which question the keys A and D are about. The one that was current stays so until it is answered, whatever
+ * more urgent comes in: a key that is on its way must not meet another question.
+ */
+export function currentOf(sorted: readonly Escalation[], before: string | null): string | null {
+  return sorted.some((item) => item.id === before) ? before : (sorted[0]?.id ?? null);
+}

@@ -1,0 +1,221 @@
+import { Box3, DirectionalLight, Group, HemisphereLight, Scene as World, Vector3, WebGLRenderer } from 'three';
+import type { SceneInfo } from '../state/console.svelte';
+import type { PoseFrame } from '../socket/frame';
+import { buildBodies, dispose, isPerson, place, type Bodies } from './build';
+import { CameraRig, type View } from './camera';
+import { buildGround } from './ground';
+import { Labels, type Label } from './labels';
+import { Overlay } from './overlay';
+import { readPalette, type Palette } from './palette';
+
+const SLOW_MS = 28;
+const NAMED_FURNITURE = /^(.*)_body$/;
+const HEAD_M = 0.28;
+
+/** What is wrong at this moment, for highlighting. */
+export interface Trouble {
+  separation: boolean;
+  zones: ReadonlySet<string>;
+}
+
+const CALM: Trouble = { separation: false, zones: new Set() };
+
+/**
+ * One cell in 3D. Draws when something changed and never faster than the screen; poses may come at any rate.
+ *
+ * Without a graphics card the browser draws in software: multisampling is left out there, and on any machine that cannot
+ * keep up the resolution is stepped down before the rate suffers.
+ */
+export class CellView {
+  private readonly renderer: WebGLRenderer;
+  private readonly world = new World();
+  private readonly rig: CameraRig;
+  private readonly labels: Labels;
+  private palette: Palette = readPalette();
+  private bodies: Bodies = { root: new Group(), byName: new Map() };
+  private ground = new Group();
+  private overlay = new Overlay(this.palette);
+  private info: SceneInfo | null = null;
+  private path: [number, number][] = [];
+  private trouble: Trouble = CALM;
+  private last: PoseFrame | null = null;
+  private dirty = true;
+  private request = 0;
+  private slow = 0;
+  private readonly robot = new Vector3();
+
+  constructor(private readonly host: HTMLElement, layer: HTMLElement) {
+    const soft = isSoftware();
+    this.renderer = new WebGLRenderer({ antialias: !soft, powerPreference: 'high-performance' });
+    this.renderer.setPixelRatio(soft ? 1 : Math.min(devicePixelRatio, 2));
+    this.host.prepend(this.renderer.domElement);
+    this.rig = new CameraRig(this.renderer.domElement, () => (this.dirty = true));
+    this.labels = new Labels(layer);
+    const sun = new DirectionalLight('#ffffff', 1.7);
+    sun.position.set(-3, -6, 9);
+    this.world.add(new HemisphereLight('#ffffff', '#8795a5', 1.5), sun, this.overlay.root);
+    this.loop(performance.now());
+  }
+
+  get canvas(): HTMLCanvasElement {
+    return this.renderer.domElement;
+  }
+
+  setScene(info: SceneInfo): void {
+    const sameCell = this.info !== null;
+    this.info = info;
+    this.last = null;
+    this.rebuild();
+    if (!sameCell) this.rig.frame(info.scene.bounds_m);
+  }
+
+  setPath(points: [number, number][]): void {
+    this.path = points;
+    this.overlay.setPath(points);
+    this.dirty = true;
+  }
+
+  setTrouble(trouble: Trouble): void {
+    const zones = [...trouble.zones].join() !== [...this.trouble.zones].join();
+    this.trouble = trouble;
+    if (zones) this.rebuild();
+    this.dirty = true;
+  }
+
+  /** The theme changed: colours are read anew. */
+  repaint(): void {
+    this.palette = readPalette();
+    this.world.remove(this.overlay.root);
+    this.overlay.end();
+    this.overlay = new Overlay(this.palette);
+    this.world.add(this.overlay.root);
+    this.overlay.setPath(this.path);
+    this.rebuild();
+  }
+
+  apply(frame: PoseFrame): void {
+    const info = this.info;
+    if (info === null || frame.poses.length !== info.bodies.length * 7) return;
+    this.last = frame;
+    info.bodies.forEach((name, k) => {
+      const body = this.bodies.byName.get(name);
+      if (body === undefined) return;
+      const seen = Number.isFinite(frame.poses[k * 7]);
+      body.visible = seen;
+      if (seen) place(body, frame.poses, k * 7);
+      if (name === 'base') this.robot.copy(body.position);
+    });
+    this.drawSeparation(frame, info);
+    this.rig.follow(this.robot);
+    this.dirty = true;
+  }
+
+  view(view: View): void {
+    this.rig.view(view, this.robot);
+  }
+
+  resize(width: number, height: number): void {
+    if (width === 0 || height === 0) return;
+    this.renderer.setSize(width, height, false);
+    this.rig.resize(width, height);
+  }
+
+  end(): void {
+    cancelAnimationFrame(this.request);
+    this.labels.clear();
+    this.rig.end();
+    this.overlay.end();
+    dispose(this.bodies.root);
+    dispose(this.ground);
+    this.renderer.dispose();
+    this.renderer.domElement.remove();
+  }
+
+  private rebuild(): void {
+    if (this.info === null) return;
+    this.world.remove(this.bodies.root, this.ground);
+    dispose(this.bodies.root);
+    dispose(this.ground);
+    this.world.background = this.palette.background;
+    this.bodies = buildBodies(this.info.scene, this.info.bodies, this.palette);
+    this.ground = buildGround(this.info.scene, this.palette, this.trouble.zones);
+    this.world.add(this.ground, this.bodies.root);
+    if (this.last !== null) this.apply(this.last);
+    this.dirty = true;
+  }
+
+  private drawSeparation(frame: PoseFrame, info: SceneInfo): void {
+    const gauge = (name: string): number | null => {
+      const value = frame.gauges[info.gauges.indexOf(name)];
+      return value === undefined || !Number.isFinite(value) ? null : value;
+    };
+    const needed = gauge('protective_separation_m');
+    const people = this.people();
+    this.overlay.separation(this.robot, people.length > 0 || this.trouble.separation ? needed : null, this.trouble.separation);
+    const nearest = people.sort((a, b) => a.distanceTo(this.robot) - b.distanceTo(this.robot))[0] ?? null;
+    this.overlay.tieTo(this.robot, this.trouble.separation ? nearest : null);
+  }
+
+  /** Where people stand, on the floor. Their bodies wait far outside the cell while they are not in it. */
+  private people(): Vector3[] {
+    const [x0, y0, x1, y1] = this.info?.scene.bounds_m ?? [0, 0, 0, 0];
+    return [...this.bodies.byName]
+      .filter(([name, body]) => isPerson(name) && name.endsWith('_torso') && body.visible)
+      .map(([, body]) => body.position.clone().setZ(0))
+      .filter(({ x, y }) => x > x0 - 2 && x < x1 + 2 && y > y0 - 2 && y < y1 + 2);
+  }
+
+  private labelled(): Map<string, Label> {
+    const found = new Map<string, Label>();
+    const info = this.info;
+    if (info === null) return found;
+    for (const zone of info.scene.zones) {
+      const [x, y] = middle(zone.polygon);
+      found.set(`zone ${zone.name}`, { text: zone.name, at: new Vector3(x, y, 0.02), tone: this.trouble.zones.has(zone.name) ? 'danger' : 'plain' });
+    }
+    for (const [name, body] of this.bodies.byName) {
+      const furniture = NAMED_FURNITURE.exec(name)?.[1];
+      if (furniture !== undefined) found.set(name, { text: furniture, at: above(body, 0.2), tone: 'plain' });
+    }
+    this.people().forEach((at, k) => found.set(`person ${k}`, { text: `person ${k + 1}`, at: at.setZ(1.75 + HEAD_M), tone: 'warn' }));
+    return found;
+  }
+
+  private readonly loop = (now: number): void => {
+    this.request = requestAnimationFrame(this.loop);
+    if (!this.dirty) return;
+    this.dirty = false;
+    const { clientWidth: width, clientHeight: height } = this.host;
+    this.renderer.render(this.world, this.rig.camera);
+    this.labels.draw(this.labelled(), this.rig.camera, width, height);
+    this.keepUp(performance.now() - now);
+  };
+
+  private keepUp(tookMs: number): void {
+    this.slow = tookMs > SLOW_MS ? this.slow + 1 : Math.max(0, this.slow - 1);
+    const ratio = this.renderer.getPixelRatio();
+    if (this.slow < 20 || ratio <= 0.6) return;
+    this.slow = 0;
+    this.renderer.setPixelRatio(Math.max(0.6, ratio * 0.8));
+    this.resize(this.host.clientWidth, this.host.clientHeight);
+  }
+}
+
+function middle(polygon: readonly (readonly [number, number])[]): [number, number] {
+  const mean = (axis: 0 | 1): number => polygon.reduce((sum, point) => sum + point[axis], 0) / polygon.length;
+  return [mean(0), mean(1)];
+}
+
+function above(body: Group, clearM: number): Vector3 {
+  const top = new Box3().setFromObject(body).max.z;
+  return body.position.clone().setZ(top + clearM);
+}
+
+/** Whether WebGL is drawn by the processor. */
+function isSoftware(): boolean {
+  const gl = document.createElement('canvas').getContext('webgl2');
+  const info = gl?.getExtension('WEBGL_debug_renderer_info');
+  const name = gl === null || info === null || info === undefined ? '' : String(gl.getParameter(info.UNMASKED_RENDERER_WEBGL));
+  gl?.getExtension('WEBGL_lose_context')?.loseContext();
+  return /swiftshader|llvmpipe|software/i.test(name);
+}

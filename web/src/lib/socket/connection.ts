@@ -1,0 +1,140 @@
+import { CLOSED, FINAL_CODES, SUBPROTOCOL, type Down, type Up } from './messages';
+import { retryMs, Watchdog, type LinkState } from './watchdog';
+
+const TICK_MS = 100;
+const PING_MS = 500;
+
+export interface Health {
+  state: LinkState;
+  rttMs: number | null;
+  framesPerS: number;
+}
+
+/** What the connection tells whoever started it. */
+export interface Listener {
+  message(message: Down): void;
+  frame(buffer: ArrayBuffer): void;
+  health(health: Health): void;
+  /** The server will not have this token; no further attempt is made. */
+  refused(why: string): void;
+}
+
+/**
+ * One console's socket, kept open: hello, pings, watchdog, and another socket when one falls silent.
+ *
+ * A socket whose network went away may never report its close, so silence is judged by the clock, and a spent socket
+ * is detached and left to itself. Runs in a Worker, where a hidden page's timers are not slowed down.
+ */
+export class Connection {
+  private socket: WebSocket | null = null;
+  private readonly dog: Watchdog;
+  private attempt = 0;
+  private retryAtMs: number | null = null;
+  private pingedMs = 0;
+  private rttMs: number | null = null;
+  private frames: number[] = [];
+  private lastSeq: number | null = null;
+  private boot: string | null = null;
+  private watched: string[] = [];
+  private readonly timer: ReturnType<typeof setInterval>;
+
+  constructor(
+    private readonly url: string,
+    private readonly token: string,
+    private readonly listener: Listener,
+    private readonly make: (url: string, protocol: string) => WebSocket = (address, protocol) => new WebSocket(address, protocol),
+    private readonly now: () => number = () => performance.now(),
+  ) {
+    this.dog = new Watchdog(this.now());
+    this.open();
+    this.timer = setInterval(() => this.tick(), TICK_MS);
+  }
+
+  /** Sends a message if the socket is open; a message that cannot be sent now is dropped, never sent late. */
+  send(message: Up): void {
+    if (message.type === 'watch') this.watched = message.cells;
+    if (this.socket?.readyState === 1) this.socket.send(JSON.stringify(message));
+  }
+
+  end(): void {
+    clearInterval(this.timer);
+    this.leave();
+  }
+
+  private open(): void {
+    this.retryAtMs = null;
+    this.dog.opened(this.now());
+    const socket = this.make(this.url, SUBPROTOCOL);
+    socket.binaryType = 'arraybuffer';
+    socket.onopen = () => this.send({ type: 'hello', token: this.token, after: this.lastSeq });
+    socket.onmessage = (event: MessageEvent<string | ArrayBuffer>) => this.take(event.data);
+    socket.onclose = (event) => this.closed(event.code, event.reason);
+    this.socket = socket;
+  }
+
+  /** Lets go of the socket without waiting for its close, which may never come. */
+  private leave(): void {
+    const socket = this.socket;
+    this.socket = null;
+    if (socket === null) return;
+    socket.onopen = socket.onmessage = socket.onclose = null;
+    socket.close();
+  }
+
+  private closed(code: number, reason: string): void {
+    this.leave();
+    if (FINAL_CODES.has(code)) {
+      clearInterval(this.timer);
+      this.listener.refused(CLOSED[code] ?? reason);
+      return;
+    }
+    this.later();
+  }
+
+  private later(): void {
+    this.retryAtMs = this.now() + retryMs(this.attempt, Math.random());
+    this.attempt += 1;
+  }
+
+  private take(data: string | ArrayBuffer): void {
+    const now = this.now();
+    this.dog.heard(now);
+    if (typeof data !== 'string') {
+      this.frames.push(now);
+      this.listener.frame(data);
+      return;
+    }
+    const message = JSON.parse(data) as Down;
+    if (message.type === 'pong') {
+      this.rttMs = now - message.at_ms;
+      return;
+    }
+    if (message.type === 'welcome') this.welcomed(message.boot);
+    if (message.type === 'snapshot' || message.type === 'update') this.lastSeq = message.seq;
+    this.listener.message(message);
+  }
+
+  private welcomed(boot: string): void {
+    this.attempt = 0;
+    if (this.boot !== null && this.boot !== boot) this.lastSeq = null;
+    this.boot = boot;
+    if (this.watched.length > 0) this.send({ type: 'watch', cells: this.watched });
+  }
+
+  private tick(): void {
+    const now = this.now();
+    if (this.socket !== null && this.dog.spent(now)) {
+      this.leave();
+      this.later();
+    }
+    if (this.retryAtMs !== null && now >= this.retryAtMs) this.open();
+    if (now - this.pingedMs >= PING_MS) {
+      this.pingedMs = now;
+      this.send({ type: 'ping', at_ms: now });
+    }
+    this.frames = this.frames.filter((at) => now - at < 1_000);
+    const up = this.socket !== null;
+    const state = up ? this.dog.state(now) : 'down';
+    this.listener.health({ state, rttMs: state === 'up' ? this.rttMs : null, framesPerS: this.frames.length });
+  }
+}

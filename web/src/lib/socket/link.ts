@@ -1,0 +1,94 @@
+import workerUrl from './worker?worker&url';
+import type { Health } from './connection';
+import { readFrame, type PoseFrame } from './frame';
+import type { Down, Up } from './messages';
+import type { FromWorker, ToWorker } from './worker';
+
+/** What a page learns from its link. */
+export interface LinkListener {
+  message(message: Down): void;
+  frame(frame: PoseFrame): void;
+  health(health: Health): void;
+  refused(why: string): void;
+}
+
+/** The Worker is silent for this long: it is the link that cannot be vouched for. */
+export const WORKER_SILENT_MS = 600;
+
+/** The page's end of the socket Worker. Beats and frames are acknowledged when the page took them, so a busy page gets fewer. */
+export class Link {
+  private readonly worker: Worker;
+  private heardMs = performance.now();
+  private readonly timer: ReturnType<typeof setInterval>;
+
+  constructor(token: string, private readonly listener: LinkListener) {
+    this.worker = new Worker(scriptUrl(workerUrl) as string, { type: 'module', name: 'reins-link' });
+    this.worker.onmessage = (event: MessageEvent<FromWorker>) => this.take(event.data);
+    this.timer = setInterval(() => this.look(), 200);
+    const url = `${location.protocol === 'https:' ? 'wss' : 'ws'}://${location.host}/v1/console`;
+    this.post({ do: 'open', url, token });
+  }
+
+  send(message: Up): void {
+    this.post({ do: 'send', message });
+  }
+
+  end(): void {
+    clearInterval(this.timer);
+    this.post({ do: 'end' });
+    setTimeout(() => this.worker.terminate(), 100);
+  }
+
+  private post(message: ToWorker): void {
+    this.worker.postMessage(message);
+  }
+
+  private take(said: FromWorker): void {
+    this.heardMs = performance.now();
+    switch (said.is) {
+      case 'message':
+        if (said.message.type === 'beat') this.send({ type: 'ack', beat: said.message.n });
+        this.listener.message(said.message);
+        break;
+      case 'frame': {
+        const frame = readFrame(said.buffer);
+        this.send({ type: 'ack', cell: frame.cell, frame: frame.frame });
+        this.listener.frame(frame);
+        break;
+      }
+      case 'health':
+        this.listener.health(said.health);
+        break;
+      case 'refused':
+        this.listener.refused(said.why);
+    }
+  }
+
+  private look(): void {
+    if (performance.now() - this.heardMs > WORKER_SILENT_MS) {
+      this.listener.health({ state: 'down', rttMs: null, framesPerS: 0 });
+    }
+  }
+}
+
+interface ScriptPolicy {
+  createScriptURL(url: string): unknown;
+}
+interface ScriptPolicies {
+  createPolicy(name: string, rules: { createScriptURL(url: string): string }): ScriptPolicy;
+}
+
+let policy: ScriptPolicy | null = null; // one name may be registered once
+
+/** A Worker's address has to be a TrustedScriptURL where Trusted Types are enforced; only our own origin passes. */
+function scriptUrl(path: string): unknown {
+  const policies = (globalThis as { trustedTypes?: ScriptPolicies }).trustedTypes;
+  if (policies === undefined) return path;
+  policy ??= policies.createPolicy('reins-worker', {
+    createScriptURL(url) {
+      if (new URL(url, location.href).origin !== location.origin) throw new TypeError('a Worker comes from here alone');
+      return url;
+    },
+  });
+  return policy.createScriptURL(path);
+}

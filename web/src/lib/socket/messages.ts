@@ -1,0 +1,75 @@
+import type { Cell, Escalation, Grant, Invocation, LogEvent, Review } from '../api/documents';
+
+/** The console socket's frames (docs/design/console.md). */
+export const SUBPROTOCOL = 'reins.console.1';
+
+export interface Changes {
+  seq: number;
+  events?: LogEvent[];
+  invocations?: Invocation[];
+  escalations?: Escalation[];
+  cells?: Cell[];
+  grants?: Grant[];
+  reviews?: Review[];
+}
+
+export interface Shape {
+  body: string;
+  shape: 'plane' | 'sphere' | 'capsule' | 'cylinder' | 'box';
+  size: number[];
+  pose: number[];
+  rgba: number[];
+}
+
+export interface ZoneShape {
+  name: string;
+  kind: 'forbidden' | 'restricted' | 'shared';
+  polygon: [number, number][];
+}
+
+export interface Scene {
+  bounds_m: [number, number, number, number];
+  zones: ZoneShape[];
+  shapes: Shape[];
+  fixed: Record<string, number[]>;
+}
+
+export type Down =
+  | { type: 'welcome'; version: number; name: string; role: string; boot: string; at: string | number }
+  | ({ type: 'snapshot' } & Required<Changes>)
+  | ({ type: 'update' } & Changes)
+  | { type: 'scene'; cell: string; scene: Scene; bodies: string[]; gauges: string[] }
+  | { type: 'path'; cell: string; invocation: string | null; points: [number, number][] }
+  | { type: 'beat'; n: number; at: string | number; seq: number }
+  | { type: 'pong'; at_ms: number }
+  | { type: 'jogged'; cell: string; n: number; refused: string | null };
+
+export interface Jog {
+  type: 'jog';
+  cell: string;
+  lease: string;
+  n: number;
+  base: [number, number, number];
+  tool: [number, number, number];
+  grip: 'open' | 'close' | null;
+}
+
+export type Up =
+  | { type: 'hello'; token: string; after: number | null }
+  | { type: 'watch'; cells: string[] }
+  | { type: 'ack'; cell: number; frame: number }
+  | { type: 'ack'; beat: number }
+  | { type: 'ping'; at_ms: number }
+  | Jog;
+
+export const CLOSED: Record<number, string> = {
+  4400: 'This console said something the server did not understand.',
+  4401: 'The token is not valid any more.',
+  4403: 'This role or address may not use the console.',
+  4408: 'The server waited too long for this console.',
+  4410: 'This console fell behind.',
+  4429: 'As many consoles are open as the server may have.',
+};
+
+/** Close codes after which coming back with the same token is pointless. */
+export const FINAL_CODES: ReadonlySet<number> = new Set([4401, 4403]);

@@ -1,0 +1,41 @@
+/** How long the link may be silent before the console says that it is down. The server beats every 200 ms. */
+export const SILENT_MS = 700;
+/** How long a silent socket is waited for before it is given up and another is opened. */
+export const GIVE_UP_MS = 2_500;
+
+export type LinkState = 'connecting' | 'up' | 'down';
+
+/** Decides from times alone whether the link is up; the caller brings the clock. */
+export class Watchdog {
+  private heardMs: number | null = null;
+  private openedMs: number;
+
+  constructor(nowMs: number) {
+    this.openedMs = nowMs;
+  }
+
+  /** A new socket is being opened: what the last one said no longer counts. */
+  opened(nowMs: number): void {
+    this.openedMs = nowMs;
+    this.heardMs = null;
+  }
+
+  heard(nowMs: number): void {
+    this.heardMs = nowMs;
+  }
+
+  state(nowMs: number): LinkState {
+    if (this.heardMs === null) return nowMs - this.openedMs > SILENT_MS ? 'down' : 'connecting';
+    return nowMs - this.heardMs > SILENT_MS ? 'down' : 'up';
+  }
+
+  /** Says whether waiting for this socket any longer is pointless. */
+  spent(nowMs: number): boolean {
+    return nowMs - (this.heardMs ?? this.openedMs) > GIVE_UP_MS;
+  }
+}
+
+/** Pause before the n-th attempt in a row, with a random part so that consoles do not come back all at once. */
+export function retryMs(attempt: number, random: number): number {
+  return Math.min(4_000, 250 * 2 ** Math.min(attempt, 5)) * (0.7 + 0.6 * random);
+}

@@ -1,0 +1,31 @@
+/** The time everything on screen is told by: the server's wall clock, as far as its beats let us know it. */
+class Clock {
+  /** Server's wall clock, ms since the epoch; steps four times a second. */
+  nowMs = $state(Date.now());
+  private offsetMs = 0;
+  private synced = false;
+
+  constructor() {
+    setInterval(() => this.step(), 250);
+  }
+
+  /** Takes the server's time from a message that just came. */
+  sync(at: string | number): void {
+    const serverMs = typeof at === 'number' ? at * 1000 : Date.parse(at);
+    if (!Number.isFinite(serverMs)) return;
+    const offset = serverMs - Date.now();
+    // The least delayed message tells best; drift and a stepped clock still come through.
+    this.offsetMs = !this.synced || offset > this.offsetMs || this.offsetMs - offset > 500 ? offset : this.offsetMs;
+    this.synced = true;
+  }
+
+  read(): number {
+    return Date.now() + this.offsetMs;
+  }
+
+  private step(): void {
+    this.nowMs = this.read();
+  }
+}
+
+export const clock = new Clock();

@@ -1,0 +1,167 @@
+import { Api } from '../api/client';
+import type { Capability, Cell, Invocation, PolicySet } from '../api/documents';
+import type { Health } from '../socket/connection';
+import type { PoseFrame } from '../socket/frame';
+import { Link } from '../socket/link';
+import type { Down, Jog, Scene } from '../socket/messages';
+import { clock } from './clock.svelte';
+import { fromSnapshot, merged, NOTHING, type Documents } from './documents';
+
+export interface SceneInfo {
+  scene: Scene;
+  bodies: string[];
+  gauges: string[];
+}
+
+export interface Path {
+  invocation: string | null;
+  points: [number, number][];
+}
+
+type FrameListener = (frame: PoseFrame) => void;
+
+const OFF: Health = { state: 'connecting', rttMs: null, framesPerS: 0 };
+
+/**
+ * The signed-in console: what the server said, whether that still holds, and which cell is looked at.
+ *
+ * Poses are not kept here: they go straight to whoever listens with `onFrame`.
+ */
+export class Console {
+  readonly api: Api;
+  docs = $state.raw<Documents>(NOTHING);
+  health = $state.raw<Health>(OFF);
+  me = $state.raw<{ name: string; role: string } | null>(null);
+  refused = $state<string | null>(null);
+  selected = $state<string | null>(sessionStorage.getItem('reins.cell'));
+  scene = $state.raw<SceneInfo | null>(null);
+  path = $state.raw<Path | null>(null);
+  jogRefused = $state<string | null>(null);
+  policy = $state.raw<PolicySet | null>(null);
+  capabilities = $state.raw<Record<string, Capability>>({});
+  /** When the last word came that is shown, server's wall clock in ms. */
+  heardAtMs = $state<number | null>(null);
+
+  private readonly link: Link;
+  private frameListeners: readonly FrameListener[] = [];
+
+  constructor(token: string) {
+    this.api = new Api(token);
+    this.link = new Link(token, {
+      message: (message) => this.take(message),
+      frame: (frame) => this.frameListeners.forEach((listen) => listen(frame)),
+      health: (health) => {
+        this.health = health;
+      },
+      refused: (why) => {
+        this.refused = why;
+      },
+    });
+  }
+
+  /** Whether what is shown may be taken as the present. */
+  get live(): boolean {
+    return this.health.state === 'up' && this.docs !== NOTHING;
+  }
+
+  get cells(): Cell[] {
+    return Object.values(this.docs.cells).sort((a, b) => a.id.localeCompare(b.id));
+  }
+
+  get cell(): Cell | null {
+    return (this.selected === null ? undefined : this.docs.cells[this.selected]) ?? this.cells[0] ?? null;
+  }
+
+  /** What runs in the selected cell, or else what ran there last. */
+  get session(): Invocation | null {
+    const cell = this.cell;
+    if (cell === null) return null;
+    const here = Object.values(this.docs.invocations).filter((invocation) => invocation.cell === cell.id);
+    const busy = here.find((invocation) => invocation.id === cell.busy);
+    return busy ?? here.sort((a, b) => b.created_at.localeCompare(a.created_at))[0] ?? null;
+  }
+
+  select(cell: string): void {
+    this.selected = cell;
+    sessionStorage.setItem('reins.cell', cell);
+    this.watch(cell);
+  }
+
+  onFrame(listen: FrameListener): () => void {
+    this.frameListeners = [...this.frameListeners, listen];
+    return () => {
+      this.frameListeners = this.frameListeners.filter((known) => known !== listen);
+    };
+  }
+
+  jog(command: Jog): void {
+    this.link.send(command);
+  }
+
+  end(): void {
+    this.link.end();
+  }
+
+  private watch(cell: string): void {
+    if (this.watching === cell) return;
+    this.watching = cell;
+    this.scene = null;
+    this.path = null;
+    this.link.send({ type: 'watch', cells: [cell] });
+  }
+  private watching: string | null = null;
+
+  private take(message: Down): void {
+    switch (message.type) {
+      case 'welcome':
+        clock.sync(message.at);
+        this.me = { name: message.name, role: message.role };
+        void this.fetchPolicy();
+        break;
+      case 'snapshot':
+        this.docs = fromSnapshot(message, this.docs);
+        this.watchFirst();
+        break;
+      case 'update':
+        this.docs = merged(this.docs, message);
+        this.watchFirst();
+        if (message.events?.some((event) => event.kind === 'policy_activated') === true) void this.fetchPolicy();
+        break;
+      case 'beat':
+        clock.sync(message.at);
+        break;
+      default:
+        this.takeAboutCell(message);
+    }
+    this.heardAtMs = clock.read();
+  }
+
+  private takeAboutCell(message: Down): void {
+    if (!('cell' in message) || message.cell !== this.watching) return;
+    switch (message.type) {
+      case 'scene':
+        this.scene = { scene: message.scene, bodies: message.bodies, gauges: message.gauges };
+        break;
+      case 'path':
+        this.path = { invocation: message.invocation, points: message.points };
+        break;
+      case 'jogged':
+        this.jogRefused = message.refused;
+    }
+  }
+
+  private watchFirst(): void {
+    const cell = this.cell;
+    if (cell !== null) this.watch(cell.id);
+  }
+
+  private async fetchPolicy(): Promise<void> {
+    try {
+      const [policy, capabilities] = await Promise.all([this.api.policy(), this.api.capabilities()]);
+      this.policy = policy;
+      this.capabilities = Object.fromEntries(capabilities.items.map((item) => [item.name, item]));
+    } catch {
+      setTimeout(() => void this.fetchPolicy(), 2_000); // limits are drawn from it; without it gauges show no limit
+    }
+  }
+}

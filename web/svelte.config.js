@@ -1,0 +1,2 @@
+/** Runes everywhere; no warning is let pass. */
+export default { compilerOptions: { runes: true } };

@@ -1,0 +1,21 @@
+import { fileURLToPath } from 'node:url';
+import { svelte } from '@sveltejs/vite-plugin-svelte';
+import { defineConfig } from 'vitest/config';
+import { compressed } from './compressed.ts';
+
+const server = process.env['REINS_SERVER'] ?? 'http://127.0.0.1:8000';
+
+export default defineConfig({
+  plugins: [svelte(), compressed()],
+  build: {
+    outDir: fileURLToPath(new URL('../app/console', import.meta.url)),
+    emptyOutDir: true,
+    target: 'es2023',
+    modulePreload: { polyfill: false },
+    assetsInlineLimit: 0, // a data: address would need a wider content security policy
+    chunkSizeWarningLimit: 1000,
+  },
+  worker: { format: 'es' },
+  server: { proxy: { '/v1': { target: server, ws: true, changeOrigin: true } } },
+  test: { include: ['tests/**/*.test.ts'], environment: 'node' },
+});
