@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, TypeAdapter, Valid
 LEASE_MS = 300
 BEAT_MS = 75
 STATE_MS = 100
-VERSION = 3
+VERSION = 4
 
 
 class Message(BaseModel):
@@ -61,12 +61,36 @@ class Launch(Message):
 
 
 class Human(Message):
-    """An operator's word on a running session. `resolve_*` answer an escalation the session waits on."""
+    """An operator's word on a running session. `resolve_*` answer an escalation the session waits on.
+
+    `let_go` and `end_takeover` are about a session that a human drives: nobody holds its lease any more, or it is done.
+    """
 
     type: Literal["human"] = "human"
     invocation: str
-    op: Literal["pause", "resume", "stop", "rollback", "cancel", "confirm", "resolve_continue", "resolve_terminate"]
+    op: Literal[
+        "pause", "resume", "stop", "rollback", "cancel", "confirm", "resolve_continue", "resolve_terminate",
+        "let_go", "end_takeover",
+    ]  # fmt: skip
     actor: str
+
+
+Triple: TypeAlias = tuple[float, float, float]
+
+
+class Jog(Message):
+    """What the human at the controls wants, good for 100 ms of the cell's ticks; only the newest one matters.
+
+    Speeds in the base frame: `base` (vx, vy, wz) in m/s and rad/s, `tool` (vx, vy, vz) in m/s.
+    """
+
+    type: Literal["jog"] = "jog"
+    invocation: str
+    actor: str
+    n: int
+    base: Triple
+    tool: Triple
+    grip: Literal["open", "close"] | None = None
 
 
 class Estop(Message):
@@ -111,7 +135,8 @@ class Beat(Message):
 
 
 Down: TypeAlias = Annotated[
-    Welcome | Policy | Launch | Human | Estop | Reset | SetProfile | Ack | Watch | Beat, Field(discriminator="type")
+    Welcome | Policy | Launch | Human | Jog | Estop | Reset | SetProfile | Ack | Watch | Beat,
+    Field(discriminator="type"),
 ]
 
 # -- up: cell to server ----------------------------------------------------------------------------
@@ -160,6 +185,13 @@ class Sitting(Message):
     waits_for: str
 
 
+class Jogged(Message):
+    """What became of the newest jog command: its number, and the code of why it is not done."""
+
+    n: int
+    refused: str | None
+
+
 class State(Message):
     """The cell's newest state, ten times a second and on every change."""
 
@@ -175,6 +207,7 @@ class State(Message):
     facts: dict[str, JsonValue]  # a WorldFacts as plain JSON
     gauges: dict[str, float]  # newest watcher signals, for displays
     session: Sitting | None = None
+    jog: Jogged | None = None
 
 
 class Scene(Message):

@@ -20,9 +20,10 @@ from app.cell.journal import JournalUnavailable
 from app.cell.loop import NewPolicy, Shutdown, Welcomed
 from app.cell.runner import Runner
 from app.governance.conditions import unmet
+from app.governance.model import Wish
 from app.governance.permit import SignedAuthorization
 from app.governance.policy import recovery_plan, watch_plan, watch_plan_for
-from app.protocol import Ack, Estop, Human, Launch, Reset, SetProfile, State, UpEvent, pack_batch
+from app.protocol import Ack, Estop, Human, Jog, Jogged, Launch, Reset, SetProfile, State, UpEvent, pack_batch
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -108,6 +109,9 @@ class GovernedCell:
                 self._runner.launch(_signed(order))
             case Human():
                 self._runner.human(order.invocation, order.op, order.actor)
+            case Jog():
+                wish = Wish(order.base, order.tool, order.grip)
+                self._runner.jog(order.invocation, order.n, wish, order.actor)
             case Estop():
                 self._runner.estop(order.actor)
             case Reset():
@@ -149,6 +153,7 @@ class GovernedCell:
             facts=facts,
             gauges={**gauges, "late_ticks": float(overruns)},
             session=sitting(self._runner.session),
+            jog=None if view.jogged is None else Jogged(n=view.jogged[0], refused=view.jogged[1] or None),
         )
 
     def look(self) -> Moment:

@@ -347,6 +347,7 @@ class Governing:
                 recoveries=run.recoveries,
                 retries=run.used.retries,
                 failure=(run.failed or (run.deciding.failure if run.deciding else "")) or None,
+                **({"facts": telling.facing(self._substrate.facts())} if end.outcome is Outcome.TAKEN_OVER else {}),
             ),
             marks={"open": None},
         )

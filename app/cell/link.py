@@ -37,6 +37,7 @@ from app.protocol import (
     Estop,
     Hello,
     Human,
+    Jog,
     Launch,
     Policy,
     ProtocolError,
@@ -297,7 +298,7 @@ class Link:
                 case Watch():
                     self._watched += message.on
                     self._outbox.watched = self._watched if message.on else 0
-                case Estop() | Human():
+                case Estop() | Human() | Jog():
                     self._inbox.put(message)
                 case _:
                     orders.put_nowait(message)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
 
 from app.clock import monotonic_s
 from app.governance.model import Status
-from app.protocol import LEASE_MS, STATE_MS, Ack, Estop, Human, Launch, Reset, SetProfile, State
+from app.protocol import LEASE_MS, STATE_MS, Ack, Estop, Human, Jog, Launch, Reset, SetProfile, State
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -51,7 +51,7 @@ class Shutdown:
     """Come to a controlled stop, then leave the loop."""
 
 
-Order: TypeAlias = Launch | Human | Estop | Reset | SetProfile | Ack | Welcomed | NewPolicy | Shutdown
+Order: TypeAlias = Launch | Human | Jog | Estop | Reset | SetProfile | Ack | Welcomed | NewPolicy | Shutdown
 Inbox: TypeAlias = "SimpleQueue[Order]"
 
 
@@ -230,6 +230,9 @@ class TickLoop:
             case Welcomed():
                 self._held = False
                 self._runner.obey(order)
+            case Jog():  # many a second: the state says ten times a second what became of them
+                self._runner.obey(order)
+                return
             case _:
                 self._runner.obey(order)
         self._outbox.changed = True

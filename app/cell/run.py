@@ -49,11 +49,12 @@ EASE_TICKS: Final = 20  # the gripper needs 0.2 s to follow; judged earlier, it 
 
 
 class Doing(StrEnum):
-    """What is bound at present: the authorized capability, a recovery capability, or the rollback."""
+    """What is bound: the authorized capability, a recovery capability, the rollback, or a human's driving."""
 
     ATTEMPT = "attempt"
     RECOVERY = "recovery"
     ROLLBACK = "rollback"
+    TAKEOVER = "takeover"
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +154,9 @@ class Run:
     @property
     def recovering(self) -> bool:
         """Say whether a recovery is bound, or about to be, rather than the capability itself."""
-        return self.doing is not Doing.ATTEMPT or isinstance(self.next, Bind)
+        if isinstance(self.next, Bind):
+            return self.next.doing is not Doing.TAKEOVER
+        return self.doing in (Doing.RECOVERY, Doing.ROLLBACK)
 
     def waits_for_confirmation(self, phase: str) -> bool:
         """Say whether a phase may not begin before a human has confirmed it."""

@@ -18,11 +18,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from app.cell import telling
-from app.cell.governing import Governing, PlanOf, Ports, Verify
+from app.cell.governing import PlanOf, Ports, Verify
+from app.cell.handover import Session
 from app.cell.journal import USED, Entry, Journal, JournalUnavailable
-from app.cell.run import End, Run, Unprepared
+from app.cell.run import Doing, End, Run, Unprepared
 from app.cell.series import Series
 from app.cell.substrate import SubstrateError
+from app.governance.control import TAKEOVER
 from app.governance.intervention import Responses
 from app.governance.model import EventKind, Mode, Outcome, Status
 from app.governance.permit import PermitError, SignedAuthorization, verify
@@ -36,7 +38,7 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
     from app.cell.substrate import Skill, Substrate
-    from app.governance.model import Json, Observation
+    from app.governance.model import Json, Observation, Wish
     from app.governance.permit import Grant
 
 CATCH_UP_TICKS: Final = 100
@@ -53,6 +55,7 @@ class View(NamedTuple):
     holding: str
     fault: str
     signals: Signals
+    jogged: tuple[int, str] | None
 
 
 class Runner:
@@ -91,7 +94,7 @@ class Runner:
         )
         self._key: Ed25519PublicKey | None = None
         self._policy_digest = ""
-        self._session: Governing | None = None
+        self._session: Session | None = None
         self._signals = Signals()
         self._unpowered = False
         self.latched = bool(journal.marks.get("latched"))
@@ -116,7 +119,7 @@ class Runner:
         self._record.fault = why
 
     @property
-    def session(self) -> Governing | None:
+    def session(self) -> Session | None:
         """Return the session under way, for evaluation to look at."""
         return self._session
 
@@ -142,6 +145,7 @@ class Runner:
             self.holding,
             self.fault,
             self._signals if session is None else session.run.watching.signals,
+            None if session is None else session.jogged(),
         )
 
     def standing(self) -> bool:
@@ -158,14 +162,15 @@ class Runner:
     def launch(self, signed: SignedAuthorization) -> str | None:
         """Verify a signed authorization and begin its session; return None, or the code of the refusal.
 
-        Every refusal is recorded, and says under which invocation where the signature was good.
+        One for the session that runs already changes whose hands it is in: to a human's (`takeover`), or back to its
+        own capability. Every refusal is recorded, and says under which invocation where the signature was good.
         """
         try:
             grant = self._admit(signed)
         except PermitError as error:
             return self._refuse(error.invocation, error.code, error.detail)
         permit = grant.authorization
-        if (why := self._not_now()) is not None:
+        if (why := self._not_now(grant)) is not None:
             return self._refuse(permit.invocation, *why)
         used: dict[str, Json] = {USED + permit.id: permit.expires_at_s, "open": permit.invocation}
         try:
@@ -173,7 +178,17 @@ class Runner:
             self._record.sync()
         except JournalUnavailable as error:
             return self._refuse(permit.invocation, "journal_unavailable", str(error))
-        return self._begin(grant)
+        session = self._session
+        return self._begin(grant) if session is None else self._change_hands(session, grant)
+
+    def jog(self, invocation: str, number: int, wish: Wish, actor: str) -> str | None:
+        """Take a command of the human at the controls; return None, or the code of why it is not done."""
+        session = self._session
+        if session is None or session.run.id != invocation:
+            return "no_such_session"
+        if self.holding:
+            return "holding"
+        return session.jog(number, wish, actor)
 
     def human(self, invocation: str, op: str, actor: str) -> str | None:
         """Do an operator's word on the session; return None, or the code of why it could not be done."""
@@ -254,7 +269,7 @@ class Runner:
         if session.over is not None:
             self._take_leave(session)
 
-    def _take_leave(self, session: Governing) -> None:
+    def _take_leave(self, session: Session) -> None:
         self._signals = session.run.watching.signals
         self._unpowered = self._unpowered or session.over is None or session.over.category is not None
         self._session = None
@@ -265,7 +280,7 @@ class Runner:
 
     # -- inside --------------------------------------------------------------------------------------------------------
 
-    def _obey(self, session: Governing, op: str) -> str | None:
+    def _obey(self, session: Session, op: str) -> str | None:
         if isinstance(session.run.next, End):
             return "ending"
         if self.holding and op in _GOING_ON:
@@ -291,14 +306,25 @@ class Runner:
             used=self.journal.used_permits(),
         )
 
-    def _not_now(self) -> tuple[str, str] | None:
+    def _not_now(self, grant: Grant) -> tuple[str, str] | None:
         if self.latched:
             return "estop_latched", "an emergency stop is latched; valid: reset it first"
         if self.holding:
             return "holding", f"the cell holds (`{self.holding}`); valid: wait until the link is back"
-        if self._session is not None:
-            return "busy", f"the cell runs `{self._session.run.id}`"
-        return None
+        session = self._session
+        if session is None:
+            return None
+        if session.run.id != grant.authorization.invocation:
+            return "busy", f"the cell runs `{session.run.id}`"
+        return session.why_not(grant)
+
+    def _change_hands(self, session: Session, grant: Grant) -> str | None:
+        permit = grant.authorization
+        if permit.capability != TAKEOVER:
+            session.hand_back(grant)
+            return None
+        code = session.take_over(grant)
+        return None if code is None else self._refuse(permit.invocation, code, "nothing changed hands")
 
     def _refuse(self, invocation: str | None, code: str, detail: str) -> str:
         self._record.say_anyway(telling.launch_refused(invocation, code, detail))
@@ -332,8 +358,9 @@ class Runner:
             series=Series(substrate.period_s, keep_every_tick=plan.keep_every_tick),
             began=began,
             first_tick=self._record.tick,
+            doing=Doing.TAKEOVER if permit.capability == TAKEOVER else Doing.ATTEMPT,
         )
-        self._session = Governing(self._ports, run, self.observation)
+        self._session = Session(self._ports, run, self.observation)
         self._record.say_anyway(telling.status(permit.invocation, Status.RUNNING, None, "launched"))
         return None
 
@@ -354,14 +381,16 @@ class Runner:
 
 
 _OPS: Final = {
-    "pause": Governing.pause,
-    "resume": Governing.resume,
-    "stop": Governing.stop,
-    "rollback": Governing.roll_back,
-    "cancel": Governing.cancel,
-    "confirm": Governing.confirm,
-    "resolve_continue": Governing.go_on,
-    "resolve_terminate": Governing.terminate,
+    "pause": Session.pause,
+    "resume": Session.resume,
+    "stop": Session.stop,
+    "rollback": Session.roll_back,
+    "cancel": Session.cancel,
+    "confirm": Session.confirm,
+    "resolve_continue": Session.go_on,
+    "resolve_terminate": Session.terminate,
+    "let_go": Session.let_go,
+    "end_takeover": Session.end_takeover,
 }
 _GOING_ON: Final = frozenset({"resume", "rollback", "confirm", "resolve_continue"})
 

@@ -41,6 +41,12 @@ class Series:
         if number % EVERY == 0:  # not in every tick: what that costs, the control loop pays
             self._thin(number + 1)
 
+    def keep_every_tick(self) -> None:
+        """Keep every tick from now on, and what still waits."""
+        self.ready += b"".join(self._waiting)
+        self._waiting.clear()
+        self._keeps_all = True
+
     def close(self) -> None:
         """Let the rows that still wait be sent; the last row of all is kept."""
         last = self._waiting[-1:]

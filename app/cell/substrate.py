@@ -8,12 +8,12 @@ offered apart, in its own room, for evaluation.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from app.governance.model import Command, Json, Observation, SkillReport, WorldFacts
+    from app.governance.model import Command, Json, Observation, SkillReport, Wish, WorldFacts
     from app.governance.permit import Grant
 
 
@@ -30,6 +30,20 @@ class Skill(Protocol):
 
     def report(self) -> SkillReport:
         """Say phase, progress and whether the skill believes that it is done or has failed."""
+        ...
+
+
+@runtime_checkable
+class Steered(Protocol):
+    """What binding the capability `takeover` returns besides a `Skill`: a run that a human steers."""
+
+    @property
+    def refused(self) -> str:
+        """Return why the last wish could not be done (`unreachable`), or nothing."""
+        ...
+
+    def steer(self, wish: Wish) -> None:
+        """Take what the human wants from the next tick on; a wish of nothing stops within 50 ms, along its own way."""
         ...
 
 

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
         Params,
         Status,
         WatchPlan,
+        Wish,
+        WorldFacts,
     )
     from app.governance.recovery import RecoveryDecision
 
@@ -183,6 +185,40 @@ def asked_again(invocation: str, failed: str) -> Saying:
 def human(invocation: str, op: str, actor: str, refused: str | None) -> Saying:
     """An operator said something, and whether it was done."""
     return Saying(EventKind.HUMAN, invocation, actor, {"op": op, "done": refused is None, "refused": refused})
+
+
+def jog(invocation: str, actor: str, number: int, wish: Wish, refused: str) -> Saying:
+    """A human at the controls wants something else than before; what moved stands in the telemetry, tick by tick."""
+    body: dict[str, Json] = {
+        "op": "jog",
+        "n": number,
+        "base": list(wish.base),
+        "tool": list(wish.tool),
+        "grip": wish.grip,
+        "done": not refused,
+        "refused": refused or None,
+    }
+    return Saying(EventKind.HUMAN, invocation, actor, body)
+
+
+def facing(facts: WorldFacts) -> dict[str, Json]:
+    """Return the state that whoever gets the robot back now faces, as numbers and names."""
+    return {
+        "base": [_finite(value) for value in facts.base],
+        "holding": facts.holding,
+        "gripper_empty": facts.gripper_empty,
+        "arm_retracted": facts.arm_retracted,
+        "objects": {
+            name: {
+                "visible": seen.visible,
+                "reachable": seen.reachable,
+                "x_m": _finite(seen.x_m),
+                "y_m": _finite(seen.y_m),
+            }
+            for name, seen in facts.objects.items()
+        },
+        "tools": dict(facts.tools),
+    }
 
 
 def cell(what: str, actor: str, detail: str = "") -> Saying:

@@ -21,6 +21,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from app.governance.model import Intervention
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from app.governance.model import Alert, WatchRule
 
 SEVERITY: Final = {
@@ -37,6 +39,14 @@ GROWTH: Final = {"zone_margin_m": 0.02}
 
 As much as one fix may move the estimate of where it stands; at the edge that alone makes the violation come and go.
 """
+WAY_OUT: Final = {
+    "zone_margin_m": 0.02,
+    "contact_force_n": 10.0,
+    "residual_nm": 5.0,
+    "tracking_error_rad": 0.02,
+    "grip_force_n": 2.0,
+}
+"""What a human at the controls may move out of, and by how much it may grow on the way."""
 
 
 class Engaged(NamedTuple):
@@ -63,11 +73,15 @@ class Decision(NamedTuple):
 
 
 class Grace(NamedTuple):
-    """A rule a recovery was started for: the tick its grace ends, and how far it was violated when the grace began."""
+    """A rule a recovery was started for: the tick its grace ends, and how far it was violated when the grace began.
+
+    `growth` is by how much it may grow; None leaves that to `GROWTH`.
+    """
 
     rule: str
     until: int
     excess: float | None = None
+    growth: float | None = None
 
 
 class InterventionState(NamedTuple):
@@ -131,6 +145,7 @@ class Responses:
         excess = abs(alert.value - alert.threshold)
         if grace.excess is None:
             return grace._replace(excess=excess)
+        growth = growth if grace.growth is None else grace.growth
         return grace if excess <= grace.excess + growth else None
 
     def _advance(self, one: Engaged, alert: Alert | None, tick: int) -> Engaged | None:
@@ -176,6 +191,24 @@ def recovering(rules: tuple[str, ...], tick: int, period_s: float) -> Interventi
     """Return the state a recovery begins with: the violations it was started for get `GRACE_MS` to end."""
     until = tick + round(GRACE_MS / (1000.0 * period_s))
     return InterventionState(grace=tuple(Grace(rule, until) for rule in rules))
+
+
+def leaving(blocked: Mapping[str, tuple[str, float]], tick: int, period_s: float) -> InterventionState:
+    """Return the state a human begins to move out of violations with: each may last `GRACE_MS` and hardly grow.
+
+    Only what moving can mend is spared (`WAY_OUT`). Whoever is too near has to go, and what cannot be believed has to
+    be believable again, before anything moves.
+
+    Args:
+        blocked: By rule, its signal, and how far it was violated when it stopped the motion first.
+        tick: The session's.
+        period_s: The control period.
+    """
+    until = tick + round(GRACE_MS / (1000.0 * period_s))
+    spared = tuple(
+        Grace(rule, until, excess, WAY_OUT[signal]) for rule, (signal, excess) in blocked.items() if signal in WAY_OUT
+    )
+    return InterventionState(grace=spared) if spared else NOTHING
 
 
 def _severity(decision: Decision) -> tuple[int, bool]:

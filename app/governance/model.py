@@ -582,6 +582,18 @@ class SkillReport(NamedTuple):
     failure: str = ""
 
 
+class Wish(NamedTuple):
+    """What a human at the controls asks for, for as long as they hold the key.
+
+    `base` is (vx, vy, wz) in the base frame, m/s and rad/s; `tool` (vx, vy, vz) in the base frame, m/s; `grip` is
+    `open`, `close`, or None to leave the fingers as they are.
+    """
+
+    base: Vec3 = (0.0, 0.0, 0.0)
+    tool: Vec3 = (0.0, 0.0, 0.0)
+    grip: str | None = None
+
+
 class Bounds(NamedTuple):
     """What the clamp holds commands to: the effective limits of one session."""
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, cast
 
 import orjson
 
+from app.governance.control import TAKEOVER
 from app.governance.model import AgentFacts, Bounds, Mode, RecoveryPlan, WatchPlan, WatchRule
 from app.governance.policy_code import limit_for
 from app.governance.policy_model import GOVERNANCE
@@ -33,6 +34,8 @@ SPEED_NOISE_MPS: Final = 0.01  # about five σ of a speed made from the drives' 
 """What `careful` leaves of a speed; skills drive at 0.95 of it, as they do with every limit."""
 
 MANIPULATION: Final = "manipulation"
+OF_A_PLAN: Final = frozenset({"stall_s", "elapsed_s", "retries"})
+"""What says how a plan gets on; a human who drives has none, and may look before they move."""
 
 
 class ParamProblem(NamedTuple):
@@ -268,7 +271,8 @@ def watch_plan(policy: PolicySet, capability: str, profile: str, params: Params,
         rules=tuple(
             _watch_rule(row, package, environment, bounds)
             for row in environment.watch
-            if row.applies_to is None or capability in row.applies_to
+            if (row.applies_to is None or capability in row.applies_to)
+            and not (capability == TAKEOVER and row.signal in OF_A_PLAN)
         ),
         zones=tuple(zone for zone in policy.site.zones.values() if zone.kind == "forbidden"),
         separation=environment.separation,
@@ -279,7 +283,7 @@ def watch_plan(policy: PolicySet, capability: str, profile: str, params: Params,
         payload_kg=0.0 if known is None else known.mass_kg,
         base_deceleration_mps2=environment.base_deceleration_mps2,
         base_radius_m=environment.base_radius_m,
-        keep_every_tick=environment.keep_every_tick,
+        keep_every_tick=environment.keep_every_tick or capability == TAKEOVER,
     )
 
 

@@ -3,7 +3,8 @@
 A session begins at launch, in RUNNING, and ends in COMPLETED or FAILED (paper, Stage 5). In between it is in one of
 four ways alive:
 
-* RUNNING: the authorized capability moves, or waits only for itself.
+* RUNNING: the authorized capability moves, or waits only for itself; so does a human's driving after `TAKE_OVER`,
+  which is a capability with an authorization of its own.
 * PAUSED: held in place with power kept (IEC 60204-1, category 2), by a watch rule or an operator; it may go on when
   the cause is gone.
 * ESCALATED: held in the same way, but nothing short of a human's word lets it go on.
@@ -13,6 +14,8 @@ What may happen is the table below: a cell that is missing is a transition that 
 is never missing: every living status has a cell for `PAUSE`, `ESCALATE`, `STOP` and `FAIL`, because refusing to
 restrain for reasons of bookkeeping would be the one unforgivable bug. Going on is the opposite, each way of it
 appears exactly once: `RESUME` and `RESUME_RECOVERY` leave PAUSED, `CONTINUE` and `CONTINUE_RECOVERY` leave ESCALATED.
+`TAKE_OVER` goes on with nothing: it puts a human's hand in the place of what ran, whatever the session was doing. What
+it was doing goes on only as a new attempt (`RECOVER`, `RECOVERED`), bound anew.
 A terminal status absorbs every event, so a late word cannot raise the dead.
 
 Which label a session ends with (`succeeded`, `recovered`, `stopped`, …) is the outcome's business; COMPLETED holds
@@ -40,6 +43,7 @@ class Event(StrEnum):
     CONTINUE_RECOVERY = "continue_recovery"
     RECOVER = "recover"
     RECOVERED = "recovered"
+    TAKE_OVER = "take_over"
     COMPLETE = "complete"
     STOP = "stop"
     FAIL = "fail"
@@ -60,31 +64,36 @@ class SessionError(GovernanceError):
         super().__init__(f"a session in `{status}` cannot take `{event}`; valid: {valid}")
 
 
-_RESTRAINED: Final = {Event.STOP: Status.FAILED, Event.FAIL: Status.FAILED, Event.ESCALATE: Status.ESCALATED}
+_ALIVE: Final = {
+    Event.STOP: Status.FAILED,
+    Event.FAIL: Status.FAILED,
+    Event.ESCALATE: Status.ESCALATED,
+    Event.TAKE_OVER: Status.RUNNING,
+}
 
 TABLE: Final[dict[Status, dict[Event, Status]]] = {
     Status.RUNNING: {
-        **_RESTRAINED,
+        **_ALIVE,
         Event.PAUSE: Status.PAUSED,
         Event.RECOVER: Status.RECOVERING,
         Event.COMPLETE: Status.COMPLETED,
     },
     Status.PAUSED: {
-        **_RESTRAINED,
+        **_ALIVE,
         Event.PAUSE: Status.PAUSED,
         Event.RESUME: Status.RUNNING,
         Event.RESUME_RECOVERY: Status.RECOVERING,
         Event.RECOVER: Status.RECOVERING,
     },
     Status.ESCALATED: {
-        **_RESTRAINED,
+        **_ALIVE,
         Event.PAUSE: Status.ESCALATED,  # it is held already, and a human was asked
         Event.CONTINUE: Status.RUNNING,
         Event.CONTINUE_RECOVERY: Status.RECOVERING,
         Event.RECOVER: Status.RECOVERING,
     },
     Status.RECOVERING: {
-        **_RESTRAINED,
+        **_ALIVE,
         Event.PAUSE: Status.PAUSED,
         Event.RECOVER: Status.RECOVERING,  # a recovery failed, the next one begins
         Event.RECOVERED: Status.RUNNING,

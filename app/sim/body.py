@@ -127,6 +127,11 @@ class Body:
         """Return the command that keeps arm, base and grip."""
         return Command(self._joints, self._still, (0.0, 0.0, 0.0), self.grip_n)
 
+    def placed(self, joints: Floats, speeds: Floats) -> Command:
+        """Return the command that takes the arm to these joint angles at these joint speeds, with the present grip."""
+        self._joints = tuple(joints.tolist())  # type: ignore[assignment]  # six of them
+        return Command(self._joints, tuple(speeds.tolist()), (0.0, 0.0, 0.0), self.grip_n)  # type: ignore[arg-type]
+
     def wait(self, seconds: float) -> Moves:
         """Stand still for some time."""
         passed = 0.0

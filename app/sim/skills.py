@@ -10,6 +10,8 @@ from app.governance.model import Command, Json, Observation, SkillReport, SkillS
 from app.sim.body import Body, Moves, SkillFailed
 from app.sim.skills_arm import grasp_object, inspect_area, place_object
 from app.sim.skills_drive import navigate_to, reposition_base, safe_retreat, transport_object
+from app.sim.skills_jog import CAPABILITY as TAKEOVER
+from app.sim.skills_jog import Jog, takeover
 from app.sim.skills_recover import regrasp, release_and_retract, retrace
 from app.sim.skills_tool import operate_tool
 
@@ -111,6 +113,8 @@ def start(
     held: Command,
     *,
     careful: bool,
-) -> Run:
-    """Prepare a run of a skill from the command that is being held."""
+) -> Run | Jog:
+    """Prepare a run of a skill, or a human's driving, from the command that is being held."""
+    if capability == TAKEOVER:
+        return takeover(params, senses, observation, held)
     return Run(capability, params, Body(senses, observation, held, careful=careful))

@@ -32,6 +32,8 @@ from app.sim.plant import Plant
 from app.sim.sensors import AS_MEASURED, PAD_LOADED_N, Quality, Sensors
 from app.sim.skills import RECOVERIES, SKILLS, Run, start
 from app.sim.skills_arm import within_reach
+from app.sim.skills_jog import CAPABILITY as TAKEOVER
+from app.sim.skills_jog import Jog
 from app.sim.truth import Glance, Truth, glance_of, truth_of
 
 if TYPE_CHECKING:
@@ -111,7 +113,7 @@ class Workcell:
         self._walls = _tall(site)
         self._shown = moving_bodies(self.plant.model)
         self._grant: Grant | None = None
-        self._run: Run | None = None
+        self._run: Run | Jog | None = None
         self._recovers = False
         held = Command(robot.HOME_RAD, (0.0,) * 6, (0.0, 0.0, 0.0), 0.0)  # type: ignore[arg-type]  # six of them
         self._state = State(
@@ -129,14 +131,14 @@ class Workcell:
 
     # -- Substrate -------------------------------------------------------------------------------------------
 
-    def bind(self, grant: Grant, capability: str, params: Mapping[str, Json], *, careful: bool = False) -> Run:
+    def bind(self, grant: Grant, capability: str, params: Mapping[str, Json], *, careful: bool = False) -> Run | Jog:
         """Unlock the actuators for a grant and prepare a skill (see `Substrate.bind`)."""
         permit = grant.authorization
         if permit.cell != self.id:
             raise SubstrateError("wrong_cell", f"the grant is for `{permit.cell}`, this is `{self.id}`")
         if not grant.covers(capability, params):
             raise SubstrateError("not_covered", f"the grant does not cover `{capability}` with {dict(params)}")
-        if capability not in SKILLS:
+        if capability not in SKILLS and capability != TAKEOVER:
             raise SubstrateError("unknown_capability", f"`{capability}`: valid are {', '.join(sorted(SKILLS))}")
         if not self.plant.drives.powered:
             raise SubstrateError("power_off", "power is off: reset first")

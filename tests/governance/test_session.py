@@ -27,6 +27,7 @@ CELLS = {
     Event.CONTINUE_RECOVERY: (X, X, V, X),
     Event.RECOVER: (V, V, V, V),
     Event.RECOVERED: (X, X, X, R),
+    Event.TAKE_OVER: (R, R, R, R),
     Event.COMPLETE: (C, X, X, X),
     Event.STOP: (F, F, F, F),
     Event.FAIL: (F, F, F, F),

@@ -1,0 +1,103 @@
+"""Hold-to-run: what a human at the controls wants, for how long it counts, and why nothing moves.
+
+A command is good for `EXPIRES_MS` of the cell's own ticks. Whatever stopped the motion, a key that is still held does
+not start it again: it takes a command of nothing first (`release_first`), which is what letting go of the key sends. So
+does the first motion of all. A command that only expired is no such stop: the next one goes on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+from app.governance.model import Wish
+
+if TYPE_CHECKING:
+    from app.governance.model import WatchPlan
+    from app.governance.permit import Grant
+
+EXPIRES_MS: Final = 100
+TELL_EVERY_MS: Final = 200
+NOTHING: Final = Wish()
+
+
+def asks(wish: Wish) -> bool:
+    """Say whether a wish asks for any motion."""
+    return wish != NOTHING
+
+
+@dataclass(slots=True, kw_only=True)
+class Steering:
+    """One human's hand on one session; ticks are the cell's.
+
+    Attributes:
+        grant: What they drive under.
+        plan: What they are watched by.
+        alone: Whether the session is nothing but this driving.
+        number: Of the newest command.
+        refused: Why the newest command was not done; empty where it was.
+        armed: Whether a motion may begin: nothing was wanted since whatever stopped the last one.
+        stopped_by: The rule that stopped the motion and still stands in its way.
+        leavable: Whether a new motion may lead out of that, or it has to end by itself.
+        blocked: By rule, its signal, and how far it was violated when it stopped the motion first.
+    """
+
+    grant: Grant
+    plan: WatchPlan
+    alone: bool
+    period_s: float
+    actor: str = ""
+    number: int = -1
+    refused: str = ""
+    armed: bool = False
+    stopped_by: str = ""
+    leavable: bool = False
+    blocked: dict[str, tuple[str, float]] = field(default_factory=dict[str, tuple[str, float]])
+    _wish: Wish = NOTHING
+    _expires: int = 0
+    _told: tuple[object, ...] = ()
+    _tell_again: int = 0
+
+    def wish(self, tick: int) -> Wish:
+        """Return what counts in a tick: the newest command that was taken, until it expires."""
+        if tick >= self._expires:
+            self._wish = NOTHING
+        return self._wish
+
+    def take(self, wish: Wish, tick: int) -> None:
+        """Let a command count from now on."""
+        self.refused, self._wish = "", wish
+        self._expires = tick + round(EXPIRES_MS / (1000.0 * self.period_s))
+        if not asks(wish):
+            self.armed = True
+
+    def refuse(self, why: str) -> None:
+        """Do not do what is wanted."""
+        self.refused, self._wish = why, NOTHING
+
+    def rest(self) -> None:
+        """Want nothing, and nothing again until the key was let go of."""
+        self._wish, self.armed = NOTHING, False
+
+    def stop(self, rule: str, *, leavable: bool) -> bool:
+        """Stand still for a rule; return whether that is news."""
+        news = self.stopped_by != rule
+        self.stopped_by, self.leavable = rule, leavable
+        if news:
+            self.rest()
+        return news
+
+    def news(self, tick: int) -> bool:
+        """Say whether what is wanted differs in kind from what was told last, and it may be told again by now."""
+        kind = (*(_sign(value) for value in (*self._wish.base, *self._wish.tool)), self._wish.grip, self.refused)
+        if kind == (self._told or _AT_FIRST) or tick < self._tell_again:
+            return False
+        self._told, self._tell_again = kind, tick + round(TELL_EVERY_MS / (1000.0 * self.period_s))
+        return True
+
+
+def _sign(value: float) -> int:
+    return (value > 0.0) - (value < 0.0)
+
+
+_AT_FIRST: Final = (0, 0, 0, 0, 0, 0, None, "")

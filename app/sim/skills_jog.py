@@ -1,0 +1,178 @@
+"""Driving by hand: base and tool follow a human's wish, and stand within 50 ms when it ends.
+
+The wish is a velocity. It is held to 0.95 of what was authorized, along its own direction, and followed with a bounded
+acceleration; the way down takes `STOP_S`, whatever the speed. The tool keeps its attitude: every tick the point a step
+ahead is solved for by differential inverse kinematics, and where the arm does not get there, or only by a swing of its
+joints, it stays and says `unreachable`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import dist, hypot
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from app.governance.model import CONTROL_PERIOD_S, Command, SkillReport, Wish
+from app.sim.body import OPEN_N, OPEN_WIDTH_M, PAD_TOUCH_TICKS, SOFT_CLOSE_N, Body
+from app.sim.motion import ARM_ACCELERATION, BASE_ACCELERATION, MARGIN
+from app.sim.skills_arm import number, remember_grip
+
+if TYPE_CHECKING:
+    from app.governance.model import Json, Observation, Point, Vec3
+    from app.sim.body import Senses
+
+CAPABILITY = "takeover"
+STOP_S = 0.05
+_JOINT_SPEED_RADPS = 1.2
+_LARGEST_TURN_RADPS, _BASE_RADIUS_M = 0.8, 0.45
+_GRIP_RAMP_NPS = 100.0
+_IN_HAND_M = 0.06
+_RESTING: Vec3 = (0.0, 0.0, 0.0)
+
+
+class Jog:
+    """A human's hand on the robot; implements `Skill` and `Steered`."""
+
+    capability = CAPABILITY
+    starts = 1
+    way: tuple[Point, ...] = ()  # nobody has planned one
+
+    def __init__(self, params: Mapping[str, Json], body: Body) -> None:
+        """Prepare to be steered, at rest; `params` are the limits that were authorized."""
+        self._body = body
+        self._base_mps = MARGIN * number(params, "base_speed_mps", 0.1)
+        self._tool_mps = MARGIN * number(params, "tcp_speed_mps", 0.05)
+        self._grip_n = 0.98 * number(params, "grip_force_n", SOFT_CLOSE_N)
+        self._wish = Wish()
+        self._base, self._tool = _Followed(BASE_ACCELERATION), _Followed(ARM_ACCELERATION)
+        self._tick = -1
+        self._touching = 0
+        self.refused = ""
+        self.detail = ""
+        body.enter("jog", 0.0)
+
+    def steer(self, wish: Wish) -> None:
+        """Take what the human wants from the next tick on."""
+        self._wish = wish
+
+    def report(self) -> SkillReport:
+        """Say that it goes on for as long as the human likes."""
+        return SkillReport("jog", 0.0)
+
+    def act(self, observation: Observation, rate: float) -> Command:
+        """Return the command for this tick."""
+        body = self._body
+        body.seen, body.rate = observation, rate
+        if observation.tick > self._tick + 1:  # it was held meanwhile, and everything stands
+            self._base.rest()
+            self._tool.rest()
+        self._tick = observation.tick
+        wish = self._wish
+        vx, vy, wz = self._base.follow(self._driven(wish.base))
+        tool = self._tool.follow(_held(wish.tool, self._tool_mps))
+        self._grip(wish.grip)
+        return self._moved(tool, rate)._replace(base_velocity=(vx * rate, vy * rate, wz * rate))
+
+    def _driven(self, wanted: Vec3) -> Vec3:
+        """Hold the base to its speed, and its turning to what moves no point of the robot faster than that."""
+        vx, vy, wz = wanted
+        x, y, _ = self._body.seen.tcp_m
+        arm_m = max(_BASE_RADIUS_M, hypot(x, y))
+        limit = min(_LARGEST_TURN_RADPS, self._base_mps / arm_m)
+        share = min(1.0, self._base_mps / (hypot(vx, vy) + abs(wz) * arm_m or 1.0), limit / (abs(wz) or limit))
+        return vx * share, vy * share, wz * share
+
+    def _moved(self, tool: Vec3, rate: float) -> Command:
+        """Return the arm's part: a step of the tool along its velocity."""
+        body = self._body
+        if tool == _RESTING:
+            self.refused = ""
+            return body.hold()
+        step = tuple(speed * rate * CONTROL_PERIOD_S for speed in tool)
+        here, joints = body.pose, body.joints
+        ahead = here._replace(x_m=here.x_m + step[0], y_m=here.y_m + step[1], z_m=here.z_m + step[2])
+        solved = body.senses.solver.solve(joints, ahead)
+        if solved is None or float(np.abs(solved - joints).max()) > _JOINT_SPEED_RADPS * CONTROL_PERIOD_S:
+            self.refused = "unreachable"
+            self._tool.rest()
+            return body.hold()
+        self.refused = ""
+        speeds = (solved - joints) / CONTROL_PERIOD_S
+        return body.placed(solved, speeds)
+
+    def _grip(self, wanted: str | None) -> None:
+        """Open or close for as long as it is wanted; what is held stays held."""
+        body = self._body
+        seen = body.seen
+        self._touching = self._touching + 1 if seen.pads_loaded else 0
+        if wanted == "open":
+            body.grip_n = -OPEN_N if seen.grip_width_m < OPEN_WIDTH_M else 0.0
+        elif wanted == "close" and self._touching < PAD_TOUCH_TICKS:
+            body.grip_n = min(SOFT_CLOSE_N, self._grip_n)
+        elif wanted == "close":
+            body.grip_n = min(self._grip_n, max(body.grip_n, 0.0) + _GRIP_RAMP_NPS * CONTROL_PERIOD_S)
+        elif not seen.pads_loaded or body.grip_n < 0.0:
+            body.grip_n = 0.0
+        self._know_the_hand()
+
+    def _know_the_hand(self) -> None:
+        """Keep what the robot believes to hold in step with what its pads feel."""
+        body = self._body
+        senses = body.senses
+        if senses.hand is not None and not body.holding and body.grip_n <= 0.0:
+            senses.hand = None
+            senses.tare()
+        elif senses.hand is None and self._touching == PAD_TOUCH_TICKS:
+            self._recognise()
+
+    def _recognise(self) -> None:
+        body = self._body
+        here = body.pose
+        for thing in body.senses.site.objects.values():
+            seen = body.senses.glimpse(thing.name)
+            if seen is not None and dist((seen.x_m, seen.y_m, seen.z_m), here[:3]) < _IN_HAND_M:
+                remember_grip(body, thing, seen)
+                return
+
+
+def takeover(params: Mapping[str, Json], senses: Senses, observation: Observation, held: Command) -> Jog:
+    """Prepare to be steered, from the command that is being held."""
+    return Jog(params, Body(senses, observation, held, careful=False))
+
+
+def _held(wanted: Vec3, limit: float) -> Vec3:
+    """Hold a velocity to a speed, along its direction."""
+    x, y, z = wanted
+    share = min(1.0, limit / (hypot(x, y, z) or 1.0))
+    return x * share, y * share, z * share
+
+
+class _Followed:
+    """A velocity that follows a wish: up by an acceleration, down to standstill within `STOP_S`."""
+
+    def __init__(self, acceleration: float) -> None:
+        """Begin at rest."""
+        self._acceleration = acceleration
+        self._highest = 0.0
+        self.now: Vec3 = _RESTING
+
+    def rest(self) -> None:
+        """Stand still."""
+        self._highest, self.now = 0.0, _RESTING
+
+    def follow(self, wanted: Vec3) -> Vec3:
+        """Return the velocity a tick on."""
+        now = self.now
+        speed = hypot(*now)
+        self._highest = max(self._highest, speed) if speed else 0.0
+        change = (wanted[0] - now[0], wanted[1] - now[1], wanted[2] - now[2])
+        rate = self._highest / STOP_S if hypot(*wanted) < speed else self._acceleration
+        most, size = rate * CONTROL_PERIOD_S, hypot(*change)
+        if size <= most * 1.000001:  # five steps of a fifth are the whole, whatever floating point makes of them
+            self.now = wanted
+        else:
+            share = most / size
+            self.now = (now[0] + change[0] * share, now[1] + change[1] * share, now[2] + change[2] * share)
+        return self.now

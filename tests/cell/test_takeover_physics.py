@@ -1,0 +1,327 @@
+"""A human at the controls of the simulated workcell, under the shipped policy; the test plays kernel and console."""
+
+from __future__ import annotations
+
+from math import cos, hypot, sin
+from pathlib import Path
+
+import pytest
+
+from app.governance.model import Authorization, Json, Mode, Wish
+from app.governance.permit import mint
+from app.sim.occasions import Trigger
+from app.sim.people import Walk
+from tests.cell.rig import KEY, NOW_S
+from tests.cell.workshop import Workshop
+
+pytestmark = pytest.mark.physics
+
+DRIVE = {"target": "dock", "speed_mps": 0.3, "clearance_m": 0.3}
+GRASP = {"object_id": "mug_1", "force_n": 40.0, "speed_mps": 0.25}
+LIMITS: dict[str, Json] = {"tcp_speed_mps": 0.25, "base_speed_mps": 0.3, "grip_force_n": 20.0}
+STOPS_WITHIN = 16  # ticks: 100 ms until a command expires, 50 ms down to nothing, and the tick it is heard in
+
+
+class Console:
+    """A hand on the keys: every command is said anew each 50 ms, as a console does."""
+
+    def __init__(self, shop: Workshop, invocation: str = "inv-1") -> None:
+        self.shop, self.invocation, self.number = shop, invocation, 0
+        self.fastest_base, self.fastest_tool = 0.0, 0.0
+
+    def say(self, wish: Wish) -> str | None:
+        self.number += 1
+        return self.shop.runner.jog(self.invocation, self.number, wish, "operator")
+
+    def hold(self, wish: Wish, ticks: int) -> str | None:
+        """Hold a key for so long; return the last refusal."""
+        why = None
+        for tick in range(ticks):
+            if tick % 5 == 0:
+                why = self.say(wish)
+            self.tick()
+        return why
+
+    def tick(self, ticks: int = 1) -> None:
+        for _ in range(ticks):
+            self.shop.runner.tick()
+            truth = self.shop.cell.glance()
+            self.fastest_base = max(self.fastest_base, truth.base_speed_mps)
+            self.fastest_tool = max(self.fastest_tool, truth.tcp_speed_mps)
+
+    def release(self) -> None:
+        self.say(Wish())
+
+    def press(self, wish: Wish, ticks: int) -> str | None:
+        self.release()
+        return self.hold(wish, ticks)
+
+
+def permit(shop: Workshop, capability: str, number: int, invocation: int = 1, **params: Json) -> Authorization:
+    return Authorization(
+        id=f"auth-{number}",
+        invocation=f"inv-{invocation}",
+        cell=shop.cell.id,
+        capability=capability,
+        version="1.0.0",
+        params=params,
+        mode=Mode.NORMAL,
+        profile=shop.profile,
+        policy_digest=shop.policy.digest,
+        issued_at_s=NOW_S,
+        expires_at_s=NOW_S + 30.0,
+    )
+
+
+def take_over(shop: Workshop, number: int = 2) -> Console:
+    """Take the controls of the running session, and wait until they are in hand."""
+    assert shop.runner.launch(mint(permit(shop, "takeover", number, **LIMITS), KEY)) is None, shop.story()
+    console = Console(shop)
+    for _ in range(200):
+        if console.press(Wish(), 1) is None and console.say(Wish(grip="open")) is None:
+            break
+        shop.runner.tick()
+    console.release()
+    return console
+
+
+def idle(folder: Path, **options: object) -> tuple[Workshop, Console]:
+    shop = Workshop(folder, **options)  # type: ignore[arg-type]
+    shop.launch("takeover", **LIMITS)
+    console = Console(shop)
+    console.release()
+    return shop, console
+
+
+def refused(shop: Workshop) -> str:
+    jogged = shop.runner.view().jogged
+    assert jogged is not None
+    return jogged[1]
+
+
+def test_a_hand_moves_the_base_and_stays_below_the_limit(tmp_path: Path) -> None:
+    shop, console = idle(tmp_path)
+    x, y, _ = shop.cell.truth().base
+    assert console.hold(Wish(base=(-1.0, 0.0, 0.0)), 200) is None, shop.story()
+    there = shop.cell.truth().base
+    assert 0.3 < hypot(there[0] - x, there[1] - y) < 0.6
+    assert 0.2 < console.fastest_base <= 0.3 * 1.05
+    assert shop.rules() == []
+
+
+def test_a_hand_moves_the_tool_straight_and_stays_below_the_limit(tmp_path: Path) -> None:
+    shop, console = idle(tmp_path)
+    before = shop.cell.observe().tcp_m
+    assert console.hold(Wish(tool=(0.0, 0.0, 5.0)), 60) is None
+    after = shop.cell.observe().tcp_m
+    assert after[2] - before[2] > 0.06, (before, after)
+    assert hypot(after[0] - before[0], after[1] - before[1]) < 0.01
+    assert 0.15 < console.fastest_tool <= 0.25 * 1.05
+    assert shop.rules() == []
+
+
+@pytest.mark.parametrize("wish", [Wish(base=(-1.0, 0.0, 0.0)), Wish(tool=(0.0, 0.0, 1.0)), Wish(base=(0.0, 0.0, 1.0))])
+def test_a_command_that_is_not_said_again_expires_and_everything_stands(tmp_path: Path, wish: Wish) -> None:
+    shop, console = idle(tmp_path)
+    console.hold(wish, 80)
+    console.say(wish)
+    console.tick(STOPS_WITHIN)
+    held = shop.runner.session
+    assert held is not None
+    assert held.run.previous.base_velocity == (0.0, 0.0, 0.0)
+    assert held.run.previous.joint_speed_radps == (0.0,) * 6
+    console.tick(10)
+    assert shop.cell.truth().base_speed_mps < 0.02
+    assert shop.cell.truth().tcp_speed_mps < 0.02
+
+
+def test_letting_go_counts_at_once(tmp_path: Path) -> None:
+    shop, console = idle(tmp_path)
+    console.hold(Wish(base=(-1.0, 0.0, 0.0), tool=(0.0, 0.0, 1.0)), 100)
+    console.release()
+    console.tick(6)
+    held = shop.runner.session
+    assert held is not None
+    assert held.run.previous.base_velocity == (0.0, 0.0, 0.0)
+    assert held.run.previous.joint_speed_radps == (0.0,) * 6
+
+
+def test_a_hand_grasps_what_is_there_and_the_robot_knows_it(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path)
+    shop.launch("grasp_object", **GRASP)
+    while shop.runner.session is not None and shop.runner.session.run.skill.report().phase != "descend":
+        shop.runner.tick()
+    console = take_over(shop)
+    for _ in range(400):
+        if shop.cell.observe().tcp_m[2] < shop.cell.facts().objects["mug_1"].z_m:
+            break
+        console.hold(Wish(tool=(0.0, 0.0, -0.05)), 5)
+    console.press(Wish(grip="close"), 150)
+    assert shop.cell.observe().pads_loaded, shop.story()
+    assert shop.cell.facts().holding == "mug_1"
+    console.press(Wish(tool=(0.0, 0.0, 0.1)), 100)
+    assert shop.cell.truth().held == "mug_1"
+    assert shop.cell.observe().grip_force_n < 20.0 * 1.05
+    console.press(Wish(grip="open"), 150)
+    assert shop.cell.facts().holding is None
+
+
+def test_a_zone_stops_the_hand_and_lets_it_lead_out(tmp_path: Path) -> None:
+    shop, console = idle(tmp_path)
+    zone = shop.policy.site.zones["press_area"]
+    cx = sum(x for x, _ in zone.polygon) / len(zone.polygon)
+    cy = sum(y for _, y in zone.polygon) / len(zone.polygon)
+    for _ in range(900):
+        x, y, yaw = shop.cell.truth().base
+        dx, dy = cx - x, cy - y
+        wish = Wish(base=(dx * cos(yaw) + dy * sin(yaw), -dx * sin(yaw) + dy * cos(yaw), 0.0))
+        console.hold(wish, 5)
+        if refused(shop):
+            break
+    assert refused(shop) == "zone", (refused(shop), shop.story())
+    console.hold(wish, 50)
+    assert shop.runner.status == "paused"
+    assert shop.cell.truth().base_speed_mps < 0.02
+    assert shop.last("intervention")["rule"] == "zone"
+    away = Wish(base=(-wish.base[0], -wish.base[1], 0.0))
+    assert console.press(away, 60) is None, shop.story()
+    assert shop.runner.status == "running"
+    assert shop.strategies() == []
+
+
+def test_somebody_too_near_stops_the_hand_and_a_key_still_held_does_not_start_it_again(tmp_path: Path) -> None:
+    walk = Walk(points=((1.6, 1.0), (1.6, 3.2), (1.6, 1.0)), start=Trigger(time_s=1.0), stay_s=((1, 0.5),))
+    shop, console = idle(tmp_path, people=(walk,))
+    away = Wish(base=(-0.3, 0.0, 0.0))
+    for _ in range(200):
+        console.hold(away, 5)
+        if refused(shop):
+            break
+    assert refused(shop) == "separation", shop.story()
+    console.hold(away, 40)
+    assert shop.cell.truth().base_speed_mps < 0.02
+    for _ in range(300):
+        console.hold(away, 5)
+        if shop.runner.status == "running":
+            break
+    assert shop.runner.status == "running", shop.story()
+    stood = shop.cell.truth().base
+    assert console.hold(away, 30) == "release_first"
+    assert shop.cell.truth().base[:2] == pytest.approx(stood[:2], abs=0.01)
+    assert console.press(away, 30) is None
+
+
+def test_a_tool_out_of_reach_stays_and_says_so(tmp_path: Path) -> None:
+    shop, console = idle(tmp_path)
+    for _ in range(400):
+        console.hold(Wish(tool=(0.0, 0.0, 0.2)), 5)
+        if refused(shop):
+            break
+    assert refused(shop) == "unreachable"
+    console.tick(20)
+    assert shop.cell.truth().tcp_speed_mps < 0.02
+    assert console.press(Wish(tool=(0.0, 0.0, -0.2)), 30) is None
+    assert refused(shop) == ""
+
+
+def test_a_session_is_taken_over_driven_and_bound_anew_from_where_the_robot_is(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path)
+    shop.launch("navigate_to", **DRIVE)
+    for _ in range(400):
+        shop.runner.tick()
+    console = take_over(shop)
+    before = shop.cell.truth().base
+    assert console.press(Wish(base=(0.0, 0.2, 0.0)), 150) is None
+    there = shop.cell.truth().base
+    assert hypot(there[0] - before[0], there[1] - before[1]) > 0.15
+    assert shop.runner.status == "running"
+    anew = permit(shop, "navigate_to", 3, **shop._filled("navigate_to", DRIVE))
+    assert shop.runner.launch(mint(anew, KEY)) is None, shop.story()
+    assert shop.runner.jog("inv-1", 999, Wish(base=(0.1, 0.0, 0.0)), "operator") == "returning"
+    assert shop.finish()["outcome"] == "recovered"
+    x, y, _ = shop.cell.truth().base
+    assert hypot(x - 0.8, y - 0.8) < 0.05
+    reasons = [body["reason"] for body in shop.of("status")]
+    assert reasons == ["launched", "handed_back", "handed_back", "verified"], reasons
+
+
+def test_what_cannot_be_bound_anew_stays_in_the_human_hand(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path)
+    shop.launch("grasp_object", **GRASP)
+    for _ in range(100):
+        shop.runner.tick()
+    console = take_over(shop)
+    for _ in range(40):
+        console.hold(Wish(base=(-0.3, 0.0, 0.0)), 5)
+    console.release()
+    anew = permit(shop, "grasp_object", 3, **shop._filled("grasp_object", GRASP))
+    assert shop.runner.launch(mint(anew, KEY)) is None
+    for _ in range(100):
+        shop.runner.tick()
+    assert shop.last("launch")["refused"] == "unreachable", shop.story()
+    assert shop.runner.status == "running"
+    assert console.press(Wish(base=(0.3, 0.0, 0.0)), 30) is None
+
+
+def test_a_rollback_goes_back_the_way_the_hand_went_too(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path)
+    shop.launch("navigate_to", **DRIVE)
+    began = shop.cell.truth().base
+    for _ in range(500):
+        shop.runner.tick()
+    console = take_over(shop)
+    assert console.press(Wish(base=(0.0, 0.2, 0.0)), 150) is None
+    assert shop.runner.human("inv-1", "rollback", "operator") is None
+    assert shop.finish()["outcome"] == "rolled_back", shop.story()
+    assert shop.cell.truth().base[:2] == pytest.approx(began[:2], abs=0.1)
+
+
+def test_whoever_lets_go_without_a_word_leaves_a_session_that_waits(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path)
+    shop.launch("navigate_to", **DRIVE)
+    for _ in range(300):
+        shop.runner.tick()
+    console = take_over(shop)
+    console.hold(Wish(base=(0.2, 0.0, 0.0)), 50)
+    assert shop.runner.human("inv-1", "let_go", "server") is None
+    assert shop.runner.status == "escalated"
+    console.tick(60)
+    assert shop.cell.truth().base_speed_mps < 0.02
+    assert console.press(Wish(base=(0.2, 0.0, 0.0)), 10) == "not_taken_over"
+    assert shop.runner.human("inv-1", "resolve_continue", "operator") == "needs_authorization"
+    anew = permit(shop, "navigate_to", 3, **shop._filled("navigate_to", DRIVE))
+    assert shop.runner.launch(mint(anew, KEY)) is None
+    assert shop.finish()["outcome"] == "recovered"
+
+
+def test_the_end_says_what_the_agent_faces_now(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path)
+    shop.launch("navigate_to", **DRIVE)
+    for _ in range(300):
+        shop.runner.tick()
+    take_over(shop)
+    assert shop.runner.human("inv-1", "end_takeover", "operator") is None
+    ended = shop.finish()
+    assert ended["outcome"] == "taken_over"
+    facts = ended["facts"]
+    assert isinstance(facts, dict)
+    assert facts["gripper_empty"] is True
+    assert facts["base"][:2] == pytest.approx(shop.cell.truth().base[:2], abs=0.05)
+
+
+def test_a_link_that_is_lost_ends_the_driving(tmp_path: Path) -> None:
+    shop, console = idle(tmp_path)
+    console.hold(Wish(base=(-0.2, 0.0, 0.0)), 50)
+    shop.runner.hold("link")
+    assert console.say(Wish(base=(-0.2, 0.0, 0.0))) == "holding"
+    assert shop.finish()["outcome"] == "taken_over"
+    assert shop.last("outcome")["code"] == "link"
+
+
+def test_the_command_stream_is_told_where_it_changes_and_not_at_every_command(tmp_path: Path) -> None:
+    shop, console = idle(tmp_path)
+    console.hold(Wish(base=(-0.1, 0.0, 0.0)), 200)
+    console.release()
+    console.tick(40)
+    told = [body for body in shop.of("human") if body["op"] == "jog"]
+    assert [body["base"] for body in told] == [[-0.1, 0.0, 0.0], [0.0, 0.0, 0.0]]
