@@ -99,7 +99,7 @@ class Sessions(RuleBasedStateMachine):
             return
         self.status = step(before, event)
         if before is Status.ESCALATED and self.status in (Status.RUNNING, Status.RECOVERING):
-            assert event in (Event.CONTINUE, Event.CONTINUE_RECOVERY, Event.RECOVER)
+            assert event in (Event.CONTINUE, Event.CONTINUE_RECOVERY, Event.RECOVER, Event.TAKE_OVER)
         if self.status is Status.COMPLETED and self.ended is None:
             assert before is Status.RUNNING
         if self.ended is None and self.status in TERMINAL:

@@ -16,6 +16,7 @@ from app.governance.intervention import (
     InterventionState,
     Responses,
     ends_attempt,
+    leaving,
     recovering,
     released,
 )
@@ -204,3 +205,23 @@ def test_a_violation_is_answered_in_the_tick_it_is_told(stream: list[set[str]]) 
             assert decision.intervention is STOP
         if "gap" in names:
             assert decision.intervention is not CONTINUE
+
+
+def test_a_hand_leads_out_of_what_moving_mends_and_no_further_in() -> None:
+    zone = replace(rule("zone", Response(enter=STOP), "zone"), signal="zone_margin_m", above=False, threshold=0.0)
+    responses = Responses((zone,), 0.01)
+
+    def inside(depth_m: float) -> tuple[Alert, ...]:
+        return (Alert(Signal.VIOLATION, "zone", -depth_m, 0.0, "zone"),)
+
+    state = leaving({"zone": ("zone_margin_m", 0.02)}, 0, 0.01)
+    state, decision = responses.intervene(state, inside(0.039), 0)
+    assert decision is GO_ON
+    _, decision = responses.intervene(state, inside(0.041), 1)
+    assert decision.intervention is STOP
+    _, decision = responses.intervene(state, inside(0.02), 100)
+    assert decision.intervention is STOP
+
+
+def test_a_hand_is_spared_nothing_that_moving_does_not_mend() -> None:
+    assert leaving({"separation": ("separation_m", 0.1), "stale": ("sensor_age_ms", 5.0)}, 0, 0.01) is NOTHING
