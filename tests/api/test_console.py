@@ -17,10 +17,11 @@ from websockets.typing import Subprotocol
 
 from app.api import console as door
 from app.protocol import pack_poses
+from app.runtime import outlet
 from tests.api.conftest import CELL, House, eventually
 
 pytestmark = pytest.mark.anyio
-REFUSED = {"capability": "grasp_object", "params": {"object_id": "solvent_1"}, "metadata": {"confidence": 0.9}}
+PATIENCE_S = 40.0
 NOTHING = {"capability": "no_such_thing", "params": {}}
 
 
@@ -51,11 +52,12 @@ class Screen:
         self.socket = socket
         self.heard: list[dict[str, Any]] = []
         self.frames: list[Frame] = []
+        self.acknowledges = True
 
     async def say(self, **message: Any) -> None:
         await self.socket.send(orjson.dumps(message).decode())
 
-    async def next(self, within_s: float = 10.0) -> dict[str, Any]:
+    async def next(self, within_s: float = PATIENCE_S) -> dict[str, Any]:
         async with asyncio.timeout(within_s):
             while True:
                 frame = await self.socket.recv()
@@ -64,7 +66,7 @@ class Screen:
                     continue
                 message: dict[str, Any] = orjson.loads(frame)
                 self.heard.append(message)
-                if message["type"] == "beat":
+                if message["type"] == "beat" and self.acknowledges:
                     await self.say(type="ack", beat=message["n"])
                 return message
 
@@ -76,7 +78,7 @@ class Screen:
 
     async def until(self, condition: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
         """Return the next message that fits."""
-        async with asyncio.timeout(10.0):
+        async with asyncio.timeout(PATIENCE_S):
             while not condition(message := await self.next()):
                 pass
             return message
@@ -117,7 +119,8 @@ async def signed_in(house: House, key: str = "operator", after: int | None = Non
 
 async def propose(house: House, times: int = 1) -> list[dict[str, Any]]:
     async with house.client() as client:
-        return [(await client.post("/v1/invocations", json=NOTHING)).json() for _ in range(times)]
+        answers = await asyncio.gather(*(client.post("/v1/invocations", json=NOTHING) for _ in range(times)))
+    return [answer.json() for answer in answers]
 
 
 @pytest.mark.parametrize(("key", "role"), [("operator", "operator"), ("engineer", "engineer"), ("auditor", "auditor")])
@@ -364,3 +367,36 @@ async def test_a_frame_that_does_not_fit_its_scene_is_a_fault_of_the_cell(house:
         await puppet.socket.send(pack_poses(7, 1.0, b"", b""))
         await puppet.socket.wait_closed()
         assert puppet.socket.close_code == 1002
+
+
+async def test_a_console_that_falls_behind_is_closed_slows_nobody_and_comes_back_complete(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(outlet, "MAX_BEHIND_BYTES", 300_000)
+    async with signed_in(house) as slow, signed_in(house, "operator_2") as fast:
+        seen = (await slow.until_type("snapshot"))["seq"]
+        await fast.until_type("snapshot")
+        async with house.client() as client:
+            while house.app.state.parts.consoles.taken == 2:
+                answers = await asyncio.gather(*(client.post("/v1/invocations", json=NOTHING) for _ in range(20)))
+                last = answers[-1].json()["id"]
+                await fast.until(
+                    lambda message, last=last: any(one["id"] == last for one in message.get("invocations", []))
+                )
+        slow.acknowledges = False  # there is nobody left to tell
+        assert (await slow.ended())[0] in {4410, 0}  # 0: the line did not drain in time, and was cut
+    before = slow.seqs()
+    assert before == list(range(before[0], before[0] + len(before)))
+    async with signed_in(house, after=before[-1]) as back:
+        snapshot = await back.until_type("snapshot")
+    assert before[-1] >= seen
+    assert back.seqs() == list(range(before[-1] + 1, snapshot["seq"] + 1))
+
+
+async def test_a_console_may_be_opened_only_so_often(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(house.app.state.parts.consoles, "_each", 1)
+    async with signed_in(house, "engineer") as first:
+        await first.until_type("snapshot")
+        async with signed_in(house, "engineer") as second:
+            assert (await second.ended())[0] == 4429
+        await first.until_type("beat")
