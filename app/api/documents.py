@@ -150,6 +150,9 @@ class InvocationDocument(Document):
     admission: AdmissionDocument
     policy: PolicyDocument | None
     escalation: EscalationReference | None
+    grant: str | None = Field(
+        default=None, description="The standing grant that spared a human the question; absent otherwise."
+    )
     outcome: Outcome | None
     failure: FailureDocument | None = Field(
         default=None, description="Why a session that was launched ended without its task done; absent otherwise."
@@ -173,6 +176,7 @@ class VerdictDocument(Document):
     admission: AdmissionDocument
     policy: PolicyDocument | None
     escalation: EscalationReference | None
+    grant: str | None = Field(default=None, description="The standing grant under which it would launch.")
     outcome: Outcome | None
 
 
@@ -247,6 +251,67 @@ class EscalationDocument(Document):
     updated_at: str
 
 
+class GrantEnd(Document):
+    """Why a grant ended, by whom and when."""
+
+    code: Literal["revoked", "expired", "estop", "profile_changed", "policy_changed"]
+    by: str
+    at: str
+
+
+class GrantDocument(Document):
+    """A standing grant: an approval in advance, bound to agent, capability, cell, profile and policy."""
+
+    id: str
+    status: Literal["active", "ended"]
+    capability: str
+    agent: str
+    cell: str
+    profile: str
+    policy_version: str
+    scope: Literal["object", "task", "time"]
+    object: str | None
+    task: str | None
+    issued_by: str
+    issued_at: str
+    expires_at: str
+    escalation: str | None = Field(description="The question with whose answer it was given.")
+    invocation: str | None
+    uses: int
+    used_at: str | None
+    ended: GrantEnd | None
+    created_at: str
+    updated_at: str
+    recorded: bool | None = Field(default=None, description="Stands in the answer to a revocation alone.")
+
+
+class VerdictGiven(Document):
+    """What a person had to say of a finished session."""
+
+    by: str
+    at: str
+    verdict: Literal["accepted", "objected", "inconclusive"]
+    note: str | None
+
+
+class ReviewDocument(Document):
+    """A finished session that waits for a person's verdict, or has one; `reasons` say why it does."""
+
+    id: str
+    invocation: str
+    status: Literal["waiting", "accepted", "objected", "inconclusive"]
+    capability: str
+    agent: str
+    cell: str | None
+    profile: str
+    risk: Risk
+    outcome: Outcome
+    reasons: list[ReasonDocument]
+    verdict: VerdictGiven | None
+    created_at: str
+    updated_at: str
+
+
 class EventDocument(Document):
     """One event of the log; `body` is what was recorded."""
 
@@ -271,6 +336,20 @@ class EscalationList(Document):
     """Escalations, newest first; `next` is the cursor of the next page."""
 
     items: list[EscalationDocument]
+    next: str | None
+
+
+class GrantList(Document):
+    """Standing grants, newest first; `next` is the cursor of the next page."""
+
+    items: list[GrantDocument]
+    next: str | None
+
+
+class ReviewList(Document):
+    """Reviews, newest first; `next` is the cursor of the next page."""
+
+    items: list[ReviewDocument]
     next: str | None
 
 

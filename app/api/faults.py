@@ -28,6 +28,7 @@ _BOUND: Mapping[str, tuple[str, str]] = {
     "string_pattern_mismatch": ("valid is what matches `{}`", "pattern"),
     "too_long": ("valid are at most {} items", "max_length"),
     "greater_than_equal": ("valid is at least {}", "ge"),
+    "greater_than": ("valid is more than {}", "gt"),
     "less_than_equal": ("valid is at most {}", "le"),
 }
 

@@ -24,7 +24,15 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
 REFERENCE = "#/components/schemas/{model}"
-BODIES: tuple[type[BaseModel], ...] = (wire.ProposalBody, wire.ResolveBody, wire.ProfileBody, wire.EmptyBody)
+BODIES: tuple[type[BaseModel], ...] = (
+    wire.ProposalBody,
+    wire.ResolveBody,
+    wire.GrantBody,
+    wire.ReviewRequestBody,
+    wire.VerdictBody,
+    wire.ProfileBody,
+    wire.EmptyBody,
+)
 
 ON_EVERY_ROUTE = ("internal",)
 ON_GUARDED = ("token_missing", "token_invalid", "token_expired", "role_forbidden")

@@ -19,6 +19,8 @@ from app.api.agents import MAX_LIMIT, Cursor, Identifier
 from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
 from app.api.wire import EmptyBody, ProfileBody, ResolveBody, read_body, read_optional
+from app.governance.model import GrantScope
+from app.runtime.grant import Offer
 
 if TYPE_CHECKING:
     from fastapi import APIRouter
@@ -60,12 +62,23 @@ async def resolve(request: Request, id: Identifier) -> Response:
 
     A denial has a `code`; without one it is the default that policy declares. The agent gets the code, never the
     comment.
+    With the last approval of what was shown, `grant` is a standing grant for more of the same.
+
     Edited `params` are checked again, and void earlier approvals; a session under way cannot be edited. A second
     answer, a late one or another digest is refused with 409.
     """
     body = await read_body(request, ResolveBody)
+    offered = body.grant
+    offer = None if offered is None else Offer(scope=GrantScope(offered.scope), **offered.model_dump(exclude={"scope"}))
     document = await parts_of(request).desk.resolve(
-        id, caller(request), body.decision, body.digest, params=body.params, comment=body.comment, code=body.code
+        id,
+        caller(request),
+        body.decision,
+        body.digest,
+        params=body.params,
+        comment=body.comment,
+        code=body.code,
+        offer=offer,
     )
     return answer(document)
 
@@ -155,6 +168,7 @@ def register(router: APIRouter) -> None:
                 "escalation_expired",
                 "digest_mismatch",
                 "edit_refused",
+                "grant_refused",
                 "ending",
                 "record_unavailable",
             ),

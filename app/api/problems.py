@@ -55,6 +55,8 @@ CODES: Mapping[str, tuple[int, str]] = {
     "not_found": (404, "there is nothing at this path"),
     "invocation_unknown": (404, "there is no such invocation, or it is not the caller's to see"),
     "escalation_unknown": (404, "there is no such escalation"),
+    "grant_unknown": (404, "there is no such grant"),
+    "review_unknown": (404, "there is no such review"),
     "cell_unknown": (404, "there is no such cell"),
     "profile_unknown": (404, "there is no such profile"),
     "log_empty": (404, "nothing is recorded yet"),

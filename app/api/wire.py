@@ -77,6 +77,47 @@ class ProposalBody(Body):
     )
 
 
+Minutes = Annotated[float, Field(gt=0, le=15, allow_inf_nan=False)]
+ScopeName = Literal["object", "task", "time"]
+
+
+class OfferBody(Body):
+    """A standing grant that goes with an approval: more of the same, for a while."""
+
+    scope: ScopeName = Field(description="For one object, for one task, or for whatever comes within the time.")
+    minutes: Minutes = Field(description="For how long; policy may allow less.")
+    object: Name | None = Field(default=None, description="The object; the one of the proposal where it is left out.")
+    task: Name | None = Field(default=None, description="The task, as `metadata.task` names it; left out as above.")
+
+
+class GrantBody(Body):
+    """A standing grant: an approval in advance, for one agent and capability on one cell as it is now."""
+
+    capability: Name = Field(examples=["grasp_object"])
+    agent: Name = Field(examples=["planner"])
+    cell: Name = Field(examples=["workcell-1"])
+    scope: ScopeName
+    minutes: Minutes
+    object: Name | None = Field(default=None, description="Stands with the scope `object`.")
+    task: Name | None = Field(default=None, description="Stands with the scope `task`.")
+    profile: Name | None = Field(
+        default=None, description="What the cell is believed to be under; refused if it is not."
+    )
+
+
+class ReviewRequestBody(Body):
+    """A finished session that somebody wants looked at."""
+
+    invocation: Name
+
+
+class VerdictBody(Body):
+    """What a person has to say of a finished session."""
+
+    verdict: Literal["accepted", "objected", "inconclusive"]
+    note: Freeform | None = Field(default=None, description="For the record; never shown to the agent.")
+
+
 class ResolveBody(Body):
     """A human's answer to an escalation, bound to the digest of what was shown."""
 
@@ -89,6 +130,7 @@ class ResolveBody(Body):
         examples=["person_in_the_way"],
     )
     comment: Freeform | None = Field(default=None, description="For the record; never shown to the agent.")
+    grant: OfferBody | None = Field(default=None, description="A standing grant that goes with the last approval.")
 
 
 class ProfileBody(Body):

@@ -206,7 +206,7 @@ class Reader:
     def page(
         self, table: str, filters: Mapping[str, Any] | None = None, *, limit: int = 50, cursor: str | None = None
     ) -> Page:
-        """Return rows of `invocations` or `escalations`, newest first.
+        """Return rows of a state table that has `created_seq`, newest first.
 
         Args:
             table: one that has `created_seq`.

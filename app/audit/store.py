@@ -268,7 +268,7 @@ class AuditStore:
     async def page(
         self, table: str, filters: Mapping[str, Any] | None = None, *, limit: int = 50, cursor: str | None = None
     ) -> Page:
-        """Return rows of `invocations` or `escalations`, newest first; errors as `Reader.page`."""
+        """Return rows of a state table that has `created_seq`, newest first; errors as `Reader.page`."""
         return await self._read(partial(self._reader.page, table, filters, limit=limit, cursor=cursor))
 
     async def verify(self) -> Verification:

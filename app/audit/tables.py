@@ -81,6 +81,36 @@ escalations = Table(
     Index("escalations_by_invocation", "invocation", "created_seq", "id"),
 )
 
+grants = Table(
+    "grants",
+    metadata,
+    Column("id", Text, primary_key=True),
+    Column("created_seq", Counter, nullable=False),
+    Column("cell", Text, nullable=False),
+    Column("status", Text, nullable=False),
+    Column("document", LargeBinary, nullable=False),
+    Column("created_at", Text, nullable=False),
+    Column("updated_at", Text, nullable=False),
+    Index("grants_by_age", "created_seq", "id"),
+    Index("grants_by_status", "status", "created_seq", "id"),
+    Index("grants_by_cell", "cell", "created_seq", "id"),
+)
+
+reviews = Table(
+    "reviews",
+    metadata,
+    Column("id", Text, primary_key=True),
+    Column("created_seq", Counter, nullable=False),
+    Column("invocation", Text, nullable=False),
+    Column("status", Text, nullable=False),
+    Column("document", LargeBinary, nullable=False),
+    Column("created_at", Text, nullable=False),
+    Column("updated_at", Text, nullable=False),
+    Index("reviews_by_age", "created_seq", "id"),
+    Index("reviews_by_status", "status", "created_seq", "id"),
+    Index("reviews_by_invocation", "invocation", "created_seq", "id"),
+)
+
 idempotency = Table(
     "idempotency",
     metadata,
@@ -128,7 +158,7 @@ probes = Table(
 # Tables a `RowWrite` may name; and the columns the store fills in on insertion and never changes.
 STATE: Mapping[str, Table] = {
     table.name: table
-    for table in (invocations, escalations, idempotency, permits_used, cell_progress, settings, probes)
+    for table in (invocations, escalations, grants, reviews, idempotency, permits_used, cell_progress, settings, probes)
 }
 STORE_GIVEN = "created_seq"
 KEPT_ON_REPLACE = frozenset({STORE_GIVEN, "created_at"})

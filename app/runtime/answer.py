@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 from app.audit.event import EventDraft
 from app.governance.model import EventKind, Outcome, Status
 from app.protocol import Human
-from app.runtime.drafts import SERVER, outcome_event, reason, with_edit, with_reason
+from app.runtime.drafts import SERVER, grant_event, outcome_event, reason, with_edit, with_reason
 from app.runtime.errors import Conflict, InvalidParams
 from app.runtime.escalation import APPROVED, DENIED, bound_digest
 from app.runtime.invocation import reasons_document
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from app.governance.policy_model import Denial
     from app.runtime.desk import Desk
     from app.runtime.escalation import Escalation
+    from app.runtime.grant import Standing
     from app.runtime.invocation import Invocation, Principal
     from app.runtime.kernel import Judgement
 
@@ -38,9 +39,15 @@ class Answer:
     """One person's answer to one question, under the invocation's lock."""
 
     def __init__(
-        self, desk: Desk, invocation: Invocation, escalation: Escalation, principal: Principal, comment: str | None
+        self,
+        desk: Desk,
+        invocation: Invocation,
+        escalation: Escalation,
+        principal: Principal,
+        comment: str | None,
+        grant: Standing | None = None,
     ) -> None:
-        """Take the question and its invocation as they stand, and who answers."""
+        """Take the question and its invocation as they stand, who answers, and what is granted with an approval."""
         self._desk = desk
         self._register = desk.register
         self._fleet = desk.fleet
@@ -49,6 +56,7 @@ class Answer:
         self._escalation = escalation
         self._principal = principal
         self._comment = comment
+        self._grant = grant
 
     # -- before launch -----------------------------------------------------------------------------------------------
 
@@ -142,16 +150,20 @@ class Answer:
         now = self._register.now()
         closed = counted.evolve(now, status=APPROVED)
         invocation = self._invocation.evolve(now, escalation=closed.reference())
-        approved = self._event("approve", closed)
         # What was shown was shown under a profile: the same parameters under another one are watched differently.
         if judgement.profile != invocation.profile or not judgement.conforms(counted.effective):
             ended = judgement.refuse(invocation)
             await self._desk.commit(
-                [approved, *judgement.recheck_events(ended), outcome_event(ended, SERVER, *judgement.ending_reasons())],
+                [
+                    self._event("approve", closed),
+                    *judgement.recheck_events(ended),
+                    outcome_event(ended, SERVER, *judgement.ending_reasons()),
+                ],
                 closed,
                 ended,
             )
             return closed
+        closed, given = self._granting(closed)
         approvers = tuple(str(approval["by"]) for approval in closed.approvals)
         # What the agent reads stays the verdict on its request; that the approved form conforms is in the record.
         launching = invocation.evolve(
@@ -162,12 +174,23 @@ class Answer:
         )
         async with self._kernel.launch(launching, judgement, approvers) as launch:
             await self._desk.commit(
-                [approved, *judgement.recheck_events(launch.invocation), *launch.events],
+                [
+                    self._event("approve", closed),
+                    *(grant_event("given", self._principal.name, grant) for grant in given),
+                    *judgement.recheck_events(launch.invocation),
+                    *launch.events,
+                ],
                 closed,
                 launch.invocation,
-                launch.rows,
+                [*(grant.row() for grant in given), *launch.rows],
             )
+        self._desk.grants.hold(*given)
         return closed
+
+    def _granting(self, closed: Escalation) -> tuple[Escalation, tuple[Standing, ...]]:
+        if self._grant is None:
+            return closed, ()
+        return replace(closed, grant=self._grant.id), (self._grant,)
 
     async def _commit_pending(self, escalation: Escalation, decision: str) -> None:
         invocation = self._invocation.evolve(

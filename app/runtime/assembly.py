@@ -107,6 +107,7 @@ class Runtime:
             asyncio.create_task(self.fleet.tend(), name="tend"),
             asyncio.create_task(self.broadcast.run(), name="broadcast"),
             asyncio.create_task(self.desk.watch_deadlines(), name="deadlines"),
+            asyncio.create_task(self.desk.grants.watch(), name="grants"),
         ]
         try:
             yield self.governor

@@ -179,11 +179,13 @@ class Controls:
         cell.latched = True
         cell.stops += 1
         self.fleet.restrain(cell, Estop(actor=principal.name))
+        self.desk.grants.drop(cell.id, "estop", principal.name)
         try:
             await self.fleet.keep(cell, [word], estop=True)
         except RecordUnavailable:
             await self.register.say(word)
             return {**self.fleet.document(cell), "recorded": False}
+        await self.desk.grants.record_ends()
         return {**self.fleet.document(cell), "recorded": True}
 
     @uncut
@@ -202,6 +204,7 @@ class Controls:
             raise Conflict("not_latched", f"the cell `{cell.id}` is not latched")
         if not self.fleet.attached(cell):
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be reset")
+        self.desk.grants.drop(cell.id, "estop", principal.name)  # none outlives a stop that the cell latched by itself
         before = cell.stops
         await self.fleet.keep(cell, [cell_word("reset", cell, principal)], estop=False)
         if cell.stops == before:
@@ -226,8 +229,12 @@ class Controls:
             actor=principal.name,
             body={"cell": cell.id, "before": cell.profile, "profile": profile},
         )
+        before = cell.profile
         await self.fleet.keep(cell, [draft], profile=profile)
         cell.profile = profile
+        if profile != before:
+            self.desk.grants.drop(cell.id, "profile_changed", principal.name)
+            await self.desk.grants.record_ends()
         if self.fleet.attached(cell):
             self.fleet.order(cell, SetProfile(profile=profile))
         return self.fleet.document(cell)

@@ -30,6 +30,8 @@ from app.runtime.escalation import (
     bound_digest,
     read_escalation,
 )
+from app.runtime.grants import Grants
+from app.runtime.reviews import Reviews
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
     from app.governance.model import ApprovalNeed
     from app.governance.policy_model import Denial
     from app.runtime.fleet import Fleet
+    from app.runtime.grant import Offer, Standing
     from app.runtime.invocation import Invocation, Principal
     from app.runtime.kernel import Kernel
     from app.runtime.register import Entry, Register
@@ -56,6 +59,8 @@ class Desk:
         self.kernel = kernel
         self._pending: dict[str, Escalation] = {}
         self._asked = asyncio.Event()
+        self.grants = Grants(register, fleet, kernel)
+        self.reviews = Reviews(register, kernel)
         self.on_held: Callable[[Escalation], None] = lambda _: None
 
     # -- asking ------------------------------------------------------------------------------------------------------
@@ -181,15 +186,17 @@ class Desk:
         params: Mapping[str, Any] | None = None,
         comment: str | None = None,
         code: str | None = None,
+        offer: Offer | None = None,
     ) -> dict[str, Any]:
         """Take one person's answer, `approve` or `deny`, and return the question as it stands then.
 
-        A denial has a `code`, the declared default one where it names none: that is what the agent learns.
+        A denial has a `code`, the declared default one where it names none: that is what the agent learns. With the
+        last approval, `offer` is a standing grant for more of the same.
 
         Raises:
             NotFound: no such question.
             Conflict: `already_resolved`, `escalation_expired`, `digest_mismatch`, `already_approved`, `edit_refused`
-                (with policy's reasons), `cell_offline`, `ending`.
+                (with policy's reasons), `cell_offline`, `ending`, `grant_refused`.
             Forbidden: `own_proposal`, nobody approves what they proposed.
             InvalidParams: edited parameters that do not fit the schema, or edit a session under way; a code that policy
                 does not declare, or one with an approval.
@@ -200,7 +207,8 @@ class Desk:
         async with entry.lock:
             present = await self._present(escalation_id, entry.newest)
             _check_answer(present, principal, digest)
-            answer = Answer(self, entry.newest, present, principal, comment)
+            grant = None if offer is None else self._grant(offer, present, entry.newest, principal, decision, params)
+            answer = Answer(self, entry.newest, present, principal, comment, grant)
             match present.kind, decision:
                 case "session", "approve":
                     final = await answer.go_on(params)
@@ -221,6 +229,26 @@ class Desk:
             valid = ", ".join(f"`{known.code}`" for known in policy.authority.denials)
             raise InvalidParams([{"path": "code", "message": f"`{code}` is no code of a denial; valid: {valid}"}])
         return found
+
+    def _grant(
+        self,
+        offer: Offer,
+        present: Escalation,
+        invocation: Invocation,
+        principal: Principal,
+        decision: str,
+        params: Mapping[str, Any] | None,
+    ) -> Standing:
+        """Return the grant that goes with an approval: for the same agent, capability, cell and profile."""
+        if decision != "approve" or present.kind != APPROVAL or params is not None:
+            raise InvalidParams(
+                [{"path": "grant", "message": "goes with an approval, before launch, of what was shown"}]
+            )
+        if len(present.approvals) + 1 < present.needed:
+            raise InvalidParams(
+                [{"path": "grant", "message": "goes with the last approval; this takes another person"}]
+            )
+        return self.grants.build(principal, offer.request(self.kernel.policy, invocation), present)
 
     @uncut
     async def acknowledge(self, escalation_id: str, principal: Principal) -> dict[str, Any]:
@@ -399,7 +427,9 @@ class Desk:
             self.hold(*(read_escalation(row["document"]) for row in page.items))
             cursor = page.next
             if cursor is None:
-                return
+                break
+        await self.grants.recall()
+        await self.reviews.recall()
 
 
 def _check_answer(present: Escalation, principal: Principal, digest: str) -> None:

@@ -13,7 +13,9 @@ if TYPE_CHECKING:
     from app.governance.model import Verdict
     from app.runtime.cells import Cell
     from app.runtime.escalation import Escalation
+    from app.runtime.grant import Standing
     from app.runtime.invocation import Invocation, Principal
+    from app.runtime.reviews import Review
 
 SERVER: Final = "server"
 EDIT: Final = "authority/edit"
@@ -82,6 +84,18 @@ def acknowledged_event(escalation: Escalation, principal: Principal) -> EventDra
     """Return the event of a person's saying that they look at a question."""
     body = {"op": "acknowledge", "role": principal.role, "escalation": escalation.public()}
     return EventDraft(kind=EventKind.HUMAN, actor=principal.name, invocation=escalation.invocation, body=body)
+
+
+def grant_event(op: str, actor: str, standing: Standing) -> EventDraft:
+    """Return the event of a standing grant's being given, or of its end."""
+    body = {"op": op, "grant": standing.public()}
+    return EventDraft(kind=EventKind.GRANT, actor=actor, invocation=standing.invocation, body=body)
+
+
+def review_event(op: str, actor: str, review: Review) -> EventDraft:
+    """Return the event of a session's coming up for review, or of the verdict on it."""
+    body = {"op": op, "review": review.public()}
+    return EventDraft(kind=EventKind.REVIEW, actor=actor, invocation=review.invocation, body=body)
 
 
 def human_event(op: str, invocation: Invocation, principal: Principal) -> EventDraft:

@@ -14,6 +14,7 @@ from app.governance.model import EventKind, Role, Status
 from app.runtime.controls import Controls
 from app.runtime.drafts import escalation_event
 from app.runtime.errors import Conflict, InvalidParams
+from app.runtime.grants import GrantEnded
 from app.runtime.identity import digest
 from app.runtime.invocation import (
     Invocation,
@@ -123,7 +124,10 @@ class Governor(Controls):
             return invocation
         if judgement.need is None and cell is not None:  # at once: nothing else may be decided on the cell's being free
             self.fleet.claim(cell, invocation.id)
-        return await self._open(invocation, judgement, drafts, rows)
+        try:
+            return await self._open(invocation, judgement, drafts, rows)
+        except GrantEnded:  # between the decision and its record, of which there is none: without the grant, then
+            return await self._propose(principal, request, slots)
 
     @uncut
     async def _open(
@@ -136,8 +140,10 @@ class Governor(Controls):
             asking = replace(invocation, escalation=question.reference())
             await self.desk.commit([*drafts, escalation_event(question)], question, asking, rows)
             return asking
-        async with self.kernel.launch(invocation, judgement) as launch:
-            await self.register.append([*drafts, *launch.events], [*rows, *launch.rows], [launch.invocation])
+        by_grant = () if invocation.grant is None else (f"grant:{invocation.grant}",)
+        async with self.kernel.launch(invocation, judgement, by_grant) as launch:
+            used = self.desk.grants.use(invocation.grant)
+            await self.register.append([*drafts, *launch.events], [*rows, *launch.rows, *used], [launch.invocation])
         return launch.invocation
 
     def _aim(self, request: ProposalRequest) -> Cell | None:
@@ -168,6 +174,7 @@ class Governor(Controls):
             effective=judgement.effective(params),
             escalation=None,
             outcome=REFUSED_OUTCOME.get(status),
+            grant=judgement.grant,
             created_at=now,
             updated_at=now,
             terms=Terms(

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 PRIVATE: Final = "_"
 SEES_ALL: Final = frozenset({Role.OPERATOR, Role.ENGINEER, Role.AUDITOR})
-FREE_TEXT: Final = frozenset({"comment"})  # an operator's words; the agent gets codes
+FREE_TEXT: Final = frozenset({"comment", "note"})  # an operator's words; the agent gets codes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,6 +129,7 @@ class Invocation:
     updated_at: str
     terms: Terms
     failure: Mapping[str, Any] | None = None
+    grant: str | None = None
 
     @property
     def final(self) -> bool:
@@ -142,7 +143,11 @@ class Invocation:
         return replace(self, updated_at=at, **changes)
 
     def public(self) -> dict[str, Any]:
-        """Return the document of design section 8; `failure` stands in it where a session did not do its task."""
+        """Return the document of design section 8.
+
+        `grant` stands in it where a standing grant spared a human the question, `failure` where a session did not do
+        its task.
+        """
         return {
             "id": self.id,
             "status": self.status,
@@ -156,6 +161,7 @@ class Invocation:
             "admission": self.admission,
             "policy": self.policy,
             "escalation": self.escalation,
+            **({} if self.grant is None else {"grant": self.grant}),
             "outcome": self.outcome,
             **({} if self.failure is None else {"failure": self.failure}),
             "created_at": self.created_at,

@@ -42,10 +42,11 @@ from app.runtime.invocation import reasons_document
 from app.runtime.link import key_text
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncGenerator, Mapping
+    from collections.abc import AsyncGenerator, Callable, Mapping
 
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
+    from app.governance.model import Grant
     from app.governance.policy import ParamProblem, PolicySet
     from app.runtime.cells import Cell
     from app.runtime.fleet import Fleet
@@ -78,6 +79,12 @@ class Judgement(NamedTuple):
     def need(self) -> ApprovalNeed | None:
         """Return what authority asks for before launch."""
         return self.decision.need
+
+    @property
+    def grant(self) -> str | None:
+        """Return the standing grant that answers what authority asks for."""
+        grant = self.decision.grant
+        return None if grant is None else grant.id
 
     @property
     def status(self) -> Status:
@@ -136,7 +143,8 @@ class Judgement(NamedTuple):
 
     def events(self, invocation: Invocation) -> list[EventDraft]:
         """Return the events of the decision, as the invocation shows it."""
-        return self._events(invocation, invocation.admission, invocation.policy, {})
+        mark = {} if invocation.grant is None else {"grant": invocation.grant}
+        return self._events(invocation, invocation.admission, invocation.policy, mark)
 
     def recheck_events(self, invocation: Invocation) -> list[EventDraft]:
         """Return the events of deciding again, with the last approval, on what was approved; `recheck` marks them."""
@@ -217,6 +225,7 @@ class Kernel:
         self._fleet = fleet
         self._key = signing_key
         self._operator_heard_s: float | None = None
+        self.standing: Callable[[Cell | None], tuple[Grant, ...]] = lambda _: ()
         fleet.enforce(
             kernel_key=key_text(signing_key.public_key().public_bytes_raw()),
             policy_digest=policy.digest,
@@ -266,6 +275,7 @@ class Kernel:
             agent=policy.agent(agent),
             cell=self._fleet.facts(cell),
             operator_on_duty=self.operator_on_duty,
+            grants=self.standing(cell),
         )
         return Judgement(decide(policy, proposal, context), policy, profile)
 
@@ -313,7 +323,11 @@ class Kernel:
                     kind=EventKind.AUTHORIZATION,
                     actor=SERVER,
                     invocation=invocation.id,
-                    body={"authorization": orjson.loads(body), "cell": invocation.cell},
+                    body={
+                        "authorization": orjson.loads(body),
+                        "cell": invocation.cell,
+                        **({} if invocation.grant is None else {"grant": invocation.grant}),
+                    },
                 ),
             ),
             rows=(

@@ -47,6 +47,7 @@ class Register:
         self._live: dict[str, Entry] = {}
         self._unsaid: list[EventDraft] = []  # what the record could not take yet
         self.on_final: Callable[[Invocation], None] = lambda _: None
+        self.on_ending: Callable[[Invocation], tuple[EventDraft, RowWrite, Callable[[], None]] | None] = lambda _: None
         self.on_shown: Callable[[Invocation], None] = lambda _: None
 
     def now(self) -> str:
@@ -96,10 +97,17 @@ class Register:
             RecordUnavailable: nothing is recorded and nothing has changed.
             RowExists: a row that is written once is there already; nothing has changed.
         """
-        seqs = await self.store.append(drafts, [*rows, *(version.row() for version in versions)])
+        # What follows from an end is recorded with it: the event and the row, and then what they change in memory.
+        follows = [found for version in versions if version.final and (found := self.on_ending(version)) is not None]
+        seqs = await self.store.append(
+            [*drafts, *(draft for draft, _, _ in follows)],
+            [*rows, *(version.row() for version in versions), *(row for _, row, _ in follows)],
+        )
         for version in versions:
             self._show(version)
-        return seqs
+        for _, _, done in follows:
+            done()
+        return seqs[: len(drafts)]
 
     async def say(self, *drafts: EventDraft) -> bool:
         """Record what has happened already: now, or as soon as the record takes it. Returns whether it is in.

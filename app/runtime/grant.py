@@ -1,0 +1,164 @@
+"""A standing grant as the runtime keeps it: what governance decides by, and what became of it.
+
+It ends once, and for one of `ENDS`; from then on it answers for nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import orjson
+
+from app.audit.event import RowWrite
+from app.clock import parse_rfc3339, rfc3339
+from app.governance.authority import handled
+from app.governance.model import AgentFacts, CellFacts, Context, Grant, GrantScope
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from app.governance.policy import PolicySet
+    from app.runtime.invocation import Invocation
+
+ACTIVE: Final = "active"
+ENDED: Final = "ended"
+ENDS: Final = ("revoked", "expired", "estop", "profile_changed", "policy_changed")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GrantRequest:
+    """What a person grants: to whom, for what, and for how long."""
+
+    capability: str
+    agent: str
+    cell: str
+    scope: GrantScope
+    minutes: float
+    object: str | None = None
+    task: str | None = None
+    profile: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Offer:
+    """What a person grants with an approval: more of what was shown."""
+
+    scope: GrantScope
+    minutes: float
+    object: str | None = None
+    task: str | None = None
+
+    def request(self, policy: PolicySet, invocation: Invocation) -> GrantRequest:
+        """Return the grant for more of an invocation: its own object or task, where none is named."""
+        named = {"object": self.object, "task": self.task}
+        if self.scope is GrantScope.OBJECT and self.object is None:
+            named["object"] = _handled(policy, invocation)
+        task = invocation.terms.metadata.get("task")
+        if self.scope is GrantScope.TASK and self.task is None and isinstance(task, str):
+            named["task"] = task
+        return GrantRequest(
+            capability=invocation.capability,
+            agent=invocation.agent,
+            cell=invocation.cell or "",
+            profile=invocation.profile,
+            scope=self.scope,
+            minutes=self.minutes,
+            **named,
+        )
+
+
+def _handled(policy: PolicySet, invocation: Invocation) -> str | None:
+    nobody = AgentFacts(name=invocation.agent, permissions=frozenset())
+    somewhere = CellFacts(id=invocation.cell or "", online=False)
+    context = Context(time_s=0.0, profile=invocation.profile, agent=nobody, cell=somewhere)
+    return handled(policy, invocation.proposal(invocation.effective or {}), context)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Standing:
+    """The newest version of one standing grant; `evolve` makes the next."""
+
+    grant: Grant
+    status: str
+    escalation: str | None
+    invocation: str | None
+    uses: int
+    used_at: str | None
+    ended: Mapping[str, str] | None
+    created_at: str
+    updated_at: str
+
+    @property
+    def id(self) -> str:
+        """Return the grant's name."""
+        return self.grant.id
+
+    def evolve(self, at: str, **changes: Any) -> Standing:  # noqa: ANN401  # fields of this class
+        """Return the next version."""
+        return replace(self, updated_at=at, **changes)
+
+    def end(self, at: str, code: str, by: str) -> Standing:
+        """Return the version that has ended, and why."""
+        return self.evolve(at, status=ENDED, ended={"code": code, "by": by, "at": at})
+
+    def public(self) -> dict[str, Any]:
+        """Return the document."""
+        grant = self.grant
+        return {
+            "id": grant.id,
+            "status": self.status,
+            "capability": grant.capability,
+            "agent": grant.agent,
+            "cell": grant.cell,
+            "profile": grant.profile,
+            "policy_version": grant.policy_digest,
+            "scope": grant.scope.value,
+            "object": grant.object,
+            "task": grant.task,
+            "issued_by": grant.issued_by,
+            "issued_at": rfc3339(grant.issued_at_s),
+            "expires_at": rfc3339(grant.expires_at_s),
+            "escalation": self.escalation,
+            "invocation": self.invocation,
+            "uses": self.uses,
+            "used_at": self.used_at,
+            "ended": None if self.ended is None else dict(self.ended),
+            "created_at": self.created_at,
+            "updated_at": self.updated_at,
+        }
+
+    def row(self) -> RowWrite:
+        """Return the row that holds this version."""
+        return RowWrite(
+            table="grants",
+            values={
+                "id": self.id,
+                "cell": self.grant.cell,
+                "status": self.status,
+                "document": orjson.dumps(self.public()),
+                "created_at": self.created_at,
+                "updated_at": self.updated_at,
+            },
+        )
+
+
+def read_standing(document: bytes) -> Standing:
+    """Read a stored document back."""
+    fields: dict[str, Any] = orjson.loads(document)
+    kept = ("status", "escalation", "invocation", "uses", "used_at", "ended", "created_at", "updated_at")
+    grant = Grant(
+        id=fields["id"],
+        capability=fields["capability"],
+        agent=fields["agent"],
+        cell=fields["cell"],
+        profile=fields["profile"],
+        policy_digest=fields["policy_version"],
+        scope=GrantScope(fields["scope"]),
+        issued_by=fields["issued_by"],
+        issued_at_s=parse_rfc3339(fields["issued_at"]),
+        expires_at_s=parse_rfc3339(fields["expires_at"]),
+        object=fields["object"],
+        task=fields["task"],
+    )
+    return Standing(grant=grant, **{name: fields[name] for name in kept})

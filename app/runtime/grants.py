@@ -1,0 +1,271 @@
+"""Standing grants: giving, using, ending.
+
+A grant is recorded before it answers for anything. Its end restrains: it holds from the moment it is said, and is
+recorded then, later if need be. A cell's emergency stop ends every grant on it, whoever pressed it and wherever; so do
+another profile of the cell and another policy. `governance.authority` decides what a grant is for and answers to.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Any, Final
+
+from app.audit.errors import RecordUnavailable
+from app.clock import parse_rfc3339, rfc3339
+from app.governance.authority import grantable
+from app.governance.model import Grant, GrantScope, Reason
+from app.runtime.drafts import SERVER, grant_event
+from app.runtime.errors import Conflict, Forbidden, InvalidParams, NotFound
+from app.runtime.grant import ACTIVE, Standing, read_standing
+from app.runtime.uncut import uncut
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from app.audit.event import RowWrite
+    from app.runtime.cells import Cell
+    from app.runtime.escalation import Escalation
+    from app.runtime.fleet import Fleet
+    from app.runtime.grant import GrantRequest
+    from app.runtime.invocation import Principal
+    from app.runtime.kernel import Kernel
+    from app.runtime.register import Register
+
+POLL_S: Final = 0.25
+MOST_GRANTS: Final = 64  # more of them nobody keeps in view
+
+
+class GrantEnded(Exception):
+    """A grant that a decision stood on has ended before the decision was recorded."""
+
+
+class Grants:
+    """Standing grants of one server."""
+
+    def __init__(self, register: Register, fleet: Fleet, kernel: Kernel) -> None:
+        """Take where changes are recorded, whose cells they are for, and what decides by them."""
+        self._register = register
+        self._fleet = fleet
+        self._kernel = kernel
+        self._active: dict[str, Standing] = {}
+        self._unrecorded: list[Standing] = []
+        self._recording = asyncio.Lock()
+        self.on_changed: Callable[[Standing], None] = lambda _: None
+        kernel.standing = self.standing
+
+    # -- reading -----------------------------------------------------------------------------------------------------
+
+    def standing(self, cell: Cell | None) -> tuple[Grant, ...]:
+        """Return the grants that may answer for a cell, the oldest first."""
+        return () if cell is None else tuple(one.grant for one in self._active.values() if one.grant.cell == cell.id)
+
+    def active(self) -> list[Standing]:
+        """Return every grant that has not ended, the newest first."""
+        return list(reversed(self._active.values()))
+
+    async def list(
+        self, *, status: str | None = None, limit: int = 50, cursor: str | None = None
+    ) -> tuple[list[dict[str, Any]], str | None]:
+        """Return grants, newest first, and the cursor behind them. Raises `ValueError` on a bad limit or cursor."""
+        page = await self._register.store.page("grants", {"status": status}, limit=limit, cursor=cursor)
+        found = [read_standing(row["document"]) for row in page.items]
+        unsaid = {one.id: one for one in self._unrecorded}
+        return [unsaid.get(one.id, one).public() for one in found], page.next
+
+    # -- giving ------------------------------------------------------------------------------------------------------
+
+    @uncut
+    async def give(self, principal: Principal, request: GrantRequest) -> dict[str, Any]:
+        """Grant something in advance; errors as `build`, and `RecordUnavailable`: then nothing is granted."""
+        standing = self.build(principal, request)
+        await self._register.append([grant_event("given", principal.name, standing)], [standing.row()])
+        self.hold(standing)
+        return standing.public()
+
+    def hold(self, *given: Standing) -> None:
+        """Let grants that are recorded stand."""
+        for standing in given:
+            self._active[standing.id] = standing
+            self.on_changed(standing)
+
+    def build(self, principal: Principal, request: GrantRequest, escalation: Escalation | None = None) -> Standing:
+        """Return a grant that policy allows; `hold` it once it is recorded.
+
+        Raises:
+            InvalidParams: names there are not, a scope that does not fit, a profile the cell is not under, too long.
+            Forbidden: `own_proposal`, nobody grants themselves anything.
+            Conflict: `grant_refused`, with policy's reason.
+        """
+        cell = self._check(request)
+        if principal.name == request.agent:
+            raise Forbidden("own_proposal", "nobody grants themselves anything")
+        policy = self._kernel.policy
+        if refused := grantable(policy, request.capability, cell.profile) or self._unfit(cell):
+            raise Conflict("grant_refused", f"{refused.message}; valid: {refused.remedy}", reasons=[refused._asdict()])
+        most_s = policy.authority.grants.up_to_s if policy.authority.grants else 0.0
+        if request.minutes * 60.0 > most_s:
+            raise _invalid("minutes", f"`{request.minutes:g}` is too long: valid are at most {most_s / 60.0:g}")
+        now = self._register.now()
+        issued_s = parse_rfc3339(now)
+        grant = Grant(
+            id=self._kernel.identities.make("gr"),
+            capability=request.capability,
+            agent=request.agent,
+            cell=cell.id,
+            profile=cell.profile,
+            policy_digest=policy.digest,
+            scope=request.scope,
+            issued_by=principal.name,
+            issued_at_s=issued_s,
+            expires_at_s=parse_rfc3339(rfc3339(issued_s + request.minutes * 60.0)),
+            object=request.object,
+            task=request.task,
+        )
+        return Standing(
+            grant=grant,
+            status=ACTIVE,
+            escalation=None if escalation is None else escalation.id,
+            invocation=None if escalation is None else escalation.invocation,
+            uses=0,
+            used_at=None,
+            ended=None,
+            created_at=now,
+            updated_at=now,
+        )
+
+    def _check(self, request: GrantRequest) -> Cell:
+        """Return the cell a request is for. Raises `InvalidParams`."""
+        policy = self._kernel.policy
+        _known("capability", request.capability, policy.capabilities)
+        _known("agent", request.agent, policy.agents)
+        _known("cell", request.cell, [cell.id for cell in self._fleet.cells()])
+        cell = self._fleet.cell(request.cell)
+        if request.profile not in (None, cell.profile):
+            raise _invalid(
+                "profile", f"`{request.profile}` is not what `{cell.id}` is under: valid is `{cell.profile}`"
+            )
+        for name, value, scope in (
+            ("object", request.object, GrantScope.OBJECT),
+            ("task", request.task, GrantScope.TASK),
+        ):
+            if (value is not None) != (request.scope is scope):
+                raise _invalid(name, f"goes with the scope `{scope}`, and that scope with it")
+        if request.object is not None:
+            _known("object", request.object, policy.site.objects)
+        return cell
+
+    def _unfit(self, cell: Cell) -> Reason | None:
+        if self._fleet.latched(cell):
+            return Reason("authority/grants", "estop_latched", f"`{cell.id}` is stopped", "reset it first")
+        if len(self._active) >= MOST_GRANTS:
+            return Reason("authority/grants", "too_many", f"`{MOST_GRANTS}` grants stand already", "revoke some")
+        return None
+
+    # -- using -------------------------------------------------------------------------------------------------------
+
+    def use(self, grant_id: str | None) -> list[RowWrite]:
+        """Count a launch under a grant; returns what to record together with it, nothing being awaited in between.
+
+        Raises:
+            GrantEnded: it has ended since the decision.
+        """
+        if grant_id is None:
+            return []
+        present = self._active.get(grant_id)
+        if present is None:
+            raise GrantEnded(grant_id)
+        now = self._register.now()
+        used = present.evolve(now, uses=present.uses + 1, used_at=now)
+        self.hold(used)
+        return [used.row()]
+
+    # -- ending ------------------------------------------------------------------------------------------------------
+
+    @uncut
+    async def revoke(self, grant_id: str, principal: Principal) -> dict[str, Any]:
+        """End a grant; it holds at once, and the answer's `recorded` says whether the record has it.
+
+        Raises:
+            NotFound: no such grant.
+            Conflict: `grant_ended`, it has ended already.
+        """
+        present = self._active.get(grant_id)
+        if present is None:
+            row = await self._register.store.row("grants", id=grant_id)
+            if row is None:
+                raise NotFound("grant", grant_id)
+            ended = read_standing(row["document"]).ended or {"code": "ended"}
+            raise Conflict("grant_ended", f"the grant `{grant_id}` has ended already (`{ended['code']}`)")
+        closed = self._end(present, "revoked", principal.name)
+        return {**closed.public(), "recorded": await self.record_ends()}
+
+    def drop(self, cell: str, code: str, by: str) -> None:
+        """End every grant on a cell, at once; `record_ends` records it."""
+        for standing in [one for one in self._active.values() if one.grant.cell == cell]:
+            self._end(standing, code, by)
+
+    def _end(self, standing: Standing, code: str, by: str) -> Standing:
+        closed = standing.end(self._register.now(), code, by)
+        del self._active[standing.id]
+        self._unrecorded.append(closed)
+        self.on_changed(closed)
+        return closed
+
+    async def record_ends(self) -> bool:
+        """Record the ends that are not yet; returns whether none is left."""
+        async with self._recording:  # until it is in the record, memory says that they ended
+            ends = tuple(self._unrecorded)
+            if not ends:
+                return True
+            try:
+                await self._register.append(
+                    [grant_event("ended", (one.ended or {}).get("by", SERVER), one) for one in ends],
+                    [one.row() for one in ends],
+                )
+            except RecordUnavailable:
+                return False
+            del self._unrecorded[: len(ends)]
+        return True
+
+    # -- keeping on --------------------------------------------------------------------------------------------------
+
+    def look(self) -> None:
+        """End what is over: by time, by a stop that a cell latched itself, by another profile or policy."""
+        now_s = self._register.now_s()
+        for standing in tuple(self._active.values()):
+            if (code := self._over(standing.grant, now_s)) is not None:
+                self._end(standing, code, SERVER)
+
+    def _over(self, grant: Grant, now_s: float) -> str | None:
+        if now_s >= grant.expires_at_s:
+            return "expired"
+        if grant.policy_digest != self._kernel.policy.digest:
+            return "policy_changed"
+        cell = self._fleet.cell(grant.cell) if self._fleet.knows(grant.cell) else None
+        if cell is not None and self._fleet.latched(cell):
+            return "estop"
+        return "profile_changed" if cell is None or cell.profile != grant.profile else None
+
+    async def watch(self) -> None:
+        """End what is over, for ever."""
+        while True:
+            self.look()
+            await self.record_ends()
+            await asyncio.sleep(POLL_S)
+
+    async def recall(self) -> None:
+        """Read back the grants that stood when the server ended, and end what is over since."""
+        rows = await self._register.store.rows("grants", {"status": ACTIVE})
+        for standing in sorted((read_standing(row["document"]) for row in rows), key=lambda one: one.id):
+            self._active[standing.id] = standing
+        self.look()
+        await self.record_ends()
+
+
+def _known(field: str, name: str, names: Sequence[str] | Any) -> None:  # noqa: ANN401  # a mapping by name will do
+    if name not in names:
+        raise _invalid(field, f"no {field} `{name}`; valid: {', '.join(f'`{one}`' for one in sorted(names))}")
+
+
+def _invalid(field: str, message: str) -> InvalidParams:
+    return InvalidParams([{"path": field, "message": message}])

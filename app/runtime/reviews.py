@@ -1,0 +1,216 @@
+"""Review afterwards: finished sessions that policy marks wait for a human's verdict.
+
+A session comes up for review in the same append as its end. A verdict moves nothing: it is recorded, once. What a
+reviewer writes (`note`) stays in the record and never reaches an agent.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import orjson
+
+from app.audit.event import RowWrite
+from app.governance.authority import refusal, reviewed
+from app.governance.model import AuthorityMode, Reason, Status
+from app.runtime.drafts import SERVER, review_event
+from app.runtime.errors import Conflict, Forbidden, NotFound
+from app.runtime.invocation import reasons_document
+from app.runtime.uncut import uncut
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from app.audit.event import EventDraft
+    from app.governance.model import Outcome
+    from app.runtime.invocation import Invocation, Principal
+    from app.runtime.kernel import Kernel
+    from app.runtime.register import Register
+
+WAITING: Final = "waiting"
+SHOWN: Final = 100  # as many as anybody wants to see at once; the rest waits in the record
+ENDED: Final = frozenset({Status.COMPLETED, Status.FAILED})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Review:
+    """The newest version of one review: what for, and the verdict once there is one."""
+
+    id: str
+    invocation: str
+    status: str  # waiting, or the verdict
+    capability: str
+    agent: str
+    cell: str | None
+    profile: str
+    risk: str
+    outcome: str
+    reasons: Sequence[Mapping[str, str]]
+    verdict: Mapping[str, Any] | None
+    created_at: str
+    updated_at: str
+
+    def public(self) -> dict[str, Any]:
+        """Return the document."""
+        return {
+            "id": self.id,
+            "invocation": self.invocation,
+            "status": self.status,
+            "capability": self.capability,
+            "agent": self.agent,
+            "cell": self.cell,
+            "profile": self.profile,
+            "risk": self.risk,
+            "outcome": self.outcome,
+            "reasons": [dict(reason) for reason in self.reasons],
+            "verdict": None if self.verdict is None else dict(self.verdict),
+            "created_at": self.created_at,
+            "updated_at": self.updated_at,
+        }
+
+    def row(self) -> RowWrite:
+        """Return the row that holds this version."""
+        return RowWrite(
+            table="reviews",
+            values={
+                "id": self.id,
+                "invocation": self.invocation,
+                "status": self.status,
+                "document": orjson.dumps(self.public()),
+                "created_at": self.created_at,
+                "updated_at": self.updated_at,
+            },
+        )
+
+
+class Reviews:
+    """The review queue of one server."""
+
+    def __init__(self, register: Register, kernel: Kernel) -> None:
+        """Take where sessions end, and what knows policy."""
+        self._register = register
+        self._kernel = kernel
+        self._waiting: dict[str, Review] = {}
+        self._lock = asyncio.Lock()
+        self.on_changed: Callable[[Review], None] = lambda _: None
+        register.on_ending = self.due
+
+    # -- coming up ---------------------------------------------------------------------------------------------------
+
+    def due(self, ended: Invocation) -> tuple[EventDraft, RowWrite, Callable[[], None]] | None:
+        """Return what to record with a session's end, and what to do once it is; None where no review is due."""
+        if ended.status not in ENDED or ended.outcome is None or ended.terms.launched_at_s is None:
+            return None
+        why = reviewed(self._kernel.policy, ended.capability, ended.profile, ended.outcome)
+        if not why:
+            return None
+        review = self._build(ended, ended.outcome, why)
+        return review_event("waiting", SERVER, review), review.row(), lambda: self._hold(review)
+
+    def _build(self, ended: Invocation, outcome: Outcome, why: tuple[Reason, ...]) -> Review:
+        now = self._register.now()
+        return Review(
+            id=self._kernel.identities.make("rev"),
+            invocation=ended.id,
+            status=WAITING,
+            capability=ended.capability,
+            agent=ended.agent,
+            cell=ended.cell,
+            profile=ended.profile,
+            risk=self._kernel.risk(ended.capability),
+            outcome=outcome.value,
+            reasons=reasons_document(why),
+            verdict=None,
+            created_at=now,
+            updated_at=now,
+        )
+
+    def _hold(self, review: Review) -> None:
+        if review.status == WAITING:
+            self._waiting[review.id] = review
+            if len(self._waiting) > SHOWN:
+                del self._waiting[next(iter(self._waiting))]
+        else:
+            self._waiting.pop(review.id, None)
+        self.on_changed(review)
+
+    @uncut
+    async def request(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
+        """Put a finished session up for review, because a person wants it looked at.
+
+        Raises:
+            NotFound: no such invocation.
+            Conflict: `wrong_status`, it is not a session that has ended; `review_not_enabled`, its profile's authority
+                has no review; `already_reviewed`, it waits for a verdict, or has one.
+            RecordUnavailable: nothing was recorded.
+        """
+        async with self._lock:
+            ended = await self._register.load(invocation_id)
+            if ended.status not in ENDED or ended.outcome is None:
+                raise Conflict("wrong_status", f"`{ended.status}` is no end of a session: there is nothing to review")
+            refused = refusal(self._kernel.policy, ended.profile, AuthorityMode.REVIEW_ONLY)
+            if refused is not None:
+                raise Conflict.of(refused)
+            if await self._register.store.rows("reviews", {"invocation": ended.id}):
+                raise Conflict("already_reviewed", f"`{ended.id}` waits for a verdict already, or has one")
+            rule = f"{ended.profile}/authority"
+            why = Reason(rule, "review_requested", "a person wants this looked at", "look at the trace")
+            review = self._build(ended, ended.outcome, (why,))
+            await self._register.append([review_event("waiting", principal.name, review)], [review.row()])
+            self._hold(review)
+        return review.public()
+
+    # -- reading -----------------------------------------------------------------------------------------------------
+
+    def waiting(self) -> list[Review]:
+        """Return the newest reviews that wait, the newest first, at most `SHOWN`."""
+        return list(reversed(self._waiting.values()))
+
+    async def list(
+        self, *, status: str | None = None, limit: int = 50, cursor: str | None = None
+    ) -> tuple[list[dict[str, Any]], str | None]:
+        """Return reviews, newest first, and the cursor behind them. Raises `ValueError` on a bad limit or cursor."""
+        page = await self._register.store.page("reviews", {"status": status}, limit=limit, cursor=cursor)
+        return [orjson.loads(row["document"]) for row in page.items], page.next
+
+    # -- judging -----------------------------------------------------------------------------------------------------
+
+    @uncut
+    async def resolve(
+        self, review_id: str, principal: Principal, verdict: str, note: str | None = None
+    ) -> dict[str, Any]:
+        """Take a person's verdict on a finished session.
+
+        Raises:
+            NotFound: no such review.
+            Conflict: `already_reviewed`, it has a verdict.
+            Forbidden: `own_proposal`, nobody reviews what they proposed.
+            RecordUnavailable: nothing was recorded.
+        """
+        async with self._lock:
+            row = await self._register.store.row("reviews", id=review_id)
+            if row is None:
+                raise NotFound("review", review_id)
+            present = Review(**orjson.loads(row["document"]))
+            if present.verdict is not None:
+                by = present.verdict["by"]
+                raise Conflict("already_reviewed", f"`{by}` reviewed `{review_id}` already: `{present.status}`")
+            if principal.name == present.agent:
+                raise Forbidden("own_proposal", "nobody reviews what they proposed themselves")
+            now = self._register.now()
+            said = {"by": principal.name, "at": now, "verdict": verdict, "note": note}
+            closed = replace(present, status=verdict, verdict=said, updated_at=now)
+            await self._register.append([review_event("verdict", principal.name, closed)], [closed.row()])
+            self._hold(closed)
+            if not self._waiting:  # more may wait than were shown
+                await self.recall()
+        return closed.public()
+
+    async def recall(self) -> None:
+        """Read back the newest reviews that waited when the server ended."""
+        page = await self._register.store.page("reviews", {"status": WAITING}, limit=SHOWN)
+        for row in reversed(page.items):
+            review = Review(**orjson.loads(row["document"]))
+            self._waiting[review.id] = review

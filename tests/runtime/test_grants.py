@@ -1,0 +1,263 @@
+"""Standing grants: what they spare a human, what they never do, and everything that ends them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from app.audit.errors import RecordUnavailable
+from app.governance.model import GrantScope, Risk, Role
+from app.governance.policy import PolicySet
+from app.governance.policy_model import GrantTerms
+from app.runtime.assembly import Runtime
+from app.runtime.errors import Conflict, Forbidden, InvalidParams, NotFound
+from app.runtime.grant import GrantRequest, Offer
+from app.runtime.grants import MOST_GRANTS
+from app.runtime.invocation import Principal, ProposalRequest
+
+from .conftest import AGENT, AUDITOR, CELL, ENGINEER, OPERATOR, HandCell, House, grasp, until
+from .test_desk import answer, asked
+
+pytestmark = pytest.mark.anyio
+
+REQUEST = GrantRequest(capability="grasp_object", agent="planner", cell=CELL, scope=GrantScope.TIME, minutes=10.0)
+MUGS = replace(REQUEST, scope=GrantScope.OBJECT, object="mug_1")
+
+
+async def grant(runtime: Runtime, request: GrantRequest = REQUEST) -> dict[str, Any]:
+    return await runtime.desk.grants.give(OPERATOR, request)
+
+
+async def status(runtime: Runtime, request: ProposalRequest | None = None) -> str:
+    return str((await runtime.governor.check(AGENT, request or grasp()))["status"])
+
+
+async def newest(runtime: Runtime) -> dict[str, Any]:
+    return (await runtime.desk.grants.list())[0][0]
+
+
+async def test_a_grant_launches_what_would_be_asked_about_and_all_of_it_says_so(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    assert await status(runtime) == "awaiting_approval"
+    given = await grant(runtime)
+    assert await status(runtime) == "allowed"
+    document, _ = await runtime.governor.propose(AGENT, replace(grasp(), params={"object_id": "mug_1", "force_n": 140}))
+    assert (document["status"], document["grant"], document["escalation"]) == ("running", given["id"], None)
+    assert document["effective"]["force_n"] == 60, "a grant widens nothing"
+    trace = await runtime.governor.trace(document["id"], AUDITOR)
+    said = {event["kind"]: event["body"].get("grant") for event in trace if event["kind"] != "proposal"}
+    assert said == dict.fromkeys(("admission", "policy", "authorization"), given["id"])
+    assert trace[-1]["body"]["authorization"]["approvals"] == [f"grant:{given['id']}"]
+    used = await newest(runtime)
+    assert (used["uses"], used["used_at"] is not None) == (1, True)
+    await cell.launched(document["id"])
+    await cell.ended(document["id"], "succeeded")
+    assert (await runtime.governor.invocation(document["id"], AGENT))["grant"] == given["id"]
+
+
+async def test_a_grant_for_an_object_asks_about_another(runtime: Runtime, cell: HandCell) -> None:
+    await grant(runtime, MUGS)
+    assert await status(runtime) == "allowed"
+    assert await status(runtime, replace(grasp(), params={"object_id": "driver_1"})) == "awaiting_approval"
+
+
+async def test_a_grant_is_given_with_an_approval_and_with_its_record(runtime: Runtime, cell: HandCell) -> None:
+    document, question = await asked(runtime)
+    closed = await answer(runtime, question, offer=Offer(scope=GrantScope.OBJECT, minutes=5.0))
+    given = await newest(runtime)
+    assert (closed["grant"], given["object"], given["invocation"]) == (given["id"], "mug_1", document["id"])
+    kinds = [event["kind"] for event in await runtime.governor.trace(document["id"], AUDITOR)]
+    assert kinds[4:6] == ["approval", "grant"]
+    await cell.launched(document["id"])
+    await cell.ended(document["id"], "succeeded")
+    assert await status(runtime) == "allowed"
+
+
+async def test_a_grant_for_a_task_takes_the_task_that_was_asked_about(runtime: Runtime, cell: HandCell) -> None:
+    tidying = grasp(metadata={"task": "tidy up"})
+    document, question = await asked(runtime, tidying)
+    await answer(runtime, question, offer=Offer(scope=GrantScope.TASK, minutes=5.0))
+    await cell.launched(document["id"])
+    await cell.ended(document["id"], "succeeded")
+    assert (await status(runtime, tidying), await status(runtime)) == ("allowed", "awaiting_approval")
+
+
+@pytest.mark.parametrize("more", [{"decision": "deny"}, {"params": {"object_id": "mug_1", "force_n": 10}}])
+async def test_no_grant_goes_with_a_denial_or_an_edit(runtime: Runtime, cell: HandCell, more: dict[str, Any]) -> None:
+    _, question = await asked(runtime)
+    with pytest.raises(InvalidParams, match="goes with an approval"):
+        await answer(runtime, question, offer=Offer(scope=GrantScope.TIME, minutes=5.0), **more)
+    assert (await runtime.desk.get(question["id"]))["status"] == "pending"
+    assert runtime.desk.grants.active() == []
+
+
+@pytest.mark.parametrize(
+    ("differs", "said"),
+    [
+        ({"capability": "dance"}, "no capability `dance`"),
+        ({"agent": "stranger"}, "no agent `stranger`; valid: `planner`"),
+        ({"cell": "elsewhere"}, "no cell `elsewhere`"),
+        ({"object": "mug_1"}, "`object` goes with the scope `object`"),
+        ({"scope": GrantScope.TASK}, "`task` goes with the scope `task`"),
+        ({"scope": GrantScope.OBJECT, "object": "unicorn"}, "no object `unicorn`"),
+        ({"profile": "sim-relaxed"}, "valid is `human-shared`"),
+        ({"minutes": 15.5}, "valid are at most 15"),
+    ],
+)
+async def test_a_grant_that_fits_nothing_is_refused_by_name(
+    runtime: Runtime, cell: HandCell, differs: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(InvalidParams, match=said):
+        await grant(runtime, replace(REQUEST, **differs))
+    assert await runtime.desk.grants.list() == ([], None)
+
+
+async def test_what_policy_does_not_let_be_granted_is_refused_with_its_reason(
+    house: House, runtime: Runtime, cell: HandCell
+) -> None:
+    async def reason(request: GrantRequest) -> str:
+        with pytest.raises(Conflict) as refused:
+            await grant(runtime, request)
+        assert refused.value.code == "grant_refused"
+        return str(refused.value.reasons[0]["code"])
+
+    assert await reason(replace(REQUEST, capability="navigate_to")) == "nothing_to_grant"
+    with pytest.raises(Forbidden, match="themselves"):
+        await runtime.desk.grants.give(Principal(name="planner", role=Role.OPERATOR), REQUEST)
+    for _ in range(MOST_GRANTS):
+        await grant(runtime)
+    assert await reason(REQUEST) == "too_many"
+    await runtime.governor.estop(CELL, ENGINEER)
+    assert await reason(REQUEST) == "estop_latched"
+
+
+async def test_critical_risk_is_never_granted(house: House, policy: PolicySet) -> None:
+    package = replace(policy.capabilities["grasp_object"], risk=Risk.CRITICAL)
+    gates = {
+        pair: replace(gate, capability=package) if pair[0] == "grasp_object" else gate
+        for pair, gate in policy.gates.items()
+    }
+    everything = replace(policy.authority, grants=GrantTerms(up_to_s=900.0, risks=frozenset(Risk)))
+    capabilities = {**policy.capabilities, "grasp_object": package}
+    house.policy = replace(policy, capabilities=capabilities, gates=gates, authority=everything)
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        with pytest.raises(Conflict) as refused:
+            await grant(runtime)
+        assert refused.value.reasons[0]["code"] == "risk_not_granted"
+
+
+# -- ending ------------------------------------------------------------------------------------------------------------
+
+
+async def end(runtime: Runtime) -> tuple[str, str]:
+    """Return how the newest grant ended and who did it, once it has and the record says so."""
+    await until(lambda: runtime.desk.grants.active() == [])
+    await runtime.desk.grants.record_ends()
+    ended = (await newest(runtime))["ended"]
+    event = (await runtime.store.events(kind="grant"))[-1]
+    assert (event.actor, event.payload()["op"]) == (ended["by"], "ended")
+    assert await status(runtime) in {"awaiting_approval", "rejected"}
+    return ended["code"], ended["by"]
+
+
+async def test_a_revoked_grant_ends_at_once_and_once(runtime: Runtime, cell: HandCell) -> None:
+    given = await grant(runtime)
+    shown: list[str] = []
+    runtime.desk.grants.on_changed = lambda standing: shown.append(standing.status)
+    revoked = await runtime.desk.grants.revoke(given["id"], OPERATOR)
+    assert (revoked["status"], revoked["recorded"], shown) == ("ended", True, ["ended"])
+    assert await end(runtime) == ("revoked", "olivia")
+    with pytest.raises(Conflict) as again:
+        await runtime.desk.grants.revoke(given["id"], OPERATOR)
+    assert again.value.code == "grant_ended"
+    with pytest.raises(NotFound):
+        await runtime.desk.grants.revoke("gr_none", OPERATOR)
+
+
+async def test_a_grant_ends_with_its_time(house: House, runtime: Runtime, cell: HandCell) -> None:
+    await grant(runtime)
+    house.wall_s.offset_s = 601.0
+    assert await status(runtime) == "awaiting_approval", "even before anybody has looked"
+    assert await end(runtime) == ("expired", "server")
+
+
+async def test_an_emergency_stop_ends_every_grant_on_its_cell(runtime: Runtime, cell: HandCell) -> None:
+    await grant(runtime)
+    await runtime.governor.estop(CELL, ENGINEER)
+    assert await end(runtime) == ("estop", "erin")
+    cell.latched = True
+    await cell.state()
+    cell.latched = False
+    await runtime.governor.reset(CELL, OPERATOR)
+    await cell.state()
+    assert await status(runtime) == "awaiting_approval", "a reset gives nothing back"
+
+
+async def test_a_stop_that_the_cell_latched_itself_ends_them_too(runtime: Runtime, cell: HandCell) -> None:
+    await grant(runtime)
+    cell.latched = True
+    await cell.state()
+    assert await end(runtime) == ("estop", "server")
+
+
+async def test_another_profile_ends_them(runtime: Runtime, cell: HandCell) -> None:
+    await grant(runtime)
+    await runtime.governor.set_profile(CELL, "human-shared", ENGINEER)
+    assert len(runtime.desk.grants.active()) == 1, "the same profile is no other"
+    await runtime.governor.set_profile(CELL, "real-restricted", ENGINEER)
+    await runtime.governor.set_profile(CELL, "human-shared", ENGINEER)
+    assert await end(runtime) == ("profile_changed", "erin")
+
+
+async def test_a_grant_survives_a_restart_and_not_another_policy(house: House, policy: PolicySet) -> None:
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        given = await grant(runtime, MUGS)
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        assert [one.public() for one in runtime.desk.grants.active()] == [given]
+        assert await status(runtime) == "allowed"
+    house.policy = replace(policy, digest="sha256:another")
+    async with house.open() as runtime:
+        assert (await newest(runtime))["ended"]["code"] == "policy_changed"
+
+
+async def test_an_end_that_cannot_be_recorded_holds_all_the_same(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = await grant(runtime)
+
+    async def broken(*_: Any) -> list[int]:
+        raise RecordUnavailable("disk full")
+
+    monkeypatch.setattr(runtime.store, "append", broken)
+    revoked = await runtime.desk.grants.revoke(given["id"], OPERATOR)
+    assert (revoked["status"], revoked["recorded"]) == ("ended", False)
+    assert await status(runtime) == "awaiting_approval"
+    assert (await newest(runtime))["status"] == "ended"
+    monkeypatch.undo()
+    assert await end(runtime) == ("revoked", "olivia")
+
+
+async def test_a_grant_that_ends_between_decision_and_record_answers_for_nothing(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await grant(runtime)
+    use = runtime.desk.grants.use
+
+    def late(grant_id: str | None) -> Any:
+        runtime.desk.grants.drop(CELL, "revoked", "olivia")
+        return use(grant_id)
+
+    monkeypatch.setattr(runtime.desk.grants, "use", late)
+    document, _ = await runtime.governor.propose(AGENT, grasp())
+    assert (document["status"], "grant" in document) == ("awaiting_approval", False)
+    assert runtime.fleet.cell(CELL).claim is None
+    assert not cell.all("launch")
