@@ -29,8 +29,10 @@ if TYPE_CHECKING:
     from app.runtime.desk import Desk
     from app.runtime.escalation import Escalation
     from app.runtime.fleet import Fleet
+    from app.runtime.grant import Standing
     from app.runtime.invocation import Invocation
     from app.runtime.register import Register
+    from app.runtime.reviews import Review
 
 TICK_S: Final = 0.033
 GATHER_S: Final = 0.004  # documents become visible right behind their events: let them leave together
@@ -54,6 +56,8 @@ class Broadcast:
         self._invocations: dict[str, Invocation] = {}
         self._newest: dict[str, Invocation] = {}
         self._escalations: dict[str, Escalation] = {}
+        self._grants: dict[str, Standing] = {}
+        self._reviews: dict[str, Review] = {}
         self._cells: dict[str, Mapping[str, Any]] = {}
         self._consoles: set[Outlet] = set()
         self._joining: dict[Outlet, int | None] = {}
@@ -65,6 +69,8 @@ class Broadcast:
         self._leave = store.subscribe(self._committed)
         register.on_shown = self._shown
         desk.on_held = self._held
+        desk.grants.on_changed = self._granted
+        desk.reviews.on_changed = self._reviewed
         fleet.on_stated = self._stated
 
     async def open(self) -> None:
@@ -151,6 +157,16 @@ class Broadcast:
             self._escalations[version.id] = version
             self._schedule()
 
+    def _granted(self, version: Standing) -> None:
+        if self._consoles:
+            self._grants[version.id] = version
+            self._schedule()
+
+    def _reviewed(self, version: Review) -> None:
+        if self._consoles:
+            self._reviews[version.id] = version
+            self._schedule()
+
     def _stated(self, cell: Cell) -> None:
         if self._consoles and self._changed(cell.id, self._fleet.document(cell)):
             self._schedule()
@@ -191,20 +207,29 @@ class Broadcast:
     def _update(self) -> str | None:
         parts: list[bytes] = []
         if not self._consoles:
-            self._fresh, self._invocations, self._escalations = [], {}, {}
+            self._forget()
             return None
         if self._fresh:
             parts.append(b'"events":' + _events(self._fresh))
         if self._invocations:
             parts.append(b'"invocations":' + orjson.dumps([one.public() for one in self._invocations.values()]))
-        if self._escalations:
-            parts.append(b'"escalations":' + orjson.dumps([one.public() for one in self._escalations.values()]))
+        for name, changed in (
+            (b"escalations", self._escalations),
+            (b"grants", self._grants),
+            (b"reviews", self._reviews),
+        ):
+            if changed:
+                parts.append(b'"%s":' % name + orjson.dumps([one.public() for one in changed.values()]))
         if cells := self._changed_cells():
             parts.append(b'"cells":' + orjson.dumps(cells))
-        self._fresh, self._invocations, self._escalations = [], {}, {}
+        self._forget()
         if not parts:
             return None
         return (b'{"type":"update","seq":%d,' % self.seq + b",".join(parts) + b"}").decode()
+
+    def _forget(self) -> None:
+        self._fresh, self._invocations, self._escalations = [], {}, {}
+        self._grants, self._reviews = {}, {}
 
     def _changed_cells(self) -> list[Mapping[str, Any]]:
         changed: list[Mapping[str, Any]] = []
@@ -239,8 +264,8 @@ class Broadcast:
             "cells": cells,
             "invocations": [one.public() for one in invocations.values()],
             "escalations": [one.public() for one in self._desk.pending()],
-            "grants": [],
-            "reviews": [],
+            "grants": [one.public() for one in self._desk.grants.active()],
+            "reviews": [one.public() for one in self._desk.reviews.waiting()],
         }
         return b"," + orjson.dumps(documents)[1:]
 

@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 
 from tests.api.conftest import CELL, House, eventually
+from tests.api.test_console import signed_in
 from tests.api.test_operators import DRIVE, GRASP, ask, resolve
 
 pytestmark = pytest.mark.anyio
@@ -90,3 +91,16 @@ async def test_a_stopped_session_waits_for_one_verdict(house: House) -> None:
         assert "the boss" not in (await agent.get(f"/v1/invocations/{document['id']}/trace")).text
         again = await auditor.post("/v1/reviews", json={"invocation": document["id"]})
         assert (again.status_code, again.json()["code"]) == (409, "already_reviewed")
+
+
+async def test_every_console_sees_grants_come_and_go(shared_house: House) -> None:
+    async with shared_house.cell(), signed_in(shared_house, "operator_2") as screen:
+        assert (await screen.until_type("snapshot"))["grants"] == []
+        async with shared_house.client("operator") as operator:
+            given = (await operator.post("/v1/grants", json=GRANT)).json()
+            assert (await screen.until(lambda message: message.get("grants")))["grants"] == [given]
+            async with signed_in(shared_house) as late:
+                assert (await late.until_type("snapshot"))["grants"] == [given]
+            await operator.post(f"/v1/grants/{given['id']}/revoke")
+        shown = await screen.until(lambda message: message.get("grants", [given])[-1]["status"] == "ended")
+        assert shown["grants"][0]["ended"]["by"] == "operator"
