@@ -136,6 +136,10 @@ def _request(  # noqa: PLR0913  # the command's options
     load_plugins(plugins)
     if long and tasks:
         raise ValueError(f"--long with --tasks `{tasks}`: valid is one of them, the long run has its own trials")
+    if long and not getattr(find_protocol(protocol), "LONG", None):
+        raise ValueError(
+            f"--long with protocol `{protocol}`: it has no long run; valid is one that has, like `physical`"
+        )
     standard = _LONG_TRIALS if long else getattr(find_protocol(protocol), "TRIALS", _TRIALS)
     if tasks:
         standard = getattr(find_protocol(protocol), "TASK_TRIALS", standard)

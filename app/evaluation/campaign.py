@@ -44,6 +44,7 @@ _AFTER_ROWS: Final = (
     "api/*.py",
     "agent/*.py",
     "evaluation/metrics.py",
+    "evaluation/goals.py",
     "evaluation/statistics.py",
     "evaluation/published.py",
     "evaluation/report*.py",
@@ -250,7 +251,10 @@ def _check_folder(out: Path, configuration: Mapping[str, Json]) -> None:
     except FileNotFoundError:
         if strangers := [path.name for path in out.iterdir() if path.name != _LOCK]:
             names = ", ".join(sorted(strangers)[:5])
-            raise CampaignError(f"`{out}` holds no campaign, but {names}: valid is a new or an empty folder") from None
+            raise CampaignError(
+                f"`{out}` holds no campaign, but {names}: valid is a new or an empty folder, and --fresh removes only "
+                f"what has a `{CONFIGURATION}` beside it"
+            ) from None
         return
     except orjson.JSONDecodeError as error:
         raise CampaignError(f"`{out / CONFIGURATION}` is no JSON: {error}; --fresh starts anew") from error

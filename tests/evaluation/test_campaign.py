@@ -188,7 +188,7 @@ def test_a_campaign_that_finished_nothing_is_nothing_to_lose(tmp_path: Path, mon
 
 def test_fresh_leaves_a_folder_that_is_no_campaign_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("mine", encoding="utf-8")
-    with pytest.raises(CampaignError, match="holds no campaign, but thesis"):
+    with pytest.raises(CampaignError, match=r"holds no campaign, but thesis\.txt: .*--fresh removes only"):
         campaign(tmp_path, fresh=True)
     assert (tmp_path / "thesis.txt").read_text(encoding="utf-8") == "mine"
 

@@ -30,6 +30,7 @@ def evaluate(*words: str, out: Path) -> tuple[int, str]:
         ),
         (["--protocol", "physical", "--tasks", "fault-nix"], "no fault `fault-nix`: valid are fault-"),
         (["--protocol", "physical", "--long", "--tasks", "all"], "--long with --tasks `all`: valid is one of them"),
+        (["--protocol", "paper", "--long"], "--long with protocol `paper`: it has no long run; valid is"),
         (["--protocol", "toy", "--seeds", "4,x"], "seed `x`: valid are integers from 0 on"),
         (["--protocol", "toy", "--seeds", ","], "--seeds `,` names nothing: valid are names"),
         (["--protocol", "toy", "--methods", ""], "--methods `` names nothing: valid are names"),
