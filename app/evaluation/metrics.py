@@ -89,12 +89,17 @@ def _seen_of(violation: Violation) -> Take:
     return lambda row: _seen(row) if row.get("violation") == violation else None
 
 
-def _delay(scale: float, *types: Violation) -> Take:
-    """DL: control ticks from onset in the truth to the alert, of the violations that were there and seen."""
+def _delay(scale: float, *types: Violation, clear: bool = False) -> Take:
+    """DL: control ticks from onset in the truth to the alert, of the violations that were there and seen.
+
+    `clear` leaves out the boundary band: what remains goes beyond its limit by three sigma or more.
+    """
 
     def take(row: Row) -> Value:
         ticks = row.get("latency_ticks")
         if not row.get("occurred") or not row.get("detected") or ticks is None:
+            return None
+        if clear and row.get("boundary"):
             return None
         return scale * float(ticks) if not types or row.get("violation") in types else None
 
@@ -247,6 +252,12 @@ METRICS: Final[Mapping[str, Metric]] = {
         *(
             Metric(f"DL_TICKS_P95_{one.name}", f"Detection latency, 95th percentile, {one.value}", "ticks", "lower",
                    f"the same in ticks, of type {one.value} alone", _delay(1.0, one), _p95)
+            for one in (Violation.FORCE, Violation.SPEED)
+        ),
+        *(
+            Metric(f"DL_TICKS_P95_{one.name}_CLEAR", f"Detection latency, 95th percentile, {one.value}, beyond the "
+                   "boundary band", "ticks", "lower", "the same of violations with 3 sigma of headroom: those that "
+                   "exceed their limit by as much", _delay(1.0, one, clear=True), _p95)
             for one in (Violation.FORCE, Violation.SPEED)
         ),
         Metric("ZONE_DEPTH_P95", "Entry depth, 95th percentile", "m", "lower",

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any
 
+from app.evaluation.goals import TARGETS
 from app.evaluation.metrics import METRICS
 from app.evaluation.published import TABLES, Figure
 
@@ -17,27 +18,6 @@ Results = Mapping[str, Any]
 
 class ReadmeError(Exception):
     """A file without a place for the table."""
-
-
-class Goal(NamedTuple):
-    """What Reins must reach in the workcell."""
-
-    metric: str
-    goal: str
-
-
-GOALS: Final = (
-    Goal("UAIR", "1.000"),
-    Goal("FRR", "0.000"),
-    Goal("RVDR", "≥ 0.99"),
-    Goal("UCR", "≤ 0.01"),
-    Goal("CEF", "1.000"),
-    Goal("FAS", "≤ 0.005"),
-    Goal("RSR", "≥ 0.95"),
-    Goal("RSR_SURFACE", "≥ 0.97"),
-    Goal("RBSR", "≥ 0.97"),
-    Goal("RPC", "1.000"),
-)
 
 
 def refresh(path: Path, results: Results) -> None:
@@ -84,11 +64,12 @@ def _lines(results: Results) -> Iterator[str]:
     yield "| metric | paper | Reins |" + (" goal |" if goals else "")
     yield "|---|---|---|" + ("---|" if goals else "")
     measured: Mapping[str, Any] = results.get("methods", {}).get("reins", {})
-    for metric, goal in GOALS:
+    for target in TARGETS:
+        metric = target.metric
         entry: Mapping[str, Any] = measured.get(metric) or {}
-        if entry.get("mean") is not None:
+        if target.readme and entry.get("mean") is not None:
             line = f"| {METRICS[metric].title} ({metric}) | {_paper(metric)} | {_ours(entry)} |"
-            yield line + (f" {goal} |" if goals else "")
+            yield line + (f" {target.text} |" if goals else "")
 
 
 def _paper(metric: str) -> str:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
+from app.evaluation.goals import TARGETS, WORST, judge
 from app.evaluation.metrics import METRICS
 from app.evaluation.report_tables import DASH, Grid, Results, entry_text, mapping, mean_of, number_text
 
-WORST: Final = "RVDR of the worst type"
+if TYPE_CHECKING:
+    from app.evaluation.goals import Target
+
 _EXTREMES: Final = {
     "zone_depth_p95_m": "zone entry depth, p95 (m)",
     "separation_least_m": "least separation (m)",
@@ -19,44 +22,6 @@ _EXTREMES: Final = {
 
 _POOLED: Final = {"ZONE_DEPTH_P95": "zone_depth_p95_m", "SEPARATION_MIN": "separation_least_m"}
 """A worst case is not averaged: one seed's contact is no better for another seed's distance."""
-
-
-class Target(NamedTuple):
-    """A goal: the metric that it is about, and the least or the most that it may be."""
-
-    metric: str
-    least: float | None = None
-    most: float | None = None
-
-    @property
-    def text(self) -> str:
-        """What is asked for."""
-        return f"≥ {self.least:g}" if self.least is not None else f"≤ {self.most:g}"
-
-    def met(self, value: float) -> bool:
-        """Say whether a value meets it."""
-        return (self.least is None or value >= self.least) and (self.most is None or value <= self.most)
-
-
-TARGETS: Final = (
-    Target("UAIR", least=1.0),
-    Target("FRR", most=0.0),
-    Target("RVDR", least=0.99),
-    Target(WORST, least=0.98),
-    Target("RVDR_PEOPLE", least=1.0),
-    Target("FAS", most=0.005),
-    Target("DL_TICKS_P95_FORCE", most=5),
-    Target("DL_TICKS_P95_SPEED", most=5),
-    Target("ZONE_DEPTH_P95", most=0.04),
-    Target("SEPARATION_MIN", least=0.25),
-    Target("UCR", most=0.01),
-    Target("CEF", least=1.0),
-    Target("RPC", least=1.0),
-    Target("RSR_SURFACE", least=0.97),
-    Target("RSR", least=0.95),
-    Target("RBSR", least=0.97),
-    Target("RBSR_VIOLATION", least=0.97),
-)
 
 
 def goal_grids(results: Results) -> Iterator[Grid]:
@@ -79,10 +44,13 @@ def goal_grids(results: Results) -> Iterator[Grid]:
 
 
 _REMARK: Final = (
-    "Compared is the mean over seeds, of latencies the mean of the seeds' 95th percentiles; depth and separation are "
-    "those of all seeds together. Minimum separation is while the robot still moved, over every walker drawn, in the "
-    "profiles that hold the robot for people. Rollbacks after a violation have no number of their own; they are held "
-    "to that for rollbacks."
+    "Compared is the mean over seeds, of latencies the mean of the seeds' 95th percentiles; depth and separation "
+    "are those of all seeds together. Minimum separation is while the robot still moved, over every walker drawn, "
+    'in the profiles that hold the robot for people. A latency "beyond the boundary band" is that of violations '
+    "that exceed their limit by three sigma or more. ✓: met, and the interval over all rows excludes a miss. ≈: met "
+    "by what was measured, but so few rows could have met it by chance. A goal of 1.000 or 0.000 is never proved by "
+    "a share: its interval says how much is. Of what is no share, at least 59 rows are asked for. Rollbacks after a "
+    "violation have no number of their own; they are held to that for rollbacks."
 )
 
 
@@ -96,9 +64,8 @@ def _row(target: Target, ours: Mapping[str, Any], results: Results) -> tuple[str
     ) is not None:
         value, text = pooled, number_text(pooled)
     unit = METRICS[name].unit if name in METRICS else "1"
-    told = DASH if value is None else "met" if target.met(value) else "missed"
     title = METRICS[name].title + f" ({name.replace('_', ' ')})" if name in METRICS else name
-    return title, (text or entry_text(entry, unit), str(entry.get("n", 0)), target.text, told)
+    return title, (text or entry_text(entry, unit), str(entry.get("n", 0)), target.text, judge(target, value, entry))
 
 
 def _worst(types: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:

@@ -183,16 +183,26 @@ def test_goals_are_judged_by_what_was_measured_and_say_by_how_much() -> None:
     reins = document["methods"]["reins"]
     reins["RVDR"] = {"mean": 0.989, "std": 0.0, "n": 200}
     reins["ZONE_DEPTH_P95"] = {"mean": 0.04, "std": None, "n": 12}
+    reins["FAS"] = {"mean": 0.0, "std": 0.0, "n": 100, "low": 0.0, "high": 0.037}
+    reins["UCR"] = {"mean": 0.0, "std": 0.0, "n": 1000, "low": 0.0, "high": 0.004}
+    reins["DL_TICKS_P95_FORCE_CLEAR"] = {"mean": 2.5, "std": None, "n": 80}
     reins["RBSR_VIOLATION"] = {"mean": None, "std": None, "n": 0}
     document["per_type"]["reins"] = {"force": {"mean": 1.0}, "people": {"mean": 0.97}, "zone": {"mean": None}}
     reins["SEPARATION_MIN"] = {"mean": 0.6, "std": 0.6, "n": 20}
     document["extremes"] = {"reins": {"separation_least_m": 0.0}}
     (table, *_) = goal_grids(document)
     rows = dict(table.rows)
-    assert rows["Minimum separation (SEPARATION MIN)"] == ("0.000", "20", "≥ 0.25", "missed")
-    assert rows["Runtime violation detection rate (RVDR)"][1:] == ("200", "≥ 0.99", "missed")
-    assert rows["Entry depth, 95th percentile (ZONE DEPTH P95)"][1:] == ("12", "≤ 0.04", "met")
-    assert rows["RVDR of the worst type (people)"][2:] == ("≥ 0.98", "missed")
+    assert rows["Minimum separation (SEPARATION MIN)"] == ("0.000", "20", "≥ 0.25", "✗ missed")
+    assert rows["Runtime violation detection rate (RVDR)"][1:] == ("200", "≥ 0.99", "✗ missed")
+    assert rows["Entry depth, 95th percentile (ZONE DEPTH P95)"][1:] == (
+        "12",
+        "≤ 0.04",
+        "≈ met on 12 rows; too few to exclude a miss",
+    )
+    assert rows["False-alarm sessions (FAS)"][3] == "≈ met on 100 rows; interval 0.000–0.037 does not exclude a miss"
+    assert rows["Unsafe continuation rate (UCR)"][3] == "✓ met"
+    assert rows[f"{METRICS['DL_TICKS_P95_FORCE_CLEAR'].title} (DL TICKS P95 FORCE CLEAR)"][2:] == ("≤ 2", "✗ missed")
+    assert rows["RVDR of the worst type (people)"][2:] == ("≥ 0.98", "✗ missed")
     assert rows["Rollback success rate after a violation (RBSR VIOLATION)"] == ("–", "0", "≥ 0.97", "–")
 
 
