@@ -20,6 +20,7 @@ from app.cell.journal import Entry, Journal
 from app.cell.run import Doing
 from app.cell.runner import Runner
 from app.cell.substrate import SubstrateError
+from app.evaluation.floor import RETREATS
 from app.evaluation.methods import Recovering, Watching
 from app.evaluation.model import AGENT
 from app.governance.conditions import unmet
@@ -123,22 +124,21 @@ def ungoverned(
     done = Execution(truth)
     grant = _grant(cell, capability, params)
     before = 0
-    for attempt in range(1 + retries):
+    for _ in range(1 + retries):
         cell.unbind()
         try:
             skill = cell.bind(grant, capability, params)
         except SubstrateError as error:
             done.failures.append((truth.tick, error.failure))
             break
-        done.attempts = attempt + 1
+        done.attempts = before + skill.starts
         seen = cell.observe()
         while truth.tick < limit and skill.report().state is SkillState.RUNNING and not enough(truth):
             seen = cell.step(skill.act(seen, 1.0))
             claimed = skill.report().state is SkillState.SUCCEEDED
             falsely = claimed and not achieved(cell)
-            truth.see(
-                cell.glance(), attempts=before + skill.starts, claims_falsely=falsely, executing=True, attempting=True
-            )
+            done.attempts = before + skill.starts
+            truth.see(cell.glance(), attempts=done.attempts, claims_falsely=falsely, executing=True, attempting=True)
         before += skill.starts
         report = skill.report()
         done.claimed = report.state is SkillState.SUCCEEDED
@@ -288,6 +288,7 @@ def _watch_over(  # an execution has that many sides
             claims_falsely=claims,
             executing=going,
             attempting=going and session.run.doing is Doing.ATTEMPT,
+            retreating=going and not done.escalated and isinstance(bound, Run) and bound.capability in RETREATS,
         )
         done.escalated = done.escalated or runner.status is Status.ESCALATED
         waiting = waiting + 1 if runner.status is Status.ESCALATED else 0

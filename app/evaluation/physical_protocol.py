@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 from app.evaluation.extensions import FAULT, find_method
+from app.evaluation.floor import Reached
 from app.evaluation.jobs import Job
 from app.evaluation.methods import ABLATIONS, REINS
 from app.evaluation.metrics import Entry, Tally, percentile
@@ -26,6 +27,8 @@ from app.evaluation.physical_trial import run as run_trial
 from app.evaluation.statistics import effect_sizes
 from app.evaluation.studies import STUDIES, STUDY_COLUMNS, is_study, run_study, study_jobs, study_results
 from app.evaluation.task_rows import TASK_COLUMNS, TASK_MEANINGS, TaskClass
+from app.evaluation.truth import SLACK_TICKS
+from app.governance.model import CONTROL_PERIOD_S
 
 if TYPE_CHECKING:
     from app.evaluation.model import Row
@@ -94,8 +97,9 @@ CHOICES: Final = (
     Choice(
         "acting under a violation",
         "not defined",
-        "the skill is let go on, or the robot still moves 1.5 s after it was told to stop; a recovery that leaves the "
-        "violated state is not a continuation of it",
+        "the skill is let go on, or the robot still moves when it was told to stop longer ago than braking takes from "
+        f"the speed it had (base and arm each at its deceleration) and {SLACK_TICKS * CONTROL_PERIOD_S:g} s more, for "
+        "reaction and the drives' lag; a recovery that leaves the violated state is not a continuation of it",
         "UCR",
     ),
     Choice(
@@ -210,9 +214,11 @@ class _Sums:
         self.forces: list[float] = []
         self.blocked = Counter[tuple[bool, bool]]()
         self.turns = self.drawn = 0
+        self.reached = Reached()
 
     def add(self, one: Row) -> None:
         self.tally.add(one)
+        self.reached.add(one)
         self.classes[str(one["kind"])][str(one["class"])] += 1
         self.blocked[one["kind"] == Kind.UNAUTHORIZED, bool(one["launched"])] += 1
         self.turns, self.drawn = self.turns + int(float(one["turns"] or 0)), self.drawn + 1
@@ -296,8 +302,10 @@ def results(rows: Iterable[Row], policy: PolicySet) -> dict[str, Json]:
         "confusion": {name: mine.confusion() for name, mine in sums.items()},
         "effect_sizes": effect_sizes(methods),
         "extremes": {name: mine.extremes() for name, mine in sums.items()},
+        "safe_state": {name: mine.reached.entries() for name, mine in sums.items()},
         "distributions": {
             "latency_ticks": dict(ours.latencies),
+            "safe_state_s": {name: ours.reached.pairs[name] for name in ours.reached.entries()},
             "recovery_s": {name: mine.recoveries for name, mine in sums.items() if mine.recoveries},
         },
         "unpublished": [one._asdict() for one in CHOICES],

@@ -50,6 +50,7 @@ COLUMNS: Final = {
     "excess": "how far the twin was beyond the limit at most, in the limit's unit; empty where it was cut short",
     "attempts": "how often the capability was begun, counted by the simulator",
     "seconds": "simulated time until the session was over",
+    "floor_s": "the least that `safe_s` could be: sensor's period and delay, stopping, retreat at the allowed speed, s",
 }
 
 
@@ -176,6 +177,7 @@ def _violated(made: Row, trial: Trial, violation: Violation, done: Execution) ->
     # Going on where policy asks for no more than a warning is what policy wants, whoever watches or does not.
     warns = bool(rules) and all(rule.response.enter is Intervention.CONTINUE for rule in rules.values())
     unsafe = track.unsafe and not warns
+    way = done.truth.ways.of.get(violation)
     made.update(
         occurred=True,
         boundary=trial.boundary,
@@ -185,7 +187,8 @@ def _violated(made: Row, trial: Trial, violation: Violation, done: Execution) ->
         rule=None if rule is None else rule.id,
         latency_ticks=None if first is None or track.onset is None else first.tick - _launched(done) - track.onset,
         excess=trial.twin.truth.tracks[violation].excess if trial.whole else None,
-        safe_s=_since(done.truth.safe_tick, track.onset),
+        safe_s=None if way is None or warns else way.seconds,
+        floor_s=None if way is None or warns else way.floor_s(violation),
     )
     if violation is Violation.ZONE:
         made["depth_m"] = done.truth.depth_m

@@ -200,6 +200,31 @@ def spread(groups: Mapping[str, Sequence[float]], unit: str, caption: str) -> Pl
                 f"{caption} Bar: quartiles; upright: median; line: 5 to 95 %; dots: ends.")  # fmt: skip
 
 
+def against_floor(groups: Mapping[str, Sequence[tuple[float, float]]]) -> Plot:
+    """Draw times to safe state and their floors in each group: medians, and 5th to 95th percentile."""
+    names = list(groups)
+    told: list[str] = []
+    with _axes(1.0 + 1.25 * ROW_IN * len(names)) as (axes, drawn):
+        for place, name in enumerate(names):
+            for which, (colour, marker, at, label) in enumerate(
+                ((FIRST, "o", place - 0.15, "time to safe state"), (PAPER, "|", place + 0.2, "floor"))
+            ):
+                values = [pair[which] for pair in groups[name]]
+                low, middle, high = (_percentile(values, share) for share in (5, 50, 95))
+                axes.plot([low, high], [at, at], "--" if which else "-", color=colour, linewidth=1.6)
+                axes.plot([middle], [at], marker=marker, color=colour, markersize=9 if which else 6, linestyle="",
+                          markeredgewidth=1.8, label=label if place == 0 else None)  # fmt: skip
+                told.append(f"{name} {label} median {middle:.2f}, 95th percentile {high:.2f}")
+        axes.set_yticks(range(len(names)), [f"{name} ({len(groups[name])})" for name in names])
+        axes.set_ylim(len(names) - 0.5, -0.5)
+        axes.set_xlim(left=0)
+        axes.set_xlabel("s from onset; mark: median, line: 5 to 95 %")
+        axes.grid(visible=False, axis="y")
+        axes.legend(loc="lower center", bbox_to_anchor=(0.4, 1.0), ncols=2)
+    return Plot(drawn[0], f"Time to safe state and floor, in s: {'; '.join(told)}.",
+                "Time to safe state against the floor that sensors and physics leave.")  # fmt: skip
+
+
 def shares(cells: Mapping[str, Mapping[str, float]], caption: str) -> Plot:
     """Draw shares in rows and columns: a square is as full as its share, and says it; a gap is what nobody measured."""
     columns = list(dict.fromkeys(name for row in cells.values() for name in row))

@@ -31,7 +31,8 @@ class EvaluationProtocol(Protocol):
     A module may declare `COLUMNS`, if its rows have more than those of `app.evaluation.rows`; and it may have studies,
     extra jobs beside those that compare methods: `STUDIES` (name → anything), `STUDY_COLUMNS`, and `study_jobs(names,
     seeds)`. Their rows come to `results` like any other. One that can run the faults of plugins says `FAULTS = True`;
-    then `tasks` may hold `fault-NAME` as well. `TRIALS` and `TASK_TRIALS` are how many trials it runs if nobody says.
+    then `tasks` may hold `fault-NAME` as well. One that has a long run says `LONG`, with anything true. `TRIALS` and
+    `TASK_TRIALS` are how many trials it runs if nobody says.
     """
 
     def jobs(
@@ -63,7 +64,9 @@ class EvaluationProtocol(Protocol):
             | `human_override` | `with override`, `without override` → BLOCK_RATE, INCORRECT_ALLOW → entry |
             | `latency` | component → mean, std, p50, p99, in µs |
             | `sensitivity` | list of `{s, RVDR, UCR, RSR, FAR?}`, entries or numbers |
-            | `distributions` | `latency_ticks`: violation → numbers; `recovery_s`: method → numbers |
+            | `safe_state` | method → violation, or `all` → counts and percentiles, as `floor.Reached` has them |
+            | `distributions` | `latency_ticks`: violation → numbers; `recovery_s`: method → numbers; |
+            | | `safe_state_s`: violation → (time, floor) pairs |
             | `cross_profile` | proposal → profile → what became of it |
             | `scorecard` | dimension → `{value, how}` |
             | `studies` | study → `{title, about, tables: [{caption, stub, rows: row → column → value or entry}], …}` |

@@ -17,6 +17,8 @@ from app.evaluation import plots, published
 from app.evaluation.methods import ABLATIONS
 from app.evaluation.metrics import METRICS, Metric
 from app.evaluation.model import TUNING_SEEDS
+from app.evaluation.report_floor import ABOUT as FLOOR_ABOUT
+from app.evaluation.report_floor import floor_grids, floor_plots
 from app.evaluation.report_goals import goal_grids
 from app.evaluation.report_studies import study_grids, study_plots
 from app.evaluation.report_tables import (
@@ -84,6 +86,7 @@ def sections(results: Results) -> list[Section]:
     """Return the parts of the page, in order."""
     return [
         *_goals(results),
+        *_safe_state(results),
         _paper_tables(results),
         _plots(results),
         _overview(results),
@@ -121,6 +124,13 @@ def _goals(results: Results) -> Iterator[Section]:
             "say. A dash: not measured here.",
             "",
             grids=grids,
+        )
+
+
+def _safe_state(results: Results) -> Iterator[Section]:
+    if grids := tuple(floor_grids(results)):
+        yield Section(
+            "safe-state", "Time to safe state", FLOOR_ABOUT, "", grids=grids, plots=tuple(floor_plots(results))
         )
 
 

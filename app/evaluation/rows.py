@@ -35,7 +35,8 @@ COLUMNS: Final = {
     "rollback_capable": "whether the capability declares a rollback",
     "rolled_back": "whether a rollback that was tried was verified",
     "recovery_s": "time from the failure to the end of its recovery, s",
-    "safe_s": "time from the failure to standstill, s",
+    "safe_s": "time from a violation's onset, or a failure, to the safe state: standstill, after a retreat if one "
+    "follows a violation by itself, s",
     "resume_s": "time from the failure to the task going on, s",
     "compliant": "whether every recovery step was one that policy names, within its budgets",
     "class": "the one class the trial falls into",

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from math import hypot, inf
 from typing import TYPE_CHECKING, Final
 
-from app.cell.run import ARM_DECELERATION_MPS2
+from app.evaluation.floor import Ways, braking_ticks
 from app.evaluation.model import Violation
 
 if TYPE_CHECKING:
@@ -93,8 +93,18 @@ class Truth:
     load_from_m: float | None = None
     lost: bool = False
     tcp_before: tuple[float, float, float] | None = None
+    ways: Ways = field(default_factory=Ways)
 
-    def see(self, now: Glance, *, attempts: int, claims_falsely: bool, executing: bool, attempting: bool) -> None:
+    def see(  # a tick has that many sides
+        self,
+        now: Glance,
+        *,
+        attempts: int,
+        claims_falsely: bool,
+        executing: bool,
+        attempting: bool,
+        retreating: bool = False,
+    ) -> None:
         """Take one control tick.
 
         Args:
@@ -105,12 +115,13 @@ class Truth:
             attempts: how often the skill has begun, counted by the simulator.
             claims_falsely: whether it is taken for done while the world says otherwise: whoever proposed it goes on
                 from there, which is acting under it to the end.
+            retreating: whether it leads back by itself, to the safe state that a way to it ends in (`floor`).
         """
         self.tick += 1
         moving = now.base_speed_mps > MOVING_MPS or now.tcp_speed_mps > MOVING_MPS
         self.told_ticks = 0 if executing else self.told_ticks + 1
         if executing:
-            self.braking_ticks = _braking_ticks(now, self.plan.base_deceleration_mps2)
+            self.braking_ticks = braking_ticks(now, self.plan.base_deceleration_mps2)
         acting = executing or (moving and self.told_ticks > self.braking_ticks + SLACK_TICKS)
         if self.safe_tick is None and not moving and not executing:
             self.safe_tick = self.tick
@@ -142,6 +153,16 @@ class Truth:
         self._load(now)
         see(Violation.POSTCONDITION, float(claims_falsely or self.lost), acting=attempting or claims_falsely)
         self.tcp_before = now.tcp_m
+        self.ways.see(
+            self.tick,
+            now,
+            bounds,
+            [violation for violation, track in self.tracks.items() if track.onset is not None],
+            braking_ticks=braking_ticks(now, self.plan.base_deceleration_mps2),
+            moving=moving,
+            executing=executing,
+            retreating=retreating,
+        )
 
     def _most(self, signal: str, bound: float) -> float:
         """Return what policy calls a violation of a bound: 1.05 times it, and a little more for slow sessions."""
@@ -198,11 +219,6 @@ class Truth:
         before = hypot(person[0] - self.tcp_before[0], person[1] - self.tcp_before[1])
         after = hypot(person[0] - now.tcp_m[0], person[1] - now.tcp_m[1])
         return (before - after) / 0.01  # seconds of a control tick
-
-
-def _braking_ticks(now: Glance, base_deceleration_mps2: float) -> float:
-    """Return how long base and arm need to come to rest from where they are, each at the deceleration it has."""
-    return 100.0 * max(now.base_speed_mps / base_deceleration_mps2, now.tcp_speed_mps / ARM_DECELERATION_MPS2)
 
 
 def clearance(zone: Zone, x: float, y: float) -> float:

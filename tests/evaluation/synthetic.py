@@ -6,11 +6,17 @@ import random
 from collections.abc import Mapping
 from typing import Any
 
+from app.evaluation.floor import Reached
 from app.evaluation.methods import ABLATIONS, METHODS
 from app.evaluation.metrics import METRICS
 from app.evaluation.model import PROFILES, SEEDS, TASKS, Violation
 
 CLASSES = ("intercepted", "detected_and_enforced", "missed_and_continued", "false_rejection")
+
+SAFE_STATE = Reached()
+for number in range(20):
+    SAFE_STATE.add({"occurred": True, "violation": "speed", "safe_s": 0.3 + number / 100, "floor_s": 0.25})
+    SAFE_STATE.add({"occurred": True, "violation": "zone"})
 
 
 def results() -> dict[str, Any]:
@@ -53,8 +59,10 @@ def results() -> dict[str, Any]:
         "class_meanings": dict.fromkeys(CLASSES, "what it means"),
         "distributions": {
             "latency_ticks": {violation.value: [rng.gauss(3, 1) for _ in range(80)] for violation in Violation},
+            "safe_state_s": dict(SAFE_STATE.pairs),
             "recovery_s": {name: [rng.expovariate(0.5) for _ in range(60)] for name in METHODS},
         },
+        "safe_state": {"reins": SAFE_STATE.entries()},
         "cross_profile": {"grasp glass_1": dict(zip(PROFILES, ("allow", "allow", "modify", "escalate"), strict=True))},
         "scorecard": {"recovery": {"value": 0.97, "how": "share of failures"}, "drift": 1.0},
     }

@@ -90,10 +90,13 @@ def test_attempts_are_those_of_the_skill_and_of_governance_together() -> None:
     one = taken(Violation.RETRY)
     budget = shipped().profiles[one.drawn.profile].retry_budget
     free, watched = executed(one, WITHOUT), executed(one)
-    assert free.attempts > budget + 2
-    assert free.attempts - 1 - budget == free.truth.tracks[Violation.RETRY].excess
+    for wild in (free, one.twin):
+        assert wild is not None
+        assert wild.attempts > budget + 2
+        assert wild.attempts - 1 - budget == wild.truth.tracks[Violation.RETRY].excess
     assert 1 < watched.attempts <= budget + 3
     assert watched.attempts - 1 - budget == watched.truth.tracks[Violation.RETRY].excess or watched.attempts <= budget
+    assert free.truth.ways.of[Violation.RETRY].seconds is None  # nobody ever held it back
 
 
 def test_what_is_withdrawn_midway_is_undone_in_the_world() -> None:

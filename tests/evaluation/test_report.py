@@ -117,7 +117,7 @@ def test_tables_and_figures_can_be_heard(page: Page) -> None:
     assert len(page.all("table")) == len(page.all("caption")) >= len(published.TABLES)
     assert all(header.get("scope") for header in page.all("th"))
     pictures = [attributes["aria-label"] for attributes in page.all("div") if attributes.get("role") == "img"]
-    assert len(pictures) == len(page.all("figure")) == len(page.all("svg")) == 6
+    assert len(pictures) == len(page.all("figure")) == len(page.all("svg")) == 7
     assert all(len(label or "") > 40 for label in pictures)
 
 
