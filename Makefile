@@ -58,10 +58,11 @@ check: $(STAMP) $(TYPINGS)  ## format, lint, types, import contracts, policy che
 bench: $(STAMP)  ## print every figure the project promises
 	@for bench in benchmarks/bench_*.py; do echo; echo "== $$bench"; $(BIN)/python $$bench || exit 1; done
 
-# 5 seeds × 200 physical trials under eleven methods take about half an hour on two cores, the long run as much again.
+# On two idle cores about 80 minutes in all: the paper's protocol 2 to 5, 5 seeds × 200 physical trials under eleven
+# methods about 30, their studies about 17 (measured per trial; generalisation is the longest with 7), the long run 30.
 evaluate: $(STAMP)  ## measure all methods against each other; reports into evaluation/, figures into the README
 	@$(BIN)/reins evaluate --protocol paper --readme README.md
-	@$(BIN)/reins evaluate --protocol physical --methods all --trials 200 --readme README.md
+	@$(BIN)/reins evaluate --protocol physical --methods all --trials 200 --studies all --readme README.md
 	@$(BIN)/reins evaluate --protocol physical --long --methods reins --out evaluation/physical-long
 
 format: $(STAMP)  ## format and sort imports
