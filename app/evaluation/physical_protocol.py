@@ -115,6 +115,15 @@ CHOICES: Final = (
         "RSR",
     ),
     Choice(
+        "recovery policy compliance without recovery",
+        "0: the ablation takes no step that could comply",
+        "the share of failures in which every step that was taken stands in policy's row for the failure. The ablation "
+        "takes one step, it ends the session; that complies where policy's row names ending too (a timeout, no path), "
+        "and not where it names trying again or asking alone. Whether steps named earlier were skipped is not judged: "
+        "RSR tells what skipping them costs",
+        "RPC of the ablation without recovery",
+    ),
+    Choice(
         "rollbacks tried",
         "88 to 92 % succeed by a coin",
         "besides those that recovery chooses, an operator withdraws one recoverable task in five midway",
