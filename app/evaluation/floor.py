@@ -13,7 +13,8 @@ The *floor* of a trial is, from exact facts about that trial,
                   v_hand / allowed) dt   (0 where nothing retreats)
 
 without computing, debouncing, the drives' lag, gripping, or coming up to speed. Period and delay are what a watcher
-needs who does not predict: one that stops before the limit is reached, or counts on with old positions, can be below.
+needs who does not predict: one that stops before the limit is reached, or counts on with old positions, can be below,
+as can one that stops from little: standstill is what is slower than 0.02 m/s, and the floor brakes to 0.
 A violation that never came about because the robot was stopped in time has neither time nor floor.
 """
 
