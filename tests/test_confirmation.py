@@ -1,0 +1,64 @@
+"""A phase that policy names waits, holding, for a human: a real server, a real cell, over HTTP."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.conftest import ServerProcess, Servers
+from tests.test_contract import pending
+
+pytestmark = [pytest.mark.process, pytest.mark.timeout(180)]
+
+POLICIES = Path(__file__).resolve().parents[1] / "policies"
+ENTRY = "{capability: navigate_to, profile: human-shared, phases: [settle], within_s: %g, on_deny: %s, on_timeout: %s}"
+
+
+def confirming(
+    servers: Servers, tmp_path: Path, *, within_s: float = 60.0, on_deny: str = "terminate"
+) -> ServerProcess:
+    """Serve a policy in which a drive waits for a human before it settles at its target."""
+    folder = tmp_path / "policies"
+    shutil.copytree(POLICIES, folder)
+    file = folder / "authority.yaml"
+    entry = ENTRY % (within_s, on_deny, "terminate")
+    file.write_text(file.read_text().replace("confirm_before: []", f"confirm_before: [{entry}]"))
+    return servers.start(None, "--pace", "0", "--policies", str(folder))
+
+
+def held(server: ServerProcess) -> tuple[str, dict[str, Any]]:
+    made = server.propose("navigate_to", target="bench_b_stand")
+    server.await_status(made["id"], "escalated")
+    question = pending(server, made["id"])
+    assert (question["kind"], question["phase"]) == ("session", "settle")
+    return made["id"], question
+
+
+def resolve(server: ServerProcess, question: dict[str, Any], decision: str) -> None:
+    answer = {"decision": decision, "digest": question["digest"]}
+    assert server.post(f"/v1/escalations/{question['id']}/resolve", answer).is_success
+
+
+def test_a_confirmed_phase_goes_on_and_a_denied_one_is_undone(servers: Servers, tmp_path: Path) -> None:
+    server = confirming(servers, tmp_path, on_deny="rollback")
+    session, question = held(server)
+    resolve(server, question, "approve")
+    assert server.await_status(session, "completed")["outcome"] == "succeeded"
+    began = server.cell()["facts"]["base"]
+    made = server.propose("navigate_to", target="bench_a_stand")
+    server.await_status(made["id"], "escalated")
+    resolve(server, pending(server, made["id"]), "deny")
+    ended = server.await_status(made["id"], "completed", "failed")
+    assert (ended["outcome"], ended["escalation"]["code"]) == ("rolled_back", "unspecified")
+    assert server.cell()["facts"]["base"] == pytest.approx(began, abs=0.15)
+
+
+def test_silence_ends_the_session_and_is_nobodys_answer(servers: Servers, tmp_path: Path) -> None:
+    server = confirming(servers, tmp_path, within_s=1.0)
+    session, question = held(server)
+    assert server.await_status(session, "failed")["outcome"] == "terminated"
+    closed = server.get(f"/v1/escalations/{question['id']}")
+    assert (closed["status"], closed["approvals"], closed["denial"]) == ("expired", [], None)
