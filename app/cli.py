@@ -181,6 +181,9 @@ def issue(
     *,
     role: Annotated[Role, typer.Option(help="What the bearer may do.")],
     hours: Annotated[float | None, typer.Option(help="How long it holds; default: for good.", min=0.01)] = None,
+    station: Annotated[
+        str | None, typer.Option(help="The cell the bearer stands at; there they take over first.")
+    ] = None,
     data: Data = Path("data"),
 ) -> None:
     """Issue a token and print it; it is not kept anywhere, only its digest.
@@ -190,7 +193,7 @@ def issue(
     from app.api.auth import PrincipalsUnreadable, issue_token
 
     try:
-        text = issue_token(data, name=name, role=role, ttl_s=None if hours is None else hours * 3600)
+        text = issue_token(data, name=name, role=role, ttl_s=None if hours is None else hours * 3600, station=station)
     except (OSError, ValueError, PrincipalsUnreadable) as error:
         say_error(f"no token issued: {error}", hint=f"`{data}` must be a data directory that `reins serve` has made")
         raise typer.Exit(MISUSE) from error

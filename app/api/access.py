@@ -58,6 +58,9 @@ ACCESS: Mapping[tuple[str, str], frozenset[Role] | None] = {
     ("POST", "/v1/invocations/{id}/resume"): OPERATORS,
     ("POST", "/v1/invocations/{id}/stop"): OPERATORS,
     ("POST", "/v1/invocations/{id}/rollback"): OPERATORS,
+    ("POST", "/v1/invocations/{id}/takeover"): OPERATORS,
+    ("POST", "/v1/invocations/{id}/release"): OPERATORS,
+    ("POST", "/v1/cells/{id}/takeover"): OPERATORS,
     ("POST", "/v1/cells/{id}/estop"): ANYONE,  # a stop outranks everyone (design, rule 6)
     ("POST", "/v1/cells/{id}/reset"): OPERATORS,
     ("PUT", "/v1/cells/{id}/profile"): frozenset({OPERATOR, ENGINEER}),

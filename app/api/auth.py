@@ -162,7 +162,9 @@ def open_principals(data_dir: Path) -> Principals:
     return Principals(path)
 
 
-def issue_token(data_dir: Path, *, name: str, role: Role, ttl_s: float | None = None) -> str:
+def issue_token(
+    data_dir: Path, *, name: str, role: Role, ttl_s: float | None = None, station: str | None = None
+) -> str:
     """Add a token for a principal and return it; it is not kept anywhere else.
 
     Args:
@@ -170,6 +172,7 @@ def issue_token(data_dir: Path, *, name: str, role: Role, ttl_s: float | None = 
         name: what the record will call the principal.
         role: what it may do.
         ttl_s: how long the token holds; None: for good.
+        station: the cell that its bearer stands at; there they may take the controls from who does not.
 
     Raises:
         ValueError: an empty name, or one with control characters.
@@ -182,7 +185,8 @@ def issue_token(data_dir: Path, *, name: str, role: Role, ttl_s: float | None = 
     expires_at = None if ttl_s is None else clock.rfc3339(clock.wall_s() + ttl_s)
     path = data_dir / PRINCIPALS_FILE
     with _locked(data_dir / (PRINCIPALS_FILE + ".lock")):
-        rows = [*_rows(path), _row(name, role, token, expires_at)]
+        row: dict[str, str | None] = _row(name, role, token, expires_at)
+        rows = [*_rows(path), row if station is None else {**row, "station": station}]
         _write(path, orjson.dumps({"principals": rows}, option=orjson.OPT_INDENT_2) + b"\n")
     return token
 
@@ -224,9 +228,12 @@ def _read(path: Path) -> dict[bytes, Credential]:
 def _credential(path: Path, row: object) -> Credential:
     match row:
         case {"name": str(name), "role": str(role), "sha256": str(digest), "expires_at": str() | None as expires_at}:
+            station = cast("dict[str, object]", row).get("station")
+            if not isinstance(station, str | None):
+                raise PrincipalsUnreadable(path, f"the entry of `{name}`: `station` is the name of a cell, or absent")
             try:
                 return Credential(
-                    principal=Principal(name=name, role=Role(role)),
+                    principal=Principal(name=name, role=Role(role), station=station),
                     digest=bytes.fromhex(digest),
                     expires_at_s=None if expires_at is None else clock.parse_rfc3339(expires_at),
                 )

@@ -20,6 +20,7 @@ from app.api.access import WEBSOCKET, allowed_roles
 from app.api.parts import parts_of
 from app.api.problems import Problem
 from app.clock import wall_s
+from app.governance.model import Wish
 from app.runtime.outlet import Outlet
 
 if TYPE_CHECKING:
@@ -146,6 +147,7 @@ class Console:
         self._socket, self._parts = socket, parts
         self._principal, self._token = principal, token
         self._outlet = Outlet()
+        self._jogged: dict[str, tuple[str, str | None]] = {}
 
     async def run(self, after: int | None) -> None:
         """Show and listen until either side ends it.
@@ -199,9 +201,19 @@ class Console:
                 self._parts.governor.kernel.heard(self._principal)
                 self._parts.fleet.screens.watch(self._outlet, word.cells)
             case Jog():
-                self._say({"type": "jogged", "cell": word.cell, "n": word.n, "refused": "not_supported"})
+                self._jog(word)
             case Hello():
                 raise NotAWord("`hello` was said already: valid once, first")
+
+    def _jog(self, word: Jog) -> None:
+        """Pass a hold-to-run command on at once, and say what becomes of them whenever that changes."""
+        governor, (vx, vy, wz), (tx, ty, tz) = self._parts.governor, word.base, word.tool
+        wish = Wish((vx, vy, wz), (tx, ty, tz), word.grip)
+        why = governor.jog(self._principal, word.cell, word.lease, word.n, wish)
+        refused = governor.jogged(word.cell) if why is None else why
+        if self._jogged.get(word.cell, ()) != (word.lease, refused):
+            self._jogged[word.cell] = (word.lease, refused)
+            self._say({"type": "jogged", "cell": word.cell, "n": word.n, "refused": refused})
 
     async def _stay_known(self) -> None:
         """End the console when its token is withdrawn or expires."""

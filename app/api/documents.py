@@ -133,6 +133,30 @@ class FailureDocument(Document):
     reasons: list[ReasonDocument]
 
 
+class TakeoverDocument(Document):
+    """In whose hands a session is; `facts` is the state that whoever plans on faces now."""
+
+    state: Literal["held", "returning", "lapsed", "returned", "ended"]
+    where: Literal["local", "remote"]
+    since: str
+    then: Literal["resume", "rollback"] | None = None
+    refused: str | None = None
+    facts: dict[str, Any] | None = None
+
+
+class LeaseDocument(Document):
+    """Who drives a cell by hand; `refused` is why it does not do the newest command."""
+
+    lease: str
+    cell: str
+    holder: str
+    where: Literal["local", "remote"]
+    since: str
+    invocation: str
+    phase: Literal["held", "returning"]
+    refused: str | None
+
+
 class InvocationDocument(Document):
     """One proposal and everything that became of it."""
 
@@ -156,6 +180,9 @@ class InvocationDocument(Document):
     outcome: Outcome | None
     failure: FailureDocument | None = Field(
         default=None, description="Why a session that was launched ended without its task done; absent otherwise."
+    )
+    takeover: TakeoverDocument | None = Field(
+        default=None, description="Stands where a human took the controls: in whose hands the session is."
     )
     created_at: str
     updated_at: str
@@ -397,6 +424,13 @@ class SittingDocument(Document):
     waits_for: str
 
 
+class ArmingDocument(Document):
+    """A reset that waits for its second step: the code to confirm it with, and until when."""
+
+    code: str
+    expires_at: str
+
+
 class CellDocument(Document):
     """A cell as the server knows it; `facts` and `gauges` are what it says of itself."""
 
@@ -411,6 +445,10 @@ class CellDocument(Document):
     policy_version: str | None
     facts: dict[str, Any] | None
     gauges: dict[str, float]
+    control: LeaseDocument | None = None
+    arming: ArmingDocument | None = Field(
+        default=None, description="Stands in the answer to the first step of a reset."
+    )
     session: SittingDocument | None
     recorded: bool | None = Field(default=None, description="Stands in the answer to an emergency stop alone.")
 

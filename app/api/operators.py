@@ -18,7 +18,8 @@ from app.api.access import caller
 from app.api.agents import MAX_LIMIT, Cursor, Identifier
 from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
-from app.api.wire import EmptyBody, ProfileBody, ResolveBody, read_body, read_optional
+from app.api.problems import Problem
+from app.api.wire import EmptyBody, ProfileBody, ReleaseBody, ResetBody, ResolveBody, read_body, read_optional
 from app.governance.model import GrantScope
 from app.runtime.grant import Offer
 
@@ -120,9 +121,43 @@ async def estop(request: Request, id: Identifier) -> Response:
 
 
 async def reset(request: Request, id: Identifier) -> Response:
-    """Leave a latched emergency stop. Moves nothing."""
+    """Leave a latched emergency stop. Moves nothing.
+
+    In two steps: `arm` returns a code, `confirm` with it within 10 s resets, by the same person and only if no stop
+    came in between. An empty body does both at once, for scripts that have made sure by other means.
+    """
+    body = await read_optional(request, ResetBody)
+    governor, who = parts_of(request).governor, caller(request)
+    match body:
+        case ResetBody(step="arm", code=None):
+            return answer(governor.arm_reset(id, who))
+        case ResetBody(step="confirm", code=str(code)):
+            return answer(await governor.reset(id, who, code))
+        case ResetBody(step=None, code=None):
+            return answer(await governor.reset(id, who))
+        case _:
+            raise Problem("request_invalid", "`confirm` comes with its `code`; nothing else does")
+
+
+async def takeover(request: Request, id: Identifier) -> Response:
+    """Take the controls of a session: it comes to rest, and whoever holds the lease drives, hold-to-run.
+
+    One lease for each cell. Who stands at the cell (a token with that station) pre-empts who does not.
+    """
     await read_optional(request, EmptyBody)
-    return answer(await parts_of(request).governor.reset(id, caller(request)))
+    return answer(await parts_of(request).governor.take_over(id, caller(request)))
+
+
+async def take_cell(request: Request, id: Identifier) -> Response:
+    """Take the controls of an idle cell, as an invocation of its own."""
+    await read_optional(request, EmptyBody)
+    return answer(await parts_of(request).governor.take_cell(id, caller(request)))
+
+
+async def release(request: Request, id: Identifier) -> Response:
+    """Hand a session back: to go on from here (decided and bound anew), to be undone, or done with."""
+    body = await read_body(request, ReleaseBody)
+    return answer(await parts_of(request).governor.release(id, caller(request), body.then))
 
 
 async def set_profile(request: Request, id: Identifier) -> Response:
@@ -189,7 +224,7 @@ def register(router: APIRouter) -> None:
         ("pause", pause, None, interrupt),
         ("stop", stop, None, session),
         ("resume", resume, EmptyBody, (*interrupt, "ending", "cell_offline", "record_unavailable")),
-        ("rollback", rollback, EmptyBody, (*interrupt, "ending", "cell_offline", "record_unavailable")),
+        ("rollback", rollback, EmptyBody, (*interrupt, "ending", "cell_offline", "control_held", "record_unavailable")),
     ):
         declare(
             router,
@@ -204,8 +239,43 @@ def register(router: APIRouter) -> None:
         router,
         "POST /v1/cells/{id}/reset",
         reset,
-        Answers(model=documents.CellDocument, codes=(*cell, "not_latched", "cell_offline")),
+        Answers(model=documents.CellDocument, codes=(*cell, "not_latched", "cell_offline", "not_armed")),
+        body=ResetBody,
+    )
+    taking = ("takeover_not_enabled", "takeover_refused", "control_held", "ending", "cell_offline", "estop_latched")
+    declare(
+        router,
+        "POST /v1/invocations/{id}/takeover",
+        takeover,
+        Answers(model=documents.LeaseDocument, codes=(*session, *taking, "record_unavailable")),
         body=EmptyBody,
+    )
+    declare(
+        router,
+        "POST /v1/cells/{id}/takeover",
+        take_cell,
+        Answers(model=documents.LeaseDocument, codes=(*cell, *taking, "cell_busy", "wrong_status")),
+        body=EmptyBody,
+    )
+    declare(
+        router,
+        "POST /v1/invocations/{id}/release",
+        release,
+        Answers(
+            model=documents.InvocationDocument,
+            codes=(
+                *session,
+                "not_taken_over",
+                "control_held",
+                "nothing_to_resume",
+                "resume_refused",
+                "ending",
+                "cell_offline",
+                "estop_latched",
+                "record_unavailable",
+            ),
+        ),
+        body=ReleaseBody,
     )
     declare(
         router,

@@ -139,6 +139,19 @@ class ProfileBody(Body):
     profile: Name = Field(examples=["human-shared"])
 
 
+class ReleaseBody(Body):
+    """What becomes of a session that is handed back."""
+
+    then: Literal["resume", "rollback", "end"]
+
+
+class ResetBody(Body):
+    """A reset in two deliberate steps, as consoles do it: `arm` returns a `code`, `confirm` names it. Empty: in one."""
+
+    step: Literal["arm", "confirm"] | None = None
+    code: Name | None = Field(default=None, description="The code that `arm` returned; with `confirm` alone.")
+
+
 class EmptyBody(Body):
     """Nothing to say."""
 

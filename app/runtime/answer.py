@@ -20,11 +20,13 @@ from app.runtime.drafts import SERVER, grant_event, outcome_event, reason, with_
 from app.runtime.errors import Conflict, InvalidParams
 from app.runtime.escalation import APPROVED, DENIED, bound_digest
 from app.runtime.invocation import reasons_document
+from app.runtime.readmission import lapsed, readmitted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from app.governance.policy_model import Denial
+    from app.runtime.cells import Cell
     from app.runtime.desk import Desk
     from app.runtime.escalation import Escalation
     from app.runtime.grant import Standing
@@ -220,10 +222,22 @@ class Answer:
         now = self._register.now()
         approval = {"by": self._principal.name, "at": now, "digest": self._escalation.digest}
         closed = self._escalation.evolve(now, status=APPROVED, approvals=(approval,))
+        if lapsed(self._invocation):
+            return await self._go_on_anew(cell, closed)
         await self._commit_session("approve", closed)
         self._fleet.order(
             cell, Human(invocation=self._invocation.id, op="resolve_continue", actor=self._principal.name)
         )
+        return closed
+
+    async def _go_on_anew(self, cell: Cell, closed: Escalation) -> Escalation:
+        """Let a session go on that a human drove and left: what it does is decided again, and bound anew."""
+        kernel, present = self._kernel, self._invocation
+        judgement, approvals = await readmitted(kernel, self._register, cell, present, self._principal)
+        async with kernel.launch(present, judgement, approvals, anew=True) as launch:
+            version = present.evolve(closed.updated_at, escalation=closed.reference(), terms=launch.invocation.terms)
+            drafts = [self._event("approve", closed), *judgement.recheck_events(present), *launch.events]
+            await self._desk.commit(drafts, closed, version, launch.rows)
         return closed
 
     async def end(self, why: Denial) -> Escalation:

@@ -105,6 +105,7 @@ class Runtime:
         tasks = [
             asyncio.create_task(self.fleet.beat(), name="beat"),
             asyncio.create_task(self.fleet.tend(), name="tend"),
+            asyncio.create_task(self.governor.watch_leases(), name="leases"),
             asyncio.create_task(self.broadcast.run(), name="broadcast"),
             asyncio.create_task(self.desk.watch_deadlines(), name="deadlines"),
             asyncio.create_task(self.desk.grants.watch(), name="grants"),

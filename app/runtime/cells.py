@@ -17,11 +17,14 @@ from app.protocol import Human
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from app.governance.control import Control
     from app.protocol import Hello, Message, State
     from app.runtime.link import Attachment
 
 FRESH_S: Final = 1.0  # a state older than this says nothing
-ENDING: Final = frozenset({"stop", "cancel", "resolve_terminate"})  # after these a session only comes to rest
+ENDING: Final = frozenset(
+    {"stop", "cancel", "resolve_terminate", "end_takeover"}
+)  # after these a session only comes to rest
 _WORLD: Final = TypeAdapter(WorldFacts)
 _WORLD_NAMES: Final = frozenset(WorldFacts.__dataclass_fields__)
 
@@ -32,6 +35,16 @@ class Reunion:
 
     hello: Hello
     believed: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Arming:
+    """A reset that was asked for and has to be confirmed: by whom, with which code, and after which stop."""
+
+    code: str
+    by: str
+    stops: int
+    until_s: float
 
 
 @dataclass(slots=True, kw_only=True)
@@ -60,6 +73,9 @@ class Cell:
     stated: asyncio.Event = field(default_factory=asyncio.Event)
     owed: dict[tuple[str, str], Message] = field(default_factory=dict[tuple[str, str], "Message"])
     unreconciled: Reunion | None = None
+    control: Control | None = None  # who drives it by hand
+    control_at: str = ""  # since when, by the wall clock
+    arming: Arming | None = None  # the first of the two steps out of a latched stop
 
     @property
     def up_seq(self) -> int:
@@ -101,6 +117,23 @@ class Cell:
     def expected(self) -> bool:
         """Say whether the cell is on its way, and will say itself what became of its session."""
         return monotonic_s() < self.expected_until_s
+
+    def control_document(self) -> dict[str, Any] | None:
+        """Return who drives the cell by hand as JSON, and why their last command was not done; None if nobody."""
+        control = self.control
+        if control is None:
+            return None
+        jog = None if self.state is None else self.state.jog
+        return {
+            "lease": control.lease,
+            "cell": self.id,
+            "holder": control.holder,
+            "where": control.where,
+            "since": self.control_at,
+            "invocation": control.invocation,
+            "phase": control.phase,
+            "refused": None if jog is None else jog.refused,
+        }
 
     def progress(self, taken: Mapping[str, int], at: str) -> list[RowWrite]:
         """Return the rows that say how far the log has come in the cell's journal, and in those it had before."""

@@ -6,13 +6,16 @@ reset) is recorded before it is sent.
 
 from __future__ import annotations
 
+import secrets
 from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft
+from app.clock import monotonic_s, rfc3339
 from app.governance.authority import refusal
 from app.governance.model import SESSION, AuthorityMode, EventKind, Outcome, Status
 from app.protocol import Estop, Human, Reset, SetProfile
+from app.runtime.cells import Arming
 from app.runtime.drafts import cell_word, human_event, outcome_event
 from app.runtime.errors import Conflict, NotFound
 from app.runtime.invocation import may_see
@@ -29,6 +32,7 @@ if TYPE_CHECKING:
     from app.runtime.register import Register
 
 UNNAMED: Final = ""
+CONFIRM_S: Final = 10.0  # between the two steps of a reset
 
 # Which statuses an operator's word is legal in, and whether it restrains.
 OPERATIONS: Final[Mapping[str, tuple[frozenset[Status], bool]]] = {
@@ -141,6 +145,10 @@ class Controls:
         cell = self.fleet.cell(present.cell or UNNAMED)
         if cell.ending(present.id):
             raise _ending(op, cell, present)
+        if op == "rollback" and cell.control is not None:
+            raise Conflict(
+                "control_held", f"`{cell.control.holder}` has the controls; valid: they release it to roll back"
+            )
         if not self.fleet.attached(cell):
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to {op}")
         await self.register.append([human_event(op, present, principal)])
@@ -178,6 +186,7 @@ class Controls:
         word = cell_word("estop", cell, principal)
         cell.latched = True
         cell.stops += 1
+        cell.control = cell.arming = None
         self.fleet.restrain(cell, Estop(actor=principal.name))
         self.desk.grants.drop(cell.id, "estop", principal.name)
         try:
@@ -189,21 +198,26 @@ class Controls:
         return {**self.fleet.document(cell), "recorded": True}
 
     @uncut
-    async def reset(self, cell_id: str, principal: Principal) -> dict[str, Any]:
+    async def reset(self, cell_id: str, principal: Principal, code: str | None = None) -> dict[str, Any]:
         """Leave a latched stop; recorded first, moves nothing.
 
         The answer waits, shortly, for the cell to say so itself; its `latched` is what a launch would meet.
 
+        Args:
+            cell_id: which cell.
+            principal: who resets it.
+            code: what `arm_reset` returned; None where it is done in one step.
+
         Raises:
             NotFound: no such cell.
-            Conflict: `not_latched`, `cell_offline`.
+            Conflict: `not_latched`, `cell_offline`; `not_armed`, the code is not the one that was given to this person
+                since the last stop, or its time is over.
             RecordUnavailable: nothing was recorded, it stays latched.
         """
-        cell = self.fleet.cell(cell_id)
-        if not self.fleet.latched(cell):
-            raise Conflict("not_latched", f"the cell `{cell.id}` is not latched")
-        if not self.fleet.attached(cell):
-            raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be reset")
+        cell = self._resettable(cell_id)
+        armed, cell.arming = cell.arming, None
+        if code is not None and not _confirms(armed, cell, principal, code):
+            raise Conflict("not_armed", f"`{code[:64]}` confirms no reset of `{cell.id}`; valid: arm it again")
         self.desk.grants.drop(cell.id, "estop", principal.name)  # none outlives a stop that the cell latched by itself
         before = cell.stops
         await self.fleet.keep(cell, [cell_word("reset", cell, principal)], estop=False)
@@ -212,6 +226,27 @@ class Controls:
             self.fleet.order(cell, Reset(actor=principal.name))
             await self.fleet.unlatched(cell)
         return self.fleet.document(cell)
+
+    def arm_reset(self, cell_id: str, principal: Principal) -> dict[str, Any]:
+        """Prepare to leave a latched stop: returns the code to confirm it with. Changes nothing else, moves nothing.
+
+        Raises:
+            NotFound: no such cell.
+            Conflict: `not_latched`, `cell_offline`.
+        """
+        cell = self._resettable(cell_id)
+        until_s = monotonic_s() + CONFIRM_S
+        cell.arming = Arming(code=secrets.token_hex(4), by=principal.name, stops=cell.stops, until_s=until_s)
+        expires_at = rfc3339(self.register.now_s() + CONFIRM_S)
+        return {**self.fleet.document(cell), "arming": {"code": cell.arming.code, "expires_at": expires_at}}
+
+    def _resettable(self, cell_id: str) -> Cell:
+        cell = self.fleet.cell(cell_id)
+        if not self.fleet.latched(cell):
+            raise Conflict("not_latched", f"the cell `{cell.id}` is not latched")
+        if not self.fleet.attached(cell):
+            raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be reset")
+        return cell
 
     @uncut
     async def set_profile(self, cell_id: str, profile: str, principal: Principal) -> dict[str, Any]:
@@ -238,6 +273,13 @@ class Controls:
         if self.fleet.attached(cell):
             self.fleet.order(cell, SetProfile(profile=profile))
         return self.fleet.document(cell)
+
+
+def _confirms(armed: Arming | None, cell: Cell, principal: Principal, code: str) -> bool:
+    if armed is None:
+        return False
+    same = secrets.compare_digest(armed.code.encode(), code.encode())
+    return same and armed.by == principal.name and armed.stops == cell.stops and monotonic_s() <= armed.until_s
 
 
 def _message(op: str, invocation: Invocation, principal: Principal) -> Human:

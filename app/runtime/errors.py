@@ -36,6 +36,13 @@ CONFLICTS: Final[Mapping[str, int]] = {
     "already_reviewed": 409,
     "interrupt_not_enabled": 409,
     "takeover_not_enabled": 409,
+    "takeover_refused": 409,
+    "control_held": 409,
+    "not_taken_over": 409,
+    "nothing_to_resume": 409,
+    "resume_refused": 409,
+    "estop_latched": 409,
+    "not_armed": 409,
     "review_not_enabled": 409,
 }
 """Every code a `Conflict` may bear, with the HTTP status that says the same."""

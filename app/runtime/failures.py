@@ -35,6 +35,8 @@ _KNOWN: Final[Mapping[str, tuple[str, str]]] = {
     "retries_exhausted": ("it was tried as often as policy allows", "change what is proposed"),
     "rollback_failed": ("it could not be undone and verified", "inspect before anything else"),
     "operator": ("an operator ended it", "ask before it is proposed again"),
+    "taken_over": ("a human took the controls", "look at `takeover.facts`: the state it left"),
+    "control_lapsed": ("the human at the controls left without a word", "wait until somebody has seen to the robot"),
     "cancelled": ("it was cancelled", ""),
     "estop": ("an emergency stop was pressed", "wait until it is reset"),
     "shutdown": ("the cell was shut down", "propose it again when the cell is back"),

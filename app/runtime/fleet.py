@@ -31,8 +31,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Mapping, Sequence
 
     from app.audit.event import EventDraft
+    from app.governance.control import Control
     from app.governance.model import WorldFacts
-    from app.protocol import Hello, Message, State, UpEvent
+    from app.protocol import Hello, Jog, Message, State, UpEvent
     from app.runtime.link import Link
     from app.runtime.register import Register
     from app.runtime.reports import Reports
@@ -165,6 +166,7 @@ class Fleet:
             "policy_version": None if state is None else state.policy_digest,
             "facts": None if state is None else state.facts,
             "gauges": {} if state is None else state.gauges,
+            "control": cell.control_document(),
             "session": None if state is None or state.session is None else state.session.model_dump(),
         }
 
@@ -258,6 +260,24 @@ class Fleet:
             raise Conflict("cell_offline", f"the cell `{cell.id}` is not attached")
         attachment.post(message)
 
+    def jog(self, cell: Cell, command: Jog) -> bool:
+        """Pass a jog command on; only the newest one waits, and one that is not sent at once is never kept.
+
+        Returns whether the cell is there.
+        """
+        attachment = cell.attachment
+        if attachment is None or not attachment.welcomed:
+            return False
+        attachment.jog(command)
+        return True
+
+    def loosen(self, cell: Cell, actor: str) -> Control | None:
+        """Take a cell's controls out of whoever's hands they are in: a controlled stop. Returns whose they were."""
+        control, cell.control = cell.control, None
+        if control is not None:
+            self.restrain(cell, Human(invocation=control.invocation, op="let_go", actor=actor))
+        return control
+
     def show_cell(self, cell_id: str, on: bool) -> None:
         """Have a cell show itself, or not any more; one that is away is asked again at its welcome."""
         cell = self._cells.get(cell_id)
@@ -339,6 +359,7 @@ class Fleet:
             cell.attachment = None
             cell.unreconciled = None
             cell.absent_since_s = monotonic_s()
+            self.loosen(cell, "server")  # the cell holds by itself; should it be back before it does, it is told
             await self._desk.left(cell.id)
 
     def closing(self, closing: Coroutine[Any, Any, None]) -> None:

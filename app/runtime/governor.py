@@ -25,6 +25,7 @@ from app.runtime.invocation import (
     without_free_text,
 )
 from app.runtime.kernel import REFUSED_OUTCOME
+from app.runtime.takeover import Takeovers
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
 TRACE_PAGE: Final = 1000
 
 
-class Governor(Controls):
+class Governor(Takeovers, Controls):
     """Takes proposals and people's words through the pipeline. Performs effects, decides nothing."""
 
     def __init__(self, *, register: Register, kernel: Kernel, fleet: Fleet, desk: Desk, feed: Feed) -> None:

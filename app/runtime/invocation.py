@@ -31,6 +31,7 @@ class Principal:
 
     name: str
     role: Role
+    station: str | None = None  # the cell this person stands at
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,6 +131,7 @@ class Invocation:
     terms: Terms
     failure: Mapping[str, Any] | None = None
     grant: str | None = None
+    takeover: Mapping[str, Any] | None = None
 
     @property
     def final(self) -> bool:
@@ -146,7 +148,7 @@ class Invocation:
         """Return the document of design section 8.
 
         `grant` stands in it where a standing grant spared a human the question, `failure` where a session did not do
-        its task.
+        its task, `takeover` where a human took the controls.
         """
         return {
             "id": self.id,
@@ -164,6 +166,7 @@ class Invocation:
             **({} if self.grant is None else {"grant": self.grant}),
             "outcome": self.outcome,
             **({} if self.failure is None else {"failure": self.failure}),
+            **({} if self.takeover is None else {"takeover": self.takeover}),
             "created_at": self.created_at,
             "updated_at": self.updated_at,
         }

@@ -17,6 +17,7 @@ import orjson
 from app.audit.event import EventDraft, RowWrite
 from app.clock import monotonic_s
 from app.governance.admission import RETRY_UNMET_S
+from app.governance.control import TAKEOVER
 from app.governance.coverage import covered_recoveries
 from app.governance.decision import Decision, decide
 from app.governance.model import (
@@ -31,9 +32,11 @@ from app.governance.model import (
     Reason,
     Role,
     Status,
+    Strategy,
 )
 from app.governance.permit import mint
 from app.governance.policy import confirm_before
+from app.governance.policy_model import GOVERNANCE
 from app.protocol import Launch
 from app.runtime.drafts import SERVER
 from app.runtime.errors import InvalidParams
@@ -265,15 +268,26 @@ class Kernel:
             raise InvalidParams([{"path": _path(problem), "message": _message(problem)} for problem in found])
         return dict(found)
 
-    def judge(self, proposal: Proposal, agent: str, cell: Cell | None) -> Judgement:
-        """Decide on a proposal with everything known now."""
+    def judge(
+        self, proposal: Proposal, agent: str, cell: Cell | None, *, within: Invocation | None = None
+    ) -> Judgement:
+        """Decide on a proposal with everything known now.
+
+        Args:
+            proposal: what is proposed.
+            agent: by whom; `GOVERNANCE` for what nobody may propose.
+            cell: where.
+            within: the session that has the cell, where the proposal is about that very session: it keeps its profile,
+                and is not in its own way.
+        """
         policy = self.policy
-        profile = self._fleet.profile(cell)
+        profile = self._fleet.profile(cell) if within is None else within.profile
+        facts = self._fleet.facts(cell)
         context = Context(
             time_s=self._register.now_s(),
             profile=profile,
-            agent=policy.agent(agent),
-            cell=self._fleet.facts(cell),
+            agent=policy.governance() if agent == GOVERNANCE else policy.agent(agent),
+            cell=facts if within is None else replace(facts, busy=None),
             operator_on_duty=self.operator_on_duty,
             grants=self.standing(cell),
         )
@@ -283,13 +297,14 @@ class Kernel:
 
     @asynccontextmanager
     async def launch(
-        self, invocation: Invocation, judgement: Judgement, approvals: tuple[str, ...] = ()
+        self, invocation: Invocation, judgement: Judgement, approvals: tuple[str, ...] = (), *, anew: bool = False
     ) -> AsyncGenerator[Launching]:
         """Claim the cell, mint, let the caller make it durable inside, and only then send it.
 
         Nothing is awaited between the decision and the claim, so one cell cannot be promised twice. If the inside
         raises, the claim is given back and nothing was sent. A cell that is gone by then never gets it: the session
-        is resolved when the cell is back, or has been away too long.
+        is resolved when the cell is back, or has been away too long. `anew` is for a session that has the cell already
+        and keeps it, whatever becomes of this: it changes hands.
         """
         cell = self._fleet.cell(invocation.cell or "")
         self._fleet.claim(cell, invocation.id)
@@ -298,7 +313,8 @@ class Kernel:
             signed = mint(authorization, self._key)
             yield self._launching(invocation, authorization, signed.body.decode())
         except BaseException:
-            self._fleet.release(cell.id, invocation.id)
+            if not anew:
+                self._fleet.release(cell.id, invocation.id)
             raise
         if self._fleet.attached(cell):
             self._fleet.order(
@@ -375,7 +391,11 @@ class Kernel:
             cell=self._fleet.facts(self._fleet.cell(invocation.cell or "")),
             operator_on_duty=self.operator_on_duty,
         )
-        return covered_recoveries(policy, launched, context)
+        found = covered_recoveries(policy, launched, context)
+        if invocation.capability == TAKEOVER:  # while a human drives nothing recovers by itself
+            alone = self._register.newest(invocation.id) is None  # else the session has its own rollback
+            return tuple(one for one in found if alone and one.strategy is Strategy.ROLLBACK)
+        return found
 
 
 def _path(problem: ParamProblem) -> str:

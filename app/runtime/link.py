@@ -80,6 +80,7 @@ class Attachment:
         self._fleet = fleet
         self._link = link
         self._outlet: deque[str] = deque()
+        self._jog: str | None = None
         self._reports: deque[UpEvent] = deque()
         self._next_seq = 0
         self._outgoing = asyncio.Event()
@@ -101,6 +102,12 @@ class Attachment:
         """Send a message without waiting; an urgent one overtakes what waits."""
         self._put(encode(message), urgent=urgent)
 
+    def jog(self, command: Message) -> None:
+        """Send a jog command once nothing else waits, in the place of an older one that waits still."""
+        if not self.closed:
+            self._jog = encode(command)
+            self._outgoing.set()
+
     def beat(self) -> None:
         """Keep the lease alive, unless frames wait already: those say the same."""
         if not self._outlet:
@@ -121,12 +128,19 @@ class Attachment:
         while True:
             await self._outgoing.wait()
             self._outgoing.clear()
-            while self._outlet:
+            while self._outlet or self._jog is not None:
                 try:
-                    await self._link.send(self._outlet.popleft())
+                    await self._link.send(self._next())
                 except Exception as error:  # whatever the socket raises, it is gone
                     self.shut(NORMAL_CLOSURE, f"sending failed: {type(error).__name__}")
                     return
+
+    def _next(self) -> str:
+        """Return the next frame: a restraint stands first in the outlet, and no jog command goes before it."""
+        if self._outlet or self._jog is None:
+            return self._outlet.popleft()
+        jog, self._jog = self._jog, None
+        return jog
 
     # -- coming in ---------------------------------------------------------------------------------------------------
 

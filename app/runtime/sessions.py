@@ -26,9 +26,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft
+from app.clock import monotonic_s
+from app.governance.control import Phase, refused
 from app.governance.model import SESSION, EventKind, Outcome, Status
 from app.protocol import Human, ProtocolError
 from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
+from app.runtime.hands import HELD, OPEN
 from app.runtime.kernel import LAUNCH_WITHIN_S
 from app.runtime.story import RULE, Story
 from app.runtime.uncut import uncut
@@ -111,10 +114,24 @@ class Sessions:
             questions = story.questions.values()
             await self._register.append(story.drafts, [*rows, *(item.row() for item in questions)], story.changed())
             self._desk.hold(*questions)
+        for version in story.changed():
+            self._keep_control(version)
         for event in events:
             self._telemetry.note(event)
         for name in story.ended():
             self._seal_soon(name, cell)
+
+    def _keep_control(self, version: Invocation) -> None:
+        """Keep the lease of a cell's controls in step with what became of the session they were of."""
+        cell = self._fleet.cell(version.cell or "")
+        control = cell.control
+        if control is None or control.invocation != version.id:
+            return
+        state = None if version.takeover is None else version.takeover["state"]
+        if version.final or state not in OPEN:
+            cell.control = None
+        elif state == HELD and control.phase is Phase.RETURNING:
+            cell.control = refused(control, monotonic_s())
 
     def telemetry(self, cell: str, invocation: str, rows: Sequence[tuple[float, ...]]) -> None:
         """Keep rows of a session of this cell; rows of anything else are refused.
@@ -187,7 +204,11 @@ class Sessions:
             return
         if believed != hello.invocation:
             await self._fault(believed, "session_lost", "the cell is back without the session")
-        elif place.lapsed:
+            return
+        known = self._register.newest(believed)
+        if known is not None and known.takeover is not None and known.takeover["state"] in OPEN:
+            self._fleet.restrain(place, Human(invocation=believed, op="let_go", actor=SERVER))
+        if place.lapsed:
             await self._ask(believed, "link_returned", "the cell is back and has held the session meanwhile")
 
     async def overdue(self, cell: str, absent_s: float | None) -> None:

@@ -14,6 +14,7 @@ from app.governance.session import final_status
 from app.runtime.drafts import SERVER, outcome_event, reason
 from app.runtime.escalation import PENDING, WITHDRAWN
 from app.runtime.failures import failure
+from app.runtime.hands import followed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -71,6 +72,7 @@ class Story:
 
     def _follow(self, version: Invocation, event: UpEvent, at: str) -> Mapping[str, Any]:
         """Change the invocation as the report says; returns what the record adds to the report."""
+        version = self._in_whose_hands(version, event, at)
         match event.kind:
             case EventKind.LAUNCH if "refused" not in event.body:
                 self._versions[version.id] = version.evolve(at, terms=replace(version.terms, confirmed=True))
@@ -86,6 +88,13 @@ class Story:
             case _:
                 pass
         return NOTHING
+
+    def _in_whose_hands(self, version: Invocation, event: UpEvent, at: str) -> Invocation:
+        """Follow a takeover: what the cell says decides whose hands its session is in."""
+        after = followed(version.takeover, event)
+        if after is not version.takeover:
+            version = self._versions[version.id] = version.evolve(at, takeover=after)
+        return version
 
     def _status(self, version: Invocation, status: Status, event: UpEvent, at: str) -> Mapping[str, Any]:
         if status in TERMINAL:  # the outcome follows, and says more

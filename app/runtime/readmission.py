@@ -1,0 +1,50 @@
+"""A session that a human drove goes on only if it would still be let run, decided again from where the robot is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, cast
+
+from app.governance.model import EventKind
+from app.runtime.errors import Conflict
+from app.runtime.hands import LAPSED
+
+if TYPE_CHECKING:
+    from app.runtime.cells import Cell
+    from app.runtime.invocation import Invocation, Principal
+    from app.runtime.kernel import Judgement, Kernel
+    from app.runtime.register import Register
+
+
+async def readmitted(
+    kernel: Kernel, register: Register, cell: Cell, present: Invocation, principal: Principal
+) -> tuple[Judgement, tuple[str, ...]]:
+    """Decide again on what a session does, from where the robot is now; returns the judgement and who approved it.
+
+    Raises:
+        Conflict: `resume_refused`, with the reasons.
+    """
+    effective = dict(present.effective or {})
+    judgement = kernel.judge(present.proposal(effective), present.agent, cell, within=present)
+    reasons = [reason._asdict() for reason in judgement.reasons()]
+    if not judgement.conforms(effective):
+        raise Conflict("resume_refused", "policy does not let it go on from here", reasons=reasons)
+    approvals = await _approvals(register, present.id)
+    if principal.name not in (*approvals, present.agent):
+        approvals = (*approvals, principal.name)
+    if judgement.need is not None and judgement.need.approvers > len(approvals):
+        raise Conflict("resume_refused", "it takes more approvals from here", reasons=reasons)
+    return judgement, approvals
+
+
+async def _approvals(register: Register, invocation: str) -> tuple[str, ...]:
+    """Return who approved the session when it was launched."""
+    events = await register.store.events(invocation=invocation, kind=EventKind.AUTHORIZATION, limit=1)
+    if not events:
+        return ()
+    permit = cast("dict[str, list[str]]", events[0].payload()["authorization"])
+    return tuple(permit["approvals"])
+
+
+def lapsed(invocation: Invocation) -> bool:
+    """Say whether a human drove this session and left without handing it back."""
+    return invocation.takeover is not None and invocation.takeover["state"] == LAPSED

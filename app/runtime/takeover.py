@@ -1,0 +1,422 @@
+"""Taking over and handing back: one lease for each cell's controls, and the authorizations that go with it.
+
+A human drives under an authorization of their own, decided, recorded and signed as any (`takeover`), for the session
+that runs or for one that is nothing else. Jog commands are not recorded one by one: the right to give them is, before
+the first one moves anything, and the cell records what they come to. What restrains (a lapse, an end) is sent first.
+
+A session goes on after a takeover only under a new authorization: its proposal is decided again on the facts of now.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import suppress
+from dataclasses import replace
+from math import isfinite
+from typing import TYPE_CHECKING, Any, Final
+
+from app.audit.event import EventDraft
+from app.clock import monotonic_s
+from app.governance.authority import refusal
+from app.governance.control import TAKEOVER, Claim, Control, Taking, Where, command, returning, take
+from app.governance.model import SESSION, AuthorityMode, EventKind, Proposal, Role, Status, Wish
+from app.governance.policy import watch_plan
+from app.governance.policy_model import GOVERNANCE
+from app.protocol import Human, Jog
+from app.runtime.drafts import SERVER
+from app.runtime.errors import Conflict, NotFound
+from app.runtime.hands import HELD, RETURNING, given_back, taken
+from app.runtime.invocation import Invocation, Terms, may_see
+from app.runtime.readmission import readmitted
+from app.runtime.uncut import uncut
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from app.runtime.cells import Cell
+    from app.runtime.desk import Desk
+    from app.runtime.fleet import Fleet
+    from app.runtime.invocation import Principal
+    from app.runtime.kernel import Judgement, Kernel
+    from app.runtime.register import Register
+
+LOOK_S: Final = 0.1
+FACTS_S: Final = 0.3
+RETURN_S: Final = 3.0  # for a robot to come to rest and its plan to be bound anew
+THENS: Final = ("resume", "rollback", "end")
+RULE: Final = "authority/takeover"
+
+
+class Takeovers:
+    """Who drives what by hand."""
+
+    register: Register
+    kernel: Kernel
+    fleet: Fleet
+    desk: Desk
+
+    # -- taking ------------------------------------------------------------------------------------------------------
+
+    @uncut
+    async def take_over(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
+        """Take the controls of a session; returns the lease.
+
+        Raises:
+            NotFound: there is none that this principal may see.
+            Conflict: `wrong_status`, `takeover_not_enabled`, `control_held` (naming the holder), `ending`,
+                `cell_offline`, `takeover_refused` with policy's reasons.
+            RecordUnavailable: nothing was recorded, and nobody has taken anything.
+        """
+        present = await self._session(invocation_id, principal)
+        cell = self.fleet.cell(present.cell or "")
+        self._allow_takeover(present.profile)
+        self._reachable(cell, present.id)
+        before, how = self._take(cell, principal, present.id)
+        now = self.register.now()
+        cell.control_at = cell.control_at if how is Taking.RENEWED else now
+        document = cell.control_document() or {}
+        try:
+            if how is Taking.GRANTED:
+                await self._change_hands(cell, present.id, principal)
+            else:
+                if how is Taking.PREEMPTED:
+                    self._still(cell)
+                await self.register.append([self._word("takeover", present, principal, document, how)])
+        except BaseException:
+            if cell.control is not None and cell.control.lease == document.get("lease"):
+                cell.control = before
+            raise
+        return document
+
+    @uncut
+    async def take_cell(self, cell_id: str, principal: Principal) -> dict[str, Any]:
+        """Take the controls of a cell that is idle, or driven by hand already; returns the lease.
+
+        Raises:
+            NotFound: no such cell.
+            Conflict: as `take_over`, and `cell_busy` where a session runs: that is taken over by its own name.
+            RecordUnavailable: nothing was recorded, and nobody has taken anything.
+        """
+        cell = self.fleet.cell(cell_id)
+        await self.fleet.settle(cell)
+        busy = self.fleet.busy(cell)
+        if busy is not None:
+            known = self.register.newest(busy)
+            if known is None or known.capability != TAKEOVER:
+                raise Conflict("cell_busy", f"the cell `{cell.id}` runs `{busy}`; valid: take that over")
+            return await self.take_over(busy, principal)
+        self._allow_takeover(self.fleet.profile(cell))
+        self._reachable(cell, "")
+        params = self._alone(cell)
+        judgement = self.kernel.judge(Proposal(capability=TAKEOVER, params=params), GOVERNANCE, cell)
+        _held_to(judgement)
+        name = self.kernel.identities.make("inv")
+        before, _ = self._take(cell, principal, name)
+        cell.control_at = self.register.now()
+        document = cell.control_document() or {}
+        invocation = self._driving(name, cell, principal, params, judgement)
+        try:
+            async with self.kernel.launch(invocation, judgement) as launch:
+                word = self._word("takeover", invocation, principal, document, Taking.GRANTED)
+                drafts = [word, *judgement.events(invocation), *launch.events]
+                await self.register.append(drafts, launch.rows, [launch.invocation])
+        except BaseException:
+            cell.control = before
+            raise
+        return document
+
+    async def _session(self, invocation_id: str, principal: Principal) -> Invocation:
+        present = self.register.newest(invocation_id) or await self.register.load(invocation_id)
+        if not may_see(principal, present.agent):
+            raise NotFound("invocation", invocation_id)
+        if present.status not in SESSION:
+            raise Conflict("wrong_status", f"`takeover` is not possible while the invocation is `{present.status}`")
+        return present
+
+    def _allow_takeover(self, profile: str) -> None:
+        refused = refusal(self.kernel.policy, profile, AuthorityMode.TAKEOVER_ENABLED)
+        if refused is not None:
+            raise Conflict.of(refused)
+
+    def _reachable(self, cell: Cell, invocation: str) -> None:
+        if word := cell.ending(invocation):
+            raise Conflict("ending", f"the session is coming to its end after `{word}`")
+        if self.fleet.latched(cell):
+            raise Conflict("estop_latched", f"the cell `{cell.id}` is stopped and latched; valid: reset it first")
+        if not self.fleet.attached(cell):
+            raise Conflict("cell_offline", f"the cell `{cell.id}` is away: nobody can drive it")
+
+    def _take(self, cell: Cell, principal: Principal, invocation: str) -> tuple[Control | None, Taking]:
+        """Take the lease at once, before anything is awaited: of two who want it, one has it then."""
+        now_s = monotonic_s()
+        if cell.control is not None and cell.control.lapsed(now_s):
+            self.fleet.loosen(cell, SERVER)
+        before = cell.control
+        where = Where.LOCAL if principal.station == cell.id else Where.REMOTE
+        claim = Claim(
+            lease=self.kernel.identities.make("lease"),
+            holder=principal.name,
+            where=where,
+            invocation=invocation,
+            at_s=now_s,
+        )
+        how, control = take(before, claim)
+        if how is Taking.REFUSED:
+            held = f"`{control.holder}` has the controls of `{cell.id}` ({control.where})"
+            raise Conflict("control_held", f"{held}; valid: when they hand back, or from the cell's own station")
+        cell.control = control
+        return before, how
+
+    async def _change_hands(self, cell: Cell, invocation: str, principal: Principal) -> None:
+        entry = self.register.entry(invocation)
+        if entry is None:
+            raise Conflict("wrong_status", f"`{invocation}` has ended")
+        async with entry.lock:
+            present = entry.newest
+            if present.status not in SESSION:
+                raise Conflict("wrong_status", f"`takeover` is not possible while the invocation is `{present.status}`")
+            params = self._as_in(present)
+            proposal = Proposal(capability=TAKEOVER, params=params)
+            judgement = self.kernel.judge(proposal, GOVERNANCE, cell, within=present)
+            _held_to(judgement)
+            driving = replace(present, capability=TAKEOVER, effective=judgement.effective(params))
+            control = cell.control
+            document = cell.control_document() or {}
+            async with self.kernel.launch(driving, judgement, anew=True) as launch:
+                where = Where.REMOTE if control is None else control.where
+                now = self.register.now()
+                version = present.evolve(now, takeover=taken(where, now))
+                word = self._word("takeover", present, principal, document, Taking.GRANTED)
+                await self.register.append([word, *launch.events], launch.rows, [version])
+
+    def _as_in(self, present: Invocation) -> dict[str, Any]:
+        """Return the limits of a session: whoever takes it over is held to them as it was."""
+        effective = dict(present.effective or {})
+        bounds = watch_plan(
+            self.kernel.policy, present.capability, present.profile, effective, present.terms.mode
+        ).bounds
+        return self.kernel.fill_in(
+            TAKEOVER,
+            {
+                "tcp_speed_mps": bounds.tcp_speed_mps,
+                "base_speed_mps": bounds.base_speed_mps,
+                "grip_force_n": bounds.grip_force_n,
+            },
+        )
+
+    def _alone(self, cell: Cell) -> dict[str, Any]:
+        """Return the limits of driving an idle cell: the profile's; what is held already stays as firmly held."""
+        facts = self.fleet.facts(cell).facts
+        if facts is None or facts.gripper_empty:
+            return self.kernel.fill_in(TAKEOVER, {})
+        limit = self.kernel.policy.profiles[self.fleet.profile(cell)].limits["grip_force_n"]
+        return self.kernel.fill_in(TAKEOVER, {"grip_force_n": limit.maximum})
+
+    def _driving(
+        self, name: str, cell: Cell, principal: Principal, params: Mapping[str, Any], judgement: Judgement
+    ) -> Invocation:
+        now = self.register.now()
+        where = Where.REMOTE if cell.control is None else cell.control.where
+        return Invocation(
+            id=name,
+            status=Status.RUNNING,
+            capability=TAKEOVER,
+            agent=principal.name,
+            cell=cell.id,
+            requested=params,
+            effective=judgement.effective(params),
+            escalation=None,
+            outcome=None,
+            created_at=now,
+            updated_at=now,
+            terms=Terms(),
+            takeover=taken(where, now),
+            **judgement.parts(),
+        )
+
+    # -- driving -----------------------------------------------------------------------------------------------------
+
+    def jog(self, principal: Principal, cell_id: str, lease: str, number: int, wish: Wish) -> str | None:
+        """Pass a hold-to-run command on to the cell; return None, or the code of why it is not. Never waits.
+
+        `not_holder`, `lease_lapsed`, `returning`, `out_of_order` (`control.command`), `not_finite`, `cell_offline`; why
+        the cell does not do it is in its document's `control`, and what `jogged` returns.
+        """
+        if principal.role is not Role.OPERATOR or not self.fleet.knows(cell_id):
+            return "not_holder"
+        cell = self.fleet.cell(cell_id)
+        if cell.control is None:
+            return "not_holder"
+        if not all(map(isfinite, (*wish.base, *wish.tool))):
+            return "not_finite"
+        self.kernel.heard(principal)
+        cell.control, why = command(
+            cell.control, lease=lease, holder=principal.name, number=number, now_s=monotonic_s()
+        )
+        if why is not None:
+            return why
+        message = Jog.model_construct(
+            invocation=cell.control.invocation,
+            actor=principal.name,
+            n=number,
+            base=wish.base,
+            tool=wish.tool,
+            grip=wish.grip,
+        )
+        return None if self.fleet.jog(cell, message) else "cell_offline"
+
+    def jogged(self, cell_id: str) -> str | None:
+        """Return why the cell does not do what the newest command it has taken asks for, as far as it has said so."""
+        cell = self.fleet.cell(cell_id)
+        jog = cell.state.jog if cell.fresh and cell.state is not None else None
+        return None if jog is None else jog.refused
+
+    def _still(self, cell: Cell) -> None:
+        control = cell.control
+        if control is not None:
+            resting = (0.0, 0.0, 0.0)
+            self.fleet.jog(cell, Jog(invocation=control.invocation, actor=SERVER, n=0, base=resting, tool=resting))
+
+    async def watch_leases(self) -> None:
+        """Take the controls out of hands that have fallen silent, for ever."""
+        while True:
+            await asyncio.sleep(LOOK_S)
+            await self.lapse_due()
+
+    async def lapse_due(self) -> None:
+        """Take the controls out of every hand that has fallen silent: sent first, then recorded."""
+        now_s = monotonic_s()
+        for cell in self.fleet.cells():
+            if cell.control is None or not cell.control.lapsed(now_s):
+                continue
+            lapsed = self.fleet.loosen(cell, SERVER)
+            if lapsed is not None:
+                body = {"op": "control_lapsed", "cell": cell.id, "holder": lapsed.holder, "lease": lapsed.lease}
+                await self.register.say(
+                    EventDraft(kind=EventKind.HUMAN, actor=SERVER, invocation=lapsed.invocation, body=body)
+                )
+
+    # -- handing back ------------------------------------------------------------------------------------------------
+
+    @uncut
+    async def release(self, invocation_id: str, principal: Principal, then: str) -> dict[str, Any]:
+        """Hand a session back, to go on (`resume`), to be undone (`rollback`), or done with (`end`).
+
+        Waits, shortly, for the cell to say that it has the session again.
+
+        Raises:
+            NotFound: there is none that this principal may see.
+            Conflict: `wrong_status`, `not_taken_over`, `control_held`, `nothing_to_resume`, `ending`, `cell_offline`;
+                `resume_refused` with the reasons, and the holder keeps the controls.
+            RecordUnavailable: nothing was recorded, and the holder keeps the controls.
+        """
+        present = await self._session(invocation_id, principal)
+        cell = self.fleet.cell(present.cell or "")
+        control = cell.control
+        if control is None or control.invocation != present.id:
+            raise Conflict("not_taken_over", f"nobody has the controls of `{present.id}`")
+        if control.holder != principal.name:
+            raise Conflict("control_held", f"`{control.holder}` has the controls of `{cell.id}`; valid: they hand back")
+        self._reachable(cell, present.id)
+        if then == "resume" and present.capability == TAKEOVER:
+            raise Conflict("nothing_to_resume", "nothing ran before; valid: `rollback`, `end`")
+        if then == "end":
+            return await self._end(cell, present, principal)
+        await self._fresh(cell)
+        cell.control = returning(control)
+        try:
+            if then == "resume":
+                await self._resume(cell, present.id, principal)
+            else:
+                await self._roll_back(cell, present.id, principal)
+        except BaseException:
+            _keep(cell, control)
+            raise
+        return await self._returned(present.id, then)
+
+    async def _fresh(self, cell: Cell) -> None:
+        """Wait for the cell's next state: the plan begins with where the robot is now."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(FACTS_S):
+                await cell.stated.wait()
+
+    async def _end(self, cell: Cell, present: Invocation, principal: Principal) -> dict[str, Any]:
+        document = cell.control_document() or {}
+        if cell.control is not None:
+            cell.control = returning(cell.control)
+        self.fleet.restrain(cell, Human(invocation=present.id, op="end_takeover", actor=principal.name))
+        await self.register.say(self._word("release", present, principal, document, then="end"))
+        return await self._returned(present.id, "end")
+
+    async def _resume(self, cell: Cell, invocation: str, principal: Principal) -> None:
+        entry = self.register.entry(invocation)
+        if entry is None:
+            raise Conflict("wrong_status", f"`{invocation}` has ended")
+        async with entry.lock:
+            present = entry.newest
+            judgement, approvals = await readmitted(self.kernel, self.register, cell, present, principal)
+            document = cell.control_document() or {}
+            async with self.kernel.launch(present, judgement, approvals, anew=True) as launch:
+                word = self._word("release", present, principal, document, then="resume")
+                version = self._given_back(cell, present, "resume", terms=launch.invocation.terms)
+                recheck = judgement.recheck_events(present)
+                await self.register.append([word, *recheck, *launch.events], launch.rows, [version])
+
+    async def _roll_back(self, cell: Cell, invocation: str, principal: Principal) -> None:
+        entry = self.register.entry(invocation)
+        if entry is None:
+            raise Conflict("wrong_status", f"`{invocation}` has ended")
+        async with entry.lock:
+            present, document = entry.newest, cell.control_document() or {}
+            word = self._word("release", present, principal, document, then="rollback")
+            await self.register.append([word], versions=[self._given_back(cell, present, "rollback")])
+            self.fleet.order(cell, Human(invocation=invocation, op="rollback", actor=principal.name))
+
+    def _given_back(self, cell: Cell, present: Invocation, then: str, **changes: Any) -> Invocation:  # noqa: ANN401
+        facts = cell.state.facts if cell.fresh and cell.state is not None else None
+        takeover = given_back(present.takeover or {}, then, facts)
+        return present.evolve(self.register.now(), takeover=takeover, **changes)
+
+    async def _returned(self, invocation: str, then: str) -> dict[str, Any]:
+        """Wait until the cell has said what became of the way back; a refusal is the caller's."""
+        known = await self.register.load(invocation)
+        with suppress(TimeoutError):
+            async with asyncio.timeout(RETURN_S):
+                while not known.final and (known.takeover or {}).get("state") in (RETURNING, HELD):
+                    code = (known.takeover or {}).get("refused")
+                    if code and then != "end":
+                        raise Conflict(
+                            "resume_refused",
+                            f"the cell cannot: `{code}`; the controls stay where they are",
+                            reasons=[{"rule": RULE, "code": str(code), "message": f"`{code}`", "remedy": ""}],
+                        )
+                    known = await self.register.wait(invocation, RETURN_S, known.updated_at)
+        return known.public()
+
+    def _word(
+        self,
+        op: str,
+        present: Invocation,
+        principal: Principal,
+        lease: Mapping[str, Any],
+        how: Taking | None = None,
+        **more: str,
+    ) -> EventDraft:
+        body = {"op": op, "role": principal.role, "cell": present.cell, "status": present.status, **more}
+        for name in ("lease", "where"):
+            body[name] = lease.get(name)
+        if how is not None:
+            body["how"] = how
+        return EventDraft(kind=EventKind.HUMAN, actor=principal.name, invocation=present.id, body=body)
+
+
+def _keep(cell: Cell, control: Control) -> None:
+    """Let a lease go on that was not handed back after all, if nobody else has the controls by now."""
+    if cell.control is not None and cell.control.lease == control.lease:
+        cell.control = replace(control, heard_s=monotonic_s())
+
+
+def _held_to(judgement: Judgement) -> None:
+    if judgement.status is not Status.RUNNING:
+        reasons = [reason._asdict() for reason in judgement.reasons()]
+        raise Conflict("takeover_refused", "policy does not let anybody drive now", reasons=reasons)

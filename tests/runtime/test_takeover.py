@@ -1,0 +1,236 @@
+"""The controls of a cell on a real runtime and a real database; the cell is a hand-driven puppet."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import json
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from app.clock import monotonic_s
+from app.governance.control import LAPSE_S
+from app.governance.model import Wish
+from app.runtime.assembly import Runtime
+from app.runtime.errors import Conflict
+from app.runtime.invocation import Principal, ProposalRequest
+from tests.runtime.conftest import AGENT, OPERATOR, OPERATOR_2, HandCell, House
+
+pytestmark = pytest.mark.anyio
+LOCAL = replace(OPERATOR_2, station="workcell-1")
+AHEAD = Wish(base=(0.1, 0.0, 0.0))
+
+
+@pytest.fixture
+async def driving(runtime: Runtime, cell: HandCell) -> str:
+    """A drive that runs."""
+    request = ProposalRequest(capability="navigate_to", params={"target": "dock", "speed_mps": 0.3})
+    document, _ = await runtime.governor.propose(AGENT, request)
+    assert document["status"] == "running", document
+    await cell.expect("launch")
+    await cell.launched(document["id"])
+    return document["id"]
+
+
+def permit(cell: HandCell) -> dict[str, Any]:
+    return json.loads(base64.b64decode(cell.all("launch")[-1].body))
+
+
+def jog(runtime: Runtime, who: Principal, lease: dict[str, Any], number: int) -> str | None:
+    return runtime.governor.jog(who, "workcell-1", lease["lease"], number, AHEAD)
+
+
+async def refused(doing: Any) -> Conflict:
+    with pytest.raises(Conflict) as caught:
+        await doing
+    return caught.value
+
+
+async def test_whoever_takes_over_drives_under_an_authorization_of_their_own(
+    runtime: Runtime, cell: HandCell, driving: str
+) -> None:
+    lease = await runtime.governor.take_over(driving, OPERATOR)
+    assert lease.items() >= {"holder": "olivia", "where": "remote", "invocation": driving}.items()
+    assert runtime.governor.cells()[0]["control"] == lease
+    await cell.expect("launch", 2)
+    given = permit(cell)
+    assert (given["capability"], given["invocation"], given["recoveries"]) == ("takeover", driving, [])
+    assert given["params"] == {"base_speed_mps": 0.3, "tcp_speed_mps": 0.25, "grip_force_n": 60.0}
+    assert jog(runtime, OPERATOR, lease, 1) is None
+    heard = await cell.expect("jog")
+    assert (heard.invocation, heard.base, heard.actor) == (driving, (0.1, 0.0, 0.0), "olivia")
+    assert jog(runtime, OPERATOR, lease, 1) == "out_of_order"
+    assert jog(runtime, OPERATOR_2, lease, 2) == "not_holder"
+    document = await runtime.governor.invocation(driving, AGENT)
+    assert document["takeover"]["state"] == "held"
+
+
+async def test_the_second_is_refused_and_told_who_has_it(runtime: Runtime, cell: HandCell, driving: str) -> None:
+    await runtime.governor.take_over(driving, OPERATOR)
+    error = await refused(runtime.governor.take_over(driving, OPERATOR_2))
+    assert error.code == "control_held"
+    assert "`olivia`" in str(error)
+    assert (await refused(runtime.governor.release(driving, OPERATOR_2, "end"))).code == "control_held"
+    assert (await refused(runtime.governor.rollback(driving, OPERATOR))).code == "control_held"
+
+
+async def test_who_stands_at_the_cell_takes_it_from_who_does_not(
+    runtime: Runtime, cell: HandCell, driving: str
+) -> None:
+    remote = await runtime.governor.take_over(driving, OPERATOR)
+    local = await runtime.governor.take_over(driving, LOCAL)
+    assert (local["holder"], local["where"]) == ("oskar", "local")
+    assert len(cell.all("launch")) == 2
+    assert (await cell.expect("jog")).base == (0.0, 0.0, 0.0)
+    assert jog(runtime, OPERATOR, remote, 9) == "not_holder"
+    assert (await refused(runtime.governor.take_over(driving, OPERATOR))).code == "control_held"
+    told = [event["body"] for event in await runtime.governor.trace(driving, OPERATOR)]
+    assert [body["how"] for body in told if body.get("op") == "takeover"] == ["granted", "preempted"]
+
+
+async def test_a_hand_that_falls_silent_loses_the_controls_and_a_human_is_asked(
+    runtime: Runtime, cell: HandCell, driving: str
+) -> None:
+    lease = await runtime.governor.take_over(driving, OPERATOR)
+    place = runtime.fleet.cell("workcell-1")
+    assert place.control is not None
+    place.control = replace(place.control, heard_s=monotonic_s() - LAPSE_S - 0.1)
+    await runtime.governor.lapse_due()
+    assert place.control is None
+    await cell.expect("human")
+    assert cell.ops() == ["let_go"]
+    assert jog(runtime, OPERATOR, lease, 1) == "not_holder"
+    await cell.report("status", driving, status="escalated", reason="control_lapsed")
+    await cell.report("escalation", driving, reason="control_lapsed", failure="taken_over")
+    document = await runtime.governor.invocation(driving, AGENT)
+    assert (document["status"], document["takeover"]["state"]) == ("escalated", "lapsed")
+
+
+async def test_what_a_human_left_goes_on_only_under_a_new_authorization(
+    runtime: Runtime, cell: HandCell, driving: str
+) -> None:
+    await runtime.governor.take_over(driving, OPERATOR)
+    await cell.report("escalation", driving, reason="control_lapsed", failure="taken_over")
+    assert runtime.fleet.cell("workcell-1").control is None
+    question = runtime.desk.pending_for(driving)
+    assert question is not None
+    await cell.state()
+    await runtime.desk.resolve(question.id, OPERATOR_2, "approve", question.digest)
+    await cell.expect("launch", 3)
+    assert permit(cell)["capability"] == "navigate_to"
+    assert permit(cell)["approvals"] == ["oskar"]
+    assert "resolve_continue" not in cell.ops()
+
+
+async def test_handing_back_decides_again_and_waits_for_the_cell(
+    runtime: Runtime, cell: HandCell, driving: str
+) -> None:
+    await runtime.governor.take_over(driving, OPERATOR)
+    await cell.state()
+    back = asyncio.ensure_future(runtime.governor.release(driving, OPERATOR, "resume"))
+    await cell.state()
+    await cell.expect("launch", 3)
+    assert permit(cell)["capability"] == "navigate_to"
+    place = runtime.fleet.cell("workcell-1")
+    assert place.control is not None
+    assert jog(runtime, OPERATOR, place.control_document() or {}, 5) == "returning"
+    await cell.report("status", driving, status="running", before="recovering", reason="handed_back")
+    document = await back
+    assert document["takeover"]["state"] == "returned"
+    assert document["takeover"]["facts"]["gripper_empty"] is True
+    assert place.control is None
+
+
+async def test_what_policy_does_not_let_go_on_stays_in_hand_with_the_reasons(
+    runtime: Runtime, cell: HandCell, driving: str
+) -> None:
+    await runtime.governor.take_over(driving, OPERATOR)
+    cell.facts = {**cell.facts, "gripper_empty": False, "holding": "mug_1"}
+    await cell.state()
+    error = await refused(runtime.governor.release(driving, OPERATOR, "resume"))
+    assert error.code == "resume_refused"
+    assert [reason["code"] for reason in error.reasons] == ["precondition_unmet"]
+    place = runtime.fleet.cell("workcell-1")
+    assert place.control is not None
+    assert jog(runtime, OPERATOR, place.control_document() or {}, 5) is None
+
+
+async def test_what_the_cell_cannot_bind_anew_stays_in_hand(runtime: Runtime, cell: HandCell, driving: str) -> None:
+    await runtime.governor.take_over(driving, OPERATOR)
+    back = asyncio.ensure_future(refused(runtime.governor.release(driving, OPERATOR, "resume")))
+    await cell.state()
+    await cell.expect("launch", 3)
+    await cell.report("launch", driving, refused="no_path", detail="blocked")
+    error = await back
+    assert (error.code, error.reasons[0]["code"]) == ("resume_refused", "no_path")
+    place = runtime.fleet.cell("workcell-1")
+    assert place.control is not None
+    assert jog(runtime, OPERATOR, place.control_document() or {}, 5) is None
+
+
+async def test_an_idle_cell_is_an_invocation_of_its_own_and_ends_taken_over(runtime: Runtime, cell: HandCell) -> None:
+    lease = await runtime.governor.take_cell("workcell-1", OPERATOR)
+    await cell.expect("launch")
+    given = permit(cell)
+    assert (given["capability"], given["invocation"]) == ("takeover", lease["invocation"])
+    assert [one["strategy"] for one in given["recoveries"]] == ["ROLLBACK"]
+    await cell.launched(lease["invocation"])
+    assert (await refused(runtime.governor.release(lease["invocation"], OPERATOR, "resume"))).code == (
+        "nothing_to_resume"
+    )
+    done = asyncio.ensure_future(runtime.governor.release(lease["invocation"], OPERATOR, "end"))
+    await cell.expect("human")
+    assert cell.ops() == ["end_takeover"]
+    facts = {"base": [1.0, 2.0, 0.0], "holding": None}
+    await cell.report("outcome", lease["invocation"], outcome="taken_over", code="operator", facts=facts)
+    document = await done
+    assert (document["outcome"], document["status"]) == ("taken_over", "failed")
+    assert document["takeover"]["facts"] == facts
+    assert runtime.governor.cells()[0]["control"] is None
+
+
+async def test_nobody_takes_over_where_the_profile_has_no_takeover(house: House) -> None:
+    async with replace(house, profile="sim-relaxed").open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        assert (await refused(runtime.governor.take_cell("workcell-1", OPERATOR))).code == "takeover_not_enabled"
+
+
+async def test_a_stop_ends_whoever_has_the_controls(runtime: Runtime, cell: HandCell, driving: str) -> None:
+    lease = await runtime.governor.take_over(driving, OPERATOR)
+    await runtime.governor.estop("workcell-1", AGENT)
+    assert jog(runtime, OPERATOR, lease, 1) == "not_holder"
+    assert (await refused(runtime.governor.take_over(driving, OPERATOR))).code == "estop_latched"
+
+
+async def test_a_lost_link_takes_the_controls_away(runtime: Runtime, cell: HandCell, driving: str) -> None:
+    lease = await runtime.governor.take_over(driving, OPERATOR)
+    await cell.hang_up()
+    assert jog(runtime, OPERATOR, lease, 1) == "not_holder"
+    back = HandCell(runtime)
+    back.invocation, back.status, back.seq = driving, "running", cell.seq
+    await back.dial()
+    await back.expect("human")
+    assert "let_go" in back.ops()
+
+
+async def test_a_reset_is_confirmed_by_who_armed_it_and_not_after_another_stop(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    governor = runtime.governor
+    await governor.estop("workcell-1", AGENT)
+
+    def arm() -> str:
+        return governor.arm_reset("workcell-1", OPERATOR)["arming"]["code"]
+
+    code = arm()
+    assert (await refused(governor.reset("workcell-1", OPERATOR_2, code))).code == "not_armed"
+    assert (await refused(governor.reset("workcell-1", OPERATOR, code))).code == "not_armed"
+    code = arm()
+    await governor.estop("workcell-1", AGENT)
+    assert (await refused(governor.reset("workcell-1", OPERATOR, code))).code == "not_armed"
+    assert not cell.all("reset")
+    await governor.reset("workcell-1", OPERATOR, arm())
+    assert cell.all("reset")

@@ -1,0 +1,158 @@
+"""Taking over on a real server with a real cell: one lease, a hand on the robot over the socket, and every way back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import httpx
+import orjson
+import pytest
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Subprotocol
+
+from app.api.auth import issue_token
+from app.clock import monotonic_s
+from app.governance.model import Role
+from tests.conftest import ServerProcess, Servers
+
+pytestmark = [pytest.mark.process, pytest.mark.timeout(120)]
+PATIENCE_S = 30.0
+CELL = "/v1/cells/workcell-1"
+STILL = {"base": [0.0, 0.0, 0.0], "tool": [0.0, 0.0, 0.0], "grip": None}
+
+
+class Hand:
+    """A console with its keys."""
+
+    def __init__(self, socket: ClientConnection, lease: dict[str, Any]) -> None:
+        self.socket, self.lease, self.number = socket, lease["lease"], 0
+        self.said: list[Any] = []
+
+    def say(self, **wish: Any) -> None:
+        self.number += 1
+        word = {"type": "jog", "cell": "workcell-1", "lease": self.lease, "n": self.number, **STILL, **wish}
+        self.socket.send(orjson.dumps(word).decode())
+
+    def listen(self, timeout_s: float) -> None:
+        try:
+            message = orjson.loads(self.socket.recv(timeout_s))
+        except TimeoutError:
+            return
+        if message["type"] == "beat":
+            self.socket.send(orjson.dumps({"type": "ack", "beat": message["n"]}).decode())
+        elif message["type"] == "jogged":
+            self.said.append(message["refused"])
+
+    def hold(self, until: Any, what: str, **wish: Any) -> None:
+        """Hold a key until something is so."""
+        deadline = monotonic_s() + PATIENCE_S
+        while not until():
+            assert monotonic_s() < deadline, f"never so: {what}; said {self.said}"
+            self.say(**wish)
+            self.listen(0.05)
+
+
+@contextmanager
+def hand(server: ServerProcess, lease: dict[str, Any], token: str) -> Iterator[Hand]:
+    url = server.url.replace("http:", "ws:") + "/v1/console"
+    with connect(url, subprotocols=[Subprotocol("reins.console.1")], proxy=None, compression=None) as socket:
+        socket.send(orjson.dumps({"type": "hello", "token": token, "after": None}).decode())
+        yield Hand(socket, lease)
+
+
+@pytest.fixture
+def server(servers: Servers) -> ServerProcess:
+    return servers.start(None, "--profile", "real-restricted", "--pace", "1")
+
+
+def base(server: ServerProcess) -> list[float]:
+    return server.cell()["facts"]["base"]
+
+
+def control(server: ServerProcess) -> dict[str, Any] | None:
+    return server.cell()["control"]
+
+
+def moved(server: ServerProcess, by_m: float) -> Any:
+    x, y, _ = base(server)
+    return lambda: abs(base(server)[0] - x) + abs(base(server)[1] - y) > by_m
+
+
+def test_an_idle_cell_is_driven_by_one_hand_and_a_local_one_takes_it_away(server: ServerProcess) -> None:
+    lease = server.post(f"{CELL}/takeover").json()
+    assert lease.items() >= {"cell": "workcell-1", "holder": "operator", "where": "remote"}.items(), lease
+    second = server.post(f"{CELL}/takeover", key="operator_2")
+    assert (second.status_code, second.json()["code"]) == (409, "control_held")
+    assert "`operator`" in second.json()["detail"]
+    with hand(server, lease, server.tokens["operator"]) as remote:
+        remote.hold(lambda: remote.said == [None], "a lease that counts")
+        remote.hold(moved(server, 0.1), "a base that moves", base=[-0.3, 0.0, 0.0])
+        local = issue_token(server.data, name="lena", role=Role.OPERATOR, station="workcell-1")
+        deadline = monotonic_s() + 5.0
+        while (taken := post(server, f"{CELL}/takeover", local)).status_code == 401:
+            assert monotonic_s() < deadline
+        assert taken.json().items() >= {"holder": "lena", "where": "local", "invocation": lease["invocation"]}.items()
+        remote.hold(lambda: remote.said[-1] == "not_holder", "a hand that is off", base=[-0.3, 0.0, 0.0])
+    done = post(server, f"/v1/invocations/{lease['invocation']}/release", local, then="end").json()
+    assert (done["outcome"], done["takeover"]["state"]) == ("taken_over", "ended"), done
+    assert done["takeover"]["facts"]["gripper_empty"] is True
+    assert control(server) is None
+    told = [event["body"] for event in server.get(f"/v1/invocations/{lease['invocation']}/trace")["items"]]
+    assert [body["how"] for body in told if body.get("op") == "takeover"] == ["granted", "preempted"]
+    assert next(body["base"] for body in told if body.get("op") == "jog") == [-0.3, 0.0, 0.0]
+
+
+def test_a_session_is_taken_over_lapses_and_goes_on_only_as_decided_anew(server: ServerProcess) -> None:
+    drive = server.propose("navigate_to", target="dock", speed_mps=0.3)
+    assert drive["status"] == "running", drive
+    assert moved_within(server, 0.1)
+    lease = server.post(f"/v1/invocations/{drive['id']}/takeover").json()
+    assert lease["invocation"] == drive["id"], lease
+    with hand(server, lease, server.tokens["operator"]) as driver:
+        driver.hold(lambda: driver.said[-1:] == [None], "a robot at rest")
+        driver.hold(moved(server, 0.1), "a base that moves", base=[0.0, 0.2, 0.0])
+        driver.say()
+        refused = server.post(f"/v1/invocations/{drive['id']}/rollback")
+        assert refused.json()["code"] == "control_held"
+    waits = server.await_status(drive["id"], "escalated")
+    assert waits["takeover"]["state"] == "lapsed"
+    again = server.post(f"/v1/invocations/{drive['id']}/takeover").json()
+    with hand(server, again, server.tokens["operator"]) as driver:
+        driver.hold(lambda: driver.said[-1:] == [None], "a robot in hand again")
+        back = server.post(f"/v1/invocations/{drive['id']}/release", {"then": "resume"}).json()
+    assert back.get("takeover", {}).get("state") == "returned", back
+    assert control(server) is None
+    ended = server.await_status(drive["id"], "completed")
+    assert ended["outcome"] == "recovered"
+    assert base(server)[:2] == pytest.approx([0.8, 0.8], abs=0.1)
+
+
+def test_leaving_a_latched_stop_takes_two_steps_of_one_person(server: ServerProcess) -> None:
+    server.post(f"{CELL}/estop")
+    armed = server.post(f"{CELL}/reset", {"step": "arm"}).json()
+    assert armed["latched"] is True
+    code = armed["arming"]["code"]
+    assert server.post(f"{CELL}/reset", confirm(code), key="operator_2").json()["code"] == "not_armed"
+    code = server.post(f"{CELL}/reset", {"step": "arm"}).json()["arming"]["code"]
+    server.post(f"{CELL}/estop", key="agent")
+    assert server.post(f"{CELL}/reset", confirm(code)).json()["code"] == "not_armed"
+    code = server.post(f"{CELL}/reset", {"step": "arm"}).json()["arming"]["code"]
+    assert server.post(f"{CELL}/reset", confirm(code)).json()["latched"] is False
+
+
+def confirm(code: str) -> dict[str, str]:
+    return {"step": "confirm", "code": code}
+
+
+def moved_within(server: ServerProcess, by_m: float) -> bool:
+    far, deadline = moved(server, by_m), monotonic_s() + PATIENCE_S
+    while not far():
+        assert monotonic_s() < deadline
+    return True
+
+
+def post(server: ServerProcess, path: str, token: str, **body: Any) -> httpx.Response:
+    headers = {"Authorization": f"Bearer {token}"}
+    return httpx.post(server.url + path, headers=headers, json=body, timeout=10.0, trust_env=False)
