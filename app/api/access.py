@@ -43,7 +43,7 @@ ACCESS: Mapping[tuple[str, str], frozenset[Role] | None] = {
     ("GET", "/v1/invocations/{id}"): READERS,
     ("GET", "/v1/invocations/{id}/trace"): READERS,
     ("POST", "/v1/invocations/{id}/cancel"): frozenset({AGENT, OPERATOR}),
-    ("POST", "/v1/check"): AGENTS,
+    ("POST", "/v1/check"): READERS,
     ("GET", "/v1/escalations"): PEOPLE,
     ("GET", "/v1/escalations/{id}"): PEOPLE,
     ("POST", "/v1/escalations/{id}/resolve"): OPERATORS,

@@ -17,11 +17,12 @@ from app.api import documents
 from app.api.access import caller
 from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
-from app.api.wire import EmptyBody, ProposalBody, read_body, read_idempotency_key, read_optional
+from app.api.problems import Problem
+from app.api.wire import CheckBody, EmptyBody, ProposalBody, read_body, read_idempotency_key, read_optional
 from app.audit.reader import parse_cursor
 from app.clock import parse_rfc3339
-from app.governance.model import Mode, Status, Strategy
-from app.runtime.invocation import ProposalRequest
+from app.governance.model import Mode, Role, Status, Strategy
+from app.runtime.invocation import Principal, ProposalRequest
 
 if TYPE_CHECKING:
     from fastapi import APIRouter
@@ -97,10 +98,28 @@ async def propose(request: Request) -> Response:
 async def check(request: Request) -> Response:
     """Say what would become of a proposal now, without recording or launching anything.
 
-    The same body as a proposal; `status` is `allowed` where it would launch.
+    The same body as a proposal, and for people the `agent` it would come from; `status` is `allowed` where it would
+    launch.
     """
-    body = await read_body(request, ProposalBody)
-    return answer(await parts_of(request).governor.check(caller(request), to_request(body)))
+    body = await read_body(request, CheckBody)
+    proposer = _proposer(caller(request), body.agent)
+    return answer(await parts_of(request).governor.check(proposer, to_request(body)))
+
+
+def _proposer(asks: Principal, agent: str | None) -> Principal:
+    """Return whom a check is made for: an agent for itself, a person for an agent.
+
+    Raises:
+        Problem: `not_yours` where an agent names another, `request_invalid` where a person names none.
+    """
+    if asks.role is not Role.AGENT:
+        if agent is None:
+            message = "is missing: name the agent that would propose this"
+            raise Problem("request_invalid", f"`agent` {message}", errors=[{"field": "agent", "message": message}])
+        return Principal(name=agent, role=Role.AGENT)
+    if agent not in (None, asks.name):
+        raise Problem("not_yours", f"`{asks.name}` may not ask for `{agent}`: valid is `{asks.name}`, or no `agent`")
+    return asks
 
 
 async def invocation(request: Request, id: Identifier, query: Annotated[WaitQuery, Query()]) -> Response:
@@ -176,8 +195,8 @@ def register(router: APIRouter) -> None:
         router,
         "POST /v1/check",
         check,
-        Answers(model=documents.VerdictDocument, codes=("params_invalid",)),
-        body=ProposalBody,
+        Answers(model=documents.VerdictDocument, codes=("params_invalid", "not_yours")),
+        body=CheckBody,
     )
     declare(
         router,

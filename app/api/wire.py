@@ -118,6 +118,16 @@ class VerdictBody(Body):
     note: Freeform | None = Field(default=None, description="For the record; never shown to the agent.")
 
 
+class CheckBody(ProposalBody):
+    """A proposal nobody makes: what would become of it, if an agent did."""
+
+    agent: Name | None = Field(
+        default=None,
+        description="Whose permissions count; people name one, an agent asks for itself alone.",
+        examples=["planner"],
+    )
+
+
 class ResolveBody(Body):
     """A human's answer to an escalation, bound to the digest of what was shown."""
 

@@ -17,7 +17,7 @@ EXPECTED = {
     "GET /v1/invocations/{id}": "aoeu",
     "GET /v1/invocations/{id}/trace": "aoeu",
     "POST /v1/invocations/{id}/cancel": "ao",
-    "POST /v1/check": "a",
+    "POST /v1/check": "aoeu",
     "GET /v1/escalations": "oeu",
     "GET /v1/escalations/{id}": "oeu",
     "POST /v1/escalations/{id}/resolve": "o",

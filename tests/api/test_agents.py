@@ -212,6 +212,19 @@ async def test_a_check_says_what_would_become_of_it_and_records_nothing(house: H
         assert not cell.launches
 
 
+async def test_a_person_checks_for_an_agent_and_an_agent_for_itself_alone(house: House) -> None:
+    async with house.cell(), house.client() as agent, house.client("operator") as operator:
+        await eventually(lambda: house.runtime.store.size)
+        asked = (await agent.post("/v1/check", json=DRIVE)).json()
+        assert (await operator.post("/v1/check", json={**DRIVE, "agent": asked["agent"]})).json() == asked
+        stranger = (await operator.post("/v1/check", json={**DRIVE, "agent": "nobody"})).json()
+        nameless = await operator.post("/v1/check", json=DRIVE)
+        other = await agent.post("/v1/check", json={**DRIVE, "agent": "nobody"})
+    assert (stranger["status"], stranger["agent"]) == ("rejected", "nobody")
+    assert (nameless.status_code, nameless.json()["errors"][0]["field"]) == (422, "agent")
+    assert (other.status_code, other.json()["code"]) == (403, "not_yours")
+
+
 async def test_what_is_over_cannot_be_cancelled(house: House) -> None:
     async with house.client() as agent:
         document = await refused(agent)
