@@ -1,4 +1,19 @@
-import type { Capability, Cell, Escalation, Grant, Invocation, Json, List, LogEvent, Params, PolicySet, Problem, Verdict } from './documents';
+import type {
+  Capability,
+  Cell,
+  Control,
+  Escalation,
+  Grant,
+  Invocation,
+  List,
+  LogEvent,
+  Params,
+  PolicySet,
+  Problem,
+  Review,
+  ReviewVerdict,
+  Verdict,
+} from './documents';
 
 /** The server's refusal of a request, or `unreachable` where no answer came. */
 export class ApiError extends Error {
@@ -25,13 +40,14 @@ export interface Answer {
   params?: Params;
   code?: string;
   comment?: string;
+  /** More of the same, allowed in advance with the last approval. */
+  grant?: Offer;
 }
 
-/** What a grant covers: an object or a task, or, without them, everything of the capability for at most 15 minutes. */
-export interface GrantAsk {
-  escalation: string;
+/** A standing grant: for the object or the task of the proposal, or for whatever of the capability comes in that time. */
+export interface Offer {
   scope: 'object' | 'task' | 'time';
-  for_s?: number;
+  minutes: number;
 }
 
 /** The HTTP contract as calls. Every call raises `ApiError` unless it was answered with success. */
@@ -81,19 +97,27 @@ export class Api {
   resolve = (id: string, answer: Answer): Promise<Escalation> =>
     this.call('POST', `/v1/escalations/${seg(id)}/resolve`, answer);
   acknowledge = (id: string): Promise<Escalation> => this.call('POST', `/v1/escalations/${seg(id)}/acknowledge`);
-  grant = (ask: GrantAsk): Promise<Grant> => this.call('POST', '/v1/grants', ask);
   revoke = (id: string): Promise<Grant> => this.call('POST', `/v1/grants/${seg(id)}/revoke`);
-  review = (id: string, verdict: string, note: string): Promise<unknown> =>
-    this.call('POST', `/v1/reviews/${seg(id)}/resolve`, { verdict, note });
+  review = (id: string, verdict: ReviewVerdict, note: string): Promise<Review> =>
+    this.call('POST', `/v1/reviews/${seg(id)}/resolve`, note === '' ? { verdict } : { verdict, note });
 
   estop = (cell: string): Promise<Cell> =>
     this.call('POST', `/v1/cells/${seg(cell)}/estop`, undefined, STOP_PATIENCE_MS);
-  reset = (cell: string): Promise<Cell> => this.call('POST', `/v1/cells/${seg(cell)}/reset`);
+  /** The first step of a reset; the answer's `arming` bears the code for the second. */
+  armReset = (cell: string): Promise<Cell> => this.call('POST', `/v1/cells/${seg(cell)}/reset`, { step: 'arm' });
+  confirmReset = (cell: string, code: string): Promise<Cell> =>
+    this.call('POST', `/v1/cells/${seg(cell)}/reset`, { step: 'confirm', code });
   setProfile = (cell: string, profile: string): Promise<Cell> =>
     this.call('PUT', `/v1/cells/${seg(cell)}/profile`, { profile });
 
-  operate = (id: string, word: 'pause' | 'resume' | 'stop' | 'rollback' | 'takeover' | 'release' | 'cancel', body?: Json): Promise<Invocation> =>
-    this.call('POST', `/v1/invocations/${seg(id)}/${word}`, body);
+  operate = (id: string, word: 'pause' | 'resume' | 'stop' | 'rollback' | 'cancel'): Promise<Invocation> =>
+    this.call('POST', `/v1/invocations/${seg(id)}/${word}`);
+
+  takeOver = (id: string): Promise<Control> => this.call('POST', `/v1/invocations/${seg(id)}/takeover`);
+  /** Takes the controls of a cell in which nothing runs. */
+  takeCell = (cell: string): Promise<Control> => this.call('POST', `/v1/cells/${seg(cell)}/takeover`);
+  release = (id: string, then: 'resume' | 'rollback' | 'end'): Promise<Invocation> =>
+    this.call('POST', `/v1/invocations/${seg(id)}/release`, { then });
 }
 
 function seg(id: string): string {

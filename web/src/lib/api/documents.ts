@@ -70,15 +70,20 @@ export interface Escalation {
   risk: Risk;
   reasons: Reason[];
   requested: Params;
+  /** What policy made of it; `effective` is what is asked about now, perhaps edited by an approver. */
   constrained?: Params;
   effective: Params;
+  phase?: string | null;
+  cell?: string | null;
   digest: string;
   status: 'pending' | 'approved' | 'denied' | 'expired' | 'withdrawn';
   approvals: Approval[];
   needed: number;
   expires_at: string | null;
   created_at?: string;
-  acknowledged?: { by: string; at: string }[];
+  acknowledged?: { by: string; since: string }[];
+  on_deny?: 'deny' | 'terminate' | 'rollback';
+  on_timeout?: 'deny' | 'terminate' | 'rollback';
 }
 
 export interface LogEvent {
@@ -92,11 +97,14 @@ export interface LogEvent {
 
 /** Who drives a cell by hand. */
 export interface Control {
-  holder: string;
-  where: string;
-  since: string;
   lease: string;
+  holder: string;
+  where: 'local' | 'remote';
+  since: string;
   invocation: string | null;
+  phase?: 'held' | 'returning';
+  /** Why the newest command is not obeyed. */
+  refused?: string | null;
 }
 
 export interface WorldFacts {
@@ -119,28 +127,40 @@ export interface Cell {
   policy_version: string | null;
   facts: WorldFacts | null;
   gauges: Record<string, number>;
+  session?: { phase: string | null; doing: string; violated: string[]; paused_by: string[]; waits_for: string | null } | null;
   control?: Control | null;
+  /** Stands in the answer to the first step of a reset. */
+  arming?: { code: string; expires_at: string } | null;
   recorded?: boolean | null;
 }
 
 export interface Grant {
   id: string;
+  status: 'active' | 'ended';
   capability: string;
-  agent?: string | null;
-  by: string;
-  object_id?: string | null;
-  task?: string | null;
-  expires_at: string | null;
+  agent: string;
+  cell: string;
+  profile: string;
+  scope: 'object' | 'task' | 'time';
+  object: string | null;
+  task: string | null;
+  issued_by: string;
+  expires_at: string;
+  uses: number;
 }
+
+export type ReviewVerdict = 'accepted' | 'objected' | 'inconclusive';
 
 export interface Review {
   id: string;
   invocation: string;
-  capability?: string;
-  agent?: string;
-  outcome?: string | null;
-  status?: string;
-  created_at?: string;
+  status: 'waiting' | ReviewVerdict;
+  capability: string;
+  agent: string;
+  risk: Risk;
+  outcome: string;
+  reasons: Reason[];
+  created_at: string;
 }
 
 /** A capability package; `inputs` is a JSON Schema whose numbers carry `unit`. */
@@ -169,7 +189,7 @@ export interface PolicySet {
   profiles: Record<string, { limits?: Record<string, { max?: number; min?: number }>; [key: string]: unknown }>;
   rules: Record<string, unknown>[];
   agents: Record<string, unknown>;
-  authority?: { denials?: unknown; grants?: { up_to_minutes?: number; [key: string]: unknown } | null; [key: string]: unknown };
+  authority?: { denials?: unknown; grants?: { up_to_s: number; risk: string[] } | null; [key: string]: unknown };
   site: Record<string, unknown>;
 }
 

@@ -148,9 +148,21 @@ function recovery(body: Body): Line {
   return line('undo', 'warn', capability === '' ? '' : `: ${words(capability).toLowerCase()}`, strategy);
 }
 
+const ORDERS: Record<string, string> = {
+  estop: 'pressed the emergency stop',
+  reset: 'reset the stop, nothing moved',
+  pause: 'paused the session',
+  resume: 'let the session go on',
+  stop: 'stopped the session',
+  rollback: 'had the session rolled back',
+  cancel: 'cancelled the session',
+  takeover: 'took the controls',
+  release: 'handed the controls back',
+};
+
 function human(body: Body, event: LogEvent): Line {
   const op = str(body['op']) || str(body['decision']) || 'spoke';
-  return line('person', op === 'estop' || op === 'stop' ? 'danger' : 'human', `: ${op.replaceAll('_', ' ')}`, event.actor);
+  return line('person', op === 'estop' || op === 'stop' ? 'danger' : 'human', ` ${ORDERS[op] ?? `said ${op.replaceAll('_', ' ')}`}`, event.actor);
 }
 
 function launch(body: Body): Line {
@@ -173,10 +185,11 @@ function status(body: Body): Line {
 }
 
 function cell(body: Body, event: LogEvent): Line {
-  const op = str(body['op']);
+  const op = str(body['what']);
   const link = str(body['link']);
-  if (op === 'estop') return line('stop', 'danger', ` by ${event.actor}`, 'Emergency stop');
-  if (op === 'reset') return line('undo', 'human', ` by ${event.actor}, nothing moved`, 'Reset');
+  const by = str(body['actor']) || event.actor;
+  if (op === 'estop') return line('stop', 'danger', ` obeyed, power off, by ${by}`, 'Emergency stop');
+  if (op === 'reset') return line('undo', 'human', ` by ${by}, nothing moved`, 'Reset');
   if (link !== '') return line('plug', link === 'lost' ? 'danger' : 'quiet', `Cell link ${link}`);
   return line('plug', 'quiet', `Cell: ${words(op || 'report').toLowerCase()}`);
 }

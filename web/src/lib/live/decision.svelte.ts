@@ -1,4 +1,4 @@
-import { ApiError, type Answer, type Api } from '../api/client';
+import { ApiError, type Answer, type Api, type Offer } from '../api/client';
 import type { Escalation, InputSchema } from '../api/documents';
 import { checkEdit, mayApprove, readEdit, rowsOf, type Check, type Typed } from './edit';
 
@@ -12,6 +12,7 @@ const WORDS: Record<string, string> = {
   already_approved: 'You approved this already: it takes another person.',
   escalation_expired: 'The time to answer is over.',
   own_proposal: 'Nobody answers for what they proposed themselves.',
+  grant_refused: 'Policy grants nothing of this kind in advance.',
   edit_refused: 'Policy refuses the edited values.',
   unreachable: 'No answer from the server: it is not known whether this arrived.',
 };
@@ -25,6 +26,8 @@ export class Decision {
   sending = $state<'approve' | 'deny' | null>(null);
   problem = $state('');
   code = $state('');
+  /** More of the same, to be allowed in advance together with this. */
+  offer = $state.raw<Offer | null>(null);
   asked: Escalation;
   private timer: ReturnType<typeof setTimeout> | undefined;
   private turn = 0;
@@ -72,6 +75,7 @@ export class Decision {
     if (!this.ready) return Promise.resolve(null);
     const answer: Answer = { decision: 'approve', digest: this.asked.digest };
     if (this.edited) answer.params = this.edit.params;
+    if (this.offer !== null) answer.grant = this.offer;
     return this.send(answer);
   }
 

@@ -20,12 +20,13 @@ const GRIP: GaugeSpec = { key: 'grip', label: 'Grip force', unit: 'N', source: '
 const CONTACT: GaugeSpec = { key: 'contact', label: 'Contact force', unit: 'N', source: 'contact_force_n', limit: 'contact_force_limit_n', side: 'most', span: 25 };
 const PROGRESS: GaugeSpec = { key: 'progress', label: 'Progress', unit: '%', source: 'progress', limit: null, side: 'none', span: 1 };
 
+const DRIVING: readonly GaugeSpec[] = [SEPARATION, BASE, GRIP, CONTACT, PROGRESS];
+const HANDLING: readonly GaugeSpec[] = [SEPARATION, TOOL, GRIP, CONTACT, PROGRESS];
 const DRIVES = new Set(['navigate_to', 'transport_object', 'reposition_base', 'takeover']);
 
 /** The gauges worth watching for what runs: the speed that matters is the base's or the tool's. */
-export function gaugesFor(session: Invocation | null): GaugeSpec[] {
-  const drives = session !== null && DRIVES.has(session.capability);
-  return [SEPARATION, drives ? BASE : TOOL, GRIP, CONTACT, PROGRESS];
+export function gaugesFor(session: Invocation | null): readonly GaugeSpec[] {
+  return session !== null && DRIVES.has(session.capability) ? DRIVING : HANDLING;
 }
 
 export interface Reading {
@@ -52,10 +53,11 @@ export function readGauge(spec: GaugeSpec, names: readonly string[], values: Arr
 
 export function valueText(spec: GaugeSpec, value: number | null): string {
   if (value === null) return '–';
-  return spec.unit === '%' ? String(Math.round(value * 100)) : number(value, spec.unit);
+  if (spec.unit === '%') return String(Math.round(value * 100));
+  return spec.unit === 'N' && Math.abs(value) < 100 ? value.toFixed(1) : number(value, spec.unit); // a digit that comes and goes flickers
 }
 
 export function limitText(spec: GaugeSpec, limit: number | null): string {
   if (limit === null) return '';
-  return `at ${spec.side} ${valueText(spec, limit)} ${spec.unit}`;
+  return `at ${spec.side} ${number(limit, spec.unit)} ${spec.unit}`;
 }

@@ -1,5 +1,6 @@
 import type { Escalation, Invocation, Reason } from '../api/documents';
 import { ruleWords } from '../format/events';
+import { labelOf } from '../format/quantity';
 
 export interface ReasonLine {
   icon: 'person' | 'scale' | 'hand';
@@ -24,7 +25,9 @@ function lineOf(reason: Reason, held: boolean): ReasonLine {
   return { icon, strong, text, rule: reason.rule.replaceAll('/', ' / ') };
 }
 
-function sentence(text: string): string {
+/** Policy's words as a sentence: names in backticks become labels, and the source in brackets is left to the rule. */
+function sentence(said: string): string {
+  const text = said.replace(/`([a-z_0-9]+)`/g, (_, name: string) => (/_(n|mps|m|s|kg|rad|ms)$/.test(name) ? labelOf(name) : name)).replace(/ \([^()]*\)$/, '');
   const upper = text.charAt(0).toUpperCase() + text.slice(1);
   return /[.!?]$/.test(upper) ? upper : `${upper}.`;
 }

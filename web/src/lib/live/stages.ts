@@ -64,7 +64,7 @@ function watch(invocation: Invocation, events: readonly LogEvent[]): Stage {
     case 'running':
       return { name: 'Watch', state: 'now', note: counted || 'running' };
     case 'paused':
-      return { name: 'Watch', state: 'bad', note: counted === '' ? 'paused' : `paused, ${counted}` };
+      return { name: 'Watch', state: 'bad', note: counted === '' ? 'paused' : counted };
     case 'taken_over':
       return { name: 'Watch', state: 'now', note: 'driven by hand' };
     default:

@@ -41,10 +41,11 @@ export class CameraRig {
   view(view: View, robot?: Vector3): void {
     this.following = view === 'follow';
     const { x, y } = this.centre;
-    const far = this.spanM * (this.camera.aspect < 1 ? 1.9 : 1.25) * Math.max(1, 1.15 / this.camera.aspect);
-    if (view === 'top') this.put(new Vector3(x, y - 0.01, far), new Vector3(x, y, 0));
+    const half = Math.tan(MathUtils.degToRad(this.camera.fov / 2)) * Math.min(this.camera.aspect, 1.35);
+    const far = (0.56 * this.spanM) / half;
+    if (view === 'top') this.put(new Vector3(x, y - 0.01, far * 1.05), new Vector3(x, y, 0));
     else if (view === 'follow' && robot !== undefined) this.put(new Vector3(robot.x - 1.2, robot.y - 3.6, 2.6), new Vector3(robot.x, robot.y, 0.5));
-    else this.put(new Vector3(x - far * 0.34, y - far * 0.78, far * 0.62), this.centre);
+    else this.put(new Vector3(x - far * 0.24, y - far * 0.64, far * 0.52), this.centre);
     this.keep();
   }
 

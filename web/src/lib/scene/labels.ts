@@ -4,7 +4,7 @@ import { Vector3, type Camera } from 'three';
 export interface Label {
   text: string;
   at: Vector3;
-  tone: 'plain' | 'warn' | 'danger';
+  tone: 'plain' | 'accent' | 'warn' | 'danger';
 }
 
 /** Keeps one element per label, and puts each where its point is on the screen. */

@@ -8,7 +8,11 @@ import { Labels, type Label } from './labels';
 import { Overlay } from './overlay';
 import { readPalette, type Palette } from './palette';
 
-const SLOW_MS = 28;
+const SLOW_MS = 60;
+const QUICK_MS = 20;
+const LEAST_RATIO = 0.75;
+const STUCK_MS = 1_000;
+const OUTSIDE_M = 1.5;
 const NAMED_FURNITURE = /^(.*)_body$/;
 const HEAD_M = 0.28;
 
@@ -37,17 +41,22 @@ export class CellView {
   private overlay = new Overlay(this.palette);
   private info: SceneInfo | null = null;
   private path: [number, number][] = [];
+  private subjects: ReadonlySet<string> = new Set();
   private trouble: Trouble = CALM;
   private last: PoseFrame | null = null;
   private dirty = true;
   private request = 0;
+  private readonly ratio: number;
   private slow = 0;
+  private fence: WebGLSync | null = null;
+  private fencedMs = 0;
   private readonly robot = new Vector3();
 
   constructor(private readonly host: HTMLElement, layer: HTMLElement) {
     const soft = isSoftware();
     this.renderer = new WebGLRenderer({ antialias: !soft, powerPreference: 'high-performance' });
-    this.renderer.setPixelRatio(soft ? 1 : Math.min(devicePixelRatio, 2));
+    this.ratio = soft ? 1 : Math.min(devicePixelRatio, 2);
+    this.renderer.setPixelRatio(this.ratio);
     this.host.prepend(this.renderer.domElement);
     this.rig = new CameraRig(this.renderer.domElement, () => (this.dirty = true));
     this.labels = new Labels(layer);
@@ -100,13 +109,19 @@ export class CellView {
     info.bodies.forEach((name, k) => {
       const body = this.bodies.byName.get(name);
       if (body === undefined) return;
-      const seen = Number.isFinite(frame.poses[k * 7]);
+      const seen = isHere(info, frame.poses, k * 7);
       body.visible = seen;
       if (seen) place(body, frame.poses, k * 7);
       if (name === 'base') this.robot.copy(body.position);
     });
     this.drawSeparation(frame, info);
     this.rig.follow(this.robot);
+    this.dirty = true;
+  }
+
+  /** Names the things a session is about; everything else on the benches goes without a name. */
+  setSubjects(names: ReadonlySet<string>): void {
+    this.subjects = names;
     this.dirty = true;
   }
 
@@ -156,13 +171,11 @@ export class CellView {
     this.overlay.tieTo(this.robot, this.trouble.separation ? nearest : null);
   }
 
-  /** Where people stand, on the floor. Their bodies wait far outside the cell while they are not in it. */
+  /** Where people stand, on the floor. */
   private people(): Vector3[] {
-    const [x0, y0, x1, y1] = this.info?.scene.bounds_m ?? [0, 0, 0, 0];
     return [...this.bodies.byName]
       .filter(([name, body]) => isPerson(name) && name.endsWith('_torso') && body.visible)
-      .map(([, body]) => body.position.clone().setZ(0))
-      .filter(({ x, y }) => x > x0 - 2 && x < x1 + 2 && y > y0 - 2 && y < y1 + 2);
+      .map(([, body]) => body.position.clone().setZ(0));
   }
 
   private labelled(): Map<string, Label> {
@@ -173,32 +186,58 @@ export class CellView {
       const [x, y] = middle(zone.polygon);
       found.set(`zone ${zone.name}`, { text: zone.name, at: new Vector3(x, y, 0.02), tone: this.trouble.zones.has(zone.name) ? 'danger' : 'plain' });
     }
-    for (const [name, body] of this.bodies.byName) {
-      const furniture = NAMED_FURNITURE.exec(name)?.[1];
-      if (furniture !== undefined) found.set(name, { text: furniture, at: above(body, 0.2), tone: 'plain' });
-    }
+    for (const [name, body] of this.bodies.byName) this.nameBody(found, name, body);
     this.people().forEach((at, k) => found.set(`person ${k}`, { text: `person ${k + 1}`, at: at.setZ(1.75 + HEAD_M), tone: 'warn' }));
     return found;
   }
 
+  private nameBody(found: Map<string, Label>, name: string, body: Group): void {
+    if (name === 'base' && body.visible) found.set(name, { text: 'robot', at: body.position.clone().setZ(0.05), tone: 'plain' });
+    if (this.subjects.has(name) && body.visible) found.set(name, { text: name, at: above(body, 0.12), tone: 'accent' });
+    const furniture = NAMED_FURNITURE.exec(name)?.[1];
+    if (furniture !== undefined) found.set(name, { text: furniture.replace(/_post$/, ''), at: body.position.clone().setZ(0.42), tone: 'plain' });
+  }
+
   private readonly loop = (now: number): void => {
     this.request = requestAnimationFrame(this.loop);
-    if (!this.dirty) return;
+    if (!this.drawn(now) || !this.dirty) return;
     this.dirty = false;
     const { clientWidth: width, clientHeight: height } = this.host;
     this.renderer.render(this.world, this.rig.camera);
     this.labels.draw(this.labelled(), this.rig.camera, width, height);
-    this.keepUp(performance.now() - now);
+    const gl = this.renderer.getContext() as WebGL2RenderingContext;
+    this.fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    this.fencedMs = now;
+    gl.flush();
   };
 
+  /** One picture at a time: another is begun when the last is really drawn, or frames would queue up and age. */
+  private drawn(now: number): boolean {
+    if (this.fence === null) return true;
+    const gl = this.renderer.getContext() as WebGL2RenderingContext;
+    if (gl.getSyncParameter(this.fence, gl.SYNC_STATUS) !== gl.SIGNALED && now - this.fencedMs < STUCK_MS) return false;
+    gl.deleteSync(this.fence);
+    this.fence = null;
+    this.keepUp(now - this.fencedMs);
+    return true;
+  }
+
   private keepUp(tookMs: number): void {
-    this.slow = tookMs > SLOW_MS ? this.slow + 1 : Math.max(0, this.slow - 1);
     const ratio = this.renderer.getPixelRatio();
-    if (this.slow < 20 || ratio <= 0.6) return;
+    this.slow = tookMs > SLOW_MS ? Math.max(0, this.slow) + 1 : tookMs < QUICK_MS ? Math.min(0, this.slow) - 1 : 0;
+    const wanted = this.slow > 20 ? Math.max(LEAST_RATIO, ratio * 0.85) : this.slow < -200 ? Math.min(this.ratio, ratio / 0.85) : ratio;
+    if (wanted === ratio) return;
     this.slow = 0;
-    this.renderer.setPixelRatio(Math.max(0.6, ratio * 0.8));
+    this.renderer.setPixelRatio(wanted);
     this.resize(this.host.clientWidth, this.host.clientHeight);
   }
+}
+
+/** What is not in the cell (people before they come, obstacles not yet put) waits far outside or under the floor. */
+function isHere(info: SceneInfo, poses: Float32Array, at: number): boolean {
+  const [x0, y0, x1, y1] = info.scene.bounds_m;
+  const [x = NaN, y = NaN, z = NaN] = poses.subarray(at, at + 3);
+  return x > x0 - OUTSIDE_M && x < x1 + OUTSIDE_M && y > y0 - OUTSIDE_M && y < y1 + OUTSIDE_M && z > -0.5;
 }
 
 function middle(polygon: readonly (readonly [number, number])[]): [number, number] {

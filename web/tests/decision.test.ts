@@ -1,0 +1,135 @@
+import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
+import { ApiError, type Answer } from '../src/lib/api/client';
+import type { Escalation, Params, Verdict } from '../src/lib/api/documents';
+import { checkOf, mayApprove, readEdit, rowsOf } from '../src/lib/live/edit';
+import { Decision } from '../src/lib/live/decision.svelte';
+import { escalation, invocation } from './samples';
+
+const SCHEMA = { force_n: { minimum: 2, maximum: 140 }, speed_mps: { minimum: 0.02, maximum: 2 } };
+const EFFECTIVE = escalation().effective;
+
+function verdict(of: Partial<Verdict>): Verdict {
+  return { ...invocation(), status: 'awaiting_approval', ...of };
+}
+
+describe('what was typed', () => {
+  it('is an edit only where it differs from what is asked', () => {
+    expect(readEdit({ force_n: '60', speed_mps: '0.1' }, EFFECTIVE, SCHEMA).params).toEqual({ speed_mps: 0.1 });
+  });
+
+  it('may use a decimal comma', () => {
+    expect(readEdit({ speed_mps: '0,1' }, EFFECTIVE, SCHEMA).params).toEqual({ speed_mps: 0.1 });
+  });
+
+  it.each(['', 'fast', '1e9', '0x10', 'NaN', 'Infinity', '--1'])('is refused when it is no plain number: %j', (text) => {
+    expect(readEdit({ speed_mps: text }, EFFECTIVE, SCHEMA)).toEqual({ params: {}, faults: { speed_mps: 'a number, please' } });
+  });
+
+  it('is refused outside the schema', () => {
+    expect(readEdit({ speed_mps: '2.5', force_n: '1' }, EFFECTIVE, SCHEMA).faults).toEqual({ speed_mps: 'at most 2', force_n: 'at least 2' });
+  });
+});
+
+describe('the rows', () => {
+  it('offer numbers of a proposal for editing, and nothing of a session under way', () => {
+    expect(rowsOf(escalation()).filter((row) => row.editable).map((row) => row.name)).toEqual(['force_n', 'speed_mps']);
+    expect(rowsOf(escalation({ kind: 'session' })).some((row) => row.editable)).toBe(false);
+  });
+});
+
+describe('what policy says to an edit', () => {
+  const wanted: Params = { ...EFFECTIVE, speed_mps: 0.1 };
+
+  it('is allowed where a person would be asked about exactly this', () => {
+    expect(checkOf(verdict({ effective: wanted }), wanted)).toEqual({ is: 'allowed' });
+  });
+
+  it('names what policy cuts further', () => {
+    expect(checkOf(verdict({ effective: { ...wanted, force_n: 20 } }), wanted)).toEqual({ is: 'cut', to: { force_n: 20 } });
+  });
+
+  it('cannot be approved where policy refuses it, or while it is not known', () => {
+    const refused = checkOf(verdict({ status: 'denied' }), wanted);
+    expect(refused.is).toBe('refused');
+    expect([refused, { is: 'checking' } as const, { is: 'faulty' } as const].map(mayApprove)).toEqual([false, false, false]);
+  });
+});
+
+describe('a decision', () => {
+  let sent: Answer[];
+  let checks: ((verdict: Verdict) => void)[];
+  let reply: () => Promise<Escalation>;
+
+  beforeEach(() => {
+    vi.useFakeTimers();
+    sent = [];
+    checks = [];
+    reply = () => Promise.resolve(escalation({ status: 'approved' }));
+  });
+  afterEach(() => vi.useRealTimers());
+
+  function decide(): Decision {
+    return new Decision(
+      {
+        check: () => new Promise((resolve) => checks.push(resolve)),
+        resolve: (_, answer) => {
+          sent.push(answer);
+          return reply();
+        },
+      },
+      escalation(),
+      () => ({ schema: SCHEMA, cell: 'workcell-1' }),
+    );
+  }
+
+  it('approves what is shown, bound to its digest', async () => {
+    await decide().approve();
+    expect(sent).toEqual([{ decision: 'approve', digest: 'sha256:1' }]);
+  });
+
+  it('does not approve an edit before policy has allowed it', async () => {
+    const decision = decide();
+    decision.type('speed_mps', '0.1');
+    await decision.approve();
+    expect([sent.length, decision.check.is]).toEqual([0, 'checking']);
+    await vi.advanceTimersByTimeAsync(300);
+    checks[0]?.(verdict({ effective: { ...EFFECTIVE, speed_mps: 0.1 } }));
+    await vi.advanceTimersByTimeAsync(0);
+    await decision.approve();
+    expect(sent).toEqual([{ decision: 'approve', digest: 'sha256:1', params: { speed_mps: 0.1 } }]);
+  });
+
+  it('does not take the answer to an earlier edit for the answer to this one', async () => {
+    const decision = decide();
+    decision.type('speed_mps', '0.1');
+    await vi.advanceTimersByTimeAsync(300);
+    decision.type('speed_mps', '0.2');
+    checks[0]?.(verdict({ effective: { ...EFFECTIVE, speed_mps: 0.1 } }));
+    await vi.advanceTimersByTimeAsync(0);
+    expect(decision.check.is).toBe('checking');
+  });
+
+  it('forgets an edit when the question has become another', () => {
+    const decision = decide();
+    decision.type('speed_mps', '0.1');
+    decision.update(escalation({ digest: 'sha256:other' }));
+    expect([decision.edited, decision.check.is]).toEqual([false, 'untouched']);
+  });
+
+  it('denies with a code, and with a half-typed edit as well', async () => {
+    const decision = decide();
+    decision.code = 'person_in_the_way';
+    decision.type('speed_mps', 'x');
+    await decision.deny();
+    expect(sent).toEqual([{ decision: 'deny', digest: 'sha256:1', code: 'person_in_the_way' }]);
+  });
+
+  it('is sent once, and says in words why the server would not have it', async () => {
+    reply = () => Promise.reject(new ApiError({ title: '', status: 409, detail: 'x', code: 'already_resolved' }));
+    const decision = decide();
+    const first = decision.deny();
+    await decision.deny();
+    await first;
+    expect([sent.length, decision.problem]).toEqual([1, 'Somebody has answered this already.']);
+  });
+});

@@ -1,0 +1,125 @@
+import { describe, expect, it } from 'vitest';
+import { titleOf } from '../src/lib/format/capability';
+import { eventLine } from '../src/lib/format/events';
+import { labelOf, unitOf, valueOf } from '../src/lib/format/quantity';
+import { robotSays } from '../src/lib/format/status';
+import { countdown, elapsed, left } from '../src/lib/format/time';
+import { isStop, Keys } from '../src/lib/keys/keys';
+import { dashes } from '../src/lib/scene/overlay';
+import { hatch } from '../src/lib/scene/ground';
+import { fromSnapshot, merged, NOTHING } from '../src/lib/state/documents';
+import { cell, escalation, event, scene } from './samples';
+
+const key = (name: string, more: object = {}) => ({ key: name, repeat: false, ctrlKey: false, metaKey: false, altKey: false, defaultPrevented: false, ...more });
+
+describe('times', () => {
+  it('count down to zero and not below it', () => {
+    expect([countdown(84_000), countdown(83_001), countdown(0), countdown(-5_000), countdown(3_725_000)]).toEqual(['1:24', '1:24', '0:00', '0:00', '1:02:05']);
+  });
+
+  it('count up in whole seconds that are over', () => {
+    expect([elapsed(46_900), elapsed(-3)]).toEqual(['0:46', '0:00']);
+  });
+
+  it('are said in minutes or seconds', () => {
+    expect([left(660_000), left(40_000)]).toEqual(['11 min left', '40 s left']);
+  });
+});
+
+describe('quantities', () => {
+  it('have the unit and the digits of their name', () => {
+    expect([unitOf('speed_mps'), unitOf('force_n'), unitOf('residual_nm'), unitOf('object_id')]).toEqual(['m/s', 'N', 'N·m', '']);
+    expect([valueOf('speed_mps', 0.5), valueOf('force_n', 17.62), valueOf('force_n', 60), valueOf('x', null)]).toEqual(['0.50', '17.6', '60', '–']);
+    expect([labelOf('force_n'), labelOf('travel_time_s')]).toEqual(['Grip force', 'Travel time']);
+  });
+});
+
+describe('words', () => {
+  it('say what a proposal would do', () => {
+    expect(titleOf('transport_object', { target: 'bench_b_stand' }, 'glass_1')).toBe('Carry glass_1 to bench_b');
+    expect(titleOf('polish_lens', {})).toBe('Polish lens');
+  });
+
+  it('tell events', () => {
+    expect(eventLine(event('alert', { rule: 'separation', signal: 'VIOLATION', value: 0.972, threshold: 1.021 })).text).toBe('Separation 0.97 m, limit 1.02 m');
+    expect(eventLine(event('outcome', { outcome: 'stopped', failure: 'object_lost' }))).toMatchObject({ tone: 'danger', strong: 'Stopped', text: ', object lost' });
+    expect(eventLine(event('something_new', {})).text).toBe('Something new');
+  });
+
+  it('put the gravest thing a robot says first', () => {
+    expect(robotSays(cell({ latched: true, status: 'running' })).text).toBe('Stopped, latched');
+    expect(robotSays(cell({ online: false, status: 'running' })).text).toBe('Not heard');
+    expect(robotSays(cell({ status: 'paused' })).text).toBe('Paused, holding');
+  });
+});
+
+describe('the keyboard', () => {
+  it('stops with a full stop from anywhere, and while typing with Ctrl or Cmd', () => {
+    expect([isStop(key('.'), false), isStop(key('.'), true), isStop(key('.', { ctrlKey: true }), true), isStop(key('.', { metaKey: true }), true)]).toEqual([true, false, true, true]);
+  });
+
+  it('runs no shortcut while typing, with a modifier, or for a key that repeats', () => {
+    const keys = new Keys();
+    const ran: string[] = [];
+    keys.on('a', 'approve', () => ran.push('a'));
+    expect([keys.press(key('a'), true), keys.press(key('a', { ctrlKey: true }), false), keys.press(key('a', { repeat: true }), false)]).toEqual([false, false, false]);
+    expect([keys.press(key('A'), false), ran]).toEqual([true, ['a']]);
+  });
+
+  it('stops once for a key that is held, and swallows the rest', () => {
+    const keys = new Keys();
+    let stops = 0;
+    keys.onStop(() => (stops += 1));
+    expect([keys.press(key('.'), false), keys.press(key('.', { repeat: true }), false), stops]).toEqual([true, true, 1]);
+  });
+
+  it('forgets a shortcut whose part of the page is gone', () => {
+    const keys = new Keys();
+    const undo = keys.on('a', 'one', () => undefined);
+    undo();
+    expect([keys.press(key('a'), false), keys.list()]).toEqual([false, []]);
+  });
+});
+
+describe('what the server said', () => {
+  const changes = { seq: 2, cells: [cell()], invocations: [], escalations: [escalation()], grants: [], reviews: [], events: [event('boot', {})] };
+
+  it('keeps pending questions only', () => {
+    const before = merged(NOTHING, changes);
+    expect(Object.keys(merged(before, { seq: 3, escalations: [escalation({ status: 'denied' })] }).escalations)).toEqual([]);
+  });
+
+  it('takes an event once, and joins a snapshot that goes on where it was', () => {
+    const before = merged(NOTHING, changes);
+    const last = before.events[0];
+    if (last === undefined) throw new Error('the sample has an event');
+    const next = { ...last, seq: last.seq + 1 };
+    expect(merged(before, { seq: 3, events: [last, next] }).events).toEqual([last, next]);
+    expect(fromSnapshot({ ...changes, seq: next.seq, events: [next] }, before).events).toEqual([last, next]);
+  });
+
+  it('does not hide a gap: a snapshot that does not join begins anew', () => {
+    const before = merged(NOTHING, changes);
+    const far = { ...event('boot', {}), seq: 9_000 };
+    expect(fromSnapshot({ ...changes, seq: 9_000, events: [far] }, before).events).toEqual([far]);
+  });
+});
+
+describe('the scene', () => {
+  it('cuts a path into dashes that go round its corners and never leave it', () => {
+    const cut = dashes([[0, 0], [1, 0], [1, 1]], 0.2, 0.1);
+    const length = cut.reduce((sum, [[ax, ay], [bx, by]]) => sum + Math.hypot(bx - ax, by - ay), 0);
+    expect(length).toBeCloseTo(1.4, 5); // 2 m of path, two thirds of each 0.3 m drawn, and the last 0.2 m
+    expect(cut.flat().every(([x, y]) => y === 0 || x === 1)).toBe(true);
+  });
+
+  it('hatches a zone within its edges', () => {
+    const zone = scene.zones[0];
+    const points = hatch(zone?.polygon ?? []);
+    expect(points.length).toBeGreaterThan(60);
+    for (let k = 0; k < points.length; k += 3) {
+      expect(points[k]).toBeGreaterThanOrEqual(4.6 - 1e-9);
+      expect(points[k]).toBeLessThanOrEqual(6.2 + 1e-9);
+    }
+  });
+});

@@ -1,0 +1,77 @@
+import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
+import { gamepadAxes } from '../src/lib/jog/bindings';
+import { HoldToRun, type Command, type Speeds } from '../src/lib/jog/hold';
+
+const SPEEDS: Speeds = { base_x: 0.2, base_y: 0.2, base_yaw: 0.4, tool_x: 0.1, tool_y: 0.1, tool_z: 0.1 };
+const STILL: Command = { base: [0, 0, 0], tool: [0, 0, 0], grip: null };
+
+describe('hold to run', () => {
+  let said: { at: number; command: Command }[];
+  let hold: HoldToRun;
+
+  beforeEach(() => {
+    vi.useFakeTimers({ now: 0 });
+    said = [];
+    hold = new HoldToRun((command) => said.push({ at: Date.now(), command }), SPEEDS);
+  });
+  afterEach(() => vi.useRealTimers());
+
+  it('speaks at once, then at least ten times a second while a key is held', () => {
+    hold.hold('ArrowUp', 'base_x', 1);
+    vi.advanceTimersByTime(1000);
+    expect(said[0]).toEqual({ at: 0, command: { ...STILL, base: [0.2, 0, 0] } });
+    const gaps = said.slice(1).map((word, k) => word.at - (said[k]?.at ?? 0));
+    expect(said.length).toBeGreaterThanOrEqual(11);
+    expect(Math.max(...gaps)).toBeLessThan(100);
+  });
+
+  it('says zero at once on release, and then nothing more', () => {
+    hold.hold('ArrowUp', 'base_x', 1);
+    vi.advanceTimersByTime(120);
+    hold.release('ArrowUp');
+    expect(said.at(-1)).toEqual({ at: 120, command: STILL });
+    const count = said.length;
+    vi.advanceTimersByTime(1000);
+    expect([said.length, hold.running]).toEqual([count, false]);
+  });
+
+  it('goes on with what is still held', () => {
+    hold.hold('ArrowUp', 'base_x', 1);
+    hold.hold('KeyQ', 'base_yaw', 1);
+    hold.release('ArrowUp');
+    expect(said.at(-1)?.command.base).toEqual([0, 0, 0.4]);
+    expect(hold.running).toBe(true);
+  });
+
+  it('lets two sources on one axis never exceed its speed, and opposite ones cancel', () => {
+    hold.hold('ArrowUp', 'base_x', 1);
+    hold.hold('pad', 'base_x', 1);
+    expect(hold.command().base[0]).toBe(0.2);
+    hold.hold('ArrowDown', 'base_x', -1);
+    hold.release('pad');
+    expect(hold.command().base[0]).toBe(0);
+  });
+
+  it('lets go of everything when the window is left', () => {
+    hold.hold('ArrowUp', 'base_x', 1);
+    hold.holdGrip('close');
+    hold.releaseAll();
+    expect(said.at(-1)?.command).toEqual(STILL);
+    expect(hold.running).toBe(false);
+  });
+
+  it('says nothing when there is nothing to let go of', () => {
+    hold.releaseAll();
+    hold.release('ArrowUp');
+    hold.hold('gamepad base_x', 'base_x', 0);
+    expect(said).toEqual([]);
+  });
+});
+
+describe('a gamepad', () => {
+  it('rests inside its dead zone, and reaches full deflection', () => {
+    const rest = gamepadAxes({ axes: [0.1, -0.1, 0.05, 0.17], buttons: [] });
+    expect(Object.values(rest).every((value) => value === 0)).toBe(true);
+    expect(gamepadAxes({ axes: [0, -1, 0, 0], buttons: [] }).base_x).toBeCloseTo(1);
+  });
+});

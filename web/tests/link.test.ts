@@ -1,0 +1,136 @@
+import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
+import { Connection, type Health, type Listener } from '../src/lib/socket/connection';
+import { retryMs, SILENT_MS, Watchdog } from '../src/lib/socket/watchdog';
+
+/** A socket whose other end the test plays. */
+class PlayedSocket {
+  readyState = 0;
+  binaryType = '';
+  sent: Record<string, unknown>[] = [];
+  onopen: (() => void) | null = null;
+  onmessage: ((event: { data: string }) => void) | null = null;
+  onclose: ((event: { code: number; reason: string }) => void) | null = null;
+
+  send(text: string): void {
+    this.sent.push(JSON.parse(text) as Record<string, unknown>);
+  }
+  close(): void {
+    this.readyState = 3; // and no close event: a network that went away sends none
+  }
+  open(): void {
+    this.readyState = 1;
+    this.onopen?.();
+  }
+  say(message: object): void {
+    this.onmessage?.({ data: JSON.stringify(message) });
+  }
+}
+
+describe('the watchdog', () => {
+  it('calls the link down within a second of silence', () => {
+    const dog = new Watchdog(0);
+    dog.heard(1_000);
+    expect([dog.state(1_000 + SILENT_MS), dog.state(1_999)]).toEqual(['up', 'down']);
+  });
+
+  it('is not reassured by what an earlier socket said', () => {
+    const dog = new Watchdog(0);
+    dog.heard(1_000);
+    dog.opened(1_100);
+    expect(dog.state(1_150)).toBe('connecting');
+  });
+
+  it('waits longer after each failure, up to a bound', () => {
+    const waits = [0, 1, 2, 3, 8, 50].map((attempt) => retryMs(attempt, 0.5));
+    expect(waits).toEqual([250, 500, 1_000, 2_000, 4_000, 4_000]);
+  });
+});
+
+describe('the connection', () => {
+  let sockets: PlayedSocket[];
+  let health: Health[];
+  let refused: string[];
+  let connection: Connection;
+
+  beforeEach(() => {
+    vi.useFakeTimers({ now: 0 });
+    sockets = [];
+    health = [];
+    refused = [];
+    const listener: Listener = { message: () => undefined, frame: () => undefined, health: (now) => health.push(now), refused: (why) => refused.push(why) };
+    const make = (): WebSocket => {
+      const socket = new PlayedSocket();
+      sockets.push(socket);
+      return socket as unknown as WebSocket;
+    };
+    connection = new Connection('ws://here/v1/console', 'secret', listener, make, () => Date.now());
+  });
+  afterEach(() => {
+    connection.end();
+    vi.useRealTimers();
+  });
+
+  function welcome(socket: PlayedSocket | undefined): void {
+    socket?.open();
+    socket?.say({ type: 'welcome', version: 1, name: 'operator', role: 'operator', boot: 'b', at: 0 });
+    socket?.say({ type: 'snapshot', seq: 42 });
+  }
+
+  it('signs in with its first frame, the token nowhere else', () => {
+    sockets[0]?.open();
+    expect(sockets[0]?.sent).toEqual([{ type: 'hello', token: 'secret', after: null }]);
+  });
+
+  it('says that a silent link is down within one second, without any close event', () => {
+    welcome(sockets[0]);
+    vi.advanceTimersByTime(500);
+    expect(health.at(-1)?.state).toBe('up');
+    vi.advanceTimersByTime(500);
+    expect(health.at(-1)).toEqual({ state: 'down', rttMs: null, framesPerS: 0 });
+  });
+
+  it('leaves a black hole behind, comes back with what it saw last and watches again', () => {
+    welcome(sockets[0]);
+    connection.send({ type: 'watch', cells: ['workcell-1'] });
+    vi.advanceTimersByTime(4_000);
+    expect(sockets.length).toBe(2);
+    welcome(sockets[1]);
+    expect(sockets[1]?.sent).toEqual([
+      { type: 'hello', token: 'secret', after: 42 },
+      { type: 'watch', cells: ['workcell-1'] },
+    ]);
+    vi.advanceTimersByTime(100);
+    expect(health.at(-1)?.state).toBe('up');
+  });
+
+  it('hears nothing from a socket it has left', () => {
+    welcome(sockets[0]);
+    vi.advanceTimersByTime(4_000);
+    sockets[0]?.say({ type: 'beat', n: 1, at: 0, seq: 42 });
+    vi.advanceTimersByTime(900);
+    expect(health.at(-1)?.state).not.toBe('up');
+  });
+
+  it('measures the line by its pings', () => {
+    welcome(sockets[0]);
+    vi.advanceTimersByTime(500);
+    const ping = sockets[0]?.sent.find((word) => word['type'] === 'ping');
+    vi.advanceTimersByTime(30);
+    sockets[0]?.say({ type: 'pong', at_ms: ping?.['at_ms'] });
+    vi.advanceTimersByTime(100);
+    expect(health.at(-1)?.rttMs).toBe(30);
+  });
+
+  it('never sends late what could not be sent', () => {
+    connection.send({ type: 'jog', cell: 'c', lease: 'l', n: 1, base: [1, 0, 0], tool: [0, 0, 0], grip: null });
+    sockets[0]?.open();
+    expect(sockets[0]?.sent.some((word) => word['type'] === 'jog')).toBe(false);
+  });
+
+  it('gives up on a token that is not valid', () => {
+    sockets[0]?.open();
+    sockets[0]?.onclose?.({ code: 4401, reason: '' });
+    vi.advanceTimersByTime(10_000);
+    expect([refused, sockets.length]).toEqual([['The token is not valid any more.'], 1]);
+  });
+});

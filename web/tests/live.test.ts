@@ -1,0 +1,145 @@
+import { describe, expect, it } from 'vitest';
+import type { Escalation, Invocation, LogEvent, Risk } from '../src/lib/api/documents';
+import { readGauge, type GaugeSpec } from '../src/lib/live/gauges';
+import { History } from '../src/lib/live/history';
+import { stagesOf } from '../src/lib/live/stages';
+import { troubleOf, zonesAt } from '../src/lib/live/trouble';
+import { byUrgency, currentOf } from '../src/lib/live/urgency';
+import { cell, escalation, event, invocation, scene } from './samples';
+
+const NOW = Date.parse('2026-11-22T10:00:00Z');
+const after = (seconds: number): string => new Date(NOW + seconds * 1000).toISOString();
+
+function asked(id: string, risk: Risk, seconds: number, more: Partial<Escalation> = {}): Escalation {
+  return escalation({ id, risk, expires_at: after(seconds), ...more });
+}
+
+function order(items: Escalation[], me: string | null = 'operator'): string[] {
+  return [...items].sort(byUrgency(NOW, me)).map((item) => item.id);
+}
+
+describe('what waits for me is sorted', () => {
+  it('by risk, and within one risk by the nearer deadline', () => {
+    expect(order([asked('low', 'low', 60), asked('later', 'high', 100), asked('sooner', 'high', 90)])).toEqual(['sooner', 'later', 'low']);
+  });
+
+  it('with a robot held in mid-motion before any proposal', () => {
+    expect(order([asked('critical', 'critical', 90), asked('held', 'low', 300, { kind: 'session' })])).toEqual(['held', 'critical']);
+  });
+
+  it('with what lapses within 30 s before everything else', () => {
+    expect(order([asked('held', 'high', 300, { kind: 'session' }), asked('last call', 'low', 20)])).toEqual(['last call', 'held']);
+  });
+
+  it('with what I approved already at the end, for me alone', () => {
+    const mine = asked('mine', 'critical', 90, { approvals: [{ by: 'operator', at: after(0), digest: 'd' }], needed: 2 });
+    expect(order([mine, asked('other', 'low', 90)])).toEqual(['other', 'mine']);
+    expect(order([mine, asked('other', 'low', 90)], 'operator_2')).toEqual(['mine', 'other']);
+  });
+
+  it('the same way whatever order it came in', () => {
+    const twins = [asked('b', 'low', 90), asked('a', 'low', 90), asked('c', 'low', 90, { expires_at: null })];
+    expect(order(twins)).toEqual(order([...twins].reverse()));
+  });
+});
+
+describe('the question that the keys are about', () => {
+  const [first, second] = [asked('first', 'high', 60), asked('second', 'low', 60)];
+
+  it('stays the same while a more urgent one comes in', () => {
+    expect(currentOf([first, second], 'second')).toBe('second');
+  });
+
+  it('is the most urgent one once it is answered', () => {
+    expect(currentOf([first], 'second')).toBe('first');
+    expect(currentOf([], 'second')).toBeNull();
+  });
+});
+
+describe('the stage strip', () => {
+  const states = (of: Partial<Invocation>, log: LogEvent[] = []): string =>
+    stagesOf(invocation(of), log).map((stage) => `${stage.name} ${stage.state}`).join(', ');
+  const note = (name: string, of: Partial<Invocation>, log: LogEvent[] = []): string | undefined =>
+    stagesOf(invocation(of), log).find((stage) => stage.name === name)?.note;
+
+  it('stands at the decision while a person is asked', () => {
+    expect(states({ status: 'awaiting_approval' })).toBe('Goal done, Proposal done, Decision asks, Launch open, Watch open, Recover open, Outcome open');
+  });
+
+  it('stands at watching while it runs, and counts what policy cut', () => {
+    expect(states({ status: 'running' })).toContain('Launch done, Watch now, Recover open');
+    expect(note('Decision', { status: 'running' })).toBe('2 values cut');
+  });
+
+  it('counts violations of this session only', () => {
+    const log = [event('alert', { signal: 'VIOLATION' }), event('alert', { signal: 'WARNING' }), event('alert', { signal: 'VIOLATION' }, 'inv_other')];
+    expect(note('Watch', { status: 'paused' }, log)).toBe('1 violation');
+  });
+
+  it('stands at recovery when a held session asks', () => {
+    expect(states({ status: 'escalated' })).toContain('Recover asks');
+  });
+
+  it('shows where a refused proposal ended', () => {
+    expect(states({ status: 'rejected', outcome: 'rejected', policy: null, admission: { outcome: 'reject', reasons: [] } })).toContain('Proposal bad, Decision open, Launch open');
+    expect(note('Decision', { status: 'denied', outcome: 'expired' })).toBe('expired');
+    expect(states({ status: 'failed', outcome: 'fault' }, [event('launch', { refused: 'signature' })])).toContain('Launch bad');
+  });
+
+  it('ends with what it came to', () => {
+    expect(states({ status: 'completed', outcome: 'recovered' }, [event('recovery', { strategy: 'RETRY' })])).toContain('Recover done, Outcome done');
+    expect(states({ status: 'failed', outcome: 'stopped' })).toContain('Recover skipped, Outcome bad');
+  });
+});
+
+describe('a gauge', () => {
+  const least: GaugeSpec = { key: 's', label: '', unit: 'm', source: 'a', limit: 'b', side: 'least', span: 1 };
+  const most: GaugeSpec = { ...least, side: 'most' };
+  const names = ['b', 'a'];
+
+  it('is beyond its limit as the watcher counts it', () => {
+    expect(readGauge(least, names, [1.02, 1.01]).beyond).toBe(true);
+    expect(readGauge(most, names, [0.25, 0.26]).beyond).toBe(false);
+    expect(readGauge(most, names, [0.25, 0.263]).beyond).toBe(true);
+  });
+
+  it('claims nothing where something is not known', () => {
+    expect(readGauge(least, names, [NaN, 0.2])).toEqual({ value: expect.closeTo(0.2) as number, limit: null, beyond: false, near: false });
+    expect(readGauge(least, ['b'], [1]).value).toBeNull();
+  });
+});
+
+describe('the history of a gauge', () => {
+  it('keeps its window and thins what comes too fast', () => {
+    const history = new History(1, 0.1);
+    for (let k = 0; k <= 300; k += 1) history.push(k / 100, k, null);
+    expect(history.times.length).toBeLessThanOrEqual(11);
+    expect(history.times[0]).toBeGreaterThanOrEqual(1.9);
+  });
+
+  it('begins anew when the clock goes back', () => {
+    const history = new History(10, 0.1);
+    history.push(100, 1, null);
+    history.push(5, 2, null);
+    expect(history.values).toEqual([2]);
+  });
+});
+
+describe('trouble in the scene', () => {
+  const near = { separationM: 0.84, neededM: 1.02, zoneMarginM: 1 };
+
+  it('is a person nearer than the protective separation', () => {
+    expect(troubleOf(cell({ status: 'paused' }), near, scene).words).toEqual({ strong: '0.84 m', text: 'to a person. Robot needs 1.02 m and has stopped moving.' });
+    expect(troubleOf(cell({}), { ...near, separationM: 1.02 }, scene).separation).toBe(false);
+  });
+
+  it('is not claimed from what is not known', () => {
+    expect(troubleOf(cell({}), { separationM: 0.1, neededM: null, zoneMarginM: null }, scene).words).toBeNull();
+  });
+
+  it('names the zone the robot cannot stop outside of', () => {
+    const inside = cell({ facts: { base: [5, 1, 0] } });
+    expect([...troubleOf(inside, { ...near, separationM: 3, zoneMarginM: -0.1 }, scene).zones]).toEqual(['press_area']);
+    expect(zonesAt(scene, 1, 1)).toEqual([]);
+  });
+});
