@@ -109,7 +109,7 @@ function policy(body: Body): Line {
 }
 
 function firstMessage(body: Body): string {
-  return str(obj(list(body['reasons'])[0])['message']);
+  return str(obj(list(body['reasons'])[0])['message']).replaceAll('`', '');
 }
 
 function admission(body: Body): Line {
@@ -158,6 +158,9 @@ const ORDERS: Record<string, string> = {
   cancel: 'cancelled the session',
   takeover: 'took the controls',
   release: 'handed the controls back',
+  jog: 'is driven by hand',
+  let_go: 'is at rest again',
+  control_lapsed: 'ended the lease: its holder fell silent',
 };
 
 function human(body: Body, event: LogEvent): Line {

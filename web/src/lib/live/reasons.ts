@@ -15,6 +15,7 @@ const HELD: Record<string, string> = {
   stale: 'A sensor has gone silent.',
   implausible: 'A sensor says what cannot be.',
   retries: 'The tries that policy allows are used up.',
+  control_lapsed: 'Whoever drove by hand fell silent.',
   confirm: 'Policy wants a person to confirm the next phase.',
 };
 
