@@ -13,6 +13,7 @@ from app.evaluation.metrics import measure
 from app.evaluation.model import TUNING_SEEDS, Row, Violation
 from app.evaluation.physical_rows import SIGNALS, Class
 from app.evaluation.physical_trial import Change, Trial, twinned
+from app.governance.model import Intervention
 from app.governance.watcher import without
 from app.sim.world import CRATE_HALF_M
 from tests.evaluation.physical_world import bench, ran, trial
@@ -26,15 +27,21 @@ LOST = 0.25
 
 @cache
 def trials(violation: Violation) -> tuple[Trial, ...]:
-    """The first trials of a type whose fault took, beyond the boundary band."""
+    """The first trials of a type whose fault took, beyond the boundary band, one at least where policy intervenes."""
     found: list[Trial] = []
     number = 0
-    while len(found) < COUNT:
+    while len(found) < COUNT or not any(acts(one, violation) for one in found):
         one = trial(SEED, number, violation)
         number += 1
         if one.occurred and not one.boundary:
             found.append(one)
     return tuple(found)
+
+
+def acts(one: Trial, violation: Violation) -> bool:
+    """Say whether policy does more than warn of it."""
+    rules = (rule for rule in one.plan.rules if rule.signal in SIGNALS[violation])
+    return any(rule.response.enter is not Intervention.CONTINUE for rule in rules)
 
 
 def blind(violation: Violation) -> Change:
