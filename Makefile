@@ -36,7 +36,7 @@ demo: $(STAMP) console  ## the paper's Algorithm 1, live, in a simulated workcel
 run: $(STAMP) console  ## a server with one simulated cell and a demo agent; keeps running
 	@$(BIN)/reins demo --keep --port 8000
 
-test: $(STAMP)  ## the whole test suite; what decides and what proves covered to the last branch
+test: $(STAMP) console  ## the whole test suite; what decides and what proves covered to the last branch
 	@$(BIN)/python web/build.py test
 	@$(BIN)/coverage run -m pytest $(MEASURED)
 	@$(BIN)/coverage report
