@@ -70,6 +70,8 @@ ACCESS: Mapping[tuple[str, str], frozenset[Role] | None] = {
     ("GET", "/v1/audit/events"): PEOPLE,
     ("GET", "/v1/audit/checkpoint"): PEOPLE,
     ("GET", "/v1/audit/verify"): PEOPLE,
+    ("GET", "/v1/audit/telemetry/{id}"): PEOPLE,
+    ("GET", "/v1/audit/telemetry/{id}/mcap"): PEOPLE,
     ("GET", "/v1/events"): PEOPLE,
     (WEBSOCKET, "/v1/cells/{id}/link"): frozenset({CELL}),
     (WEBSOCKET, "/v1/console"): PEOPLE,

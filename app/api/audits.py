@@ -12,10 +12,11 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
 import orjson
+from fastapi import Path as InPath
 from fastapi import Query
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from starlette.requests import Request
-from starlette.responses import Response, StreamingResponse
+from starlette.responses import FileResponse, Response, StreamingResponse
 
 from app.api import documents
 from app.api.access import caller
@@ -23,6 +24,8 @@ from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
 from app.api.problems import Problem
 from app.audit.checkpoint import parse_checkpoint
+from app.audit.errors import RecordDamaged
+from app.audit.telemetry_reading import read_telemetry, telemetry_file
 from app.clock import parse_rfc3339, rfc3339
 
 if TYPE_CHECKING:
@@ -41,6 +44,8 @@ HEARTBEAT_S = 10.0
 HEARTBEAT = b": still here\n\n"
 RETRY_MS = 1000
 STREAM = "text/event-stream"
+MCAP = "application/octet-stream"
+MAX_ROWS = 5000
 
 
 def _moment(text: str) -> str:
@@ -49,6 +54,7 @@ def _moment(text: str) -> str:
     return moment
 
 
+Identifier = Annotated[str, InPath(min_length=1, max_length=128)]
 Filter = Annotated[str | None, Field(min_length=1, max_length=128)]
 Moment = Annotated[str, Field(max_length=40, examples=["2026-03-01T09:30:00.250Z"]), AfterValidator(_moment)]
 
@@ -65,6 +71,24 @@ class EventQuery(BaseModel):
     until: Moment | None = Field(default=None, description="RFC 3339, excluded.")
     after: Annotated[int, Field(ge=0, le=MAX_SEQ, description="The last `seq` already seen.")] = 0
     limit: Annotated[int, Field(ge=1, le=MAX_EVENTS)] = 100
+
+
+class PartQuery(BaseModel):
+    """Which of a session's telemetry files."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    part: Annotated[
+        int, Field(ge=1, le=MAX_EVENTS, description="A session that outlived a server goes on in a second file.")
+    ] = 1
+
+
+class TelemetryQuery(PartQuery):
+    """Which of a session's telemetry files, and how finely."""
+
+    rows: Annotated[
+        int, Field(ge=1, le=MAX_ROWS, description="At most so many rows, evenly chosen, and the last one.")
+    ] = 2000
 
 
 class StreamQuery(BaseModel):
@@ -112,6 +136,51 @@ async def verify(request: Request) -> Response:
     parts = parts_of(request)
     async with parts.verifying:  # it reads everything there is: one at a time
         return answer(asdict(await parts.store.verify()))
+
+
+async def telemetry(request: Request, id: Identifier, query: Annotated[TelemetryQuery, Query()]) -> Response:
+    """Return what was measured during a session as columns by channel, and whether the file is as it was recorded.
+
+    `parts` says how many files the session left; a value that was not known is null.
+    """
+    parts = parts_of(request)
+    event, count = await _telemetry_event(request, id, query.part)
+    try:
+        async with parts.replaying:  # decoding is work: one at a time
+            found = await asyncio.to_thread(read_telemetry, parts.store.places.telemetry, event, limit=query.rows)
+    except RecordDamaged as error:
+        detail = f"the telemetry of `{id}` is not what was recorded: {error.__cause__}"
+        raise Problem("telemetry_damaged", detail) from error
+    if found is None:
+        raise _no_telemetry(id, query.part)
+    document = asdict(found)
+    start_at = rfc3339(document.pop("start_s"))
+    return answer({"invocation": id, "part": query.part, "parts": count, "start_at": start_at, **document})
+
+
+async def telemetry_mcap(request: Request, id: Identifier, query: Annotated[PartQuery, Query()]) -> Response:
+    """Return a session's telemetry file as it lies on the disk: MCAP, which Foxglove opens."""
+    event, _ = await _telemetry_event(request, id, query.part)
+    path = telemetry_file(parts_of(request).store.places.telemetry, event)
+    if path is None:
+        raise _no_telemetry(id, query.part)
+    return FileResponse(path, media_type=MCAP, filename=path.name)
+
+
+async def _telemetry_event(request: Request, invocation: str, part: int) -> tuple[Event, int]:
+    """Return the event that vouches for a session's telemetry file, and how many such events there are.
+
+    Raises:
+        Problem: 404 `telemetry_unknown`.
+    """
+    found = await parts_of(request).store.events(invocation=invocation, kind="telemetry", limit=MAX_EVENTS)
+    if len(found) < part:
+        raise _no_telemetry(invocation, part)
+    return found[part - 1], len(found)
+
+
+def _no_telemetry(invocation: str, part: int) -> Problem:
+    return Problem("telemetry_unknown", f"`{invocation}` has no telemetry file `{part}`: nothing ran, or it still runs")
 
 
 async def stream(request: Request, query: Annotated[StreamQuery, Query()]) -> Response:
@@ -191,6 +260,18 @@ def register(router: APIRouter) -> None:
         Answers(model=documents.CheckpointDocument, codes=("log_empty",)),
     )
     declare(router, "GET /v1/audit/verify", verify, Answers(model=documents.VerificationDocument))
+    declare(
+        router,
+        "GET /v1/audit/telemetry/{id}",
+        telemetry,
+        Answers(model=documents.TelemetryDocument, codes=("request_invalid", "telemetry_unknown", "telemetry_damaged")),
+    )
+    declare(
+        router,
+        "GET /v1/audit/telemetry/{id}/mcap",
+        telemetry_mcap,
+        Answers(model=documents.McapFile, media_type=MCAP, codes=("request_invalid", "telemetry_unknown")),
+    )
     declare(
         router,
         "GET /v1/events",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, RootModel
 
 from app.governance.model import AdmissionOutcome, Outcome, PolicyOutcome, Risk, Status
 
@@ -412,6 +412,32 @@ class VerificationDocument(Document):
     checkpoint: str | None
     first_bad: int | None
     problem: str | None
+
+
+class TelemetryDocument(Document):
+    """What was measured during a session: values by channel, every `every`-th of the file's `rows` and the last one.
+
+    `intact` says whether the file is the one whose digest the log holds. Times are the channel `time_s`, in seconds;
+    the first row was at `start_at`.
+    """
+
+    invocation: str
+    part: int
+    parts: int
+    file: str
+    sha256: str
+    intact: bool
+    start_at: str
+    rows: int
+    every: int
+    units: dict[str, str]
+    columns: dict[str, list[float | None]]
+
+
+class McapFile(RootModel[str]):
+    """A telemetry file."""
+
+    model_config = ConfigDict(json_schema_extra={"format": "binary"})
 
 
 class SittingDocument(Document):

@@ -49,6 +49,7 @@ class Parts:
     policy: Callable[[], PolicySet]
     principals: Principals
     verifying: asyncio.Lock = field(default_factory=asyncio.Lock)
+    replaying: asyncio.Lock = field(default_factory=asyncio.Lock)
     streams: Seats = field(default_factory=lambda: Seats(code="too_many_streams", limit=MAX_STREAMS, each=EACH_STREAMS))
     waits: Seats = field(default_factory=lambda: Seats(code="too_many_waits", limit=MAX_WAITS, each=EACH_WAITS))
     consoles: Seats = field(

@@ -44,6 +44,8 @@ EXPECTED = {
     "GET /v1/audit/events": "oeu",
     "GET /v1/audit/checkpoint": "oeu",
     "GET /v1/audit/verify": "oeu",
+    "GET /v1/audit/telemetry/{id}": "oeu",
+    "GET /v1/audit/telemetry/{id}/mcap": "oeu",
     "GET /v1/events": "oeu",
     "WS /v1/cells/{id}/link": "c",
     "WS /v1/console": "oeu",

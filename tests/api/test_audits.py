@@ -2,13 +2,17 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 from collections.abc import AsyncIterator
+from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 
 from app.api import audits
+from app.audit.event import EventDraft
+from app.audit.telemetry import TelemetryWriter, channels
 from tests.api.conftest import House
 
 pytestmark = pytest.mark.anyio
@@ -128,3 +132,57 @@ async def test_a_quiet_stream_says_that_it_is_there(house: House, monkeypatch: p
         async for event in events_of(answer):
             if not event:
                 break
+
+
+async def record(house: House, invocation: str, rows: int) -> Path:
+    """Leave a telemetry file and the event that vouches for it, as a finished session does."""
+    path = house.runtime.store.places.telemetry / f"{invocation}.mcap"
+    writer = TelemetryWriter(path, channels(("time_s", "base_x_m", "separation_m")), start_wall_s=1_700_000_000.25)
+    writer.write_rows([(5 + n / 100, n / 10, math.inf) for n in range(rows)])
+    body = (await writer.aclose()).body()
+    await house.runtime.store.append([EventDraft(kind="telemetry", actor="server", invocation=invocation, body=body)])
+    return path
+
+
+async def test_telemetry_comes_as_columns_thinned_out_evenly_to_the_last_row(house: House) -> None:
+    await record(house, "inv_thin", 100)
+    async with house.client("auditor") as auditor:
+        found = (await auditor.get("/v1/audit/telemetry/inv_thin?rows=10")).json()
+    assert (found["rows"], found["every"], found["parts"], found["intact"]) == (100, 10, 1, True)
+    assert found["start_at"] == "2023-11-14T22:13:20.250Z"
+    assert found["columns"]["base_x_m"] == [*range(10), pytest.approx(9.9)]
+    assert found["columns"]["separation_m"] == [None] * 11
+    assert found["units"] == {"time_s": "s", "base_x_m": "m", "separation_m": "m"}
+
+
+async def test_telemetry_says_when_its_file_is_not_the_one_recorded(house: House) -> None:
+    path = await record(house, "inv_swapped", 20)
+    other = await record(house, "inv_other", 30)
+    other.replace(path)
+    async with house.client("operator") as operator:
+        found = (await operator.get("/v1/audit/telemetry/inv_swapped")).json()
+        path.write_bytes(b"nothing of the kind")
+        broken = await operator.get("/v1/audit/telemetry/inv_swapped")
+    assert (found["rows"], found["intact"]) == (30, False)
+    assert (broken.status_code, broken.json()["code"]) == (500, "telemetry_damaged")
+    assert str(house.folder) not in broken.text
+
+
+async def test_telemetry_is_downloaded_byte_for_byte(house: House) -> None:
+    path = await record(house, "inv_whole", 20)
+    async with house.client("engineer") as engineer:
+        answer = await engineer.get("/v1/audit/telemetry/inv_whole/mcap")
+    assert answer.content == path.read_bytes()
+    assert answer.headers["content-disposition"] == 'attachment; filename="inv_whole.mcap"'
+
+
+@pytest.mark.parametrize(
+    "path", ["inv_none", "inv_none/mcap", "inv_thin?part=900", "inv_lost", "inv_lost/mcap", "inv_out", "inv_out/mcap"]
+)
+async def test_says_where_there_is_no_telemetry(house: House, path: str) -> None:
+    (await record(house, "inv_lost", 5)).unlink()
+    outside = EventDraft(kind="telemetry", actor="server", invocation="inv_out", body={"file": "../log.key"})
+    await house.runtime.store.append([outside])
+    async with house.client("auditor") as auditor:
+        answer = await auditor.get(f"/v1/audit/telemetry/{path}")
+    assert (answer.status_code, answer.json()["code"]) == (404, "telemetry_unknown")
