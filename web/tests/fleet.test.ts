@@ -1,0 +1,52 @@
+import { describe, expect, it } from 'vitest';
+import type { Cell } from '../src/lib/api/documents';
+import { differences } from '../src/lib/fleet/profiles';
+import { heard, profileBarrier, resetBarrier, samePolicy } from '../src/lib/fleet/rights';
+
+const cell = (over: Partial<Cell> = {}): Cell => ({
+  id: 'workcell-1', online: true, latched: true, profile: 'human-shared', busy: null, status: null, holding_link: false, robot: null, policy_version: 'sha256:1', facts: null, gauges: {}, ...over,
+});
+const STRICT = { sensitivity: 0.9, limits: { tcp_speed_mps: { max: 0.25 }, payload_kg: { max: 3 } }, authority: { modes: ['approval-required'] } };
+const LOOSE = { sensitivity: 0.3, limits: { tcp_speed_mps: { max: 1.5 }, payload_kg: { max: 3 } }, authority: { modes: ['review-only'] } };
+
+describe('who may act', () => {
+  it.each([
+    ['operator', true, true],
+    ['engineer', true, false],
+    ['auditor', false, false],
+    [null, false, false],
+  ])('%s: profile %s, reset %s', (role, profile, reset) => {
+    expect(profileBarrier({ role, live: true }) === null).toBe(profile);
+    expect(resetBarrier({ role, live: true, cell: cell() }) === null).toBe(reset);
+  });
+
+  it('nobody does while the link is down', () => {
+    expect(profileBarrier({ role: 'operator', live: false })).toContain('link is down');
+    expect(resetBarrier({ role: 'operator', live: false, cell: cell() })).toContain('link is down');
+  });
+});
+
+describe('a cell', () => {
+  it('is heard, holding, or silent', () => {
+    expect([cell(), cell({ holding_link: true }), cell({ online: false, holding_link: true })].map((it) => heard(it).tone)).toEqual(['ok', 'warn', 'danger']);
+  });
+
+  it('may run on another policy than the one in force', () => {
+    expect([samePolicy(cell(), 'sha256:1'), samePolicy(cell(), 'sha256:2'), samePolicy(cell({ policy_version: null }), 'sha256:1')]).toEqual([true, false, null]);
+  });
+});
+
+describe('a change of profile', () => {
+  it('says what becomes looser', () => {
+    expect(differences(STRICT, LOOSE)).toEqual([
+      { what: 'Tool speed, at most', from: '0.25 m/s', to: '1.50 m/s', looser: true },
+      { what: 'Watcher sensitivity', from: '0.9', to: '0.3', looser: true },
+      { what: 'Asking people', from: 'approval-required', to: 'nobody is asked', looser: true },
+    ]);
+  });
+
+  it('calls nothing looser on the way back, and nothing changed to itself', () => {
+    expect(differences(LOOSE, STRICT).some(({ looser }) => looser)).toBe(false);
+    expect(differences(STRICT, STRICT)).toEqual([]);
+  });
+});
