@@ -1,6 +1,7 @@
 import type {
   Capability,
   Cell,
+  Checkpoint,
   Control,
   Escalation,
   Grant,
@@ -12,7 +13,9 @@ import type {
   Problem,
   Review,
   ReviewVerdict,
+  Telemetry,
   Verdict,
+  Verification,
 } from './documents';
 
 /** The server's refusal of a request, or `unreachable` where no answer came. */
@@ -31,6 +34,7 @@ export class ApiError extends Error {
 const UNREACHABLE: Problem = { title: 'No answer', status: 0, detail: 'The server did not answer.', code: 'unreachable' };
 const PATIENCE_MS = 10_000;
 const STOP_PATIENCE_MS = 1_500;
+const LONG_PATIENCE_MS = 120_000;
 
 type Method = 'GET' | 'POST' | 'PUT' | 'DELETE';
 
@@ -62,6 +66,15 @@ export class Api {
   }
 
   async call<T>(method: Method, path: string, body?: unknown, patienceMs = PATIENCE_MS): Promise<T> {
+    const response = await this.send(method, path, body, patienceMs);
+    try {
+      return (await response.json()) as T;
+    } catch {
+      throw new ApiError({ ...UNREACHABLE, detail: 'The server broke off within its answer.' });
+    }
+  }
+
+  private async send(method: Method, path: string, body: unknown, patienceMs: number): Promise<Response> {
     const headers: Record<string, string> = { Authorization: `Bearer ${this.token}` };
     if (body !== undefined) headers['Content-Type'] = 'application/json';
     let response: Response;
@@ -77,11 +90,7 @@ export class Api {
       throw new ApiError(UNREACHABLE);
     }
     if (!response.ok) throw new ApiError(await problemOf(response));
-    try {
-      return (await response.json()) as T;
-    } catch {
-      throw new ApiError({ ...UNREACHABLE, detail: 'The server broke off within its answer.' });
-    }
+    return response;
   }
 
   cells = (): Promise<List<Cell>> => this.get('/v1/cells');
@@ -91,7 +100,7 @@ export class Api {
   invocation = (id: string): Promise<Invocation> => this.get(`/v1/invocations/${seg(id)}`);
 
   /** `as` is the agent whose permissions apply; an operator checks an edit on the agent's behalf. */
-  check = (proposal: { capability: string; params: Params; cell?: string | null; agent?: string }): Promise<Verdict> =>
+  check = (proposal: { capability: string; params: Params; cell?: string | null; agent?: string; mode?: string; metadata?: Params }): Promise<Verdict> =>
     this.call('POST', '/v1/check', proposal);
 
   resolve = (id: string, answer: Answer): Promise<Escalation> =>
@@ -109,6 +118,16 @@ export class Api {
     this.call('POST', `/v1/cells/${seg(cell)}/reset`, { step: 'confirm', code });
   setProfile = (cell: string, profile: string): Promise<Cell> =>
     this.call('PUT', `/v1/cells/${seg(cell)}/profile`, { profile });
+
+  events = (query: URLSearchParams): Promise<List<LogEvent>> => this.get(`/v1/audit/events?${query}`);
+  invocations = (query: URLSearchParams): Promise<List<Invocation>> => this.get(`/v1/invocations?${query}`);
+  checkpoint = (): Promise<Checkpoint> => this.get('/v1/audit/checkpoint');
+  /** Recomputes the whole log, which may take a while. */
+  verify = (): Promise<Verification> => this.call('GET', '/v1/audit/verify', undefined, LONG_PATIENCE_MS);
+  telemetry = (id: string, part = 1): Promise<Telemetry> =>
+    this.call('GET', `/v1/audit/telemetry/${seg(id)}?part=${part}`, undefined, LONG_PATIENCE_MS);
+  telemetryFile = async (id: string, part = 1): Promise<Blob> =>
+    (await this.send('GET', `/v1/audit/telemetry/${seg(id)}/mcap?part=${part}`, undefined, LONG_PATIENCE_MS)).blob();
 
   operate = (id: string, word: 'pause' | 'resume' | 'stop' | 'rollback' | 'cancel'): Promise<Invocation> =>
     this.call('POST', `/v1/invocations/${seg(id)}/${word}`);

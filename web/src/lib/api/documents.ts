@@ -170,6 +170,9 @@ export interface Capability {
   summary: string;
   inputs: { properties?: Record<string, InputSchema>; required?: string[] };
   risk: Risk;
+  /** `allowed`, `guarded`, `approval-required` or `forbidden`, by profile. */
+  env_profile?: Record<string, string>;
+  recovery?: boolean;
 }
 
 export interface InputSchema {
@@ -206,4 +209,35 @@ export interface Problem {
   code: string;
   errors?: { field: string; message: string }[];
   reasons?: Reason[];
+}
+
+/** Telemetry of a finished session as columns by channel; times are the channel `time_s`. */
+export interface Telemetry {
+  invocation: string;
+  part: number;
+  parts: number;
+  file: string;
+  sha256: string;
+  intact: boolean;
+  start_at: string;
+  rows: number;
+  every: number;
+  units: Record<string, string>;
+  columns: Record<string, (number | null)[]>;
+}
+
+export interface Checkpoint {
+  size: number;
+  root: string;
+  checkpoint: string;
+  key: string;
+}
+
+export interface Verification {
+  ok: boolean;
+  size: number;
+  root: string;
+  checkpoint: string | null;
+  first_bad: number | null;
+  problem: string | null;
 }

@@ -1,0 +1,173 @@
+import type { Capability, InputSchema, PolicySet } from '../api/documents';
+import { labelOf, unitOf } from '../format/quantity';
+
+/** A rule as `/v1/policies/active` describes it. */
+export interface Rule {
+  id: string;
+  applies_to: string[] | null;
+  profiles: string[] | null;
+  when: string | null;
+  then: 'allow' | 'modify' | 'escalate' | 'deny';
+  set: Record<string, { min?: number; max?: number; to?: string | number }>;
+  because: string;
+  remedy: string;
+}
+
+interface ProfilePolicy {
+  limits?: Record<string, { max?: number; unit?: string; source?: string }>;
+  watch?: string[];
+  authority?: {
+    modes?: string[];
+    approval?: { risk: string[]; within_s: number; on_timeout: string; approvers: Record<string, number> } | null;
+  };
+  [key: string]: unknown;
+}
+
+export type Standing = 'forbidden' | 'asks' | 'bounded' | 'allowed';
+
+/** What a parameter may be, and what says so. */
+export interface Bound {
+  param: string;
+  unit: string;
+  min: number | null;
+  max: number | null;
+  minBy: string;
+  maxBy: string;
+  /** Tighter than the capability's own schema. */
+  tightened: boolean;
+}
+
+export interface Square {
+  capability: string;
+  profile: string;
+  /** The manifest's word for this profile, as written. */
+  marked: string;
+  standing: Standing;
+  bounds: Bound[];
+  asks: { people: number; withinS: number; onTimeout: string } | null;
+  /** Escalations end in a denial: nobody could answer them here. */
+  nobodyAnswers: boolean;
+  always: Rule[];
+  sometimes: Rule[];
+}
+
+export const STANDINGS: Record<Standing, string> = {
+  forbidden: 'Forbidden',
+  asks: 'Asks a person',
+  bounded: 'Within bounds',
+  allowed: 'Allowed',
+};
+
+/** Rules that may determine a proposal of this capability under this profile. */
+export function rulesFor(policy: PolicySet, capability: string, profile: string): Rule[] {
+  return (policy.rules as unknown as Rule[]).filter(
+    (rule) => (rule.applies_to?.includes(capability) ?? true) && (rule.profiles?.includes(profile) ?? true),
+  );
+}
+
+/**
+ * What is known of a square before anything is proposed: the tightest of schema, profile limit and unconditional rule
+ * for each parameter, and whether a person is asked. What depends on the proposal stands in `sometimes`; only
+ * `/v1/check` knows how that falls.
+ */
+export function squareOf(policy: PolicySet, capability: Capability, profile: string): Square {
+  const facts = (policy.profiles[profile] ?? {}) as ProfilePolicy;
+  const marked = capability.env_profile?.[profile] ?? 'forbidden';
+  const rules = rulesFor(policy, capability.name, profile);
+  const always = rules.filter((rule) => rule.when === null);
+  const bounds = Object.entries(capability.inputs.properties ?? {})
+    .filter(([, schema]) => schema.type === 'number' || schema.type === 'integer')
+    .map(([param, schema]) => boundOf(param, schema, facts, always));
+  const asks = asked(capability, facts, marked);
+  const modes = facts.authority?.modes ?? [];
+  return {
+    capability: capability.name,
+    profile,
+    marked,
+    standing: standingOf(marked, asks !== null, always, bounds),
+    bounds,
+    asks,
+    nobodyAnswers: !modes.includes('approval-required') && !modes.includes('approval-on-escalation'),
+    always,
+    sometimes: rules.filter((rule) => rule.when !== null),
+  };
+}
+
+function standingOf(marked: string, asks: boolean, always: readonly Rule[], bounds: readonly Bound[]): Standing {
+  if (marked === 'forbidden' || always.some((rule) => rule.then === 'deny')) return 'forbidden';
+  if (asks || always.some((rule) => rule.then === 'escalate')) return 'asks';
+  return bounds.some((bound) => bound.tightened) ? 'bounded' : 'allowed';
+}
+
+function boundOf(param: string, schema: InputSchema, facts: ProfilePolicy, always: readonly Rule[]): Bound {
+  let [min, minBy] = [schema.minimum ?? null, 'the capability’s own schema'];
+  let [max, maxBy] = [schema.maximum ?? null, 'the capability’s own schema'];
+  let tightened = false;
+  const atMost = (value: number | undefined, by: string): void => {
+    if (value === undefined || (max !== null && value >= max)) return;
+    [max, maxBy, tightened] = [value, by, true];
+  };
+  const atLeast = (value: number | undefined, by: string): void => {
+    if (value === undefined || (min !== null && value <= min)) return;
+    [min, minBy, tightened] = [value, by, true];
+  };
+  const limit = schema['x-limit'];
+  if (limit !== undefined) atMost(facts.limits?.[limit]?.max, `${limit}${source(facts.limits?.[limit]?.source)}`);
+  for (const rule of always) {
+    atMost(rule.set[param]?.max, rule.id);
+    atLeast(rule.set[param]?.min, rule.id);
+  }
+  return { param, unit: schema.unit ?? unitOf(param), min, max, minBy, maxBy, tightened };
+}
+
+function source(text: string | undefined): string {
+  return text === undefined || text === '' ? '' : ` (${text})`;
+}
+
+function asked(capability: Capability, facts: ProfilePolicy, marked: string): Square['asks'] {
+  const approval = facts.authority?.approval ?? null;
+  const modes = facts.authority?.modes ?? [];
+  if (approval === null) return null;
+  const byMark = marked === 'approval-required' && (modes.includes('approval-required') || modes.includes('approval-on-escalation'));
+  const byRisk = modes.includes('approval-required') && approval.risk.includes(capability.risk);
+  if ((!byMark && !byRisk) || capability.recovery === true) return null;
+  return { people: approval.approvers[capability.risk] ?? approval.approvers['default'] ?? 1, withinS: approval.within_s, onTimeout: approval.on_timeout };
+}
+
+/** `Speed at most 0.25 m/s`, `Clearance 0.3 to 1 m`. */
+export function boundText({ param, unit, min, max }: Bound): string {
+  const name = labelOf(param);
+  const tail = unit === '' ? '' : ` ${unit}`;
+  if (min !== null && max !== null) return `${name} ${min} to ${max}${tail}`;
+  if (max !== null) return `${name} at most ${max}${tail}`;
+  return min === null ? name : `${name} at least ${min}${tail}`;
+}
+
+/** What a rule does, in words. */
+export function effectOf(rule: Rule): string {
+  if (rule.then === 'deny') return 'Denies';
+  if (rule.then === 'escalate') return 'Asks a person';
+  if (rule.then === 'allow') return 'Allows';
+  const parts = Object.entries(rule.set).map(([param, { min, max, to }]) => {
+    const unit = unitOf(param) === '' ? '' : ` ${unitOf(param)}`;
+    if (to !== undefined) return `${labelOf(param)}: ${to}`;
+    const said = [min === undefined ? '' : `at least ${min}${unit}`, max === undefined ? '' : `at most ${max}${unit}`];
+    return `${labelOf(param)} ${said.filter((text) => text !== '').join(', ')}`;
+  });
+  return `Bounds: ${parts.join('; ')}`;
+}
+
+/** Where a rule comes from: the organization, or a profile's file. */
+export function sourceOf(rule: Rule): string {
+  const owner = rule.id.split('/')[0] ?? rule.id;
+  return owner === 'organization' ? 'Organization, in every profile' : `File ${owner}`;
+}
+
+/** The square to move to by an arrow key; stays within the matrix. */
+export function moved(at: readonly [number, number], key: string, rows: number, columns: number): [number, number] {
+  const [row, column] = at;
+  const steps: Record<string, [number, number]> = { ArrowUp: [-1, 0], ArrowDown: [1, 0], ArrowLeft: [0, -1], ArrowRight: [0, 1], Home: [0, -columns], End: [0, columns] };
+  const [down, right] = steps[key] ?? [0, 0];
+  const clamp = (value: number, top: number): number => Math.min(top - 1, Math.max(0, value));
+  return [clamp(row + down, rows), clamp(column + right, columns)];
+}

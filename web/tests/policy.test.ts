@@ -1,0 +1,106 @@
+import { describe, expect, it } from 'vitest';
+import type { Capability, PolicySet } from '../src/lib/api/documents';
+import { boundText, effectOf, moved, rulesFor, squareOf, type Rule } from '../src/lib/policy/matrix';
+import { fieldsOf, readParams } from '../src/lib/policy/proposal';
+
+const rule = (over: Partial<Rule>): Rule => ({ id: 'organization/r', applies_to: null, profiles: null, when: null, then: 'modify', set: {}, because: '', remedy: '', ...over });
+const RULES = [
+  rule({ id: 'human-shared/clearance', profiles: ['human-shared'], applies_to: ['drive'], set: { clearance_m: { min: 0.3 } } }),
+  rule({ id: 'organization/fragile', when: 'target.fragile', set: { speed_mps: { max: 0.15 } } }),
+  rule({ id: 'organization/other', applies_to: ['grasp'], then: 'deny' }),
+];
+const policy = (over: Record<string, unknown> = {}): PolicySet => ({
+  version: 'sha256:0', capabilities: [], agents: {}, rules: RULES as unknown as PolicySet['rules'],
+  site: { targets: { dock: {}, bench_a_stand: {} }, tools: { lever: { actions: { pull_down: 'down' } }, press: { actions: { press: 'pressed' } } } },
+  profiles: {
+    'human-shared': {
+      limits: { base_speed_mps: { max: 0.3 } },
+      authority: { modes: ['approval-required'], approval: { risk: ['medium', 'critical'], within_s: 120, on_timeout: 'deny', approvers: { default: 1, critical: 2 } } },
+    },
+    relaxed: { limits: { base_speed_mps: { max: 9 } }, authority: { modes: ['review-only'], approval: null } },
+  },
+  ...over,
+});
+const drive = (over: Partial<Capability> = {}): Capability => ({
+  name: 'drive', version: '1', summary: '', risk: 'low', env_profile: { 'human-shared': 'guarded', relaxed: 'allowed' },
+  inputs: {
+    required: ['target'],
+    properties: {
+      target: { type: 'string', 'x-ref': 'target' },
+      speed_mps: { type: 'number', unit: 'm/s', minimum: 0.05, maximum: 2, default: 0.3, 'x-limit': 'base_speed_mps' },
+      clearance_m: { type: 'number', unit: 'm', minimum: 0.1, maximum: 1 },
+    },
+  },
+  ...over,
+});
+
+describe('the matrix', () => {
+  it('bounds a parameter by the tightest of schema, limit and rule, and says which', () => {
+    const square = squareOf(policy(), drive(), 'human-shared');
+    const [speed, clearance] = square.bounds;
+    expect(speed).toMatchObject({ min: 0.05, max: 0.3, maxBy: 'base_speed_mps', tightened: true });
+    expect(clearance).toMatchObject({ min: 0.3, max: 1, minBy: 'human-shared/clearance', tightened: true });
+    expect(boundText(clearance ?? square.bounds[0]!)).toBe('Clearance 0.3 to 1 m');
+    expect(square.standing).toBe('bounded');
+  });
+
+  it('allows freely where nothing is tighter than the schema', () => {
+    const square = squareOf(policy(), drive(), 'relaxed');
+    expect([square.standing, square.nobodyAnswers]).toEqual(['allowed', true]);
+  });
+
+  it('keeps rules that depend on the proposal apart from those that always hold', () => {
+    const square = squareOf(policy(), drive(), 'human-shared');
+    expect([square.always, square.sometimes].map((rules) => rules.map(({ id }) => id))).toEqual([['human-shared/clearance'], ['organization/fragile']]);
+    expect(rulesFor(policy(), 'grasp', 'relaxed').map(({ id }) => id)).toEqual(['organization/fragile', 'organization/other']);
+  });
+
+  it.each([
+    ['by its risk', drive({ risk: 'critical' }), 2],
+    ['by its mark', drive({ env_profile: { 'human-shared': 'approval-required' } }), 1],
+  ])('asks people %s', (_, capability, people) => {
+    expect(squareOf(policy(), capability, 'human-shared')).toMatchObject({ standing: 'asks', asks: { people } });
+  });
+
+  it('asks nobody about a recovery', () => {
+    expect(squareOf(policy(), drive({ risk: 'medium', recovery: true }), 'human-shared').asks).toBeNull();
+  });
+
+  it.each([
+    ['is marked so', policy(), drive({ env_profile: { 'human-shared': 'forbidden' } })],
+    ['is not marked at all', policy(), drive({ env_profile: {} })],
+    ['an unconditional rule denies it', policy({ rules: [rule({ then: 'deny' })] }), drive()],
+  ])('forbids what %s', (_, set, capability) => {
+    expect(squareOf(set, capability, 'human-shared').standing).toBe('forbidden');
+  });
+
+  it('says what a rule does', () => {
+    expect(effectOf(rule({ set: { force_n: { max: 20 }, speed_mps: { max: 0.15 } } }))).toBe('Bounds: Grip force at most 20 N; Speed at most 0.15 m/s');
+    expect(effectOf(rule({ set: { corridor: { to: 'place.corridor' } } }))).toBe('Bounds: Corridor: place.corridor');
+  });
+
+  it('keeps arrow keys within its edges', () => {
+    expect([moved([0, 0], 'ArrowUp', 3, 2), moved([0, 0], 'ArrowRight', 3, 2), moved([2, 1], 'ArrowDown', 3, 2), moved([1, 1], 'Home', 3, 2)]).toEqual([[0, 0], [0, 1], [2, 1], [1, 0]]);
+  });
+});
+
+describe('the what-if form', () => {
+  it('offers the names the site knows', () => {
+    const [target, speed] = fieldsOf(drive(), policy());
+    expect(target).toMatchObject({ kind: 'choice', required: true, choices: ['bench_a_stand', 'dock'] });
+    expect(speed).toMatchObject({ kind: 'number', unit: 'm/s', hint: '0.05 to 2, 0.3 if left out' });
+  });
+
+  it('offers what can be done with the chosen tool', () => {
+    const operate = drive({ inputs: { properties: { tool: { type: 'string', 'x-ref': 'tool' }, action: { type: 'string', 'x-ref': 'action' } } } });
+    expect(fieldsOf(operate, policy())[1]?.choices).toEqual(['pull_down', 'press']);
+    expect(fieldsOf(operate, policy(), { tool: 'press' })[1]?.choices).toEqual(['press']);
+  });
+
+  it('leaves out what is empty, reads a decimal comma, and lets the server judge ranges', () => {
+    const fields = fieldsOf(drive(), policy());
+    expect(readParams(fields, { target: 'dock', speed_mps: '0,5', clearance_m: '' })).toEqual({ params: { target: 'dock', speed_mps: 0.5 }, faults: {} });
+    expect(readParams(fields, { target: 'dock', speed_mps: '99' }).faults).toEqual({});
+    expect(readParams(fields, { speed_mps: 'fast' }).faults).toEqual({ target: 'needed', speed_mps: 'a number, please' });
+  });
+});
