@@ -3,7 +3,8 @@ export interface Shortcut {
   key: string;
   /** What it does, for the list that `?` opens. */
   says: string;
-  run: () => void;
+  /** Returning false leaves the key to whatever has the focus. */
+  run: () => unknown;
 }
 
 interface KeyLike {
@@ -40,7 +41,7 @@ export class Keys {
   private stop: () => void = () => undefined;
 
   /** What the newest registration of a key says counts; returns how to take it back. */
-  on(key: string, says: string, run: () => void): () => void {
+  on(key: string, says: string, run: () => unknown): () => void {
     const shortcut = { key, says, run };
     this.shortcuts.push(shortcut);
     return () => {
@@ -66,8 +67,7 @@ export class Keys {
     if (!mayBeShortcut(event, typing)) return false;
     const wanted = event.key.length === 1 ? event.key.toLowerCase() : event.key;
     const shortcut = this.shortcuts.findLast((known) => known.key === wanted);
-    shortcut?.run();
-    return shortcut !== undefined;
+    return shortcut !== undefined && shortcut.run() !== false;
   }
 
   /** Listens before anything else on the page does. */

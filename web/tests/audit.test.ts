@@ -1,0 +1,54 @@
+import { describe, expect, it } from 'vitest';
+import type { Checkpoint, Invocation, LogEvent, Verification } from '../src/lib/api/documents';
+import { judge } from '../src/lib/audit/integrity';
+import { eventQuery, findEvents, matches, NOTHING_WANTED } from '../src/lib/audit/search';
+
+const signed: Checkpoint = { size: 40, root: 'aaa', checkpoint: '', key: '' };
+const found: Verification = { ok: true, size: 40, root: 'aaa', checkpoint: '', first_bad: null, problem: null };
+
+describe('integrity', () => {
+  it('is good where everything signed is there, also when the log has grown since', () => {
+    expect(judge(signed, found, null, 1)).toEqual({ is: 'good', size: 40, root: 'aaa', atMs: 1 });
+    expect(judge(signed, { ...found, size: 44, root: 'bbb' }, { size: 40, root: 'aaa' }, 1).is).toBe('good');
+  });
+
+  it.each([
+    ['an event was altered', { ...found, ok: false, size: 6, first_bad: 7, problem: 'its bytes do not match' }, null, 'its bytes do not match'],
+    ['less is stored than was signed', { ...found, size: 39 }, null, 'vouches for 40 events, 39 are stored'],
+    ['the roots differ', { ...found, root: 'bbb' }, null, 'not the signed one'],
+    ['it shrank since this console looked', { ...found }, { size: 50, root: 'zzz' }, 'has seen 50 events, 40 are left'],
+    ['it was rewritten since this console looked', { ...found }, { size: 40, root: 'zzz' }, 'another root'],
+  ])('is bad when %s', (_, verification, seen, says) => {
+    const judged = judge(signed, verification, seen, 1);
+    expect(judged.is).toBe('bad');
+    expect(judged.is === 'bad' && judged.problem).toContain(says);
+  });
+});
+
+describe('looking for events', () => {
+  it('asks the log for what it can filter, times as instants', () => {
+    const query = eventQuery({ ...NOTHING_WANTED, kind: 'alert', actor: ' planner ', since: '2026-03-01T09:30:00' }, 7, 100);
+    expect(Object.fromEntries(query)).toEqual({ after: '7', limit: '100', kind: 'alert', actor: 'planner', since: new Date('2026-03-01T09:30:00').toISOString() });
+  });
+
+  it('finds those of a capability on whichever page they stand', async () => {
+    const event = (seq: number, invocation: string): LogEvent => ({ seq, at: '', kind: 'launch', invocation, actor: 'x', body: {} });
+    const pages: Record<string, { items: LogEvent[]; next: number | null }> = {
+      0: { items: [event(1, 'inv_a'), event(2, 'inv_b')], next: 2 },
+      2: { items: [event(3, 'inv_b'), event(4, 'inv_a')], next: null },
+    };
+    const api = {
+      events: (query: URLSearchParams) => Promise.resolve(pages[query.get('after') ?? ''] ?? { items: [], next: null }),
+      invocations: () => Promise.resolve({ items: [{ id: 'inv_b' } as Invocation], next: null }),
+    };
+    const { items, next } = await findEvents(api, { ...NOTHING_WANTED, capability: 'grasp_object' }, 0);
+    expect([items.map(({ seq }) => seq), next]).toEqual([[2, 3], null]);
+  });
+
+  it('matches a session by part of its name, its agent, and the time it lasted', () => {
+    const session = { id: 'inv_01ABC', agent: 'planner', capability: 'grasp_object', created_at: '2026-03-01T09:30:00Z', updated_at: '2026-03-01T09:40:00Z' } as Invocation;
+    expect(matches(session, { ...NOTHING_WANTED, invocation: '1AB', actor: 'planner', since: '2026-03-01T09:35:00Z', until: '2026-03-01T09:36:00Z' })).toBe(true);
+    expect(matches(session, { ...NOTHING_WANTED, since: '2026-03-01T09:41:00Z' })).toBe(false);
+    expect(matches(session, { ...NOTHING_WANTED, actor: 'plan' })).toBe(false);
+  });
+});

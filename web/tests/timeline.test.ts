@@ -1,0 +1,77 @@
+import { describe, expect, it } from 'vitest';
+import type { LogEvent, Telemetry } from '../src/lib/api/documents';
+import { frameAt } from '../src/lib/audit/replay';
+import { eventAt, offset, rowAt, stepTo, timelineOf } from '../src/lib/audit/timeline';
+
+const START_MS = Date.parse('2026-03-01T09:30:00.000Z');
+const event = (seq: number, afterS: number, body: LogEvent['body'] = {}): LogEvent => ({
+  seq, at: new Date(START_MS + afterS * 1000).toISOString(), kind: 'alert', invocation: 'inv_1', actor: 'x',
+  body: body['tick'] === undefined ? body : { cell_at_s: START_MS / 1000 + afterS, ...body },
+});
+const telemetry = (columns: Telemetry['columns']): Telemetry => ({
+  invocation: 'inv_1', part: 1, parts: 1, file: 'f', sha256: 's', intact: true, start_at: '', rows: 3, every: 1, units: {}, columns,
+});
+const ROWS = telemetry({ time_s: [10, 12, 20] });
+
+describe('a timeline', () => {
+  it('puts what the cell says at its tick, whatever pace the simulation ran at', () => {
+    // Ten seconds of the cell's time within one second of wall time.
+    const found = timelineOf([event(1, 5, { tick: 1000 }), event(2, 6, { tick: 2000 })], ROWS);
+    expect(found.placed.map(({ atS }) => atS)).toEqual([0, 10]);
+    expect(found.toS).toBe(10);
+  });
+
+  it('puts what only the server says in proportion between its neighbours', () => {
+    const found = timelineOf([event(1, 5, { tick: 1000 }), event(2, 5.5), event(3, 6, { tick: 2000 })], ROWS);
+    expect(found.placed[1]?.atS).toBeCloseTo(5);
+    expect(found.placed[1]?.exact).toBe(false);
+  });
+
+  it('begins before the first row with what was decided before it', () => {
+    const found = timelineOf([event(1, 2), event(2, 5, { tick: 1000 })], ROWS);
+    expect(found.fromS).toBeCloseTo(-3);
+    expect(offset(found.fromS)).toBe('−3.0 s');
+  });
+
+  it('never runs backwards along the record', () => {
+    const found = timelineOf([event(1, 5, { tick: 1000 }), event(2, 6, { tick: 2000 }), event(3, 5.2)], ROWS);
+    expect(found.placed.map(({ atS }) => atS)).toEqual([0, 10, 10]);
+  });
+
+  it('is the wall clock alone where nothing ran', () => {
+    const found = timelineOf([event(1, 2), event(2, 2.5)], null);
+    expect(found.placed.map(({ atS }) => atS)).toEqual([0, 0.5]);
+    expect(rowAt(null, found.zeroS, 0.5)).toBe(-1);
+  });
+
+  it('finds the newest row and event at a moment', () => {
+    const found = timelineOf([event(1, 5, { tick: 1000 }), event(2, 6, { tick: 2000 })], ROWS);
+    expect([-1, 0, 1.9, 2, 99].map((at) => rowAt(ROWS, found.zeroS, at))).toEqual([0, 0, 0, 1, 2]);
+    expect([-1, 0, 9.9, 10].map((at) => eventAt(found.placed, at))).toEqual([-1, 0, 0, 1]);
+  });
+
+  it('steps from event to event and stays within its ends', () => {
+    const found = timelineOf([event(1, 5, { tick: 1000 }), event(2, 6, { tick: 1500 })], ROWS);
+    expect([stepTo(found, 0, 1), stepTo(found, 5, 1), stepTo(found, 10, 1)]).toEqual([5, 10, 10]);
+    expect([stepTo(found, 7, -1), stepTo(found, 5, -1), stepTo(found, 0, -1)]).toEqual([5, 0, 0]);
+  });
+});
+
+describe('a recorded moment in the scene', () => {
+  const full = telemetry({
+    time_s: [1], base_x_m: [2], base_y_m: [3], base_yaw_rad: [0], q1_rad: [0], q2_rad: [0], q3_rad: [0], q4_rad: [0], q5_rad: [0], q6_rad: [0],
+    separation_m: [99], tcp_speed_mps: [0.25],
+  });
+
+  it('places the robot and leaves people and objects out', () => {
+    const frame = frameAt(full, 0, ['base', 'mug_1', 'person_1_torso'], ['separation_m', 'tcp_speed_mps']);
+    expect([...(frame?.poses.slice(0, 3) ?? [])]).toEqual([2, 3, 0]);
+    expect([...(frame?.poses.slice(7) ?? [])].every(Number.isNaN)).toBe(true);
+    expect(frame?.gauges[0]).toBeNaN(); // 99 m stands for nobody
+    expect(frame?.gauges[1]).toBeCloseTo(0.25);
+  });
+
+  it('is not made up where a part of the posture is missing', () => {
+    expect(frameAt(telemetry({ ...full.columns, q3_rad: [null] }), 0, ['base'], [])).toBeNull();
+  });
+});
