@@ -78,7 +78,8 @@ def read_telemetry(folder: Path, event: Event, *, limit: int) -> Recording | Non
     said = event.payload()
     problem = telemetry_problem(folder, event)
     try:
-        taken = _Taken(limit, int(said.get("rows", 0)))
+        rows = said.get("rows")
+        taken = _Taken(limit, rows if isinstance(rows, int) else 0)
         for number, (at_ns, row) in enumerate(_rows(path)):
             taken.take(number, at_ns, row)
     except (McapError, OSError, ValueError, TypeError, EOFError) as error:

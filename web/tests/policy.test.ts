@@ -40,7 +40,7 @@ describe('the matrix', () => {
     const [speed, clearance] = square.bounds;
     expect(speed).toMatchObject({ min: 0.05, max: 0.3, maxBy: 'base_speed_mps', tightened: true });
     expect(clearance).toMatchObject({ min: 0.3, max: 1, minBy: 'human-shared/clearance', tightened: true });
-    expect(boundText(clearance ?? square.bounds[0]!)).toBe('Clearance 0.3 to 1 m');
+    expect(square.bounds.map(boundText)).toEqual(['Speed 0.05 to 0.3 m/s', 'Clearance 0.3 to 1 m']);
     expect(square.standing).toBe('bounded');
   });
 

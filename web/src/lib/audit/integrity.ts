@@ -15,13 +15,27 @@ export type Integrity =
  * log this console has seen.
  */
 export function judge(signed: Checkpoint, found: Verification, seen: { size: number; root: string } | null, atMs: number): Integrity {
-  const bad = (problem: string, firstBad: number | null): Integrity => ({ is: 'bad', problem, firstBad, good: firstBad === null ? Math.min(found.size, signed.size) : found.size, atMs });
-  if (!found.ok) return bad(found.problem ?? 'the server does not say what is wrong', found.first_bad);
-  if (found.size < signed.size) return bad(`the signed checkpoint vouches for ${signed.size} events, ${found.size} are stored`, found.size + 1);
-  if (found.size === signed.size && found.root !== signed.root) return bad('the recomputed root is not the signed one', null);
-  if (seen !== null && found.size < seen.size) return bad(`this console has seen ${seen.size} events, ${found.size} are left`, found.size + 1);
-  if (seen !== null && found.size === seen.size && found.root !== seen.root) return bad('the log has as many events as before, and another root', null);
-  return { is: 'good', size: found.size, root: found.root, atMs };
+  const { size, root } = found;
+  if (!found.ok) return { is: 'bad', problem: found.problem ?? UNSAID, firstBad: found.first_bad, good: size, atMs };
+  const signedSays = `the signed checkpoint vouches for ${signed.size} events, ${size} are stored`;
+  const wrong =
+    falls(found, signed, signedSays, 'the recomputed root is not the signed one') ??
+    (seen === null ? null : falls(found, seen, `this console has seen ${seen.size} events, ${size} are left`, 'the log has as many events as before, and another root'));
+  return wrong === null ? { is: 'good', size, root, atMs } : { is: 'bad', ...wrong, atMs };
+}
+
+const UNSAID = 'the server does not say what is wrong';
+
+/** How what was found falls short of what is known. Where roots differ, the tree does not say which event does: none is good. */
+function falls(
+  found: Verification,
+  known: { size: number; root: string },
+  missing: string,
+  other: string,
+): { problem: string; firstBad: number | null; good: number } | null {
+  if (found.size < known.size) return { problem: missing, firstBad: found.size + 1, good: found.size };
+  if (found.size === known.size && found.root !== known.root) return { problem: other, firstBad: null, good: 0 };
+  return null;
 }
 
 /** The first characters of a root or digest: enough to compare by eye. */

@@ -26,10 +26,7 @@ export interface Timeline {
  * and before the first and after the last of them at the wall clock's own pace.
  */
 export function timelineOf(events: readonly LogEvent[], telemetry: Telemetry | null): Timeline {
-  const anchors = events.flatMap((event) => {
-    const tick = event.body['tick'];
-    return typeof tick === 'number' ? [{ wallS: wallOf(event), cellS: tick * TICK_S }] : [];
-  });
+  const anchors = anchorsOf(events);
   const times = telemetry?.columns['time_s'] ?? [];
   const firstRow = times[0] ?? null;
   const zeroS = firstRow ?? anchors[0]?.cellS ?? 0;
@@ -43,17 +40,22 @@ export function timelineOf(events: readonly LogEvent[], telemetry: Telemetry | n
   // The record's order is the truth where two clocks meet; time never runs backwards along it.
   let latest = -Infinity;
   const ordered = placed.map((item) => {
-    latest = item.exact ? Math.max(item.atS, latest) : Math.max(item.atS, latest);
+    latest = Math.max(item.atS, latest);
     return { ...item, atS: latest };
   });
-  const lastRow = times.at(-1) ?? null;
-  const ends = ordered.map(({ atS }) => atS);
-  return {
-    placed: ordered,
-    fromS: Math.min(0, ends[0] ?? 0),
-    toS: Math.max(lastRow === null ? 0 : lastRow - zeroS, ends.at(-1) ?? 0),
-    zeroS,
-  };
+  const lastRowS = (times.at(-1) ?? zeroS) - zeroS;
+  return { placed: ordered, ...endsOf(ordered, lastRowS), zeroS };
+}
+
+function anchorsOf(events: readonly LogEvent[]): { wallS: number; cellS: number }[] {
+  return events.flatMap((event) => {
+    const tick = event.body['tick'];
+    return typeof tick === 'number' ? [{ wallS: wallOf(event), cellS: tick * TICK_S }] : [];
+  });
+}
+
+function endsOf(ordered: readonly Placed[], lastRowS: number): { fromS: number; toS: number } {
+  return { fromS: Math.min(0, ordered[0]?.atS ?? 0), toS: Math.max(lastRowS, ordered.at(-1)?.atS ?? 0) };
 }
 
 function wallOf(event: LogEvent): number {

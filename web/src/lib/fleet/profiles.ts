@@ -18,25 +18,32 @@ export interface Difference {
 
 const LOOK: readonly string[] = ['tcp_speed_mps', 'base_speed_mps', 'grip_force_n', 'contact_force_n', 'payload_kg'];
 const NAMES: Record<string, string> = { tcp_speed_mps: 'Tool speed', base_speed_mps: 'Base speed', contact_force_n: 'Contact force' };
-const ASKS = new Set(['approval-required', 'approval-on-escalation']);
+const RANK: readonly string[] = ['nobody is asked', 'approval-on-escalation', 'approval-required'];
 
 /** What changes from one profile to another, in words a person can weigh. */
 export function differences(from: ProfileFacts | undefined, to: ProfileFacts | undefined): Difference[] {
   if (from === undefined || to === undefined) return [];
-  const found: Difference[] = [];
-  for (const name of LOOK) {
-    const [a, b] = [from.limits?.[name]?.max, to.limits?.[name]?.max];
-    if (a === undefined || b === undefined || a === b) continue;
-    const known = name.endsWith('_kg') ? [`${a} kg`, `${b} kg`] : [withUnit(name, a), withUnit(name, b)];
-    found.push({ what: `${NAMES[name] ?? labelOf(name)}, at most`, from: known[0] ?? '', to: known[1] ?? '', looser: b > a });
-  }
-  if (from.sensitivity !== undefined && to.sensitivity !== undefined && from.sensitivity !== to.sensitivity) {
-    found.push({ what: 'Watcher sensitivity', from: String(from.sensitivity), to: String(to.sensitivity), looser: to.sensitivity < from.sensitivity });
-  }
-  const [a, b] = [from, to].map((facts) => (facts.authority?.modes ?? []).filter((mode) => ASKS.has(mode)).join(', ') || 'nobody is asked');
-  if (a !== undefined && b !== undefined && a !== b) {
-    const rank = (text: string): number => (text.includes('approval-required') ? 2 : text.includes('approval-on') ? 1 : 0);
-    found.push({ what: 'Asking people', from: a, to: b, looser: rank(b) < rank(a) });
-  }
-  return found;
+  return [...LOOK.flatMap((name) => ofLimit(name, from, to)), ...ofSensitivity(from, to), ...ofAsking(from, to)];
+}
+
+function ofLimit(name: string, from: ProfileFacts, to: ProfileFacts): Difference[] {
+  const [a, b] = [from.limits?.[name]?.max, to.limits?.[name]?.max];
+  if (a === undefined || b === undefined || a === b) return [];
+  const text = (value: number): string => (name.endsWith('_kg') ? `${value} kg` : withUnit(name, value));
+  return [{ what: `${NAMES[name] ?? labelOf(name)}, at most`, from: text(a), to: text(b), looser: b > a }];
+}
+
+function ofSensitivity({ sensitivity: a }: ProfileFacts, { sensitivity: b }: ProfileFacts): Difference[] {
+  if (a === undefined || b === undefined || a === b) return [];
+  return [{ what: 'Watcher sensitivity', from: String(a), to: String(b), looser: b < a }];
+}
+
+function ofAsking(from: ProfileFacts, to: ProfileFacts): Difference[] {
+  const [a, b] = [asking(from), asking(to)];
+  return a === b ? [] : [{ what: 'Asking people', from: a, to: b, looser: RANK.indexOf(b) < RANK.indexOf(a) }];
+}
+
+function asking(facts: ProfileFacts): string {
+  const modes = facts.authority?.modes ?? [];
+  return RANK.findLast((mode) => modes.includes(mode)) ?? 'nobody is asked';
 }

@@ -28,6 +28,7 @@ export type Standing = 'forbidden' | 'asks' | 'bounded' | 'allowed';
 /** What a parameter may be, and what says so. */
 export interface Bound {
   param: string;
+  label: string;
   unit: string;
   min: number | null;
   max: number | null;
@@ -58,6 +59,9 @@ export const STANDINGS: Record<Standing, string> = {
   allowed: 'Allowed',
 };
 
+/** Modes of authority under which people are asked before something is launched. */
+const ASKING: ReadonlySet<string> = new Set(['approval-required', 'approval-on-escalation']);
+
 /** Rules that may determine a proposal of this capability under this profile. */
 export function rulesFor(policy: PolicySet, capability: string, profile: string): Rule[] {
   return (policy.rules as unknown as Rule[]).filter(
@@ -87,7 +91,7 @@ export function squareOf(policy: PolicySet, capability: Capability, profile: str
     standing: standingOf(marked, asks !== null, always, bounds),
     bounds,
     asks,
-    nobodyAnswers: !modes.includes('approval-required') && !modes.includes('approval-on-escalation'),
+    nobodyAnswers: !modes.some((mode) => ASKING.has(mode)),
     always,
     sometimes: rules.filter((rule) => rule.when !== null),
   };
@@ -100,24 +104,34 @@ function standingOf(marked: string, asks: boolean, always: readonly Rule[], boun
 }
 
 function boundOf(param: string, schema: InputSchema, facts: ProfilePolicy, always: readonly Rule[]): Bound {
-  let [min, minBy] = [schema.minimum ?? null, 'the capability’s own schema'];
-  let [max, maxBy] = [schema.maximum ?? null, 'the capability’s own schema'];
-  let tightened = false;
-  const atMost = (value: number | undefined, by: string): void => {
-    if (value === undefined || (max !== null && value >= max)) return;
-    [max, maxBy, tightened] = [value, by, true];
+  const own = { by: 'the capability’s own schema', min: schema.minimum, max: schema.maximum };
+  const said = [own, ...limitOf(schema, facts), ...always.map(({ id, set }) => ({ by: id, min: set[param]?.min, max: set[param]?.max }))];
+  const least = tightest(said.map(({ by, min }) => ({ by, value: min })), (a, b) => a > b);
+  const most = tightest(said.map(({ by, max }) => ({ by, value: max })), (a, b) => a < b);
+  return {
+    param, label: labelFor(param, schema), unit: schema.unit ?? unitOf(param),
+    min: least.value, max: most.value, minBy: least.by, maxBy: most.by,
+    tightened: least.by !== own.by || most.by !== own.by,
   };
-  const atLeast = (value: number | undefined, by: string): void => {
-    if (value === undefined || (min !== null && value <= min)) return;
-    [min, minBy, tightened] = [value, by, true];
-  };
-  const limit = schema['x-limit'];
-  if (limit !== undefined) atMost(facts.limits?.[limit]?.max, `${limit}${source(facts.limits?.[limit]?.source)}`);
-  for (const rule of always) {
-    atMost(rule.set[param]?.max, rule.id);
-    atLeast(rule.set[param]?.min, rule.id);
-  }
-  return { param, unit: schema.unit ?? unitOf(param), min, max, minBy, maxBy, tightened };
+}
+
+function limitOf(schema: InputSchema, facts: ProfilePolicy): { by: string; min: undefined; max: number | undefined }[] {
+  const name = schema['x-limit'];
+  const limit = name === undefined ? undefined : facts.limits?.[name];
+  return name === undefined || limit === undefined ? [] : [{ by: `${name}${source(limit.source)}`, min: undefined, max: limit.max }];
+}
+
+/** The tightest of what is said, and who says it first. */
+function tightest(said: readonly { by: string; value: number | undefined }[], tighter: (a: number, b: number) => boolean): { by: string; value: number | null } {
+  return said.reduce<{ by: string; value: number | null }>(
+    (best, { by, value }) => (value !== undefined && (best.value === null || tighter(value, best.value)) ? { by, value } : best),
+    { by: said[0]?.by ?? '', value: null },
+  );
+}
+
+/** A force is the grip's or the contact's, by the limit it falls under. */
+export function labelFor(param: string, schema: InputSchema): string {
+  return param === 'force_n' && schema['x-limit'] === 'contact_force_n' ? 'Contact force' : labelOf(param);
 }
 
 function source(text: string | undefined): string {
@@ -126,17 +140,18 @@ function source(text: string | undefined): string {
 
 function asked(capability: Capability, facts: ProfilePolicy, marked: string): Square['asks'] {
   const approval = facts.authority?.approval ?? null;
+  if (approval === null || capability.recovery === true) return null;
   const modes = facts.authority?.modes ?? [];
-  if (approval === null) return null;
-  const byMark = marked === 'approval-required' && (modes.includes('approval-required') || modes.includes('approval-on-escalation'));
-  const byRisk = modes.includes('approval-required') && approval.risk.includes(capability.risk);
-  if ((!byMark && !byRisk) || capability.recovery === true) return null;
+  if (!required(modes, approval.risk.includes(capability.risk), marked === 'approval-required')) return null;
   return { people: approval.approvers[capability.risk] ?? approval.approvers['default'] ?? 1, withinS: approval.within_s, onTimeout: approval.on_timeout };
 }
 
+function required(modes: readonly string[], atItsRisk: boolean, isMarked: boolean): boolean {
+  return (modes.includes('approval-required') && atItsRisk) || (isMarked && modes.some((mode) => ASKING.has(mode)));
+}
+
 /** `Speed at most 0.25 m/s`, `Clearance 0.3 to 1 m`. */
-export function boundText({ param, unit, min, max }: Bound): string {
-  const name = labelOf(param);
+export function boundText({ label: name, unit, min, max }: Bound): string {
   const tail = unit === '' ? '' : ` ${unit}`;
   if (min !== null && max !== null) return `${name} ${min} to ${max}${tail}`;
   if (max !== null) return `${name} at most ${max}${tail}`;

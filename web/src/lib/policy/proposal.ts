@@ -1,5 +1,6 @@
 import type { Capability, InputSchema, Json, Params, PolicySet } from '../api/documents';
-import { labelOf, unitOf } from '../format/quantity';
+import { unitOf } from '../format/quantity';
+import { labelFor } from './matrix';
 
 /** One input of the form, made from the capability's JSON Schema. */
 export interface Field {
@@ -22,7 +23,7 @@ export function fieldsOf(capability: Capability, policy: PolicySet | null, typed
   return Object.entries(capability.inputs.properties ?? {}).map(([name, schema]) => {
     const choices = choicesOf(schema, policy, typed);
     const kind = schema.type === 'number' || schema.type === 'integer' ? 'number' : schema.type === 'boolean' ? 'flag' : choices.length > 0 ? 'choice' : 'text';
-    return { name, label: labelOf(name), kind, unit: schema.unit ?? unitOf(name), required: required.has(name), hint: hintOf(schema), choices, schema };
+    return { name, label: labelFor(name, schema), kind, unit: schema.unit ?? unitOf(name), required: required.has(name), hint: hintOf(schema), choices, schema };
   });
 }
 
@@ -46,13 +47,13 @@ function actionsOf(policy: PolicySet, tool: string | undefined): string[] {
 
 function namesOf(named: unknown): string[] {
   if (named === null || typeof named !== 'object') return [];
-  return (Array.isArray(named) ? named.map((item: { name?: unknown }) => String(item.name ?? '')) : Object.keys(named)).filter((name) => name !== '').sort();
+  return Object.keys(named).sort();
 }
 
 function hintOf(schema: InputSchema): string {
   const { minimum: least, maximum: most } = schema;
   const range = least !== undefined && most !== undefined ? `${least} to ${most}` : least !== undefined ? `at least ${least}` : most !== undefined ? `at most ${most}` : '';
-  const usual = schema.default === undefined ? '' : `${String(schema.default)} if left out`;
+  const usual = schema.default === undefined ? '' : `${typeof schema.default === 'object' ? JSON.stringify(schema.default) : schema.default} if left out`;
   return [range, usual].filter((text) => text !== '').join(', ');
 }
 
@@ -77,6 +78,14 @@ export function readParams(fields: readonly Field[], typed: Record<string, strin
     else params[field.name] = value;
   }
   return { params, faults };
+}
+
+/** A confidence from 0 to 1; null where none is stated, undefined where it is none. */
+export function readConfidence(text: string): number | null | undefined {
+  const cleaned = text.trim().replace(',', '.');
+  if (cleaned === '') return null;
+  const value = Number(cleaned);
+  return value >= 0 && value <= 1 ? value : undefined;
 }
 
 function valueOf(field: Field, text: string): Json {
