@@ -17,7 +17,7 @@ from app.cell.substrate import SubstrateError
 from app.governance.clamp import clamp, hold
 from app.governance.intervention import NOTHING, Decision, recovering, released
 from app.governance.model import Alert, Intervention, Mode, Outcome, SkillReport, SkillState, Status, Strategy
-from app.governance.recovery import RecoveryDecision, recover, roll_back
+from app.governance.recovery import RecoveryDecision, lead_back, recover, roll_back
 from app.governance.session import Event, final_status, step
 
 if TYPE_CHECKING:
@@ -41,6 +41,8 @@ Verify: TypeAlias = "Callable[[tuple[str, ...], Params, WorldFacts], tuple[str, 
 SETTLE_TICKS: Final = 50
 VERIFY_EVERY: Final = 5
 QUIET_TICKS: Final = 50
+AWAY: Final = frozenset({"base_pose", "object_pose"})
+"""What a rollback may leave open that driving back can set right: from elsewhere an object may be out of sight."""
 PRESSING: Final = frozenset({"contact_force_n", "residual_nm"})
 RUNNING: Final = SkillState.RUNNING
 FAILED: Final = SkillState.FAILED
@@ -218,6 +220,8 @@ class Governing:
         unmet = self._unmet()
         if not unmet:
             self._verified()
+        elif run.doing is Doing.ROLLBACK and AWAY.issuperset(unmet) and self._lead_back(unmet):
+            pass  # settles again, and is verified, once it is back
         elif run.settling_ticks > SETTLE_TICKS + QUIET_TICKS:
             self._follow(self._choose("postcondition_failed"))  # policy only warns of it; that makes it no success
         elif run.settling_ticks >= SETTLE_TICKS:
@@ -241,8 +245,7 @@ class Governing:
         elif run.doing is Doing.ROLLBACK:
             self.end(End(Outcome.ROLLED_BACK, "verified"))
         else:
-            failure = "recovery_incomplete" if run.deciding is None else run.deciding.failure
-            self._follow(self._choose(failure, after=run.deciding))
+            self._follow(self._choose(self._recovered(), after=run.deciding))
 
     def _choose(self, failure: str, after: RecoveryDecision | None = None) -> RecoveryDecision:
         run = self.run
@@ -262,6 +265,22 @@ class Governing:
             return "rollback_unavailable"
         self._follow(decision)
         return None
+
+    def _lead_back(self, unmet: tuple[str, ...]) -> bool:
+        """Bring the base back, with nothing else left to undo, to where the session began; say whether it can be."""
+        run = self.run
+        if "base_pose" not in unmet:
+            return False
+        decision = lead_back(self._recovered(), run.recovery, run.used, run.grant.authorization.recoveries)
+        if decision is not None:
+            run.unmet = unmet  # for the record; it is not for the watcher to judge before it is done
+            self._follow(decision)
+            run.unmet = ()
+        return decision is not None
+
+    def _recovered(self) -> str:
+        deciding = self.run.deciding
+        return "recovery_incomplete" if deciding is None else deciding.failure
 
     def _follow(self, decision: RecoveryDecision) -> None:
         """Hold, record the decision on the disk, and prepare what it says for when everything stands still."""

@@ -32,7 +32,9 @@ SIGNALS: Final[Mapping[Violation, frozenset[str]]] = {
 """The signals that tell of a violation as what it is; an alert of another one is no detection."""
 
 UNLOOKED: Final = frozenset({Signal.NORMAL.value, Signal.COMPLETION.value})
-ENDING: Final = frozenset({"rollback_required", "nobody_to_ask", "no_row", "row_exhausted", "not_covered", "asked"})
+ENDING: Final = frozenset(
+    {"rollback_required", "nobody_to_ask", "no_row", "row_exhausted", "not_covered", "asked", "elsewhere"}
+)
 """Reasons for a recovery step that stand in no row of the table, but in policy's rules about tables."""
 
 COLUMNS: Final = {

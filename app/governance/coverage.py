@@ -13,6 +13,7 @@ from app.governance.decision import decide
 from app.governance.model import AdmissionOutcome, AgentFacts, CoveredRecovery, Mode, PolicyOutcome, Strategy
 from app.governance.policy import recovery_plan
 from app.governance.policy_model import GOVERNANCE
+from app.governance.recovery import RETRACE
 from app.governance.vocabulary import properties
 
 if TYPE_CHECKING:
@@ -33,11 +34,11 @@ def covered_recoveries(policy: PolicySet, proposal: Proposal, context: Context) 
     """
     plan = recovery_plan(policy, proposal.capability, context.profile)
     free = replace(context, cell=replace(context.cell, busy=None))  # it is this very invocation that has the cell
-    found = (_cover(policy, proposal, free, *wanted) for wanted in _wanted(plan, proposal))
+    found = (_cover(policy, proposal, free, *wanted) for wanted in _wanted(policy, plan, proposal))
     return tuple(recovery for recovery in found if recovery is not None)
 
 
-def _wanted(plan: RecoveryPlan, proposal: Proposal) -> list[tuple[Strategy, str, Mode]]:
+def _wanted(policy: PolicySet, plan: RecoveryPlan, proposal: Proposal) -> list[tuple[Strategy, str, Mode]]:
     """List what policy's table may ask for, each once, in the order of the table."""
     wanted: dict[tuple[Strategy, str, Mode], None] = {}
     for row in plan.rules:
@@ -53,6 +54,8 @@ def _wanted(plan: RecoveryPlan, proposal: Proposal) -> list[tuple[Strategy, str,
                     pass
     if plan.rollback_capability is not None:  # an operator may ask for it even where no row does
         wanted[Strategy.ROLLBACK, plan.rollback_capability, Mode.NORMAL] = None
+        if (back := policy.capabilities.get(RETRACE)) is not None and back.recovery:  # a rollback may end elsewhere
+            wanted[Strategy.ROLLBACK, RETRACE, Mode.NORMAL] = None
     return list(wanted)
 
 

@@ -11,6 +11,9 @@ and its steps are tried in order. A step is taken when
 Budgets are counted over the whole session. A recovery that fails comes back here with the same budgets, so nesting
 ends: every decision that moves something uses up a part of a finite sum, and what is left is a human or the end.
 
+A rollback that ends elsewhere than the session began (a retreat, or a release after the base was moved) is led back
+along the recorded path, once, if that is covered.
+
 Where the end is reached and the profile requires rollback, the rollback comes first; if it cannot be had, a human
 decides. Where nobody can be asked, asking is the end.
 """
@@ -26,14 +29,17 @@ if TYPE_CHECKING:
 
 NEW_ATTEMPTS: Final = frozenset({Strategy.RETRY, Strategy.SAFER_MODE})
 DEFAULT_BUDGET: Final = 1
+RETRACE: Final = "retrace"
+"""The recovery capability that goes back along the recorded path of the session."""
 
 
 class Budgets(NamedTuple):
-    """What a session has used up: steps by (row, strategy), new attempts, and whether it has rolled back."""
+    """What a session has used up: steps by (row, strategy), new attempts, whether it rolled back, was led back."""
 
     steps: tuple[tuple[int, Strategy], ...] = ()
     retries: int = 0
     rolled_back: bool = False
+    led_back: bool = False
 
     def taking(self, row: int, strategy: Strategy) -> Budgets:
         """Return the budgets after one more step."""
@@ -41,6 +47,7 @@ class Budgets(NamedTuple):
             (*self.steps, (row, strategy)),
             self.retries + (strategy in NEW_ATTEMPTS),
             self.rolled_back or strategy is Strategy.ROLLBACK,
+            self.led_back,
         )
 
 
@@ -48,8 +55,8 @@ class RecoveryDecision(NamedTuple):
     """What to do about a failure, why, and the budgets it leaves.
 
     `reason` is a code: `table`, `rollback_required`, `not_covered`, `no_row`, `row_exhausted`, `nobody_to_ask`,
-    `asked`. `row` is −1 where no row was found; `step` is the place in the row, for what follows when this step has
-    succeeded.
+    `asked`, `elsewhere`. `row` is −1 where no row was found; `step` is the place in the row, for what follows when this
+    step has succeeded.
     """
 
     strategy: Strategy
@@ -98,6 +105,21 @@ def roll_back(
     if plan.rollback_capability is None or cover is None or used.rolled_back:
         return None
     return RecoveryDecision(Strategy.ROLLBACK, failure, "asked", used.taking(-1, Strategy.ROLLBACK), cover)
+
+
+def lead_back(
+    failure: str, plan: RecoveryPlan, used: Budgets, covered: tuple[CoveredRecovery, ...]
+) -> RecoveryDecision | None:
+    """Return the way back to where the session began, for a rollback that ended elsewhere; None if it cannot be had.
+
+    One that retraced already is where that leads, and is not sent the same way again.
+    """
+    if used.led_back or plan.rollback_capability == RETRACE:
+        return None
+    for known in covered:
+        if known.strategy is Strategy.ROLLBACK and known.capability == RETRACE:
+            return RecoveryDecision(Strategy.ROLLBACK, failure, "elsewhere", used._replace(led_back=True), known)
+    return None
 
 
 class _Chooser(NamedTuple):

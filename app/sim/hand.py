@@ -33,13 +33,16 @@ class Hand(NamedTuple):
 class Mark(NamedTuple):
     """One point of the recorded safe path.
 
-    Commanded joints, believed base pose, whether the base drove, whether the pads held something.
+    Commanded joints, believed base pose, whether the base drove, whether the pads held something, and whether it was a
+    recovery that went there. Of recoveries the path holds that they began, and where they drove: they draw the
+    arm in, and undo by that what it did.
     """
 
     joints: NDArray[np.float64]
     base: Vec3
     driving: bool
     holding: bool
+    recovering: bool = False
 
 
 def on_surface(surface: Surface, x_m: float, y_m: float, *, margin_m: float = 0.0) -> bool:

@@ -4,25 +4,28 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
+from math import hypot
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from app.cell.substrate import SubstrateError
 from app.sim.body import CONTACT_SPEED_MPS, Body, Moves, SkillFailed
+from app.sim.localisation import wrapped
 from app.sim.skills_arm import HOVER_M, LIFT_M, grasp_object, number, put_down, within_reach
 from app.sim.skills_drive import RECOVERY_BASE_SPEED_MPS, RECOVERY_TCP_SPEED_MPS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from app.governance.model import Json
+    from app.governance.model import Json, Vec3
     from app.sim.hand import Mark
 
     Floats = NDArray[np.float64]
 
 _GENTLE_POINTS = 12
 _ON_MARKS = 0.9  # the recorded way is a polygon: the hand is a little faster on it than along a smooth line
+_APART_M, _APART_RAD = 0.03, 0.05
 _STANDS_RAD, _SHARP = 1e-4, 0.85  # a turn of more than 30 degrees is sharp
 
 
@@ -73,13 +76,50 @@ def _regrasp(body: Body, params: Mapping[str, Json], limit_mps: float) -> Moves:
 
 
 def retrace(body: Body, params: Mapping[str, Json]) -> Moves:
-    """Go the recorded safe path backwards, put the object back where it was taken from, and draw back."""
+    """Go the recorded safe path backwards, put the object back where it was taken from, and draw back.
+
+    A recovery draws the arm in: what the arm did until then is undone, and of that part of the path only where the base
+    stood is retraced, with the arm drawn in.
+    """
     return _retrace(body, list(body.senses.trail), number(params, "speed_mps", RECOVERY_TCP_SPEED_MPS))
 
 
 def _retrace(body: Body, trail: list[Mark], limit_mps: float) -> Moves:
-    taken = _taken_at(trail) if body.holding else None
+    stands, since = _split(trail)
     body.enter("retrace", 0.1)
+    yield from _undo(body, since, limit_mps)
+    if stands:
+        yield from body.retract(body.speed(limit_mps))
+        body.enter("retrace", 0.6)
+        yield from body.drive_poses(stands, min(body.speed(limit_mps), RECOVERY_BASE_SPEED_MPS))
+    if trail and trail[0].holding:  # it began with this in its hand, and so it ends
+        yield from body.wait(0.2)
+        return
+    yield from _give_back(body, limit_mps)
+
+
+def _split(trail: list[Mark]) -> tuple[list[Vec3], list[Mark]]:
+    """Return the poses of the base to go back through from where the last recovery ended, and the marks since then.
+
+    Poses are newest first; those that say nothing new are left out. None where no recovery moved.
+    """
+    recovered = [k for k, mark in enumerate(trail) if mark.recovering]
+    if not recovered:
+        return [], trail
+    stands = [trail[recovered[-1]].base]
+    for mark in trail[recovered[-1] :: -1]:
+        if _apart(mark.base, stands[-1]):
+            stands.append(mark.base)
+    return [*stands, trail[0].base], trail[recovered[-1] + 1 :]
+
+
+def _apart(pose: Vec3, other: Vec3) -> bool:
+    return hypot(pose[0] - other[0], pose[1] - other[1]) > _APART_M or abs(wrapped(pose[2] - other[2])) > _APART_RAD
+
+
+def _undo(body: Body, trail: list[Mark], limit_mps: float) -> Moves:
+    """Follow the marks backwards; what was taken on them is put back where it was taken."""
+    taken = _taken_at(trail) if body.holding else None
     if taken is not None:
         yield from _back(body, trail[taken:], limit_mps, gentle=True)
         body.enter("put_back", 0.5)
@@ -90,9 +130,10 @@ def _retrace(body: Body, trail: list[Mark], limit_mps: float) -> Moves:
         trail = trail[: taken + 1]
         body.enter("retreat", 0.6)
     yield from _back(body, trail, limit_mps, gentle=False)
-    if trail and trail[0].holding:  # it began with this in its hand, and so it ends
-        yield from body.wait(0.2)
-        return
+
+
+def _give_back(body: Body, limit_mps: float) -> Moves:
+    """Put what is still held where it was taken, if that is in reach, and draw the arm in."""
     hand = body.senses.hand
     if body.holding and hand is not None and within_reach(*body.relative(hand.x_m, hand.y_m)):
         body.enter("put_back", 0.7)

@@ -19,6 +19,7 @@ import numpy as np
 
 from app.cell.substrate import SubstrateError
 from app.governance.model import CONTROL_PERIOD_S, Command, ObjectFact, Observation, SensorStamps, WorldFacts
+from app.governance.recovery import RETRACE
 from app.sim import robot
 from app.sim.display import copy_poses, describe, moving_bodies
 from app.sim.faults import FaultClock, Scenario, Victim
@@ -391,19 +392,19 @@ class Workcell:
         )
 
     def _remember(self, command: Command) -> None:
-        """Latch tools, and extend the safe path while a primary skill moves."""
+        """Latch tools, and extend the safe path while a primary skill moves, or a recovery does."""
         state = self._state
         for name, tool in self.site.tools.items():
             if tool.kind == "button" and self.plant.tool_angle(name) > _BUTTON_PRESSED_M:
                 state.pressed_s[name] = state.tick * CONTROL_PERIOD_S
-        if (
-            self._run is None
-            or self._run.capability in RECOVERIES
-            or state.tick % _MARK_TICKS
-            or len(state.trail) >= _MARK_MAX
-        ):
+        if self._run is None or state.tick % _MARK_TICKS or len(state.trail) >= _MARK_MAX:
             return
-        mark, last = self._mark(driving=command.base_velocity != (0.0, 0.0, 0.0)), state.trail[-1]
+        driving, capability = command.base_velocity != (0.0, 0.0, 0.0), self._run.capability
+        if capability in RECOVERIES:
+            if capability != RETRACE and state.trail and (driving or not state.trail[-1].recovering):
+                state.trail.append(self._mark(driving=driving)._replace(recovering=True))
+            return
+        mark, last = self._mark(driving=driving), state.trail[-1]
         moved = float(np.abs(mark.joints - last.joints).max()) > _MARK_RAD
         if moved or mark.driving or mark.driving != last.driving or mark.holding != last.holding:
             state.trail.append(mark)

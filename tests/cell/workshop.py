@@ -28,6 +28,7 @@ from app.governance.model import (
 )
 from app.governance.permit import Grant, mint
 from app.governance.policy import PolicySet, recovery_plan, watch_plan
+from app.governance.recovery import RETRACE
 from app.sim.faults import Fault
 from app.sim.people import Walk
 from app.sim.sensors import AS_MEASURED, Quality
@@ -129,8 +130,10 @@ class Workshop:
                 CoveredRecovery(strategy=Strategy.RECOVERY_CAPABILITY, capability=name, params=self._filled(name, {}))
             )
         if plan.rollback_capability is not None:
-            back = plan.rollback_capability
-            found.append(CoveredRecovery(strategy=Strategy.ROLLBACK, capability=back, params=self._filled(back, {})))
+            for back in dict.fromkeys((plan.rollback_capability, RETRACE)):
+                found.append(
+                    CoveredRecovery(strategy=Strategy.ROLLBACK, capability=back, params=self._filled(back, {}))
+                )
         return found
 
     def hang(self, *, runs: int, after_ticks: int = 150) -> None:

@@ -50,7 +50,7 @@ def test_what_a_human_approved_may_be_tried_again_but_no_other_recovery_that_ask
     policy = with_files(**{"organization.yaml": text + rule})
     box = proposal("grasp_object", object_id="box_1")  # 3.5 kg escalate here
     asked = {capability for _, capability, _ in covered(box, policy=policy)}
-    assert asked == {"grasp_object", "release_and_retract", "reposition_base"}
+    assert asked == {"grasp_object", "release_and_retract", "reposition_base", "retrace"}
     assert "safe_retreat" in {capability for _, capability, _ in covered(box)}
 
 
@@ -112,3 +112,16 @@ def test_a_recovery_is_told_the_object_that_is_held_and_grips_it_no_harder_than_
 def test_a_recovery_may_no_more_than_the_agent_it_is_made_for():
     kept = covered(proposal("place_object", surface="shelf"), holding="solvent_1")
     assert "regrasp" not in {name for _, name, _ in kept}
+
+
+def test_a_rollback_that_may_end_elsewhere_comes_with_the_way_back_where_the_plant_has_one():
+    grasp = proposal("grasp_object", object_id="mug_1")
+    backs = [name for strategy, name, _ in covered(grasp) if strategy is Strategy.ROLLBACK]
+    assert backs == ["release_and_retract", "retrace"]
+    plants = {
+        name: text.replace("rollback: retrace", "rollback: safe_retreat").replace(", retrace", "")
+        for name, text in files().items()
+        if not name.endswith("/retrace.yaml")
+    }
+    without = covered(grasp, policy=bundle.load_files(plants))
+    assert [name for strategy, name, _ in without if strategy is Strategy.ROLLBACK] == ["release_and_retract"]

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.governance.model import CoveredRecovery, Mode, RecoveryPlan, RecoveryRule, Risk, Strategy
-from app.governance.recovery import Budgets, RecoveryDecision, recover, roll_back
+from app.governance.recovery import Budgets, RecoveryDecision, lead_back, recover, roll_back
 
 S = Strategy
 COVERED = (
@@ -179,3 +179,15 @@ def test_no_new_attempt_is_made_on_top_of_a_recovery_that_failed() -> None:
     assert ask("slip", used, recovering=True).strategy is S.ASK_HUMAN
     assert ask("slip", used).strategy is S.RETRY
     assert ask("miss", recovering=True).strategy is S.ROLLBACK
+
+
+def test_a_rollback_that_ended_elsewhere_is_led_back_once_if_that_is_covered() -> None:
+    retreat = replace(PLAN, rollback_capability="safe_retreat")
+    decision = lead_back("contact", retreat, Budgets(retries=1, rolled_back=True), COVERED)
+    assert decision is not None
+    assert (decision.strategy, decision.reason, decision.covered) == (S.ROLLBACK, "elsewhere", COVERED[3])
+    assert decision.used == Budgets(retries=1, rolled_back=True, led_back=True)
+    assert decision.used.taking(0, S.RETRY).led_back
+    assert lead_back("contact", retreat, decision.used, COVERED) is None
+    assert lead_back("contact", retreat, Budgets(), COVERED[:3]) is None
+    assert lead_back("contact", PLAN, Budgets(), COVERED) is None  # that was the way back already
