@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from app.governance.estimation import now, tcp_velocity, track_base, track_people
 from app.governance.fusing import Part, parts
-from app.governance.keepout import leaves
+from app.governance.keepout import least_clearance, leaves
 from app.governance.signals import FAR_M
 
 if TYPE_CHECKING:
@@ -105,23 +105,50 @@ def motion(seen: Observation, base_yaw_rad: float) -> tuple[float, Pair, Pair]:
     return sqrt(vx * vx + vy * vy), (c, s), (c * vx - s * vy, s * vx + c * vy)
 
 
+def slide(
+    seen: Observation,
+    before: Observation,
+    stamps: SensorStamps,
+    base: BaseEstimate,
+    base_speed_mps: float,
+    velocity: Pair,
+) -> Pair:
+    """Return how fast the estimated position moves while the base drives: what odometry does in a tick, and its drift.
+
+    Drift is never added to what the drives say: a bias of the odometry is no motion.
+    """
+    slide = velocity
+    apart_s = stamps.odometry - before.stamps_s.odometry
+    if base_speed_mps > CREEP_MPS and apart_s > 0.0:
+        x, y, _ = seen.odometry
+        from_x, from_y, _ = before.odometry
+        rate_x, rate_y = (x - from_x) / apart_s + base.drift_x_mps, (y - from_y) / apart_s + base.drift_y_mps
+        # A jump is no motion: where the base is shows it. What is no number stays none.
+        if not abs(rate_x) + abs(rate_y) > LARGEST_BASE_SPEED_MPS:
+            slide = rate_x, rate_y
+    return slide
+
+
 def zone_margin(
     sound: bool,
-    base: BaseEstimate,
     base_x_m: float,
     base_y_m: float,
     base_speed_mps: float,
     velocity: Pair,
+    slide: Pair,
     plan: Constants,
 ) -> float:
-    """Return the least clearance between the hull and a zone on the way to standstill, if braking began now."""
+    """Return the least clearance between the hull and a zone on the way to standstill, if braking began now.
+
+    Two say where that leads, and the worse one counts: the drives, who know nothing of wheels that slip, and the rate
+    of the estimated position, which follows a bias of the odometry only as fast as fixes tell of it.
+    """
     zone_margin_m = nan
     if sound and plan.keepouts:
-        vx, vy = velocity
-        speed = base_speed_mps
-        if speed > CREEP_MPS:
-            vx, vy = vx + base.drift_x_mps, vy + base.drift_y_mps
-            speed = sqrt(vx * vx + vy * vy)
+        slide_x, slide_y = slide
+        speed = sqrt(slide_x * slide_x + slide_y * slide_y)
+        if speed < base_speed_mps:
+            speed = base_speed_mps
         reach_s = REACTION_S + speed / (2.0 * plan.base_deceleration_mps2)
         ahead = speed * reach_s
         zone_margin_m = FAR_M
@@ -132,12 +159,12 @@ def zone_margin(
             # Far off the distance to the bounding box stands in: it is never more than the true one.
             margin = sqrt(dx * dx + dy * dy) - ahead
             if not margin > NEAR_ZONE_M:
-                margin = zone.clearance(base_x_m, base_y_m, vx * reach_s, vy * reach_s)
+                margin = least_clearance(zone, base_x_m, base_y_m, (velocity, slide), reach_s)
             if not margin >= zone_margin_m:
                 zone_margin_m = margin
         zone_margin_m -= plan.base_radius_m
         # Stopped at the edge, the base stands within the noise of its own estimate: a violation again and again.
-        if -EDGE_M < zone_margin_m < 0.0 and leaves(plan.keepouts, base_x_m, base_y_m, velocity, reach_s):
+        if -EDGE_M < zone_margin_m < 0.0 and leaves(plan.keepouts, base_x_m, base_y_m, (velocity, slide), reach_s):
             zone_margin_m = 0.0
     elif sound:
         zone_margin_m = FAR_M
@@ -456,6 +483,7 @@ DETECTORS: Final[tuple[Part, ...]] = parts(
         soundness: ("placed", "sound", "same_people", "fastest_radps"),
         position: ("base", "fix_jumped", "base_x_m", "base_y_m", "base_yaw_rad"),
         motion: ("base_speed_mps", "heading", "velocity"),
+        slide: ("slide",),
         zone_margin: ("zone_margin_m",),
         people_around: ("people",),
         separation: ("separation_m", "protective_separation_m", "separation_margin_m"),

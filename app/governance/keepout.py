@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from math import hypot
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 if TYPE_CHECKING:
     from app.governance.model import Zone
+
+
+Pair: TypeAlias = "tuple[float, float]"
 
 
 class Keepout(NamedTuple):
@@ -46,10 +49,23 @@ class Keepout(NamedTuple):
         return -least if inside else least
 
 
-def leaves(keepouts: tuple[Keepout, ...], x: float, y: float, velocity: tuple[float, float], reach_s: float) -> bool:
+def least_clearance(zone: Keepout, x: float, y: float, velocities: tuple[Pair, ...], reach_s: float) -> float:
+    """Return the least distance from the ways that velocities lead in a time to a zone; NaN if one is no number."""
+    least = math.inf
+    for vx, vy in velocities:
+        if (vx + vy) * reach_s - (vx + vy) * reach_s != 0.0:
+            return math.nan
+        least = min(least, zone.clearance(x, y, vx * reach_s, vy * reach_s))
+    return least
+
+
+def leaves(keepouts: tuple[Keepout, ...], x: float, y: float, velocities: tuple[Pair, ...], reach_s: float) -> bool:
     """Say whether the base stands, or nears no zone: who was stopped at the edge has to be able to back out."""
-    ahead_x, ahead_y = velocity[0] * reach_s, velocity[1] * reach_s
-    return all(zone.clearance(x, y, ahead_x, ahead_y) >= zone.clearance(x, y, 0.0, 0.0) for zone in keepouts)
+    return all(
+        zone.clearance(x, y, vx * reach_s, vy * reach_s) >= zone.clearance(x, y, 0.0, 0.0)
+        for vx, vy in velocities
+        for zone in keepouts
+    )
 
 
 def _to_segment(x: float, y: float, x0: float, y0: float, x1: float, y1: float) -> float:

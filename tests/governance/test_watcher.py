@@ -233,6 +233,53 @@ def test_the_zone_is_judged_by_the_fix_where_odometry_drifts() -> None:
     assert 4.6 - 0.45 - true_x == pytest.approx(0.0, abs=0.1)
 
 
+def leaving_under_a_bias(vx_mps: float, *, slips: bool) -> list[Observation]:
+    """At a zone's edge, four seconds after odometry began to drift by 0.1 m/s: at rest until then, then it creeps.
+
+    The drift is a bias of the odometry alone, or that of wheels that slip: then it is the base that moves.
+    """
+    stream = []
+    for tick in range(500):
+        went_m = max(0, tick - 400) * 0.01 * vx_mps
+        drift_m = 0.001 * tick - 0.4
+        odometry_x = 4.1 + went_m + (0.0 if slips else drift_m)
+        true_x = 4.1 + went_m + (drift_m if slips else 0.0)
+        stream.append(
+            seen(
+                tick,
+                odometry=(odometry_x, 1.0, 0.0),
+                base_velocity=(vx_mps if tick > 400 else 0.0, 0.0, 0.0),
+                fix=Fix(tick * 0.01, true_x, 1.0, 0.0),
+            )
+        )
+    return stream
+
+
+def test_a_bias_of_the_odometry_is_no_motion_and_does_not_keep_the_base_from_creeping_out_of_a_zone() -> None:
+    plan = watching(rule("zone_margin_m", above=False, threshold=0.0), base_radius_m=0.45)
+    assert first_alert(plan, leaving_under_a_bias(-0.03, slips=False)) == (None, None)
+    _, state, _ = run(plan, leaving_under_a_bias(-0.03, slips=False)[:420])
+    assert state.signals.zone_margin_m == pytest.approx(0.05 + 0.006, abs=0.003)
+
+
+def test_wheels_that_slip_towards_a_zone_are_judged_by_where_they_slip_and_not_by_the_drives() -> None:
+    plan = watching(rule("zone_margin_m", above=False, threshold=0.0), base_radius_m=0.45, base_deceleration_mps2=1.0)
+    _, state, _ = run(plan, leaving_under_a_bias(-0.03, slips=True)[:402])
+    moving_m = 0.07 * (0.05 + 0.07 / 2.0)  # 0.1 m/s of slip less 0.03 m/s of driving, to standstill
+    assert state.signals.zone_margin_m == pytest.approx(0.05 - moving_m, abs=0.002)
+
+
+def test_what_the_odometry_did_since_it_was_no_number_is_unknown_and_a_jump_is_left_to_the_position() -> None:
+    plan = watching(rule("zone_margin_m", above=False))
+    drives = {"base_velocity": (0.1, 0.0, 0.0), "fix": None}
+    broken = [seen(0, **drives), seen(1, odometry=(math.nan, 2.0, 0.0), **drives), seen(2, **drives)]
+    margins = [run(plan, broken[: count + 1])[1].signals.zone_margin_m for count in range(3)]
+    assert margins[0] > 0.0
+    assert all(math.isnan(margin) for margin in margins[1:])
+    jumped = [seen(0, **drives), seen(1, odometry=(2.3, 2.0, 0.0), **drives)]  # 30 m/s
+    assert run(plan, jumped)[1].signals.zone_margin_m == pytest.approx(margins[0] - 0.28, abs=0.03)
+
+
 def expected_gap(closing_mps: float) -> float:
     """S_p = v_h (T_r + T_s) + v_r T_r + v_r T_s / 2 + C + Z_d + Z_r."""
     return 1.6 * (0.1 + 0.3) + closing_mps * 0.1 + closing_mps * 0.3 / 2 + 0.2 + 0.08 + 0.05

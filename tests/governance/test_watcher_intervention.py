@@ -179,7 +179,8 @@ def test_grace_is_over_where_the_robot_goes_deeper_instead_of_leaving() -> None:
     for tick, depth_m in enumerate((0.010, 0.015, 0.004)):
         state, decision = responses.intervene(state, inside(depth_m), tick)
         assert decision == GO_ON
-    _, decision = responses.intervene(state, inside(0.031), 3)
+    assert responses.intervene(state, inside(0.049), 3)[1] == GO_ON  # noise may move the estimate by as much
+    _, decision = responses.intervene(state, inside(0.051), 3)
     assert decision.intervention is STOP
 
 
@@ -191,7 +192,7 @@ def test_grace_outlasts_a_moment_at_the_edge_where_noise_alone_makes_the_violati
         alerts = (Alert(Signal.VIOLATION, "zone", -depth_m, 0.0, "zone"),) if depth_m else ()
         state, decision = responses.intervene(state, alerts, tick)
         assert decision == GO_ON
-    back_again = (Alert(Signal.VIOLATION, "zone", -0.021, 0.0, "zone"),)
+    back_again = (Alert(Signal.VIOLATION, "zone", -0.041, 0.0, "zone"),)
     assert responses.intervene(state, back_again, 4)[1].intervention is STOP
     assert responses.intervene(state, (), 100)[0] is NOTHING
 
