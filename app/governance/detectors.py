@@ -163,8 +163,9 @@ def zone_margin(
             if not margin >= zone_margin_m:
                 zone_margin_m = margin
         zone_margin_m -= plan.base_radius_m
-        # Stopped at the edge, the base stands within the noise of its own estimate: a violation again and again.
-        if -EDGE_M < zone_margin_m < 0.0 and leaves(plan.keepouts, base_x_m, base_y_m, (velocity, slide), reach_s):
+        # Stopped at the edge, the base stands within the noise of its own estimate: a violation again and again. While
+        # it creeps that noise is more than its motion, so whether it backs out is for the drives to say.
+        if -EDGE_M < zone_margin_m < 0.0 and leaves(plan.keepouts, base_x_m, base_y_m, velocity, reach_s):
             zone_margin_m = 0.0
     elif sound:
         zone_margin_m = FAR_M

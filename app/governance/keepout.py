@@ -59,13 +59,10 @@ def least_clearance(zone: Keepout, x: float, y: float, velocities: tuple[Pair, .
     return least
 
 
-def leaves(keepouts: tuple[Keepout, ...], x: float, y: float, velocities: tuple[Pair, ...], reach_s: float) -> bool:
+def leaves(keepouts: tuple[Keepout, ...], x: float, y: float, velocity: Pair, reach_s: float) -> bool:
     """Say whether the base stands, or nears no zone: who was stopped at the edge has to be able to back out."""
-    return all(
-        zone.clearance(x, y, vx * reach_s, vy * reach_s) >= zone.clearance(x, y, 0.0, 0.0)
-        for vx, vy in velocities
-        for zone in keepouts
-    )
+    ahead_x, ahead_y = velocity[0] * reach_s, velocity[1] * reach_s
+    return all(zone.clearance(x, y, ahead_x, ahead_y) >= zone.clearance(x, y, 0.0, 0.0) for zone in keepouts)
 
 
 def _to_segment(x: float, y: float, x0: float, y0: float, x1: float, y1: float) -> float:

@@ -14,10 +14,10 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from app.cell.journal import Journal, JournalUnavailable
 from app.cell.runner import Runner, run_session
-from app.governance.model import Outcome
+from app.governance.model import CoveredRecovery, Outcome, Strategy
 from app.governance.permit import SignedAuthorization, mint
 from app.protocol import CHANNELS, ROW
-from tests.cell.rig import COVERED, DIGEST, KEY, NOW_S, PERMIT, PLAN, RULES, Rig, rule, signed
+from tests.cell.rig import COVERED, DIGEST, KEY, NOW_S, PERMIT, PLAN, RECOVERY, RULES, Rig, rule, signed
 
 
 @pytest.fixture
@@ -417,6 +417,50 @@ def test_a_rollback_that_did_not_bring_the_base_back_is_a_failure(rig: Rig) -> N
     assert "base_pose" in rig.last("recovery")["unmet"]
     assert rig.last("recovery")["failure"] == "rollback_failed"
     assert rig.of("outcome") == []
+
+
+RETREATING = replace(RECOVERY, rollback_capability="safe_retreat")
+RETREAT = CoveredRecovery(strategy=Strategy.ROLLBACK, capability="safe_retreat", params={})
+
+
+def roll_back_elsewhere(rig: Rig) -> None:
+    """Roll back by a retreat, which leaves the base where the attempt had driven it."""
+    rig.recovery, rig.cell.script.base_mps = RETREATING, 0.25
+    rig.launch(recoveries=(RETREAT, *COVERED))
+    rig.ticks(90)
+    assert rig.runner.human("inv-1", "rollback", "operator") is None
+    rig.until(lambda: rig.cell.bound[-1][0] == "safe_retreat")
+    rig.cell.script.base_mps = 0.0
+
+
+def test_a_rollback_that_ends_elsewhere_is_led_back_along_the_path_and_verified_there(rig: Rig) -> None:
+    roll_back_elsewhere(rig)
+    away_m = rig.cell.x_m - 2.0
+    assert away_m > 0.15
+    rig.until(lambda: rig.cell.bound[-1][0] == "retrace")
+    rig.cell.script.base_mps = -away_m  # over the second that a skill takes here
+    assert rig.finish()["outcome"] == "rolled_back"
+    assert rig.cell.x_m == pytest.approx(2.0, abs=0.02)
+    assert [(body["strategy"], body["reason"]) for body in rig.of("recovery")] == [
+        ("ROLLBACK", "asked"),
+        ("ROLLBACK", "elsewhere"),
+    ]
+    assert rig.last("recovery")["unmet"] == ["base_pose"]
+
+
+def test_a_rollback_that_is_led_back_and_does_not_arrive_has_failed(rig: Rig) -> None:
+    roll_back_elsewhere(rig)
+    rig.until_status("escalated")
+    assert [name for name, _, _ in rig.cell.bound] == ["grasp_object", "safe_retreat", "retrace"]
+    assert rig.last("recovery")["failure"] == "rollback_failed"
+
+
+def test_a_rollback_that_left_more_undone_than_where_the_base_stands_is_not_driven_anywhere(rig: Rig) -> None:
+    rig.cell.unmet = ("arm_retracted",)
+    roll_back_elsewhere(rig)
+    rig.until_status("escalated")
+    assert [name for name, _, _ in rig.cell.bound] == ["grasp_object", "safe_retreat"]
+    assert rig.last("recovery")["failure"] == "rollback_failed"
 
 
 def test_a_rollback_that_is_not_covered_holds_and_asks(rig: Rig) -> None:

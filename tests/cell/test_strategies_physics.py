@@ -110,6 +110,28 @@ def test_rollback_puts_an_object_back_where_it_was_taken(tmp_path: Path) -> None
     assert truth.upright["mug_1"]
 
 
+def test_rollback_ends_where_the_session_began_whatever_recoveries_drove_in_between(tmp_path: Path) -> None:
+    crate = fault("blocked", grasping("approach"), 6.0, **ELBOW)
+    shop = Workshop(tmp_path, profile="test-audit", faults=(crate,))
+    start, was = shop.cell.truth().base, shop.cell.truth().objects["mug_1"]
+    shop.launch("grasp_object", **GRASP)
+    while shop.strategies() != ["RECOVERY_CAPABILITY", "SAFER_MODE"]:  # it has backed off
+        shop.runner.tick()
+    assert shop.runner.human("inv-1", "rollback", "operator") is None
+    while shop.runner.invocation is not None and "elsewhere" not in [told["reason"] for told in shop.of("recovery")]:
+        shop.runner.tick()
+    assert shop.of("recovery")[-1]["unmet"] == ["base_pose"]
+    assert dist(shop.cell.truth().base[:2], start[:2]) > 0.15
+    hardest_n = 0.0
+    while shop.runner.invocation is not None:
+        shop.runner.tick()
+        hardest_n = max(hardest_n, shop.cell.truth().contact_force_n)
+    assert shop.last("outcome")["outcome"] == "rolled_back"
+    assert dist(shop.cell.truth().base, start) < 0.05
+    assert dist(shop.cell.truth().objects["mug_1"], was) < 0.05
+    assert hardest_n < 5.0  # only the base goes back: the hand does not go again where it met something
+
+
 def test_terminate_ends_where_the_table_says_so(tmp_path: Path) -> None:
     stuck = fault("sensor", grasping("approach", 0.5), sensor="arm", fault="stuck")
     shop = Workshop(tmp_path, profile="sim-relaxed", faults=(stuck,))

@@ -242,7 +242,7 @@ def leaving_under_a_bias(vx_mps: float, *, slips: bool) -> list[Observation]:
     for tick in range(500):
         went_m = max(0, tick - 400) * 0.01 * vx_mps
         drift_m = 0.001 * tick - 0.4
-        odometry_x = 4.1 + went_m + (0.0 if slips else drift_m)
+        odometry_x = 4.1 + went_m - (0.0 if slips else drift_m)
         true_x = 4.1 + went_m + (drift_m if slips else 0.0)
         stream.append(
             seen(
