@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 ARRIVED_M: Final = 0.15
 STANDS_M: Final = 0.03
 BACK_M: Final = 0.05
+FLOOR_M: Final = 0.3  # lower than any surface: what is there lies on the floor, or is gone
 
 Judge = Callable[["Workcell"], bool]
 
@@ -46,6 +47,24 @@ def restored_of(trial: Drawn, began: Truth) -> Judge:
         return now.upright[name] and hypot(at[0] - was[0], at[1] - was[1]) < BACK_M
 
     return restored
+
+
+def undoable_of(trial: Drawn, began: Truth) -> Judge:
+    """Return the judge of whether a rollback has anything to go back to, asked when it begins.
+
+    By the exact state alone: what was held when the trial began still has to be in the gripper, since going back picks
+    nothing up; and an object that was to be handled has to be there, and not on the floor. What is held is not judged
+    by its height.
+    """
+
+    def undoable(cell: Workcell) -> bool:
+        now = cell.truth()
+        if began.held is not None:
+            return now.held == began.held
+        name = str(trial.params.get("object_id", ""))
+        return name not in began.objects or now.held == name or now.objects[name][2] > FLOOR_M
+
+    return undoable
 
 
 def _arrived(trial: Drawn, cell: Workcell) -> bool:

@@ -154,12 +154,22 @@ def _safe(row: Row) -> Value:
 
 
 def _rolled_back(row: Row) -> Value:
-    """RBSR: of the rollbacks tried after a failure, in capabilities that declare one, those that were verified."""
+    """RBSR: of the rollback-capable ones tried after a failure, those that were verified.
+
+    Capable is where the capability declares a rollback, and where by the exact state, when it began, there was still
+    something to go back to: what was held at the start is in the gripper, what was to be handled is there and not on
+    the floor. What came of the rollback has no part in that; `_rolled_back_tried` counts all of them.
+    """
     return row.get("rolled_back") if row.get("rollback_capable") and row["kind"] == Kind.RECOVERABLE else None
 
 
 def _rolled_back_violation(row: Row) -> Value:
     return row.get("rolled_back") if row.get("rollback_capable") and row["kind"] == Kind.PERTURBED else None
+
+
+def _rolled_back_tried(row: Row) -> Value:
+    """RBSR over all rollbacks tried, capable or not, after a failure or a violation: those that were verified."""
+    return row.get("rolled_back")
 
 
 def _rolled_back_of_all(row: Row) -> Value:
@@ -310,7 +320,8 @@ METRICS: Final[Mapping[str, Metric]] = {
             "Rollback success rate, rollback-capable",
             "1",
             "higher",
-            "rollbacks tried after a failure, in capabilities that declare one, that were verified",
+            "rollbacks tried after a failure that were verified, where by the exact state there was still something to "
+            "go back to",
             _rolled_back,
         ),
         Metric(
@@ -320,6 +331,14 @@ METRICS: Final[Mapping[str, Metric]] = {
             "higher",
             "the same, where recovery chose it after a violation whose cause goes on",
             _rolled_back_violation,
+        ),
+        Metric(
+            "RBSR_TRIED",
+            "Rollback success rate, all that were tried",
+            "1",
+            "higher",
+            "rollbacks tried after a failure or a violation that were verified, whether they could succeed or not",
+            _rolled_back_tried,
         ),
         Metric(
             "RBSR_ALL",

@@ -130,6 +130,14 @@ CHOICES: Final = (
         "RBSR",
     ),
     Choice(
+        "what is rollback-capable",
+        "whether the capability declares a rollback",
+        "the same, and by the exact state when the rollback begins there is still something to go back to: what was "
+        "held at the start is in the gripper, what was to be handled is there and not on the floor. What came of the "
+        "rollback has no part in it, and the rate over all that were tried stands beside it",
+        "RBSR",
+    ),
+    Choice(
         "the supervisor",
         "approval drawn at random",
         "approves what waits before launch, and ends an escalated session after two seconds",

@@ -127,7 +127,8 @@ def row(policy: PolicySet, trial: Trial, method: Method, ran: Ran) -> Row:
         size=drawn.size,
         turns=trial.turns,
         walk_mps=drawn.walk_mps or None,
-        rollback_capable=policy.capabilities[drawn.capability].rollback is not None,
+        # By the exact state when the rollback began, and never by what came of it.
+        rollback_capable=policy.capabilities[drawn.capability].rollback is not None and ran.undoable is not False,
     )
     if drawn.kind is Kind.UNAUTHORIZED:
         made["class"] = Class.LET_THROUGH if passed.launched else Class.INTERCEPTED
@@ -266,8 +267,6 @@ def _failed(made: Row, policy: PolicySet, trial: Trial, method: Method, done: Ex
     # What came about by chance, and nobody knows of, is no recovery either.
     reached = done.achieved and known and not hurt and not waited
     made["over_surface"], made["handed_over"] = over, handed
-    if over is False:  # what lies on the floor cannot be brought back by going back
-        made["rollback_capable"] = False
     # What was dropped on the floor cannot be had again: there a safe stop with a human in charge is the goal.
     made["recovered"] = reached or (over is False and handed and not hurt)
     began = steps[0].tick - _launched(done) if steps else done.failures[0][0] if done.failures else None

@@ -10,8 +10,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from app.cell.run import Doing
 from app.clock import precise_ns
-from app.evaluation.capabilities import judge_of, restored_of
+from app.evaluation.capabilities import judge_of, restored_of, undoable_of
 from app.evaluation.draws import Drawn, draw, of_type
 from app.evaluation.episode import Execution, Journals, Supervised, context_of, governed, ungoverned
 from app.evaluation.methods import Passed, Recovering, Watching, pass_gate
@@ -24,6 +25,7 @@ from app.governance.policy import watch_plan
 from app.sim.sensors import AS_MEASURED, Quality
 
 if TYPE_CHECKING:
+    from app.cell.runner import Runner
     from app.evaluation.capabilities import Judge
     from app.evaluation.methods import Method
     from app.governance.model import Params, WatchPlan
@@ -39,12 +41,17 @@ Change = Callable[["WatchPlan"], "WatchPlan"]
 
 
 class Ran(NamedTuple):
-    """A trial under one method: what the gate said, how long that took, and what was executed (None: nothing)."""
+    """A trial under one method: what the gate said, how long that took, and what was executed (None: nothing).
+
+    `undoable` says whether there was anything to go back to when a rollback began (None: none did), `restored` whether
+    the world is at the end as it was at the beginning.
+    """
 
     passed: Passed
     decision_us: float
     execution: Execution | None
     restored: bool | None
+    undoable: bool | None = None
 
 
 @dataclass(slots=True)
@@ -205,20 +212,20 @@ def run(bench: Bench, trial: Trial, methods: Sequence[Method], *, change: Change
         methods: who.
         change: changes every watch plan, to take a detector out or move the sensitivity.
     """
-    shared: dict[object, tuple[Execution, bool | None]] = {}
+    shared: dict[object, tuple[Execution, bool | None, bool | None]] = {}
     found: dict[str, Ran] = {}
     for method in methods:
         began = precise_ns()
         approved = trial.drawn.breach is not Breach.APPROVAL
         passed = pass_gate(method, bench.policy, trial.proposal, trial.context, approved=approved)
         spent_us = (precise_ns() - began) / 1000.0
-        execution = restored = None
+        execution = restored = undoable = None
         if passed.launched and trial.drawn.kind is not Kind.UNAUTHORIZED:
             key = (*alike(method), tuple(sorted(passed.effective.items())))
             if key not in shared:
                 shared[key] = _execute(bench, trial, method, passed.effective, change)
-            execution, restored = shared[key]
-        found[method.name] = Ran(passed, spent_us, execution, restored)
+            execution, restored, undoable = shared[key]
+        found[method.name] = Ran(passed, spent_us, execution, restored, undoable)
     return found
 
 
@@ -236,15 +243,16 @@ def alike(method: Method) -> tuple[object, ...]:
 
 def _execute(
     bench: Bench, trial: Trial, method: Method, effective: Params, change: Change | None
-) -> tuple[Execution, bool | None]:
+) -> tuple[Execution, bool | None, bool | None]:
     drawn, twin = trial.drawn, trial.twin
     if twin is not None and trial.whole and alike(method) == ("twin",) and effective == trial.proposal.params:
-        return twin, None
+        return twin, None, None
     cell = bench.stage.set(drawn.start, drawn.world, drawn.scenario)
-    restored: Judge = restored_of(drawn, cell.truth())
+    began = cell.truth()
+    restored, undoable = restored_of(drawn, began), Once(cell, undoable_of(drawn, began))
     truth = looking(bench.policy, drawn, trial.plan)
     if alike(method) == ("twin",):
-        return ungoverned(cell, drawn.capability, effective, truth, judge_of(drawn)), None
+        return ungoverned(cell, drawn.capability, effective, truth, judge_of(drawn)), None, None
     withdrawn = drawn.failure is Failure.WITHDRAWN
     supervised = Supervised(order="rollback", order_tick=round(drawn.size * 100)) if withdrawn else Supervised()
     execution = governed(
@@ -258,8 +266,24 @@ def _execute(
         bench.journals,
         supervised=supervised,
         plan_change=change or _as_is,
+        during=undoable.see,
     )
-    return execution, _at_rest(cell, restored)
+    return execution, _at_rest(cell, restored), undoable.found
+
+
+@dataclass(slots=True)
+class Once:
+    """Judges a workcell in the tick in which a rollback is bound for the first time, before it has moved anything."""
+
+    cell: Workcell
+    judge: Judge
+    found: bool | None = None
+
+    def see(self, runner: Runner) -> None:
+        """Take one tick."""
+        session = runner.session
+        if self.found is None and session is not None and session.run.doing is Doing.ROLLBACK:
+            self.found = self.judge(self.cell)
 
 
 def _at_rest(cell: Workcell, restored: Judge) -> bool:

@@ -32,7 +32,9 @@ COLUMNS: Final = {
     "recovered": "whether the task's postconditions were reached within budget, without a violation on the way",
     "handed_over": "whether it ended in a safe stop with a human in charge",
     "over_surface": "whether a lost object was lost over a surface, so that it can be had again",
-    "rollback_capable": "whether the capability declares a rollback",
+    "rollback_capable": "whether the capability declares a rollback, and the state before could still be had when one "
+    "began, by the exact state alone: what was held at the start is still in the gripper, and an object that was to be "
+    "handled is there and not on the floor",
     "rolled_back": "whether a rollback that was tried was verified",
     "recovery_s": "time from the failure to the end of its recovery, s",
     "safe_s": "time from a violation's onset, or a failure, to the safe state: standstill, after a retreat if one "

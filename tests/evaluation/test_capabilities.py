@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import pytest
 
-from app.evaluation.capabilities import ARRIVED_M, BACK_M, STANDS_M, judge_of, restored_of
+from app.evaluation.capabilities import ARRIVED_M, BACK_M, STANDS_M, judge_of, restored_of, undoable_of
 from app.evaluation.draws import Drawn
 from app.evaluation.model import CAPABILITIES, Kind
 from app.evaluation.stage import Start
@@ -132,3 +132,28 @@ def test_what_was_held_is_held_again() -> None:
     restored = restored_of(drawn("transport_object", "mug_1", target="dock"), truth(held="mug_1"))
     assert restored(world(held="mug_1"))
     assert not restored(world())
+
+
+@pytest.mark.parametrize(
+    ("differs", "capable"),
+    [
+        ({}, True),
+        ({"base": (9.0, 9.0, 0.0)}, True),  # far off, and yet there is a way back
+        ({"upright": {"mug_1": False}}, True),
+        ({"held": "mug_1"}, True),
+        ({"objects": {"mug_1": (ON_BENCH[0], ON_BENCH[1], 0.05)}}, False),  # on the floor
+        ({"objects": {"mug_1": (ON_BENCH[0], ON_BENCH[1], -2.0)}}, False),  # taken away
+    ],
+)
+def test_there_is_something_to_go_back_to_where_the_object_is_there_and_not_on_the_floor(
+    differs: dict[str, Any], capable: bool
+) -> None:
+    trial = drawn("grasp_object", object_id="mug_1")
+    assert undoable_of(trial, truth())(world(**differs)) is capable
+
+
+def test_what_slipped_out_of_a_hand_that_held_it_at_the_start_cannot_be_gone_back_to() -> None:
+    undoable = undoable_of(drawn("place_object", "mug_1", surface="bench_a"), truth(held="mug_1"))
+    assert undoable(world(held="mug_1"))
+    assert not undoable(world())
+    assert undoable_of(drawn("navigate_to", target="dock"), truth())(world())

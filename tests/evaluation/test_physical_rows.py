@@ -11,6 +11,7 @@ import pytest
 from app.cell.journal import Entry
 from app.evaluation.episode import Execution
 from app.evaluation.methods import METHODS, REINS, Passed
+from app.evaluation.metrics import METRICS
 from app.evaluation.model import Failure, Kind, Row, Violation
 from app.evaluation.physical_rows import COLUMNS, SIGNALS, Class, row
 from app.evaluation.physical_trial import Ran, Trial, looking
@@ -252,3 +253,18 @@ def test_a_rollback_counts_when_the_cell_has_verified_it_and_the_world_agrees(ou
     found = row(shipped(), one, REINS, Ran(PASSED, 1.0, made, restored))
     assert found["rolled_back"] is (outcome is Outcome.ROLLED_BACK and restored)
     assert (found["class"] is Class.ROLLED_BACK) is found["rolled_back"]
+
+
+@pytest.mark.parametrize(("undoable", "capable"), [(None, True), (True, True), (False, False)])
+@pytest.mark.parametrize("restored", [True, False])
+def test_a_rollback_is_capable_by_what_was_there_when_it_began_and_not_by_what_came_of_it(
+    undoable: bool | None, capable: bool, restored: bool
+) -> None:
+    one = failing()
+    steps = (launch(), step(50, "ROLLBACK", "timeout"))
+    made = Execution(looking(shipped(), one.drawn, one.plan), entries=steps, outcome=Outcome.ROLLED_BACK, ticks=500)
+    found = row(shipped(), one, REINS, Ran(PASSED, 1.0, made, restored, undoable))
+    assert found["rollback_capable"] is capable
+    rates = {name: METRICS[name].take(found) for name in ("RBSR", "RBSR_TRIED")}
+    assert rates["RBSR"] == (restored if capable else None)
+    assert rates["RBSR_TRIED"] == restored
