@@ -53,7 +53,7 @@ def undoable_of(trial: Drawn, began: Truth) -> Judge:
     """Return the judge of whether a rollback has anything to go back to, asked when it begins.
 
     By the exact state alone: what was held when the trial began still has to be in the gripper, since going back picks
-    nothing up; and an object that was to be handled has to be there, and not on the floor. What is held is not judged
+    nothing up; and an object that was to be handled has to be in the workshop, and not on the floor. What is held is not judged
     by its height.
     """
 
@@ -62,7 +62,11 @@ def undoable_of(trial: Drawn, began: Truth) -> Judge:
         if began.held is not None:
             return now.held == began.held
         name = str(trial.params.get("object_id", ""))
-        return name not in began.objects or now.held == name or now.objects[name][2] > FLOOR_M
+        if name not in began.objects or now.held == name:
+            return True
+        x, y, z = now.objects[name]
+        x0, y0, x1, y1 = cell.site.bounds_m
+        return x0 <= x <= x1 and y0 <= y <= y1 and z > FLOOR_M
 
     return undoable
 

@@ -143,6 +143,7 @@ def test_what_was_held_is_held_again() -> None:
         ({"held": "mug_1"}, True),
         ({"objects": {"mug_1": (ON_BENCH[0], ON_BENCH[1], 0.05)}}, False),  # on the floor
         ({"objects": {"mug_1": (ON_BENCH[0], ON_BENCH[1], -2.0)}}, False),  # taken away
+        ({"objects": {"mug_1": (-1.0, -1.0, MUG_Z)}}, False),  # and so far that it is outside
     ],
 )
 def test_there_is_something_to_go_back_to_where_the_object_is_there_and_not_on_the_floor(
