@@ -53,8 +53,8 @@ def undoable_of(trial: Drawn, began: Truth) -> Judge:
     """Return the judge of whether a rollback has anything to go back to, asked when it begins.
 
     By the exact state alone: what was held when the trial began still has to be in the gripper, since going back picks
-    nothing up; and an object that was to be handled has to be in the workshop, and not on the floor. What is held is not judged
-    by its height.
+    nothing up; and an object that was to be handled has to be in the workshop, and not on the floor. What is held is
+    not judged by where it is.
     """
 
     def undoable(cell: Workcell) -> bool:
