@@ -31,10 +31,15 @@ def test_drives_to_a_target_within_what_policy_allows(server: ServerProcess) -> 
     assert made["effective"]["speed_mps"] == 0.3
     done = server.await_status(made["id"], "completed")
     assert done["outcome"] == "succeeded"
-    kinds = [event["kind"] for event in server.get(f"/v1/invocations/{made['id']}/trace")["items"]]
+
+    def kinds() -> list[str]:
+        return [event["kind"] for event in server.get(f"/v1/invocations/{made['id']}/trace")["items"]]
+
+    until(lambda: "telemetry" in kinds(), what="the telemetry is sealed, which its last rows precede")
+    told = kinds()
     for kind in ("proposal", "admission", "policy", "authorization", "launch", "outcome", "telemetry"):
-        assert kind in kinds
-    assert kinds.index("authorization") < kinds.index("launch") < kinds.index("outcome")
+        assert kind in told
+    assert told.index("authorization") < told.index("launch") < told.index("outcome")
 
 
 def test_grasps_with_less_force_after_an_operator_approved(server: ServerProcess) -> None:
