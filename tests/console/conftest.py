@@ -10,14 +10,16 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Locator, Page, expect, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Locator, Page, Route, expect, sync_playwright
 
-from tests.conftest import ServerProcess, Servers
+from tests.conftest import ServerProcess, Servers, until
 
 ROOT = Path(__file__).resolve().parents[2]
 PLACES = ("/usr/lib/chromium/chromium", "chromium", "chromium-browser", "google-chrome")
@@ -101,6 +103,64 @@ class People:
         return said
 
 
+@dataclass
+class Floor:
+    """The cell of the shared server as one test has it: what it started there is over when it ends."""
+
+    server: ServerProcess
+    made: list[str] = field(default_factory=list)
+
+    def ask(self, **params: Any) -> dict[str, Any]:
+        """Propose a grasp, which waits for a person."""
+        return self._propose("awaiting_approval", "grasp_object", object_id="mug_1", force_n=80, **params)
+
+    def drive(self, **params: Any) -> dict[str, Any]:
+        """Propose a drive, which begins at once."""
+        return self._propose("running", "navigate_to", **params)
+
+    def settled(self, invocation: str) -> dict[str, Any]:
+        return self.server.await_status(invocation, "denied", "running", "completed", "failed")
+
+    def base(self) -> tuple[float, float]:
+        x, y, _ = self.server.cell()["facts"]["base"]
+        return x, y
+
+    def speed(self) -> float:
+        return self.server.cell()["gauges"]["base_speed_mps"]
+
+    def clear(self) -> None:
+        if self.server.cell()["latched"]:
+            self.server.post("/v1/cells/workcell-1/reset")
+        for invocation in self.made:
+            self.server.post(f"/v1/invocations/{invocation}/cancel")
+            self.server.await_status(invocation, "denied", "completed", "failed")
+
+    def _propose(self, status: str, capability: str, **params: Any) -> dict[str, Any]:
+        until(lambda: self.server.cell()["busy"] is None, what="an idle cell")
+        proposed = self.server.propose(capability, **params)
+        self.made.append(proposed["id"])
+        assert proposed["status"] == status, proposed
+        return proposed
+
+
+@contextmanager
+def at_once(path: str, *people: Person) -> Iterator[None]:
+    """Hold one request of each person at the door of their browser until all have sent theirs; then let all go."""
+    held: list[Route] = []
+
+    def hold(route: Route) -> None:
+        held.append(route)
+
+    for person in people:
+        person.page.route(path, hold)
+    yield
+    until(lambda: len(held) == len(people) or people[0].page.wait_for_timeout(20), what=f"all at {path}")
+    for route in held:
+        route.continue_()
+    for person in people:
+        person.page.unroute(path)
+
+
 @pytest.fixture(scope="package")
 def browser() -> Iterator[Browser]:
     """Chromium, headless; ended with the package, for Playwright keeps an event loop running in this thread."""
@@ -130,9 +190,27 @@ def people(browser: Browser) -> Iterator[People]:
     assert made.leave() == []
 
 
-@pytest.fixture(scope="module")
-def serve(built: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., ServerProcess]]:
-    """Start servers at will, shared by a module's tests."""
-    made = Servers(tmp_path_factory.mktemp("console"))
-    yield lambda *flags, cells=1: made.start(None, *flags, cells=cells)
-    made.end()
+@pytest.fixture(scope="package")
+def server(built: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
+    """One server with one cell in real time, where people share the floor; the console's tests have it in turn.
+
+    Its policy is the shipped one, but that whoever is asked under `real-restricted` has three seconds to answer.
+    """
+    folder = tmp_path_factory.mktemp("console")
+    shutil.copytree(ROOT / "policies", folder / "policies")
+    restricted = folder / "policies" / "profiles" / "real-restricted.yaml"
+    shipped = restricted.read_text()
+    restricted.write_text(shipped.replace("within_s: 300", "within_s: 3"))
+    assert restricted.read_text() != shipped
+    made = Servers(folder)
+    try:
+        yield made.start(None, "--pace", "1", "--policies", str(folder / "policies"))
+    finally:
+        made.end()
+
+
+@pytest.fixture
+def floor(server: ServerProcess) -> Iterator[Floor]:
+    made = Floor(server)
+    yield made
+    made.clear()

@@ -3,47 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from typing import Any
 
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Locator, expect
 
-from tests.conftest import ServerProcess
-from tests.console.conftest import People, Person
+from tests.conftest import ServerProcess, until
+from tests.console.conftest import Floor, People, Person, at_once
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
-EITHER_ANSWER = re.compile(r"^(Approve|Deny)")
 
 
-@pytest.fixture(scope="module")
-def server(serve: Callable[..., ServerProcess]) -> ServerProcess:
-    """People share the floor: whatever is of medium risk needs a person."""
-    return serve("--profile", "human-shared", "--pace", "2")
-
-
-@pytest.fixture
-def asked(server: ServerProcess) -> Any:
-    """Propose a grasp, which asks; what still waits or runs afterwards is cancelled."""
-    made: list[str] = []
-
-    def ask(**params: Any) -> dict[str, Any]:
-        proposed = server.propose("grasp_object", **{"object_id": "mug_1", "force_n": 80, **params})
-        assert proposed["status"] == "awaiting_approval", proposed
-        made.append(proposed["id"])
-        return proposed
-
-    yield ask
-    for invocation in made:
-        server.post(f"/v1/invocations/{invocation}/cancel")
-        server.await_status(invocation, "denied", "completed", "failed")
-
-
-def settled(server: ServerProcess, invocation: str) -> dict[str, Any]:
-    return server.await_status(invocation, "denied", "running", "completed", "failed")
-
-
-def card(person: Person, title: str = "Grasp mug_1") -> Any:
+def card(person: Person, title: str = "Grasp mug_1") -> Locator:
     return person.page.get_by_role("article", name=title)
 
 
@@ -69,27 +39,76 @@ def test_a_wrong_token_is_refused_in_words(server: ServerProcess, people: People
     expect(person.region("Waiting for you")).to_be_visible()
 
 
-def test_a_question_appears_and_is_approved_by_one_key(server: ServerProcess, people: People, asked: Any) -> None:
+def test_a_question_appears_and_is_approved_by_one_key(server: ServerProcess, people: People, floor: Floor) -> None:
     person = people.sit(server)
-    proposed = asked()
+    proposed = floor.ask()
     expect(card(person)).to_contain_text("Medium risk")
     expect(card(person)).to_contain_text("human-shared / authority")
     expect(person.alert("Waiting for you: Grasp mug_1, medium risk.")).to_be_attached()
     expect(person.button(re.compile("^Deny"))).to_be_focused()
     expect(person.page.get_by_role("row", name=re.compile("^Grip force|^Force"))).to_contain_text("80")
-    approve_by_key(person)
+    press_until(person, "a", gone=card(person))
     expect(card(person)).to_have_count(0)
-    assert settled(server, proposed["id"])["status"] in {"running", "completed"}
+    assert floor.settled(proposed["id"])["status"] in {"running", "completed"}
     closed = server.get(f"/v1/escalations/{proposed['escalation']['id']}")
     assert [one["by"] for one in closed["approvals"]] == ["operator"]
     expect(person.region("Events")).to_contain_text("operator approved, 1 of 1")
 
 
-def approve_by_key(person: Person) -> None:
-    """Press until it is taken: a question that has just come takes no key yet."""
-    for _ in range(50):
-        person.press("a")
-        if card(person).count() == 0:
+def press_until(person: Person, key: str, *, gone: Locator) -> None:
+    """Press a key until it is taken: a question that has just come takes none yet."""
+    for _ in range(100):
+        person.press(key)
+        if gone.count() == 0:
             return
         person.page.wait_for_timeout(100)
-    pytest.fail("the key approved nothing")
+    pytest.fail(f"`{key}` was never taken")
+
+
+def test_a_denial_gives_the_agent_a_code_and_nobodys_words(server: ServerProcess, people: People, floor: Floor) -> None:
+    person = people.sit(server)
+    proposed = floor.ask()
+    card(person).get_by_label("Reason if denied").select_option(label="person in the way")
+    card(person).get_by_role("heading").click()
+    press_until(person, "d", gone=card(person))
+    denied = floor.settled(proposed["id"])
+    assert (denied["status"], denied["escalation"]["code"]) == ("denied", "person_in_the_way")
+    expect(person.region("Events")).to_contain_text("operator denied")
+
+
+def test_an_edit_is_checked_again_and_all_three_versions_are_kept(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    proposed = floor.ask()
+    force = card(person).get_by_role("textbox", name="Grip force you approve, N")
+    expect(force).to_have_value("60")
+    force.fill("200")
+    expect(card(person)).to_contain_text("Grip force: ")
+    expect(person.button(re.compile("^Approve"))).to_be_disabled()
+    force.fill("45")
+    expect(card(person)).to_contain_text("Your edit was checked again: allowed.")
+    person.button("Approve edit").click()
+    expect(card(person)).to_have_count(0)
+    decided = floor.settled(proposed["id"])
+    assert decided["requested"]["force_n"] == 80
+    assert decided["effective"]["force_n"] == 45
+    kept = server.get(f"/v1/escalations/{proposed['escalation']['id']}")
+    assert [kept[one]["force_n"] for one in ("requested", "constrained", "approved")] == [80, 60, 45], kept
+
+
+def test_of_two_who_answer_at_once_one_wins_and_the_other_is_told(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    one, other = people.sit(server), people.sit(server, "operator_2")
+    for person in (one, other):
+        person.expects("409")
+    proposed = floor.ask()
+    for person in (one, other):
+        expect(person.button(re.compile("^Approve"))).to_be_enabled()
+    with at_once("**/resolve", one, other):
+        one.button(re.compile("^Approve")).click()
+        other.button(re.compile("^Deny")).click()
+    told = [person.page.get_by_text("Somebody has answered this already.") for person in (one, other)]
+    until(lambda: any(words.is_visible() for words in told), what="words for the one who came second")
+    assert floor.settled(proposed["id"])["status"] in {"running", "denied", "completed"}
