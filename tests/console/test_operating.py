@@ -1,0 +1,121 @@
+"""A session in an operator's hands: paused and resumed, stopped from anywhere, taken over, driven and handed back."""
+
+from __future__ import annotations
+
+import pytest
+from playwright.sync_api import Locator, expect
+
+from tests.conftest import ServerProcess, until
+from tests.console.conftest import Floor, People, Person, at_once
+
+pytestmark = [pytest.mark.browser, pytest.mark.process]
+
+
+def robot(person: Person) -> Locator:
+    """What the robot says of itself, in the header."""
+    return person.page.locator("header dl.facts")
+
+
+def test_a_session_is_paused_and_resumed_by_one_key(server: ServerProcess, people: People, floor: Floor) -> None:
+    person = people.sit(server)
+    drive = floor.drive(target="dock")
+    expect(robot(person)).to_contain_text("Running")
+    expect(robot(person)).to_contain_text("Agent “planner”")
+    until(lambda: floor.speed() > 0.05, what="a base that moves")
+    person.press("p")
+    expect(robot(person)).to_contain_text("Paused, holding")
+    server.await_status(drive["id"], "paused")
+    until(lambda: floor.speed() < 0.01, what="a base at rest")
+    expect(person.region("Events")).to_contain_text("operator paused the session")
+    person.press("p")
+    expect(robot(person)).to_contain_text("Running")
+    until(lambda: floor.speed() > 0.05, what="a base that moves again")
+
+
+def test_a_stop_is_pressed_from_anywhere_and_left_in_two_steps(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    drive = floor.drive(target="dock")
+    until(lambda: floor.speed() > 0.05, what="a base that moves")
+    person.press("2")
+    expect(person.page).to_have_url(f"{server.url}/#/audit")
+    person.press(".")
+    expect(robot(person)).to_contain_text("Stopped, latched")
+    assert server.await_status(drive["id"], "failed")["outcome"] == "stopped"
+    stood = floor.base()
+    person.button("Reset…").click()
+    expect(person.button("Keep stopped")).to_be_focused()
+    person.press("Enter")
+    assert server.cell()["latched"] is True
+    person.button("Reset…").click()
+    person.button("Yes, reset the stop").click()
+    expect(robot(person)).to_contain_text("Idle")
+    assert server.cell()["latched"] is False
+    assert floor.base() == pytest.approx(stood, abs=0.1)  # a drive would have gone on by metres
+
+
+def test_a_stop_is_heard_while_typing(server: ServerProcess, people: People, floor: Floor) -> None:
+    person = people.sit(server)
+    floor.ask()
+    force = person.page.get_by_role("textbox", name="Grip force you approve, N")
+    force.fill("4")
+    person.press(".")
+    expect(force).to_have_value("4.")
+    assert server.cell()["latched"] is False
+    person.press("Control+.")
+    expect(robot(person)).to_contain_text("Stopped, latched")
+
+
+def test_one_of_two_gets_the_controls_drives_by_keyboard_and_ends_it(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    one, other = people.sit(server), people.sit(server, "operator_2")
+    for person in (one, other):
+        person.expects("409")
+        person.press("t")
+    with at_once("**/takeover", one, other):
+        for person in (one, other):
+            person.button("Take the controls").click()
+    until(lambda: server.cell()["control"], what="somebody with the controls")
+    won = server.cell()["control"]["holder"]
+    driver, watcher = (one, other) if won == "operator" else (other, one)
+    expect(watcher.region("Drive by hand")).to_contain_text(f"{won} (remote) has the controls of workcell-1.")
+    expect(watcher.region("Drive by hand").get_by_role("alert")).to_contain_text("workcell-1")
+    expect(watcher.page.get_by_text(f"{won} drives workcell-1 by hand")).to_be_visible()
+    expect(robot(driver)).to_contain_text("You (remote)")
+    began = floor.base()
+    driver.page.keyboard.down("ArrowDown")
+    expect(driver.page.get_by_text("Moving while you hold")).to_be_visible()
+    until(lambda: far(floor.base(), began) > 0.1, what="a base driven back")
+    driver.page.keyboard.up("ArrowDown")
+    expect(driver.page.get_by_text("Hold to run; let go to stop")).to_be_visible()
+    until(lambda: floor.speed() < 0.01, what="a base at rest")
+    driver.button("End session").click()
+    expect(robot(watcher)).to_contain_text("Nobody")
+    assert server.cell()["control"] is None
+
+
+def test_a_session_taken_over_goes_on_when_it_is_handed_back(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    drive = floor.drive(target="dock")
+    until(lambda: floor.speed() > 0.05, what="a base that moves")
+    person.press("t")
+    person.button("Take the controls").click()
+    expect(robot(person)).to_contain_text("Driven by hand")
+    began = floor.base()
+    person.page.keyboard.down("ArrowLeft")
+    until(lambda: far(floor.base(), began) > 0.05, what="a base driven aside")
+    person.page.keyboard.up("ArrowLeft")
+    until(lambda: floor.speed() < 0.01, what="a base at rest")
+    person.button("Agent goes on").click()
+    expect(robot(person)).to_contain_text("Running")
+    until(lambda: floor.speed() > 0.05, what="a base that goes on")
+    told = [event["body"].get("op") for event in server.get(f"/v1/invocations/{drive['id']}/trace")["items"]]
+    assert {"takeover", "jog", "release"} <= set(told)
+
+
+def far(here: tuple[float, float], there: tuple[float, float]) -> float:
+    return abs(here[0] - there[0]) + abs(here[1] - there[1])
