@@ -110,13 +110,13 @@ class Floor:
     server: ServerProcess
     made: list[str] = field(default_factory=list)
 
-    def ask(self, **params: Any) -> dict[str, Any]:
+    def ask(self, **metadata: Any) -> dict[str, Any]:
         """Propose a grasp, which waits for a person."""
-        return self._propose("awaiting_approval", "grasp_object", object_id="mug_1", force_n=80, **params)
+        return self._propose("awaiting_approval", "grasp_object", metadata, object_id="mug_1", force_n=80)
 
     def drive(self, **params: Any) -> dict[str, Any]:
         """Propose a drive, which begins at once."""
-        return self._propose("running", "navigate_to", **params)
+        return self._propose("running", "navigate_to", {}, **params)
 
     def settled(self, invocation: str) -> dict[str, Any]:
         return self.server.await_status(invocation, "denied", "running", "completed", "failed")
@@ -135,9 +135,10 @@ class Floor:
             self.server.post(f"/v1/invocations/{invocation}/cancel")
             self.server.await_status(invocation, "denied", "completed", "failed")
 
-    def _propose(self, status: str, capability: str, **params: Any) -> dict[str, Any]:
+    def _propose(self, status: str, capability: str, metadata: dict[str, Any], **params: Any) -> dict[str, Any]:
         until(lambda: self.server.cell()["busy"] is None, what="an idle cell")
-        proposed = self.server.propose(capability, **params)
+        body = {"capability": capability, "params": params, "metadata": metadata}
+        proposed = self.server.post("/v1/invocations", body, key="agent").json()
         self.made.append(proposed["id"])
         assert proposed["status"] == status, proposed
         return proposed
@@ -190,9 +191,9 @@ def people(browser: Browser) -> Iterator[People]:
     assert made.leave() == []
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def server(built: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
-    """One server with one cell in real time, where people share the floor; the console's tests have it in turn.
+    """One server with one cell in real time, where people share the floor; a module's tests have it in turn.
 
     Its policy is the shipped one, but that whoever is asked under `real-restricted` has three seconds to answer.
     """

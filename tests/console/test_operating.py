@@ -16,6 +16,18 @@ def robot(person: Person) -> Locator:
     return person.page.locator("header dl.facts")
 
 
+def test_a_stop_is_heard_while_typing(server: ServerProcess, people: People, floor: Floor) -> None:
+    person = people.sit(server)
+    floor.ask()
+    force = person.page.get_by_role("textbox", name="Grip force you approve, N")
+    force.fill("4")
+    person.press(".")
+    expect(force).to_have_value("4.")
+    assert server.cell()["latched"] is False
+    person.press("Control+.")
+    expect(robot(person)).to_contain_text("Stopped, latched")
+
+
 def test_a_session_is_paused_and_resumed_by_one_key(server: ServerProcess, people: People, floor: Floor) -> None:
     person = people.sit(server)
     drive = floor.drive(target="dock")
@@ -53,18 +65,6 @@ def test_a_stop_is_pressed_from_anywhere_and_left_in_two_steps(
     expect(robot(person)).to_contain_text("Idle")
     assert server.cell()["latched"] is False
     assert floor.base() == pytest.approx(stood, abs=0.1)  # a drive would have gone on by metres
-
-
-def test_a_stop_is_heard_while_typing(server: ServerProcess, people: People, floor: Floor) -> None:
-    person = people.sit(server)
-    floor.ask()
-    force = person.page.get_by_role("textbox", name="Grip force you approve, N")
-    force.fill("4")
-    person.press(".")
-    expect(force).to_have_value("4.")
-    assert server.cell()["latched"] is False
-    person.press("Control+.")
-    expect(robot(person)).to_contain_text("Stopped, latched")
 
 
 def test_one_of_two_gets_the_controls_drives_by_keyboard_and_ends_it(

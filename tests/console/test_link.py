@@ -1,0 +1,52 @@
+"""A console whose link goes: it says so within a second, vouches for nothing, and comes back by itself."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from urllib.parse import urlsplit
+
+import pytest
+from playwright.sync_api import expect
+
+from tests.conftest import ServerProcess
+from tests.console.conftest import Floor, People
+from tests.console.wire import Wire, wire_to
+
+pytestmark = [pytest.mark.browser, pytest.mark.process]
+
+# Counted in the page: the moment the wire went is the last one in which frames were drawn.
+SAYS_SO = """() => new Promise((resolve, reject) => {
+    const began = performance.now();
+    const look = () => {
+        if (document.body.innerText.includes('Link down.')) resolve(performance.now() - began);
+        else if (performance.now() - began > 10000) reject(new Error('never said'));
+        else requestAnimationFrame(look);
+    };
+    look();
+})"""
+BROKEN = r"WebSocket connection|ERR_CONNECTION|ERR_EMPTY_RESPONSE|Failed to load resource"
+
+
+@pytest.mark.parametrize("how", [Wire.cut, Wire.swallow], ids=["aborted", "black hole"])
+def test_a_link_that_goes_is_told_and_what_came_meanwhile_is_there_when_it_is_back(
+    server: ServerProcess, people: People, floor: Floor, how: Callable[[Wire], None]
+) -> None:
+    with wire_to(urlsplit(server.url).port or 0) as wire:
+        person = people.sit(server, at=f"http://127.0.0.1:{wire.port}")
+        person.expects(BROKEN)
+        header = person.page.locator("header dl.facts")
+        expect(header).to_contain_text("Idle")
+        how(wire)
+        told_after_ms = person.page.evaluate(SAYS_SO)
+        assert told_after_ms <= 1_000
+        expect(person.alert("Link down.")).to_contain_text("STOP is still sent")
+        expect(header).to_contain_text("Not known")
+        expect(person.page.locator(".live .stale").first).to_be_visible()
+        asked = floor.ask()
+        wire.mend()
+        expect(person.page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
+        expect(person.alert("Link down.")).to_have_count(0)
+        expect(person.page.locator(".live .stale")).to_have_count(0)
+        person.button(re.compile("^Deny")).click()
+        assert floor.settled(asked["id"])["status"] == "denied"

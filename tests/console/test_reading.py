@@ -1,0 +1,65 @@
+"""What a console shows of what is over: a question nobody answered, and a finished session moment by moment."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from playwright.sync_api import expect
+
+from tests.conftest import ServerProcess, until
+from tests.console.conftest import Floor, People
+
+pytestmark = [pytest.mark.browser, pytest.mark.process]
+CELL = "/v1/cells/workcell-1"
+
+
+def test_a_question_that_nobody_answers_goes_by_itself(server: ServerProcess, people: People, floor: Floor) -> None:
+    person = people.sit(server)
+    with server.client() as client:
+        assert client.put(f"{CELL}/profile", json={"profile": "real-restricted"}).is_success
+    try:
+        asked = floor.ask(confidence=0.3)
+        card = person.page.get_by_role("article", name="Grasp mug_1")
+        expect(card).to_contain_text(re.compile("0:0[123]"))
+        expect(card).to_contain_text("then denied")
+        expect(card).to_have_count(0)
+        ended = floor.settled(asked["id"])
+        assert (ended["status"], ended["outcome"]) == ("denied", "expired")
+        expect(person.region("Events")).to_contain_text("The question is expired")
+    finally:
+        with server.client() as client:
+            client.put(f"{CELL}/profile", json={"profile": "human-shared"})
+
+
+def test_a_finished_session_is_scrubbed_with_its_events(server: ServerProcess, people: People, floor: Floor) -> None:
+    x, y = floor.base()
+    drive = floor.drive(x_m=x, y_m=y - 0.3, yaw_rad=1.5708)
+    ended = server.await_status(drive["id"], "completed", "failed")
+    assert ended["outcome"] == "succeeded", ended
+    until(
+        lambda: server.get(f"/v1/audit/events?invocation={drive['id']}&kind=telemetry")["items"], what="its telemetry"
+    )
+    person = people.sit(server)
+    person.press("2")
+    person.page.get_by_role("link", name=re.compile("Drive to")).first.click()
+    moment = person.page.get_by_role("slider", name="Moment of the session")
+    events = person.region("Events of the session")
+    expect(events).to_contain_text("Launched under")
+    expect(person.page.locator("article.trace canvas").first).to_be_visible()
+    moment.evaluate("(range) => { range.value = range.min; range.dispatchEvent(new Event('input', {bubbles: true})); }")
+    first = events.locator("[aria-current=step]").inner_text()
+    person.page.get_by_role("heading", name=re.compile("Drive to")).click()
+    person.press("ArrowRight")
+    expect(events.locator("[aria-current=step]")).not_to_have_text(first)
+    moment.evaluate("(range) => { range.value = range.max; range.dispatchEvent(new Event('input', {bubbles: true})); }")
+    expect(events.get_by_text(re.compile(r"(\d+) of \1"))).to_be_visible()
+    moment.evaluate("(range) => { range.value = range.min; range.dispatchEvent(new Event('input', {bubbles: true})); }")
+    began = float(moment.input_value())
+    person.press(" ")
+    until(lambda: float(moment.input_value()) > began + 0.3 or person.page.wait_for_timeout(20), what="time that runs")
+    person.press(" ")
+    person.button("Speed 4").click()
+    with person.page.expect_download() as saved:
+        person.button(re.compile("JSON")).click()
+    assert drive["id"] in saved.value.suggested_filename
