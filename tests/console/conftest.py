@@ -114,6 +114,11 @@ class Floor:
         """Propose a grasp, which waits for a person."""
         return self._propose("awaiting_approval", "grasp_object", metadata, object_id="mug_1", force_n=80)
 
+    def answer(self, asked: dict[str, Any], decision: str) -> None:
+        path = f"/v1/escalations/{asked['escalation']['id']}"
+        digest = self.server.get(path)["digest"]
+        assert self.server.post(f"{path}/resolve", {"decision": decision, "digest": digest}).is_success
+
     def drive(self, **params: Any) -> dict[str, Any]:
         """Propose a drive, which begins at once."""
         return self._propose("running", "navigate_to", {}, **params)
@@ -135,12 +140,16 @@ class Floor:
             self.server.post(f"/v1/invocations/{invocation}/cancel")
             self.server.await_status(invocation, "denied", "completed", "failed")
 
-    def _propose(self, status: str, capability: str, metadata: dict[str, Any], **params: Any) -> dict[str, Any]:
-        until(lambda: self.server.cell()["busy"] is None, what="an idle cell")
-        body = {"capability": capability, "params": params, "metadata": metadata}
+    def _decided(self, body: dict[str, Any]) -> dict[str, Any] | None:
         proposed = self.server.post("/v1/invocations", body, key="agent").json()
+        return None if proposed["status"] == "deferred" else proposed
+
+    def _propose(self, status: str, capability: str, metadata: dict[str, Any], **params: Any) -> dict[str, Any]:
+        body = {"capability": capability, "params": params, "metadata": metadata}
+        # What is deferred may be proposed again: the cell comes to rest, and sees afresh what stands before it.
+        proposed = until(lambda: self._decided(body), what=f"a cell that is free for {body}")
+        assert proposed["status"] == status, proposed["admission"]
         self.made.append(proposed["id"])
-        assert proposed["status"] == status, proposed
         return proposed
 
 
@@ -162,19 +171,23 @@ def at_once(path: str, *people: Person) -> Iterator[None]:
         person.page.unroute(path)
 
 
-@pytest.fixture(scope="package")
-def browser() -> Iterator[Browser]:
-    """Chromium, headless; ended with the package, for Playwright keeps an event loop running in this thread."""
+def chromium() -> str:
+    """Return where Chromium is; a machine without one is told what it lacks."""
     found = next((place for name in PLACES if (place := shutil.which(name))), None)
     if found is None:
         pytest.fail(
-            "the console's tests drive Chromium, which is not here; install it (Debian: apt-get install chromium)",
-            False,
+            "the console's tests drive Chromium; it is missing (Debian: apt-get install chromium)", pytrace=False
         )
+    return found
+
+
+@pytest.fixture(scope="package")
+def browser() -> Iterator[Browser]:
+    """Chromium, headless; ended with the package, for Playwright keeps an event loop running in this thread."""
     with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=found, args=list(FLAGS))
-        yield chromium
-        chromium.close()
+        driven = playwright.chromium.launch(executable_path=chromium(), args=list(FLAGS))
+        yield driven
+        driven.close()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -1,0 +1,134 @@
+"""Who can use the console: axe finds nothing on any page, and on a phone the stop lies under the thumb."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Locator, Page, expect
+
+from tests.conftest import ServerProcess
+from tests.console.conftest import DESK, PHONE, ROOT, Floor, People, Person
+
+pytestmark = [pytest.mark.browser, pytest.mark.process]
+AXE = ROOT / "web" / "node_modules" / "axe-core" / "axe.min.js"
+FIND = """async () => (await axe.run(document, {
+    runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa', 'best-practice'], resultTypes: ['violations'],
+})).violations.map(({id, nodes}) => id + ': ' + nodes.map((node) => node.html.slice(0, 160)).join(' | '))"""
+THUMB_PX = 48  # what a thumb hits, and how far up from the lower edge it comes easily
+REACH_PX = 140
+
+
+@pytest.fixture(scope="module")
+def axe() -> str:
+    return AXE.read_text()
+
+
+def faults(page: Page, axe: str) -> list[str]:
+    if not page.evaluate("'axe' in window"):
+        page.evaluate(axe)
+    return page.evaluate(FIND)
+
+
+@pytest.fixture
+def trace(server: ServerProcess, floor: Floor) -> str:
+    """A question that was answered: a trace without telemetry is one, too."""
+    asked = floor.ask()
+    floor.answer(asked, "deny")
+    return asked["id"]
+
+
+def views(person: Person, floor: Floor, trace: str) -> Iterator[str]:
+    """Lead a person through everything that can be on screen, one view after the other."""
+    page = person.page
+    floor.ask()
+    expect(page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
+    yield "Live, asked"
+    page.evaluate("location.hash = '#/audit'")
+    expect(person.region("Find").get_by_role("link").first).to_be_visible()
+    yield "Audit"
+    page.evaluate(f"location.hash = '#/audit/{trace}'")
+    expect(page.get_by_role("heading", name="Grasp mug_1")).to_be_visible()
+    yield "Audit, a trace"
+    page.evaluate("location.hash = '#/policy'")
+    expect(page.get_by_role("table").first).to_be_visible()
+    yield "Policy"
+    page.evaluate("location.hash = '#/fleet'")
+    expect(page.get_by_role("heading", name="Fleet")).to_be_visible()
+    yield "Fleet"
+    page.evaluate("location.hash = '#/live'")
+    person.press("t")
+    person.press("?")
+    expect(page.get_by_role("dialog", name="Keys")).to_be_visible()
+    yield "Live, with its panels"
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_axe_finds_nothing_on_any_page_in_dark_and_light(
+    server: ServerProcess, people: People, floor: Floor, axe: str, trace: str, size: dict[str, int]
+) -> None:
+    found: dict[str, list[str]] = {}
+    person = people.sit(server, size=size)
+    person.expects("404.*/v1/audit/telemetry/")  # what never ran was never measured, and its page says so
+    for name in views(person, floor, trace):
+        for theme in ("light", "dark"):  # the key leads there and back
+            person.press("n")
+            assert person.page.evaluate("document.documentElement.dataset.theme") == theme
+            found[f"{name}, {theme}"] = faults(person.page, axe)
+        if size == PHONE:
+            found[f"{name}, stop"] = out_of_reach(stop(person))
+            found[f"{name}, width"] = wider_than_the_screen(person.page)
+    assert {name: what for name, what in found.items() if what} == {}
+
+
+def test_axe_finds_nothing_where_one_signs_in(server: ServerProcess, people: People, axe: str) -> None:
+    for theme in ("dark", "light"):
+        person = people.open(server.url, theme=theme)
+        expect(person.page.get_by_label("Token")).to_be_visible()
+        assert faults(person.page, axe) == []
+
+
+def test_on_a_phone_both_answers_are_in_sight_and_the_stop_is_pressed_by_touch(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, size=PHONE)
+    floor.ask()
+    for answer in ("^Deny", "^Approve"):
+        button = person.button(re.compile(answer))
+        expect(button).to_be_in_viewport(ratio=1)
+        assert box(button)["height"] >= THUMB_PX
+    stop(person).tap()
+    expect(person.page.get_by_text("Stopped, latched")).to_be_visible()
+    assert server.cell()["latched"] is True
+
+
+def stop(person: Person) -> Locator:
+    return person.button(re.compile("^Emergency stop of workcell-1: "))
+
+
+def box(button: Locator) -> dict[str, float]:
+    found = button.bounding_box()
+    assert found is not None
+    return dict(found)
+
+
+def out_of_reach(button: Locator) -> list[str]:
+    """Say why the stop cannot be pressed with the thumb of the hand that holds the phone."""
+    at = box(button)
+    on_top = button.evaluate(
+        """(stop) => { const {x, y, width, height} = stop.getBoundingClientRect();
+        return stop.contains(document.elementFromPoint(x + width / 2, y + height / 2)); }"""
+    )
+    wrong = {
+        "covered": not on_top,
+        "too small": min(at["height"], at["width"] / 2) < THUMB_PX,
+        "too high up": at["y"] < PHONE["height"] - REACH_PX,
+        "cut off": at["y"] + at["height"] > PHONE["height"],
+    }
+    return [words for words, so in wrong.items() if so]
+
+
+def wider_than_the_screen(page: Page) -> list[str]:
+    width = page.evaluate("document.documentElement.scrollWidth")
+    return [f"{width} px"] if width > PHONE["width"] else []
