@@ -9,7 +9,7 @@ MEASURED := $(filter-out tests/governance/test_expression_properties.py,\
 TYPINGS := typings/mujoco/__init__.pyi
 
 .DEFAULT_GOAL := help
-.PHONY: help setup console demo run test check bench evaluate format lock clean
+.PHONY: help setup console demo run test check bench evaluate pictures format lock clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
@@ -64,6 +64,9 @@ evaluate: $(STAMP)  ## measure all methods against each other; reports into eval
 	@$(BIN)/reins evaluate --protocol paper --readme README.md
 	@$(BIN)/reins evaluate --protocol physical --methods all --trials 200 --studies all --readme README.md
 	@$(BIN)/reins evaluate --protocol physical --long --methods reins --out evaluation/physical-long
+
+pictures: $(STAMP) console  ## take the console's pictures anew, into docs/pictures
+	@$(BIN)/python -m tests.console.pictures
 
 format: $(STAMP)  ## format and sort imports
 	@$(BIN)/ruff format .
