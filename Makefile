@@ -9,7 +9,7 @@ MEASURED := $(filter-out tests/governance/test_expression_properties.py,\
 TYPINGS := typings/mujoco/__init__.pyi
 
 .DEFAULT_GOAL := help
-.PHONY: help setup console demo run test check bench evaluate pictures format lock clean
+.PHONY: help setup console demo run test test-rules test-evaluation check bench evaluate pictures format lock clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
@@ -38,9 +38,18 @@ run: $(STAMP) console  ## a server with one simulated cell and a demo agent; kee
 
 test: $(STAMP) console  ## the whole test suite; what decides and what proves covered to the last branch
 	@$(BIN)/python web/build.py test
+	@$(MAKE) --no-print-directory -j2 test-rules test-evaluation
+	@$(BIN)/python -m pytest $(MEASURED:%=--ignore=%) $(APART:%=--ignore=%)
+
+# What only computes runs on two cores at once. What talks to real processes comes after it and has the machine alone.
+APART := tests/evaluation tests/sim tests/cell
+test-rules: $(STAMP)
 	@$(BIN)/coverage run -m pytest $(MEASURED)
 	@$(BIN)/coverage report
-	@$(BIN)/python -m pytest $(MEASURED:%=--ignore=%)
+	@$(BIN)/python -m pytest tests/sim tests/cell
+
+test-evaluation: $(STAMP)
+	@$(BIN)/python -m pytest -p no:cacheprovider tests/evaluation
 
 $(TYPINGS): $(STAMP)
 	@$(BIN)/pybind11-stubgen mujoco --ignore-all-errors -o typings >/dev/null 2>&1

@@ -21,13 +21,14 @@ import pytest
 import uvicorn
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from fastapi import FastAPI
+from starlette.datastructures import Headers
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
 from app.api import pages
 from app.api.application import create_app
 from app.api.auth import CELL_TOKEN_FILE, TOKENS_FILE, open_principals
-from app.api.problems import MEDIA_TYPE
+from app.api.problems import MEDIA_TYPE, Problem
 from app.audit.store import AuditStore
 from app.clock import monotonic_s, wall_s
 from app.governance.bundle import load
@@ -233,6 +234,14 @@ class House:
     tokens: dict[str, str]
     cell_token: str
     described: Described
+
+    def knows(self, key: str) -> bool:
+        """Say whether a token counts."""
+        try:
+            self.app.state.parts.principals.authenticate(Headers({"authorization": f"Bearer {self.tokens[key]}"}))
+        except Problem:
+            return False
+        return True
 
     def client(self, key: str | None = "agent") -> httpx.AsyncClient:
         token = self.cell_token if key == "cell" else None if key is None else self.tokens[key]

@@ -16,6 +16,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.typing import Subprotocol
 
 from app.api import console as door
+from app.api.auth import PRINCIPALS_FILE
 from app.protocol import pack_poses
 from app.runtime import outlet
 from tests.api.conftest import CELL, House, eventually
@@ -308,15 +309,19 @@ async def test_an_escalation_appears_and_its_answer_too(shared_house: House) -> 
             assert (await late.until_type("snapshot"))["escalations"] == []
 
 
-async def test_a_console_whose_token_is_withdrawn_is_shown_out(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(door, "STILL_KNOWN_S", 0.05)
-    principals = house.app.state.parts.principals
+async def test_a_console_whose_token_is_withdrawn_is_shown_out(house: House) -> None:
+    listed = house.folder / PRINCIPALS_FILE
+    everyone = listed.read_bytes()
+    rows = [row for row in orjson.loads(everyone)["principals"] if row["name"] != "auditor"]
     async with signed_in(house, "auditor") as screen:
         await screen.until_type("snapshot")
-        known = principals._known
-        monkeypatch.setattr(principals, "_known", {})
-        assert (await screen.ended())[0] == 4401
-        monkeypatch.setattr(principals, "_known", known)
+        listed.write_bytes(orjson.dumps({"principals": rows}))
+        try:
+            async with asyncio.timeout(PATIENCE_S):
+                assert (await screen.ended())[0] == 4401
+        finally:
+            listed.write_bytes(everyone)
+    await eventually(lambda: house.knows("auditor"))
 
 
 async def test_poses_come_to_whoever_watches_and_stop_when_nobody_does(house: House) -> None:
