@@ -8,7 +8,7 @@ How one connection goes:
 3. A `Policy` counts by its digest, computed here again from the files. Only then is there a world to build (the site is
    part of the policy), and the control loop starts.
 4. From `Welcome` on the lease runs: every frame renews it. When it lapses the loop holds, the link closes and dials
-   again, and nothing launches until the next `Welcome`.
+   again, and nothing launches until the next `Welcome`; a frame that comes too late mends nothing.
 5. Events go up in order from the first that the server has not acknowledged, on every connection again.
 
 Nothing here decides: orders go to the runner as they came, authorizations with their signature.
@@ -281,7 +281,7 @@ class Link:
         self._kernel_key = first.kernel_key
         self._profile = first.profile
         self._acknowledge(first.acknowledged)
-        self._lease.heard()
+        self._lease.welcomed()
         self._inbox.put(Welcomed(profile=first.profile))
 
     async def _listen(self, socket: ClientConnection, orders: asyncio.Queue[Down]) -> NoReturn:

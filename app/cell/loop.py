@@ -89,21 +89,35 @@ class Governed(Protocol):
 
 
 class Lease:
-    """When the server was last heard; written by the link, read by the loop."""
+    """When the server was last heard; written by the link, read by the loop.
 
-    __slots__ = ("_heard_s",)
+    A lapse that anybody saw is final until the next welcome. Were it judged anew each time, a frame that comes right
+    after the loop began to hold would hide the lapse from the link: it would not dial again, and the hold never end.
+    """
+
+    __slots__ = ("_heard_s", "_lapsed", "_term")
 
     def __init__(self) -> None:
         """Start lapsed: a cell holds until it is welcomed."""
         self._heard_s = float("-inf")
+        self._term = 0
+        self._lapsed = 0  # the term that lapsed last
+
+    def welcomed(self) -> None:
+        """Begin a new term: the server answered the cell's hello just now."""
+        self._heard_s = monotonic_s()
+        self._term += 1  # last, so that whoever looks meanwhile sees the old term, or a new one that was just heard
 
     def heard(self) -> None:
-        """Note that the server spoke just now."""
+        """Note that the server spoke just now; a term that has lapsed stays so."""
         self._heard_s = monotonic_s()
 
     def lapsed(self) -> bool:
-        """Say whether nothing was heard for `LEASE_MS`."""
-        return monotonic_s() - self._heard_s > LEASE_MS / 1000
+        """Say whether nothing was heard for `LEASE_MS` at a time when it was asked since the last welcome."""
+        term = self._term
+        if monotonic_s() - self._heard_s > LEASE_MS / 1000:
+            self._lapsed = term  # both threads ask: one that judged an old term must not end a new one
+        return self._lapsed == term
 
 
 class Outbox:

@@ -223,6 +223,20 @@ async def test_holds_and_dials_again_when_the_server_falls_silent(tmp_path: Path
 
 
 @pytest.mark.anyio
+async def test_dials_again_after_a_lapse_that_only_the_loop_noticed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("app.cell.link.MIND_S", 1.0)  # the link looks seldom: a frame comes before it does
+    async with rig(tmp_path) as cell:
+        await until(lambda: cell.orders(Welcomed))
+        cell.script.beats = False
+        await until(lambda: cell.runner.holds == ["link"], "the hold")
+        cell.script.beats = True
+        await cell.script.say(Beat())
+        await until(lambda: len(cell.orders(Welcomed)) > 1, "the second welcome")
+
+
+@pytest.mark.anyio
 async def test_sends_telemetry_as_binary_frames(tmp_path: Path) -> None:
     async with rig(tmp_path) as cell:
         await until(lambda: cell.script.of(State))

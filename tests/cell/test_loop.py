@@ -8,7 +8,7 @@ from queue import SimpleQueue
 import pytest
 
 from app.cell.loop import Lease, Order, Outbox, Shutdown, TickLoop, Welcomed
-from app.protocol import Estop, State, UpEvent
+from app.protocol import LEASE_MS, Estop, State, UpEvent
 from tests.conftest import until
 
 LONG_S = 3600.0
@@ -97,14 +97,14 @@ def test_obeys_a_stop_at_once_however_far_the_next_tick_is(start: Callable[..., 
 
 def test_holds_when_nothing_was_heard_for_the_lease(start: Callable[..., Bench]) -> None:
     bench = start(Recorder())
-    bench.lease.heard()
+    bench.lease.welcomed()
     bench.inbox.put(Welcomed(profile="human-shared"))
     until(lambda: bench.runner.holds == ["link"], what="the hold")
 
 
 def test_does_not_hold_while_the_server_is_heard(start: Callable[..., Bench]) -> None:
     bench = start(Recorder())
-    bench.lease.heard()
+    bench.lease.welcomed()
     bench.inbox.put(Welcomed(profile="human-shared"))
 
     def heard_for_a_while() -> bool:
@@ -117,6 +117,21 @@ def test_does_not_hold_while_the_server_is_heard(start: Callable[..., Bench]) ->
 
 def test_a_lease_starts_lapsed() -> None:
     assert Lease().lapsed()
+
+
+def test_a_frame_that_comes_after_the_lapse_does_not_hide_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = 100.0
+    monkeypatch.setattr("app.cell.loop.monotonic_s", lambda: now_s)
+    lease = Lease()
+    lease.welcomed()
+    now_s += LEASE_MS / 1000
+    assert not lease.lapsed()
+    now_s += 0.01
+    assert lease.lapsed()
+    lease.heard()
+    assert lease.lapsed()
+    lease.welcomed()
+    assert not lease.lapsed()
 
 
 def test_goes_on_ticking_until_everything_stands_when_shut_down(start: Callable[..., Bench]) -> None:
