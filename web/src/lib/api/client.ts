@@ -107,6 +107,7 @@ export class Api {
     this.call('POST', `/v1/escalations/${seg(id)}/resolve`, answer);
   acknowledge = (id: string): Promise<Escalation> => this.call('POST', `/v1/escalations/${seg(id)}/acknowledge`);
   revoke = (id: string): Promise<Grant> => this.call('POST', `/v1/grants/${seg(id)}/revoke`);
+  reviews = (query: URLSearchParams): Promise<List<Review>> => this.get(`/v1/reviews?${query}`);
   review = (id: string, verdict: ReviewVerdict, note: string): Promise<Review> =>
     this.call('POST', `/v1/reviews/${seg(id)}/resolve`, note === '' ? { verdict } : { verdict, note });
 

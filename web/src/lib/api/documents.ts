@@ -157,9 +157,12 @@ export interface Review {
   status: 'waiting' | ReviewVerdict;
   capability: string;
   agent: string;
+  cell: string | null;
+  profile: string;
   risk: Risk;
   outcome: string;
   reasons: Reason[];
+  verdict: { by: string; at: string; verdict: ReviewVerdict; note: string | null } | null;
   created_at: string;
 }
 

@@ -187,6 +187,22 @@ function status(body: Body): Line {
   return line('dot', 'quiet', why === '' ? text : `${text} (${why})`);
 }
 
+function grant(body: Body, event: LogEvent): Line {
+  const given = obj(body['grant']);
+  const what = words(str(given['capability'])).toLowerCase();
+  const op = str(body['op']);
+  if (op === 'given') return line('check', 'human', ` opened a standing grant: ${what}`, event.actor);
+  return line('refused', 'quiet', `Standing grant ${op.replaceAll('_', ' ')}: ${what}`);
+}
+
+function review(body: Body, event: LogEvent): Line {
+  const about = obj(body['review']);
+  const verdict = obj(about['verdict']);
+  if (str(body['op']) !== 'verdict') return line('person', 'plain', `: ${outcomeWords(str(about['outcome']))}`, 'Waits for review');
+  const note = str(verdict['note']);
+  return line('person', 'human', ` reviewed: ${str(verdict['verdict'])}${note === '' ? '' : `, “${note}”`}`, event.actor);
+}
+
 function cell(body: Body, event: LogEvent): Line {
   const op = str(body['what']);
   const link = str(body['link']);
@@ -213,6 +229,8 @@ const WRITERS: Record<string, Writer> = {
   telemetry: (body) => line('log', 'quiet', `Telemetry kept, ${num(body['rows']) ?? 0} rows`),
   outcome,
   status,
+  grant,
+  review,
   policy_activated: (body) => line('scale', 'plain', `Policy ${str(body['policy_version']).replace('sha256:', '').slice(0, 7)} in force`),
   profile_changed: (body, event) => line('scale', 'human', ` set the profile to ${str(body['profile'])}`, event.actor),
   principal: (body) => line('person', 'quiet', `${str(body['principal'])}: token ${str(body['op'])}`),

@@ -1,0 +1,29 @@
+import type { Json, LogEvent, Review, ReviewVerdict, Risk } from '../api/documents';
+
+const RISKS: Record<Risk, number> = { critical: 3, high: 2, medium: 1, low: 0 };
+
+export const VERDICTS: readonly { verdict: ReviewVerdict; says: string; means: string }[] = [
+  { verdict: 'accepted', says: 'Accepted', means: 'it went as it should' },
+  { verdict: 'objected', says: 'Objected', means: 'it should not go so again' },
+  { verdict: 'inconclusive', says: 'Inconclusive', means: 'the record does not tell' },
+];
+
+/** What waits for a verdict: the higher risk first, then what has waited longest. */
+export function waitingOf(reviews: Readonly<Record<string, Review>>): Review[] {
+  return Object.values(reviews)
+    .filter((review) => review.status === 'waiting')
+    .sort((a, b) => RISKS[b.risk] - RISKS[a.risk] || a.created_at.localeCompare(b.created_at) || a.id.localeCompare(b.id));
+}
+
+/** The review of a session: the newest version that is known, or else the one that its trace ends with. */
+export function reviewOf(invocation: string, known: Readonly<Record<string, Review>>, trace: readonly LogEvent[]): Review | null {
+  const told = Object.values(known).find((review) => review.invocation === invocation);
+  if (told !== undefined) return told;
+  const recorded: Json | undefined = trace.findLast((event) => event.kind === 'review')?.body['review'];
+  return recorded === null || typeof recorded !== 'object' ? null : (recorded as unknown as Review);
+}
+
+/** Why a review is due, as one sentence. */
+export function dueWords(review: Review): string {
+  return review.reasons.map((reason) => reason.message.replaceAll('`', '')).map((said) => said.replace(/^./, (c) => c.toUpperCase())).join('; ');
+}
