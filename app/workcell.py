@@ -23,8 +23,9 @@ import yaml
 
 from app.cell.governed import GovernedCell
 from app.cell.journal import Journal, JournalUnavailable
-from app.cell.link import Identity, KeyPin, Link
+from app.cell.link import Identity, Link
 from app.cell.loop import Lease, Outbox, TickLoop
+from app.cell.pin import KeyPin
 from app.cell.runner import close_left_open
 from app.cell.telling import Recorder
 from app.children import CellRuns, cell_lock

@@ -28,6 +28,7 @@ from websockets.exceptions import InvalidStatus, WebSocketException
 from app import protocol
 from app.cell.display import Drawing
 from app.cell.loop import STOPPING_S, NewPolicy, Shutdown, Welcomed
+from app.cell.pin import LinkRefused
 from app.clock import monotonic_s
 from app.governance import bundle
 from app.governance.errors import GovernanceError
@@ -49,11 +50,11 @@ from app.protocol import (
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from websockets.asyncio.client import ClientConnection
 
     from app.cell.loop import Inbox, Lease, Outbox, TickLoop
+    from app.cell.pin import KeyPin
     from app.governance.policy import PolicySet
     from app.protocol import Down
 
@@ -64,10 +65,6 @@ PATIENCE_S: Final = 5.0  # for the handshake and the welcome
 FAREWELL_S: Final = 0.5  # for the last events to be acknowledged
 MIND_S: Final = 0.05
 MAX_FRAME_BYTES: Final = 16 * 1024 * 1024
-
-
-class LinkRefused(Exception):
-    """This server is not one the cell works with: another kernel key, another protocol, a policy unlike its digest."""
 
 
 class LinkLost(Exception):
@@ -86,39 +83,6 @@ class Build(Protocol):
             acknowledged: the last report of this journal that the server's log holds; numbers go on behind it.
         """
         ...
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class KeyPin:
-    """Which kernel key the cell believes: `fixed` by flag, or the first one seen, kept in `path`."""
-
-    path: Path
-    fixed: str | None = None
-
-    def check(self, key: str) -> None:
-        """Accept the key or refuse the server; the first key of an unpinned cell is kept.
-
-        Raises:
-            LinkRefused: another key is pinned, or the key cannot be kept.
-        """
-        try:
-            known = self.fixed or self._kept()
-            if known is None:
-                self._keep(key)
-                return
-        except OSError as error:
-            raise LinkRefused(f"cannot pin the server's key in `{self.path}`: {error.strerror}") from error
-        if known != key:
-            raise LinkRefused(f"the server signs with the key `{key}`; valid: `{known}`, pinned in `{self.path}`")
-
-    def _kept(self) -> str | None:
-        return self.path.read_text().strip() if self.path.exists() else None
-
-    def _keep(self, key: str) -> None:
-        draft = self.path.with_name(self.path.name + ".new")
-        draft.write_text(key + "\n")
-        draft.chmod(0o600)
-        draft.replace(self.path)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -161,6 +125,7 @@ class Link:
         self._identity, self._address, self._pin, self._build = identity, address, pin, build
         self._inbox, self._outbox, self._lease, self._say = inbox, outbox, lease, say
         self._loop: TickLoop | None = None
+        self._building: asyncio.Task[None] | None = None
         self._policy_digest: str | None = None
         self._profile: str | None = None
         self._kernel_key = ""
@@ -210,6 +175,7 @@ class Link:
         return retry_s * random.uniform(0.5, 1.0)  # noqa: S311  # jitter, no secret
 
     async def _converse(self, stopping: asyncio.Task[bool]) -> None:
+        await self._built()
         address = self._address().rstrip("/")
         if not address.startswith(("http://", "https://")):
             raise ValueError(f"`{address}` is no address of a server; valid is for instance `http://127.0.0.1:8000`")
@@ -322,12 +288,22 @@ class Link:
             raise LinkRefused(f"the server's policy `{message.digest}` does not load: {error}") from error
         if policies.digest != message.digest:
             raise LinkRefused(f"the policy's files make the digest `{policies.digest}`, not `{message.digest}`")
-        self._policy_digest = message.digest
         if self._loop is None:
-            self._loop = await asyncio.to_thread(self._build, policies, self._kernel_key, self._acknowledged)
-            self._loop.start()
+            self._building = asyncio.create_task(self._begin(policies))
+            await asyncio.shield(self._building)  # the connection may end meanwhile; there is one world all the same
         else:
             self._inbox.put(NewPolicy(policies=policies))
+        self._policy_digest = message.digest
+
+    async def _begin(self, policies: PolicySet) -> None:
+        self._loop = await asyncio.to_thread(self._build, policies, self._kernel_key, self._acknowledged)
+        self._loop.start()
+
+    async def _built(self) -> None:
+        """Wait for the world whose building outlived its connection; what it failed of is raised here, once."""
+        building, self._building = self._building, None
+        if building is not None:
+            await building
 
     def _acknowledge(self, seq: int) -> None:
         self._acknowledged = max(self._acknowledged, seq)
@@ -373,6 +349,8 @@ class Link:
                     await self._heard_ack.wait()
 
     async def _end_loop(self) -> None:
+        if self._building is not None:
+            self._building.cancel()  # a loop that is made but never started moves nothing
         if self._loop is not None and self._loop.alive():
             self._inbox.put(Shutdown())
             await asyncio.to_thread(self._loop.join, 2 * STOPPING_S)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
@@ -14,8 +15,9 @@ from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 
 from app import protocol
-from app.cell.link import Identity, KeyPin, Link, LinkRefused
+from app.cell.link import Identity, Link
 from app.cell.loop import Lease, NewPolicy, Order, Outbox, TickLoop, Welcomed
+from app.cell.pin import KeyPin, LinkRefused
 from app.governance import bundle
 from app.governance.policy import PolicySet
 from app.protocol import Ack, Beat, Down, Estop, Hello, Human, Launch, Policy, State, Up, UpEvent, Welcome
@@ -113,7 +115,12 @@ async def until(condition: Callable[[], object], what: str = "") -> None:
 
 @asynccontextmanager
 async def rig(
-    folder: Path, script: Script | None = None, *, server_key: str | None = None, last_seq: int = 0
+    folder: Path,
+    script: Script | None = None,
+    *,
+    server_key: str | None = None,
+    last_seq: int = 0,
+    ready: threading.Event | None = None,
 ) -> AsyncIterator[Rig]:
     script = script or Script()
     server: Server = await serve(script.converse, "127.0.0.1", 0)
@@ -126,6 +133,8 @@ async def rig(
 
     def build(policies: PolicySet, kernel_key: str, acknowledged: int) -> TickLoop:
         built.append((policies, kernel_key, acknowledged))
+        if ready is not None:
+            assert ready.wait(WITHIN_S)
         return TickLoop(runner, inbox, outbox, lease, pace=1.0)
 
     link = Link(
@@ -159,6 +168,21 @@ async def test_says_hello_is_welcomed_and_builds_its_world_from_the_policy(tmp_p
         assert [(policies.digest, key) for policies, key, _ in cell.built] == [(DIGEST, KEY)]
         await until(lambda: cell.orders(Welcomed), "the welcome reaches the runner")
         assert cell.runner.holds == []
+
+
+@pytest.mark.anyio
+async def test_a_link_lost_while_the_world_is_built_leaves_one_world_that_runs(tmp_path: Path) -> None:
+    ready = threading.Event()
+    async with rig(tmp_path, ready=ready) as cell:
+        await until(lambda: cell.built, "the building begins")
+        await cell.script.sockets[-1].close()
+        await until(lambda: cell.said[-1].startswith("link down"))
+        ready.set()
+        await until(lambda: len(cell.script.sockets) > 1, "the second welcome")
+        await until(lambda: cell.script.of(State), "a state from the loop")
+        await cell.script.say(Policy(digest=DIGEST, files=FILES))
+        await until(lambda: cell.orders(NewPolicy), "a later policy reaches the one loop there is")
+        assert len(cell.built) == 1
 
 
 @pytest.mark.anyio
