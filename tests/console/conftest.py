@@ -30,6 +30,8 @@ expect.set_options(timeout=PATIENCE_MS)
 
 DESK = {"width": 1440, "height": 900}
 PHONE = {"width": 390, "height": 844}
+THUMB_PX = 48  # what a thumb hits, and how far up from the lower edge it comes easily
+REACH_PX = 140
 # How a graphics card that is none speaks of itself; nothing of ours.
 DRIVER_TALK = re.compile(r"GL Driver Message|GPU stall due to ReadPixels|software WebGL", re.IGNORECASE)
 
@@ -169,6 +171,36 @@ def at_once(path: str, *people: Person) -> Iterator[None]:
         route.continue_()
     for person in people:
         person.page.unroute(path)
+
+
+def stop(person: Person) -> Locator:
+    return person.button(re.compile("^Emergency stop of workcell-1: "))
+
+
+def box(button: Locator) -> dict[str, float]:
+    found = button.bounding_box()
+    assert found is not None
+    return dict(found)
+
+
+def out_of_reach(button: Locator) -> list[str]:
+    """Say why the stop cannot be pressed with the thumb of the hand that holds the phone."""
+    at = box(button)
+    on_top = button.evaluate(
+        """(stop) => { const {x, y, width, height} = stop.getBoundingClientRect();
+        return stop.contains(document.elementFromPoint(x + width / 2, y + height / 2)); }"""
+    )
+    wrong = {
+        "covered": not on_top,
+        "too small": min(at["height"], at["width"] / 2) < THUMB_PX,
+        "too high up": at["y"] < PHONE["height"] - REACH_PX,
+        "cut off": at["y"] + at["height"] > PHONE["height"],
+    }
+    return [words for words, so in wrong.items() if so]
+
+
+def far(here: tuple[float, float], there: tuple[float, float]) -> float:
+    return abs(here[0] - there[0]) + abs(here[1] - there[1])
 
 
 def chromium() -> str:

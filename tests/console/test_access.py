@@ -6,18 +6,16 @@ import re
 from collections.abc import Iterator
 
 import pytest
-from playwright.sync_api import Locator, Page, expect
+from playwright.sync_api import Page, expect
 
 from tests.conftest import ServerProcess
-from tests.console.conftest import DESK, PHONE, ROOT, Floor, People, Person
+from tests.console.conftest import DESK, PHONE, ROOT, THUMB_PX, Floor, People, Person, box, out_of_reach, stop
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 AXE = ROOT / "web" / "node_modules" / "axe-core" / "axe.min.js"
 FIND = """async () => (await axe.run(document, {
     runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa', 'best-practice'], resultTypes: ['violations'],
 })).violations.map(({id, nodes}) => id + ': ' + nodes.map((node) => node.html.slice(0, 160)).join(' | '))"""
-THUMB_PX = 48  # what a thumb hits, and how far up from the lower edge it comes easily
-REACH_PX = 140
 
 
 @pytest.fixture(scope="module")
@@ -101,32 +99,6 @@ def test_on_a_phone_both_answers_are_in_sight_and_the_stop_is_pressed_by_touch(
     stop(person).tap()
     expect(person.page.get_by_text("Stopped, latched")).to_be_visible()
     assert server.cell()["latched"] is True
-
-
-def stop(person: Person) -> Locator:
-    return person.button(re.compile("^Emergency stop of workcell-1: "))
-
-
-def box(button: Locator) -> dict[str, float]:
-    found = button.bounding_box()
-    assert found is not None
-    return dict(found)
-
-
-def out_of_reach(button: Locator) -> list[str]:
-    """Say why the stop cannot be pressed with the thumb of the hand that holds the phone."""
-    at = box(button)
-    on_top = button.evaluate(
-        """(stop) => { const {x, y, width, height} = stop.getBoundingClientRect();
-        return stop.contains(document.elementFromPoint(x + width / 2, y + height / 2)); }"""
-    )
-    wrong = {
-        "covered": not on_top,
-        "too small": min(at["height"], at["width"] / 2) < THUMB_PX,
-        "too high up": at["y"] < PHONE["height"] - REACH_PX,
-        "cut off": at["y"] + at["height"] > PHONE["height"],
-    }
-    return [words for words, so in wrong.items() if so]
 
 
 def wider_than_the_screen(page: Page) -> list[str]:

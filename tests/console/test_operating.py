@@ -6,7 +6,7 @@ import pytest
 from playwright.sync_api import Locator, expect
 
 from tests.conftest import ServerProcess, until
-from tests.console.conftest import Floor, People, Person, at_once
+from tests.console.conftest import Floor, People, Person, at_once, far
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 
@@ -115,7 +115,3 @@ def test_a_session_taken_over_goes_on_when_it_is_handed_back(
     until(lambda: floor.speed() > 0.05, what="a base that goes on")
     told = [event["body"].get("op") for event in server.get(f"/v1/invocations/{drive['id']}/trace")["items"]]
     assert {"takeover", "jog", "release"} <= set(told)
-
-
-def far(here: tuple[float, float], there: tuple[float, float]) -> float:
-    return abs(here[0] - there[0]) + abs(here[1] - there[1])
