@@ -125,6 +125,20 @@ def frame(moment: Moment) -> bytes:
     return pack_poses(moment.tick, moment.at_s, moment.poses(), _ROW.pack(*gauges(moment)))
 
 
+def sensed(seen: Observation) -> dict[str, float]:
+    """Return what sensors say of a robot whose session is over, by the names of the watcher's signals.
+
+    What only the watcher measures (distances, ages, how long it has taken) is not there: nobody watches, and the last
+    session's numbers would pass for this moment's.
+    """
+    return {
+        "tcp_speed_mps": seen.tcp_speed_mps,
+        "base_speed_mps": math.hypot(seen.base_velocity[0], seen.base_velocity[1]),
+        "grip_force_n": seen.grip_force_n,
+        "contact_force_n": seen.contact_force_n,
+    }
+
+
 def gauges(moment: Moment) -> tuple[float, ...]:
     """Return the gauges of a moment, as `GAUGES` lists them; NaN is not known.
 
@@ -132,11 +146,8 @@ def gauges(moment: Moment) -> tuple[float, ...]:
     """
     seen, session = moment.seen, moment.session
     if session is None:
-        base = math.hypot(seen.base_velocity[0], seen.base_velocity[1])
-        return (
-            UNKNOWN, UNKNOWN, UNKNOWN, seen.tcp_speed_mps, UNKNOWN, base, UNKNOWN, seen.grip_force_n, UNKNOWN,
-            seen.contact_force_n, UNKNOWN, UNKNOWN, UNKNOWN,
-        )  # fmt: skip
+        known = sensed(seen)
+        return tuple(known.get(name, UNKNOWN) for name in GAUGES)
     signals, bounds = Signals._make(session.measured), session.bounds
     return (
         _near(signals.separation_m),

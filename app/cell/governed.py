@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, assert_never
 import orjson
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
-from app.cell.display import describe, look, sitting
+from app.cell.display import describe, look, sensed, sitting
 from app.cell.journal import JournalUnavailable
 from app.cell.loop import NewPolicy, Shutdown, Welcomed
 from app.cell.runner import Runner
@@ -136,9 +136,10 @@ class GovernedCell:
                 assert_never(news)
 
     def state(self, overruns: int) -> State:
-        """Return the newest state, with its facts and the watcher's signals."""
+        """Return the newest state, with its facts and the watcher's signals; without a session, what sensors say."""
         view = self._runner.view()
-        gauges = {name: value for name, value in view.signals._asdict().items() if isfinite(value)}
+        measured = sensed(self._runner.observation) if view.invocation is None else view.signals._asdict()
+        gauges = {name: value for name, value in measured.items() if isfinite(value)}
         # Through JSON, which has no NaN: it becomes null, and the server says that the facts are malformed.
         facts = orjson.loads(orjson.dumps(self._runner.substrate.facts()))
         return State(

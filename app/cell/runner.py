@@ -45,7 +45,10 @@ CATCH_UP_TICKS: Final = 100
 
 
 class View(NamedTuple):
-    """The runner as displays and the server see it. `fault` says why nothing moves, empty when all is well."""
+    """The runner as displays and the server see it.
+
+    `fault` says why nothing moves, empty when all is well; `signals` are those of the last session, where none runs.
+    """
 
     tick: int
     time_s: float
