@@ -58,6 +58,7 @@ class Cell:
     journal: str = ""  # the one its reports are numbered in; "" before its first hello
     taken: dict[str, int] = field(default_factory=dict[str, int])  # by journal, the last report that the log holds
     recording: asyncio.Lock = field(default_factory=asyncio.Lock)  # one batch at a time, whichever link brought it
+    taking: asyncio.Lock = field(default_factory=asyncio.Lock)  # one taker of an idle cell at a time
     claim: str | None = None
     attachment: Attachment | None = None
     state: State | None = None

@@ -92,19 +92,25 @@ class Takeovers:
     async def take_cell(self, cell_id: str, principal: Principal) -> dict[str, Any]:
         """Take the controls of a cell that is idle, or driven by hand already; returns the lease.
 
+        Of two who want it, the second waits until the first is in the record, and then meets who has it.
+
         Raises:
             NotFound: no such cell.
             Conflict: as `take_over`, and `cell_busy` where a session runs: that is taken over by its own name.
             RecordUnavailable: nothing was recorded, and nobody has taken anything.
         """
         cell = self.fleet.cell(cell_id)
-        await self.fleet.settle(cell)
-        busy = self.fleet.busy(cell)
-        if busy is not None:
-            known = self.register.newest(busy)
-            if known is None or known.capability != TAKEOVER:
-                raise Conflict("cell_busy", f"the cell `{cell.id}` runs `{busy}`; valid: take that over")
-            return await self.take_over(busy, principal)
+        async with cell.taking:
+            await self.fleet.settle(cell)
+            busy = self.fleet.busy(cell)
+            if busy is None:
+                return await self._take_idle(cell, principal)
+        known = self.register.newest(busy)
+        if known is None or known.capability != TAKEOVER:
+            raise Conflict("cell_busy", f"the cell `{cell.id}` runs `{busy}`; valid: take that over")
+        return await self.take_over(busy, principal)
+
+    async def _take_idle(self, cell: Cell, principal: Principal) -> dict[str, Any]:
         self._allow_takeover(self.fleet.profile(cell))
         self._reachable(cell, "")
         params = self._alone(cell)

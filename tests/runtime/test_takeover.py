@@ -191,6 +191,25 @@ async def test_an_idle_cell_is_an_invocation_of_its_own_and_ends_taken_over(runt
     assert runtime.governor.cells()[0]["control"] is None
 
 
+async def test_of_two_who_want_an_idle_cell_the_second_is_told_who_has_it(runtime: Runtime, cell: HandCell) -> None:
+    takers = (runtime.governor.take_cell("workcell-1", who) for who in (OPERATOR, OPERATOR_2))
+    lease, error = await asyncio.gather(*takers, return_exceptions=True)
+    assert isinstance(lease, dict)
+    assert lease["holder"] == "olivia"
+    assert isinstance(error, Conflict)
+    assert error.code == "control_held"
+    assert "`olivia`" in str(error)
+    assert len(cell.all("launch")) == 1
+
+
+async def test_who_stands_at_an_idle_cell_gets_it_however_close_the_race(runtime: Runtime, cell: HandCell) -> None:
+    takers = (runtime.governor.take_cell("workcell-1", who) for who in (OPERATOR, LOCAL))
+    remote, local = await asyncio.gather(*takers)
+    assert remote["invocation"] == local["invocation"]
+    control = runtime.governor.cells()[0]["control"]
+    assert (control["holder"], control["lease"]) == ("oskar", local["lease"])
+
+
 async def test_nobody_takes_over_where_the_profile_has_no_takeover(house: House) -> None:
     async with replace(house, profile="sim-relaxed").open() as runtime:
         cell = await HandCell(runtime).dial()
