@@ -269,6 +269,7 @@ def register(router: APIRouter) -> None:
                 "control_held",
                 "nothing_to_resume",
                 "resume_refused",
+                "facts_stale",
                 "ending",
                 "cell_offline",
                 "estop_latched",

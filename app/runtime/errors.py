@@ -41,6 +41,7 @@ CONFLICTS: Final[Mapping[str, int]] = {
     "not_taken_over": 409,
     "nothing_to_resume": 409,
     "resume_refused": 409,
+    "facts_stale": 409,
     "estop_latched": 409,
     "not_armed": 409,
     "review_not_enabled": 409,

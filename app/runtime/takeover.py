@@ -23,6 +23,7 @@ from app.governance.model import SESSION, AuthorityMode, EventKind, Proposal, Ro
 from app.governance.policy import watch_plan
 from app.governance.policy_model import GOVERNANCE
 from app.protocol import Human, Jog
+from app.runtime.cells import FRESH_S
 from app.runtime.drafts import SERVER
 from app.runtime.errors import Conflict, NotFound
 from app.runtime.hands import HELD, RETURNING, given_back, taken
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from app.runtime.register import Register
 
 LOOK_S: Final = 0.1
-FACTS_S: Final = 0.3
+FACTS_S: Final = FRESH_S  # by then the state that is there says nothing either
 RETURN_S: Final = 3.0  # for a robot to come to rest and its plan to be bound anew
 THENS: Final = ("resume", "rollback", "end")
 RULE: Final = "authority/takeover"
@@ -313,7 +314,7 @@ class Takeovers:
         Raises:
             NotFound: there is none that this principal may see.
             Conflict: `wrong_status`, `not_taken_over`, `control_held`, `nothing_to_resume`, `ending`, `cell_offline`;
-                `resume_refused` with the reasons, and the holder keeps the controls.
+                `facts_stale`, and `resume_refused` with the reasons: the holder keeps the controls.
             RecordUnavailable: nothing was recorded, and the holder keeps the controls.
         """
         present = await self._session(invocation_id, principal)
@@ -328,7 +329,12 @@ class Takeovers:
             raise Conflict("nothing_to_resume", "nothing ran before; valid: `rollback`, `end`")
         if then == "end":
             return await self._end(cell, present, principal)
-        await self._fresh(cell)
+        if not await self._newer(cell) and then == "resume":  # a rollback is the cell's own to judge
+            raise Conflict(
+                "facts_stale",
+                f"the cell `{cell.id}` has not said for {FACTS_S:g} s where the robot is, so nothing can be decided on "
+                "that; valid: again when it does, or `end`",
+            )
         cell.control = returning(control)
         try:
             if then == "resume":
@@ -340,11 +346,14 @@ class Takeovers:
             raise
         return await self._returned(present.id, then)
 
-    async def _fresh(self, cell: Cell) -> None:
-        """Wait for the cell's next state: the plan begins with where the robot is now."""
-        with suppress(TimeoutError):
+    async def _newer(self, cell: Cell) -> bool:
+        """Wait for the cell's next state, since a plan begins with where the robot is now; say whether there is one."""
+        try:
             async with asyncio.timeout(FACTS_S):
                 await cell.stated.wait()
+        except TimeoutError:
+            return False
+        return True
 
     async def _end(self, cell: Cell, present: Invocation, principal: Principal) -> dict[str, Any]:
         document = cell.control_document() or {}

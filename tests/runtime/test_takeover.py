@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import base64
 import json
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -46,6 +48,22 @@ async def refused(doing: Any) -> Conflict:
     with pytest.raises(Conflict) as caught:
         await doing
     return caught.value
+
+
+@asynccontextmanager
+async def stating(cell: HandCell) -> AsyncGenerator[None]:
+    """Have the cell say its state again and again, as a real one does."""
+
+    async def state() -> None:
+        while True:
+            await cell.state()
+            await asyncio.sleep(0.02)
+
+    saying = asyncio.create_task(state())
+    try:
+        yield
+    finally:
+        saying.cancel()
 
 
 async def test_whoever_takes_over_drives_under_an_authorization_of_their_own(
@@ -128,10 +146,9 @@ async def test_handing_back_decides_again_and_waits_for_the_cell(
     runtime: Runtime, cell: HandCell, driving: str
 ) -> None:
     await runtime.governor.take_over(driving, OPERATOR)
-    await cell.state()
     back = asyncio.ensure_future(runtime.governor.release(driving, OPERATOR, "resume"))
-    await cell.state()
-    await cell.expect("launch", 3)
+    async with stating(cell):
+        await cell.expect("launch", 3)
     assert permit(cell)["capability"] == "navigate_to"
     place = runtime.fleet.cell("workcell-1")
     assert place.control is not None
@@ -148,10 +165,23 @@ async def test_what_policy_does_not_let_go_on_stays_in_hand_with_the_reasons(
 ) -> None:
     await runtime.governor.take_over(driving, OPERATOR)
     cell.facts = {**cell.facts, "gripper_empty": False, "holding": "mug_1"}
-    await cell.state()
-    error = await refused(runtime.governor.release(driving, OPERATOR, "resume"))
+    async with stating(cell):
+        error = await refused(runtime.governor.release(driving, OPERATOR, "resume"))
     assert error.code == "resume_refused"
     assert [reason["code"] for reason in error.reasons] == ["precondition_unmet"]
+    place = runtime.fleet.cell("workcell-1")
+    assert place.control is not None
+    assert jog(runtime, OPERATOR, place.control_document() or {}, 5) is None
+
+
+async def test_nothing_goes_on_by_facts_from_before_it_was_handed_back(
+    runtime: Runtime, cell: HandCell, driving: str
+) -> None:
+    await runtime.governor.take_over(driving, OPERATOR)
+    await cell.state()
+    error = await refused(runtime.governor.release(driving, OPERATOR, "resume"))
+    assert (error.code, error.status) == ("facts_stale", 409)
+    assert len(cell.all("launch")) == 2
     place = runtime.fleet.cell("workcell-1")
     assert place.control is not None
     assert jog(runtime, OPERATOR, place.control_document() or {}, 5) is None
@@ -160,8 +190,8 @@ async def test_what_policy_does_not_let_go_on_stays_in_hand_with_the_reasons(
 async def test_what_the_cell_cannot_bind_anew_stays_in_hand(runtime: Runtime, cell: HandCell, driving: str) -> None:
     await runtime.governor.take_over(driving, OPERATOR)
     back = asyncio.ensure_future(refused(runtime.governor.release(driving, OPERATOR, "resume")))
-    await cell.state()
-    await cell.expect("launch", 3)
+    async with stating(cell):
+        await cell.expect("launch", 3)
     await cell.report("launch", driving, refused="no_path", detail="blocked")
     error = await back
     assert (error.code, error.reasons[0]["code"]) == ("resume_refused", "no_path")
