@@ -482,6 +482,7 @@ def _describe_rule(rule: Rule) -> dict[str, Any]:
             }
             for setting in rule.settings
         },
+        "approvers": rule.approvers or None,  # None leaves it to the profile
         "because": rule.because,
         "remedy": rule.remedy,
     }

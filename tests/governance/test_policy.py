@@ -156,6 +156,12 @@ def test_an_unknown_capability_leaves_parameters_to_admission():
     assert shipped().validate_params("fly", {"height": 3}) == {"height": 3}
 
 
+def test_a_rule_is_described_with_the_approvers_it_asks_for():
+    described = {rule["id"]: rule["approvers"] for rule in shipped().describe()["rules"]}
+    assert described["organization/press-two-approvers"] == 2
+    assert described["organization/fragile-grip"] is None
+
+
 def test_descriptions_are_json():
     assert orjson.loads(orjson.dumps(shipped().describe()))["version"] == shipped().digest
     assert len(orjson.loads(orjson.dumps(shipped().manifests()))) == len(shipped().capabilities)
