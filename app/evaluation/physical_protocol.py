@@ -91,7 +91,7 @@ CHOICES: Final = (
     Choice(
         "truth of a violation",
         "whatever was injected",
-        "the ungoverned twin of the trial; a fault that does not take is drawn again, up to six times",
+        "the ungoverned twin of the trial; a fault that does not take within 16 s is drawn again, up to six times",
         "RVDR, UCR",
     ),
     Choice(

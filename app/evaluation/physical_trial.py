@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 MOST_TURNS: Final = 6
 """So often a trial is drawn again when its fault does not take; then it is kept as one that did not occur."""
 
+LONGEST_TICKS: Final = 1600
+"""16 s: a fault shows by then, or it has not taken; what comes later follows from a failed first attempt."""
+
 BAND_SIGMAS: Final = 3.0
 
 Change = Callable[["WatchPlan"], "WatchPlan"]
@@ -99,9 +102,10 @@ class Trial:
 
 
 def took(drawn: Drawn, twin: Execution) -> bool:
-    """Say whether a fault took: whether the ungoverned twin shows what was to be provoked."""
+    """Say whether a fault took: whether the ungoverned twin shows what was to be provoked, and soon enough."""
     if drawn.violation is not None:
-        return twin.truth.tracks[drawn.violation].onset is not None
+        onset = twin.truth.tracks[drawn.violation].onset
+        return onset is not None and onset <= LONGEST_TICKS
     match drawn.failure:
         case None:
             return False
@@ -187,7 +191,10 @@ def _shown(drawn: Drawn) -> Callable[[Truth], bool]:
     violation = drawn.violation
     if violation is not None:
         band = BAND_SIGMAS * SIGMA[violation]
-        return lambda truth: truth.tracks[violation].onset is not None and truth.tracks[violation].excess >= band
+        return lambda truth: (
+            truth.tick > LONGEST_TICKS
+            or (truth.tracks[violation].onset is not None and truth.tracks[violation].excess >= band)
+        )
     match drawn.failure:
         case Failure.FAILED_GRASP:
             return lambda truth: truth.tracks[Violation.POSTCONDITION].onset is not None
