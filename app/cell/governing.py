@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from app.cell.substrate import Substrate
     from app.cell.telling import Recorder
     from app.governance.model import (
-        Command,
         CoveredRecovery,
         Observation,
         Params,
@@ -88,7 +87,18 @@ class Governing:
         """Do one control period and return what the sensors saw."""
         run, substrate = self.run, self._substrate
         period_s = substrate.period_s
-        report, command = self._ask(run.ramp(period_s))
+        rate = run.ramp(period_s)
+        if rate == 0.0:  # not asked to move
+            report, command = run.skill.report(), hold(run.previous)
+        else:
+            try:
+                command, report = run.skill.act(self.seen, rate), run.skill.report()
+            except Exception as error:  # whatever a skill does wrong must not take the watcher along
+                command, report = hold(run.previous), self._failed(error)
+            if self._confirms and run.waits_for_confirmation(report.phase):
+                run.rate = 0.0
+                self.escalate(f"confirm:{report.phase}")
+                command = hold(run.previous)
         if run.given is not None:
             command = run.yielding(command, self.seen)
         command, _ = clamp(command, run.previous, run.bounds, self.seen.jacobian, period_s)
@@ -111,23 +121,12 @@ class Governing:
                 self.end(End(Outcome.FAULT, "journal_unavailable", 1))
         return seen
 
-    def _ask(self, rate: float) -> tuple[SkillReport, Command]:
-        """Return the skill's word and command. At rate 0 it is not asked to move; one that breaks has failed."""
-        run = self.run
-        if rate == 0.0:
-            return run.skill.report(), hold(run.previous)
-        try:
-            command, report = run.skill.act(self.seen, rate), run.skill.report()
-        except SubstrateError as error:
-            return SkillReport("failed", 0.0, FAILED, error.failure), hold(run.previous)
-        except Exception as error:  # whatever a skill does wrong must not take the watcher along
-            self._tell_anyway(telling.cell("skill_error", telling.CELL, repr(error)))
-            return SkillReport("failed", 0.0, FAILED, "skill_error"), hold(run.previous)
-        if self._confirms and run.waits_for_confirmation(report.phase):
-            run.rate = 0.0
-            self.escalate(f"confirm:{report.phase}")
-            return report, hold(run.previous)
-        return report, command
+    def _failed(self, error: Exception) -> SkillReport:
+        """Return what a skill that broke would have had to say."""
+        if isinstance(error, SubstrateError):
+            return SkillReport("failed", 0.0, FAILED, error.failure)
+        self._tell_anyway(telling.cell("skill_error", telling.CELL, repr(error)))
+        return SkillReport("failed", 0.0, FAILED, "skill_error")
 
     def _consider(self, alerts: tuple[Alert, ...], report: SkillReport) -> None:
         """Do what follows from the tick: nothing does while the skill runs, no rule speaks and nothing waits."""

@@ -37,6 +37,9 @@ TAKEN_OVER: Final = "taken_over"
 HANDED_BACK: Final = "handed_back"
 
 
+_govern: Final = Governing.tick
+
+
 class Session(Governing):
     """Governs one run, in the skill's hands or in a human's."""
 
@@ -137,7 +140,7 @@ class Session(Governing):
             if isinstance(self.run.skill, Steered):
                 self.run.skill.steer(wish)
             self._note(steering)
-        return super().tick()
+        return _govern(self)  # not by super(), which looks the class up in every tick
 
     def jogged(self) -> tuple[int, str] | None:
         """Return the number of the newest command and why it is not done; None where no human has the controls."""

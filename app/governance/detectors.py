@@ -21,7 +21,8 @@ from app.governance.signals import FAR_M
 
 if TYPE_CHECKING:
     from app.governance.estimation import BaseEstimate, PersonEstimate
-    from app.governance.model import Command, Observation, SensorStamps, SkillReport, Vec6
+    from app.governance.keepout import Keepout
+    from app.governance.model import Command, Observation, SensorStamps, SkillReport, Vec3, Vec6
     from app.governance.signals import Constants
 
 Pair: TypeAlias = "tuple[float, float]"
@@ -36,6 +37,7 @@ FIST_M: Final = 0.008
 PROGRESS_STEP: Final = 1e-4
 FALLS_BACK: Final = 0.2
 CREEP_MPS: Final = 0.01
+ON_TRACK_RAD: Final = 0.02
 FIX_JUMP_M: Final = 0.3
 
 LARGEST_JOINT_RAD: Final = 2 * math.pi + 0.1
@@ -98,77 +100,46 @@ def position(seen: Observation, base: BaseEstimate, sound: bool) -> tuple[BaseEs
     return base, fix_jumped, base_x_m, base_y_m, base_yaw_rad
 
 
-def motion(seen: Observation, base_yaw_rad: float) -> tuple[float, Pair, Pair]:
-    """Return the base's speed, its heading as cosine and sine, and its velocity in the world frame."""
+def motion(seen: Observation) -> float:
+    """Return the base's speed."""
     vx, vy, _ = seen.base_velocity
-    c, s = cos(base_yaw_rad), sin(base_yaw_rad)
-    return sqrt(vx * vx + vy * vy), (c, s), (c * vx - s * vy, s * vx + c * vy)
+    return sqrt(vx * vx + vy * vy)
 
 
-def slide(
+def zone_margin(  # noqa: PLR0913, PLR0917  # what a part needs, it names
     seen: Observation,
     before: Observation,
-    stamps: SensorStamps,
-    base: BaseEstimate,
-    base_speed_mps: float,
-    velocity: Pair,
-) -> Pair:
-    """Return how fast the estimated position moves while the base drives: what odometry does in a tick, and its drift.
-
-    Drift is never added to what the drives say: a bias of the odometry is no motion.
-    """
-    slide = velocity
-    apart_s = stamps.odometry - before.stamps_s.odometry
-    if base_speed_mps > CREEP_MPS and apart_s > 0.0:
-        x, y, _ = seen.odometry
-        from_x, from_y, _ = before.odometry
-        rate_x, rate_y = (x - from_x) / apart_s + base.drift_x_mps, (y - from_y) / apart_s + base.drift_y_mps
-        # A jump is no motion: where the base is shows it. What is no number stays none.
-        if not abs(rate_x) + abs(rate_y) > LARGEST_BASE_SPEED_MPS:
-            slide = rate_x, rate_y
-    return slide
-
-
-def zone_margin(
     sound: bool,
+    base: BaseEstimate,
     base_x_m: float,
     base_y_m: float,
+    base_yaw_rad: float,
     base_speed_mps: float,
-    velocity: Pair,
-    slide: Pair,
     plan: Constants,
 ) -> float:
     """Return the least clearance between the hull and a zone on the way to standstill, if braking began now.
 
-    Two say where that leads, and the worse one counts: the drives, who know nothing of wheels that slip, and the rate
-    of the estimated position, which follows a bias of the odometry only as fast as fixes tell of it.
+    Far off the distance to the bounding box stands in for that to the zone (it is never more), and the drives' word
+    for where braking leads.
     """
-    zone_margin_m = nan
+    zone_margin_m = FAR_M if sound else nan
     if sound and plan.keepouts:
-        slide_x, slide_y = slide
-        speed = sqrt(slide_x * slide_x + slide_y * slide_y)
-        if speed < base_speed_mps:
-            speed = base_speed_mps
-        reach_s = REACTION_S + speed / (2.0 * plan.base_deceleration_mps2)
-        ahead = speed * reach_s
-        zone_margin_m = FAR_M
         for zone in plan.keepouts:
             x0, y0, x1, y1, _ = zone
             dx = x0 - base_x_m if base_x_m < x0 else base_x_m - x1 if base_x_m > x1 else 0.0
             dy = y0 - base_y_m if base_y_m < y0 else base_y_m - y1 if base_y_m > y1 else 0.0
-            # Far off the distance to the bounding box stands in: it is never more than the true one.
-            margin = sqrt(dx * dx + dy * dy) - ahead
-            if not margin > NEAR_ZONE_M:
-                margin = least_clearance(zone, base_x_m, base_y_m, (velocity, slide), reach_s)
-            if not margin >= zone_margin_m:
-                zone_margin_m = margin
-        zone_margin_m -= plan.base_radius_m
-        # Stopped at the edge, the base stands within the noise of its own estimate: a violation again and again. While
-        # it creeps that noise is more than its motion, so whether it backs out is for the drives to say.
-        if -EDGE_M < zone_margin_m < 0.0 and leaves(plan.keepouts, base_x_m, base_y_m, velocity, reach_s):
-            zone_margin_m = 0.0
-    elif sound:
-        zone_margin_m = FAR_M
+            off_m = sqrt(dx * dx + dy * dy)
+            if not off_m >= zone_margin_m:
+                zone_margin_m = off_m
+        zone_margin_m -= (
+            base_speed_mps * (REACTION_S + base_speed_mps / (2.0 * plan.base_deceleration_mps2)) + plan.base_radius_m
+        )
+        if not zone_margin_m > NEAR_ZONE_M:
+            velocity = turned(base_yaw_rad, seen.base_velocity)
+            slides = slide(seen, before, base, base_speed_mps, velocity)
+            zone_margin_m = near_zones(
+                plan.keepouts, (base_x_m, base_y_m), velocity, slides, plan.base_deceleration_mps2, plan.base_radius_m
+            )
     return zone_margin_m
 
 
@@ -188,8 +159,7 @@ def separation(
     people: tuple[PersonEstimate, ...],
     base_x_m: float,
     base_y_m: float,
-    heading: Pair,
-    velocity: Pair,
+    base_yaw_rad: float,
     plan: Constants,
 ) -> tuple[float, float, float]:
     """Return distance, protective separation and margin of the person with the least margin."""
@@ -197,8 +167,8 @@ def separation(
     protective_separation_m = plan.fixed_gap_m
     if sound and people:
         separation_margin_m = inf
-        c, s = heading
-        vx, vy = velocity
+        c, s = cos(base_yaw_rad), sin(base_yaw_rad)
+        vx, vy = turned(base_yaw_rad, seen.base_velocity)
         tx, ty, _ = seen.tcp_m
         jx, jy = tcp_velocity(seen.jacobian, seen.joint_speed_radps)
         hand_x, hand_y = base_x_m + c * tx - s * ty, base_y_m + s * tx + c * ty
@@ -338,20 +308,13 @@ def arm_speed(seen: Observation) -> float:
 
 
 def tracking(seen: Observation, command: Command) -> float:
-    """Return how far the joint that is farthest off is from where it was told to be."""
-    a, b, c, d, e, f = command.joint_rad
-    u, v, w, x, y, z = seen.joint_rad
-    tracking_error_rad = abs(a - u)  # written out: half the time of max()
-    if abs(b - v) > tracking_error_rad:
-        tracking_error_rad = abs(b - v)
-    if abs(c - w) > tracking_error_rad:
-        tracking_error_rad = abs(c - w)
-    if abs(d - x) > tracking_error_rad:
-        tracking_error_rad = abs(d - x)
-    if abs(e - y) > tracking_error_rad:
-        tracking_error_rad = abs(e - y)
-    if abs(f - z) > tracking_error_rad:
-        tracking_error_rad = abs(f - z)
+    """Return how far the joint that is farthest off is from where it was told to be.
+
+    While all joints together are off by less than `ON_TRACK_RAD`, that norm, which is never less, stands in.
+    """
+    tracking_error_rad = dist(command.joint_rad, seen.joint_rad)
+    if not tracking_error_rad < ON_TRACK_RAD:
+        tracking_error_rad = farthest(command.joint_rad, seen.joint_rad)
     return tracking_error_rad
 
 
@@ -474,6 +437,60 @@ def implausible(
     return 0.0 if believed else 1.0
 
 
+def turned(yaw_rad: float, velocity: Vec3) -> Pair:
+    """Return a velocity of the base in the world frame."""
+    vx, vy, _ = velocity
+    c, s = cos(yaw_rad), sin(yaw_rad)
+    return c * vx - s * vy, s * vx + c * vy
+
+
+def slide(seen: Observation, before: Observation, base: BaseEstimate, base_speed_mps: float, velocity: Pair) -> Pair:
+    """Return how fast the estimated position moves while the base drives: what odometry does in a tick, and its drift.
+
+    Drift is never added to what the drives say: a bias of the odometry is no motion.
+    """
+    apart_s = seen.stamps_s.odometry - before.stamps_s.odometry
+    if base_speed_mps > CREEP_MPS and apart_s > 0.0:
+        x, y, _ = seen.odometry
+        from_x, from_y, _ = before.odometry
+        rate_x, rate_y = (x - from_x) / apart_s + base.drift_x_mps, (y - from_y) / apart_s + base.drift_y_mps
+        # A jump is no motion: where the base is shows it. What is no number stays none.
+        if not abs(rate_x) + abs(rate_y) > LARGEST_BASE_SPEED_MPS:
+            return rate_x, rate_y
+    return velocity
+
+
+def near_zones(
+    keepouts: tuple[Keepout, ...], at: Pair, velocity: Pair, slides: Pair, deceleration_mps2: float, radius_m: float
+) -> float:
+    """Return the least clearance between the hull and zones on the way to standstill, if braking began now.
+
+    Two say where that leads, and the worse one counts: the drives (`velocity`), who know nothing of wheels that slip,
+    and the rate of the estimated position (`slides`), which follows a bias of the odometry only as fast as fixes tell
+    of it.
+    """
+    x, y = at
+    speed = max(hypot(*velocity), hypot(*slides))
+    reach_s = REACTION_S + speed / (2.0 * deceleration_mps2)
+    margin_m = FAR_M
+    for zone in keepouts:
+        clearance_m = least_clearance(zone, x, y, (velocity, slides), reach_s)
+        if not clearance_m >= margin_m:
+            margin_m = clearance_m
+    margin_m -= radius_m
+    # Stopped at the edge, the base stands within the noise of its own estimate: a violation again and again. While
+    # it creeps that noise is more than its motion, so whether it backs out is for the drives to say.
+    if -EDGE_M < margin_m < 0.0 and leaves(keepouts, x, y, velocity, reach_s):
+        return 0.0
+    return margin_m
+
+
+def farthest(told: Vec6, seen: Vec6) -> float:
+    """Return the largest difference between what was told and what is seen; NaN where one is none."""
+    apart = [abs(one - other) for one, other in zip(told, seen, strict=True)]
+    return max(apart) if sum(apart) < inf else nan
+
+
 def within(values: Vec6, limit: float) -> bool:
     """Say whether every value is known to be within ±limit."""
     return all(-limit <= value <= limit for value in values)
@@ -483,8 +500,7 @@ DETECTORS: Final[tuple[Part, ...]] = parts(
     {
         soundness: ("placed", "sound", "same_people", "fastest_radps"),
         position: ("base", "fix_jumped", "base_x_m", "base_y_m", "base_yaw_rad"),
-        motion: ("base_speed_mps", "heading", "velocity"),
-        slide: ("slide",),
+        motion: ("base_speed_mps",),
         zone_margin: ("zone_margin_m",),
         people_around: ("people",),
         separation: ("separation_m", "protective_separation_m", "separation_margin_m"),

@@ -16,6 +16,7 @@ HISTORY: Final = 10
 HISTORY_STEP_S: Final = 0.05
 """Odometry kept, so that a fix can be compared with where the odometry was when the fix was taken; coarse, because a
 long tuple that is built anew in every tick is what costs most in a loop whose caches belong to the physics."""
+EARLY_S: Final = 0.01  # so much before it is due, odometry is kept along with a new fix
 
 FIX_SIGMA_M: Final = 0.02
 FIRST_SIGMA_M: Final = 0.5
@@ -69,11 +70,12 @@ def track_base(estimate: BaseEstimate, time_s: float, odometry: Vec3, fix: Fix |
     compared with odometry + offset *of that past*, which compensates its latency without re-running the filter.
     """
     at_s, x, y, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, miss_m, due_s, history = estimate
-    newest, new = (time_s, *odometry), fix is not None and fix.stamp_s != fix_s
-    if time_s >= due_s:
-        due_s, history = time_s + HISTORY_STEP_S - 1e-6, (newest, *history[: HISTORY - 1])
-    elif not new:
+    new = fix is not None and fix.stamp_s != fix_s
+    if not new and time_s < due_s:
         return estimate
+    newest = (time_s, *odometry)
+    if time_s >= due_s - EARLY_S:  # with the fix, where fixes come as often: one tick with both costs less than two
+        due_s, history = time_s + HISTORY_STEP_S + EARLY_S / 2.0, (newest, *history[: HISTORY - 1])
     if fix is None or not new:
         return _made((at_s, x, y, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, miss_m, due_s, history))
     stamp_s, fix_x, fix_y, fix_yaw = fix

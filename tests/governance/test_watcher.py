@@ -272,11 +272,12 @@ def test_wheels_that_slip_towards_a_zone_are_judged_by_where_they_slip_and_not_b
 def test_what_the_odometry_did_since_it_was_no_number_is_unknown_and_a_jump_is_left_to_the_position() -> None:
     plan = watching(rule("zone_margin_m", above=False))
     drives = {"base_velocity": (0.1, 0.0, 0.0), "fix": None}
-    broken = [seen(0, **drives), seen(1, odometry=(math.nan, 2.0, 0.0), **drives), seen(2, **drives)]
+    near = {"odometry": (3.2, 2.0, 0.0), **drives}  # far off, where the base is says enough
+    broken = [seen(0, **near), seen(1, odometry=(math.nan, 2.0, 0.0), **drives), seen(2, **near)]
     margins = [run(plan, broken[: count + 1])[1].signals.zone_margin_m for count in range(3)]
     assert margins[0] > 0.0
     assert all(math.isnan(margin) for margin in margins[1:])
-    jumped = [seen(0, **drives), seen(1, odometry=(2.3, 2.0, 0.0), **drives)]  # 30 m/s
+    jumped = [seen(0, **near), seen(1, odometry=(3.5, 2.0, 0.0), **drives)]  # 30 m/s
     assert run(plan, jumped)[1].signals.zone_margin_m == pytest.approx(margins[0] - 0.28, abs=0.03)
 
 
