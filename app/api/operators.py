@@ -174,7 +174,7 @@ async def cells(request: Request) -> Response:
 def register(router: APIRouter) -> None:
     """Add the operators' routes."""
     session = ("request_invalid", "invocation_unknown", "wrong_status")
-    interrupt = (*session, "interrupt_not_enabled")
+    interrupt = (*session, "interrupt_not_enabled", "ending", "estop_latched")
     declare(
         router,
         "GET /v1/escalations",
@@ -223,8 +223,8 @@ def register(router: APIRouter) -> None:
     for word, endpoint, body, codes in (
         ("pause", pause, None, interrupt),
         ("stop", stop, None, session),
-        ("resume", resume, EmptyBody, (*interrupt, "ending", "cell_offline", "record_unavailable")),
-        ("rollback", rollback, EmptyBody, (*interrupt, "ending", "cell_offline", "control_held", "record_unavailable")),
+        ("resume", resume, EmptyBody, (*interrupt, "cell_offline", "record_unavailable")),
+        ("rollback", rollback, EmptyBody, (*interrupt, "cell_offline", "control_held", "record_unavailable")),
     ):
         declare(
             router,

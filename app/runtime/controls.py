@@ -68,7 +68,7 @@ class Controls:
     async def pause(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
         """Hold a session in place; sent first, and the answer's `recorded` says whether it is in.
 
-        Errors as `stop`, and Conflict `interrupt_not_enabled`.
+        Errors as `stop`, and Conflict `interrupt_not_enabled`, or `ending`, `estop_latched` where it was stopped.
         """
         return await self._operate("pause", invocation_id, principal)
 
@@ -88,7 +88,7 @@ class Controls:
     async def rollback(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
         """Take a session back to where it began; recorded first.
 
-        Errors as `cancel`, and Conflict `cell_offline` or `interrupt_not_enabled`.
+        Errors as `cancel`, and Conflict `cell_offline`, `estop_latched`, `control_held` or `interrupt_not_enabled`.
         """
         return await self._operate("rollback", invocation_id, principal)
 
@@ -140,11 +140,11 @@ class Controls:
         if present.status not in legal:
             raise _wrong_status(op, present.status)
         self._allow(op, present)
+        cell = self.fleet.cell(present.cell or UNNAMED)
+        if op != "stop":
+            self._goes_on(op, cell, present)
         if restrains:
             return await self._restrain(op, present, principal)
-        cell = self.fleet.cell(present.cell or UNNAMED)
-        if cell.ending(present.id):
-            raise _ending(op, cell, present)
         if op == "rollback" and cell.control is not None:
             raise Conflict(
                 "control_held", f"`{cell.control.holder}` has the controls; valid: they release it to roll back"
@@ -166,6 +166,19 @@ class Controls:
         refused = refusal(self.kernel.policy, present.profile, AuthorityMode.INTERRUPT_ENABLED)
         if refused is not None:
             raise Conflict.of(refused)
+
+    def _goes_on(self, op: str, cell: Cell, present: Invocation) -> None:
+        """Refuse a word to a session that was stopped: it only comes to rest, and nothing would become of the word.
+
+        Raises:
+            Conflict: `ending`, `estop_latched`.
+        """
+        if cell.ending(present.id):
+            raise _ending(op, cell, present)
+        if self.fleet.latched(cell):
+            raise Conflict(
+                "estop_latched", f"`{op}` is not possible: an emergency stop ended the session, `{cell.id}` is latched"
+            )
 
     async def _restrain(self, op: str, present: Invocation, principal: Principal) -> dict[str, Any]:
         """Send a restraint, then record it, later if need be: it was obeyed, and the answer says so either way."""

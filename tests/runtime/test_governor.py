@@ -331,7 +331,7 @@ async def test_a_word_out_of_place_is_refused(runtime: Runtime, cell: HandCell, 
     assert cell.ops() == []
 
 
-@pytest.mark.parametrize("op", ["resume", "rollback", "cancel"])
+@pytest.mark.parametrize("op", ["pause", "resume", "rollback", "cancel"])
 async def test_what_was_stopped_only_comes_to_rest(runtime: Runtime, cell: HandCell, op: str) -> None:
     document, _ = await runtime.governor.propose(AGENT, navigate())
     name = document["id"]
@@ -345,6 +345,20 @@ async def test_what_was_stopped_only_comes_to_rest(runtime: Runtime, cell: HandC
     await until(lambda: cell.ops() == ["stop", "stop"])
     said = [event["body"]["op"] for event in await runtime.governor.trace(name, AUDITOR) if event["kind"] == "human"]
     assert said == ["stop", "stop"]
+
+
+@pytest.mark.parametrize("op", ["pause", "resume", "rollback"])
+async def test_nothing_becomes_of_a_word_after_an_emergency_stop(runtime: Runtime, cell: HandCell, op: str) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    name = document["id"]
+    await cell.launched(name)
+    await cell.report("status", name, status="paused")
+    await runtime.governor.estop(CELL, OPERATOR)
+    with pytest.raises(Conflict) as refusal:
+        await getattr(runtime.governor, op)(name, OPERATOR)
+    assert (refusal.value.code, refusal.value.status) == ("estop_latched", 409)
+    await runtime.governor.stop(name, OPERATOR)
+    await until(lambda: cell.ops() == ["stop"])
 
 
 async def test_a_cancelled_session_may_be_cancelled_again(runtime: Runtime, cell: HandCell) -> None:
