@@ -157,11 +157,16 @@ class Governing:
         elif decision.intervention is Intervention.STOP and not alert.failure:
             self._tell(telling.intervention(run.id, decision.intervention, alert))
             self.end(End(Outcome.STOPPED, alert.rule, 1))
-        elif decision.holding is not None:
+        else:
+            self._respond(decision, alert)
+
+    def _respond(self, decision: Decision, alert: Alert) -> None:
+        """Hold as long as that is asked for, else end the attempt and recover."""
+        if decision.holding is not None:
             self._hold_for(decision.holding)  # whoever is in the way has to leave before anything recovers
-        elif run.next is not None:
+        elif self.run.next is not None:
             self._clear()  # what held the recovery is gone; what the recovery is for may speak on
-        elif "operator" not in run.paused_by:
+        elif "operator" not in self.run.paused_by:
             self._end_attempt(decision.intervention, alert)
 
     def _report(self, alerts: tuple[Alert, ...]) -> None:

@@ -191,26 +191,18 @@ class Session(Governing):
 
     # -- what the watcher says -----------------------------------------------------------------------------------------
 
-    def _answer(self, alerts: tuple[Alert, ...]) -> None:
-        steering, run = self.steering, self.run
-        if steering is None:
-            super()._answer(alerts)
-            return
-        self._report(alerts)
-        for alert in alerts:
-            excess = abs(alert.value - alert.threshold)
-            steering.blocked.setdefault(alert.rule, (run.watcher.signal_of(alert.rule), excess))
-        run.responding, decision = run.responses.intervene(run.responding, alerts, self._tick)
-        if isinstance(run.next, End):
-            return
-        alert = decision.alert
-        if alert is None or decision.intervention is Intervention.CONTINUE:
-            self._clear()
-        elif decision.intervention is Intervention.STOP and not alert.failure:
-            self._tell(telling.intervention(run.id, decision.intervention, alert))
-            self.end(End(Outcome.STOPPED, alert.rule, 1))
-        elif run.doing is Doing.TAKEOVER:
-            self._stand_still(steering, decision, alert)
+    def _report(self, alerts: tuple[Alert, ...]) -> None:
+        super()._report(alerts)
+        if self.steering is not None:
+            for alert in alerts:
+                excess = abs(alert.value - alert.threshold)
+                self.steering.blocked.setdefault(alert.rule, (self.run.watcher.signal_of(alert.rule), excess))
+
+    def _respond(self, decision: Decision, alert: Alert) -> None:
+        if self.steering is None:
+            super()._respond(decision, alert)
+        elif self.run.doing is Doing.TAKEOVER:
+            self._stand_still(self.steering, decision, alert)
 
     def _stand_still(self, steering: Steering, decision: Decision, alert: Alert) -> None:
         run, holding = self.run, decision.holding
