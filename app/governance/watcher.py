@@ -6,7 +6,7 @@ rule. Per tick the watcher measures all signals and runs down the table. A row i
 
 How long a violation must last is where sensitivity s enters. A rule's `for_ms` is its debounce at s = 0.5; the watcher
 waits `for_ms · 2 (1 − s)`, and at s = 1 not at all. A CUSUM rule alarms once the excess over the threshold, summed over
-ticks, passes 5 % of the threshold times the ticks it would be debounced for. Both shrink as s rises and nothing else
+ticks, passes 2 % of the threshold times the ticks it would be debounced for. Both shrink as s rises and nothing else
 depends on s: raising it never detects less, nor later.
 
 A plan that forgets to watch plausibility or postconditions gets a built-in rule for each: what cannot be believed, or
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 HEADROOM: Final = 1.05
 """A violation is more than this times the limit: the truth overshoots a command on the limit by a few percent."""
 
-CUSUM_SHARE: Final = 0.05
+CUSUM_SHARE: Final = 0.02
 
 IMPLAUSIBLE = WatchRule(
     id="watch/implausible",

@@ -175,7 +175,7 @@ def test_base_speed_is_its_norm() -> None:
 
 def test_a_cusum_adds_up_small_excesses_and_jumps_at_large_ones() -> None:
     plan = watching(rule("tcp_speed_mps", threshold=0.25, method="cusum"))
-    slightly = [seen(tick, tcp_speed_mps=0.254) for tick in range(20)]  # 0.004 a tick against 0.0125
+    slightly = [seen(tick, tcp_speed_mps=0.2515) for tick in range(20)]  # 0.0015 a tick against 0.005
     assert first_alert(plan, slightly)[0] == 3
     assert first_alert(plan, [seen(tick, tcp_speed_mps=0.30) for tick in range(5)])[0] == 0
     assert first_alert(plan, [seen(tick, tcp_speed_mps=0.249) for tick in range(500)]) == (None, None)
@@ -184,9 +184,8 @@ def test_a_cusum_adds_up_small_excesses_and_jumps_at_large_ones() -> None:
 def test_a_cusum_waits_for_its_sum_and_not_for_its_debounce_as_well() -> None:
     plan = watching(rule("tcp_speed_mps", threshold=0.2, for_ms=100, method="cusum"))
     assert first_alert(plan, [seen(tick, tcp_speed_mps=0.5) for tick in range(20)])[0] == 0
-    assert (
-        first_alert(plan, [seen(tick, tcp_speed_mps=0.23) for tick in range(20)])[0] == 3
-    )  # 4 × 0.03 > 0.05 · 0.2 · 10
+    slightly = [seen(tick, tcp_speed_mps=0.211) for tick in range(20)]
+    assert first_alert(plan, slightly)[0] == 3  # 4 × 0.011 > 0.02 · 0.2 · 10
 
 
 def test_the_zone_margin_includes_the_way_to_standstill() -> None:
