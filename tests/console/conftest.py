@@ -203,6 +203,11 @@ def far(here: tuple[float, float], there: tuple[float, float]) -> float:
     return abs(here[0] - there[0]) + abs(here[1] - there[1])
 
 
+def wider_than_the_screen(page: Page) -> list[str]:
+    width = page.evaluate("document.documentElement.scrollWidth")
+    return [f"{width} px"] if width > PHONE["width"] else []
+
+
 def chromium() -> str:
     """Return where Chromium is; a machine without one is told what it lacks."""
     found = next((place for name in PLACES if (place := shutil.which(name))), None)

@@ -9,7 +9,19 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.conftest import ServerProcess
-from tests.console.conftest import DESK, PHONE, ROOT, THUMB_PX, Floor, People, Person, box, out_of_reach, stop
+from tests.console.conftest import (
+    DESK,
+    PHONE,
+    ROOT,
+    THUMB_PX,
+    Floor,
+    People,
+    Person,
+    box,
+    out_of_reach,
+    stop,
+    wider_than_the_screen,
+)
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 AXE = ROOT / "web" / "node_modules" / "axe-core" / "axe.min.js"
@@ -99,8 +111,3 @@ def test_on_a_phone_both_answers_are_in_sight_and_the_stop_is_pressed_by_touch(
     stop(person).tap()
     expect(person.page.get_by_text("Stopped, latched")).to_be_visible()
     assert server.cell()["latched"] is True
-
-
-def wider_than_the_screen(page: Page) -> list[str]:
-    width = page.evaluate("document.documentElement.scrollWidth")
-    return [f"{width} px"] if width > PHONE["width"] else []

@@ -34,6 +34,20 @@ export function byUrgency(nowMs: number, me: string | null): (a: Escalation, b: 
   };
 }
 
+/** The question after the one that is open, in the order they are shown; null where it is the only one. */
+export function nextOf(sorted: readonly Escalation[], current: string | null): Escalation | null {
+  const others = sorted.filter((item) => item.id !== current);
+  const at = sorted.findIndex((item) => item.id === current);
+  return sorted.slice(at + 1).find((item) => item.id !== current) ?? others[0] ?? null;
+}
+
+/** What lapses first of what is not open, and can still be answered by this person. */
+export function soonestOf(sorted: readonly Escalation[], current: string | null, nowMs: number, me: string | null): Escalation | null {
+  const left = (item: Escalation): number => leftMs(item, nowMs) ?? Infinity;
+  const others = sorted.filter((item) => item.id !== current && !iApproved(item, me) && item.expires_at !== null);
+  return others.sort((a, b) => left(a) - left(b))[0] ?? null;
+}
+
 /**
  * Says which question the keys A and D are about. The one that was current stays so until it is answered, whatever
  * more urgent comes in: a key that is on its way must not meet another question.

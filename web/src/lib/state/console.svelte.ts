@@ -72,13 +72,14 @@ export class Console {
     return (this.selected === null ? undefined : this.docs.cells[this.selected]) ?? this.cells[0] ?? null;
   }
 
-  /** What runs in the selected cell, or else what ran there last. */
+  /** What runs in the selected cell, or else what ran there last; a proposal that policy turned away never ran. */
   get session(): Invocation | null {
     const cell = this.cell;
     if (cell === null) return null;
     const here = Object.values(this.docs.invocations).filter((invocation) => invocation.cell === cell.id);
     const busy = here.find((invocation) => invocation.id === cell.busy);
-    return busy ?? here.sort((a, b) => b.created_at.localeCompare(a.created_at))[0] ?? null;
+    const newest = here.sort((a, b) => b.created_at.localeCompare(a.created_at));
+    return busy ?? newest.find(({ status }) => status !== 'rejected' && status !== 'deferred') ?? newest[0] ?? null;
   }
 
   select(cell: string): void {

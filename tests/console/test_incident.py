@@ -1,0 +1,151 @@
+"""An incident: five questions at once, on two cells. Nothing is lost, nothing shouts, nothing moves under a finger."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+from playwright.sync_api import Locator, expect
+
+from tests.conftest import ServerProcess, Servers, until
+from tests.console.conftest import PHONE, People, Person, out_of_reach, stop, wider_than_the_screen
+
+pytestmark = [pytest.mark.browser, pytest.mark.process]
+FIRST = "Grasp mug_1"
+# In the order of urgency, which is not the one they come in: the risk counts before the deadline.
+REST = ("Pull down at the lever", "Press at the press", "Grasp glass_1", "Grasp driver_1")
+ASKED: tuple[tuple[str, str, dict[str, Any]], ...] = (
+    ("workcell-1", "grasp_object", {"object_id": "mug_1", "force_n": 80}),
+    ("workcell-1", "grasp_object", {"object_id": "glass_1"}),
+    ("workcell-2", "operate_tool", {"tool": "lever", "action": "pull_down"}),
+    ("workcell-1", "grasp_object", {"object_id": "driver_1"}),
+    ("workcell-2", "operate_tool", {"tool": "press", "action": "press"}),
+)
+# Every text that a screen reader is made to say at once, in order.
+LISTEN = """() => {
+    window.heard = [];
+    const alert = [...document.querySelectorAll('[role=alert]')].find((one) => one.classList.contains('hidden'));
+    new MutationObserver(() => window.heard.push(alert.textContent)).observe(
+        alert, { childList: true, characterData: true, subtree: true });
+}"""
+
+
+@dataclass
+class Incident:
+    """Two cells, the second before the tools, and what is asked of them."""
+
+    server: ServerProcess
+    made: list[str] = field(default_factory=list)
+
+    def begin(self) -> None:
+        for cell, capability, params in ASKED:
+            body = {"capability": capability, "params": params, "cell": cell}
+            proposed = self.server.post("/v1/invocations", body, key="agent").json()
+            assert proposed["status"] == "awaiting_approval", proposed["admission"]
+            self.made.append(proposed["id"])
+
+    def clear(self) -> None:
+        for invocation in self.made:
+            self.server.post(f"/v1/invocations/{invocation}/cancel")
+            self.server.await_status(invocation, "denied")
+
+
+@pytest.fixture(scope="module")
+def server(built: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
+    made = Servers(tmp_path_factory.mktemp("incident"))
+    try:
+        found = made.start(None, "--pace", "2", cells=2)
+        body = {"capability": "navigate_to", "params": {"target": "tool_stand"}, "cell": "workcell-2"}
+        drive = found.post("/v1/invocations", body, key="agent").json()
+        assert found.await_status(drive["id"], "completed", "failed")["outcome"] == "succeeded"
+        yield found
+    finally:
+        made.end()
+
+
+@pytest.fixture
+def incident(server: ServerProcess) -> Iterator[Incident]:
+    made = Incident(server)
+    yield made
+    made.clear()
+
+
+def cards(person: Person) -> Locator:
+    return person.region("Waiting for you").get_by_role("article")
+
+
+def rows(person: Person) -> Locator:
+    return person.region("Waiting for you").locator("button.row")
+
+
+def deny(person: Person) -> Locator:
+    return person.button(re.compile("^Deny"))
+
+
+def test_five_at_once_are_sorted_counted_and_told_in_two_sentences(
+    server: ServerProcess, people: People, incident: Incident
+) -> None:
+    person = people.sit(server)
+    person.page.evaluate(LISTEN)
+    incident.begin()
+    expect(rows(person)).to_have_count(4)
+    expect(cards(person)).to_have_accessible_name(FIRST)
+    expect(rows(person)).to_have_text([re.compile(rf"^\s*{title}.*[12]:\d\d\s*$", re.DOTALL) for title in REST])
+    expect(rows(person).first).to_contain_text("workcell-2")
+    expect(deny(person)).to_be_focused()
+    for row in rows(person).all():
+        expect(row).to_be_in_viewport(ratio=1)
+    heard = until(
+        lambda: (len(said := person.page.evaluate("window.heard")) > 1 and said) or person.page.wait_for_timeout(20),
+        what="a second sentence",
+    )
+    assert heard == [
+        f"Waiting for you: {FIRST} in workcell-1, medium risk.",
+        f"4 new questions, 5 wait for you. Most urgent of the new: {REST[0]} in workcell-2, high risk.",
+    ]
+
+
+def test_an_incident_is_worked_off_by_keyboard_the_gravest_first(
+    server: ServerProcess, people: People, incident: Incident
+) -> None:
+    person = people.sit(server)
+    incident.begin()
+    expect(rows(person)).to_have_count(4)
+    expect(person.button(f"Open the most urgent question: {REST[0]}")).to_contain_text("2 more urgent")
+    person.press("x")
+    expect(cards(person)).to_have_accessible_name(REST[2])  # the next below; round at the end to the gravest
+    person.press("x")
+    person.press("x")
+    for left, title in ((4, REST[0]), (3, REST[1])):
+        expect(cards(person)).to_have_accessible_name(title)
+        expect(rows(person)).to_have_count(left)
+        expect(deny(person)).to_be_focused()
+        person.press("Enter")
+    expect(rows(person)).to_have_count(2)
+    denied = [server.get(f"/v1/invocations/{id}")["status"] for id in incident.made]
+    assert denied == ["awaiting_approval", "awaiting_approval", "denied", "awaiting_approval", "denied"]
+
+
+def test_in_an_incident_on_a_phone_answers_and_stop_stay_in_reach(
+    server: ServerProcess, people: People, incident: Incident
+) -> None:
+    person = people.sit(server, size=PHONE)
+    incident.begin()
+    expect(rows(person)).to_have_count(4)
+    more = person.button(f"Open the most urgent question: {REST[0]}")
+    expect(more).to_be_in_viewport(ratio=1)
+    more.tap()
+    expect(cards(person)).to_have_accessible_name(REST[0])
+    for answer in ("^Deny", "^Approve"):
+        expect(person.button(re.compile(answer))).to_be_in_viewport(ratio=1)
+    assert out_of_reach(stop(person)) == []
+    assert wider_than_the_screen(person.page) == []
+    expect(cards(person)).to_contain_text("workcell-2")
+    person.button("Show workcell-2").tap()
+    expect(person.button(re.compile("^Emergency stop of workcell-2: "))).to_be_visible()
+    deny(person).tap()
+    expect(rows(person)).to_have_count(3)
+    expect(cards(person)).to_have_accessible_name(REST[1])
