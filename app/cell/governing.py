@@ -42,6 +42,7 @@ VERIFY_EVERY: Final = 5
 QUIET_TICKS: Final = 50
 AWAY: Final = frozenset({"base_pose", "object_pose"})
 """What a rollback may leave open that driving back can set right: from elsewhere an object may be out of sight."""
+OVERSPEED: Final = "overspeed"
 PRESSING: Final = frozenset({"contact_force_n", "residual_nm"})
 RUNNING: Final = SkillState.RUNNING
 FAILED: Final = SkillState.FAILED
@@ -489,6 +490,7 @@ def _bound(decision: RecoveryDecision) -> Bind:
         case Strategy.RETRY:
             return Bind(Doing.ATTEMPT, careful, cover)
         case Strategy.ROLLBACK:
-            return Bind(Doing.ROLLBACK, careful, cover)
+            # Whatever moves faster than it is told would do so on the way back as well.
+            return Bind(Doing.ROLLBACK, careful or decision.failure == OVERSPEED, cover)
         case _:
             return Bind(Doing.RECOVERY, careful, cover)

@@ -34,11 +34,13 @@ SEVERITY: Final = {
 }
 GRACE_MS: Final = 1000
 """How long a recovery may find the violation still there that it was started for."""
-GROWTH: Final = {"zone_margin_m": 0.04}
+GROWTH: Final = {"zone_margin_m": 0.04, "residual_nm": 5.0}
 """By how much it may grow meanwhile, where growing is worse than staying: a robot that goes deeper does not leave.
 
-Three sigma of the difference of two estimates of where it stands: each has 9.3 mm at rest, with fixes of 2 cm. Within a
-second the noise alone moves the estimate by 13 mm in half of all cases, and by 30 mm in one of twenty.
+Of a zone: three sigma of the difference of two estimates of where it stands: each has 9.3 mm at rest, with fixes of
+2 cm. Within a second the noise alone moves the estimate by 13 mm in half of all cases, and by 30 mm in one of twenty.
+Of the residual: as much as a sound run may show. An arm that comes free of what it pressed on crosses the limit more
+than once.
 """
 WAY_OUT: Final = {
     "zone_margin_m": 0.02,
