@@ -13,6 +13,7 @@ import typer
 from app.audit import archive
 from app.audit.checkpoint import NoteInvalid, parse_verifier
 from app.audit.errors import RecordDamaged
+from app.audit.examination import examine_file
 from app.terminal import FINDING, MISUSE, out, say, say_error
 
 if TYPE_CHECKING:
@@ -35,26 +36,27 @@ def verify(
     data: Data = Path("data"),
     key: Annotated[Path | None, typer.Option(help="The log's public key as kept elsewhere; default: log.pub.")] = None,
 ) -> None:
-    """Recompute the whole log from the stored bytes; compare indexes with tables, and telemetry files with digests.
+    """Recompute the whole log from the stored bytes; compare indexes, invocations and telemetry files with it.
 
     [bold]reins audit verify --data data --key log.pub.copy[/]
     """
     with _said(data):
         verifier = None if key is None else parse_verifier(key.read_text())
         with out.status("verifying …"):
-            found = archive.verify_file(data, verifier)
-            database = archive.database_problems(data) if found.ok else []
-            telemetry = archive.telemetry_problems(data) if found.ok else []
-    if not found.ok:
-        say_error(f"event {found.first_bad}: {found.problem}", hint=_good(found.size))
+            found = examine_file(data, verifier)
+    log = found.log
+    if not log.ok:
+        say_error(f"event {log.first_bad}: {log.problem}", hint=_good(log.size))
         raise typer.Exit(FINDING)
-    for problem in database:
+    for problem in found.database or ():
         say_error(problem, hint="queries by an index may leave events out; the events themselves are good")
-    for problem in telemetry:
+    for problem in found.state:
+        say_error(problem, hint="what is listed of it is not what was recorded; its trace is")
+    for problem in found.telemetry:
         say_error(problem)
-    say(f"{found.size} events, root {found.root}: every byte of theirs is as it was signed")
-    say("not compared: the state kept beside them (invocations, escalations, settings), which nobody signs")
-    if database or telemetry:
+    say(f"{log.size} events, root {log.root}: every byte of theirs is as it was signed")
+    say("not compared: what else is kept beside them (escalations, grants, reviews, settings), which nobody signs")
+    if not found.ok:
         raise typer.Exit(FINDING)
 
 

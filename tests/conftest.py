@@ -17,6 +17,7 @@ from typing import Any
 import httpx
 import pytest
 
+from app.audit.examination import examine_file
 from app.children import running_cell
 from app.clock import monotonic_s
 
@@ -153,13 +154,22 @@ class Servers:
                     with contextlib.suppress(ProcessLookupError):
                         os.kill(pid, signal.SIGKILL)
 
+    def examine(self) -> None:
+        """Have everything that was left behind compared with the log: whatever was tested, they say the same."""
+        for data in {server.data for server in self.started}:
+            found = examine_file(data)
+            assert found.ok, found
+
 
 @pytest.fixture
 def servers(tmp_path: Path) -> Iterator[Servers]:
     """Start servers at will; all of them, and their cells, end with the test."""
     made = Servers(tmp_path)
-    yield made
-    made.end()
+    try:
+        yield made
+    finally:
+        made.end()
+    made.examine()
 
 
 @pytest.fixture(scope="module")
@@ -170,3 +180,4 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
         yield made.start()
     finally:
         made.end()
+    made.examine()

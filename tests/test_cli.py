@@ -96,7 +96,7 @@ def test_verification_finds_an_index_that_hides_an_event(tmp_path: Path, hidden:
     assert code == (1 if hidden else 0)
     assert ("missing from index events_by_invocation" in said) is hidden
     assert ("leave events out" in said) is hidden
-    assert "not compared: the state kept beside them" in said
+    assert "not compared: what else is kept beside them" in said
 
 
 @pytest.mark.parametrize(

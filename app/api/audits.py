@@ -131,11 +131,22 @@ async def checkpoint(request: Request) -> Response:
 async def verify(request: Request) -> Response:
     """Recompute the whole log from its stored bytes; `first_bad` is the first event that does not hold.
 
-    Events are read by their place: the indexes that queries go by are compared by `reins audit verify` alone.
+    Where the log is good, what stands beside it is compared with it, as `reins audit verify` does: the database's
+    indexes, the table of invocations, the telemetry files.
     """
     parts = parts_of(request)
     async with parts.verifying:  # it reads everything there is: one at a time
-        return answer(asdict(await parts.store.verify()))
+        found = await parts.store.examine()
+    return answer(
+        {
+            **asdict(found.log),
+            "ok": found.ok,
+            "problem": found.problem,
+            "database": found.database,
+            "state": found.state,
+            "telemetry": found.telemetry,
+        }
+    )
 
 
 async def telemetry(request: Request, id: Identifier, query: Annotated[TelemetryQuery, Query()]) -> Response:

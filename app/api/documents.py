@@ -404,7 +404,10 @@ class CheckpointDocument(Document):
 
 
 class VerificationDocument(Document):
-    """The log recomputed from its stored bytes: `size` events hold, `first_bad` is the first that does not."""
+    """The log recomputed from its stored bytes: `size` events hold, `first_bad` is the first that does not.
+
+    Where the log is good: what is wrong beside it, ten findings of each sort at most; `problem` is the first of all.
+    """
 
     ok: bool
     size: int
@@ -412,6 +415,11 @@ class VerificationDocument(Document):
     checkpoint: str | None
     first_bad: int | None
     problem: str | None
+    database: list[str] | None = Field(
+        description="Damaged pages, and indexes that are not their tables; null where it took too long to look."
+    )
+    state: list[str] = Field(description="Invocations whose stored row is not what the log makes of them.")
+    telemetry: list[str] = Field(description="Telemetry files that are not those whose digest the log holds.")
 
 
 class TelemetryDocument(Document):

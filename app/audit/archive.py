@@ -7,6 +7,7 @@ import os
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from time import sleep
 from typing import TYPE_CHECKING, Any, Literal
 
 from app.audit.checkpoint import Verifier
@@ -101,28 +102,43 @@ def export(data_dir: Path, out: Path, format: Literal["jsonl"] = "jsonl") -> Exp
     return Export(events=out, checkpoint=note_path, count=count, sha256=digest.hexdigest())
 
 
-def database_problems(data_dir: Path) -> list[str]:
-    """Let SQLite compare its indexes with its tables; an empty list means all agree.
+def database_problems(data_dir: Path, *, within_s: float | None = None) -> list[str] | None:
+    """Let SQLite compare its indexes with its tables; an empty list means all agree, None that the time ran out.
 
     Verification walks the events by their place alone. A query by invocation, kind or actor goes by an index, and one
     that lost an entry would leave an event out though every event is good.
 
+    Args:
+        data_dir: the directory of a server.
+        within_s: how long it may take; None has no limit.
+
     Raises:
         RecordDamaged: there is no log, or it cannot be read.
     """
     with reading(data_dir) as reader:
-        return [f"`{reader.database}`: {line}" for fault in reader.faults(MAX_FAULTS) for line in fault.splitlines()]
+        faults = reader.faults(MAX_FAULTS, within_s=within_s)
+        if faults is None:
+            return None
+        return [f"`{reader.database}`: {line}" for fault in faults for line in fault.splitlines()]
 
 
-def telemetry_problems(data_dir: Path) -> list[str]:
+def telemetry_problems(data_dir: Path, *, pause_s: float = 0.0) -> list[str]:
     """Compare every telemetry file with the digest that the log holds for it; an empty list means all agree.
 
+    Args:
+        data_dir: the directory of a server.
+        pause_s: how long to step aside after every file.
+
     Raises:
         RecordDamaged: there is no log, or it cannot be read.
     """
     with reading(data_dir) as reader:
-        findings = [telemetry_problem(Places(data_dir).telemetry, event) for event in walk(reader, kind="telemetry")]
-    return [finding for finding in findings if finding is not None]
+        findings: list[str] = []
+        for event in walk(reader, kind="telemetry"):
+            finding = telemetry_problem(Places(data_dir).telemetry, event)
+            findings += [] if finding is None else [finding]
+            sleep(pause_s)
+    return findings
 
 
 def telemetry_problem(folder: Path, event: Event) -> str | None:

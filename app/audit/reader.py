@@ -6,6 +6,7 @@ Every read fetches a bounded page and lets go, since a reader that stays open ma
 from __future__ import annotations
 
 import sqlite3
+from contextlib import closing
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 from urllib.parse import quote
 
@@ -14,15 +15,17 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from app.audit.errors import RecordDamaged
 from app.audit.event import Event
-from app.audit.tables import STATE, STORE_GIVEN, checkpoints, events
-from app.clock import rfc3339
+from app.audit.tables import STATE, STORE_GIVEN, checkpoints, events, invocations
+from app.clock import monotonic_s, rfc3339
+from app.governance.model import EventKind
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Collection, Mapping
     from pathlib import Path
 
 Row = dict[str, Any]
 MAX_LIMIT = 1000
+LOOK_EVERY = 10_000  # of SQLite's own steps, between two looks at the clock
 EVENT_COLUMNS = (events.c.seq, events.c.at, events.c.kind, events.c.invocation, events.c.actor, events.c.body)
 NEWEST = sa.select(checkpoints.c.size, checkpoints.c.note).order_by(checkpoints.c.size.desc()).limit(1)
 EXTENT = sa.select(
@@ -167,16 +170,72 @@ class Reader:
         query = sa.select(*columns).where(checkpoints.c.size > after, checkpoints.c.size <= until)
         return [Batch(*row) for row in self._all(query.order_by(checkpoints.c.size).limit(limit))]
 
-    def faults(self, limit: int) -> list[str]:
+    def faults(self, limit: int, *, within_s: float | None = None) -> list[str] | None:
         """Return the first faults SQLite finds in its file: damaged pages, and indexes that disagree with their tables.
 
         It reads every page in one go, during which a writer's log ahead of the file cannot be taken back.
 
+        Args:
+            limit: how many to return at most.
+            within_s: how long it may take; None has no limit.
+
+        Returns:
+            The faults; None where the time was not enough to look everywhere.
+
         Raises:
             RecordDamaged: the database cannot be read.
         """
-        found = self._all(sa.text(f"PRAGMA integrity_check({bounded(limit)})"))
-        return [] if [tuple(row) for row in found] == [("ok",)] else [str(row[0]) for row in found]
+        query = f"PRAGMA integrity_check({bounded(limit)})"
+        with closing(self._connect()) as connection:
+            if within_s is not None:
+                until_s = monotonic_s() + within_s
+                connection.set_progress_handler(lambda: monotonic_s() >= until_s, LOOK_EVERY)
+            try:
+                found = connection.execute(query).fetchall()
+            except sqlite3.OperationalError as error:
+                if error.sqlite_errorcode == sqlite3.SQLITE_INTERRUPT:
+                    return None
+                raise self._damaged(error) from error
+            except sqlite3.Error as error:
+                raise self._damaged(error) from error
+        lines = [str(line) for (line,) in found]
+        return [] if lines == ["ok"] else lines
+
+    def told(self, *, kinds: Collection[str], after: str, limit: int) -> list[tuple[Row, list[Event]]]:
+        """Return rows of `invocations` by id, each with its events in order, seen at one moment.
+
+        Args:
+            kinds: only events of these kinds.
+            after: cursor, the last id already seen.
+            limit: at most so many rows, 1 to 1000.
+
+        Raises:
+            ValueError: a limit out of bounds.
+            RecordDamaged: the database cannot be read.
+        """
+        page = sa.select(invocations).where(invocations.c.id > after).order_by(invocations.c.id).limit(bounded(limit))
+        try:
+            with self._engine.connect() as connection, connection.begin():
+                connection.exec_driver_sql("BEGIN")  # both questions are about the same moment
+                rows = [as_dict(invocations, row) for row in connection.execute(page)]
+                found: dict[str | None, list[Event]] = {row["id"]: [] for row in rows}
+                mine = sa.select(*EVENT_COLUMNS).where(events.c.invocation.in_(found), events.c.kind.in_(kinds))
+                for row in connection.execute(mine.order_by(events.c.seq)):
+                    found[row.invocation].append(Event(*row))
+        except (SQLAlchemyError, sqlite3.Error) as error:
+            raise self._damaged(error) from error
+        return [(row, found[row["id"]]) for row in rows]
+
+    def without_row(self, limit: int) -> list[str]:
+        """Return invocations that the log knows and the table `invocations` does not, the oldest first.
+
+        Raises:
+            ValueError: a limit out of bounds.
+            RecordDamaged: the database cannot be read.
+        """
+        rowless = ~sa.exists().where(invocations.c.id == events.c.invocation)
+        query = sa.select(events.c.invocation).where(events.c.kind == EventKind.ADMISSION, rowless).distinct()
+        return [str(row[0]) for row in self._all(query.order_by(events.c.invocation).limit(bounded(limit)))]
 
     # -- the runtime's state -----------------------------------------------------------------------------------------
 
@@ -235,9 +294,10 @@ class Reader:
             with self._engine.connect() as connection:
                 return list(connection.execute(query).all())
         except (SQLAlchemyError, sqlite3.Error) as error:
-            raise RecordDamaged(
-                self.database, f"cannot be read as a log: {getattr(error, 'orig', None) or error}"
-            ) from error
+            raise self._damaged(error) from error
+
+    def _damaged(self, error: Exception) -> RecordDamaged:
+        return RecordDamaged(self.database, f"cannot be read as a log: {getattr(error, 'orig', None) or error}")
 
 
 def open_read_only(uri: str) -> sqlite3.Connection:

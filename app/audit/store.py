@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from app.audit.errors import AuditError, RecordUnavailable, RowExists
 from app.audit.event import Event, EventDraft, RowWrite, Submission, prepare_all
+from app.audit.examination import WITHIN_S as EXAMINE_WITHIN_S
+from app.audit.examination import Examination, examine
 from app.audit.ledger import Ledger, Staged, describe
 from app.audit.places import Places
 from app.audit.reader import Page, Reader, Row
@@ -274,6 +276,12 @@ class AuditStore:
     async def verify(self) -> Verification:
         """Recompute the log from its stored bytes, in a thread with a connection of its own."""
         return await asyncio.to_thread(verify_log, self.places, self.verifier, pause_s=VERIFY_PAUSE_S)
+
+    async def examine(self) -> Examination:
+        """Compare everything that lies in the data directory with the log, in a thread with connections of its own."""
+        return await asyncio.to_thread(
+            examine, self.places, self.verifier, pause_s=VERIFY_PAUSE_S, within_s=EXAMINE_WITHIN_S
+        )
 
     async def _read(self, query: Callable[[], T]) -> T:
         if self._closed:

@@ -13,6 +13,7 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from app import clock
+from app.audit.examination import examine_file
 from app.audit.store import AuditStore
 from app.governance.bundle import load
 from app.governance.model import Role
@@ -214,6 +215,8 @@ class House:
                 yield runtime
         finally:
             await store.close()
+        found = examine_file(self.folder)
+        assert found.ok, found  # whatever was tested: what is left says nothing else than the log
 
 
 @pytest.fixture

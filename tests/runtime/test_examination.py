@@ -1,0 +1,107 @@
+"""Examining a data directory that a real runtime wrote, after somebody has changed what lies beside the log.
+
+Every other test of the runtime ends with an examination that finds nothing (`House.open`).
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import orjson
+import pytest
+
+from app.audit.examination import Examination, examine, examine_file
+from app.audit.places import Places, load_verifier
+from tests.runtime.conftest import AGENT, OPERATOR, HandCell, House, navigate
+
+pytestmark = pytest.mark.anyio
+
+
+async def drive(house: House) -> str:
+    """Record a drive that was stopped; returns its name."""
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        name = (await runtime.governor.propose(AGENT, navigate()))[0]["id"]
+        await cell.launched(name)
+        await runtime.governor.stop(name, OPERATOR)
+        await cell.ended(name, "stopped")
+    return name
+
+
+def change(folder: Path, statement: str, *values: object) -> Examination:
+    with closing(sqlite3.connect(Places(folder).database)) as database, database:
+        assert database.execute(statement, values).rowcount == 1
+    return examine_file(folder)
+
+
+def rewritten(folder: Path, name: str, **changes: Any) -> bytes:
+    with closing(sqlite3.connect(Places(folder).database)) as database:
+        (document,) = database.execute("SELECT document FROM invocations WHERE id = ?", (name,)).fetchone()
+    return orjson.dumps({**orjson.loads(document), **changes})
+
+
+@pytest.mark.parametrize(("column", "value"), [("status", "completed"), ("agent", "stranger"), ("created_seq", 999)])
+async def test_names_a_row_whose_column_was_changed(house: House, column: str, value: object) -> None:
+    name = await drive(house)
+    found = change(house.folder, f"UPDATE invocations SET {column} = ? WHERE id = ?", value, name)  # noqa: S608
+    assert not found.ok
+    assert found.log.ok, "the log itself is good"
+    (problem,) = found.state
+    assert f"`{name}`: column `{column}` is `{value}`" in problem
+    assert found.problem == problem
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("status", "completed"),
+        ("outcome", "succeeded"),
+        ("requested", {"target": "bench_a"}),
+        ("effective", {"target": "dock", "speed_mps": 2.0}),
+        ("policy_version", "sha256:other"),
+    ],
+)
+async def test_names_a_row_whose_document_was_changed(house: House, field: str, value: object) -> None:
+    name = await drive(house)
+    document = rewritten(house.folder, name, **{field: value})
+    found = change(house.folder, "UPDATE invocations SET document = ? WHERE id = ?", document, name)
+    (problem,) = found.state
+    assert f"`{field}` is `" in problem
+
+
+async def test_names_an_invocation_that_was_taken_out_of_the_table(house: House) -> None:
+    name = await drive(house)
+    found = change(house.folder, "DELETE FROM invocations WHERE id = ?", name)
+    assert found.state == (f"`{name}`: the log knows it, the table `invocations` does not",)
+
+
+async def test_names_an_invocation_that_was_never_recorded(house: House) -> None:
+    name = await drive(house)
+    columns = "created_seq, status, capability, agent, cell, profile, document, created_at, updated_at"
+    found = change(
+        house.folder,
+        f"INSERT INTO invocations (id, {columns}) SELECT 'inv_never', {columns} FROM invocations WHERE id = ?",  # noqa: S608
+        name,
+    )
+    assert found.state == ("`inv_never`: the log knows nothing of it",)
+
+
+async def test_a_document_that_is_no_json_is_a_finding(house: House) -> None:
+    name = await drive(house)
+    found = change(house.folder, "UPDATE invocations SET document = ? WHERE id = ?", b"{", name)
+    assert found.state == (f"`{name}`: its document is no JSON",)
+
+
+async def test_says_that_there_was_not_the_time_to_read_the_database(house: House) -> None:
+    await drive(house)
+    places = Places(house.folder)
+    with closing(sqlite3.connect(places.database)) as database, database:
+        database.execute("CREATE TABLE ballast (filler TEXT UNIQUE)")
+        database.executemany("INSERT INTO ballast VALUES (?)", ((f"{number}",) for number in range(20_000)))
+    found = examine(places, load_verifier(places), within_s=0.0)
+    assert (found.database, found.ok) == (None, True)
+    assert examine_file(house.folder).database == ()
