@@ -23,7 +23,10 @@ from app.governance.model import CONTROL_PERIOD_S
 from app.sim.proportion import wilson
 
 Entry: TypeAlias = "dict[str, Any]"
-"""`mean`, `std`, `per_seed` (seed as text → value), `n` (rows counted), `low`, `high`."""
+"""`mean`, `std`, `per_seed` (seed as text → value), `n` (rows counted), `low`, `high`.
+
+What is no share has `pooled` as well: the same over the rows of all seeds together.
+"""
 
 Take: TypeAlias = Callable[[Row], Value]
 Summary: TypeAlias = Callable[[Sequence[float]], float]
@@ -413,7 +416,9 @@ class Tally:
 
     def _quantity(self, metric: Metric, summary: Summary) -> Entry:
         values = {seed: found for (mine, seed), found in self._values.items() if mine == metric.name}
-        return entry({seed: summary(found) for seed, found in values.items()}, sum(map(len, values.values())))
+        together = [value for found in values.values() for value in found]
+        made = entry({seed: summary(found) for seed, found in values.items()}, len(together))
+        return {**made, "pooled": summary(together) if together else None}
 
 
 def measure(rows: Iterable[Row], names: Iterable[str] = METRICS) -> dict[str, Entry]:

@@ -44,13 +44,13 @@ def goal_grids(results: Results) -> Iterator[Grid]:
 
 
 _REMARK: Final = (
-    "Compared is the mean over seeds, of latencies the mean of the seeds' 95th percentiles; depth and separation "
-    "are those of all seeds together. Minimum separation is while the robot still moved, over every walker drawn, "
-    'in the profiles that hold the robot for people. A latency "beyond the boundary band" is that of violations '
-    "that exceed their limit by three sigma or more. ✓: met, and the interval over all rows excludes a miss. ≈: met "
-    "by what was measured, but so few rows could have met it by chance. A goal of 1.000 or 0.000 is never proved by "
-    "a share: its interval says how much is. Of what is no share, at least 59 rows are asked for. Rollbacks after a "
-    "violation have no number of their own; they are held to that for rollbacks."
+    "Compared is the mean over seeds; latencies, depth and separation are those of the rows of all seeds together: "
+    "the 95th percentile of one seed's few rows would be their largest. Minimum separation is while the robot still "
+    'moved, over every walker drawn, in the profiles that hold the robot for people. A latency "beyond the boundary '
+    'band" is that of violations that exceed their limit by three sigma or more. ✓: met, and the interval over all '
+    "rows excludes a miss. ≈: met by what was measured, but so few rows could have met it by chance. A goal of 1.000 "
+    "or 0.000 is never proved by a share: its interval says how much is. Of what is no share, at least 59 rows are "
+    "asked for. Rollbacks after a violation have no number of their own; they are held to that for rollbacks."
 )
 
 
@@ -59,6 +59,9 @@ def _row(target: Target, ours: Mapping[str, Any], results: Results) -> tuple[str
     if target.metric == WORST:
         name, entry = _worst(mapping(mapping(results.get("per_type")).get("reins")))
     value, text = mean_of(entry), ""
+    if name.startswith("DL_") and entry.get("pooled") is not None:
+        value = float(entry["pooled"])
+        text = number_text(value)
     if (key := _POOLED.get(name)) and (
         pooled := mean_of(mapping(mapping(results.get("extremes")).get("reins")).get(key))
     ) is not None:

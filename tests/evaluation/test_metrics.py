@@ -122,8 +122,18 @@ def test_seeds_are_summed_up_one_by_one() -> None:
     assert (found["low"], found["high"]) == wilson(3, 4)
 
 
+def test_a_percentile_over_all_seeds_is_no_mean_of_the_seeds_largest() -> None:
+    few = [
+        violated(seed, latency_ticks=ticks) for seed in range(10) for ticks in (0.0, 1.0, 40.0 if seed == 3 else 1.0)
+    ]
+    found = measure(few, ["DL_TICKS_P95_FORCE"])["DL_TICKS_P95_FORCE"]  # type: ignore[arg-type]
+    assert found["mean"] > 4.0
+    assert found["pooled"] == 1.0
+
+
 def test_a_metric_without_rows_says_nothing() -> None:
     for found in measure([row(kind=Kind.CLEAN.value, launched=None)]).values():  # type: ignore[list-item]
+        assert found.pop("pooled", None) is None
         assert found == {"mean": None, "std": None, "per_seed": {}, "n": 0, "low": None, "high": None}
 
 
