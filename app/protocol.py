@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, TypeAdapter, Valid
 LEASE_MS = 300
 BEAT_MS = 75
 STATE_MS = 100
-VERSION = 4
+VERSION = 5
 
 
 class Message(BaseModel):
@@ -227,7 +227,21 @@ class Path(Message):
     points: list[tuple[float, float]]
 
 
-Up: TypeAlias = Annotated[Hello | UpEvent | State | Scene | Path | Beat, Field(discriminator="type")]
+class Sighting(Message):
+    """Where people and movable things were at a moment of a session, for its telemetry; nothing is decided by it.
+
+    `people` are (number, x, y) as the tracker said and the watcher saw, in metres, in the world frame. `bodies` are the
+    poses (x, y, z, qw, qx, qy, qz) of those that moved since the last sighting of the session on this link.
+    """
+
+    type: Literal["sighting"] = "sighting"
+    invocation: str
+    time_s: float
+    people: Annotated[list[tuple[int, float, float]], Field(max_length=64)]
+    bodies: Annotated[dict[str, tuple[float, float, float, float, float, float, float]], Field(max_length=256)]
+
+
+Up: TypeAlias = Annotated[Hello | UpEvent | State | Scene | Path | Sighting | Beat, Field(discriminator="type")]
 
 _DOWN: TypeAdapter[Down] = TypeAdapter(Down)
 _UP: TypeAdapter[Up] = TypeAdapter(Up)

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
+from mcap.reader import make_reader
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(180)]
 
 ROOT = Path(__file__).parents[1]
+
+
+def scenes(path: Path) -> list[dict[str, Any]]:
+    with path.open("rb") as file:
+        return [json.loads(message.data) for _, _, message in make_reader(file).iter_messages(topics=["/scene"])]
 
 
 def test_the_demo_shows_every_step_of_algorithm_1(tmp_path: Path):
@@ -30,7 +38,11 @@ def test_the_demo_shows_every_step_of_algorithm_1(tmp_path: Path):
         text=True,
     )
     assert verified.returncode == 0, verified.stdout + verified.stderr
-    assert len(list((run / "telemetry").glob("*.mcap"))) == 5
+    files = list((run / "telemetry").glob("*.mcap"))
+    assert len(files) == 5
+    seen = [moment for file in files for moment in scenes(file)]
+    assert any(moment["people"] for moment in seen), "the person who walks in"
+    assert len({moment["bodies"]["mug_1"][2] for moment in seen if "mug_1" in moment["bodies"]}) > 5, "it is lifted"
 
 
 def test_a_demo_that_is_told_to_end_takes_its_server_along(tmp_path: Path):

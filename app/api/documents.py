@@ -422,6 +422,20 @@ class VerificationDocument(Document):
     telemetry: list[str] = Field(description="Telemetry files that are not those whose digest the log holds.")
 
 
+class PeopleDocument(Document):
+    """Whom the tracker saw at each `time_s`: (number, x, y), metres in the world frame. Empty: none was recorded."""
+
+    time_s: list[float]
+    tracks: list[list[tuple[int, float, float]]]
+
+
+class WayDocument(Document):
+    """A thing's poses (x, y, z, qw, qx, qy, qz, world frame), each from its `time_s` until the next."""
+
+    time_s: list[float]
+    pose: list[list[float]]
+
+
 class TelemetryDocument(Document):
     """What was measured during a session: values by channel, every `every`-th of the file's `rows` and the last one.
 
@@ -440,6 +454,10 @@ class TelemetryDocument(Document):
     every: int
     units: dict[str, str]
     columns: dict[str, list[float | None]]
+    people: PeopleDocument = Field(description="Where people were, as the tracker saw them.")
+    bodies: dict[str, WayDocument] = Field(
+        description="Where objects and tools were, by name, as displays showed them."
+    )
 
 
 class McapFile(RootModel[str]):

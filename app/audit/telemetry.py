@@ -2,7 +2,11 @@
 
     /telemetry   one message a row, a number for every channel; which ticks have a row is the profile's matter
     /events      what the watcher said and what was done about it, as `foxglove.Log`
-    /base, /tcp  poses in the world frame at every fifth row, as `foxglove.PoseInFrame`, where channels make them up
+    /base        the robot's base in the world at every fifth row, as `foxglove.PoseInFrame`, where channels make it up
+    /tcp         the tool in the frame of the base, in the same way
+    /tf          where the base's frame is in the world, as `foxglove.FrameTransform`, so that both can be shown in one
+    /scene       where people (as the tracker saw them) and things were, in the world frame; a thing stands in the first
+                 message and in those before which it has moved
 
 Rows arrive packed in batches and are written by a thread of the file's own, so that the event loop never waits for
 compression or the disk. A channel that was not finite at a tick is null there. The file appears under its name only
@@ -18,7 +22,6 @@ import queue
 import struct
 import threading
 from dataclasses import asdict, dataclass
-from math import cos, sin
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, Literal, NamedTuple
 
 import orjson
@@ -26,6 +29,18 @@ from mcap.writer import CompressionType, Writer
 
 from app.audit.errors import RecordUnavailable
 from app.audit.places import sync_folder
+from app.audit.telemetry_messages import (
+    BASE,
+    LOG_SCHEMA,
+    NANOSECONDS,
+    POSE_SCHEMA,
+    SCENE_SCHEMA,
+    TRANSFORM_SCHEMA,
+    WORLD,
+    pose_of,
+    stamp,
+    transform_message,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -37,7 +52,6 @@ Values = tuple[float, ...]
 CHUNK_BYTES: Final = 64 * 1024  # a larger chunk stalls whoever shares the interpreter while it is compressed
 MAX_WAITING: Final = 4096
 POSE_EVERY: Final = 5  # rows; poses are for looking at, every row stands in /telemetry
-NANOSECONDS: Final = 1_000_000_000
 LEVELS: Mapping[Level, int] = {"info": 2, "warning": 3, "error": 4}  # as foxglove.Log counts them
 
 # The end of a channel's name tells its unit; the longest that fits counts.
@@ -54,37 +68,6 @@ UNITS: Mapping[str, str] = {
     "_kg": "kg",
 }
 
-NUMBER: Final = {"type": "number"}
-STAMP: Final = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
-LOG_SCHEMA: Final = {
-    "title": "foxglove.Log",
-    "type": "object",
-    "properties": {
-        "timestamp": STAMP,
-        "level": {"type": "integer"},
-        "message": {"type": "string"},
-        "name": {"type": "string"},
-        "file": {"type": "string"},
-        "line": {"type": "integer"},
-        "detail": {"type": "object"},
-    },
-}
-POSE_SCHEMA: Final = {
-    "title": "foxglove.PoseInFrame",
-    "type": "object",
-    "properties": {
-        "timestamp": STAMP,
-        "frame_id": {"type": "string"},
-        "pose": {
-            "type": "object",
-            "properties": {
-                "position": {"type": "object", "properties": dict.fromkeys("xyz", NUMBER)},
-                "orientation": {"type": "object", "properties": dict.fromkeys("xyzw", NUMBER)},
-            },
-        },
-    },
-}
-
 
 class Channel(NamedTuple):
     """One telemetry channel; the first of a row is its time in seconds."""
@@ -97,6 +80,7 @@ class PosePlan(NamedTuple):
     """Which channels make a pose; an axis without a channel is 0."""
 
     topic: str
+    frame: str
     x: str
     y: str
     z: str | None = None
@@ -104,8 +88,8 @@ class PosePlan(NamedTuple):
 
 
 POSES: Final = (
-    PosePlan("/base", "base_x_m", "base_y_m", yaw="base_yaw_rad"),
-    PosePlan("/tcp", "tcp_x_m", "tcp_y_m", "tcp_z_m"),
+    PosePlan("/base", WORLD, "base_x_m", "base_y_m", yaw="base_yaw_rad"),
+    PosePlan("/tcp", BASE, "tcp_x_m", "tcp_y_m", "tcp_z_m"),  # the arm's own kinematics: it knows no world
 )
 
 
@@ -207,6 +191,18 @@ class TelemetryWriter:
         body = dict(detail or {})
         self._put(lambda tape: tape.event(name, message, time_s, level, body), 1)
 
+    def sighting(
+        self, time_s: float, people: Sequence[tuple[int, float, float]], bodies: Mapping[str, Sequence[float]]
+    ) -> None:
+        """Note where people and things were, in the world frame.
+
+        Args:
+            time_s: on the rows' clock.
+            people: (number, x, y) as the tracker said, metres.
+            bodies: poses x, y, z, qw, qx, qy, qz of those that have moved.
+        """
+        self._put(lambda tape: tape.sighting(time_s, people, bodies), 1)
+
     def close(self) -> TelemetryFile:
         """Write what is left, complete the file, and return its digest. Blocks; see `aclose`.
 
@@ -266,24 +262,39 @@ class _Tape:
         self._last_s: float | None = None
         self.row_count = 0
         self.event_count = 0
+        self.sighting_count = 0
         self._mcap = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._mcap.start(profile="", library="reins")
         self._telemetry = self._topic("/telemetry", "reins.Telemetry", telemetry_schema(channels))
         self._log = self._topic("/events", "foxglove.Log", LOG_SCHEMA)
+        self._scene = self._topic("/scene", "reins.Scene", SCENE_SCHEMA)
         self._poses = [
-            (self._topic(plan.topic, "foxglove.PoseInFrame", POSE_SCHEMA), self._columns(plan))
+            (self._topic(plan.topic, "foxglove.PoseInFrame", POSE_SCHEMA), plan.frame, self._columns(plan))
             for plan in POSES
             if {plan.x, plan.y} <= set(self._names)
         ]
+        self._transform = self._topic("/tf", "foxglove.FrameTransform", TRANSFORM_SCHEMA)
 
     def rows(self, rows: Any) -> None:  # noqa: ANN401  # any iterable of tuples of floats, as struct types it
         for row in rows:
             self._last_s = row[0]
             at = self._at(row[0])
             self._add(self._telemetry, at, self.row_count, dict(zip(self._names, row, strict=True)))
-            for topic, columns in self._poses if self.row_count % POSE_EVERY == 0 else ():
-                self._add(topic, at, self.row_count, pose_message(at, row, columns))
+            for topic, frame, columns in self._poses if self.row_count % POSE_EVERY == 0 else ():
+                pose = pose_of(row, columns)
+                self._add(topic, at, self.row_count, {"timestamp": stamp(at), "frame_id": frame, "pose": pose})
+                if frame == WORLD:
+                    self._add(self._transform, at, self.row_count, transform_message(at, pose))
             self.row_count += 1
+
+    def sighting(
+        self, time_s: float, people: Sequence[tuple[int, float, float]], bodies: Mapping[str, Sequence[float]]
+    ) -> None:
+        at = self._at(time_s)
+        seen = [{"id": number, "x_m": x, "y_m": y} for number, x, y in people]
+        moment = {"timestamp": stamp(at), "frame_id": WORLD, "time_s": time_s}
+        self._add(self._scene, at, self.sighting_count, {**moment, "people": seen, "bodies": dict(bodies)})
+        self.sighting_count += 1
 
     def event(self, name: str, message: str, time_s: float | None, level: Level, detail: Mapping[str, Any]) -> None:
         moment = time_s if time_s is not None else self._last_s
@@ -317,22 +328,3 @@ def telemetry_schema(channels: Sequence[Channel]) -> dict[str, Any]:
     """Return the JSON Schema of a `/telemetry` message."""
     properties = {channel.name: {"type": "number", "description": channel.unit} for channel in channels}
     return {"title": "reins.Telemetry", "type": "object", "properties": properties}
-
-
-def pose_message(at: int, row: Values, columns: Sequence[int | None]) -> dict[str, Any]:
-    """Return a `foxglove.PoseInFrame` from a row."""
-    x, y, z, yaw = (0.0 if column is None else row[column] for column in columns)
-    return {
-        "timestamp": stamp(at),
-        "frame_id": "world",
-        "pose": {
-            "position": {"x": x, "y": y, "z": z},
-            "orientation": {"x": 0.0, "y": 0.0, "z": sin(yaw / 2), "w": cos(yaw / 2)},
-        },
-    }
-
-
-def stamp(at: int) -> dict[str, int]:
-    """Return nanoseconds as Foxglove writes a time."""
-    sec, nsec = divmod(at, NANOSECONDS)
-    return {"sec": sec, "nsec": nsec}

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from time import sleep
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 import orjson
 from mcap.exceptions import McapError
@@ -17,17 +17,20 @@ from mcap.reader import make_reader
 
 from app.audit.archive import telemetry_problem
 from app.audit.errors import RecordDamaged
-from app.audit.telemetry import NANOSECONDS, channels
+from app.audit.telemetry import channels
+from app.audit.telemetry_messages import NANOSECONDS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from app.audit.event import Event
 
 TOPIC: Final = "/telemetry"
+SCENE: Final = "/scene"
 PAUSE_EVERY: Final = 200  # rows: decoding shares the interpreter with whoever presses a stop meanwhile
 PAUSE_S: Final = 0.001
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,6 +45,8 @@ class Recording:
         rows: how many rows the file has; the columns hold every `every`-th of them and the last one.
         units: of each channel, an empty text where it has none.
         columns: values by channel; None where one was not known.
+        people: where the tracker saw people, at most so many moments as rows; no moments, where none were recorded.
+        bodies: where things were, by name, from each of their `time_s` on.
     """
 
     file: str
@@ -52,6 +57,27 @@ class Recording:
     every: int
     units: dict[str, str]
     columns: dict[str, list[float | None]]
+    people: People
+    bodies: dict[str, Way]
+
+
+@dataclass(frozen=True, slots=True)
+class People:
+    """Who was seen at each `time_s` (the rows' clock): `tracks` are (number, x, y), metres in the world frame."""
+
+    time_s: list[float]
+    tracks: list[list[tuple[int, float, float]]]
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """A thing's poses, each from its `time_s` (the rows' clock) until the next.
+
+    A pose is x, y, z, qw, qx, qy, qz in the world frame.
+    """
+
+    time_s: list[float]
+    pose: list[list[float]]
 
 
 def telemetry_file(folder: Path, event: Event) -> Path | None:
@@ -80,9 +106,11 @@ def read_telemetry(folder: Path, event: Event, *, limit: int) -> Recording | Non
     try:
         rows = said.get("rows")
         taken = _Taken(limit, rows if isinstance(rows, int) else 0)
-        for number, (at_ns, row) in enumerate(_rows(path)):
+        for number, (at_ns, row) in enumerate(_messages(path, TOPIC)):
             taken.take(number, at_ns, row)
-    except (McapError, OSError, ValueError, TypeError, EOFError) as error:
+        seen = [moment for _, moment in _messages(path, SCENE)]
+        people, bodies = _people(seen, limit), _ways(seen, limit)
+    except (McapError, OSError, ValueError, TypeError, KeyError, EOFError) as error:
         raise RecordDamaged(path, f"cannot be read as telemetry: {error}") from error
     return Recording(
         file=path.name,
@@ -93,7 +121,30 @@ def read_telemetry(folder: Path, event: Event, *, limit: int) -> Recording | Non
         every=taken.every,
         units={channel.name: channel.unit for channel in channels(tuple(taken.columns))},
         columns=taken.columns,
+        people=people,
+        bodies=bodies,
     )
+
+
+def _people(seen: Sequence[Mapping[str, Any]], limit: int) -> People:
+    kept = _thinned(seen, limit)
+    tracks = [[(one["id"], one["x_m"], one["y_m"]) for one in moment["people"]] for moment in kept]
+    return People([moment["time_s"] for moment in kept], tracks)
+
+
+def _ways(seen: Sequence[Mapping[str, Any]], limit: int) -> dict[str, Way]:
+    moves: dict[str, list[tuple[float, list[float]]]] = {}
+    for moment in seen:
+        for name, pose in moment["bodies"].items():
+            moves.setdefault(name, []).append((moment["time_s"], pose))
+    kept = {name: _thinned(found, limit) for name, found in moves.items()}
+    return {name: Way([at for at, _ in found], [pose for _, pose in found]) for name, found in kept.items()}
+
+
+def _thinned(items: Sequence[T], limit: int) -> list[T]:
+    """Return every so-manieth item and the last one, at most `limit` + 1."""
+    every = max(1, math.ceil(len(items) / limit))
+    return [item for place, item in enumerate(items) if place % every == 0 or place == len(items) - 1]
 
 
 class _Taken:
@@ -117,9 +168,9 @@ class _Taken:
             values.append(row.get(name))
 
 
-def _rows(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
+def _messages(path: Path, topic: str) -> Iterator[tuple[int, dict[str, Any]]]:
     with path.open("rb") as file:
-        for number, (_, _, message) in enumerate(make_reader(file).iter_messages(topics=[TOPIC])):
+        for number, (_, _, message) in enumerate(make_reader(file).iter_messages(topics=[topic])):
             if number % PAUSE_EVERY == 0:
                 sleep(PAUSE_S)
             yield message.log_time, cast("dict[str, Any]", orjson.loads(message.data))

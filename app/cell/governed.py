@@ -19,6 +19,7 @@ from app.cell.display import describe, look, sensed, sitting
 from app.cell.journal import JournalUnavailable
 from app.cell.loop import NewPolicy, Shutdown, Welcomed
 from app.cell.runner import Runner
+from app.cell.sighting import Sight
 from app.governance.conditions import unmet
 from app.governance.model import Wish
 from app.governance.permit import SignedAuthorization
@@ -82,6 +83,7 @@ class GovernedCell:
             on_telemetry=self._show,
         )
         outbox.scene = describe(substrate)
+        outbox.things = (*policies.site.objects, *policies.site.tools)
         self._runner.hold("link")
         self._adopt(policies)
 
@@ -161,6 +163,14 @@ class GovernedCell:
         """Return what there is to be seen at this moment."""
         runner = self._runner
         return look(runner.substrate, runner.observation, runner.session, self._wall())
+
+    def sight(self) -> Sight | None:
+        """Return where people and things are during a session; None without one."""
+        runner = self._runner
+        invocation, seen = runner.invocation, runner.observation
+        if invocation is None:
+            return None
+        return Sight(invocation, seen.time_s, seen.people, runner.substrate.poses())
 
     def _adopt(self, policies: PolicySet) -> None:
         self._policies[policies.digest] = policies

@@ -29,6 +29,7 @@ from app import protocol
 from app.cell.display import Drawing
 from app.cell.loop import STOPPING_S, NewPolicy, Shutdown, Welcomed
 from app.cell.pin import LinkRefused
+from app.cell.sighting import Sightings
 from app.clock import monotonic_s
 from app.governance import bundle
 from app.governance.errors import GovernanceError
@@ -314,7 +315,7 @@ class Link:
 
     async def _report(self, socket: ClientConnection) -> NoReturn:
         """Send what the loop hands over: events first, then telemetry, then the newest state if it is another."""
-        sent, shown, drawing = self._acknowledged, None, Drawing(self._outbox)
+        sent, shown, drawing, sightings = self._acknowledged, None, Drawing(self._outbox), Sightings(self._outbox)
         while True:
             await self._wake.wait()
             self._wake.clear()
@@ -323,6 +324,7 @@ class Link:
                 sent = event.seq
             while self._outbox.batches:
                 await socket.send(self._outbox.batches.popleft())
+            await sightings.show(socket)
             await drawing.show(socket)
             state = self._outbox.state
             if state is not None and state is not shown:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from queue import SimpleQueue
 
     from app.cell.display import Moment
+    from app.cell.sighting import Sight
     from app.governance.policy import PolicySet
     from app.protocol import Scene, UpEvent
 
@@ -29,6 +30,8 @@ MAX_LAG_S: Final = 0.1  # a loop further behind than this starts afresh instead 
 MAX_BATCHES: Final = 3000  # about ten minutes of telemetry while nobody listens
 STOPPING_S: Final = 2.0  # how long a controlled stop may take before the loop ends anyway
 LOOK_S: Final = 1 / 30
+SIGHT_EVERY: Final = 20  # ticks: taking hold of all poses costs some 12 us, of which a tick may bear one
+MAX_SIGHTS: Final = 3000  # about ten minutes while nobody listens
 WORKING: Final = frozenset({Status.RUNNING, Status.PAUSED, Status.RECOVERING})
 
 
@@ -87,6 +90,10 @@ class Governed(Protocol):
         """Return what there is to be seen at this moment, for displays."""
         ...
 
+    def sight(self) -> Sight | None:
+        """Return where people and things are during a session, for its telemetry; None without one."""
+        ...
+
 
 class Lease:
     """When the server was last heard; written by the link, read by the loop.
@@ -130,6 +137,8 @@ class Outbox:
         """Start empty, with nobody to wake; `last_seq` is the newest report that the journal holds already."""
         self.events: deque[UpEvent] = deque()
         self.batches: deque[bytes] = deque(maxlen=MAX_BATCHES)
+        self.sights: deque[Sight] = deque(maxlen=MAX_SIGHTS)
+        self.things: tuple[str, ...] = ()  # which bodies of the scene sightings are of
         self.state: State | None = None
         self.last_seq = last_seq
         self.changed = False
@@ -206,6 +215,8 @@ class TickLoop:
             self._check_lease()
             self._runner.tick()
             self.ticks += 1
+            if self.ticks % SIGHT_EVERY == 0 and (sight := self._runner.sight()) is not None:
+                self._outbox.sights.append(sight)  # it leaves with the next telemetry or state: no need to wake anybody
             self._publish()
             due_s = self._next_due(due_s)
             self._obey_until(due_s)

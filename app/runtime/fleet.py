@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from app.audit.event import EventDraft
     from app.governance.control import Control
     from app.governance.model import WorldFacts
-    from app.protocol import Hello, Jog, Message, State, UpEvent
+    from app.protocol import Hello, Jog, Message, Sighting, State, UpEvent
     from app.runtime.link import Link
     from app.runtime.register import Register
     from app.runtime.reports import Reports
@@ -388,6 +388,10 @@ class Fleet:
     def take_telemetry(self, cell: Cell, invocation: str, rows: Sequence[tuple[float, ...]]) -> None:
         """Pass rows of telemetry on."""
         self._desk.telemetry(cell.id, invocation, rows)
+
+    def take_sighting(self, cell: Cell, sighting: Sighting) -> None:
+        """Pass on where people and things were."""
+        self._desk.sighting(cell.id, sighting)
 
     def check_report(self, cell: Cell, event: UpEvent) -> None:
         """Refuse a report that this cell may not make. Raises `ProtocolError`."""

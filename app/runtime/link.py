@@ -27,6 +27,7 @@ from app.protocol import (
     Policy,
     ProtocolError,
     Scene,
+    Sighting,
     State,
     UpEvent,
     Welcome,
@@ -169,10 +170,18 @@ class Attachment:
                 raise ProtocolError("`hello` was said already: valid once per link")
             case UpEvent():
                 self._queue(message)
+            case _:
+                self._show(message)
+
+    def _show(self, message: State | Scene | Path | Sighting | Beat) -> None:
+        """Pass on what the cell shows of itself; no decision waits for its record."""
+        match message:
             case State():
                 self._fleet.take_state(self.cell, message)
             case Scene() | Path():
                 self._fleet.screens.draw(self.cell.id, message)
+            case Sighting():
+                self._fleet.take_sighting(self.cell, message)
             case Beat():
                 pass
             case _:

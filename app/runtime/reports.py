@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from app.audit.event import RowWrite
-    from app.protocol import Hello, UpEvent
+    from app.protocol import Hello, Sighting, UpEvent
 
 
 class Reports(Protocol):
@@ -40,4 +40,8 @@ class Reports(Protocol):
 
     def telemetry(self, cell: str, invocation: str, rows: Sequence[tuple[float, ...]]) -> None:
         """Keep rows of telemetry."""
+        ...
+
+    def sighting(self, cell: str, sighting: Sighting) -> None:
+        """Keep where people and things were, with the telemetry."""
         ...

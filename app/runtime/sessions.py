@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from app.audit.event import RowWrite
-    from app.protocol import Hello, UpEvent
+    from app.protocol import Hello, Sighting, UpEvent
     from app.runtime.desk import Desk
     from app.runtime.fleet import Fleet
     from app.runtime.invocation import Invocation
@@ -139,11 +139,23 @@ class Sessions:
         Raises:
             ProtocolError: the invocation is live on another cell.
         """
+        if self._recording(cell, invocation):
+            self._telemetry.write(invocation, rows)
+
+    def sighting(self, cell: str, sighting: Sighting) -> None:
+        """Keep where people and things were in a session of this cell; what is of anything else is refused.
+
+        Raises:
+            ProtocolError: the invocation is live on another cell.
+        """
+        if self._recording(cell, sighting.invocation):
+            self._telemetry.sight(sighting)
+
+    def _recording(self, cell: str, invocation: str) -> bool:
         known = self._register.newest(invocation)
         if known is not None and known.cell != cell:
             raise ProtocolError(f"telemetry of `{invocation}`, which is not an invocation of the cell `{cell}`")
-        if known is not None or self._sealing.get(invocation) == cell:
-            self._telemetry.write(invocation, rows)
+        return known is not None or self._sealing.get(invocation) == cell
 
     def _seal_soon(self, invocation: str, cell: str) -> None:
         self._sealing[invocation] = cell

@@ -1,4 +1,4 @@
-"""Telemetry of the sessions that run: one file each, opened by its first rows, sealed after its outcome.
+"""Telemetry of the sessions that run: one file each, opened by the first of it, sealed after its outcome.
 
 A telemetry file is evidence, not permission: if it cannot be written the session goes on, and the record says so.
 """
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from app.audit.telemetry import Level
-    from app.protocol import UpEvent
+    from app.protocol import Sighting, UpEvent
 
 LEVELS: Final[Mapping[str, Level]] = {
     EventKind.ALERT: "warning",
@@ -45,9 +45,21 @@ class Telemetry:
         return [*self._writers, *self._failed]
 
     def write(self, invocation: str, rows: Sequence[tuple[float, ...]]) -> None:
-        """Take rows of a session; the first open its file."""
+        """Take rows of a session."""
+        writer = self._writer(invocation)
+        if writer is not None:
+            writer.write_rows(rows)
+
+    def sight(self, sighting: Sighting) -> None:
+        """Take where people and things were in a session."""
+        writer = self._writer(sighting.invocation)
+        if writer is not None:
+            writer.sighting(sighting.time_s, sighting.people, sighting.bodies)
+
+    def _writer(self, invocation: str) -> TelemetryWriter | None:
+        """Return the writer of a session's file, opened if need be; None where it cannot be."""
         if invocation in self._failed:
-            return
+            return None
         writer = self._writers.get(invocation)
         if writer is None:
             path = self._free_path(invocation)
@@ -55,9 +67,9 @@ class Telemetry:
                 writer = TelemetryWriter(path, self._channels, start_wall_s=self._wall_s())
             except RecordUnavailable as error:
                 self._failed[invocation] = str(error)
-                return
+                return None
             self._writers[invocation] = writer
-        writer.write_rows(rows)
+        return writer
 
     def note(self, event: UpEvent) -> None:
         """Set what the watcher said and what followed beside the rows, at the newest row's time."""

@@ -155,6 +155,22 @@ async def test_telemetry_comes_as_columns_thinned_out_evenly_to_the_last_row(hou
     assert found["units"] == {"time_s": "s", "base_x_m": "m", "separation_m": "m"}
 
 
+async def test_telemetry_says_where_people_and_things_were(house: House) -> None:
+    path = house.runtime.store.places.telemetry / "inv_seen.mcap"
+    writer = TelemetryWriter(path, channels(("time_s", "q1_rad")), start_wall_s=0)
+    writer.write_rows([(0.0, 1.0), (1.0, 1.0)])
+    for number in range(11):
+        moved = {"mug_1": (number, 0, 0, 1, 0, 0, 0)} if number in (0, 4) else {}
+        writer.sighting(number / 10, [(1, number / 2, 2.0)] if number > 5 else [], moved)
+    body = (await writer.aclose()).body()
+    await house.runtime.store.append([EventDraft(kind="telemetry", actor="server", invocation="inv_seen", body=body)])
+    async with house.client("auditor") as auditor:
+        found = (await auditor.get("/v1/audit/telemetry/inv_seen?rows=5")).json()
+    assert found["people"]["time_s"] == [0.0, 0.3, 0.6, 0.9, 1.0]
+    assert found["people"]["tracks"] == [[], [], [[1, 3.0, 2.0]], [[1, 4.5, 2.0]], [[1, 5.0, 2.0]]]
+    assert found["bodies"] == {"mug_1": {"time_s": [0.0, 0.4], "pose": [[0, 0, 0, 1, 0, 0, 0], [4, 0, 0, 1, 0, 0, 0]]}}
+
+
 async def test_telemetry_says_when_its_file_is_not_the_one_recorded(house: House) -> None:
     path = await record(house, "inv_swapped", 20)
     other = await record(house, "inv_other", 30)

@@ -78,6 +78,8 @@ def test_foxglove_finds_schemas_for_every_topic(tmp_path: Path) -> None:
     assert {topic: (encoding, schema.name, schema.encoding) for topic, (encoding, schema) in found.items()} == {
         "/telemetry": ("json", "reins.Telemetry", "jsonschema"),
         "/events": ("json", "foxglove.Log", "jsonschema"),
+        "/scene": ("json", "reins.Scene", "jsonschema"),
+        "/tf": ("json", "foxglove.FrameTransform", "jsonschema"),
         "/base": ("json", "foxglove.PoseInFrame", "jsonschema"),
         "/tcp": ("json", "foxglove.PoseInFrame", "jsonschema"),
     }
@@ -85,7 +87,7 @@ def test_foxglove_finds_schemas_for_every_topic(tmp_path: Path) -> None:
     assert properties["grip_force_n"] == {"type": "number", "description": "N"}
 
 
-def test_poses_stand_in_the_world(tmp_path: Path) -> None:
+def test_poses_name_the_frame_they_are_in(tmp_path: Path) -> None:
     writer = open_writer(tmp_path / "a.mcap")
     writer.write(pack(11))
     writer.close()
@@ -95,7 +97,24 @@ def test_poses_stand_in_the_world(tmp_path: Path) -> None:
     assert base["pose"]["position"] == {"x": 2.5, "y": 0.5, "z": 0.0}
     assert base["pose"]["orientation"] == pytest.approx({"x": 0, "y": 0, "z": 0.5**0.5, "w": 0.5**0.5}, abs=1e-6)
     assert base["timestamp"]["sec"] * 1_000_000_000 + base["timestamp"]["nsec"] == time
-    assert topics["/tcp"][0][1]["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 0.75}
+    tool = topics["/tcp"][0][1]
+    assert tool["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 0.75}
+    assert (base["frame_id"], tool["frame_id"]) == ("world", "base")
+    led = topics["/tf"][2][1]
+    assert (led["parent_frame_id"], led["child_frame_id"]) == ("world", "base")
+    assert (led["translation"], led["rotation"]) == (base["pose"]["position"], base["pose"]["orientation"])
+
+
+def test_people_and_things_stand_beside_the_rows_on_their_clock(tmp_path: Path) -> None:
+    writer = open_writer(tmp_path / "a.mcap")
+    writer.write(pack(20))
+    writer.sighting(5.1, [(3, 1.5, 2.5)], {"mug_1": (1, 2, 3, 1, 0, 0, 0)})
+    assert writer.close().rows == 20
+    ((at, seen),) = read(tmp_path / "a.mcap")["/scene"]
+    assert at - 1_700_000_000_250_000_000 == pytest.approx(0.1e9, abs=1000)
+    assert (seen["time_s"], seen["frame_id"]) == (5.1, "world")
+    assert seen["people"] == [{"id": 3, "x_m": 1.5, "y_m": 2.5}]
+    assert seen["bodies"] == {"mug_1": [1, 2, 3, 1, 0, 0, 0]}
 
 
 def test_without_pose_channels_there_are_no_pose_topics(tmp_path: Path) -> None:

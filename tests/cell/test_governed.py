@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import base64
+import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +13,9 @@ import pytest
 from app.cell.governed import GovernedCell
 from app.cell.journal import Journal
 from app.cell.loop import Outbox, Welcomed
+from app.cell.sighting import Sight, Sightings
 from app.governance.permit import mint
-from app.protocol import Human, Launch
+from app.protocol import Human, Launch, Scene, Sighting, decode_up
 from tests.cell.rig import KEY, NOW_S, PERMIT, FakeCell
 from tests.cell.workshop import policy
 
@@ -22,12 +25,13 @@ class Governed:
 
     def __init__(self, folder: Path) -> None:
         self.substrate = FakeCell()
+        self.outbox = Outbox()
         self.cell = GovernedCell(
             self.substrate,  # type: ignore[arg-type]
             policy(),
             kernel_key=base64.b64encode(KEY.public_key().public_bytes_raw()).decode(),
             journal=Journal(folder / "journal", boot="boot-1"),
-            outbox=Outbox(),
+            outbox=self.outbox,
             wall=lambda: NOW_S + 1.0,
         )
         self.cell.obey(Welcomed(profile="human-shared"))
@@ -44,6 +48,18 @@ class Governed:
         self.cell.obey(
             Launch(body=base64.b64encode(made.body).decode(), signature=base64.b64encode(made.signature).decode())
         )
+
+
+class Socket:
+    """A link that keeps what is sent."""
+
+    def __init__(self) -> None:
+        self.sent: list[Sighting] = []
+
+    async def send(self, message: str | bytes) -> None:
+        sighting = decode_up(message)
+        assert isinstance(sighting, Sighting)
+        self.sent.append(sighting)
 
 
 @pytest.fixture
@@ -68,3 +84,38 @@ def test_the_gauges_of_a_session_end_with_it_and_those_of_sensors_go_on(governed
     over = governed.cell.state(overruns=3)
     assert set(over.gauges) == {"tcp_speed_mps", "base_speed_mps", "grip_force_n", "contact_force_n", "late_ticks"}
     assert (over.gauges["contact_force_n"], over.gauges["base_speed_mps"]) == (17.0, 0.0)
+
+
+def test_sees_people_as_the_tracker_does_while_a_session_runs(governed: Governed) -> None:
+    assert governed.cell.sight() is None
+    governed.substrate.people = lambda _: ((1.0, 2.0), (float("nan"), 3.0))
+    governed.drive()
+    governed.cell.tick()
+    sight = governed.cell.sight()
+    assert sight is not None
+    assert (sight.invocation, sight.people) == ("inv-1", governed.substrate.observe().people)
+    governed.outbox.sights.append(sight)
+    socket = Socket()
+    asyncio.run(Sightings(governed.outbox).show(socket))
+    (sighting,) = socket.sent
+    assert (sighting.people, sighting.time_s) == ([(0, 1.0, 2.0)], sight.time_s)
+
+
+def test_sends_a_thing_when_it_has_moved_and_all_things_on_another_link(governed: Governed) -> None:
+    governed.outbox.scene = Scene(scene={}, bodies=["base", "mug_1", "glass_1"], gauges=[])
+    assert {"mug_1", "glass_1", "lever"} < set(governed.outbox.things)
+    assert "base" not in governed.outbox.things
+
+    def sight(time_s: float, mug_m: float) -> Sight:
+        packed = struct.pack("<21f", *range(7), mug_m, *range(1, 7), *range(7))
+        return Sight("inv-1", time_s, (), lambda: packed)
+
+    socket, sightings = Socket(), Sightings(governed.outbox)
+    governed.outbox.sights.extend((sight(1.0, 0.5), sight(1.2, 0.5004), sight(1.4, 0.75)))
+    asyncio.run(sightings.show(socket))
+    assert [set(one.bodies) for one in socket.sent] == [{"mug_1", "glass_1"}, set(), {"mug_1"}]
+    assert socket.sent[-1].bodies["mug_1"] == (0.75, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    governed.outbox.sights.append(sight(1.6, 0.75))
+    again = Socket()
+    asyncio.run(Sightings(governed.outbox).show(again))
+    assert set(again.sent[0].bodies) == {"mug_1", "glass_1"}

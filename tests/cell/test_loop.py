@@ -7,7 +7,8 @@ from queue import SimpleQueue
 
 import pytest
 
-from app.cell.loop import Lease, Order, Outbox, Shutdown, TickLoop, Welcomed
+from app.cell.loop import SIGHT_EVERY, Lease, Order, Outbox, Shutdown, TickLoop, Welcomed
+from app.cell.sighting import Sight
 from app.protocol import LEASE_MS, Estop, State, UpEvent
 from tests.conftest import until
 
@@ -40,6 +41,9 @@ class Recorder:
 
     def standing(self) -> bool:
         return self.moving_for == 0
+
+    def sight(self) -> Sight | None:
+        return None if self.status is None else Sight("inv_1", self.ticks * self.period_s, (), lambda: b"")
 
     def state(self, overruns: int) -> State:
         return State(
@@ -182,6 +186,16 @@ def test_shows_a_change_without_waiting_for_the_next_period(
     shown = bench.outbox.state
     bench.outbox.event(event(1))
     until(lambda: bench.outbox.state is not shown)
+
+
+@pytest.mark.parametrize("status", ["running", None])
+def test_takes_hold_of_what_is_to_be_seen_of_a_session_now_and_then(
+    start: Callable[..., Bench], status: str | None
+) -> None:
+    bench = start(Recorder(status=status))
+    until(lambda: bench.runner.ticks > 10 * SIGHT_EVERY)
+    ticks = [round(sight.time_s / bench.runner.period_s) for sight in tuple(bench.outbox.sights)][:10]
+    assert ticks == ([] if status is None else [SIGHT_EVERY * count for count in range(1, 11)])
 
 
 def test_events_stay_until_they_are_acknowledged() -> None:

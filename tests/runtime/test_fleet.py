@@ -9,7 +9,8 @@ import pytest
 
 from app.audit.errors import RecordUnavailable
 from app.audit.event import RowWrite
-from app.protocol import BEAT_MS, CHANNELS, ROW, Beat, Hello, encode, pack_batch
+from app.audit.telemetry_reading import read_telemetry
+from app.protocol import BEAT_MS, CHANNELS, ROW, Beat, Hello, Sighting, encode, pack_batch
 from app.runtime import cells as cells_module
 from app.runtime import sessions as sessions_module
 from app.runtime.assembly import Runtime
@@ -316,6 +317,23 @@ async def test_telemetry_is_sealed_after_the_outcome_and_vouched_for(runtime: Ru
     assert (runtime.store.places.telemetry / str(body["file"])).is_file()
     await cell.attachment.receive(pack_batch(name, row(0.4)))
     assert runtime.telemetry.open() == []
+
+
+async def test_where_people_and_things_were_goes_into_the_telemetry(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    assert cell.attachment is not None
+    seen = Sighting(invocation=name, time_s=0.05, people=[(1, 2.0, 3.0)], bodies={"mug_1": (1, 2, 3, 1, 0, 0, 0)})
+    await cell.attachment.receive(encode(seen))
+    await cell.attachment.receive(pack_batch(name, row(0.1)))
+    await cell.attachment.receive(encode(seen.model_copy(update={"invocation": "inv_other"})))
+    await cell.ended(name, "succeeded")
+    async with asyncio.timeout(5.0):
+        while not (sealed := await runtime.store.events(kind="telemetry")):
+            await asyncio.sleep(0.005)
+    found = read_telemetry(runtime.store.places.telemetry, sealed[0], limit=10)
+    assert found is not None
+    assert (found.people.time_s, found.people.tracks) == ([0.05], [[(1, 2.0, 3.0)]])
+    assert found.bodies["mug_1"].pose == [[1, 2, 3, 1, 0, 0, 0]]
 
 
 async def test_bad_telemetry_closes_the_link(runtime: Runtime, cell: HandCell) -> None:
