@@ -1,7 +1,7 @@
 import { describe, expect, it } from 'vitest';
 import type { LogEvent, Telemetry } from '../src/lib/api/documents';
 import { frameAt } from '../src/lib/audit/replay';
-import { eventAt, offset, rowAt, stepTo, timelineOf } from '../src/lib/audit/timeline';
+import { eventAt, hasTelemetry, offset, rowAt, stepTo, timelineOf } from '../src/lib/audit/timeline';
 
 const START_MS = Date.parse('2026-03-01T09:30:00.000Z');
 const event = (seq: number, afterS: number, body: LogEvent['body'] = {}): LogEvent => ({
@@ -73,5 +73,14 @@ describe('a recorded moment in the scene', () => {
 
   it('is not made up where a part of the posture is missing', () => {
     expect(frameAt(telemetry({ ...full.columns, q3_rad: [null] }), 0, ['base'], [])).toBeNull();
+  });
+});
+
+describe('telemetry', () => {
+  const trace = (...kinds: string[]): LogEvent[] => kinds.map((kind, seq) => ({ seq, at: '2026-11-22T10:00:00Z', kind, invocation: 'inv_1', actor: 'server', body: {} }));
+
+  it('is asked for where the trace holds its digest, and nowhere else', () => {
+    expect(hasTelemetry(trace('proposal', 'outcome', 'telemetry'))).toBe(true);
+    expect(hasTelemetry(trace('proposal', 'outcome'))).toBe(false);
   });
 });

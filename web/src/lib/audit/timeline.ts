@@ -47,6 +47,11 @@ export function timelineOf(events: readonly LogEvent[], telemetry: Telemetry | n
   return { placed: ordered, ...endsOf(ordered, lastRowS), zeroS };
 }
 
+/** Whether a trace says that telemetry was kept: its digest is an event, behind the session's end. */
+export function hasTelemetry(events: readonly LogEvent[]): boolean {
+  return events.some((event) => event.kind === 'telemetry');
+}
+
 function anchorsOf(events: readonly LogEvent[]): { wallS: number; cellS: number }[] {
   return events.flatMap((event) => {
     const tick = event.body['tick'];
