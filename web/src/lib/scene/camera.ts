@@ -2,10 +2,18 @@ import { OrbitControls } from 'three/examples/jsm/controls/OrbitControls.js';
 import { MathUtils, PerspectiveCamera, Vector3 } from 'three';
 
 export type View = 'overview' | 'top' | 'follow';
+type Bounds = readonly [number, number, number, number];
 
 const KEY = 'reins.camera';
+/** From where a view looks at the middle of the cell, m of any length. */
+const FROM = { overview: new Vector3(-0.14, -0.62, 0.62), top: new Vector3(0, -0.001, 1) } as const;
+/** What stands in a cell is about so high, m. */
+const TALL_M = 1.3;
+const MARGIN = 0.94;
 
 interface Kept {
+  /** The view that was chosen, if nobody has steered since: it is fitted anew to whatever window there is. */
+  view: View | null;
   position: number[];
   target: number[];
 }
@@ -14,9 +22,8 @@ interface Kept {
 export class CameraRig {
   readonly camera = new PerspectiveCamera(38, 1, 0.1, 80);
   readonly controls: OrbitControls;
-  private following = false;
-  private centre = new Vector3(4, 3, 0);
-  private spanM = 8;
+  private chosen: View | null = 'overview';
+  private bounds: Bounds = [0, 0, 8, 6];
 
   constructor(canvas: HTMLElement, private readonly moved: () => void) {
     this.camera.up.set(0, 0, 1);
@@ -26,32 +33,34 @@ export class CameraRig {
     this.controls.minDistance = 1;
     this.controls.maxDistance = 30;
     this.controls.addEventListener('change', moved);
-    this.controls.addEventListener('end', () => this.keep());
+    this.controls.addEventListener('end', () => {
+      if (this.chosen !== 'follow') this.chosen = null;
+      this.keep();
+    });
   }
 
   /** Frames a cell of these bounds, unless this tab remembers where its camera stood. */
-  frame([x0, y0, x1, y1]: readonly [number, number, number, number]): void {
-    this.centre = new Vector3((x0 + x1) / 2, (y0 + y1) / 2, 0.2);
-    this.spanM = Math.max(x1 - x0, y1 - y0);
+  frame(bounds: Bounds): void {
+    this.bounds = bounds;
     const kept = read();
     if (kept === null) this.view('overview');
-    else this.put(new Vector3().fromArray(kept.position), new Vector3().fromArray(kept.target));
+    else if (kept.view === 'overview' || kept.view === 'top') this.view(kept.view);
+    else {
+      this.chosen = kept.view;
+      this.put(new Vector3().fromArray(kept.position), new Vector3().fromArray(kept.target));
+    }
   }
 
   view(view: View, robot?: Vector3): void {
-    this.following = view === 'follow';
-    const { x, y } = this.centre;
-    const half = Math.tan(MathUtils.degToRad(this.camera.fov / 2)) * Math.min(this.camera.aspect, 1.35);
-    const far = (0.56 * this.spanM) / half;
-    if (view === 'top') this.put(new Vector3(x, y - 0.01, far * 1.05), new Vector3(x, y, 0));
-    else if (view === 'follow' && robot !== undefined) this.put(new Vector3(robot.x - 1.2, robot.y - 3.6, 2.6), new Vector3(robot.x, robot.y, 0.5));
-    else this.put(new Vector3(x - far * 0.24, y - far * 0.64, far * 0.52), this.centre);
+    this.chosen = view;
+    if (view === 'follow' && robot !== undefined) this.put(new Vector3(robot.x - 1.2, robot.y - 3.6, 2.6), new Vector3(robot.x, robot.y, 0.5));
+    else if (view !== 'follow') this.fit(FROM[view]);
     this.keep();
   }
 
   /** Moves with the robot while that view is chosen. */
   follow(robot: Vector3): void {
-    if (!this.following) return;
+    if (this.chosen !== 'follow') return;
     const shift = new Vector3(robot.x, robot.y, 0.5).sub(this.controls.target);
     if (shift.lengthSq() < 1e-5) return;
     this.camera.position.add(shift);
@@ -62,11 +71,17 @@ export class CameraRig {
   resize(width: number, height: number): void {
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
+    if (this.chosen === 'overview' || this.chosen === 'top') this.fit(FROM[this.chosen]);
     this.moved();
   }
 
   end(): void {
     this.controls.dispose();
+  }
+
+  private fit(from: Vector3): void {
+    const { position, target } = fitted(this.bounds, from, this.camera.fov, this.camera.aspect);
+    this.put(position, target);
   }
 
   private put(position: Vector3, target: Vector3): void {
@@ -77,9 +92,33 @@ export class CameraRig {
   }
 
   private keep(): void {
-    const kept: Kept = { position: this.camera.position.toArray(), target: this.controls.target.toArray() };
+    const kept: Kept = { view: this.chosen, position: this.camera.position.toArray(), target: this.controls.target.toArray() };
     sessionStorage.setItem(KEY, JSON.stringify(kept));
   }
+}
+
+/**
+ * Returns from where, and at what, a camera sees the whole cell as large as the window allows, looking from a direction.
+ *
+ * With x, y, z the corners along the camera's right, up and forward axes, a camera at distance D whose axis is shifted by c
+ * sees a corner where |x − c| ≤ (D + z)·tan(half the field of view): two extremes give the smallest D and the c between.
+ */
+export function fitted(bounds: Bounds, from: Vector3, fovDeg: number, aspect: number): { position: Vector3; target: Vector3 } {
+  const [x0, y0, x1, y1] = bounds;
+  const centre = new Vector3((x0 + x1) / 2, (y0 + y1) / 2, TALL_M / 2);
+  const forward = from.clone().normalize().negate();
+  const right = new Vector3().crossVectors(forward, new Vector3(0, 0, 1)).normalize();
+  const up = new Vector3().crossVectors(right, forward);
+  const corners = [x0, x1].flatMap((x) => [y0, y1].flatMap((y) => [0, TALL_M].map((z) => new Vector3(x, y, z).sub(centre))));
+  const tan = Math.tan(MathUtils.degToRad(fovDeg / 2)) * MARGIN;
+  const along = (axis: Vector3, slope: number): { far: number; shift: number } => {
+    const high = Math.max(...corners.map((corner) => corner.dot(axis) - corner.dot(forward) * slope));
+    const low = Math.max(...corners.map((corner) => -corner.dot(axis) - corner.dot(forward) * slope));
+    return { far: (high + low) / (2 * slope), shift: (high - low) / 2 };
+  };
+  const [across, upright] = [along(right, tan * aspect), along(up, tan)];
+  const target = centre.addScaledVector(right, across.shift).addScaledVector(up, upright.shift);
+  return { position: target.clone().addScaledVector(forward, -Math.max(across.far, upright.far)), target };
 }
 
 function read(): Kept | null {

@@ -7,6 +7,17 @@ export interface Label {
   tone: 'plain' | 'accent' | 'warn' | 'danger';
 }
 
+/** Which names stand where several would cover each other. */
+const WEIGHT: Record<Label['tone'], number> = { danger: 3, warn: 2, accent: 1, plain: 0 };
+const LINE_PX = 15;
+const LETTER_PX = 6.6;
+
+interface Spot {
+  x: number;
+  y: number;
+  half: number;
+}
+
 /** Keeps one element per label, and puts each where its point is on the screen. */
 export class Labels {
   private readonly elements = new Map<string, HTMLElement>();
@@ -20,7 +31,9 @@ export class Labels {
       element.remove();
       this.elements.delete(name);
     }
-    for (const [name, label] of labels) this.put(name, label, camera, width, height);
+    const taken: Spot[] = [];
+    const graver = [...labels].sort(([, a], [, b]) => WEIGHT[b.tone] - WEIGHT[a.tone]);
+    for (const [name, label] of graver) this.put(name, label, taken, camera, width, height);
   }
 
   clear(): void {
@@ -28,7 +41,7 @@ export class Labels {
     this.elements.clear();
   }
 
-  private put(name: string, label: Label, camera: Camera, width: number, height: number): void {
+  private put(name: string, label: Label, taken: Spot[], camera: Camera, width: number, height: number): void {
     let element = this.elements.get(name);
     if (element === undefined) {
       element = document.createElement('span');
@@ -38,9 +51,13 @@ export class Labels {
     if (element.textContent !== label.text) element.textContent = label.text;
     element.dataset['tone'] = label.tone;
     this.point.copy(label.at).project(camera);
-    element.hidden = this.point.z > 1;
     const x = ((this.point.x + 1) / 2) * width;
     const y = ((1 - this.point.y) / 2) * height;
+    const spot: Spot = { x, y, half: (label.text.length * LETTER_PX) / 2 };
+    // A name that would cover another is left out: two in one place are none.
+    const free = taken.every((other) => Math.abs(other.y - y) > LINE_PX || Math.abs(other.x - x) > other.half + spot.half);
+    element.hidden = this.point.z > 1 || !free;
+    if (!element.hidden) taken.push(spot);
     element.style.transform = `translate(-50%, -50%) translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
   }
 }

@@ -40,7 +40,7 @@ export class CellView {
   private ground = new Group();
   private overlay = new Overlay(this.palette);
   private info: SceneInfo | null = null;
-  private path: [number, number][] = [];
+  private path: readonly [number, number][] = [];
   private subjects: ReadonlySet<string> = new Set();
   private trouble: Trouble = CALM;
   private last: PoseFrame | null = null;
@@ -52,12 +52,14 @@ export class CellView {
   private fencedMs = 0;
   private readonly robot = new Vector3();
 
-  constructor(private readonly host: HTMLElement, layer: HTMLElement) {
+  /** `lost` hears when the graphics card has dropped the picture: it takes another view to draw again. */
+  constructor(private readonly host: HTMLElement, layer: HTMLElement, private readonly lost: () => void = () => undefined) {
     const soft = isSoftware();
     this.renderer = new WebGLRenderer({ antialias: !soft, powerPreference: 'high-performance' });
     this.ratio = soft ? 1 : Math.min(devicePixelRatio, 2);
     this.renderer.setPixelRatio(this.ratio);
     this.host.prepend(this.renderer.domElement);
+    this.canvas.addEventListener('webglcontextlost', this.lost);
     this.rig = new CameraRig(this.renderer.domElement, () => (this.dirty = true));
     this.labels = new Labels(layer);
     const sun = new DirectionalLight('#ffffff', 1.7);
@@ -78,7 +80,7 @@ export class CellView {
     if (!sameCell) this.rig.frame(info.scene.bounds_m);
   }
 
-  setPath(points: [number, number][]): void {
+  setPath(points: readonly [number, number][]): void {
     this.path = points;
     this.overlay.setPath(points);
     this.dirty = true;
@@ -137,6 +139,7 @@ export class CellView {
 
   end(): void {
     cancelAnimationFrame(this.request);
+    this.canvas.removeEventListener('webglcontextlost', this.lost);
     this.labels.clear();
     this.rig.end();
     this.overlay.end();
@@ -166,7 +169,7 @@ export class CellView {
     };
     const needed = gauge('protective_separation_m');
     const people = this.people();
-    this.overlay.separation(this.robot, people.length > 0 || this.trouble.separation ? needed : null, this.trouble.separation);
+    this.overlay.separation(this.robot, needed, this.trouble.separation);
     const nearest = people.sort((a, b) => a.distanceTo(this.robot) - b.distanceTo(this.robot))[0] ?? null;
     this.overlay.tieTo(this.robot, this.trouble.separation ? nearest : null);
   }
