@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from collections.abc import Generator, Mapping
     from pathlib import Path
 
-    from app.agent.approver import Habits
+    from app.agent.approver import Answer, Habits
+    from app.agent.client import Document
     from app.agent.story import Fetched, Line
 
 START_S: Final = 60.0
@@ -92,9 +93,14 @@ async def _approve(url: str, token: str, habits: Habits) -> None:
         approver = ScriptedApprover(
             client,
             habits,
-            on_answer=lambda asked, answer: say(f"{answer.decision} {asked['capability']} {asked['id']}"),
+            on_answer=lambda asked, answer: say(answered(asked, answer)),
         )
         await approver.run()
+
+
+def answered(asked: Document, answer: Answer) -> str:
+    """Say what was asked, what the approver said, and what the question is since: an approval may leave it pending."""
+    return f"{asked['capability']} {asked['id']}: {answer.decision}, now {answer.status}"
 
 
 def _play(data: DataDir, url: str, habits: Habits | None) -> int:

@@ -210,7 +210,9 @@ def _go_there(step: Step, goal: Goal, site: Site, failed: NotCompleted) -> Repai
     kind, name = next(
         ((kind, step.params[key]) for key, kind in _STANDS.items() if key in step.params), ("objects", goal.subject)
     )
-    place = _known(site, kind, str(name))
+    if name not in site[kind]:
+        return Repair(why=f"there is nowhere to go to reach `{name}`", give_up=True)
+    place = site[kind][name]
     if kind == "objects":
         place = _known(site, "surfaces", place["surface"])
     return Repair(why=f"going to {place['target']} first", first=(_go(place["target"]),))
@@ -227,27 +229,25 @@ def _give_up(step: Step, goal: Goal, site: Site, failed: NotCompleted) -> Repair
 
 _STANDS = {"object_id": "objects", "surface": "surfaces", "area": "areas", "tool": "tools"}
 
-REPAIRS: Mapping[str, _Repairer] = {
-    "cell_busy": _wait,
-    "cell_offline": _wait,
-    "cell_holding": _wait,
-    "object_visible": _look_again,
-    "object_reachable": _go_there,
-    "surface_reachable": _go_there,
-    "area_in_view": _go_there,
-    "tool_reachable": _go_there,
-    "gripper_empty": _start_over,
-    "holding_object": _start_over,
-    "object_lost": _start_over,
-    "grasp_failed": _look_again,
-    "object_not_found": _look_again,
-    "perception_mismatch": _look_again,
-    "postcondition_failed": _start_over,
-    "blocked": _wait,
-    "no_path": _wait,
-    "timeout": _start_over,
-}
-"""What the agent does about a reason; whatever is not here ends the goal. A denial is never argued with."""
+_BY_REPAIR: tuple[tuple[_Repairer, str], ...] = (
+    (
+        _wait,
+        "cell_busy cell_offline conditions_changed sensors_fresh sensor_fault arm_ready arm_retracted blocked no_path",
+    ),
+    (_look_again, "object_visible area_inspected object_not_found grasp_failed perception_mismatch contact"),
+    (_go_there, "object_reachable surface_reachable tool_reachable area_in_view unreachable"),
+    (_start_over, "gripper_empty carrying object_secured object_placed at_target tool_actuated"),
+    (_start_over, "object_lost placement_failed tool_failed postcondition_failed timeout stall"),
+    (_start_over, "session_lost cell_lost cell_restarted launch_unconfirmed"),
+    (_give_up, "overgrip overspeed zone instability retries_exhausted rollback_failed verified"),
+    (_give_up, "operator taken_over control_lapsed cancelled estop shutdown"),
+)
+REPAIRS: Mapping[str, _Repairer] = {code: repairer for repairer, codes in _BY_REPAIR for code in codes.split()}
+"""What the agent does about a reason: a precondition that is not met, a failure, or how a session was ended.
+
+What needs a person, or a proposal that it cannot think of, ends the goal, and so does whatever is not here. A denial is
+never argued with.
+"""
 
 
 def repair(step: Step, goal: Goal, site: Site, failed: NotCompleted) -> Repair:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 RULE: Final = "cell/session"
-_KNOWN: Final[Mapping[str, tuple[str, str]]] = {
+KNOWN: Final[Mapping[str, tuple[str, str]]] = {
     "object_not_found": ("the object is not where it was remembered", "inspect the area where it may be"),
     "grasp_failed": ("the grasp did not succeed", "look again, then grasp again"),
     "object_lost": ("the object slipped out of the grip", "inspect the area, then grasp it again"),
@@ -52,4 +52,4 @@ def failure(*codes: str) -> dict[str, Any]:
             out.
     """
     named = [code for code in dict.fromkeys(codes) if code]
-    return {"reasons": [reason(RULE, code, *_KNOWN.get(code, (f"the session ended: {code}", ""))) for code in named]}
+    return {"reasons": [reason(RULE, code, *KNOWN.get(code, (f"the session ended: {code}", ""))) for code in named]}

@@ -4,6 +4,7 @@ import pytest
 
 from app.agent.approver import Answer, ScriptedApprover, decide, parse_habits
 from app.agent.client import AsyncReinsClient, Problem
+from app.demo import answered
 
 from .scripted_server import Turn, serve
 
@@ -157,3 +158,9 @@ async def test_leaves_with_the_servers_own_words_when_an_answer_is_refused():
         async with AsyncReinsClient(server.url, "t") as client:
             with pytest.raises(Problem, match="role_forbidden: not this role"):
                 await ScriptedApprover(client, parse_habits(HABITS)).run()
+
+
+def test_says_what_became_of_the_question_beside_what_was_answered():
+    answer = Answer(escalation="esc_1", decision="approve", erred=False, edit={}, status="pending")
+    asked = {"id": "esc_1", "capability": "operate_tool"}
+    assert answered(asked, answer) == "operate_tool esc_1: approve, now pending"

@@ -5,7 +5,9 @@ from pathlib import Path
 import pytest
 
 from app.agent.client import AsyncReinsClient, ExecutionFailed, Refused, Unreachable
-from app.agent.planner import Goal, GoalFailed, ReferenceAgent, Step, plan_for, recall, repair
+from app.agent.planner import REPAIRS, Goal, GoalFailed, ReferenceAgent, Step, plan_for, recall, repair
+from app.governance.conditions import TESTS
+from app.runtime.failures import KNOWN as KNOWN_FAILURES
 
 from .scripted_server import Turn, serve
 
@@ -37,6 +39,20 @@ def test_a_fetch_is_planned_as_the_papers_sequence():
     assert [step.capability for step in plan_for(FETCH, SITE)] == [
         "navigate_to", "inspect_area", "grasp_object", "transport_object", "place_object",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("code", sorted({*KNOWN_FAILURES, *TESTS, "cell_busy", "cell_offline", "conditions_changed"}))
+def test_knows_what_to_do_about_every_reason_it_may_be_given(code: str):
+    assert code in REPAIRS
+
+
+@pytest.mark.parametrize("code", sorted(REPAIRS))
+def test_no_repair_asks_for_more_than_the_site_has(code: str):
+    for goal in (FETCH, Goal(kind="go", subject="bench_b_stand")):
+        for step in plan_for(goal, SITE):
+            chosen = repair(step, goal, SITE, ExecutionFailed(failed_of(code)))
+            assert chosen.why
+            assert chosen.give_up + chosen.restart + bool(chosen.first) + bool(chosen.wait_s) == 1
 
 
 def test_planning_names_what_the_site_does_not_know():
