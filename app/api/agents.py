@@ -8,18 +8,18 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Annotated
 
-from fastapi import Path, Query
+from fastapi import Query
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from starlette.requests import Request
 from starlette.responses import Response
 
 from app.api import documents
 from app.api.access import caller
+from app.api.listing import Filter, Identifier, PageQuery
 from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
 from app.api.problems import Problem
 from app.api.wire import CheckBody, EmptyBody, ProposalBody, read_body, read_idempotency_key, read_optional
-from app.audit.reader import parse_cursor
 from app.clock import parse_rfc3339
 from app.governance.model import Mode, Role, Status, Strategy
 from app.runtime.invocation import Principal, ProposalRequest
@@ -28,16 +28,7 @@ if TYPE_CHECKING:
     from fastapi import APIRouter
 
 MAX_WAIT_S = 60.0
-MAX_LIMIT = 200
 _STAMP = re.compile(r"\d{4}-\d{2}-\d{2}T\d{2}:\d{2}:\d{2}\.\d{3}Z", re.ASCII)  # the one form `updated_at` is written in
-
-Identifier = Annotated[str, Path(min_length=1, max_length=128)]
-Filter = Annotated[str | None, Field(min_length=1, max_length=128)]
-
-
-def _cursor(text: str) -> str:
-    parse_cursor(text)
-    return text
 
 
 def _seen(text: str) -> str:
@@ -47,20 +38,13 @@ def _seen(text: str) -> str:
     return text
 
 
-Cursor = Annotated[str, Field(max_length=256, description="The `next` of the page before."), AfterValidator(_cursor)]
-
-
-class InvocationQuery(BaseModel):
+class InvocationQuery(PageQuery):
     """Filters of the list of invocations."""
-
-    model_config = ConfigDict(extra="forbid")
 
     status: Status | None = None
     capability: Filter = None
     agent: Filter = None
     cell: Filter = None
-    limit: Annotated[int, Field(ge=1, le=MAX_LIMIT)] = 50
-    cursor: Cursor | None = None
 
 
 class WaitQuery(BaseModel):

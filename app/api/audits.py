@@ -12,7 +12,6 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
 import orjson
-from fastapi import Path as InPath
 from fastapi import Query
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from starlette.requests import Request
@@ -20,6 +19,7 @@ from starlette.responses import FileResponse, Response, StreamingResponse
 
 from app.api import documents
 from app.api.access import caller
+from app.api.listing import Filter, Identifier
 from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
 from app.api.problems import Problem
@@ -54,8 +54,6 @@ def _moment(text: str) -> str:
     return moment
 
 
-Identifier = Annotated[str, InPath(min_length=1, max_length=128)]
-Filter = Annotated[str | None, Field(min_length=1, max_length=128)]
 Moment = Annotated[str, Field(max_length=40, examples=["2026-03-01T09:30:00.250Z"]), AfterValidator(_moment)]
 
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from fastapi import Query
-from pydantic import BaseModel, ConfigDict, Field
 from starlette.requests import Request
 from starlette.responses import Response
 
 from app.api import documents
 from app.api.access import caller
-from app.api.agents import MAX_LIMIT, Cursor, Identifier
+from app.api.listing import Identifier, PageQuery
 from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
 from app.api.wire import GrantBody, ReviewRequestBody, VerdictBody, read_body
@@ -22,24 +21,16 @@ if TYPE_CHECKING:
     from fastapi import APIRouter
 
 
-class GrantQuery(BaseModel):
+class GrantQuery(PageQuery):
     """Filters of the list of grants."""
 
-    model_config = ConfigDict(extra="forbid")
-
     status: Literal["active", "ended"] | None = None
-    limit: Annotated[int, Field(ge=1, le=MAX_LIMIT)] = 50
-    cursor: Cursor | None = None
 
 
-class ReviewQuery(BaseModel):
+class ReviewQuery(PageQuery):
     """Filters of the list of reviews."""
 
-    model_config = ConfigDict(extra="forbid")
-
     status: Literal["waiting", "accepted", "objected", "inconclusive"] | None = None
-    limit: Annotated[int, Field(ge=1, le=MAX_LIMIT)] = 50
-    cursor: Cursor | None = None
 
 
 async def grants(request: Request, query: Annotated[GrantQuery, Query()]) -> Response:

@@ -9,13 +9,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from fastapi import Query
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import model_validator
 from starlette.requests import Request
 from starlette.responses import Response
 
 from app.api import documents
 from app.api.access import caller
-from app.api.agents import MAX_LIMIT, Cursor, Identifier
+from app.api.listing import Identifier, PageQuery
 from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
 from app.api.problems import Problem
@@ -27,15 +27,11 @@ if TYPE_CHECKING:
     from fastapi import APIRouter
 
 
-class EscalationQuery(BaseModel):
+class EscalationQuery(PageQuery):
     """Filters of the list of escalations."""
-
-    model_config = ConfigDict(extra="forbid")
 
     status: Literal["pending", "approved", "denied", "expired", "withdrawn"] | None = None
     sort: Literal["newest", "urgency"] = "newest"
-    limit: Annotated[int, Field(ge=1, le=MAX_LIMIT)] = 50
-    cursor: Cursor | None = None
 
     @model_validator(mode="after")
     def _urgent_is_what_waits(self) -> EscalationQuery:
@@ -173,8 +169,21 @@ async def cells(request: Request) -> Response:
 
 def register(router: APIRouter) -> None:
     """Add the operators' routes."""
-    session = ("request_invalid", "invocation_unknown", "wrong_status")
-    interrupt = (*session, "interrupt_not_enabled", "ending", "estop_latched")
+    _questions(router)
+    _sessions(router)
+    _controls(router)
+    _cells(router)
+
+
+SESSION_CODES = ("request_invalid", "invocation_unknown", "wrong_status")
+CELL_CODES = ("request_invalid", "cell_unknown", "record_unavailable")
+
+
+def _questions(router: APIRouter) -> None:
+    question = documents.EscalationDocument
+    late = ("already_resolved", "escalation_expired", "record_unavailable")
+    answering = ("own_proposal", "cell_offline", "params_invalid", "already_approved", "digest_mismatch")
+    refused = ("edit_refused", "grant_refused", "ending")
     declare(
         router,
         "GET /v1/escalations",
@@ -185,104 +194,80 @@ def register(router: APIRouter) -> None:
         router,
         "GET /v1/escalations/{id}",
         escalation,
-        Answers(model=documents.EscalationDocument, codes=("request_invalid", "escalation_unknown")),
+        Answers(model=question, codes=("request_invalid", "escalation_unknown")),
     )
     declare(
         router,
         "POST /v1/escalations/{id}/resolve",
         resolve,
-        Answers(
-            model=documents.EscalationDocument,
-            codes=(
-                "own_proposal",
-                "escalation_unknown",
-                "cell_offline",
-                "params_invalid",
-                "already_resolved",
-                "already_approved",
-                "escalation_expired",
-                "digest_mismatch",
-                "edit_refused",
-                "grant_refused",
-                "ending",
-                "record_unavailable",
-            ),
-        ),
+        Answers(model=question, codes=("escalation_unknown", *late, *answering, *refused)),
         body=ResolveBody,
     )
     declare(
         router,
         "POST /v1/escalations/{id}/acknowledge",
         acknowledge,
-        Answers(
-            model=documents.EscalationDocument,
-            codes=("escalation_unknown", "already_resolved", "escalation_expired", "record_unavailable"),
-        ),
+        Answers(model=question, codes=("escalation_unknown", *late)),
         body=EmptyBody,
     )
+
+
+def _sessions(router: APIRouter) -> None:
+    interrupt = (*SESSION_CODES, "interrupt_not_enabled", "ending", "estop_latched")
+    loosening = (*interrupt, "cell_offline", "record_unavailable")
     for word, endpoint, body, codes in (
         ("pause", pause, None, interrupt),
-        ("stop", stop, None, session),
-        ("resume", resume, EmptyBody, (*interrupt, "cell_offline", "record_unavailable")),
-        ("rollback", rollback, EmptyBody, (*interrupt, "cell_offline", "control_held", "record_unavailable")),
+        ("stop", stop, None, SESSION_CODES),
+        ("resume", resume, EmptyBody, loosening),
+        ("rollback", rollback, EmptyBody, (*loosening, "control_held")),
     ):
-        declare(
-            router,
-            f"POST /v1/invocations/{{id}}/{word}",
-            endpoint,
-            Answers(model=documents.InvocationDocument, codes=codes),
-            body=body,
-        )
-    cell = ("request_invalid", "cell_unknown", "record_unavailable")
-    declare(router, "POST /v1/cells/{id}/estop", estop, Answers(model=documents.CellDocument, codes=cell))
-    declare(
-        router,
-        "POST /v1/cells/{id}/reset",
-        reset,
-        Answers(model=documents.CellDocument, codes=(*cell, "not_latched", "cell_offline", "not_armed")),
-        body=ResetBody,
-    )
-    taking = ("takeover_not_enabled", "takeover_refused", "control_held", "ending", "cell_offline", "estop_latched")
+        answers = Answers(model=documents.InvocationDocument, codes=codes)
+        declare(router, f"POST /v1/invocations/{{id}}/{word}", endpoint, answers, body=body)
+
+
+def _controls(router: APIRouter) -> None:
+    present = ("control_held", "ending", "cell_offline", "estop_latched")
+    taking = (*present, "takeover_not_enabled", "takeover_refused")
+    returning = (*present, "not_taken_over", "nothing_to_resume", "resume_refused", "facts_stale")
     declare(
         router,
         "POST /v1/invocations/{id}/takeover",
         takeover,
-        Answers(model=documents.LeaseDocument, codes=(*session, *taking, "record_unavailable")),
+        Answers(model=documents.LeaseDocument, codes=(*SESSION_CODES, *taking, "record_unavailable")),
         body=EmptyBody,
     )
     declare(
         router,
         "POST /v1/cells/{id}/takeover",
         take_cell,
-        Answers(model=documents.LeaseDocument, codes=(*cell, *taking, "cell_busy", "wrong_status")),
+        Answers(model=documents.LeaseDocument, codes=(*CELL_CODES, *taking, "cell_busy", "wrong_status")),
         body=EmptyBody,
     )
     declare(
         router,
         "POST /v1/invocations/{id}/release",
         release,
-        Answers(
-            model=documents.InvocationDocument,
-            codes=(
-                *session,
-                "not_taken_over",
-                "control_held",
-                "nothing_to_resume",
-                "resume_refused",
-                "facts_stale",
-                "ending",
-                "cell_offline",
-                "estop_latched",
-                "record_unavailable",
-            ),
-        ),
+        Answers(model=documents.InvocationDocument, codes=(*SESSION_CODES, *returning, "record_unavailable")),
         body=ReleaseBody,
+    )
+
+
+def _cells(router: APIRouter) -> None:
+    cell = documents.CellDocument
+    resetting = ("not_latched", "cell_offline", "not_armed")
+    declare(router, "GET /v1/cells", cells, Answers(model=documents.CellList))
+    declare(router, "POST /v1/cells/{id}/estop", estop, Answers(model=cell, codes=CELL_CODES))
+    declare(
+        router,
+        "POST /v1/cells/{id}/reset",
+        reset,
+        Answers(model=cell, codes=(*CELL_CODES, *resetting)),
+        body=ResetBody,
     )
     declare(
         router,
         "PUT /v1/cells/{id}/profile",
         set_profile,
-        Answers(model=documents.CellDocument, codes=(*cell, "profile_unknown")),
+        Answers(model=cell, codes=(*CELL_CODES, "profile_unknown")),
         body=ProfileBody,
     )
-    declare(router, "GET /v1/cells", cells, Answers(model=documents.CellList))

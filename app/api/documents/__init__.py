@@ -1,0 +1,101 @@
+"""What goes out, as OpenAPI describes it: one model for every document the server answers with.
+
+Answers are written from plain documents and not run through these models (that would cost the hot path more than the
+decision itself); the tests hold every real answer against them instead.
+"""
+
+from app.api.documents.base import Anything, Document, ReasonDocument
+from app.api.documents.cells import ArmingDocument, CellDocument, CellList, LeaseDocument, SittingDocument
+from app.api.documents.invocations import (
+    AdmissionDocument,
+    ChangeDocument,
+    EscalationReference,
+    FailureDocument,
+    InvocationDocument,
+    InvocationList,
+    PolicyDocument,
+    TakeoverDocument,
+    VerdictDocument,
+)
+from app.api.documents.questions import (
+    AcknowledgementDocument,
+    ApprovalDocument,
+    DenialDocument,
+    EditDocument,
+    EscalationDocument,
+    EscalationList,
+    GrantDocument,
+    GrantEnd,
+    GrantList,
+    ReviewDocument,
+    ReviewList,
+    VerdictGiven,
+)
+from app.api.documents.record import (
+    CheckpointDocument,
+    EventDocument,
+    EventList,
+    McapFile,
+    PeopleDocument,
+    TelemetryDocument,
+    Trace,
+    VerificationDocument,
+    WayDocument,
+)
+from app.api.documents.server import (
+    CapabilityDocument,
+    CapabilityList,
+    FieldError,
+    Health,
+    PolicySetDocument,
+    ProblemDocument,
+    Readiness,
+)
+
+__all__ = [
+    "AcknowledgementDocument",
+    "AdmissionDocument",
+    "Anything",
+    "ApprovalDocument",
+    "ArmingDocument",
+    "CapabilityDocument",
+    "CapabilityList",
+    "CellDocument",
+    "CellList",
+    "ChangeDocument",
+    "CheckpointDocument",
+    "DenialDocument",
+    "Document",
+    "EditDocument",
+    "EscalationDocument",
+    "EscalationList",
+    "EscalationReference",
+    "EventDocument",
+    "EventList",
+    "FailureDocument",
+    "FieldError",
+    "GrantDocument",
+    "GrantEnd",
+    "GrantList",
+    "Health",
+    "InvocationDocument",
+    "InvocationList",
+    "LeaseDocument",
+    "McapFile",
+    "PeopleDocument",
+    "PolicyDocument",
+    "PolicySetDocument",
+    "ProblemDocument",
+    "Readiness",
+    "ReasonDocument",
+    "ReviewDocument",
+    "ReviewList",
+    "SittingDocument",
+    "TakeoverDocument",
+    "TelemetryDocument",
+    "Trace",
+    "VerdictDocument",
+    "VerdictGiven",
+    "VerificationDocument",
+    "WayDocument",
+]

@@ -1,0 +1,75 @@
+"""The policy in force, the state of the server, and refusals of a request itself."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import Field
+
+from app.api.documents.base import Anything, Document, ReasonDocument
+from app.governance.model import Risk
+
+
+class CapabilityDocument(Anything):
+    """A capability package; `inputs` is a JSON Schema 2020-12 whose numbers carry `unit`."""
+
+    name: str
+    version: str
+    summary: str
+    inputs: dict[str, Any]
+    risk: Risk
+
+
+class CapabilityList(Document):
+    """The registered capabilities; `next` is always null."""
+
+    items: list[CapabilityDocument]
+    next: None
+
+
+class PolicySetDocument(Document):
+    """The policy set in force: `version` is the digest of its files, which invocations name as `policy_version`."""
+
+    version: str
+    capabilities: list[str]
+    profiles: dict[str, Any]
+    rules: list[dict[str, Any]]
+    agents: dict[str, Any]
+    authority: dict[str, Any]
+    files: list[str]
+    site: dict[str, Any]
+
+
+class Health(Document):
+    """The process answers; `degraded` where stops are obeyed but nothing is launched, and `broken` says why."""
+
+    status: Literal["ok", "degraded"]
+    version: str
+    broken: dict[str, str]
+
+
+class Readiness(Document):
+    """Whether something could be launched; `broken` says what is in the way and why."""
+
+    ready: bool
+    broken: dict[str, str]
+
+
+class FieldError(Document):
+    """One field that is wrong, and what would be valid."""
+
+    field: str
+    message: str
+
+
+class ProblemDocument(Document):
+    """A refusal of the request itself (RFC 9457); `code` is stable."""
+
+    type: str = Field(examples=["urn:reins:problem:malformed_json"])
+    title: str
+    status: int
+    detail: str
+    code: str
+    instance: str
+    errors: list[FieldError] | None = None
+    reasons: list[ReasonDocument] | None = None
