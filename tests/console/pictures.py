@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 from playwright.sync_api import expect, sync_playwright
@@ -13,60 +13,98 @@ from tests.conftest import ServerProcess, Servers, until
 from tests.console.conftest import DESK, FLAGS, PHONE, ROOT, Floor, People, Person, chromium
 
 FOLDER = ROOT / "docs" / "pictures"
-LIMIT_B = 250_000
+LIMIT_B = 300_000
+SIZES = {"desk": DESK, "phone": PHONE}
+# Somebody walks up to the robot on its third drive, and stays until the pictures are taken.
+SCENARIO = """summary: Somebody walks up to the robot while it drives, and stays.
+people:
+  - points: [[7.4, 3.9], [2.7, 3.5]]
+    speed_mps: 1.2
+    start: {capability: navigate_to, phase: drive, run: 3, after_s: 1.0}
+    stay_s: {1: 900.0}
+"""
 
 
-def views(person: Person, floor: Floor, ended: str) -> Iterator[str]:
-    """Lead a person from picture to picture."""
-    page = person.page
-    floor.ask()
-    expect(page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
-    page.mouse.move(0, 0)
-    yield "live"
-    page.evaluate(f"location.hash = '#/audit/{ended}'")
-    moment = page.get_by_role("slider", name="Moment of the session")
-    expect(page.locator("article.trace canvas").first).to_be_visible()
-    moment.evaluate("(at) => { at.value = at.max * 0.6; at.dispatchEvent(new Event('input', {bubbles: true})); }")
-    yield "audit"
-    page.evaluate("location.hash = '#/policy'")
-    expect(page.get_by_role("table").first).to_be_visible()
-    yield "policy"
-    page.evaluate("location.hash = '#/fleet'")
-    expect(page.get_by_role("heading", name="Fleet")).to_be_visible()
-    yield "fleet"
+def shoot(person: Person, name: str) -> None:
+    person.page.mouse.move(0, 0)
+    person.page.wait_for_timeout(1_500)  # plots and scene fill; nothing is decided on it
+    person.page.screenshot(path=FOLDER / f"{name}.png")
+
+
+def live(person: Person) -> None:
+    expect(person.page.get_by_role("article", name="Drive to bench_b")).to_be_visible()
+
+
+def takeover(person: Person) -> None:
+    person.press("t")
+    person.button("Take the controls").click()
+    expect(person.page.get_by_text("Hold to run; let go to stop")).to_be_visible()
+
+
+def audit(ended: str) -> Callable[[Person], None]:
+    def look(person: Person) -> None:
+        page = person.page
+        page.evaluate(f"location.hash = '#/audit/{ended}'")
+        moment = page.get_by_role("slider", name="Moment of the session")
+        expect(page.locator("article.trace canvas").first).to_be_visible()
+        moment.evaluate("(at) => { at.value = at.max * 0.6; at.dispatchEvent(new Event('input', {bubbles: true})); }")
+
+    return look
+
+
+def policy(person: Person) -> None:
+    person.page.evaluate("location.hash = '#/policy'")
+    expect(person.page.get_by_role("table").first).to_be_visible()
+
+
+def fleet(person: Person) -> None:
+    person.page.evaluate("location.hash = '#/fleet'")
+    expect(person.page.get_by_role("heading", name="Fleet")).to_be_visible()
 
 
 def take(people: People, server: ServerProcess) -> None:
     floor = Floor(server)
     x, y = floor.base()
-    drive = floor.drive(x_m=x, y_m=y - 0.3, yaw_rad=1.5708)["id"]
-    server.await_status(drive, "completed")
+    ended = floor.drive(x_m=x, y_m=y - 0.3, yaw_rad=1.5708)["id"]
+    server.await_status(ended, "completed")
     server.await_status(floor.drive(target="bench_a_stand")["id"], "completed")
-    until(lambda: server.get(f"/v1/audit/events?invocation={drive}&kind=telemetry")["items"], what="its telemetry")
-    for name, size in (("desk", DESK), ("phone", PHONE)):
-        for theme in ("dark", "light"):
-            person = people.sit(server, size=size, theme=theme)
-            for view in views(person, floor, drive):
-                person.page.wait_for_timeout(1_500)  # plots and scene fill; nothing is decided on it
-                file = FOLDER / f"{view}-{name}-{theme}.png"
-                person.page.screenshot(path=file)
-                print(f"{file.relative_to(ROOT)} {file.stat().st_size // 1024} kB")
-            floor.clear()
-            floor.made.clear()
+    until(lambda: server.get(f"/v1/audit/events?invocation={ended}&kind=telemetry")["items"], what="its telemetry")
+    seated = {name: people.sit(server, size=size) for name, size in SIZES.items()}
+    light = {name: people.sit(server, size=size, theme="light") for name, size in SIZES.items()}
+    held = floor.drive(target="bench_b_stand")["id"]
+    server.await_status(held, "escalated")
+    for theme, group in (("dark", seated), ("light", light)):
+        for name, person in group.items():
+            live(person)
+            shoot(person, f"live-{name}-{theme}")
+    for view, lead in (("audit", audit(ended)), ("policy", policy), ("fleet", fleet)):
+        for name, person in seated.items():
+            lead(person)
+            shoot(person, f"{view}-{name}-dark")
+    people.leave()
+    for name, size in SIZES.items():
+        person = people.sit(server, size=size)
+        takeover(person)
+        shoot(person, f"takeover-{name}-dark")
+        person.button("End session").click()
+        server.await_status(held, "failed", "completed")
+        person.context.close()
 
 
 def main() -> int:
     FOLDER.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
+        scenario = Path(folder) / "scenario.yaml"
+        scenario.write_text(SCENARIO)
         servers = Servers(Path(folder))
         browser = playwright.chromium.launch(executable_path=chromium(), args=list(FLAGS))
         try:
-            take(People(browser), servers.start(None, "--pace", "1"))
+            take(People(browser), servers.start(None, "--pace", "1", "--scenario", str(scenario)))
         finally:
             browser.close()
             servers.end()
-    heavy = [file.name for file in FOLDER.glob("*.png") if file.stat().st_size > LIMIT_B]
-    return f"heavier than {LIMIT_B} B: {', '.join(heavy)}" if heavy else 0
+    heavy = [file.name for file in FOLDER.glob("*.png") if file.stat().st_size >= LIMIT_B]
+    return f"{LIMIT_B} B or heavier: {', '.join(heavy)}" if heavy else 0
 
 
 if __name__ == "__main__":
