@@ -1,16 +1,13 @@
-"""Taking over and handing back: one lease for each cell's controls, and the authorizations that go with it.
+"""Taking over, and driving: one lease for each cell's controls, and the authorizations that go with it.
 
 A human drives under an authorization of their own, decided, recorded and signed as any (`takeover`), for the session
 that runs or for one that is nothing else. Jog commands are not recorded one by one: the right to give them is, before
 the first one moves anything, and the cell records what they come to. What restrains (a lapse, an end) is sent first.
-
-A session goes on after a takeover only under a new authorization: its proposal is decided again on the facts of now.
 """
 
 from __future__ import annotations
 
 import asyncio
-from contextlib import suppress
 from dataclasses import replace
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
@@ -18,43 +15,30 @@ from typing import TYPE_CHECKING, Any, Final
 from app.audit.event import EventDraft
 from app.clock import monotonic_s
 from app.governance.authority import refusal
-from app.governance.control import TAKEOVER, Claim, Control, Taking, Where, command, returning, take
+from app.governance.control import TAKEOVER, Claim, Control, Taking, Where, command, take
 from app.governance.model import SESSION, AuthorityMode, EventKind, Proposal, Role, Status, Wish
 from app.governance.policy import watch_plan
 from app.governance.policy_model import GOVERNANCE
-from app.protocol import Human, Jog
-from app.runtime.cells import FRESH_S
+from app.protocol import Jog
 from app.runtime.drafts import SERVER
-from app.runtime.errors import Conflict, NotFound
-from app.runtime.hands import HELD, RETURNING, given_back, taken
-from app.runtime.invocation import Invocation, Terms, may_see
-from app.runtime.readmission import readmitted
+from app.runtime.errors import Conflict
+from app.runtime.handback import Handbacks
+from app.runtime.hands import taken
+from app.runtime.invocation import Invocation, Terms
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from app.runtime.cells import Cell
-    from app.runtime.desk import Desk
-    from app.runtime.fleet import Fleet
     from app.runtime.invocation import Principal
-    from app.runtime.kernel import Judgement, Kernel
-    from app.runtime.register import Register
+    from app.runtime.kernel import Judgement
 
 LOOK_S: Final = 0.1
-FACTS_S: Final = FRESH_S  # by then the state that is there says nothing either
-RETURN_S: Final = 3.0  # for a robot to come to rest and its plan to be bound anew
-THENS: Final = ("resume", "rollback", "end")
-RULE: Final = "authority/takeover"
 
 
-class Takeovers:
+class Takeovers(Handbacks):
     """Who drives what by hand."""
-
-    register: Register
-    kernel: Kernel
-    fleet: Fleet
-    desk: Desk
 
     # -- taking ------------------------------------------------------------------------------------------------------
 
@@ -132,26 +116,10 @@ class Takeovers:
             raise
         return document
 
-    async def _session(self, invocation_id: str, principal: Principal) -> Invocation:
-        present = self.register.newest(invocation_id) or await self.register.load(invocation_id)
-        if not may_see(principal, present.agent):
-            raise NotFound("invocation", invocation_id)
-        if present.status not in SESSION:
-            raise Conflict("wrong_status", f"`takeover` is not possible while the invocation is `{present.status}`")
-        return present
-
     def _allow_takeover(self, profile: str) -> None:
         refused = refusal(self.kernel.policy, profile, AuthorityMode.TAKEOVER_ENABLED)
         if refused is not None:
             raise Conflict.of(refused)
-
-    def _reachable(self, cell: Cell, invocation: str) -> None:
-        if word := cell.ending(invocation):
-            raise Conflict("ending", f"the session is coming to its end after `{word}`")
-        if self.fleet.latched(cell):
-            raise Conflict("estop_latched", f"the cell `{cell.id}` is stopped and latched; valid: reset it first")
-        if not self.fleet.attached(cell):
-            raise Conflict("cell_offline", f"the cell `{cell.id}` is away: nobody can drive it")
 
     def _take(self, cell: Cell, principal: Principal, invocation: str) -> tuple[Control | None, Taking]:
         """Take the lease at once, before anything is awaited: of two who want it, one has it then."""
@@ -302,133 +270,6 @@ class Takeovers:
                 await self.register.say(
                     EventDraft(kind=EventKind.HUMAN, actor=SERVER, invocation=lapsed.invocation, body=body)
                 )
-
-    # -- handing back ------------------------------------------------------------------------------------------------
-
-    @uncut
-    async def release(self, invocation_id: str, principal: Principal, then: str) -> dict[str, Any]:
-        """Hand a session back, to go on (`resume`), to be undone (`rollback`), or done with (`end`).
-
-        Waits, shortly, for the cell to say that it has the session again.
-
-        Raises:
-            NotFound: there is none that this principal may see.
-            Conflict: `wrong_status`, `not_taken_over`, `control_held`, `nothing_to_resume`, `ending`, `cell_offline`;
-                `facts_stale`, and `resume_refused` with the reasons: the holder keeps the controls.
-            RecordUnavailable: nothing was recorded, and the holder keeps the controls.
-        """
-        present = await self._session(invocation_id, principal)
-        cell = self.fleet.cell(present.cell or "")
-        control = cell.control
-        if control is None or control.invocation != present.id:
-            raise Conflict("not_taken_over", f"nobody has the controls of `{present.id}`")
-        if control.holder != principal.name:
-            raise Conflict("control_held", f"`{control.holder}` has the controls of `{cell.id}`; valid: they hand back")
-        self._reachable(cell, present.id)
-        if then == "resume" and present.capability == TAKEOVER:
-            raise Conflict("nothing_to_resume", "nothing ran before; valid: `rollback`, `end`")
-        if then == "end":
-            return await self._end(cell, present, principal)
-        if not await self._newer(cell) and then == "resume":  # a rollback is the cell's own to judge
-            raise Conflict(
-                "facts_stale",
-                f"the cell `{cell.id}` has not said for {FACTS_S:g} s where the robot is, so nothing can be decided on "
-                "that; valid: again when it does, or `end`",
-            )
-        cell.control = returning(control)
-        try:
-            if then == "resume":
-                await self._resume(cell, present.id, principal)
-            else:
-                await self._roll_back(cell, present.id, principal)
-        except BaseException:
-            _keep(cell, control)
-            raise
-        return await self._returned(present.id, then)
-
-    async def _newer(self, cell: Cell) -> bool:
-        """Wait for the cell's next state, since a plan begins with where the robot is now; say whether there is one."""
-        try:
-            async with asyncio.timeout(FACTS_S):
-                await cell.stated.wait()
-        except TimeoutError:
-            return False
-        return True
-
-    async def _end(self, cell: Cell, present: Invocation, principal: Principal) -> dict[str, Any]:
-        document = cell.control_document() or {}
-        if cell.control is not None:
-            cell.control = returning(cell.control)
-        self.fleet.restrain(cell, Human(invocation=present.id, op="end_takeover", actor=principal.name))
-        await self.register.say(self._word("release", present, principal, document, then="end"))
-        return await self._returned(present.id, "end")
-
-    async def _resume(self, cell: Cell, invocation: str, principal: Principal) -> None:
-        entry = self.register.entry(invocation)
-        if entry is None:
-            raise Conflict("wrong_status", f"`{invocation}` has ended")
-        async with entry.lock:
-            present = entry.newest
-            judgement, approvals = await readmitted(self.kernel, self.register, cell, present, principal)
-            document = cell.control_document() or {}
-            async with self.kernel.launch(present, judgement, approvals, anew=True) as launch:
-                word = self._word("release", present, principal, document, then="resume")
-                version = self._given_back(cell, present, "resume", terms=launch.invocation.terms)
-                recheck = judgement.recheck_events(present)
-                await self.register.append([word, *recheck, *launch.events], launch.rows, [version])
-
-    async def _roll_back(self, cell: Cell, invocation: str, principal: Principal) -> None:
-        entry = self.register.entry(invocation)
-        if entry is None:
-            raise Conflict("wrong_status", f"`{invocation}` has ended")
-        async with entry.lock:
-            present, document = entry.newest, cell.control_document() or {}
-            word = self._word("release", present, principal, document, then="rollback")
-            await self.register.append([word], versions=[self._given_back(cell, present, "rollback")])
-            self.fleet.order(cell, Human(invocation=invocation, op="rollback", actor=principal.name))
-
-    def _given_back(self, cell: Cell, present: Invocation, then: str, **changes: Any) -> Invocation:  # noqa: ANN401
-        facts = cell.state.facts if cell.fresh and cell.state is not None else None
-        takeover = given_back(present.takeover or {}, then, facts)
-        return present.evolve(self.register.now(), takeover=takeover, **changes)
-
-    async def _returned(self, invocation: str, then: str) -> dict[str, Any]:
-        """Wait until the cell has said what became of the way back; a refusal is the caller's."""
-        known = await self.register.load(invocation)
-        with suppress(TimeoutError):
-            async with asyncio.timeout(RETURN_S):
-                while not known.final and (known.takeover or {}).get("state") in (RETURNING, HELD):
-                    code = (known.takeover or {}).get("refused")
-                    if code and then != "end":
-                        raise Conflict(
-                            "resume_refused",
-                            f"the cell cannot: `{code}`; the controls stay where they are",
-                            reasons=[{"rule": RULE, "code": str(code), "message": f"`{code}`", "remedy": ""}],
-                        )
-                    known = await self.register.wait(invocation, RETURN_S, known.updated_at)
-        return known.public()
-
-    def _word(
-        self,
-        op: str,
-        present: Invocation,
-        principal: Principal,
-        lease: Mapping[str, Any],
-        how: Taking | None = None,
-        **more: str,
-    ) -> EventDraft:
-        body = {"op": op, "role": principal.role, "cell": present.cell, "status": present.status, **more}
-        for name in ("lease", "where"):
-            body[name] = lease.get(name)
-        if how is not None:
-            body["how"] = how
-        return EventDraft(kind=EventKind.HUMAN, actor=principal.name, invocation=present.id, body=body)
-
-
-def _keep(cell: Cell, control: Control) -> None:
-    """Let a lease go on that was not handed back after all, if nobody else has the controls by now."""
-    if cell.control is not None and cell.control.lease == control.lease:
-        cell.control = replace(control, heard_s=monotonic_s())
 
 
 def _held_to(judgement: Judgement) -> None:

@@ -174,6 +174,32 @@ async def test_what_policy_does_not_let_go_on_stays_in_hand_with_the_reasons(
     assert jog(runtime, OPERATOR, place.control_document() or {}, 5) is None
 
 
+async def test_controls_that_were_lost_while_facts_were_awaited_are_not_handed_back(
+    runtime: Runtime, cell: HandCell, driving: str
+) -> None:
+    await runtime.governor.take_over(driving, OPERATOR)
+    place = runtime.fleet.cell("workcell-1")
+    back = asyncio.ensure_future(refused(runtime.governor.release(driving, OPERATOR, "rollback")))
+    await asyncio.sleep(0.05)  # it waits for facts, which do not come yet
+    local = await runtime.governor.take_over(driving, LOCAL)
+    await cell.state()
+    assert (await back).code == "control_held"
+    assert place.control is not None
+    assert (place.control.lease, place.control.phase) == (local["lease"], "held")
+
+
+async def test_what_is_being_handed_back_is_not_handed_back_again(
+    runtime: Runtime, cell: HandCell, driving: str
+) -> None:
+    await runtime.governor.take_over(driving, OPERATOR)
+    back = asyncio.ensure_future(runtime.governor.release(driving, OPERATOR, "resume"))
+    async with stating(cell):
+        await cell.expect("launch", 3)
+    assert (await refused(runtime.governor.release(driving, OPERATOR, "end"))).code == "control_held"
+    await cell.report("status", driving, status="running", before="recovering", reason="handed_back")
+    assert (await back)["takeover"]["state"] == "returned"
+
+
 async def test_nothing_goes_on_by_facts_from_before_it_was_handed_back(
     runtime: Runtime, cell: HandCell, driving: str
 ) -> None:
