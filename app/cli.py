@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from app import __version__, cli_audit, cli_evaluate, cli_policy, cli_sim
+from app import __version__, cli_audit, cli_evaluate, cli_policy, cli_sim, cli_versions
 from app.config import DEFAULT_PROFILE, CellSettings, ConfigError, Settings, cell_token, check_pace
 from app.governance.model import Role
 from app.terminal import MISUSE, say_error
@@ -28,6 +28,7 @@ app = typer.Typer(
 token = typer.Typer(help="Bearer tokens.", no_args_is_help=True)
 app.add_typer(token, name="token")
 app.add_typer(cli_policy.app, name="policy")
+cli_versions.register(cli_policy.app)
 app.add_typer(cli_audit.app, name="audit")
 app.add_typer(cli_sim.app, name="sim")
 
@@ -60,6 +61,9 @@ def serve(  # noqa: PLR0913  # its options
     seed: Seed = 0,
     scenario: Scenario = None,
     robot: Robot = None,
+    take_policies: Annotated[
+        bool, typer.Option("--take-policies", help="Put the directory in force, whatever an engineer had put there.")
+    ] = False,
 ) -> None:
     """Start the server, with simulated cells of its own.
 
@@ -85,6 +89,7 @@ def serve(  # noqa: PLR0913  # its options
         seed=seed,
         scenario=scenario,
         robot=robot,
+        take_policies=take_policies,
     )
     raise typer.Exit(serve_with(settings))
 

@@ -91,6 +91,7 @@ class Settings:
     seed: int = 0
     scenario: str | None = None
     robot: str | None = None
+    take_policies: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what cannot be meant."""

@@ -30,6 +30,7 @@ from app.config import ConfigError, find_policies
 from app.governance.bundle import load
 from app.governance.errors import PolicyErrors
 from app.runtime.assembly import Runtime
+from app.runtime.errors import NotFound
 from app.terminal import FINE, MISUSE, err, say, say_error
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 
     from app.config import Settings
     from app.governance.policy import PolicySet
+    from app.runtime.versions import Versions
 
 KEY_BYTES: Final = 32
 LEAVE_S: Final = 1  # for requests under way when the server stops
@@ -79,6 +81,10 @@ def serve(settings: Settings) -> int:
         try:
             with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
                 return runner.run(_serve(settings, policies, listener))
+        except (PolicyErrors, NotFound) as error:
+            hint = "`--take-policies` puts the directory's version in force instead"
+            say_error(f"the version that an engineer put in force cannot be enforced: {error}", hint=hint)
+            return MISUSE
         except (AuditError, PrincipalsUnreadable, OSError) as error:
             say_error(f"the server cannot run: {error}")
             return MISUSE
@@ -150,7 +156,7 @@ async def _serve(settings: Settings, policies: PolicySet, listener: socket.socke
         await asyncio.wait({serving, opened}, return_when=asyncio.FIRST_COMPLETED)
         try:
             write_private(layout.server, orjson.dumps({"url": url, "pid": os.getpid()}))
-            introduce(settings, policies, url)
+            introduce(settings, house["versions"], policies.digest, url)
             children.start()
             await _told_to_stop(serving, children.misused)
         finally:
@@ -167,7 +173,13 @@ async def open_house(settings: Settings, policies: PolicySet) -> AsyncGenerator[
     layout = settings.layout
     store = AuditStore.open(layout.root)
     try:
-        runtime = Runtime(store, policies, kernel_key(layout.kernel_key), default_profile=settings.profile)
+        runtime = Runtime(
+            store,
+            policies,
+            kernel_key(layout.kernel_key),
+            default_profile=settings.profile,
+            take_directory=settings.take_policies,
+        )
         async with runtime.running():
             yield {
                 "governor": runtime.governor,
@@ -177,6 +189,7 @@ async def open_house(settings: Settings, policies: PolicySet) -> AsyncGenerator[
                 "broadcast": runtime.broadcast,
                 "store": store,
                 "policy": lambda: runtime.kernel.policy,
+                "versions": runtime.versions,
             }
     finally:
         await store.close()
@@ -219,12 +232,15 @@ def address(listener: socket.socket) -> str:
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
-def introduce(settings: Settings, policies: PolicySet, url: str) -> None:
+def introduce(settings: Settings, versions: Versions, directory: str, url: str) -> None:
     """Print where the server is and how to come in."""
     tokens = settings.layout.tokens
     say(f"reins {__version__} serves {url}")
     say(f"  profile  {settings.profile}")
-    say(f"  policy   {policies.digest}")
+    say(f"  policy   {versions.in_force.digest}")
+    say(f"           {versions.reason}")
+    if versions.in_force.digest != directory:
+        say(f"           not in force: {directory}, the directory's (`reins policy activate`, or --take-policies)")
     say(f"  data     {settings.layout.root}")
     say(f"  tokens   {tokens}")
     operator = orjson.loads(tokens.read_bytes())["operator"] if tokens.exists() else ""

@@ -64,13 +64,14 @@ class Human(Message):
     """An operator's word on a running session. `resolve_*` answer an escalation the session waits on.
 
     `let_go` and `end_takeover` are about a session that a human drives: nobody holds its lease any more, or it is done.
+    `escalate` is the server's own: another policy is in force, to which the session does not conform.
     """
 
     type: Literal["human"] = "human"
     invocation: str
     op: Literal[
         "pause", "resume", "stop", "rollback", "cancel", "confirm", "resolve_continue", "resolve_terminate",
-        "let_go", "end_takeover",
+        "let_go", "end_takeover", "escalate",
     ]  # fmt: skip
     actor: str
 

@@ -32,6 +32,7 @@ PEOPLE = frozenset({OPERATOR, ENGINEER, AUDITOR})
 READERS = PEOPLE | {AGENT}
 OPERATORS = frozenset({OPERATOR})
 AGENTS = frozenset({AGENT})
+ENGINEERS = frozenset({ENGINEER})
 ANYONE = frozenset(Role)  # with a token
 WEBSOCKET = "WS"
 
@@ -67,6 +68,12 @@ ACCESS: Mapping[tuple[str, str], frozenset[Role] | None] = {
     ("GET", "/v1/cells"): READERS,
     ("GET", "/v1/capabilities"): READERS,
     ("GET", "/v1/policies/active"): READERS,
+    ("GET", "/v1/policies"): PEOPLE,
+    ("POST", "/v1/policies"): ENGINEERS,
+    ("GET", "/v1/policies/{digest}"): PEOPLE,
+    ("GET", "/v1/policies/{digest}/files"): PEOPLE,
+    ("GET", "/v1/policies/{digest}/diff"): PEOPLE,
+    ("POST", "/v1/policies/{digest}/activate"): ENGINEERS,
     ("GET", "/v1/audit/events"): PEOPLE,
     ("GET", "/v1/audit/checkpoint"): PEOPLE,
     ("GET", "/v1/audit/verify"): PEOPLE,

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from app.runtime.feed import Feed
     from app.runtime.fleet import Fleet
     from app.runtime.governor import Governor
+    from app.runtime.versions import Versions
 
 DESCRIPTION = """\
 An agent proposes, Reins decides, a cell acts under watch, and a record stands.
@@ -78,6 +79,7 @@ def create_app(  # noqa: PLR0913  # every part of a server, by name
     broadcast: Broadcast,
     store: AuditStore,
     policy: Callable[[], PolicySet],
+    versions: Versions,
     principals: Principals,
     checks: Mapping[str, Callable[[], str | None]] | None = None,
 ) -> FastAPI:
@@ -91,6 +93,7 @@ def create_app(  # noqa: PLR0913  # every part of a server, by name
         broadcast: what consoles are shown.
         store: the record.
         policy: returns the policy set in force.
+        versions: every version of policy.
         principals: who may come in.
         checks: further readiness questions by name; each returns what is broken, or None.
 
@@ -110,6 +113,7 @@ def create_app(  # noqa: PLR0913  # every part of a server, by name
         broadcast=broadcast,
         store=store,
         policy=policy,
+        versions=versions,
         principals=principals,
         checks=dict(checks or {}),
     )

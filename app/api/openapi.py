@@ -15,7 +15,7 @@ from fastapi.openapi.utils import get_openapi
 from pydantic.json_schema import models_json_schema
 from starlette.responses import JSONResponse, Response
 
-from app.api import documents, wire
+from app.api import documents, policy_documents, wire
 from app.api.access import PUBLIC, allowed_roles
 from app.api.problems import CODES, MEDIA_TYPE, Problem
 
@@ -32,6 +32,8 @@ BODIES: tuple[type[BaseModel], ...] = (
     wire.VerdictBody,
     wire.ProfileBody,
     wire.EmptyBody,
+    policy_documents.CandidateBody,
+    policy_documents.ActivationBody,
 )
 
 ON_EVERY_ROUTE = ("internal",)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from app.runtime.feed import Feed
     from app.runtime.fleet import Fleet
     from app.runtime.governor import Governor
+    from app.runtime.versions import Versions
 
 # Every committed event is written once for each stream; a wait costs a timer and a connection.
 MAX_STREAMS: Final = 64
@@ -47,6 +48,7 @@ class Parts:
     broadcast: Broadcast
     store: AuditStore
     policy: Callable[[], PolicySet]
+    versions: Versions
     principals: Principals
     verifying: asyncio.Lock = field(default_factory=asyncio.Lock)
     replaying: asyncio.Lock = field(default_factory=asyncio.Lock)

@@ -1,22 +1,30 @@
-"""What anyone may know of policy: the capabilities there are, and the set in force."""
+"""Policy: the capabilities there are, the set in force, and its versions: brought, compared, put in force."""
 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import orjson
+from fastapi import Path, Query
 from starlette.requests import Request
 from starlette.responses import Response
 
 from app.api import documents
-from app.api.openapi import Answers, Json, declare
+from app.api import policy_documents as models
+from app.api.access import caller
+from app.api.listing import PageQuery
+from app.api.openapi import Answers, Json, answer, declare
 from app.api.parts import parts_of
+from app.api.wire import read_body
 
 if TYPE_CHECKING:
     from fastapi import APIRouter
 
     from app.governance.policy import PolicySet
+
+Digest = Annotated[str, Path(pattern=r"^sha256:[0-9a-f]{64}$", description="`sha256:…` over the files of a version.")]
+UNKNOWN = ("request_invalid", "policy_unknown")
 
 
 async def capabilities(request: Request) -> Response:
@@ -27,6 +35,51 @@ async def capabilities(request: Request) -> Response:
 async def active(request: Request) -> Response:
     """Describe the policy set in force: its digest, profiles, limits and rules."""
     return Json(_active(parts_of(request).policy()))
+
+
+async def versions(request: Request, query: Annotated[PageQuery, Query()]) -> Response:
+    """List every version of policy: whose it is, why it was brought, and when it was in force; the newest first."""
+    known = parts_of(request).versions
+    items, following = await known.list(**query.model_dump())
+    return answer({"items": items, "next": following, "active": known.in_force.digest, "why": known.reason})
+
+
+async def version(request: Request, digest: Digest) -> Response:
+    """Return one version of policy."""
+    return answer((await parts_of(request).versions.load(digest)).public())
+
+
+async def files(request: Request, digest: Digest) -> Response:
+    """Return the files of a version: what its digest is over."""
+    found = await parts_of(request).versions.compiled(digest)
+    return answer({"digest": found.digest, "files": dict(found.files)})
+
+
+async def difference(request: Request, digest: Digest) -> Response:
+    """Say what a version would change of what is in force, part by part, and which way that goes."""
+    return answer((await parts_of(request).versions.difference(digest)).document())
+
+
+async def propose(request: Request) -> Response:
+    """Bring a candidate. It is checked as `reins policy check` and `test` do, and kept by its digest; nothing changes.
+
+    One with a fault is not kept: `errors` names every fault with its file and line. 200 where it was known already.
+    """
+    body = await read_body(request, models.CandidateBody, at_most=models.MAX_POLICY_BYTES)
+    document, new = await parts_of(request).versions.propose(body.files, caller(request), body.why)
+    return answer(document, 201 if new else 200)
+
+
+async def activate(request: Request, digest: Digest) -> Response:
+    """Put a version in force, or one that was before.
+
+    What loosens anything takes two engineers: the first gets a 202, and another one's word puts it in force; whoever
+    brought it counts as the first. From then on every decision is made under it. Sessions that it would not let go on
+    hold and ask a human; what waits for approval is decided again, and older answers to it are refused.
+    """
+    body = await read_body(request, models.ActivationBody)
+    document, entered = await parts_of(request).versions.activate(digest, caller(request), body.why)
+    return answer(document, 200 if entered else 202)
 
 
 # A set is immutable and may hold ten thousand rules: it is described once.
@@ -44,3 +97,51 @@ def register(router: APIRouter) -> None:
     """Add the routes."""
     declare(router, "GET /v1/capabilities", capabilities, Answers(model=documents.CapabilityList))
     declare(router, "GET /v1/policies/active", active, Answers(model=documents.PolicySetDocument))
+    declare(
+        router,
+        "GET /v1/policies",
+        versions,
+        Answers(model=models.VersionList, codes=("request_invalid", "cursor_invalid")),
+    )
+    declare(
+        router,
+        "POST /v1/policies",
+        propose,
+        Answers(
+            model=models.VersionDocument,
+            status=201,
+            also={200: models.VersionDocument},
+            codes=("policy_invalid", "record_unavailable"),
+        ),
+        body=models.CandidateBody,
+    )
+    declare(router, "GET /v1/policies/{digest}", version, Answers(model=models.VersionDocument, codes=UNKNOWN))
+    declare(
+        router,
+        "GET /v1/policies/{digest}/files",
+        files,
+        Answers(model=models.FilesDocument, codes=(*UNKNOWN, "policy_invalid")),
+    )
+    declare(
+        router,
+        "GET /v1/policies/{digest}/diff",
+        difference,
+        Answers(model=models.ComparisonDocument, codes=(*UNKNOWN, "policy_invalid")),
+    )
+    declare(
+        router,
+        "POST /v1/policies/{digest}/activate",
+        activate,
+        Answers(
+            model=models.VersionDocument,
+            also={202: models.VersionDocument},
+            codes=(
+                *UNKNOWN,
+                "policy_active",
+                "second_engineer_needed",
+                "policy_invalid",
+                "record_unavailable",
+            ),
+        ),
+        body=models.ActivationBody,
+    )

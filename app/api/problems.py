@@ -20,6 +20,7 @@ from starlette.responses import Response
 
 from app.api.faults import field_errors
 from app.audit.errors import RecordUnavailable
+from app.governance.errors import PolicyErrors
 from app.runtime.errors import CONFLICTS, Conflict, Forbidden, InvalidParams, NotFound
 
 if TYPE_CHECKING:
@@ -59,6 +60,7 @@ CODES: Mapping[str, tuple[int, str]] = {
     "review_unknown": (404, "there is no such review"),
     "cell_unknown": (404, "there is no such cell"),
     "profile_unknown": (404, "there is no such profile"),
+    "policy_unknown": (404, "there is no such version of policy; one with faults is never kept"),
     "log_empty": (404, "nothing is recorded yet"),
     "telemetry_unknown": (404, "the invocation left no such telemetry file"),
     "method_not_allowed": (405, "the path does not know the method"),
@@ -66,6 +68,7 @@ CODES: Mapping[str, tuple[int, str]] = {
     "media_type_unsupported": (415, "the body is not `application/json`"),
     "malformed_json": (422, "the body is no strict JSON: the detail says where"),
     "request_invalid": (422, "a field or parameter is unknown, missing, or of another type: `errors` says which"),
+    "policy_invalid": (422, "the policy has faults: `errors` names each with its file and line"),
     "params_invalid": (422, "the parameters do not fit the capability's input schema: `errors` says which"),
     "cursor_invalid": (422, "the cursor is not one this server gave out"),
     "idempotency_key_invalid": (422, "the header `Idempotency-Key` is not 1 to 255 printable ASCII characters"),
@@ -171,6 +174,23 @@ def _from_conflict(error: Conflict) -> Problem:
     return Problem(error.code, str(error), reasons=error.reasons)
 
 
+def _from_policy(error: PolicyErrors) -> Problem:
+    errors = [
+        {
+            "field": problem.key or problem.file,
+            "message": _or_else(problem.message, problem.valid),
+            "file": problem.file,
+            "line": problem.line,
+        }
+        for problem in error.problems
+    ]
+    return Problem("policy_invalid", f"{len(errors)} faults, the first: {error.problems[0]}", errors=errors)
+
+
+def _or_else(message: str, valid: Sequence[str]) -> str:
+    return f"{message}; valid: {', '.join(f'`{name}`' for name in valid)}" if valid else message
+
+
 def _from_record(error: RecordUnavailable) -> Problem:
     detail = f"{error}; nothing was let move; a pause, a stop and an emergency stop are obeyed all the same"
     return Problem("record_unavailable", detail, headers={"Retry-After": "5"})
@@ -185,6 +205,7 @@ PROBLEMS: tuple[tuple[type[Exception], Callable[[Any], Problem]], ...] = (
     (NotFound, _from_missing),
     (Forbidden, _from_forbidden),
     (Conflict, _from_conflict),
+    (PolicyErrors, _from_policy),
     (RecordUnavailable, _from_record),
 )
 

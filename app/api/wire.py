@@ -171,14 +171,19 @@ M = TypeVar("M", bound=Body)
 # -- reading -----------------------------------------------------------------------------------------------------------
 
 
-async def read_body(request: Request, model: type[M]) -> M:
+async def read_body(request: Request, model: type[M], *, at_most: int = MAX_BODY_BYTES) -> M:
     """Return the request's body as a model.
+
+    Args:
+        request: what came.
+        model: what it must be.
+        at_most: how many bytes it may have. A model that may be larger than others bounds its texts by itself.
 
     Raises:
         Problem: 413 `body_too_large`, 415 `media_type_unsupported`, 422 `malformed_json` or `request_invalid`.
     """
     check_media_type(_header(request, b"content-type"))
-    return to_model(parse(await read_bytes(request)), model)
+    return to_model(parse(await read_bytes(request, at_most)), model, long_texts=at_most > MAX_BODY_BYTES)
 
 
 async def read_optional(request: Request, model: type[M]) -> M:
@@ -190,15 +195,15 @@ async def read_optional(request: Request, model: type[M]) -> M:
     return to_model(parse(raw), model)
 
 
-async def read_bytes(request: Request) -> bytes:
+async def read_bytes(request: Request, at_most: int = MAX_BODY_BYTES) -> bytes:
     """Return the raw body, giving up as soon as it is known to be too large.
 
     Raises:
         Problem: 413 `body_too_large`, by the declared length or by what arrived; 400 `body_incomplete`.
     """
     declared = _header(request, b"content-length") or ""
-    if declared.isascii() and declared.isdigit() and int(declared[:19]) > MAX_BODY_BYTES:
-        raise _too_large()
+    if declared.isascii() and declared.isdigit() and int(declared[:19]) > at_most:
+        raise _too_large(at_most)
     chunks: list[bytes] = []
     size = 0
     more = True
@@ -208,8 +213,8 @@ async def read_bytes(request: Request) -> bytes:
             raise Problem("body_incomplete", "the connection ended within the body")
         chunks.append(message.get("body", b""))
         size += len(chunks[-1])
-        if size > MAX_BODY_BYTES:
-            raise _too_large()
+        if size > at_most:
+            raise _too_large(at_most)
         more = message.get("more_body", False)
     return b"".join(chunks)
 
@@ -247,8 +252,8 @@ def parse(raw: bytes) -> object:
     return value
 
 
-def to_model(value: object, model: type[M]) -> M:
-    """Return a parsed value as a model.
+def to_model(value: object, model: type[M], *, long_texts: bool = False) -> M:
+    """Return a parsed value as a model; with `long_texts` the model alone says how long its texts may be.
 
     Raises:
         Problem: 422 `request_invalid`, naming each field that is wrong and what would be valid.
@@ -262,7 +267,8 @@ def to_model(value: object, model: type[M]) -> M:
             cast("Iterable[Mapping[str, Any]]", error.errors(include_url=False)), tuple(model.model_fields)
         )
         raise Problem("request_invalid", f"the body is not valid: {_first(items)}", errors=items) from None
-    _refuse_long_texts(cast("dict[str, Any]", value))
+    if not long_texts:
+        _refuse_long_texts(cast("dict[str, Any]", value))
     return result
 
 
@@ -312,9 +318,9 @@ def _kind(value: object) -> str:
             return "a number"
 
 
-def _too_large() -> Problem:
+def _too_large(at_most: int) -> Problem:
     # The connection stays: closing it over an unread body would reset it, and take this answer along.
-    return Problem("body_too_large", f"valid are bodies of at most {MAX_BODY_BYTES} bytes")
+    return Problem("body_too_large", f"valid are bodies of at most {at_most} bytes")
 
 
 def _malformed(what: str, position: int, line: int, column: int) -> Problem:

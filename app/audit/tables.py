@@ -111,6 +111,27 @@ reviews = Table(
     Index("reviews_by_invocation", "invocation", "created_seq", "id"),
 )
 
+policies = Table(
+    "policies",
+    metadata,
+    Column("id", Text, primary_key=True),  # the digest of its files
+    Column("created_seq", Counter, nullable=False),
+    Column("status", Text, nullable=False),
+    Column("document", LargeBinary, nullable=False),
+    Column("created_at", Text, nullable=False),
+    Column("updated_at", Text, nullable=False),
+    Index("policies_by_age", "created_seq", "id"),
+    Index("policies_by_status", "status", "created_seq", "id"),
+)
+
+policy_files = Table(
+    "policy_files",
+    metadata,
+    Column("digest", Text, primary_key=True),
+    Column("files", LargeBinary, nullable=False),  # JSON, path → text: what the digest is over
+    Column("created_at", Text, nullable=False),
+)
+
 idempotency = Table(
     "idempotency",
     metadata,
@@ -158,7 +179,19 @@ probes = Table(
 # Tables a `RowWrite` may name; and the columns the store fills in on insertion and never changes.
 STATE: Mapping[str, Table] = {
     table.name: table
-    for table in (invocations, escalations, grants, reviews, idempotency, permits_used, cell_progress, settings, probes)
+    for table in (
+        invocations,
+        escalations,
+        grants,
+        reviews,
+        policies,
+        policy_files,
+        idempotency,
+        permits_used,
+        cell_progress,
+        settings,
+        probes,
+    )
 }
 STORE_GIVEN = "created_seq"
 KEPT_ON_REPLACE = frozenset({STORE_GIVEN, "created_at"})

@@ -1,7 +1,8 @@
 """The runner as the link speaks to it: orders in the link's words, the state for displays, and the policies it holds.
 
-A session is watched by the policy it was authorized under, even if another one comes into force meanwhile: both are
-kept until the next one comes.
+A session is watched by the policy it was authorized under, even if others come into force meanwhile: that one is kept
+as long as the session lasts. Beside it the cell holds the newest policy and the one before, and binds authorizations of
+these: one that was minted right before a change still counts, one of a version that is not held here does not.
 """
 
 from __future__ import annotations
@@ -173,11 +174,16 @@ class GovernedCell:
         return Sight(invocation, seen.time_s, seen.people, runner.substrate.poses())
 
     def _adopt(self, policies: PolicySet) -> None:
+        self._policies.pop(policies.digest, None)  # one that comes back is the newest again
         self._policies[policies.digest] = policies
-        while len(self._policies) > KEPT_POLICIES:
-            del self._policies[next(iter(self._policies))]
         self._policies_digest = policies.digest
-        self._runner.adopt(policy_digest=policies.digest, key=self._key)
+        session = self._runner.session
+        needed = "" if session is None else session.run.grant.authorization.policy_digest
+        for digest in tuple(self._policies)[:-KEPT_POLICIES]:
+            if digest != needed:
+                del self._policies[digest]
+        former = frozenset(self._policies) - {policies.digest}
+        self._runner.adopt(policy_digest=policies.digest, key=self._key, former=former)
 
     def _keep_house(self, acknowledged: int) -> None:
         # A journal that cannot be made smaller is whole all the same; the next thing to be recorded says what is wrong.

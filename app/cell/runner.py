@@ -24,6 +24,7 @@ from app.cell.journal import USED, Entry, Journal, JournalUnavailable
 from app.cell.run import Doing, End, Run, Unprepared
 from app.cell.series import Series
 from app.cell.substrate import SubstrateError
+from app.governance.continuing import CHANGED
 from app.governance.control import TAKEOVER
 from app.governance.intervention import Responses
 from app.governance.model import EventKind, Mode, Outcome, Status
@@ -97,6 +98,7 @@ class Runner:
         )
         self._key: Ed25519PublicKey | None = None
         self._policy_digest = ""
+        self._former: frozenset[str] = frozenset()
         self._session: Session | None = None
         self._signals = Signals()
         self._unpowered = False
@@ -158,9 +160,9 @@ class Runner:
 
     # -- orders --------------------------------------------------------------------------------------------------------
 
-    def adopt(self, *, policy_digest: str, key: Ed25519PublicKey) -> None:
-        """Believe authorizations under this policy, signed with this key."""
-        self._policy_digest, self._key = policy_digest, key
+    def adopt(self, *, policy_digest: str, key: Ed25519PublicKey, former: frozenset[str] = frozenset()) -> None:
+        """Believe authorizations under this policy, or one of those still held, signed with this key."""
+        self._policy_digest, self._former, self._key = policy_digest, former, key
 
     def launch(self, signed: SignedAuthorization) -> str | None:
         """Verify a signed authorization and begin its session; return None, or the code of the refusal.
@@ -307,6 +309,7 @@ class Runner:
             policy_digest=self._policy_digest,
             now_s=self._wall(),
             used=self.journal.used_permits(),
+            former=self._former,
         )
 
     def _not_now(self, grant: Grant) -> tuple[str, str] | None:
@@ -383,7 +386,16 @@ class Runner:
             return Unprepared(error.failure, self.substrate.hold())
 
 
+def _hold_for_policy(session: Session) -> None:
+    """Have a session wait for a human, to which another policy does not leave to go on; a recovery ends first."""
+    if session.run.status is Status.RECOVERING:
+        session.run.hold_after_recovery = True
+    elif session.run.status is not Status.ESCALATED:
+        session.escalate(CHANGED)
+
+
 _OPS: Final = {
+    "escalate": _hold_for_policy,
     "pause": Session.pause,
     "resume": Session.resume,
     "stop": Session.stop,

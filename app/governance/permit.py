@@ -127,6 +127,7 @@ def verify(
     policy_digest: str,
     now_s: float,
     used: AbstractSet[str],
+    former: AbstractSet[str] = frozenset(),
 ) -> Grant:
     """Return the grant that a signed authorization is worth on this cell, under this policy, now.
 
@@ -137,6 +138,8 @@ def verify(
         policy_digest: Digest of the policy the cell holds.
         now_s: Wall time, seconds since the epoch.
         used: Identifiers of permits this cell has bound before.
+        former: Digests of policies that were in force before and are held here still: a permit that was minted right
+            before a change is under one of them, and its session is watched by that.
 
     Raises:
         PermitError: with the code of the first check that failed.
@@ -150,7 +153,7 @@ def verify(
         ("wrong_cell", permit.cell != cell, f"permit is for `{permit.cell}`, this is `{cell}`"),
         (
             "wrong_policy",
-            permit.policy_digest != policy_digest,
+            permit.policy_digest != policy_digest and permit.policy_digest not in former,
             f"permit is under `{permit.policy_digest}`, this cell holds `{policy_digest}`",
         ),
         # The times are compared so that a clock that reads NaN permits nothing.

@@ -219,6 +219,8 @@ class Answer:
             raise Conflict("ending", f"the session is coming to its end after `{word}`: it cannot go on")
         if not self._fleet.attached(cell):
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to go on")
+        if reasons := self._desk.kept_back(self._invocation):
+            raise Conflict("resume_refused", "the policy in force does not let it go on; valid: deny", reasons=reasons)
         now = self._register.now()
         approval = {"by": self._principal.name, "at": now, "digest": self._escalation.digest}
         closed = self._escalation.evolve(now, status=APPROVED, approvals=(approval,))

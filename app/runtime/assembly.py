@@ -17,7 +17,9 @@ from app.runtime.governor import Governor
 from app.runtime.kernel import Kernel
 from app.runtime.register import Register
 from app.runtime.sessions import ABSENT_S, Sessions
+from app.runtime.succession import Succession
 from app.runtime.telemetry import Telemetry
+from app.runtime.versions import Versions
 
 if TYPE_CHECKING:
     from collections.abc import AsyncGenerator, Callable
@@ -42,17 +44,19 @@ class Runtime:
         default_profile: str,
         telemetry_folder: Path | None = None,
         absent_s: float = ABSENT_S,
+        take_directory: bool = False,
         wall_s: Callable[[], float] = wall_clock_s,
     ) -> None:
         """Wire the parts of one server.
 
         Args:
             store: the opened record.
-            policy: the policy in force.
+            policy: what the directory of this start holds; in force, unless an engineer put another version there.
             signing_key: what authorizations are signed with.
             default_profile: for a cell never seen before.
             telemetry_folder: where telemetry files go; the store's own by default.
             absent_s: how long a cell with a session may be away before the session is given up.
+            take_directory: `policy` comes into force in any case.
             wall_s: the wall clock; deadlines go by it.
         """
         self.store = store
@@ -61,6 +65,9 @@ class Runtime:
         self.fleet = Fleet(self.register, default_profile=default_profile)
         self.kernel = Kernel(self.register, self.fleet, policy, signing_key)
         self.desk = Desk(self.register, self.fleet, self.kernel)
+        self.succession = Succession(self.register, self.fleet, self.desk, self.kernel)
+        self.versions = Versions(self.register, self.kernel, self.succession)
+        self._take_directory = take_directory
         self.telemetry = Telemetry(telemetry_folder or store.places.telemetry, wall_s)
         self.sessions = Sessions(self.register, self.fleet, self.desk, self.telemetry, absent_s=absent_s)
         self.fleet.report_to(self.sessions)
@@ -79,7 +86,9 @@ class Runtime:
 
         Raises:
             RecordUnavailable: nothing can be recorded, so nothing may start.
+            PolicyErrors, NotFound: the version that an engineer put in force cannot be enforced any more.
         """
+        drafts, rows = await self.versions.recall(take_directory=self._take_directory)
         await self.register.recall()
         await self.fleet.recall()
         await self.desk.recall()
@@ -88,14 +97,12 @@ class Runtime:
             "unfinished": [known.id for known in self.register.live()],
         }
         await self.store.append(
-            [
-                EventDraft(kind=EventKind.BOOT, actor="server", body=body),
-                EventDraft(
-                    kind=EventKind.POLICY_ACTIVATED, actor="server", body={"policy_version": self.kernel.policy.digest}
-                ),
-            ]
+            [EventDraft(kind=EventKind.BOOT, actor="server", body=body), *drafts],
+            rows,
         )
+        await self.succession.prepare(self.versions.compiled)
         await self.desk.expire_due()
+        await self.succession.afterwards(self.succession.at_once())
         await self.broadcast.open()
 
     @asynccontextmanager
@@ -109,6 +116,7 @@ class Runtime:
             asyncio.create_task(self.broadcast.run(), name="broadcast"),
             asyncio.create_task(self.desk.watch_deadlines(), name="deadlines"),
             asyncio.create_task(self.desk.grants.watch(), name="grants"),
+            asyncio.create_task(self.succession.watch(), name="succession"),
         ]
         try:
             yield self.governor
@@ -118,6 +126,7 @@ class Runtime:
             for task in tasks:
                 with suppress(asyncio.CancelledError):
                     await task
+            await self.succession.close()
             self.feed.close()
             self.broadcast.close()
             await self.sessions.close()

@@ -145,6 +145,8 @@ class Controls:
             self._goes_on(op, cell, present)
         if restrains:
             return await self._restrain(op, present, principal)
+        if op == "resume" and (reasons := self.desk.kept_back(present)):
+            raise Conflict("resume_refused", "the policy in force does not let it go on; valid: stop", reasons=reasons)
         if op == "rollback" and cell.control is not None:
             raise Conflict(
                 "control_held", f"`{cell.control.holder}` has the controls; valid: they release it to roll back"

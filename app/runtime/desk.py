@@ -59,9 +59,11 @@ class Desk:
         self.kernel = kernel
         self._pending: dict[str, Escalation] = {}
         self._asked = asyncio.Event()
+        self.departed: dict[str, list[dict[str, str]]] = {}  # why sessions do not conform to the policy in force
         self.grants = Grants(register, fleet, kernel)
         self.reviews = Reviews(register, kernel)
         self.on_held: Callable[[Escalation], None] = lambda _: None
+        self.kept_back: Callable[[Invocation], Sequence[Mapping[str, str]]] = lambda _: ()
 
     # -- asking ------------------------------------------------------------------------------------------------------
 
@@ -109,6 +111,7 @@ class Desk:
             constrained=effective,
             effective=effective,
             digest=bound_digest(invocation, effective),
+            policy_version=invocation.policy_version,
             status=PENDING,
             approvals=(),
             created_at=now,
@@ -195,8 +198,9 @@ class Desk:
 
         Raises:
             NotFound: no such question.
-            Conflict: `already_resolved`, `escalation_expired`, `digest_mismatch`, `already_approved`, `edit_refused`
-                (with policy's reasons), `cell_offline`, `ending`, `grant_refused`.
+            Conflict: `already_resolved`, `escalation_expired`, `digest_mismatch`, `policy_changed` (it was asked under
+                another policy, and is decided again), `already_approved`, `edit_refused` (with policy's reasons),
+                `cell_offline`, `ending`, `grant_refused`.
             Forbidden: `own_proposal`, nobody approves what they proposed.
             InvalidParams: edited parameters that do not fit the schema, or edit a session under way; a code that policy
                 does not declare, or one with an approval.
@@ -206,7 +210,7 @@ class Desk:
         entry = await self._open(escalation_id)
         async with entry.lock:
             present = await self._present(escalation_id, entry.newest)
-            _check_answer(present, principal, digest)
+            _check_answer(present, principal, digest, self.kernel.policy.digest)
             grant = None if offer is None else self._grant(offer, present, entry.newest, principal, decision, params)
             answer = Answer(self, entry.newest, present, principal, comment, grant)
             match present.kind, decision:
@@ -432,7 +436,11 @@ class Desk:
         await self.reviews.recall()
 
 
-def _check_answer(present: Escalation, principal: Principal, digest: str) -> None:
+def _check_answer(present: Escalation, principal: Principal, digest: str, version: str) -> None:
+    outdated = present.kind == APPROVAL and present.policy_version != version
+    if outdated or digest in present.former_digests:
+        message = "another policy is in force since that was asked: it is decided again, and may be asked anew"
+        raise Conflict("policy_changed", message)
     if digest != present.digest:
         raise Conflict("digest_mismatch", f"`{digest}` is not what is asked now: valid is `{present.digest}`")
     if principal.name == present.agent:

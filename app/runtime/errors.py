@@ -45,6 +45,9 @@ CONFLICTS: Final[Mapping[str, int]] = {
     "estop_latched": 409,
     "not_armed": 409,
     "review_not_enabled": 409,
+    "policy_active": 409,
+    "policy_changed": 409,
+    "second_engineer_needed": 409,
 }
 """Every code a `Conflict` may bear, with the HTTP status that says the same."""
 

@@ -5,7 +5,8 @@ waits for it where policy has a human confirm one. Both have a deadline that pol
 ends the other as policy says, and is reported as what it is.
 
 Three versions of the parameters are kept: as requested, as policy constrained them (`constrained`), and as approved.
-`effective` is what is asked about now: the constrained ones, or what an approver's edit (`edits`) came to.
+`effective` is what is asked about now: the constrained ones, or what an approver's edit (`edits`) came to. When another
+policy comes into force, an approval is decided again and bound to that: `former_digests` are worth no answer any more.
 """
 
 from __future__ import annotations
@@ -68,6 +69,8 @@ class Escalation:
     acknowledged: Sequence[Mapping[str, Any]] = ()
     denial: Mapping[str, Any] | None = None
     grant: str | None = None
+    policy_version: str | None = None
+    former_digests: Sequence[str] = ()
 
     @property
     def approved(self) -> Mapping[str, Any] | None:
@@ -112,6 +115,8 @@ class Escalation:
             "effective": dict(self.effective),
             "approved": None if self.approved is None else dict(self.approved),
             "digest": self.digest,
+            "former_digests": list(self.former_digests),
+            "policy_version": self.policy_version,
             "status": self.status,
             "approvals": [dict(approval) for approval in self.approvals],
             "edits": [dict(edit) for edit in self.edits],
@@ -150,13 +155,14 @@ def read_escalation(document: bytes) -> Escalation:
 
 
 def bound_digest(invocation: Invocation, effective: Mapping[str, Any]) -> str:
-    """Return the digest that an approval of these parameters is bound to: whose, what, where and how."""
+    """Return the digest that an approval of these parameters is bound to: whose, what, where, how, by which policy."""
     return digest(
         {
             "invocation": invocation.id,
             "capability": invocation.capability,
             "cell": invocation.cell,
             "mode": invocation.terms.mode,
+            "policy": invocation.policy_version,
             "params": dict(effective),
         }
     )

@@ -20,7 +20,7 @@ from app.audit.errors import RecordUnavailable
 from app.audit.event import RowWrite
 from app.clock import monotonic_s
 from app.governance.model import SESSION, CellFacts
-from app.protocol import BEAT_MS, LEASE_MS, Estop, Human, ProtocolError, Watch
+from app.protocol import BEAT_MS, LEASE_MS, Estop, Human, Policy, ProtocolError, Watch
 from app.runtime.cells import Cell, Reunion, read_world
 from app.runtime.errors import Conflict, NotFound
 from app.runtime.link import DEAD_S, SILENT_S, TRY_LATER, Attachment
@@ -61,10 +61,16 @@ class Fleet:
         self.policy_files: Mapping[str, str] = {}
 
     def enforce(self, *, kernel_key: str, policy_digest: str, policy_files: Mapping[str, str]) -> None:
-        """Say which key signs and which policy is in force; cells learn it at their welcome."""
+        """Say which key signs and which policy is in force; cells learn it now, or at their welcome.
+
+        What is ordered from here on comes behind it, on every link.
+        """
         self.kernel_key = kernel_key
         self.policy_digest = policy_digest
         self.policy_files = policy_files
+        for cell in self._cells.values():
+            if cell.attachment is not None and cell.attachment.welcomed:
+                cell.attachment.post(Policy(digest=policy_digest, files=dict(policy_files)))
 
     def report_to(self, reports: Reports) -> None:
         """Say who takes the cells' reports; without that no cell can attach."""

@@ -100,9 +100,12 @@ class Governor(Takeovers, Controls):
     async def _propose(
         self, principal: Principal, request: ProposalRequest, slots: Sequence[Mapping[str, str]]
     ) -> Invocation:
+        policy = self.kernel.policy
         params = self.kernel.fill_in(request.capability, request.params)
         cell = self._aim(request)
         await self.fleet.settle(cell)
+        if self.kernel.policy is not policy:  # one version decides, from the schema on
+            params = self.kernel.fill_in(request.capability, request.params)
         judgement = self.kernel.judge(request.proposal(params), principal.name, cell)
         invocation = self._decided(principal, request, params, cell, judgement)
         proposal = EventDraft(

@@ -228,9 +228,15 @@ class Kernel:
         self._fleet = fleet
         self._key = signing_key
         self._operator_heard_s: float | None = None
+        self.overtaken: Callable[[Invocation, Judgement], bool] = lambda _, __: False
         self.standing: Callable[[Cell | None], tuple[Grant, ...]] = lambda _: ()
-        fleet.enforce(
-            kernel_key=key_text(signing_key.public_key().public_bytes_raw()),
+        self.enforce(policy)
+
+    def enforce(self, policy: PolicySet) -> None:
+        """Put a policy in force, here and on every cell: one reference moves, and nothing is awaited."""
+        self.policy = policy
+        self._fleet.enforce(
+            kernel_key=key_text(self._key.public_key().public_bytes_raw()),
             policy_digest=policy.digest,
             policy_files=policy.files,
         )
@@ -293,6 +299,18 @@ class Kernel:
         )
         return Judgement(decide(policy, proposal, context), policy, profile)
 
+    def context(self, capability: str, agent: str, within: Invocation, *, profile: str | None = None) -> Context:
+        """Return Γ_t as it is now around an invocation that is there already, and is not in its own way."""
+        cell = self._fleet.cell(within.cell) if within.cell else None
+        policy = self.policy
+        return Context(
+            time_s=self._register.now_s(),
+            profile=within.profile if profile is None else profile,
+            agent=policy.governance() if capability == TAKEOVER else policy.agent(agent),
+            cell=replace(self._fleet.facts(cell), busy=None),
+            operator_on_duty=self.operator_on_duty,
+        )
+
     # -- launching ---------------------------------------------------------------------------------------------------
 
     @asynccontextmanager
@@ -316,6 +334,8 @@ class Kernel:
             if not anew:
                 self._fleet.release(cell.id, invocation.id)
             raise
+        if not anew and self.overtaken(invocation, judgement):
+            return  # another policy came into force while this was recorded, and would not let it go on
         if self._fleet.attached(cell):
             self._fleet.order(
                 cell,

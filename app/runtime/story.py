@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.event import EventDraft
+from app.governance.continuing import CHANGED
 from app.governance.model import TERMINAL, EventKind, Outcome, Status
 from app.governance.session import final_status
 from app.runtime.drafts import SERVER, outcome_event, reason
@@ -113,6 +114,8 @@ class Story:
     ) -> Mapping[str, Any]:
         """Ask a human, or say better why one was asked."""
         phase, reasons = _asked(event)
+        if event.body.get("reason") == CHANGED:
+            reasons = self._desk.departed.get(version.id, reasons)
         if question is None:
             asked = self._desk.session_question(version, reasons, phase)
         elif phase != question.phase:  # its terms are those of what it waits for

@@ -299,6 +299,7 @@ async def open_house(folder: Path, profile: str) -> AsyncIterator[House]:
             broadcast=runtime.broadcast,
             store=store,
             policy=lambda: runtime.kernel.policy,
+            versions=runtime.versions,
             principals=principals,
         )
         server = Door(

@@ -26,6 +26,8 @@ EXAMPLE_ESCALATION: dict[str, Any] = {
     "effective": EXAMPLE_INVOCATION["effective"],
     "approved": None,
     "digest": "sha256:51ab…",
+    "former_digests": [],
+    "policy_version": EXAMPLE_INVOCATION["policy_version"],
     "status": "pending",
     "approvals": [],
     "edits": [],
@@ -98,6 +100,8 @@ class EscalationDocument(Document):
     effective: dict[str, Any]
     approved: dict[str, Any] | None
     digest: str
+    former_digests: list[str] = Field(description="What it was bound to before another policy came into force.")
+    policy_version: str | None
     status: Literal["pending", "approved", "denied", "expired", "withdrawn"]
     approvals: list[ApprovalDocument]
     edits: list[EditDocument]

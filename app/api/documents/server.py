@@ -60,6 +60,8 @@ class FieldError(Document):
 
     field: str
     message: str
+    file: str | None = Field(default=None, description="Of a policy: the file at fault.")
+    line: int | None = Field(default=None, description="Of a policy: the line in it, from 1; 0 is the whole file.")
 
 
 class ProblemDocument(Document):

@@ -1,0 +1,101 @@
+"""What is said about versions of policy, as OpenAPI describes it, and what may be said to change them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from app.api.documents import Document
+from app.api.wire import MAX_NAME, Body, Freeform
+
+MAX_POLICY_BYTES = 4 * 1024 * 1024
+MAX_FILES = 2000
+
+Why = Annotated[Freeform, Field(min_length=1, description="Why; it stays in the record.")]
+FileName = Annotated[str, Field(min_length=1, max_length=MAX_NAME)]
+Text = Annotated[str, Field(max_length=MAX_POLICY_BYTES)]
+
+
+class CandidateBody(Body):
+    """A candidate: every file of a policy directory as text, by its path in it, cases (`tests/…`) included."""
+
+    files: Annotated[dict[FileName, Text], Field(min_length=1, max_length=MAX_FILES)]
+    why: Why
+
+
+class ActivationBody(Body):
+    """Why a version should be in force."""
+
+    why: Why
+
+
+class AwaitingDocument(Document):
+    """The first of two engineers' word on a version that loosens something, and what it would take the place of."""
+
+    by: str
+    at: str
+    why: str
+    against: str
+
+
+class ActivationDocument(Document):
+    """One time that a version came into force; `by` names the server where a start did it."""
+
+    at: str
+    by: list[str]
+    why: str
+    former: str | None
+    direction: Literal["same", "tightens", "loosens", "both"] | None
+
+
+class VersionDocument(Document):
+    """A version of policy: whose it is, and what became of it."""
+
+    digest: str
+    status: Literal["candidate", "awaiting_second", "active", "former"]
+    source: Literal["request", "directory"]
+    by: str
+    why: str
+    against: str | None = Field(description="What was in force when it was brought.")
+    rules: int
+    cases: int = Field(description="How many cases came with it, all of which it passed.")
+    awaiting: AwaitingDocument | None
+    activations: list[ActivationDocument]
+    created_at: str
+    updated_at: str
+
+
+class VersionList(Document):
+    """Versions, the newest first; `active` is the one in force, and `why` says why it is."""
+
+    items: list[VersionDocument]
+    next: str | None
+    active: str
+    why: str
+
+
+class DifferenceDocument(Document):
+    """One part that is another than in the version in force."""
+
+    part: str
+    before: str
+    after: str
+    direction: Literal["same", "tightens", "loosens", "both"]
+
+
+class ComparisonDocument(Document):
+    """What a version would change of what is in force."""
+
+    direction: Literal["same", "tightens", "loosens", "both"]
+    differences: list[DifferenceDocument]
+
+
+class FilesDocument(Document):
+    """The files of a version, by their path."""
+
+    digest: str
+    files: dict[str, str]
+
+
+JsonObject = dict[str, Any]

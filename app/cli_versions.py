@@ -1,0 +1,180 @@
+"""`reins policy propose | activate | rollback | versions`: policy of a running server, over HTTP."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, cast
+
+import orjson
+import typer
+
+from app.config import DataDir, find_policies
+from app.governance.bundle import read_cases, read_files
+from app.governance.errors import PolicyErrors
+from app.terminal import FINDING, MISUSE, err, say, say_error
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+TOKEN_KEY = "engineer"  # noqa: S105  # a key in tokens.json
+PATIENCE_S = 60.0
+CREATED = 201
+ACCEPTED = 202
+SHOWN = 19  # of a digest: its kind and twelve characters
+
+Data = Annotated[Path, typer.Option(help="The server's data directory: its address and tokens.", envvar="REINS_DATA")]
+Server = Annotated[
+    str | None, typer.Option(help="The server's address; default: as the data directory says.", envvar="REINS_SERVER")
+]
+Token = Annotated[
+    str | None,
+    typer.Option(
+        help="An engineer's token; default: the data directory's own.", envvar="REINS_TOKEN", show_default=False
+    ),
+]
+Why = Annotated[str, typer.Option(help="Why; it stays in the record.")]
+Digest = Annotated[str, typer.Argument(help="A version's digest, or as much of it as is its own.")]
+
+
+class Door:
+    """The server's door, for one engineer."""
+
+    def __init__(self, data: Path, server: str | None, token: str | None) -> None:
+        """Find the address and the token. Ends the command where there is none."""
+        layout = DataDir(root=data)
+        self._url = server or _read(layout.server, "url", "name the server with --server, or a data directory in use")
+        self._token = token or _read(layout.tokens, TOKEN_KEY, "give an engineer's token with --token or REINS_TOKEN")
+
+    def call(self, method: str, path: str, body: object = None) -> tuple[int, dict[str, Any]]:
+        """Ask the server; a problem is printed, fault by fault, and ends the command."""
+        import httpx
+
+        headers = {"Authorization": f"Bearer {self._token}"}
+        content = None if body is None else orjson.dumps(body)
+        if content is not None:
+            headers["Content-Type"] = "application/json"
+        try:
+            answer = httpx.request(
+                method, f"{self._url}{path}", headers=headers, content=content, timeout=PATIENCE_S, trust_env=False
+            )
+            document = cast("dict[str, Any]", orjson.loads(answer.content))
+        except (httpx.HTTPError, httpx.InvalidURL, orjson.JSONDecodeError) as error:
+            say_error(f"`{self._url}` gave no answer: {error}")
+            raise typer.Exit(MISUSE) from error
+        if not answer.is_success:
+            for fault in document.get("errors") or ():
+                place = f"{fault['file']}:{fault['line']}: " if "file" in fault else ""
+                err.print(f"{place}{fault['field']}: {fault['message']}", markup=False)
+            say_error(f"{document.get('code')}: {document.get('detail')}")
+            raise typer.Exit(FINDING)
+        return answer.status_code, document
+
+    def versions(self) -> dict[str, Any]:
+        """Return the list of versions, whole."""
+        known = page = self.call("GET", "/v1/policies?limit=200")[1]
+        while page["next"] is not None:
+            page = self.call("GET", f"/v1/policies?limit=200&cursor={page['next']}")[1]
+            known["items"] += page["items"]
+        return known
+
+    def find(self, digest: str) -> str:
+        """Return the whole digest that a beginning stands for. Ends the command where it is not one version's."""
+        wanted = digest if digest.startswith("sha256:") else f"sha256:{digest}"
+        found = [item["digest"] for item in self.versions()["items"] if item["digest"].startswith(wanted)]
+        if len(found) != 1:
+            say_error(f"`{digest}` begins {len(found)} versions' digests", hint="`reins policy versions` lists them")
+            raise typer.Exit(MISUSE)
+        return found[0]
+
+    def activate(self, digest: str, why: str) -> None:
+        """Ask for a version to be in force, and say what became of it."""
+        status, document = self.call("POST", f"/v1/policies/{digest}/activate", {"why": why})
+        if status == ACCEPTED:
+            say(f"{digest} loosens something: it comes into force with another engineer's word")
+            return
+        say(f"{digest} is in force ({document['activations'][-1]['direction']})")
+
+
+def propose(
+    directory: Annotated[Path | None, typer.Argument(help="The policy directory; default: ./policies.")] = None,
+    *,
+    why: Why,
+    data: Data = Path("data"),
+    server: Server = None,
+    token: Token = None,
+) -> None:
+    """Bring a policy directory to a running server, its cases included; it is checked and kept, nothing changes.
+
+    [bold]reins policy propose policies --why "people work closer"[/]
+    """
+    folder = find_policies(directory)
+    try:
+        files = {**read_files(folder), **read_cases(folder)}
+    except PolicyErrors as found:
+        for problem in found.problems:
+            err.print(str(problem), markup=False)
+        raise typer.Exit(FINDING) from found
+    door = Door(data, server, token)
+    status, document = door.call("POST", "/v1/policies", {"files": files, "why": why})
+    known = "" if status == CREATED else f", known since {document['created_at']}"
+    say(f"{document['digest']} is a {document['status']}: {document['rules']} rules, {document['cases']} cases{known}")
+    if document["status"] != "active":
+        _print_difference(door.call("GET", f"/v1/policies/{document['digest']}/diff")[1])
+
+
+def activate(
+    digest: Digest, *, why: Why, data: Data = Path("data"), server: Server = None, token: Token = None
+) -> None:
+    """Put a version in force; one that loosens anything takes the word of two engineers.
+
+    [bold]reins policy activate sha256:9f2b --why "people work closer"[/]
+    """
+    door = Door(data, server, token)
+    door.activate(door.find(digest), why)
+
+
+def rollback(*, why: Why, data: Data = Path("data"), server: Server = None, token: Token = None) -> None:
+    """Put the version in force that was before this one; if that loosens anything, it takes two engineers.
+
+    [bold]reins policy rollback --why "too many refusals"[/]
+    """
+    door = Door(data, server, token)
+    known = door.versions()
+    active = next(item for item in known["items"] if item["digest"] == known["active"])
+    former = next((one["former"] for one in reversed(active["activations"]) if one["former"]), None)
+    if former is None:
+        say_error("nothing was in force before: there is nothing to go back to")
+        raise typer.Exit(FINDING)
+    door.activate(former, why)
+
+
+def versions(*, data: Data = Path("data"), server: Server = None, token: Token = None) -> None:
+    """List every version: what became of it, who brought it and why; the newest first."""
+    known = Door(data, server, token).versions()
+    for item in known["items"]:
+        say(f"{item['digest'][:SHOWN]}  {item['status']:<15} {item['created_at']}  {item['by']}: {item['why']}")
+        for one in item["activations"]:
+            say(f"{'':<21}in force {one['at']}  {', '.join(one['by'])}: {one['why']}")
+        if (first := item["awaiting"]) is not None:
+            say(f"{'':<21}awaits another engineer's word; {first['by']}: {first['why']}")
+    say(f"in force: {known['active']}; {known['why']}")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to `reins policy`."""
+    for command in (propose, activate, rollback, versions):
+        app.command()(command)
+
+
+def _print_difference(found: Mapping[str, Any]) -> None:
+    say(f"against what is in force: {found['direction']}")
+    for one in found["differences"]:
+        say(f"  {one['direction']:<9} {one['part']}: {one['before'] or '-'} -> {one['after'] or '-'}")
+
+
+def _read(path: Path, key: str, hint: str) -> str:
+    try:
+        return str(orjson.loads(path.read_bytes())[key])
+    except (OSError, orjson.JSONDecodeError, KeyError, TypeError) as error:
+        say_error(f"`{path}` does not say: {error!r}", hint=hint)
+        raise typer.Exit(MISUSE) from error

@@ -1,0 +1,365 @@
+"""What changes between two policies, and which way: does it tighten, loosen, both, or nothing at all?
+
+The comparison is of structure: what a part means is not proved, so a change that is not plainly stricter counts as a
+loosening. That is the safe side: a loosening needs a second engineer. Another `Compare` may prove more, and may call
+less a loosening; none may call a loosening anything else.
+
+| part | stricter |
+|---|---|
+| rule | more of them; a stronger effect; for more capabilities and profiles; tighter bounds; no condition |
+| limit, retry budget, deadline | lower |
+| permission of an agent, capability, profile, mode, name in the site | fewer |
+| required permission, condition, watch rule, approval, confirmation, forbidden zone | more |
+| text that only people read | neither |
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, fields, is_dataclass, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, cast
+
+from app.governance.model import AuthorityMode, Risk
+from app.governance.policy_model import Effect
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+    from app.governance.model import Capability, Site
+    from app.governance.policy import PolicySet
+    from app.governance.policy_model import Agent, Approval, Authority, Profile, Rule, Setting, WatchRow
+
+MAX_SHOWN: Final = 120
+
+
+class Direction(StrEnum):
+    """Which way a change goes; of a whole comparison `both` says that it goes either way, in different parts."""
+
+    SAME = "same"
+    TIGHTENS = "tightens"
+    LOOSENS = "loosens"
+    BOTH = "both"
+
+
+class Difference(NamedTuple):
+    """One part that is another: where it stands, what it was, what it is, and which way that goes."""
+
+    part: str
+    before: str
+    after: str
+    direction: Direction
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Comparison:
+    """All differences, and what they come to."""
+
+    direction: Direction
+    differences: tuple[Difference, ...] = ()
+
+    @property
+    def loosens(self) -> bool:
+        """Say whether anything of it may allow more than before."""
+        return self.direction in (Direction.LOOSENS, Direction.BOTH)
+
+    @property
+    def tightens(self) -> bool:
+        """Say whether anything of it may allow less than before, or is not known not to."""
+        return self.direction is not Direction.SAME
+
+    def document(self) -> dict[str, Any]:
+        """Return the comparison as JSON."""
+        return {"direction": self.direction, "differences": [found._asdict() for found in self.differences]}
+
+
+Compare: TypeAlias = "Callable[[PolicySet, PolicySet], Comparison]"
+Found: TypeAlias = "Iterator[tuple[str, object, object, Direction]]"
+
+SAME, TIGHTENS, LOOSENS = Direction.SAME, Direction.TIGHTENS, Direction.LOOSENS
+_RISKS: Final = (Risk.LOW, Risk.MEDIUM, Risk.HIGH, Risk.CRITICAL)
+_EFFECTS: Final = (Effect.MODIFY, Effect.ESCALATE, Effect.DENY)
+_ENABLED: Final = ("allowed", "guarded", "approval-required", "forbidden")  # from the widest to the strictest
+
+
+def compare(old: PolicySet, new: PolicySet) -> Comparison:
+    """Compare two policies part by part. Pure.
+
+    Args:
+        old: the one in force.
+        new: the one that may come into force.
+    """
+    found = (*_capabilities(old, new), *_profiles(old, new), *_rules(old, new), *_agents(old, new),
+             *_authority(old.authority, new.authority), *_site(old.site, new.site))  # fmt: skip
+    conditions = " ; ".join(rule.when for policy in (old, new) for rule in policy.rules.values() if rule.when)
+    differences = tuple(
+        Difference(
+            part, _shown(before), _shown(after), LOOSENS if _read(part, before, after, conditions) else direction
+        )
+        for part, before, after, direction in found
+    )
+    ways = {difference.direction for difference in differences} - {SAME}
+    direction = Direction.BOTH if len(ways) > 1 else next(iter(ways), SAME)
+    return Comparison(direction=direction, differences=differences)
+
+
+_NAMED_IN_CONDITIONS: Final[Mapping[str, str]] = {"sensitivity": "profile.sensitivity", "risk": "capability.risk"}
+_HELD = re.compile(r"""["'](\w+)["'] in agent\.permissions""")
+
+
+def _read(part: str, before: object, after: object, conditions: str) -> bool:
+    """Say whether a condition reads what changed: then stricter there may be wider in what follows from it."""
+    match part.split("/"):
+        case ["profiles", _, "limits", name, *_]:
+            return re.search(rf"\blimits\.{name}\b", conditions) is not None
+        case ["agents", _, "permissions"]:
+            lost = set(cast("frozenset[str]", before)) - set(cast("frozenset[str]", after))
+            asked = _HELD.findall(conditions)
+            return not lost.isdisjoint(asked) or len(asked) != conditions.count("agent.permissions")
+        case [_, _, name] if name in _NAMED_IN_CONDITIONS:
+            return _NAMED_IN_CONDITIONS[name] in conditions
+        case _:
+            return False
+
+
+# Ways of going -------------------------------------------------------------------------------------------------------
+
+
+def _less(before: float, after: float) -> Direction:
+    """Less is stricter."""
+    return TIGHTENS if after < before else LOOSENS
+
+
+def _more(before: float, after: float) -> Direction:
+    """More is stricter."""
+    return TIGHTENS if after > before else LOOSENS
+
+
+def _fewer(before: Any, after: Any) -> Direction:  # noqa: ANN401  # collections of one kind
+    """A part of what was before is stricter."""
+    return TIGHTENS if set(after) < set(before) else LOOSENS
+
+
+def _further(before: Any, after: Any) -> Direction:  # noqa: ANN401  # collections of one kind
+    """All that was before and more is stricter."""
+    return TIGHTENS if set(after) > set(before) else LOOSENS
+
+
+def _unknown(before: object, after: object) -> Direction:
+    """Nothing can be said, so it counts as a loosening."""
+    return LOOSENS
+
+
+def _words(before: object, after: object) -> Direction:
+    """Only people read it."""
+    return SAME
+
+
+def _along(scale: tuple[Any, ...]) -> Callable[[Any, Any], Direction]:
+    """Return the way along a scale from wide to strict."""
+    return lambda before, after: _more(scale.index(before), scale.index(after))
+
+
+Way: TypeAlias = "Callable[[Any, Any], Direction]"
+
+
+def _fields(part: str, old: object, new: object, ways: Mapping[str, Way]) -> Found:
+    """Compare two values of one dataclass field by field; a field that `ways` does not name is unknown."""
+    if not is_dataclass(old) or not is_dataclass(new):
+        raise TypeError(f"`{part}` is compared field by field, and has none")
+    for field in fields(old):
+        before, after = getattr(old, field.name), getattr(new, field.name)
+        if before != after and (way := ways.get(field.name, _unknown)) is not _inside:
+            yield f"{part}/{field.name}", before, after, way(before, after)
+
+
+def _inside(before: object, after: object) -> Direction:
+    """Is compared by itself, further in."""
+    raise AssertionError("never asked")
+
+
+def _named(
+    part: str, old: Mapping[str, Any], new: Mapping[str, Any], *, more: Direction, within: Callable[..., Found]
+) -> Found:
+    """Compare what has names: one more goes the way `more`, one less the other, one in both is looked into."""
+    less = LOOSENS if more is TIGHTENS else TIGHTENS
+    for name in sorted({*old, *new}):
+        place = f"{part}/{name}"
+        if name not in new:
+            yield place, old[name], None, less
+        elif name not in old:
+            yield place, None, new[name], more
+        elif old[name] != new[name]:
+            yield from within(place, old[name], new[name])
+
+
+def _any(part: str, before: object, after: object) -> Found:
+    yield part, before, after, LOOSENS
+
+
+def _approvers(before: Mapping[Risk, int], after: Mapping[Risk, int]) -> Direction:
+    """More people for every risk that is named before, and none left out, is stricter."""
+    return TIGHTENS if all(after.get(risk, 0) >= count for risk, count in before.items()) else LOOSENS
+
+
+def _modes(before: frozenset[AuthorityMode], after: frozenset[AuthorityMode]) -> Direction:
+    """More asking and reviewing is stricter; what lets people move the robot, or takes a pause from them, is not."""
+    more = {AuthorityMode.APPROVAL_REQUIRED, AuthorityMode.INTERRUPT_ENABLED, AuthorityMode.REVIEW_ONLY}
+    # A mode that asks lets somebody allow what would be denied where nobody can be asked.
+    if before.isdisjoint({AuthorityMode.APPROVAL_REQUIRED, AuthorityMode.APPROVAL_ON_ESCALATION}):
+        more -= {AuthorityMode.APPROVAL_REQUIRED}
+    gained, lost = after - before, before - after
+    return TIGHTENS if gained <= more and lost <= {AuthorityMode.TAKEOVER_ENABLED} else LOOSENS
+
+
+def _wider(before: frozenset[str] | None, after: frozenset[str] | None) -> Direction:
+    """For more is stricter, of a rule; None is for all."""
+    return TIGHTENS if after is None or (before is not None and after > before) else LOOSENS
+
+
+# Parts ---------------------------------------------------------------------------------------------------------------
+
+_OF_A_CAPABILITY: Final[Mapping[str, Way]] = {
+    "version": _words, "summary": _words, "preconditions": _further, "postconditions": _further,
+    "permissions": _further, "risk": _along(_RISKS), "timeout_s": _less, "env_profile": _inside,
+}  # fmt: skip
+_OF_A_PROFILE: Final[Mapping[str, Way]] = {
+    "sensitivity": _more, "admits": _fewer, "keep_every_tick": _more, "retry_budget": _less,
+    "rollback": lambda before, after: _more(before != "optional", after != "optional"),
+    "authority": _modes, "limits": _inside, "stale_after_ms": _inside,
+    "watch": _inside, "approval": _inside,
+}  # fmt: skip
+_OF_A_LIMIT: Final[Mapping[str, Way]] = {"maximum": _less, "source": _words}
+_OF_AN_APPROVAL: Final[Mapping[str, Way]] = {
+    "risks": _further, "within_s": _less, "default_approvers": _more,
+    "approvers": _approvers,
+}  # fmt: skip
+_OF_A_RULE: Final[Mapping[str, Way]] = {
+    "applies_to": _wider, "profiles": _wider,
+    "when": lambda before, after: TIGHTENS if after is None else LOOSENS, "then": _along(_EFFECTS),
+    "settings": _inside, "approvers": _more, "because": _words, "remedy": _words,
+}  # fmt: skip
+_OF_AUTHORITY: Final[Mapping[str, Way]] = {
+    "within_s": _less, "confirm_before": _further, "denials": _words, "grants": _inside,
+}  # fmt: skip
+
+
+def _capabilities(old: PolicySet, new: PolicySet) -> Found:
+    return _named("capabilities", old.capabilities, new.capabilities, more=LOOSENS, within=_capability)
+
+
+def _capability(part: str, old: Capability, new: Capability) -> Found:
+    yield from _fields(part, old, new, _OF_A_CAPABILITY)
+    for profile in sorted({*old.env_profile, *new.env_profile}):
+        # A profile that a manifest does not name enables nothing there.
+        before, after = (found.env_profile.get(profile, "forbidden") for found in (old, new))
+        if before != after:
+            yield f"{part}/env_profile/{profile}", before, after, _along(_ENABLED)(before, after)
+
+
+def _profiles(old: PolicySet, new: PolicySet) -> Found:
+    return _named("profiles", old.profiles, new.profiles, more=LOOSENS, within=_profile)
+
+
+def _profile(part: str, old: Profile, new: Profile) -> Found:
+    yield from _fields(part, old, new, _OF_A_PROFILE)
+    yield from _named(f"{part}/limits", old.limits, new.limits, more=TIGHTENS, within=_limit)
+    ages = (old.stale_after_ms, new.stale_after_ms)
+    yield from _named(f"{part}/stale_after_ms", *ages, more=TIGHTENS, within=_number)
+    rows = ({row.id: row for row in found.watch} for found in (old, new))
+    yield from _named(f"{part}/watch", *rows, more=TIGHTENS, within=_watch_row)
+    yield from _approval(f"{part}/approval", old.approval, new.approval)
+
+
+def _limit(part: str, old: object, new: object) -> Found:
+    return _fields(part, old, new, _OF_A_LIMIT)
+
+
+def _number(part: str, before: float, after: float) -> Found:
+    yield part, before, after, _less(before, after)
+
+
+def _watch_row(part: str, old: WatchRow, new: WatchRow) -> Found:
+    number = _less if old.above else _more  # an alarm that comes sooner
+    ways = {"number": _numbers(number), "times": number, "for_ms": _less, "applies_to": _wider}
+    return _fields(part, old, new, ways)
+
+
+def _numbers(way: Way) -> Way:
+    return lambda before, after: LOOSENS if before is None or after is None else way(before, after)
+
+
+def _approval(part: str, old: Approval | None, new: Approval | None) -> Found:
+    if old is None or new is None:
+        if old is not new:
+            yield part, old, new, TIGHTENS if old is None else LOOSENS
+        return
+    yield from _fields(part, old, new, _OF_AN_APPROVAL)
+
+
+def _rules(old: PolicySet, new: PolicySet) -> Found:
+    return _named("rules", old.rules, new.rules, more=TIGHTENS, within=_rule)
+
+
+def _rule(part: str, old: Rule, new: Rule) -> Found:
+    yield from _fields(part, old, new, _OF_A_RULE)
+    if old.then is not new.then:
+        return  # a stronger effect needs no bounds
+    settings = ({setting.param: setting for setting in found.settings} for found in (old, new))
+    yield from _named(f"{part}/set", *settings, more=TIGHTENS, within=_setting)
+
+
+def _setting(part: str, old: Setting, new: Setting) -> Found:
+    def bound(way: Way) -> Way:
+        return lambda before, after: TIGHTENS if before is None else LOOSENS if after is None else way(before, after)
+
+    return _fields(part, old, new, {"maximum": bound(_less), "minimum": bound(_more)})
+
+
+def _agents(old: PolicySet, new: PolicySet) -> Found:
+    return _named("agents", old.agents, new.agents, more=LOOSENS, within=_agent)
+
+
+def _agent(part: str, old: Agent, new: Agent) -> Found:
+    if old.permissions != new.permissions:
+        way = _fewer(old.permissions, new.permissions)
+        yield f"{part}/permissions", old.permissions, new.permissions, way
+    known, asked = old.permissions | old.supervised, new.permissions | new.supervised
+    if old.supervised != new.supervised:
+        yield f"{part}/supervised", old.supervised, new.supervised, TIGHTENS if asked <= known else LOOSENS
+
+
+def _authority(old: Authority, new: Authority) -> Found:
+    yield from _fields("authority", old, new, _OF_AUTHORITY)
+    if old.grants is None or new.grants is None:
+        if old.grants is not new.grants:
+            yield "authority/grants", old.grants, new.grants, TIGHTENS if new.grants is None else LOOSENS
+        return
+    yield from _fields("authority/grants", old.grants, new.grants, {"up_to_s": _less, "risks": _fewer})
+
+
+def _site(old: Site, new: Site) -> Found:
+    forbidden = ({name: zone for name, zone in found.zones.items() if zone.kind == "forbidden"} for found in (old, new))
+    yield from _named("site/zones", *forbidden, more=TIGHTENS, within=_any)
+    other = ({name: zone for name, zone in found.zones.items() if zone.kind != "forbidden"} for found in (old, new))
+    yield from _named("site/zones", *other, more=LOOSENS, within=_any)
+    for name in _NAMED_PARTS[1:]:
+        yield from _named(f"site/{name}", getattr(old, name), getattr(new, name), more=LOOSENS, within=_any)
+    yield from _fields("site", replace(old, **_NOTHING), replace(new, **_NOTHING), {})
+
+
+_NAMED_PARTS: Final = ("zones", "targets", "surfaces", "areas", "corridors", "objects", "tools")
+_NOTHING: Final[Mapping[str, Any]] = {name: {} for name in _NAMED_PARTS}
+
+
+def _shown(value: object) -> str:
+    match value:
+        case None:
+            return ""
+        case frozenset() | set():
+            text = ", ".join(sorted(map(str, value)))  # pyright: ignore[reportUnknownArgumentType, reportUnknownVariableType]
+        case tuple():
+            text = ", ".join(map(str, value))  # pyright: ignore[reportUnknownArgumentType, reportUnknownVariableType]
+        case _:
+            text = str(value)
+    return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 1]}…"

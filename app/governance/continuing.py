@@ -1,0 +1,166 @@
+"""May a session that runs go on, when another policy has come into force meanwhile?
+
+Asked is only what the new policy says otherwise than the one the session was authorized under, both in the world as it
+is now: a session in mid-grasp has its gripper closed, and no precondition of its launch need hold any more. What both
+say is no news, and what the new one leaves freer touches only what starts later.
+
+| the new policy | the session |
+|---|---|
+| does not admit it (capability, profile, permission, mode, names) | departs |
+| denies it, or holds its parameters tighter | departs |
+| watches it more strictly, recovers it less often, or has a further phase confirmed | departs |
+| wants a human's word that the old one did not want | departs, and one person's word lets it go on |
+
+A session cannot be bound to other parameters while it runs: what departs in one of the first three ways may only end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from app.governance.admission import admit
+from app.governance.authority import need
+from app.governance.guard import check
+from app.governance.model import Admission, AdmissionOutcome, PolicyOutcome, Reason
+from app.governance.policy import confirm_before, recovery_plan, watch_plan
+
+if TYPE_CHECKING:
+    from app.governance.model import ApprovalNeed, Context, Proposal, Verdict, WatchPlan, WatchRule
+    from app.governance.policy import PolicySet
+
+RULE: Final = "policy/changed"
+CHANGED: Final = "policy_changed"
+END_IT: Final = "end it, and propose again"
+ACCEPTED: Final = Admission(outcome=AdmissionOutcome.ACCEPT)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Departure:
+    """Why a session does not conform to another policy, without reasons it does; `askable`: a human may let it."""
+
+    reasons: tuple[Reason, ...] = ()
+    askable: bool = False
+
+    def __bool__(self) -> bool:
+        """Say whether it departs."""
+        return bool(self.reasons)
+
+
+CONFORMS: Final = Departure()
+
+
+def departure(old: PolicySet | None, new: PolicySet, proposal: Proposal, context: Context) -> Departure:
+    """Say how a running session departs from another policy. Pure.
+
+    Args:
+        old: what it was authorized under; None where that is not known any more: then everything is news.
+        new: what is in force now.
+        proposal: what runs, with its effective parameters.
+        context: Γ_t now, the agent as the new policy knows it; whether the cell is busy does not matter.
+    """
+    admission, before = admit(new, proposal, context), None if old is None else admit(old, proposal, context)
+    if admission.outcome is AdmissionOutcome.REJECT:
+        known = () if before is None else before.reasons
+        refused = tuple(reason for reason in admission.reasons if reason not in known)
+        return Departure(reasons=refused)
+    verdict, said = check(new, proposal, context), None if old is None else check(old, proposal, context)
+    refused = (*_held(verdict, said, proposal), *_watched(old, new, proposal, context))
+    if refused:
+        return Departure(reasons=refused)
+    wanted = _wanted(new, proposal, admission, verdict, context)
+    asked = None
+    if old is not None and before is not None and said is not None:
+        asked = _wanted(old, proposal, before, said, context)
+    return _asks(wanted, asked)
+
+
+def _held(verdict: Verdict, said: Verdict | None, proposal: Proposal) -> tuple[Reason, ...]:
+    """Return why the verdict refuses or binds what runs, where the old one did not."""
+    known = () if said is None else said.reasons
+    if verdict.outcome is PolicyOutcome.DENY:
+        same = said is not None and said.outcome is PolicyOutcome.DENY
+        return tuple(reason for reason in verdict.reasons if not (same and reason in known))
+    if verdict.effective == proposal.params or (said is not None and verdict.effective == said.effective):
+        return ()
+    by = {change.rule for change in verdict.changes}
+    return tuple(reason for reason in verdict.reasons if reason.rule in by) or verdict.reasons
+
+
+def _wanted(
+    policy: PolicySet, proposal: Proposal, admission: Admission, verdict: Verdict, context: Context
+) -> ApprovalNeed | None:
+    """Return what authority would ask; what admission defers is of no matter to what runs."""
+    waits = admission.outcome in (AdmissionOutcome.DEFER, AdmissionOutcome.REJECT)
+    return need(policy, proposal, ACCEPTED if waits else admission, verdict, context)
+
+
+def _asks(wanted: ApprovalNeed | None, asked: ApprovalNeed | None) -> Departure:
+    if wanted is None:
+        return CONFORMS
+    known = () if asked is None else asked.reasons
+    fresh = tuple(reason for reason in wanted.reasons if reason not in known)
+    more = asked is not None and wanted.approvers > asked.approvers
+    if not fresh and not more:
+        return CONFORMS
+    return Departure(reasons=fresh or wanted.reasons, askable=wanted.approvers == 1)
+
+
+# Watching ------------------------------------------------------------------------------------------------------------
+
+
+def _watched(old: PolicySet | None, new: PolicySet, proposal: Proposal, context: Context) -> tuple[Reason, ...]:
+    """Return why the plan that the session is watched by is not strict enough any more."""
+    pair = (proposal.capability, context.profile)
+    if old is None or pair not in old.gates or pair not in new.gates:
+        return (_news("its_policy_is_gone", "the policy it was authorized under is not known here any more"),)
+    plans = [watch_plan(policy, *pair, proposal.params, proposal.mode) for policy in (old, new)]
+    found = [_news("watched_tighter", f"{what} tighter now") for what in _stricter(*plans)]
+    before, after = (recovery_plan(policy, *pair) for policy in (old, new))
+    if after.retry_budget < before.retry_budget or (after.rollback != before.rollback and after.rollback != "optional"):
+        found.append(_news("recovery_tighter", "recovery is bound tighter now"))
+    further = [phase for phase in confirm_before(new, *pair) if phase not in confirm_before(old, *pair)]
+    found += [_news("confirmation_added", f"a human confirms `{phase}` now") for phase in further]
+    return tuple(found)
+
+
+def _news(code: str, message: str) -> Reason:
+    return Reason(RULE, code, message, END_IT)
+
+
+def _stricter(old: WatchPlan, new: WatchPlan) -> list[str]:
+    """Name what a plan may hold tighter than another: all that is another and not plainly wider."""
+    before, after = {rule.id: rule for rule in old.rules}, {rule.id: rule for rule in new.rules}
+    found = [
+        f"the watch rule `{name}` is"
+        for name, rule in after.items()
+        if name not in before or _sooner(before[name], rule)
+    ]
+    bounds = zip(old.bounds, new.bounds, old.bounds._fields, strict=True)
+    found += [f"the bound `{name}` is" for was, now, name in bounds if now < was]
+    parts = (
+        ("sensitivity is", new.sensitivity > old.sensitivity),
+        ("the time it may take is", new.timeout_s < old.timeout_s),
+        ("separation is", new.separation != old.separation and new.separation is not None),
+        ("a forbidden zone is", any(zone not in old.zones for zone in new.zones)),
+        ("the age of what sensors say is", _fresher(old, new)),
+        ("what has to hold afterwards is", not set(new.postconditions) <= set(old.postconditions)),
+        ("braking is", new.base_deceleration_mps2 != old.base_deceleration_mps2),
+        ("the room it takes is", new.base_radius_m != old.base_radius_m),
+    )
+    return found + [what for what, stricter in parts if stricter]
+
+
+def _sooner(before: WatchRule, after: WatchRule) -> bool:
+    """Say whether a watch rule may answer sooner or otherwise than it did."""
+    same = ("signal", "emits", "response", "above", "method", "failure")
+    if any(getattr(before, name) != getattr(after, name) for name in same) or after.for_ms < before.for_ms:
+        return True
+    if before.threshold is None or after.threshold is None:
+        return before.threshold != after.threshold
+    return after.threshold < before.threshold if before.above else after.threshold > before.threshold
+
+
+def _fresher(old: WatchPlan, new: WatchPlan) -> bool:
+    ages = old.stale_after_ms
+    return any(name not in ages or age < ages[name] for name, age in new.stale_after_ms.items())

@@ -1,0 +1,304 @@
+"""What follows when another policy has come into force: for grants, for sessions, for what waits for approval.
+
+1. Standing grants of the former policy end at once.
+2. Sessions that the new policy would not let go on as they are (`governance.continuing`) are told to hold, before
+   anything is recorded. The cell asks a human then, for the reasons given here.
+3. What waits for approval is decided again: it ends, launches, or is asked anew, bound to the new version.
+4. What was decided before and is recorded only now is sent only if the new policy would let it go on as well.
+
+What restrains is not told once: a launch that is still on its way to its cell cannot be held yet, so it is held as soon
+as the cell says that it has it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from typing import TYPE_CHECKING, Final
+
+from app.audit.errors import RecordUnavailable
+from app.audit.event import EventDraft
+from app.clock import rfc3339
+from app.governance.authority import need
+from app.governance.continuing import ACCEPTED, CHANGED, CONFORMS, Departure, departure
+from app.governance.errors import PolicyErrors
+from app.governance.model import SESSION, AdmissionOutcome, EventKind, Outcome, PolicyOutcome, Status
+from app.protocol import Human
+from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
+from app.runtime.errors import InvalidParams, NotFound
+from app.runtime.escalation import APPROVAL, WITHDRAWN, bound_digest
+from app.runtime.invocation import reasons_document
+from app.runtime.uncut import uncut
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+
+    from app.governance.model import ApprovalNeed
+    from app.governance.policy import PolicySet
+    from app.runtime.desk import Desk
+    from app.runtime.escalation import Escalation
+    from app.runtime.fleet import Fleet
+    from app.runtime.invocation import Invocation
+    from app.runtime.kernel import Judgement, Kernel
+    from app.runtime.register import Register
+
+AGAIN_S: Final = 0.2
+RULE: Final = "policy/changed"
+OVERTAKEN: Final = reason(
+    RULE, CHANGED, "another policy came into force before this began, and does not let it", "propose again"
+)
+
+
+class Succession:
+    """Sees to whatever stood under a policy that is not in force any more."""
+
+    def __init__(self, register: Register, fleet: Fleet, desk: Desk, kernel: Kernel) -> None:
+        """Take the parts of one server."""
+        self._register, self._fleet, self._desk, self._kernel = register, fleet, desk, kernel
+        self._policies: dict[str, PolicySet] = {}  # those that live sessions run under
+        self._holding: dict[str, float] = {}  # sessions that are to hold and have not said so; when they were told
+        self._ending: set[asyncio.Task[None]] = set()
+        kernel.overtaken = self.overtaken
+        desk.kept_back = self.kept_back
+
+    # -- before and at the change ------------------------------------------------------------------------------------
+
+    async def prepare(self, compiled: Callable[[str], Awaitable[PolicySet]]) -> None:
+        """Have every policy at hand that something live stands under."""
+        needed = {known.policy_version for known in self._register.live() if known.status in SESSION}
+        present = self._kernel.policy
+        kept = {digest: policy for digest, policy in self._policies.items() if digest in needed}
+        kept[present.digest] = present
+        for digest in needed - kept.keys():
+            with contextlib.suppress(NotFound, PolicyErrors):  # a session whose policy nobody knows departs from any
+                kept[digest] = await compiled(digest)
+        self._policies = kept
+
+    def at_once(self) -> list[EventDraft]:
+        """End grants, and tell every session to hold that departs from what is in force now; return what was done."""
+        self._desk.grants.look()
+        done: list[EventDraft] = []
+        for present in self._register.live():
+            if present.status not in SESSION or present.policy_version == self._kernel.policy.digest:
+                continue
+            found = self.departure(present)
+            if found:
+                done.append(self._hold(present, found))
+        return done
+
+    def departure(self, present: Invocation) -> Departure:
+        """Say how a session departs from the policy in force."""
+        policy = self._kernel.policy
+        if present.policy_version == policy.digest:
+            return CONFORMS
+        proposal = present.proposal(dict(present.effective or {}))
+        context = self._kernel.context(present.capability, present.agent, present)
+        return departure(self._policies.get(present.policy_version), policy, proposal, context)
+
+    def kept_back(self, present: Invocation) -> list[dict[str, str]]:
+        """Return why nobody may let a session go on; empty where a human's word is enough."""
+        found = self.departure(present)
+        return [] if found.askable else reasons_document(found.reasons)
+
+    def _hold(self, present: Invocation, found: Departure) -> EventDraft:
+        reasons = reasons_document(found.reasons)
+        self._desk.departed[present.id] = reasons
+        self._holding[present.id] = self._register.now_s()
+        self._restrain(present)
+        body = {
+            "intervention": "ESCALATE",
+            "code": CHANGED,
+            "policy_version": self._kernel.policy.digest,
+            "former": present.policy_version,
+            "reasons": reasons,
+            "askable": found.askable,
+        }
+        return EventDraft(kind=EventKind.INTERVENTION, actor=SERVER, invocation=present.id, body=body)
+
+    def _restrain(self, present: Invocation) -> None:
+        cell = self._fleet.cell(present.cell or "")
+        if cell.control is not None and cell.control.invocation == present.id:
+            self._fleet.loosen(cell, SERVER)
+        self._fleet.restrain(cell, Human(invocation=present.id, op="escalate", actor=SERVER))
+
+    # -- afterwards --------------------------------------------------------------------------------------------------
+
+    @uncut
+    async def afterwards(self, done: list[EventDraft]) -> None:
+        """Record what was done at once, and decide again on everything that waits for approval.
+
+        What cannot be recorded now is said later, and what waits is decided again by `watch` or before its answer.
+        """
+        if done:
+            await self._register.say(*done)
+        await self._desk.grants.record_ends()
+        await self.decide_again()
+
+    async def watch(self) -> None:
+        """Hold what could not be held at once, and decide again what could not be recorded, for ever."""
+        while True:
+            await asyncio.sleep(AGAIN_S)
+            self.hold_again()
+            await self.decide_again()
+
+    def hold_again(self) -> None:
+        """Tell sessions once more to hold, which were on their way to their cell when they were told."""
+        now_s = self._register.now_s()
+        for name, told_s in tuple(self._holding.items()):
+            present = self._register.newest(name)
+            if present is None or present.status not in SESSION:
+                del self._holding[name]
+                self._desk.departed.pop(name, None)
+            elif present.status is Status.ESCALATED:
+                del self._holding[name]
+            elif present.terms.confirmed and now_s - told_s >= AGAIN_S:
+                self._holding[name] = now_s
+                self._restrain(present)
+
+    # -- what was decided before and recorded after --------------------------------------------------------------------
+
+    def overtaken(self, launching: Invocation, judgement: Judgement) -> bool:
+        """Say whether a launch must not be sent, because the policy it was decided under has given way; end it then."""
+        if judgement.policy is self._kernel.policy:
+            return False
+        proposal = launching.proposal(dict(launching.effective or {}))
+        context = self._kernel.context(launching.capability, launching.agent, launching)
+        found = departure(judgement.policy, self._kernel.policy, proposal, context)
+        if not found:
+            return False
+        task = asyncio.create_task(self._abandon(launching.id, found), name=f"abandon-{launching.id}")
+        self._ending.add(task)
+        task.add_done_callback(self._ending.discard)
+        return True
+
+    async def _abandon(self, name: str, found: Departure) -> None:
+        """End what was recorded as launched and never was; nothing has moved."""
+        entry = self._register.entry(name)
+        if entry is None:
+            return
+        async with entry.lock:
+            present = entry.newest
+            if present.final:
+                return
+            reasons = [OVERTAKEN, *reasons_document(found.reasons)]
+            ended = present.evolve(
+                self._register.now(), status=Status.FAILED, outcome=Outcome.FAULT, failure={"reasons": reasons}
+            )
+            with contextlib.suppress(RecordUnavailable):  # then it ends as a launch that nobody confirmed
+                await self._register.append([outcome_event(ended, SERVER, *reasons)], (), [ended])
+
+    # -- what waits for approval ---------------------------------------------------------------------------------------
+
+    async def decide_again(self) -> None:
+        """Decide again on everything that waits for approval under another version than the one in force."""
+        for known in self._desk.pending():
+            entry = self._register.entry(known.invocation)
+            if entry is None or not self._outdated(known):
+                continue
+            async with entry.lock:
+                present = self._desk.pending_for(known.invocation)
+                if present is not None and self._outdated(present):
+                    with contextlib.suppress(RecordUnavailable):  # `watch` tries again; answers are refused meanwhile
+                        await self._anew(present, entry.newest)
+
+    def _outdated(self, question: Escalation) -> bool:
+        return question.kind == APPROVAL and question.policy_version != self._kernel.policy.digest
+
+    async def _anew(self, question: Escalation, invocation: Invocation) -> None:
+        """Decide on what waits for approval; an approver's edit stands in the place of what was requested."""
+        asked = dict(question.edits[-1]["params"]) if question.edits else dict(invocation.requested)
+        try:
+            params = self._kernel.fill_in(invocation.capability, asked)
+        except InvalidParams as error:
+            why = reason(RULE, "params_invalid", f"the capability takes other parameters now: {error}", "propose again")
+            await self._end(question, invocation, status=Status.REJECTED, outcome=Outcome.REJECTED, reasons=[why])
+            return
+        cell = self._fleet.cell(invocation.cell) if invocation.cell else None
+        judgement = self._kernel.judge(invocation.proposal(params), invocation.agent, cell)
+        wanted = self._wanted(judgement, invocation)
+        if judgement.refused or (wanted is None and judgement.status is Status.DEFERRED):
+            await self._refuse(question, invocation, judgement)
+        elif wanted is None:
+            await self._launch(question, invocation, judgement)
+        else:
+            await self._ask(question, invocation, judgement, wanted)
+
+    def _wanted(self, judgement: Judgement, invocation: Invocation) -> ApprovalNeed | None:
+        """Return what authority asks for; what only has to wait for the world is asked about all the same."""
+        decision = judgement.decision
+        if decision.admission.outcome is not AdmissionOutcome.DEFER or decision.verdict is None:
+            return decision.need
+        if decision.verdict.outcome is PolicyOutcome.DENY:
+            return None
+        proposal = invocation.proposal(decision.verdict.effective)
+        context = self._kernel.context(invocation.capability, invocation.agent, invocation, profile=judgement.profile)
+        return need(judgement.policy, proposal, ACCEPTED, decision.verdict, context)
+
+    async def _refuse(self, question: Escalation, invocation: Invocation, judgement: Judgement) -> None:
+        now = self._register.now()
+        closed = question.evolve(now, status=WITHDRAWN)
+        ended = judgement.refuse(invocation.evolve(now, escalation=closed.reference()))
+        drafts = [*judgement.recheck_events(ended), escalation_event(closed)]
+        drafts.append(outcome_event(ended, SERVER, *judgement.ending_reasons()))
+        await self._desk.commit(drafts, closed, ended)
+
+    async def _end(
+        self,
+        question: Escalation,
+        invocation: Invocation,
+        *,
+        status: Status,
+        outcome: Outcome,
+        reasons: list[dict[str, str]],
+    ) -> None:
+        now = self._register.now()
+        closed = question.evolve(now, status=WITHDRAWN)
+        admission = {"outcome": AdmissionOutcome.REJECT, "reasons": reasons}
+        ended = invocation.evolve(
+            now, status=status, outcome=outcome, escalation=closed.reference(), admission=admission
+        )
+        await self._desk.commit([escalation_event(closed), outcome_event(ended, SERVER, *reasons)], closed, ended)
+
+    async def _launch(self, question: Escalation, invocation: Invocation, judgement: Judgement) -> None:
+        """Launch what nobody has to approve any more."""
+        now = self._register.now()
+        closed = question.evolve(now, status=WITHDRAWN)
+        effective = judgement.effective(dict(invocation.requested))
+        decided = invocation.evolve(now, effective=effective, escalation=closed.reference(), **judgement.parts())
+        async with self._kernel.launch(decided, judgement) as launch:
+            drafts = [escalation_event(closed), *judgement.recheck_events(launch.invocation), *launch.events]
+            await self._desk.commit(drafts, closed, launch.invocation, launch.rows)
+
+    async def _ask(
+        self, question: Escalation, invocation: Invocation, judgement: Judgement, wanted: ApprovalNeed
+    ) -> None:
+        """Ask anew, about what the new version makes of it; who approved before approved something else."""
+        now = self._register.now()
+        effective = judgement.effective(dict(invocation.requested))
+        decided = invocation.evolve(
+            now, effective=effective, status=Status.AWAITING_APPROVAL, outcome=None, **judgement.parts()
+        )
+        asked = question.evolve(
+            now,
+            constrained=effective if not question.edits else question.constrained,
+            effective=effective,
+            digest=bound_digest(decided, effective),
+            former_digests=(*question.former_digests, question.digest),
+            policy_version=judgement.policy.digest,
+            profile=judgement.profile,
+            reasons=reasons_document(wanted.reasons),
+            needed=wanted.approvers,
+            approvals=(),
+            acknowledged=(),
+            risk=self._kernel.risk(invocation.capability),
+            expires_at=rfc3339(self._register.now_s() + wanted.within_s),
+            on_timeout=wanted.on_timeout,
+        )
+        shown = decided.evolve(now, escalation=asked.reference())
+        drafts = [*judgement.recheck_events(shown), escalation_event(asked)]
+        await self._desk.commit(drafts, asked, shown)
+
+    async def close(self) -> None:
+        """Wait for what is being ended."""
+        if self._ending:
+            await asyncio.wait(self._ending)

@@ -1,0 +1,129 @@
+"""One version of policy as the server keeps it: whose it is, what became of it, and who stood behind that.
+
+| status | means |
+|---|---|
+| `candidate` | it was checked, and was never in force |
+| `awaiting_second` | one engineer wants it in force, and what it loosens takes another |
+| `active` | it decides |
+| `former` | it was in force before |
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import orjson
+
+from app.audit.event import EventDraft, RowWrite
+from app.governance.model import EventKind
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+CANDIDATE: Final = "candidate"
+AWAITING: Final = "awaiting_second"
+ACTIVE: Final = "active"
+FORMER: Final = "former"
+REQUEST: Final = "request"
+DIRECTORY: Final = "directory"
+KEPT_ACTIVATIONS: Final = 100  # of one version; the log holds all of them
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Version:
+    """The newest state of one version; `evolve` makes the next.
+
+    Attributes:
+        digest: `sha256:…` over its files.
+        status: as in the table above.
+        source: `request`, or the `directory` that a server was started with.
+        by: who brought it.
+        why: why they did.
+        against: what was in force then; None for the first.
+        rules: how many rules it has.
+        cases: how many cases it passed.
+        awaiting: the first of two engineers' word: `{by, at, why, against}`; None where nobody waits.
+        activations: every time it came into force: `{at, by, why, former, direction}`, the newest last.
+    """
+
+    digest: str
+    status: str
+    source: str
+    by: str
+    why: str
+    against: str | None
+    rules: int
+    cases: int
+    created_at: str
+    updated_at: str
+    awaiting: Mapping[str, Any] | None = None
+    activations: tuple[Mapping[str, Any], ...] = ()
+
+    def evolve(self, at: str, **changes: Any) -> Version:  # noqa: ANN401  # fields of this class
+        """Return the next state."""
+        return replace(self, updated_at=at, **changes)
+
+    def entered(self, at: str, activation: Mapping[str, Any]) -> Version:
+        """Return it in force."""
+        kept = (*self.activations, {"at": at, **activation})[-KEPT_ACTIVATIONS:]
+        return self.evolve(at, status=ACTIVE, awaiting=None, activations=kept)
+
+    def vouches(self, active: str) -> frozenset[str]:
+        """Return who has said already that it should take the place of what is in force.
+
+        Bringing it counts for whoever brought it, as long as it was never in force and what it was compared with is.
+        A word on what has left force meanwhile was about another change, and counts for nothing.
+        """
+        first = self.awaiting
+        asked = {str(first["by"])} if first is not None and first["against"] == active else set[str]()
+        brought = self.source == REQUEST and not self.activations and self.against == active
+        return frozenset(asked | {self.by} if brought else asked)
+
+    def public(self) -> dict[str, Any]:
+        """Return the version as JSON."""
+        return {
+            "digest": self.digest,
+            "status": self.status,
+            "source": self.source,
+            "by": self.by,
+            "why": self.why,
+            "against": self.against,
+            "rules": self.rules,
+            "cases": self.cases,
+            "awaiting": None if self.awaiting is None else dict(self.awaiting),
+            "activations": [dict(one) for one in self.activations],
+            "created_at": self.created_at,
+            "updated_at": self.updated_at,
+        }
+
+    def row(self) -> RowWrite:
+        """Return the row that holds this state."""
+        return RowWrite(
+            table="policies",
+            values={
+                "id": self.digest,
+                "status": self.status,
+                "document": orjson.dumps(self.public()),
+                "created_at": self.created_at,
+                "updated_at": self.updated_at,
+            },
+        )
+
+    def event(self, op: str, actor: str, **more: Any) -> EventDraft:  # noqa: ANN401  # what else is to be recorded
+        """Return the event of something that was said of it: `proposed`, `awaiting_second`, `offered`."""
+        body = {"op": op, "policy_version": self.digest, "status": self.status, "why": self.why, **more}
+        return EventDraft(kind=EventKind.POLICY_VERSION, actor=actor, body=body)
+
+
+def read_version(document: bytes) -> Version:
+    """Read a stored document back."""
+    fields: dict[str, Any] = orjson.loads(document)
+    activations = tuple(fields.pop("activations"))
+    return Version(**fields, activations=activations)
+
+
+def files_row(digest: str, files: Mapping[str, str], at: str) -> RowWrite:
+    """Return the row that keeps a version's files."""
+    values = {"digest": digest, "files": orjson.dumps(dict(files)), "created_at": at}
+    return RowWrite(table="policy_files", values=values)

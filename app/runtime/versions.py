@@ -1,0 +1,347 @@
+"""Versions of policy: brought, checked, compared, put in force, and what is in force when a server comes back.
+
+What is in force changes in one step, and only behind its record: `Kernel.enforce` swaps one reference with nothing
+awaited, so every decision is made under exactly one version, and says which. What loosens takes two engineers, what
+tightens one; what cannot be told to tighten counts as a loosening.
+
+At a start:
+
+| in force when the server ended | the directory it starts with | in force now |
+|---|---|---|
+| nothing, or what a directory held | any | the directory's |
+| what an engineer put in force | the same | that |
+| what an engineer put in force | another | that; the directory's becomes a candidate |
+| what an engineer put in force | another, and the start is told to take it | the directory's |
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import OrderedDict
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import orjson
+
+from app.audit.event import EventDraft, RowWrite
+from app.governance import bundle, cases
+from app.governance.comparison import compare
+from app.governance.errors import PolicyError, PolicyErrors
+from app.governance.model import EventKind
+from app.runtime.drafts import SERVER
+from app.runtime.errors import Conflict, NotFound
+from app.runtime.uncut import uncut
+from app.runtime.version import (
+    ACTIVE,
+    AWAITING,
+    CANDIDATE,
+    DIRECTORY,
+    FORMER,
+    REQUEST,
+    Version,
+    files_row,
+    read_version,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from app.governance.comparison import Compare, Comparison
+    from app.governance.policy import PolicySet
+    from app.runtime.invocation import Principal
+    from app.runtime.kernel import Kernel
+    from app.runtime.register import Register
+    from app.runtime.succession import Succession
+
+SETTING: Final = "policy_active"
+KEPT_COMPILED: Final = 4  # beside those that are needed: a candidate is compiled once for its checks and its activation
+CASES: Final = f"{bundle.TESTS_FOLDER}/"
+
+
+class Checked(NamedTuple):
+    """A candidate without a fault: compiled, and how many cases it passed."""
+
+    policy: PolicySet
+    cases: int
+
+
+def check(files: Mapping[str, str]) -> Checked:
+    """Do what `reins policy check` and `test` do: load, type-check, and run the cases that came with the files.
+
+    Args:
+        files: path → text; what lies in `tests/` are cases, and no part of the policy.
+
+    Raises:
+        PolicyErrors: everything that is wrong, each with its file and line.
+    """
+    tests = {name: text for name, text in files.items() if name.startswith(CASES)}
+    policy = bundle.load_files({name: text for name, text in files.items() if name not in tests})
+    results = cases.run(policy, tests)
+    failed = [
+        PolicyError(file=one.file, line=one.line, key=one.name, message="; ".join(one.differences))
+        for one in results
+        if not one.passed
+    ]
+    if failed:
+        raise PolicyErrors(failed)
+    return Checked(policy, len(results))
+
+
+class InForce(NamedTuple):
+    """What is in force, and why: `source` is `directory` or `request`."""
+
+    digest: str
+    source: str
+    why: str
+
+
+class Versions:
+    """Every version that one server knows, and which of them decides."""
+
+    def __init__(self, register: Register, kernel: Kernel, succession: Succession) -> None:
+        """Take where changes are recorded, who decides, and what follows; `comparing` may be put in another's place."""
+        self._register = register
+        self._kernel = kernel
+        self._succession = succession
+        self.comparing: Compare = compare
+        self._changing = asyncio.Lock()  # one change of what is in force at a time
+        self._compiled: OrderedDict[str, PolicySet] = OrderedDict()
+        self.in_force = InForce(kernel.policy.digest, DIRECTORY, "")
+        self.reason = ""  # why that, in words, since the start
+
+    # -- reading -----------------------------------------------------------------------------------------------------
+
+    async def list(self, *, limit: int = 50, cursor: str | None = None) -> tuple[list[dict[str, Any]], str | None]:
+        """Return versions, the newest first, and the cursor behind them. Raises `ValueError` on a bad one."""
+        page = await self._register.store.page("policies", limit=limit, cursor=cursor)
+        return [read_version(row["document"]).public() for row in page.items], page.next
+
+    async def load(self, digest: str) -> Version:
+        """Return a version.
+
+        Raises:
+            NotFound: there is none.
+        """
+        row = await self._register.store.row("policies", id=digest)
+        if row is None:
+            raise NotFound("policy", digest)
+        return read_version(row["document"])
+
+    async def compiled(self, digest: str) -> PolicySet:
+        """Return a version ready to decide, from its files if need be.
+
+        Raises:
+            NotFound: its files are not here.
+            PolicyErrors: they are no policy any more, or not those of the digest.
+        """
+        known = self._kernel.policy if self._kernel.policy.digest == digest else self._compiled.get(digest)
+        if known is not None:
+            return known
+        row = await self._register.store.row("policy_files", digest=digest)
+        if row is None:
+            raise NotFound("policy", digest)
+        policy = await asyncio.to_thread(bundle.load_files, orjson.loads(row["files"]))
+        if policy.digest != digest:
+            message = f"what is kept as `{digest}` has the digest `{policy.digest}`"
+            raise PolicyErrors([PolicyError(file="policy_files", line=0, key="", message=message)])
+        self._remember(policy)
+        return policy
+
+    def _remember(self, policy: PolicySet) -> None:
+        self._compiled[policy.digest] = policy
+        self._compiled.move_to_end(policy.digest)
+        while len(self._compiled) > KEPT_COMPILED:
+            self._compiled.popitem(last=False)
+
+    async def difference(self, digest: str) -> Comparison:
+        """Return what a version would change of what is in force. Errors as `compiled`."""
+        candidate = await self.compiled(digest)
+        return await asyncio.to_thread(self.comparing, self._kernel.policy, candidate)
+
+    # -- bringing ----------------------------------------------------------------------------------------------------
+
+    @uncut
+    async def propose(self, files: Mapping[str, str], principal: Principal, why: str) -> tuple[dict[str, Any], bool]:
+        """Check a candidate, keep it by its digest, and return it and whether it is new; nothing comes into force.
+
+        Raises:
+            PolicyErrors: what is wrong with it; then it is not kept, and nobody can put it in force.
+            RecordUnavailable: it is not kept.
+        """
+        checked = await asyncio.to_thread(check, files)
+        policy = checked.policy
+        row = await self._register.store.row("policies", id=policy.digest)
+        if row is not None:
+            self._remember(policy)
+            return read_version(row["document"]).public(), False
+        active, now = self._kernel.policy, self._register.now()
+        found = await asyncio.to_thread(self.comparing, active, policy)
+        version = Version(
+            digest=policy.digest,
+            status=CANDIDATE,
+            source=REQUEST,
+            by=principal.name,
+            why=why,
+            against=active.digest,
+            rules=len(policy.rules),
+            cases=checked.cases,
+            created_at=now,
+            updated_at=now,
+        )
+        said = version.event("proposed", principal.name, against=active.digest, comparison=found.document())
+        await self._register.append([said], [version.row(), files_row(policy.digest, policy.files, now)])
+        self._remember(policy)
+        return version.public(), True
+
+    # -- putting in force --------------------------------------------------------------------------------------------
+
+    @uncut
+    async def activate(self, digest: str, principal: Principal, why: str) -> tuple[dict[str, Any], bool]:
+        """Put a version in force, or note that one engineer wants it; return it and whether it is in force.
+
+        Raises:
+            NotFound: there is no such version; one with faults is never kept.
+            Conflict: `policy_active`, it is in force; `second_engineer_needed`, it takes another person than those who
+                want it already.
+            RecordUnavailable: nothing was recorded and nothing has changed.
+        """
+        async with self._changing:
+            version = await self.load(digest)
+            active = self._kernel.policy
+            if digest == active.digest:
+                raise Conflict("policy_active", f"`{digest}` is in force already")
+            candidate = await self.compiled(digest)
+            found = await asyncio.to_thread(self.comparing, active, candidate)
+            if found.loosens and not version.vouches(active.digest) - {principal.name}:
+                return await self._wait_for_second(version, found, principal, why), False
+            version = await self._enter(version, candidate, found, principal, why)
+        return version.public(), True
+
+    async def _wait_for_second(
+        self, version: Version, found: Comparison, principal: Principal, why: str
+    ) -> dict[str, Any]:
+        active, first = self._kernel.policy.digest, version.awaiting
+        if first is not None and first["against"] == active:
+            message = f"`{principal.name}` wants it in force already, and it loosens: it takes another engineer"
+            raise Conflict("second_engineer_needed", message)
+        now = self._register.now()
+        word = {"by": principal.name, "at": now, "why": why, "against": active}
+        waiting = version.evolve(now, status=AWAITING, awaiting=word)
+        said = waiting.event("awaiting_second", principal.name, awaiting=word, comparison=found.document())
+        await self._register.append([said], [waiting.row()])
+        return waiting.public()
+
+    async def _enter(
+        self, version: Version, candidate: PolicySet, found: Comparison, principal: Principal, why: str
+    ) -> Version:
+        former = self._kernel.policy
+        by = sorted(version.vouches(former.digest) | {principal.name}) if found.loosens else [principal.name]
+        activation = {"by": by, "why": why, "former": former.digest, "direction": found.direction}
+        now = self._register.now()
+        entered = version.entered(now, activation)
+        left = (await self.load(former.digest)).evolve(now, status=FORMER)
+        body = {
+            "policy_version": candidate.digest,
+            "source": REQUEST,
+            **activation,
+            "proposed_by": version.by,
+            "awaiting": version.awaiting,
+            "comparison": found.document(),
+        }
+        said = EventDraft(kind=EventKind.POLICY_ACTIVATED, actor=principal.name, body=body)
+        kept = _setting(InForce(candidate.digest, REQUEST, why), now)
+        await self._succession.prepare(self.compiled)
+        await self._register.append([said], [left.row(), entered.row(), kept])
+        self.in_force, self.reason = InForce(candidate.digest, REQUEST, why), f"an engineer put it in force: {why}"
+        self._kernel.enforce(candidate)
+        done = self._succession.at_once()
+        self._remember(former)
+        await self._succession.afterwards(done)
+        return entered
+
+    # -- at a start --------------------------------------------------------------------------------------------------
+
+    async def recall(self, *, take_directory: bool = False) -> tuple[list[EventDraft], list[RowWrite]]:
+        """Put in force what was, or what the directory of this start holds; return what to record of it.
+
+        Args:
+            take_directory: the directory's version comes into force even if an engineer had put another one there.
+
+        Raises:
+            PolicyErrors: what was in force is no policy any more, for instance after a newer release.
+            NotFound: its files are lost.
+        """
+        directory, now = self._kernel.policy, self._register.now()
+        before = await self._before()
+        drafts: list[EventDraft] = []
+        rows: list[RowWrite] = []
+        offered, known = await self._known(directory, now)
+        chosen = before is not None and before.source == REQUEST
+        if before is not None and chosen and before.digest != directory.digest and not take_directory:
+            why = f"an engineer put it in force: {before.why}"
+            self._kernel.enforce(await self.compiled(before.digest))
+            self.in_force = before
+            if not known:
+                drafts.append(offered.event("offered", SERVER, against=before.digest))
+                rows += [offered.row(), files_row(directory.digest, directory.files, now)]
+        else:
+            why = _why_directory(before, directory)
+            rows += await self._entered_by_start(offered, before, why, now)
+            same = before is not None and before.digest == directory.digest
+            self.in_force = before if before and same else InForce(directory.digest, DIRECTORY, why)
+        self.reason = why
+        body = {
+            "policy_version": self.in_force.digest,
+            "source": self.in_force.source,
+            "why": why,
+            "directory": directory.digest,
+            "former": None if before is None else before.digest,
+        }
+        drafts.append(EventDraft(kind=EventKind.POLICY_ACTIVATED, actor=SERVER, body=body))
+        return drafts, [*rows, _setting(self.in_force, now)]
+
+    async def _before(self) -> InForce | None:
+        for row in await self._register.store.rows("settings", {"name": SETTING}):
+            return InForce(**orjson.loads(row["value"]))
+        return None
+
+    async def _known(self, policy: PolicySet, now: str) -> tuple[Version, bool]:
+        """Return the version of the directory this server starts with, and whether it was known before."""
+        row = await self._register.store.row("policies", id=policy.digest)
+        if row is not None:
+            return read_version(row["document"]), True
+        made = Version(
+            digest=policy.digest,
+            status=CANDIDATE,
+            source=DIRECTORY,
+            by=SERVER,
+            why="the directory this server was started with",
+            against=None,
+            rules=len(policy.rules),
+            cases=0,
+            created_at=now,
+            updated_at=now,
+        )
+        return made, False
+
+    async def _entered_by_start(self, version: Version, before: InForce | None, why: str, now: str) -> list[RowWrite]:
+        if before is not None and before.digest == version.digest and version.status == ACTIVE:
+            return []
+        activation = {"by": [SERVER], "why": why, "former": None if before is None else before.digest}
+        entered = version.entered(now, {**activation, "direction": None})
+        rows = [entered.row(), files_row(version.digest, self._kernel.policy.files, now)]
+        if before is not None and before.digest != version.digest:
+            rows.append((await self.load(before.digest)).evolve(now, status=FORMER).row())
+        return rows
+
+
+def _why_directory(before: InForce | None, directory: PolicySet) -> str:
+    if before is None:
+        return "the first start: the directory's"
+    if before.digest != directory.digest:
+        return "the directory holds another version than when the server ended"
+    return "it was in force when the server ended, and the directory holds the same"
+
+
+def _setting(found: InForce, at: str) -> RowWrite:
+    values = {"name": SETTING, "value": orjson.dumps(found._asdict()), "updated_at": at}
+    return RowWrite(table="settings", values=values)

@@ -1,0 +1,373 @@
+"""Versions of policy over the real runtime and record: who may put what in force, and what follows from it."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.governance import bundle
+from app.governance.errors import PolicyErrors
+from app.governance.model import Role, Status
+from app.runtime.assembly import Runtime
+from app.runtime.errors import Conflict, NotFound
+from app.runtime.invocation import Principal
+from tests.runtime.conftest import AGENT, ENGINEER, OPERATOR, HandCell, House, grasp, navigate, until
+
+pytestmark = pytest.mark.anyio
+FILES = bundle.read_files(Path(__file__).resolve().parents[2] / "policies")
+ENGINEER_2 = Principal(name="emil", role=Role.ENGINEER)
+SHARED, ORGANIZATION = "profiles/human-shared.yaml", "organization.yaml"
+NO_MUG = """
+  - id: no-mug
+    applies_to: [grasp_object]
+    when: params.object_id == "mug_1"
+    then: deny
+    because: The mug stays where it is.
+"""
+
+
+def edited(name: str, before: str, after: str, files: dict[str, str] | None = None) -> dict[str, str]:
+    files = FILES if files is None else files
+    assert before in files[name]
+    return {**files, name: files[name].replace(before, after, 1)}
+
+
+SLOWER = edited(SHARED, "base_speed_mps: {max: 0.3", "base_speed_mps: {max: 0.2")
+FASTER = edited(SHARED, "base_speed_mps: {max: 0.3", "base_speed_mps: {max: 0.4")
+WEAKER = edited(SHARED, "grip_force_n: {max: 60", "grip_force_n: {max: 30")
+FORBIDDEN = edited(ORGANIZATION, "rules:\n", f"rules:{NO_MUG}")
+ASKING = edited(
+    ORGANIZATION,
+    "rules:\n",
+    "rules:\n  - {id: look, applies_to: [navigate_to], then: escalate, because: Somebody looks.}\n",
+)
+
+
+async def brought(runtime: Runtime, files: dict[str, str], by: Principal = ENGINEER) -> str:
+    document, _ = await runtime.versions.propose(files, by, "because")
+    return document["digest"]
+
+
+async def put_in_force(runtime: Runtime, files: dict[str, str]) -> str:
+    """Have two engineers put a version in force."""
+    digest = await brought(runtime, files)
+    _, entered = await runtime.versions.activate(digest, ENGINEER_2, "both of us want it")
+    assert entered
+    return digest
+
+
+async def bodies(runtime: Runtime, kind: str, **filters: Any) -> list[dict[str, Any]]:
+    return [event.payload() for event in await runtime.store.events(kind=kind, limit=1000, **filters)]
+
+
+# -- bringing ----------------------------------------------------------------------------------------------------------
+
+
+async def test_a_candidate_is_kept_by_its_digest_and_changes_nothing(runtime: Runtime) -> None:
+    before = runtime.kernel.policy.digest
+    document, new = await runtime.versions.propose(SLOWER, ENGINEER, "people work closer")
+    assert new
+    assert (document["status"], document["by"], document["against"]) == ("candidate", "erin", before)
+    assert document["digest"] == bundle.digest(SLOWER)
+    assert runtime.kernel.policy.digest == before
+    again, new = await runtime.versions.propose(SLOWER, ENGINEER_2, "me too")
+    assert not new
+    assert again["by"] == "erin"
+    (said,) = await bodies(runtime, "policy_version")
+    assert said["comparison"]["direction"] == "tightens"
+    assert said["comparison"]["differences"][0]["part"] == "profiles/human-shared/limits/base_speed_mps/maximum"
+
+
+async def test_a_candidate_with_a_fault_is_not_kept_so_nobody_can_activate_it(runtime: Runtime) -> None:
+    broken = edited(ORGANIZATION, "when: target.hazardous", "when: target.hazardus")
+    with pytest.raises(PolicyErrors) as found:
+        await runtime.versions.propose(broken, ENGINEER, "a slip")
+    assert found.value.file == ORGANIZATION
+    assert found.value.line > 0
+    with pytest.raises(NotFound):
+        await runtime.versions.activate(bundle.digest(broken), ENGINEER_2, "all the same")
+
+
+async def test_a_candidate_that_fails_a_case_of_its_own_is_not_kept(runtime: Runtime) -> None:
+    case = "cases:\n  - name: it is denied\n    profile: human-shared\n    capability: navigate_to\n"
+    case += "    params: {target: dock}\n    expect: {status: denied}\n"
+    with pytest.raises(PolicyErrors, match="it is denied"):
+        await runtime.versions.propose({**SLOWER, "tests/mine.yaml": case}, ENGINEER, "with a case")
+    assert (await runtime.versions.list())[0][0]["digest"] == runtime.kernel.policy.digest
+
+
+# -- who may -----------------------------------------------------------------------------------------------------------
+
+
+async def test_one_engineer_tightens_alone(runtime: Runtime) -> None:
+    before = runtime.kernel.policy.digest
+    digest = await brought(runtime, SLOWER)
+    document, entered = await runtime.versions.activate(digest, ENGINEER, "a visitor")
+    assert entered
+    assert document["status"] == "active"
+    assert runtime.kernel.policy.digest == digest
+    said = (await bodies(runtime, "policy_activated"))[-1]
+    assert (said["policy_version"], said["former"], said["by"], said["why"]) == (
+        digest, before, ["erin"], "a visitor",
+    )  # fmt: skip
+    assert said["comparison"]["direction"] == "tightens"
+    with pytest.raises(Conflict, match="in force already"):
+        await runtime.versions.activate(digest, ENGINEER, "again")
+
+
+async def test_a_loosening_takes_another_engineer_than_the_one_who_brought_it(runtime: Runtime) -> None:
+    digest, before = await brought(runtime, FASTER), runtime.kernel.policy.digest
+    document, entered = await runtime.versions.activate(digest, ENGINEER, "faster")
+    assert not entered
+    assert document["status"] == "awaiting_second"
+    assert runtime.kernel.policy.digest == before
+    with pytest.raises(Conflict) as refused:
+        await runtime.versions.activate(digest, ENGINEER, "really")
+    assert refused.value.code == "second_engineer_needed"
+    document, entered = await runtime.versions.activate(digest, ENGINEER_2, "I looked at it")
+    assert entered
+    assert document["activations"][-1]["by"] == ["emil", "erin"]
+    assert document["awaiting"] is None
+
+
+async def test_going_back_to_a_wider_version_takes_two_who_want_it_now(runtime: Runtime) -> None:
+    wide = runtime.kernel.policy.digest
+    await runtime.versions.activate(await brought(runtime, SLOWER), ENGINEER, "a visitor")
+    _, entered = await runtime.versions.activate(wide, ENGINEER_2, "the visitor left")
+    assert not entered
+    _, entered = await runtime.versions.activate(wide, ENGINEER, "yes, gone")
+    assert entered
+    assert runtime.kernel.policy.digest == wide
+
+
+async def test_a_word_about_another_change_counts_for_nothing(runtime: Runtime) -> None:
+    digest = await brought(runtime, FASTER)
+    await runtime.versions.activate(digest, ENGINEER, "faster")
+    await runtime.versions.activate(await brought(runtime, SLOWER), ENGINEER, "a visitor")
+    _, entered = await runtime.versions.activate(digest, ENGINEER_2, "faster than slow is another matter")
+    assert not entered
+
+
+# -- what comes back after a restart -----------------------------------------------------------------------------------
+
+
+async def test_what_an_engineer_put_in_force_survives_a_restart_and_says_so(house: House) -> None:
+    async with house.open() as runtime:
+        digest = await put_in_force(runtime, FASTER)
+    async with house.open() as runtime:
+        assert runtime.kernel.policy.digest == digest
+        assert "both of us want it" in runtime.versions.reason
+        said = (await bodies(runtime, "policy_activated"))[-1]
+        assert (said["policy_version"], said["directory"], said["source"]) == (digest, house.policy.digest, "request")
+
+
+async def test_another_directory_takes_the_place_of_what_a_directory_held(house: House) -> None:
+    async with house.open():
+        pass
+    house.policy = bundle.load_files(SLOWER)
+    async with house.open() as runtime:
+        assert runtime.kernel.policy.digest == house.policy.digest
+        assert "another version" in runtime.versions.reason
+        assert [item["status"] for item in (await runtime.versions.list())[0]] == ["active", "former"]
+
+
+async def test_another_directory_only_becomes_a_candidate_beside_what_an_engineer_chose(house: House) -> None:
+    async with house.open() as runtime:
+        digest = await put_in_force(runtime, FASTER)
+    house.policy = bundle.load_files(SLOWER)
+    async with house.open() as runtime:
+        assert runtime.kernel.policy.digest == digest
+        offered = await runtime.versions.load(house.policy.digest)
+        assert (offered.status, offered.source) == ("candidate", "directory")
+
+
+# -- what follows ------------------------------------------------------------------------------------------------------
+
+
+async def test_cells_get_the_new_version_at_once_and_launches_come_behind_it(runtime: Runtime, cell: HandCell) -> None:
+    await cell.expect("policy")
+    digest = await put_in_force(runtime, FASTER)
+    await cell.expect("policy", 2)
+    assert cell.all("policy")[-1].digest == digest
+    await cell.state()
+    made, _ = await runtime.governor.propose(AGENT, navigate())
+    assert made["policy_version"] == digest
+    await cell.expect("launch")
+    kinds = [message.type for message in cell.heard]
+    assert kinds.index("launch") > len(kinds) - 1 - kinds[::-1].index("policy")
+
+
+async def test_a_session_that_departs_is_told_to_hold_and_a_human_is_asked_with_the_reasons(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    made, _ = await runtime.governor.propose(AGENT, navigate())
+    await cell.launched(made["id"])
+    await runtime.versions.activate(await brought(runtime, SLOWER), ENGINEER, "a visitor")
+    await until(lambda: "escalate" in cell.ops())
+    (said,) = await bodies(runtime, "intervention")
+    assert (said["code"], said["former"]) == ("policy_changed", made["policy_version"])
+    await cell.report("escalation", made["id"], reason="policy_changed")
+    question = runtime.desk.pending_for(made["id"])
+    assert question is not None
+    assert "human-shared/base_speed_mps" in {item["rule"] for item in question.reasons}
+    with pytest.raises(Conflict) as refused:
+        await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    assert refused.value.code == "resume_refused"
+    closed = await runtime.desk.resolve(question.id, OPERATOR, "deny", question.digest)
+    assert closed["status"] == "denied"
+
+
+async def test_where_only_a_humans_word_is_missing_one_lets_the_session_go_on(runtime: Runtime, cell: HandCell) -> None:
+    made, _ = await runtime.governor.propose(AGENT, navigate())
+    await cell.launched(made["id"])
+    await runtime.versions.activate(await brought(runtime, ASKING), ENGINEER, "look first")
+    await until(lambda: "escalate" in cell.ops())
+    await cell.report("escalation", made["id"], reason="policy_changed")
+    question = runtime.desk.pending_for(made["id"])
+    assert question is not None
+    await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    await until(lambda: "resolve_continue" in cell.ops())
+
+
+async def test_a_loosening_leaves_what_runs_alone(runtime: Runtime, cell: HandCell) -> None:
+    made, _ = await runtime.governor.propose(AGENT, navigate())
+    await cell.launched(made["id"])
+    await put_in_force(runtime, FASTER)
+    await cell.expect("policy", 2)
+    assert cell.ops() == []
+    assert (await runtime.governor.invocation(made["id"], AGENT))["status"] == "running"
+
+
+async def test_a_launch_on_its_way_is_held_as_soon_as_the_cell_has_it(runtime: Runtime, cell: HandCell) -> None:
+    made, _ = await runtime.governor.propose(AGENT, navigate())
+    await runtime.versions.activate(await brought(runtime, SLOWER), ENGINEER, "a visitor")
+    await until(lambda: cell.ops().count("escalate") == 1)  # it knows of no session yet, and cannot hold it
+    await cell.launched(made["id"])
+    await until(lambda: cell.ops().count("escalate") >= 2)
+
+
+async def test_what_departs_between_its_decision_and_its_record_is_never_sent(runtime: Runtime, cell: HandCell) -> None:
+    digest = await brought(runtime, SLOWER)
+    slower = await runtime.versions.compiled(digest)
+    append = runtime.store.append
+
+    async def meanwhile(*given: Any) -> Any:
+        done = await append(*given)
+        runtime.kernel.enforce(slower)
+        return done
+
+    await cell.state()
+    runtime.store.append = meanwhile  # type: ignore[method-assign]
+    made, _ = await runtime.governor.propose(AGENT, navigate())
+    runtime.store.append = append  # type: ignore[method-assign]
+    assert made["policy_version"] != digest
+    await until(lambda: runtime.register.newest(made["id"]) is None)
+    ended = await runtime.governor.invocation(made["id"], AGENT)
+    assert (ended["status"], ended["outcome"]) == ("failed", "fault")
+    assert ended["failure"]["reasons"][0]["code"] == "policy_changed"
+    assert not cell.all("launch")
+    assert runtime.fleet.busy(runtime.fleet.cell(cell.id)) is None
+
+
+# -- what waits for approval -------------------------------------------------------------------------------------------
+
+
+async def waiting(runtime: Runtime) -> tuple[dict[str, Any], Any]:
+    made, _ = await runtime.governor.propose(AGENT, grasp())
+    question = runtime.desk.pending_for(made["id"])
+    assert question is not None
+    return made, question
+
+
+async def test_what_waits_is_asked_anew_and_an_old_answer_has_a_code_of_its_own(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    made, question = await waiting(runtime)
+    digest = await brought(runtime, WEAKER)
+    await runtime.versions.activate(digest, ENGINEER, "softer")
+    anew = runtime.desk.pending_for(made["id"])
+    assert anew is not None
+    assert anew.id == question.id
+    assert (anew.effective["force_n"], anew.policy_version) == (30.0, digest)
+    with pytest.raises(Conflict) as refused:
+        await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    assert refused.value.code == "policy_changed"
+    await cell.state()
+    await runtime.desk.resolve(anew.id, OPERATOR, "approve", anew.digest)
+    launched = await runtime.governor.invocation(made["id"], AGENT)
+    assert (launched["status"], launched["policy_version"], launched["effective"]["force_n"]) == ("running", digest, 30)
+
+
+async def test_what_waits_and_is_denied_now_ends_denied(runtime: Runtime, cell: HandCell) -> None:
+    made, question = await waiting(runtime)
+    await runtime.versions.activate(await brought(runtime, FORBIDDEN), ENGINEER, "no mugs")
+    ended = await runtime.governor.invocation(made["id"], AGENT)
+    assert (ended["status"], ended["escalation"]["status"]) == ("denied", "withdrawn")
+    assert "organization/no-mug" in {item["rule"] for item in ended["policy"]["reasons"]}
+    with pytest.raises(Conflict) as refused:
+        await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    assert refused.value.code == "already_resolved"
+
+
+async def test_what_waits_and_needs_nobody_any_more_launches(runtime: Runtime, cell: HandCell) -> None:
+    made, _ = await waiting(runtime)
+    wider = edited(SHARED, "approval: {risk: [medium, high, critical]", "approval: {risk: [high, critical]")
+    grasping = "capabilities/grasp_object.yaml"
+    digest = await brought(runtime, edited(grasping, "human-shared: approval-required", "human-shared: guarded", wider))
+    await cell.state()
+    await runtime.versions.activate(digest, ENGINEER_2, "fewer questions")
+    launched = await runtime.governor.invocation(made["id"], AGENT)
+    assert (launched["status"], launched["escalation"]["status"]) == ("running", "withdrawn")
+    await cell.expect("launch")
+
+
+async def test_what_waited_over_a_restart_under_another_directory_is_decided_again(house: House) -> None:
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        made, question = await waiting(runtime)
+        await cell.hang_up()
+    house.policy = bundle.load_files(WEAKER)
+    async with house.open() as runtime:
+        anew = runtime.desk.pending_for(made["id"])
+        assert anew is not None
+        assert anew.digest != question.digest
+        assert anew.effective["force_n"] == 30.0
+
+
+# -- while much goes on ------------------------------------------------------------------------------------------------
+
+
+async def test_every_decision_while_versions_change_is_made_under_one_of_them(runtime: Runtime, cell: HandCell) -> None:
+    digests = [runtime.kernel.policy.digest, await brought(runtime, SLOWER)]
+    most = dict(zip(digests, (0.3, 0.2), strict=True))
+    made: list[dict[str, Any]] = []
+
+    async def propose() -> None:
+        for _ in range(60):
+            document, _ = await runtime.governor.propose(AGENT, navigate_fast())
+            made.append(document)
+            await asyncio.sleep(0)
+
+    proposing = asyncio.gather(*(propose() for _ in range(4)))
+    for turn in range(6):
+        await asyncio.sleep(0.02)
+        for engineer in (ENGINEER, ENGINEER_2):
+            _, entered = await runtime.versions.activate(digests[(turn + 1) % 2], engineer, "there and back")
+            if entered:
+                break
+    await proposing
+    assert {document["policy_version"] for document in made} == set(digests)
+    for document in made:
+        assert document["status"] in set(Status)
+        checked = document["policy"]
+        if checked is not None and checked["outcome"] == "modify":
+            assert document["effective"]["speed_mps"] == most[document["policy_version"]]
+
+
+def navigate_fast() -> Any:
+    request = navigate()
+    return type(request)(capability=request.capability, params={**request.params, "speed_mps": 1.0})

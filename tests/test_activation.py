@@ -1,0 +1,109 @@
+"""Policy changed on a running server with a real cell: by the command line, in mid-session, and over a restart."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.conftest import ServerProcess, until
+
+pytestmark = [pytest.mark.process, pytest.mark.timeout(240)]
+POLICIES = Path(__file__).parents[1] / "policies"
+SHARED = "profiles/human-shared.yaml"
+
+
+def variant(folder: Path, *edits: tuple[str, str]) -> Path:
+    """Return a copy of the shipped policy with one profile edited, without its cases."""
+    shutil.copytree(POLICIES, folder, ignore=shutil.ignore_patterns("tests"))
+    path = folder / SHARED
+    for before, after in edits:
+        assert before in path.read_text()
+        path.write_text(path.read_text().replace(before, after, 1))
+    return folder
+
+
+def reins(server: ServerProcess, *words: str, as_: str = "engineer") -> subprocess.CompletedProcess[str]:
+    """Run `reins policy …` as an engineer would, in a process of its own."""
+    options = ["--data", str(server.data), "--token", server.tokens[as_]]
+    return subprocess.run(
+        [sys.executable, "-m", "app.cli", "policy", *words, *options], capture_output=True, text=True, timeout=60
+    )
+
+
+def second_engineer(server: ServerProcess) -> None:
+    words = ["token", "issue", "engineer_2", "--role", "engineer", "--data", str(server.data)]
+    made = subprocess.run([sys.executable, "-m", "app.cli", *words], capture_output=True, text=True, check=True)
+    server.tokens["engineer_2"] = made.stdout.strip()
+
+
+def proposed(server: ServerProcess, folder: Path) -> str:
+    answer = reins(server, "propose", str(folder), "--why", "a try")
+    assert answer.returncode == 0, answer.stderr
+    return answer.stdout.split()[0]
+
+
+def pending(server: ServerProcess, invocation: str) -> Any:
+    return until(
+        lambda: next(
+            (one for one in server.get("/v1/escalations?status=pending")["items"] if one["invocation"] == invocation),
+            None,
+        ),
+        what="the question",
+    )
+
+
+def test_a_session_meets_a_tightening_at_once_and_the_next_one_is_bound_by_it(servers: Any, tmp_path: Path) -> None:
+    server = servers.start(None, "--pace", "1")
+    slower = variant(tmp_path / "slower", ("base_speed_mps: {max: 0.3", "base_speed_mps: {max: 0.2"))
+    digest = proposed(server, slower)
+    made = server.propose("navigate_to", target="tool_stand", speed_mps=0.3)
+    server.await_status(made["id"], "running")
+    until(lambda: server.cell()["status"] == "running", what="the cell runs it")
+    done = reins(server, "activate", digest, "--why", "a visitor")
+    assert (done.returncode, "in force (tightens)" in done.stdout) == (0, True), done
+    held = server.await_status(made["id"], "escalated")
+    assert held["policy_version"] != digest
+    question = pending(server, made["id"])
+    assert "human-shared/base_speed_mps" in {one["rule"] for one in question["reasons"]}
+    refused = server.post(
+        f"/v1/escalations/{question['id']}/resolve", {"decision": "approve", "digest": question["digest"]}
+    )
+    assert (refused.status_code, refused.json()["code"]) == (409, "resume_refused")
+    assert server.post(
+        f"/v1/escalations/{question['id']}/resolve", {"decision": "deny", "digest": question["digest"]}
+    ).is_success
+    assert server.await_status(made["id"], "failed")["outcome"] == "terminated"
+    until(lambda: server.cell()["policy_version"] == digest, what="the cell holds the new version")
+    again = server.propose("navigate_to", target="bench_a_stand", speed_mps=0.3)
+    assert (again["policy_version"], again["effective"]["speed_mps"]) == (digest, 0.2)
+    server.await_status(again["id"], "running", "completed")
+    kinds = [event["kind"] for event in server.get(f"/v1/invocations/{made['id']}/trace")["items"]]
+    assert kinds.index("intervention") < kinds.index("outcome")
+
+
+def test_what_two_engineers_chose_is_in_force_after_a_restart_until_one_goes_back(servers: Any, tmp_path: Path) -> None:
+    server = servers.start()
+    second_engineer(server)
+    first = server.get("/v1/policies/active")["version"]
+    digest = proposed(server, variant(tmp_path / "faster", ("base_speed_mps: {max: 0.3", "base_speed_mps: {max: 0.4")))
+    assert "another engineer's word" in reins(server, "activate", digest[:20], "--why", "faster").stdout
+    until(lambda: server.post("/v1/policies", key="engineer_2").status_code == 422, what="the second token counts")
+    assert "in force (loosens)" in reins(server, "activate", digest, "--why", "I agree", as_="engineer_2").stdout
+    made = server.propose("navigate_to", target="bench_a_stand", speed_mps=1.0)
+    assert (made["policy_version"], made["effective"]["speed_mps"]) == (digest, 0.4)
+    assert server.await_status(made["id"], "completed")["outcome"] == "succeeded"
+    assert server.stop() == 0
+
+    back = servers.start(server.data)
+    assert back.get("/v1/policies/active")["version"] == digest
+    assert "an engineer put it in force: I agree" in back.tail()
+    assert f"not in force: {first}" in back.tail()
+    assert "in force (tightens)" in reins(back, "rollback", "--why", "too fast after all").stdout
+    assert back.get("/v1/policies/active")["version"] == first
+    until(lambda: back.cell()["policy_version"] == first, what="the cell follows")
+    assert reins(back, "versions").stdout.count("in force 2") == 3
