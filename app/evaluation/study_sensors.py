@@ -5,7 +5,10 @@ sensor that is off is `stale`: its last sample under its last stamp. `stuck` rep
 `noisy` is garbage of a size, `offset` is wrong by a size, `delayed` comes late by twice its own staleness limit.
 
 Ticks count from the moment the sensor breaks to the first intervention that restrains, except where the fault is one of
-age: a sample may be as old as the profile's `stale_after_ms` says, so there they count from the moment it is older.
+age: a sample may be as old as the profile's `stale_after_ms` says, so there they count from the moment the last one,
+which is taken up to a period after the break, is older. A
+stuck sensor can be told from a sound one when the first sample that repeats has come, so there they count from then.
+Odometry breaks while the base drives: wheels that stand say the same for ever, and nothing is wrong with that.
 
 For the tracker of people somebody stands 3.4 m behind the robot from the beginning and walks up to it one second after
 the tracker broke: whether that is an unseen breach is what such a fault costs.
@@ -53,15 +56,17 @@ NAME: Final = "sensors"
 TITLE: Final = "Broken sensors"
 ABOUT: Final = (
     "One sensor breaks in a session in which nothing else is wrong. Ticks count from the break to the first "
-    "intervention that restrains; for stale and delayed samples from the moment they are older than the profile allows "
-    "(a negative number: it was noticed before, because samples of that sensor are late anyway). A garbage or offset "
-    "signal is broken by the size in the condition's name: rad, N, m. Unseen breach: somebody came nearer than the "
-    "profile allows, unheeded for more than 250 ms, in the two profiles that hold the robot for people."
+    "intervention that restrains; for stale and delayed samples from the moment they are older than the profile "
+    "allows, for stuck ones from when the first repeated sample has come at the latest (a negative number: it was "
+    "noticed before). Odometry breaks while the base drives: wheels that stand repeat themselves by nature. A garbage "
+    "or offset signal is broken by the size in the condition's name: rad, N, m. Unseen breach: somebody came nearer "
+    "than the profile allows, unheeded for more than 250 ms, in the two profiles that hold the robot for people."
 )
 AGED: Final = ("stale", "delayed")
 PROMPT_TICKS: Final = 5
 SEES_TICKS: Final = 400
 WALKS_AFTER_S: Final = 1.0
+DRIVES_AFTER_S: Final = 3.0
 STANDS_M: Final = 3.4
 SIZES: Final[Mapping[str, tuple[float, float]]] = {
     # A small error and a big one, in the units of the sensor; both are chosen for what the sensor is, not for what the
@@ -74,6 +79,9 @@ SIZES: Final[Mapping[str, tuple[float, float]]] = {
     "people": (0.3, 1.5),
     "objects": (0.01, 0.1),
 }
+PERIOD_TICKS: Final = {"fix": 5, "people": 5, "objects": 10}
+REPEATS_TICKS: Final = {"fix": 15, "people": 16, "objects": 20}
+"""When the first sample that repeats has come at the latest: two periods, and how late the sensor is."""
 LATE_S: Final = {"arm": 0.1, "wrist": 0.1, "gripper": 0.1, "odometry": 0.1, "fix": 0.8, "people": 0.8, "objects": 0.0}
 SETTINGS: Final = ("grasping", "carrying")
 HOLDS: Final = frozenset({"real-restricted", "human-shared"})
@@ -135,9 +143,10 @@ def _drawn(policy: PolicySet, seed: int, place: int, number: int) -> tuple[Drawn
     """Draw the session, and when in it the sensor breaks."""
     rng = np.random.default_rng((seed, place, number, 17))
     setting, turn = SETTINGS[number % len(SETTINGS)], number // len(SETTINGS)
+    driving = WAYS[place].sensor == "odometry"
     profile = PROFILES[(place + turn + 2 * (number % len(SETTINGS))) % len(PROFILES)]
     params: dict[str, Json]
-    if setting == "grasping":
+    if setting == "grasping" and not driving:
         capability, start = "grasp_object", Start()
         params = {"object_id": "mug_1", "force_n": 40.0, "speed_mps": 0.2}
     else:
@@ -145,7 +154,7 @@ def _drawn(policy: PolicySet, seed: int, place: int, number: int) -> tuple[Drawn
         params = {"target": "dock", "speed_mps": 0.25}
     made = Drawn(seed=seed, number=1000 * place + number, kind=Kind.CLEAN, capability=capability,
                  profile=profile, params=params, start=start, scenario=Scenario())  # fmt: skip
-    return made, round(float(rng.uniform(1.0, 2.0)), 2)
+    return made, round(float(rng.uniform(1.0, 2.0)) + (DRIVES_AFTER_S if driving else 0.0), 2)
 
 
 def _scenario(policy: PolicySet, drawn: Drawn, way: Broken, began: float, onset: float, walks: float) -> Scenario:
@@ -165,7 +174,11 @@ def _scenario(policy: PolicySet, drawn: Drawn, way: Broken, began: float, onset:
 
 def _read(done: Execution, plan: WatchPlan, way: Broken, onset: int, profile: str) -> dict[str, Any]:
     """Read off what was noticed, and what followed."""
-    due = onset + (round(plan.stale_after_ms.get(way.sensor, 0) / 10) if way.fault in AGED else 0)
+    due = onset
+    if way.fault in AGED:
+        due += round(plan.stale_after_ms.get(way.sensor, 0) / 10) + PERIOD_TICKS.get(way.sensor, 1)
+    elif way.fault == "stuck":
+        due += REPEATS_TICKS.get(way.sensor, 2)
     told, held = first_alert(done, onset), first_hold(done, onset)
     before = done.ticks <= onset  # it was over before anything broke
     rules = {rule.id: rule for rule in plan.rules}

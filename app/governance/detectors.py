@@ -387,7 +387,23 @@ def stuck_drives(
     return stuck_base_ticks
 
 
-def implausible(
+def frozen_samples(
+    seen: Observation, before: Observation, stamps: SensorStamps, frozen: int, stuck_grip_ticks: int
+) -> tuple[int, int]:
+    """Say which of fix, people and objects (a bit each) came again under a new stamp; count what the gripper repeats.
+
+    A bit stays until the next sample says otherwise: they come every fifth tick or less, and what is debounced lasts.
+    """
+    if seen.frames is not before.frames:
+        frozen = repeated(seen, before, frozen)
+    if seen.grip_width_m == before.grip_width_m and stamps.gripper != before.stamps_s.gripper:
+        stuck_grip_ticks += 1
+    else:
+        stuck_grip_ticks = 0
+    return frozen, stuck_grip_ticks
+
+
+def implausible(  # noqa: PLR0913, PLR0917  # what a part needs, it names
     seen: Observation,
     before: Observation,
     placed: float,
@@ -396,6 +412,8 @@ def implausible(
     fix_jumped: bool,
     stuck_ticks: int,
     stuck_base_ticks: int,
+    frozen: int,
+    stuck_grip_ticks: int,
 ) -> float:
     """Say whether a reading is not finite, cannot be, jumps, repeats, or comes with a clock that stands."""
     total = (
@@ -431,6 +449,8 @@ def implausible(
         and objects_s <= latest_s
         and stuck_ticks < STUCK_TICKS
         and stuck_base_ticks < STUCK_TICKS
+        and not frozen
+        and (stuck_grip_ticks < STUCK_TICKS or seen.frames is None)
         and not fix_jumped
         and (not seen.time_s <= before.time_s or seen is before)
     )
@@ -491,6 +511,18 @@ def farthest(told: Vec6, seen: Vec6) -> float:
     return max(apart) if sum(apart) < inf else nan
 
 
+def repeated(seen: Observation, before: Observation, frozen: int) -> int:
+    """Return which of fix, people and objects (a bit each) came again, when some of them have come."""
+    if seen.frames is None or before.frames is None:
+        return 0
+    stamps_s = zip(seen.stamps_s[4:], before.stamps_s[4:], strict=True)
+    for bit, sum_now, sum_before, (stamp_s, old_s) in zip((1, 2, 4), seen.frames, before.frames, stamps_s, strict=True):
+        if stamp_s != old_s:
+            apart = sum_now - sum_before  # what is not finite tells nothing new either
+            frozen = frozen & ~bit if apart != 0.0 and apart - apart == 0.0 else frozen | bit
+    return frozen
+
+
 def within(values: Vec6, limit: float) -> bool:
     """Say whether every value is known to be within ±limit."""
     return all(-limit <= value <= limit for value in values)
@@ -518,6 +550,7 @@ DETECTORS: Final[tuple[Part, ...]] = parts(
         staleness: ("sensor_age_ms", "sensor_margin_ms"),
         stuck_arm: ("stuck_ticks",),
         stuck_drives: ("stuck_base_ticks",),
+        frozen_samples: ("frozen", "stuck_grip_ticks"),
         implausible: ("implausible",),
     }
 )

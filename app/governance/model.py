@@ -523,6 +523,17 @@ class SensorStamps(NamedTuple):
     objects: float
 
 
+class Frames(NamedTuple):
+    """What the newest raw sample of each sensor that looks around adds up to: noise makes it another number each time.
+
+    A picture that comes again under a new stamp shows no more what is there, and neither does one that shows nobody.
+    """
+
+    fix: float
+    people: float
+    objects: float
+
+
 class Observation(NamedTuple):
     """Ω: what the sensors say in one control tick, never the simulator's truth.
 
@@ -530,7 +541,8 @@ class Observation(NamedTuple):
     yaw_rad) is dead reckoning in the world frame and drifts; `base_velocity` (vx, vy m/s in the base frame, wz rad/s)
     comes from the drives. `joint_torque_nm` is averaged over the substeps; `residual_nm` is the momentum residual.
     `contact_force_n` is the magnitude at the wrist, compensated for gripper and load, averaged over the tick;
-    `peak_force_n` its highest substep. `slip_m` is in-hand slip since the grip closed.
+    `peak_force_n` its highest substep. `slip_m` is in-hand slip since the grip closed. `frames` is None where samples
+    carry no noise, or give nothing to tell one from the next by: then what is frozen while it stands goes unnoticed.
     """
 
     tick: int
@@ -553,6 +565,7 @@ class Observation(NamedTuple):
     fix: Fix | None
     people: tuple[PersonTrack, ...]
     stamps_s: SensorStamps
+    frames: Frames | None = None
 
 
 class Command(NamedTuple):

@@ -79,6 +79,8 @@ class Senses(NamedTuple):
     slip_from_m: float | None = None
     stuck_ticks: int = 0
     stuck_base_ticks: int = 0
+    frozen: int = 0
+    stuck_grip_ticks: int = 0
     closing: bool | None = None
     closings: int = 0
     reached: float = 0.0

@@ -27,6 +27,7 @@ UPRIGHT = 0.9
 MIN_HEIGHT_M = 0.2  # what fell to the floor is out of every camera's sight
 _CRATE_RANGE_M = 1.8
 _AREA_GRID_M = 0.1
+_FROZEN = frozenset({"stuck", "delayed"})
 _BLEND, _BLEND_S, _BLEND_M = 0.3, 0.5, 0.05
 
 
@@ -67,10 +68,11 @@ class Perception:
         self.inspected: dict[str, float] = {}
         self.crates: list[Point] = []
         self.stamp_s = 0.0
+        self.frame = 0.0  # what the noise of the newest pictures adds up to (`Frames`)
 
     def reseed(self, seed: int) -> None:
         """Draw noise and bias anew from another seed; what is remembered stays."""
-        self._noise = Noise((seed, 3))
+        self._noise, self._grain = Noise((seed, 3)), np.random.default_rng((seed, 5))
         bias = self._noise_scale * WRIST_BIAS_M * np.random.default_rng((seed, 4)).standard_normal(3)
         self._bias: list[float] = bias.tolist()
 
@@ -79,6 +81,8 @@ class Perception:
         if self.fault is not None and self.fault[0] == "stale":
             return
         self.stamp_s = tick * CONTROL_PERIOD_S
+        if self.fault is None or self.fault[0] not in _FROZEN:
+            self.frame = float(self._grain.standard_normal())
         for name in plant.objects:
             glimpse = self.glimpse(plant, name)
             if glimpse is not None:

@@ -165,9 +165,10 @@ class Sensors:
         self._grip: tuple[str, Vec3] | None = None
         self._slip_m = 0.0
         self._fixes: deque[tuple[int, Fix]] = deque()
-        self._sightings: deque[tuple[int, float, tuple[PersonTrack, ...]]] = deque()
+        self._sightings: deque[tuple[int, float, float, tuple[PersonTrack, ...]]] = deque()
         self._tracks: dict[int, PersonTrack] = {}
         self.fix_stamp_s = self.people_stamp_s = 0.0
+        self.fix_frame = self.people_frame = 0.0  # what the newest samples add up to (`Frames`)
 
     def reseed(self, seed: int) -> None:
         """Draw noise and traits anew from another seed; what was measured so far stays."""
@@ -265,9 +266,14 @@ class Sensors:
         if self._fixes and self._fixes[0][0] <= tick:
             fix = self._fixes.popleft()[1]
             if fix.stamp_s > self.fix_stamp_s:
-                self.fix_stamp_s = fix.stamp_s
+                self.fix_stamp_s, self.fix_frame = fix.stamp_s, fix.x_m + fix.y_m + fix.yaw_rad
                 return fix
         return None
+
+    @property
+    def noisy(self) -> bool:
+        """Say whether samples carry noise, so that no two are alike."""
+        return self._quality.noise > 0.0
 
     # -- people ----------------------------------------------------------------------------------------------
 
@@ -282,8 +288,9 @@ class Sensors:
         if tick % PEOPLE_PERIOD_TICKS == 0:
             self._sight(tick, now, present, eye, walls)
         if self._sightings and self._sightings[0][0] <= tick:
-            _, stamp, seen = self._sightings.popleft()
-            self.people_stamp_s = max(self.people_stamp_s, stamp)
+            _, stamp, frame, seen = self._sightings.popleft()
+            if stamp > self.people_stamp_s:
+                self.people_stamp_s, self.people_frame = stamp, frame
             self._tracks.update({track.person: track for track in seen})
         if not self._tracks:
             return ()
@@ -312,12 +319,13 @@ class Sensors:
                 continue
             ids.append(person)
             spots += (x + self._people_sigma_m * float(n[k]), y + self._people_sigma_m * float(n[k + 1]))
-        stamp, spots = self._deliver("people", now, spots, n[32:])
+        # The last number is what the noise of the whole picture adds up to.
+        stamp, (*spots, frame) = self._deliver("people", now, [*spots, float(n[3])], n[32:])
         # A broken tracker may repeat a sighting of fewer or more people than are in view now.
         tracks = tuple(
             PersonTrack(person, stamp, x, y) for person, x, y in zip(ids, spots[0::2], spots[1::2], strict=False)
         )
-        self._sightings.append((tick + self._quality.people_delay_ticks, stamp, tracks))
+        self._sightings.append((tick + self._quality.people_delay_ticks, stamp, frame, tracks))
 
 
 def _crosses(start: Point, end: Point, wall: tuple[Point, ...]) -> bool:

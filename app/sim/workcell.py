@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from app.cell.substrate import SubstrateError
-from app.governance.model import CONTROL_PERIOD_S, Command, ObjectFact, Observation, SensorStamps, WorldFacts
+from app.governance.model import CONTROL_PERIOD_S, Command, Frames, ObjectFact, Observation, SensorStamps, WorldFacts
 from app.governance.recovery import RETRACE
 from app.sim import robot
 from app.sim.display import copy_poses, describe, moving_bodies
@@ -75,6 +75,8 @@ class State:
     invocation: str = ""
     pressed_s: dict[str, float] = field(default_factory=dict[str, float])
     observation: Observation | None = None
+    framed_s: tuple[float, ...] = ()
+    frames: Frames | None = None
     habits: set[str] = field(default_factory=set[str])
 
 
@@ -360,6 +362,18 @@ class Workcell:
         state.localiser.update(now, odometry[0:3], fix)
         if state.tick % LOOK_PERIOD_TICKS == 0:
             state.perception.look(self.plant, state.tick, state.localiser.pose)
+        stamps_s = SensorStamps(
+            reading.arm[0],
+            reading.wrist[0],
+            reading.gripper[0],
+            reading.odometry[0],
+            sensors.fix_stamp_s,
+            sensors.people_stamp_s,
+            state.perception.stamp_s,
+        )
+        if sensors.noisy and stamps_s[4:] != state.framed_s:
+            state.framed_s = stamps_s[4:]
+            state.frames = Frames(sensors.fix_frame, sensors.people_frame, state.perception.frame)
         return Observation(
             tick=state.tick,
             time_s=now,
@@ -380,15 +394,8 @@ class Workcell:
             base_velocity=odometry[3:6],
             fix=fix,
             people=people,
-            stamps_s=SensorStamps(
-                reading.arm[0],
-                reading.wrist[0],
-                reading.gripper[0],
-                reading.odometry[0],
-                sensors.fix_stamp_s,
-                sensors.people_stamp_s,
-                state.perception.stamp_s,
-            ),
+            stamps_s=stamps_s,
+            frames=state.frames,
         )
 
     def _remember(self, command: Command) -> None:

@@ -324,18 +324,23 @@ BROKEN = (
     ("wrist", "offset", 150.0, GRASPED, "contact-force"),
     ("wrist", "stuck", 0.0, DRIVEN, "implausible"),
     ("gripper", "stuck", 0.0, LIFTED, "implausible"),
+    ("gripper", "stuck", 0.0, GRASPED, "implausible"),
     ("gripper", "stale", 0.0, GRASPED, "stale"),
     ("gripper", "delayed", 0.2, GRASPED, "stale"),
     ("odometry", "stuck", 0.0, DRIVEN, "implausible"),
     ("odometry", "stale", 0.0, DRIVEN, "stale"),
     ("odometry", "delayed", 0.2, DRIVEN, "stale"),
     ("odometry", "noisy", 0.2, DRIVEN, "base-speed"),
+    ("fix", "stuck", 0.0, DRIVEN, "implausible"),
     ("fix", "stale", 0.0, DRIVEN, "stale"),
     ("fix", "delayed", 1.0, DRIVEN, "stale"),
     ("fix", "noisy", 0.5, DRIVEN, "implausible"),
     ("fix", "offset", 1.0, DRIVEN, "implausible"),
+    ("people", "stuck", 0.0, DRIVEN, "implausible"),  # nobody is there: a picture of nobody, again and again
     ("people", "stale", 0.0, DRIVEN, "stale"),
     ("people", "delayed", 1.0, DRIVEN, "stale"),
+    ("objects", "stuck", 0.0, DRIVEN, "implausible"),
+    ("objects", "stale", 0.0, DRIVEN, "stale"),
 )
 
 

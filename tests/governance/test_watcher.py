@@ -14,6 +14,7 @@ from app.governance.model import (
     Bounds,
     Command,
     Fix,
+    Frames,
     Intervention,
     Observation,
     PersonTrack,
@@ -77,7 +78,7 @@ def seen(tick: int, **changes: object) -> Observation:
         jacobian=(0.1,) * 18,
         contact_force_n=2.0 + wobble,
         peak_force_n=3.0,
-        grip_width_m=0.05,
+        grip_width_m=0.05 + wobble,
         grip_force_n=0.0,
         slip_m=0.0,
         pads_loaded=False,
@@ -86,6 +87,7 @@ def seen(tick: int, **changes: object) -> Observation:
         fix=Fix(now_s, 2.0, 2.0, 0.0),
         people=(),
         stamps_s=SensorStamps(*(now_s,) * 7),
+        frames=Frames(4.0 + wobble, wobble, -wobble),
     )
     return healthy._replace(**changes)  # type: ignore[arg-type]
 
@@ -387,9 +389,9 @@ def test_a_grip_is_lost_when_it_was_held_and_the_pads_are_empty() -> None:
 
 def test_a_fist_holds_nothing_and_pads_that_meet_have_lost_what_was_between_them() -> None:
     plan = watching(rule("grip_lost"))
-    fist = [seen(t, pads_loaded=t < 20, grip_width_m=0.001) for t in range(40)]
+    fist = [seen(t, pads_loaded=t < 20, grip_width_m=0.001, frames=None) for t in range(40)]
     assert first_alert(plan, fist, command=GRIPPING) == (None, None)
-    shut = [seen(t, pads_loaded=True, grip_width_m=0.05 if t < 20 else 0.001) for t in range(40)]
+    shut = [seen(t, pads_loaded=True, grip_width_m=0.05 if t < 20 else 0.001, frames=None) for t in range(40)]
     assert first_alert(plan, shut, command=GRIPPING)[0] == 22
 
 
@@ -472,6 +474,29 @@ def test_a_reading_that_cannot_be_is_implausible(changes: dict[str, object]) -> 
     assert tick == 5
     assert alert is not None
     assert alert.rule == "watch/implausible"
+
+
+@pytest.mark.parametrize("sensor", ["fix", "people", "objects"])
+def test_a_picture_that_comes_again_under_a_new_stamp_is_no_picture_until_another_comes(sensor: str) -> None:
+    one = getattr(seen(20).frames, sensor)
+    stream = [seen(tick) for tick in range(21)]
+    for tick in range(21, 40):  # a new sample every fifth tick, of which those of this sensor are all the same
+        sampled = seen(tick - tick % 5)
+        frames = sampled.frames._replace(**{sensor: one})
+        stream.append(seen(tick, frames=frames, stamps_s=SensorStamps(*seen(tick).stamps_s[:4], *sampled.stamps_s[4:])))
+    said, _, _ = run(PLAN, [*stream, *(seen(tick) for tick in range(40, 45))])
+    alarms = [tick for tick, alerts in enumerate(said) if alerts]
+    assert alarms == list(range(25, 40))
+    assert {alert.rule for alerts in said for alert in alerts} == {"watch/implausible"}
+
+
+def test_without_anything_to_tell_pictures_apart_by_none_is_called_frozen() -> None:
+    assert first_alert(PLAN, [seen(tick, frames=None, grip_width_m=0.05) for tick in range(40)]) == (None, None)
+
+
+def test_an_open_gripper_that_says_the_same_width_again_and_again_is_stuck() -> None:
+    stream = [seen(tick, grip_width_m=0.05) for tick in range(40)]
+    assert first_alert(PLAN, stream, command=HOLD)[0] == STUCK_TICKS
 
 
 FLOATS = [name for name in Observation._fields if name not in ("tick", "pads_loaded", "fix", "people")]
