@@ -251,7 +251,7 @@ def row(seen: Observation, measured: tuple[float, ...], progress: float, rate: f
     q1, q2, q3, q4, q5, q6 = seen.joint_rad  # by name: a starred argument costs a third more
     (
         force, residual, _, base_speed, margin, separation, _, _, _, slip, _, _, _, _, _, _, _, protective, _, _,
-        base_x, base_y, base_yaw,
+        base_x, base_y, base_yaw, _,
     ) = measured  # fmt: skip
     return ROW.pack(
         seen.time_s,

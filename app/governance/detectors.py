@@ -30,6 +30,11 @@ Pair: TypeAlias = "tuple[float, float]"
 NEAR_ZONE_M: Final = 1.5
 EDGE_M: Final = 0.03
 REACTION_S: Final = 0.05  # from a violation to less speed: two ticks, the filter's lag and the drives'
+HALTING_S: Final = 0.1  # the same, and what the drives take to follow
+LEFT_M: Final = 0.5
+"""What has to be left to a person once the robot stands: the 0.25 m that are asked for, and as much for what the
+estimate of a walker's speed is off by (0.15 m/s or so) over the longest way to standstill."""
+WALKING_MPS: Final = 0.4
 STUCK_TICKS: Final = 3  # readings carry noise: that two repeat bit by bit is chance, three in a row never are
 HELD_TICKS: Final = 10
 LOST_TICKS: Final = 3
@@ -161,9 +166,9 @@ def separation(
     base_y_m: float,
     base_yaw_rad: float,
     plan: Constants,
-) -> tuple[float, float, float]:
-    """Return distance, protective separation and margin of the person with the least margin."""
-    separation_m = separation_margin_m = FAR_M if sound else nan
+) -> tuple[float, float, float, float]:
+    """Return distance, protective separation and margin of the person with the least margin, and the least ahead."""
+    separation_m = separation_margin_m = separation_ahead_m = FAR_M if sound else nan
     protective_separation_m = plan.fixed_gap_m
     if sound and people:
         separation_margin_m = inf
@@ -186,7 +191,10 @@ def separation(
             needed_m = plan.fixed_gap_m + closing * plan.gap_per_speed_s
             if gap_m - needed_m < separation_margin_m:
                 separation_m, protective_separation_m, separation_margin_m = gap_m, needed_m, gap_m - needed_m
-    return separation_m, protective_separation_m, separation_margin_m
+            coming = -(person.vx_mps * to_x + person.vy_mps * to_y) / (far or 1.0)
+            ahead_m = at_standstill(gap_m, closing, coming, plan.base_deceleration_mps2) + plan.held_off_m - LEFT_M
+            separation_ahead_m = min(separation_ahead_m, gap_m, ahead_m)
+    return separation_m, protective_separation_m, separation_margin_m, separation_ahead_m
 
 
 # -- how the attempt goes ----------------------------------------------------------------------------------------------
@@ -505,6 +513,21 @@ def near_zones(
     return margin_m
 
 
+def at_standstill(gap_m: float, closing_mps: float, coming_mps: float, deceleration_mps2: float) -> float:
+    """Return how far away a person will be once the robot stands, if it brakes now and they come on as they do.
+
+    Args:
+        gap_m: how far away they are.
+        closing_mps: how fast the robot nears them.
+        coming_mps: how fast they near the robot; what is slower than a walk is the estimate's noise.
+        deceleration_mps2: of the base.
+    """
+    if coming_mps < WALKING_MPS:
+        coming_mps = 0.0
+    braking_s = closing_mps / deceleration_mps2
+    return gap_m - coming_mps * (HALTING_S + braking_s) - closing_mps * (HALTING_S + braking_s / 2.0)
+
+
 def farthest(told: Vec6, seen: Vec6) -> float:
     """Return the largest difference between what was told and what is seen; NaN where one is none."""
     apart = [abs(one - other) for one, other in zip(told, seen, strict=True)]
@@ -535,7 +558,7 @@ DETECTORS: Final[tuple[Part, ...]] = parts(
         motion: ("base_speed_mps",),
         zone_margin: ("zone_margin_m",),
         people_around: ("people",),
-        separation: ("separation_m", "protective_separation_m", "separation_margin_m"),
+        separation: ("separation_m", "protective_separation_m", "separation_margin_m", "separation_ahead_m"),
         timeout: ("elapsed_ticks", "elapsed_s"),
         stall: ("stall_ticks", "progress", "stall_s"),
         attempts: ("closing", "closings", "reached", "restarts", "retries"),

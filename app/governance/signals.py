@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from app.governance.estimation import BaseEstimate, PersonEstimate
 from app.governance.keepout import Keepout
-from app.governance.model import SensorStamps
+from app.governance.model import Intervention, SensorStamps
 
 if TYPE_CHECKING:
-    from app.governance.model import Observation, WatchPlan
+    from app.governance.model import Observation, WatchPlan, WatchRule
 
 FAR_M: Final = 99.0
 
@@ -20,7 +20,9 @@ class Signals(NamedTuple):
 
     `separation_m` is the distance between the nearest person and the robot (hull of the base, or TCP), and
     `protective_separation_m` what it has to be. `separation_margin_m` is the smallest difference of the two over all
-    people, `sensor_margin_ms` the largest excess of an age over its limit.
+    people, `sensor_margin_ms` the largest excess of an age over its limit. `separation_ahead_m` is what a rule with a
+    fixed distance, and a response that holds, is judged by: `separation_m`, or less where somebody comes on so fast
+    that less than `LEFT_M` would be left once the robot stands.
     """
 
     contact_force_n: float = 0.0
@@ -46,6 +48,7 @@ class Signals(NamedTuple):
     base_x_m: float = 0.0
     base_y_m: float = 0.0
     base_yaw_rad: float = 0.0
+    separation_ahead_m: float = FAR_M
 
 
 SIGNAL_NAMES: Final = Signals._fields[:17]
@@ -111,11 +114,18 @@ class WatchState(NamedTuple):
         return Signals._make(self.measured)
 
 
+def holds_off(rule: WatchRule) -> bool:
+    """Say whether a rule holds the robot while somebody is nearer than a distance that it names."""
+    fixed = rule.signal == "separation_m" and rule.threshold is not None and not rule.above
+    return fixed and rule.response.enter is not Intervention.CONTINUE
+
+
 class Constants(NamedTuple):
     """What detectors take from a plan, worked out once. `age_limits_s` goes with `SensorStamps`, ∞ where none is set.
 
     The protective separation S_p = v_h (T_r + T_s) + v_r T_r + v_r T_s / 2 + C + Z_d + Z_r is split into what is fixed
-    (`fixed_gap_m`) and what v_r multiplies (`gap_per_speed_s`).
+    (`fixed_gap_m`) and what v_r multiplies (`gap_per_speed_s`). `held_off_m` is the distance that a rule names which
+    holds the robot while somebody is nearer; 0 without one.
     """
 
     period_s: float
@@ -125,6 +135,7 @@ class Constants(NamedTuple):
     age_limits_s: tuple[float, ...]
     fixed_gap_m: float
     gap_per_speed_s: float
+    held_off_m: float
 
     @classmethod
     def of(cls, plan: WatchPlan, period_s: float) -> Constants:
@@ -151,6 +162,7 @@ class Constants(NamedTuple):
                 + gap.intrusion_m + gap.position_uncertainty_m + gap.robot_uncertainty_m
             ),
             gap_per_speed_s=0.0 if gap is None else gap.reaction_s + gap.stopping_s / 2.0,
+            held_off_m=max((rule.threshold or 0.0 for rule in plan.rules if holds_off(rule)), default=0.0),
         )  # fmt: skip
 
     def stale(self, seen: Observation) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from app.governance.estimation import cusum
 from app.governance.model import CONTROL_PERIOD_S, Alert, Intervention, Response, Signal, WatchRule
-from app.governance.signals import SIGNAL_NAMES, Constants, Senses, Signals, WatchState
+from app.governance.signals import SIGNAL_NAMES, Constants, Senses, Signals, WatchState, holds_off
 from app.governance.watch_code import Bound, generate
 
 if TYPE_CHECKING:
@@ -193,6 +193,8 @@ def _compile(rule: WatchRule, plan: WatchPlan, period_s: float) -> _Row:
     if rule.threshold is not None:
         if not math.isfinite(rule.threshold):
             raise ValueError(f"`{rule.id}` has threshold `{rule.threshold}`; valid: a finite number")
+        if holds_off(rule):
+            shown = Signals._fields.index("separation_ahead_m")
         return _Row(shown, sign, sign * rule.threshold, ticks, rule, shown, None)
     computed = _computed(rule, plan)
     if isinstance(computed, tuple):

@@ -499,6 +499,38 @@ def test_an_open_gripper_that_says_the_same_width_again_and_again_is_stuck() -> 
     assert first_alert(PLAN, stream, command=HOLD)[0] == STUCK_TICKS
 
 
+def walker(speed_mps: float, from_m: float, ticks: int) -> list[Observation]:
+    """Somebody who walks up to the robot's front at a constant speed; the tracker says where they are every 50 ms."""
+    return [
+        seen(
+            tick,
+            base_velocity=(0.5, 1e-6 * (tick % 97), 0.0),
+            odometry=(2.0, 2.0, 0.0),
+            people=(PersonTrack(1, 0.05 * (tick // 5), 2.45 + from_m - speed_mps * 0.05 * (tick // 5), 2.0),),
+        )
+        for tick in range(ticks)
+    ]
+
+
+HOLDING_OFF = replace(STOP, enter=Intervention.PAUSE, then="resume", clear_after_ms=1000)
+
+
+def test_a_fixed_distance_is_kept_ahead_of_whoever_comes_on_and_named_as_it_is_for_whoever_stands() -> None:
+    near = rule("separation_m", above=False, threshold=1.0)
+    plan = watching(replace(near, response=HOLDING_OFF), base_radius_m=0.45, base_deceleration_mps2=1.0)
+    standing = [one._replace(base_velocity=(0.0, 0.0, 0.0), tcp_m=(0.0, 0.0, 0.9)) for one in walker(0.0, 1.2, 60)]
+    assert first_alert(plan, standing) == (None, None)
+    stream = [one._replace(tcp_m=(0.0, 0.0, 0.9)) for one in walker(2.0, 3.5, 200)]
+    tick, alert = first_alert(plan, stream)
+    assert tick is not None
+    assert alert is not None
+    assert 1.5 < 3.5 - 2.0 * 0.01 * tick < 2.3  # 2 m/s for 0.6 s, half a second's braking from 0.5 m/s, 0.5 m left
+    warned = watching(replace(near, response=replace(STOP, enter=Intervention.CONTINUE)), base_radius_m=0.45)
+    late, _ = first_alert(warned, stream)
+    assert late is not None
+    assert 3.5 - 2.0 * 0.01 * late == pytest.approx(1.0, abs=0.12)  # who only warns says where somebody is
+
+
 FLOATS = [name for name in Observation._fields if name not in ("tick", "pads_loaded", "fix", "people")]
 
 
