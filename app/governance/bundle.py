@@ -7,7 +7,9 @@ policies/
 ├── organization.yaml      O: rules of every profile, agents and their permissions
 ├── authority.yaml         H: what every profile shares
 ├── site.yaml              everything in the workshop that has a name
-└── tests/*.yaml           cases for `reins policy test`; no part of the policy, nor of its digest
+├── properties.yaml        what is promised of all this and proved by `reins policy check`; no part of the policy, nor
+│                          of its digest: it decides nothing
+└── tests/*.yaml           cases for `reins policy test`; likewise
 ```
 
 1. `read_files` reads text; `load_files` works on text alone, so that a cell gets the same policy set over the link.
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
     from app.governance.policy_model import Profile, Rule
 
 TESTS_FOLDER: Final = "tests"
+PROPERTIES: Final = "properties.yaml"
 _SINGLE: Final[Mapping[str, type[Any]]] = {
     "organization.yaml": bundle_shapes.OrganizationShape,
     "authority.yaml": bundle_shapes.AuthorityFileShape,
@@ -55,16 +58,25 @@ _FOLDERS: Final[Mapping[str, type[Any]]] = {
     "capabilities": bundle_shapes.CapabilityShape,
     "profiles": bundle_shapes.ProfileShape,
 }
-_LAYOUT: Final = (*(f"{folder}/*.yaml" for folder in _FOLDERS), *_SINGLE, f"{TESTS_FOLDER}/*.yaml")
+_LAYOUT: Final = (*(f"{folder}/*.yaml" for folder in _FOLDERS), *_SINGLE, PROPERTIES, f"{TESTS_FOLDER}/*.yaml")
 
 
 def read_files(directory: Path) -> dict[str, str]:
-    """Read the policy files of a directory (not its tests), path relative to it → text, in order of path.
+    """Read the policy files of a directory (not its tests, nor its properties), path → text, in order of path.
 
     Raises:
         PolicyErrors: The directory cannot be read, or a file is not UTF-8.
     """
-    return _read(directory, tests=False)
+    return {name: text for name, text in _read(directory, tests=False).items() if name != PROPERTIES}
+
+
+def read_properties(directory: Path) -> str | None:
+    """Read what a policy directory promises (`properties.yaml`); None where it has no such file.
+
+    Raises:
+        PolicyErrors: The directory cannot be read, or a file is not UTF-8.
+    """
+    return _read(directory, tests=False).get(PROPERTIES)
 
 
 def read_cases(directory: Path) -> dict[str, str]:

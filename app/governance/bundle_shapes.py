@@ -395,6 +395,7 @@ class ContextShape(Shape):
     """What differs from the ordinary: an idle cell whose sensors say that everything the capability needs is so."""
 
     agent: str = "planner"
+    permissions: list[Name] | None = None  # in the place of those that policy gives this agent
     online: bool = True
     latched: bool = False
     busy: str | None = None
@@ -402,8 +403,13 @@ class ContextShape(Shape):
     stand: str | None = None
     unseen: list[str] = []
     unreachable: list[str] = []
+    at: dict[Name, XY] = {}  # where objects are perceived, if not where the site says
     arm_ready: bool = True
+    arm_retracted: bool = True
+    gripper_empty: bool | None = None  # if it is not what `holding` says
     sensors_fresh: bool = True
+    people_count: Annotated[int, Field(ge=0)] = 0
+    people_nearest_m: Annotated[float, Field(ge=0)] = 99.0
     operator_on_duty: bool = True
 
 

@@ -57,7 +57,7 @@ for _tag, _pattern, _first in (
 
 _SCALARS: Final = {f"tag:yaml.org,2002:{name}": name for name in ("null", "bool", "int", "float", "str")}
 _MAX_DEPTH: Final = 40
-_MAX_DIGITS: Final = 18  # an integer has 64 bits
+_MAX_DIGITS: Final = 400  # of an integer with leading zeros; longer ones are not even read
 
 
 class _Walk:
@@ -112,7 +112,7 @@ class _Walk:
                 return None
             case "bool":
                 return text.lower() == "true"
-            case "int" if len(text.lstrip("+-")) > _MAX_DIGITS:
+            case "int" if len(text.lstrip("+-")) > _MAX_DIGITS or not -(2**63) <= int(text) < 2**63:
                 self.fault(node, path, f"number out of range: `{text[:24]}…`")
                 return 0
             case "int":

@@ -6,7 +6,7 @@ A case says what differs from the ordinary: an idle cell at bench A whose sensor
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from app.governance.bundle_fit import fit
@@ -97,9 +97,18 @@ def run(policy: PolicySet, files: Mapping[str, str]) -> list[CaseResult]:
 
 
 def _decide(policy: PolicySet, profile: str, case: CaseShape) -> tuple[str, Decision | None]:
+    asked = asking(policy, profile, case)
+    if asked is None:
+        return "invalid", None
+    decision = decide(policy, *asked)
+    return str(decision.status), decision
+
+
+def asking(policy: PolicySet, profile: str, case: CaseShape) -> tuple[Proposal, Context] | None:
+    """Return what a case asks: its proposal and Γ_t; None where its parameters do not fit their schema."""
     params: Any = policy.validate_params(case.capability, case.params)  # pyright: ignore[reportArgumentType]
     if isinstance(params, tuple):
-        return "invalid", None
+        return None
     proposal = Proposal(
         capability=case.capability,
         params=params,
@@ -107,8 +116,7 @@ def _decide(policy: PolicySet, profile: str, case: CaseShape) -> tuple[str, Deci
         mode=Mode(case.mode),
         preconditions=tuple(case.preconditions),
     )
-    decision = decide(policy, proposal, context(policy, profile, case.context or ContextShape()))
-    return str(decision.status), decision
+    return proposal, context(policy, profile, case.context or ContextShape())
 
 
 def context(policy: PolicySet, profile: str, shape: ContextShape) -> Context:
@@ -118,8 +126,8 @@ def context(policy: PolicySet, profile: str, shape: ContextShape) -> Context:
         name: ObjectFact(
             visible=name not in shape.unseen,
             reachable=name not in shape.unreachable,
-            x_m=found.x_m,
-            y_m=found.y_m,
+            x_m=shape.at.get(name, (found.x_m, found.y_m))[0],
+            y_m=shape.at.get(name, (found.x_m, found.y_m))[1],
             z_m=policy.site.surfaces[found.surface].z_m + found.size_m[2],
             stamp_s=0.0,
         )
@@ -128,17 +136,20 @@ def context(policy: PolicySet, profile: str, shape: ContextShape) -> Context:
     facts = WorldFacts(
         stamp_s=0.0,
         arm_ready=shape.arm_ready,
-        arm_retracted=True,
-        gripper_empty=shape.holding is None,
+        arm_retracted=shape.arm_retracted,
+        gripper_empty=shape.holding is None if shape.gripper_empty is None else shape.gripper_empty,
         holding=shape.holding,
         base=(stand.x_m, stand.y_m, stand.yaw_rad),
         objects=objects,
+        people_count=shape.people_count,
+        people_nearest_m=shape.people_nearest_m,
         sensors_fresh=shape.sensors_fresh,
     )
+    agent = policy.agent(shape.agent)
     return Context(
         time_s=0.0,
         profile=profile,
-        agent=policy.agent(shape.agent),
+        agent=agent if shape.permissions is None else replace(agent, permissions=frozenset(shape.permissions)),
         cell=CellFacts(id="case", online=shape.online, latched=shape.latched, busy=shape.busy, facts=facts),
         operator_on_duty=shape.operator_on_duty,
     )

@@ -4,7 +4,7 @@ import pytest
 
 from app.governance import bundle
 from app.governance.errors import PolicyErrors
-from tests.governance.policy_world import files, shipped
+from tests.governance.policy_world import POLICIES, files, shipped
 
 GRASP, HUMAN, RELAXED, ORG, SITE, H = (
     "capabilities/grasp_object.yaml", "profiles/human-shared.yaml", "profiles/sim-relaxed.yaml", "organization.yaml",
@@ -348,3 +348,9 @@ def test_the_same_files_make_the_same_digest_and_another_byte_another():
     assert bundle.load_files(dict(reversed(files().items()))).digest == shipped().digest
     changed = {**files(), H: files()[H] + "\n"}
     assert bundle.digest(changed) != shipped().digest
+
+
+def test_what_is_promised_is_read_beside_the_policy_and_no_part_of_it(tmp_path):
+    assert "order:" in (bundle.read_properties(POLICIES) or "")
+    assert "properties.yaml" not in bundle.read_files(POLICIES)
+    assert bundle.read_properties(tmp_path) is None

@@ -53,3 +53,28 @@ def test_every_problem_of_the_case_files_is_reported_with_its_line():
 def test_a_case_with_parameters_that_do_not_fit_is_invalid():
     text = (CASE % ("sim-relaxed", "invalid")).replace("target: dock", "target: 3")
     assert [result.passed for result in cases.run(shipped(), {"tests/x.yaml": text})] == [True]
+
+
+def test_a_case_says_who_is_permitted_what_and_what_is_seen():
+    text = """
+cases:
+  - name: hazmat may
+    profile: sim-relaxed
+    capability: grasp_object
+    params: {object_id: solvent_1}
+    context: {permissions: [manipulation, hazmat]}
+    expect: {status: allowed}
+  - name: where it is seen counts
+    profile: sim-relaxed
+    capability: grasp_object
+    params: {object_id: mug_1}
+    context: {at: {mug_1: [5.0, 1.0]}, people_count: 2, people_nearest_m: 0.5, arm_retracted: false}
+    expect: {status: denied, codes: [forbidden_zone]}
+  - name: what the fingers feel counts
+    profile: sim-relaxed
+    capability: grasp_object
+    params: {object_id: mug_1}
+    context: {gripper_empty: false}
+    expect: {status: deferred}
+"""
+    assert [result.differences for result in cases.run(shipped(), {"tests/x.yaml": text})] == [(), (), ()]
