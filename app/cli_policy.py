@@ -1,21 +1,32 @@
-"""`reins policy`: checks a policy directory as the server would at its start."""
+"""`reins policy`: checks a policy directory as the server would at its start, and proves it."""
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from textwrap import indent
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
+from rich.progress import BarColumn, Progress, TextColumn
 
+from app.clock import monotonic_s
 from app.config import find_policies
-from app.governance.bundle import load, read_cases
+from app.governance.bundle import load, read_cases, read_properties
 from app.governance.cases import read as read_tests
 from app.governance.cases import run as run_cases
 from app.governance.errors import PolicyErrors
 from app.terminal import FINDING, err, say, say_error
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from app.governance.errors import PolicyError
     from app.governance.policy import PolicySet
+    from app.proofs.findings import Finding
+    from app.proofs.prove import Report
+
+SLOW_S: Final = 1.0  # from here on a bar shows how far it is
 
 app = typer.Typer(help="Check and test policy directories.", no_args_is_help=True)
 
@@ -24,24 +35,82 @@ Directory = Annotated[
 ]
 
 
-@app.command()
-def check(directory: Directory = None) -> None:
-    """Load and type-check everything, its cases included; print every problem with its file and line.
+class Form(StrEnum):
+    """How findings are written."""
 
-    [bold]reins policy check policies[/]
+    TEXT = "text"
+    SARIF = "sarif"
+
+
+@app.command()
+def check(
+    directory: Directory = None,
+    form: Annotated[Form, typer.Option("--format", help="How to write what is found.")] = Form.TEXT,
+    effort: Annotated[int, typer.Option(min=1, help="Steps of the solver for one question.")] = 20_000_000,
+    all_s: Annotated[float, typer.Option("--time-limit", min=0.01, help="Seconds for all proofs together.")] = 120.0,
+    proofs: Annotated[bool, typer.Option(help="Whether to prove, or only to load.")] = True,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Print notes as well.")] = False,
+) -> None:
+    """Load and type-check everything, cases included, and prove it: no contradiction, no gap, no dead rule, no error.
+
+    Every problem comes with its file and line, and every refuted proof with the smallest proposal that shows it, as a
+    case for [bold]reins policy test[/]. What cannot be decided in time is a finding as well.
+
+    [bold]reins policy check policies --format sarif[/]
     """
     folder = find_policies(directory)
-    policy = _load(folder)
     try:
+        policy = load(folder)
         cases = read_tests(policy, read_cases(folder))
+        report = _prove(policy, read_properties(folder), effort, all_s) if proofs else None
     except PolicyErrors as found:
+        if form is Form.SARIF:
+            _say_sarif([], found.problems)
+            raise typer.Exit(FINDING) from found
         raise _finding(found, folder) from found
-    pairs, rules = len(policy.gates), len(policy.rules)
-    say(
-        f"{len(policy.files)} files, {rules} rules, {pairs} enabled pairs of capability and profile, "
-        f"{len(cases)} cases: no problem"
-    )
-    say(policy.digest)
+    faults = [] if report is None else report.faults
+    if form is Form.SARIF:
+        _say_sarif([] if report is None else report.findings, [])
+    else:
+        _say_findings(report.findings if report is not None and verbose else faults)
+        found = f"{len(faults)} not proved" if faults else "no problem"
+        say(
+            f"{len(policy.files)} files, {len(policy.rules)} rules, {len(policy.gates)} enabled pairs of capability "
+            f"and profile, {len(cases)} cases: {found}"
+        )
+        if report is not None and not faults:
+            say(report.summary())
+        say(policy.digest)
+    if faults:
+        raise typer.Exit(FINDING)
+
+
+def _prove(policy: PolicySet, properties: str | None, effort: int, all_s: float) -> Report:
+    from app.proofs.prove import prove  # only here: nothing else of the command has a use for the solver
+
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), console=err, transient=True, disable=not err.is_terminal
+    ) as bar:
+        task = bar.add_task("proving", visible=False)
+        began_s = monotonic_s()
+
+        def show(done: int, of: int, what: str) -> None:
+            bar.update(task, completed=done, total=of, description=what, visible=monotonic_s() - began_s > SLOW_S)
+
+        return prove(policy, properties, now=monotonic_s, effort=effort, all_s=all_s, progress=show)
+
+
+def _say_findings(findings: list[Finding]) -> None:
+    for found in findings:
+        err.print(f"{found.file}:{found.line}: {found.weight.value}: {found.message}", markup=False)
+        if found.example:
+            err.print(indent(found.example.rstrip(), "    "), markup=False)
+
+
+def _say_sarif(findings: list[Finding], problems: Sequence[PolicyError]) -> None:
+    from app.proofs.sarif import sarif
+
+    typer.echo(sarif(findings, problems))
 
 
 @app.command("test")

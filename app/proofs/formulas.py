@@ -1,0 +1,91 @@
+"""Formulas of Z3, with `True` and `False` folded away before the solver sees them."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING, TypeAlias
+
+import z3
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from fractions import Fraction
+
+Formula: TypeAlias = "bool | z3.BoolRef"
+
+
+def both(*parts: Formula) -> Formula:
+    """Return the conjunction."""
+    return every(parts)
+
+
+def every(parts: Iterable[Formula]) -> Formula:
+    """Return the conjunction of all; of none it is true."""
+    kept: dict[int, z3.BoolRef] = {}
+    for part in parts:
+        if part is False:
+            return False
+        if part is not True:
+            kept[part.get_id()] = part
+    return z3.And(*kept.values()) if len(kept) > 1 else next(iter(kept.values()), True)
+
+
+def either(*parts: Formula) -> Formula:
+    """Return the disjunction."""
+    return some(parts)
+
+
+def some(parts: Iterable[Formula]) -> Formula:
+    """Return the disjunction of all; of none it is false."""
+    kept: dict[int, z3.BoolRef] = {}
+    for part in parts:
+        if part is True:
+            return True
+        if part is not False:
+            kept[part.get_id()] = part
+    return z3.Or(*kept.values()) if len(kept) > 1 else next(iter(kept.values()), False)
+
+
+def no(part: Formula) -> Formula:
+    """Return the negation."""
+    if isinstance(part, bool):
+        return not part
+    return part.arg(0) if z3.is_not(part) else z3.Not(part)
+
+
+def implies(premise: Formula, conclusion: Formula) -> Formula:
+    """Return the implication."""
+    return either(no(premise), conclusion)
+
+
+def same(one: Formula, other: Formula) -> Formula:
+    """Return the equivalence."""
+    if isinstance(one, bool):
+        return other if one else no(other)
+    if isinstance(other, bool):
+        return one if other else no(one)
+    return True if one.eq(other) else one == other
+
+
+def choose(condition: Formula, then: Formula, otherwise: Formula) -> Formula:
+    """Return `then` where the condition holds, else `otherwise`."""
+    return either(both(condition, then), both(no(condition), otherwise))
+
+
+def term(formula: Formula) -> z3.BoolRef:
+    """Return a formula as a term of Z3."""
+    return z3.BoolVal(formula) if isinstance(formula, bool) else formula
+
+
+def exactly_one(options: list[z3.BoolRef]) -> Formula:
+    """Say that one of these holds, and no other."""
+    if len(options) == 1:
+        return options[0]
+    return both(z3.Or(*options), z3.AtMost(*options, 1))
+
+
+@lru_cache(maxsize=4096)
+def rational(value: Fraction | float) -> z3.RatNumRef:
+    """Return the exact value of a number; every finite double is a fraction."""
+    numerator, denominator = value.as_integer_ratio()
+    return z3.Q(numerator, denominator)

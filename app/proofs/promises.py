@@ -1,0 +1,213 @@
+"""The proof of a stated property in one (capability, profile), and the order of profiles between two."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import z3
+
+from app.governance.authority import answers
+from app.governance.decision import decide
+from app.governance.expression_tree import BOOL
+from app.governance.model import AuthorityMode, Verdict
+from app.governance.policy_code import Generator
+from app.governance.policy_model import Effect, Rule
+from app.proofs.asking import UNDECIDED, Asking
+from app.proofs.findings import Finding, Kind
+from app.proofs.formulas import Formula, both, either, no, some
+from app.proofs.obligations import never
+from app.proofs.stated import FILE
+from app.proofs.values import NotCoveredError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from app.governance.policy import Gate
+    from app.governance.policy_model import Profile
+    from app.proofs.obligations import Court
+    from app.proofs.pair import Pair
+    from app.proofs.stated import Property, PropertyShape
+    from app.proofs.witness import Seen
+
+PROBE: Final = "properties/probe"
+LAUNCHED: Final = frozenset({"allowed", "awaiting_approval"})
+
+
+# Stated properties ---------------------------------------------------------------------------------------------------
+
+
+def statuses(pair: Pair) -> Mapping[str, Formula]:
+    """Return where an idle, ready cell gives which status, without a standing grant."""
+    gate = pair.gate
+    escalates = either(pair.first.asked, pair.space.supervised)
+    denied = either(pair.denied, False if answers(gate) else escalates)
+    awaiting = both(no(denied), _always_asks(gate) or escalates) if answers(gate) else False
+    return {"denied": denied, "awaiting_approval": awaiting, "allowed": both(no(denied), no(awaiting))}
+
+
+def _always_asks(gate: Gate) -> bool:
+    """Say whether authority asks about every proposal of this pair."""
+    approval = gate.profile.approval
+    by_risk = AuthorityMode.APPROVAL_REQUIRED in gate.profile.authority
+    marked = gate.capability.env_profile[gate.profile.name] == "approval-required"
+    listed = approval is not None and by_risk and gate.capability.risk in approval.risks
+    return answers(gate) and (marked or listed)
+
+
+def _people(gate: Gate) -> int:
+    """Return how many people a pair asks where no rule wants more."""
+    approval = gate.profile.approval
+    return 0 if approval is None else approval.approvers.get(gate.capability.risk, approval.default_approvers)
+
+
+def _too_few(pair: Pair, wanted: int) -> Formula:
+    """Return where fewer people are asked than wanted, of what may be launched."""
+    found = statuses(pair)
+    asking = [r.id for r in pair.rules if r.then is Effect.ESCALATE and r.approvers >= wanted]
+    enough = _people(pair.gate) >= wanted or some(pair.first.fires[rule] for rule in asking)
+    return both(no(found["denied"]), no(both(found["awaiting_approval"], enough)))
+
+
+def property_holds(court: Court, promised: Property) -> Iterator[Finding]:
+    """Yield where a promise is not kept in this pair."""
+    pair, shape = court.pair, promised.shape
+    message = f"`{shape.id}` does not hold of {court.where}: {shape.says}"
+    try:
+        when = True if shape.when is None else _holds_or_fails(pair, shape.when)
+        broken = _broken(pair, shape)
+    except NotCoveredError as why:
+        reading = f"`{shape.id}` reads {why}, which proofs do not cover"
+        found = court.judged(Kind.PROPERTY, UNDECIDED, reading, never)
+    else:
+        answer = court.solve(pair.space.ready(), when, broken)
+        found = court.judged(Kind.PROPERTY, answer, message, Judge(pair, shape).broken)
+    for finding in found:
+        yield replace(finding, file=FILE, line=promised.line, rule=shape.id)
+
+
+def _holds_or_fails(pair: Pair, source: str) -> Formula:
+    value = pair.first.value(source, BOOL)
+    return either(value.truth, value.error)
+
+
+def _broken(pair: Pair, shape: PropertyShape) -> Formula:
+    found = statuses(pair)
+    broken = [found[status] for status in shape.never]
+    if shape.always is not None:
+        kept = pair.second.value(shape.always, BOOL)
+        broken.append(both(no(found["denied"]), no(kept.holds)))
+    if shape.approvers is not None:
+        broken.append(_too_few(pair, shape.approvers))
+    return some(broken)
+
+
+class Judge:
+    """Says of a real decision whether it breaks a promise; its conditions are compiled as those of rules are."""
+
+    def __init__(self, pair: Pair, shape: PropertyShape) -> None:
+        """Compile the promise's conditions."""
+        self._shape = shape
+        self._when, self._always = (_compiled(pair, source) for source in (shape.when, shape.always))
+
+    def broken(self, seen: Seen) -> bool:
+        """Say whether this decision breaks the promise."""
+        verdict = seen.decision.verdict
+        if verdict is None or (self._when is not None and not _reason(self._when(seen.proposal, seen.context))):
+            return False
+        need, wanted = seen.decision.need, self._shape.approvers
+        few = wanted is not None and seen.status in LAUNCHED and (need is None or need.approvers < wanted)
+        return seen.status in self._shape.never or few or (seen.status in LAUNCHED and not self._kept(seen, verdict))
+
+    def _kept(self, seen: Seen, verdict: Verdict) -> bool:
+        if self._always is None:
+            return True
+        launched = replace(seen.proposal, params=verdict.effective)
+        return _reason(self._always(launched, seen.context)) == "probe"
+
+
+def _compiled(pair: Pair, source: str | None) -> Callable[..., Verdict] | None:
+    if source is None:
+        return None
+    rule = Rule(
+        id=PROBE, applies_to=None, profiles=None, when=source, then=Effect.DENY, settings=(), approvers=0,
+        because="It holds.", remedy="",
+    )  # fmt: skip
+    gate = pair.gate
+    return Generator(gate.capability, gate.profile, gate.site, pair.vocabulary).compile([rule]).check
+
+
+def _reason(verdict: Verdict) -> str | None:
+    """Return `probe` where a compiled condition holds, `rule_error` where it fails, None where it does not hold."""
+    return next((reason.code for reason in verdict.reasons if reason.rule == PROBE), None)
+
+
+# The order of profiles -----------------------------------------------------------------------------------------------
+
+
+def declared_order(strict: Profile, wide: Profile) -> Iterator[tuple[str, str]]:
+    """Yield what two profiles declare in the wrong order: what it is about, and what is wrong."""
+    for name, limit in strict.limits.items():
+        other = wide.limits[name].maximum
+        if limit.maximum > other:
+            yield (
+                f"{strict.name}/{name}",
+                f"`{name}` is {limit.maximum:g} in {strict.name} and {other:g} in {wide.name}",
+            )
+    if strict.sensitivity < wide.sensitivity:
+        yield (
+            strict.name,
+            f"`sensitivity` is {strict.sensitivity:g} in {strict.name} and {wide.sensitivity:g} in {wide.name}",
+        )
+    if strict.retry_budget > wide.retry_budget:
+        yield (
+            strict.name,
+            f"`retry_budget` is {strict.retry_budget} in {strict.name} and {wide.retry_budget} in {wide.name}",
+        )
+
+
+def order_holds(court: Court, wide: Pair, asking: Asking) -> Iterator[Finding]:
+    """Yield where the stricter profile (the court's) lets something through that the wider one would not.
+
+    Deny > escalate > modify > allow: for no proposal is the stricter profile's verdict the weaker one, and where the
+    wider profile asks for every approval, the stricter one does.
+    """
+    strict = court.pair
+    name, one, other = strict.gate.capability.name, strict.gate.profile, wide.gate.profile
+    if _always_asks(wide.gate) and not (_always_asks(strict.gate) and _people(strict.gate) >= _people(wide.gate)):
+        message = (
+            f"`{name}` is approved by {_people(wide.gate)} in {other.name}, and by fewer in {one.name}, the stricter"
+        )
+        yield from court.judged(Kind.ORDER, court.solve(True), message, lambda _: True)
+    weaker = some((
+        both(strict.allowed, no(wide.allowed)),
+        both(strict.modified, either(wide.escalated, wide.denied)),
+        both(strict.escalated, wide.denied),
+    ))  # fmt: skip
+    admitted = strict.space.modes.where([mode.value for mode in one.admits])
+    foreign = no(strict.space.modes.where([mode.value for mode in other.admits]))
+    doubt = (admitted, either(weaker, both(foreign, no(strict.denied))))
+    answer = asking.ask(*doubt)
+    if isinstance(answer, z3.ModelRef) and strict.space.approximate:
+        plain = asking.ask(*doubt, *strict.space.plain())
+        answer = plain if isinstance(plain, z3.ModelRef) else answer
+    message = (
+        f"{one.name} lets something through about `{name}` that {other.name} does not, and is declared the stricter"
+    )
+    yield from court.judged(Kind.ORDER, answer, message, lambda seen: _weaker(court, seen, other.name))
+
+
+_RANKS: Final = ("allow", "modify", "escalate", "deny")
+
+
+def _weaker(court: Court, seen: Seen, wide: str) -> bool:
+    """Say whether the real verdict in the wider profile is the stricter one."""
+    mine = seen.decision.verdict
+    theirs = decide(court.policy, seen.proposal, replace(seen.context, profile=wide)).verdict
+    if mine is None:
+        return False
+    return theirs is None or _RANKS.index(theirs.outcome.value) > _RANKS.index(mine.outcome.value)
+
+
+__all__ = ["Judge", "declared_order", "order_holds", "property_holds", "statuses"]

@@ -1,0 +1,153 @@
+"""What policy promises of itself: `properties.yaml`, its shape, and the proof of every promise.
+
+```yaml
+order: [human-shared, real-restricted]      # from the strictest: whatever the first allows, the second allows
+properties:
+  - id: hazmat
+    says: Hazardous objects are never handled without the permission for it.
+    applies_to: [grasp_object]              # default: every capability that the conditions can speak of
+    profiles: [human-shared]                # default: all
+    when: target.hazardous && !("hazmat" in agent.permissions)      # which proposals; default: every one
+    never: [allowed, awaiting_approval]     # the statuses that must not come of it
+    always: params.speed_mps <= 0.25        # what holds of every proposal that may be launched, as it would be launched
+    approvers: 2                            # how many people are asked at least
+```
+
+The file is no part of what decides, and so none of the policy's digest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Final, Literal
+
+from pydantic import Field
+
+from app.governance.bundle_fit import fit
+from app.governance.bundle_shapes import Name, Shape, Slug, Text
+from app.governance.bundle_yaml import dotted, parse
+from app.governance.errors import ExpressionError, PolicyError, PolicyErrors
+from app.governance.expression_tree import BOOL
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from app.governance.bundle_yaml import Document, Path
+    from app.governance.policy import PolicySet
+    from app.governance.vocabulary import Vocabulary
+
+FILE: Final = "properties.yaml"
+Barred = Literal["allowed", "awaiting_approval"]
+
+
+class PropertyShape(Shape):
+    """One promise."""
+
+    id: Slug
+    says: Text
+    applies_to: Annotated[list[Name], Field(min_length=1)] | None = None
+    profiles: Annotated[list[Slug], Field(min_length=1)] | None = None
+    when: str | None = None
+    never: list[Barred] = Field(default_factory=list[Barred])
+    always: str | None = None
+    approvers: Annotated[int, Field(ge=1, le=9)] | None = None
+
+
+class PropertiesShape(Shape):
+    """The file."""
+
+    order: list[Slug] = Field(default_factory=list[Slug])
+    properties: list[PropertyShape] = Field(default_factory=list[PropertyShape])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Property:
+    """A promise, where it stands, and the pairs it is made for."""
+
+    shape: PropertyShape
+    line: int
+    pairs: frozenset[tuple[str, str]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stated:
+    """Everything that is promised. `order` begins with the strictest profile."""
+
+    order: tuple[str, ...] = ()
+    order_line: int = 1
+    properties: tuple[Property, ...] = ()
+
+
+def read(policy: PolicySet, vocabulary: Vocabulary, text: str | None) -> Stated:
+    """Read what is promised; without a file nothing is.
+
+    Raises:
+        PolicyErrors: It is not readable, names what does not exist, or says what cannot be proved of anything.
+    """
+    if text is None:
+        return Stated()
+    document, problems = parse(FILE, text)
+    shape, misfits = fit(PropertiesShape, document) if not problems else (None, [])
+    problems = [*problems, *misfits]
+    if shape is None:
+        raise PolicyErrors(problems)
+
+    reader = _Reader(document, problems)
+    found = [_property(reader, policy, vocabulary, index, promised) for index, promised in enumerate(shape.properties)]
+    reader.names(("order",), "profile", shape.order, policy.profiles)
+    for path, names in ((("order",), shape.order), (("properties",), [promised.id for promised in shape.properties])):
+        for index, name in enumerate(names):
+            if name in names[:index]:
+                reader.problem((*path, index), f"`{name}` stands twice")
+    if problems:
+        raise PolicyErrors(problems)
+    return Stated(order=tuple(shape.order), order_line=document.line(("order",)), properties=tuple(found))
+
+
+@dataclass(frozen=True, slots=True)
+class _Reader:
+    """Writes problems about the file."""
+
+    document: Document
+    problems: list[PolicyError]
+
+    def problem(self, path: Path, message: str, valid: Iterable[str] = ()) -> None:
+        line, key = self.document.line(path), dotted(path)
+        self.problems.append(PolicyError(file=FILE, line=line, key=key, message=message, valid=sorted(valid)))
+
+    def names(self, path: Path, what: str, names: Iterable[str], known: Iterable[str]) -> None:
+        for index, name in enumerate(names):
+            if name not in known:
+                self.problem((*path, index), f"there is no {what} `{name}`", known)
+
+
+def _property(
+    reader: _Reader, policy: PolicySet, vocabulary: Vocabulary, index: int, promised: PropertyShape
+) -> Property:
+    """Return a promise and the pairs it is made for; what it names has to exist, and be able to keep it."""
+    path = ("properties", index)
+    if not promised.never and promised.always is None and promised.approvers is None:
+        reader.problem(path, f"`{promised.id}` promises nothing", ("never", "always", "approvers"))
+    reader.names((*path, "applies_to"), "capability", promised.applies_to or (), policy.capabilities)
+    reader.names((*path, "profiles"), "profile", promised.profiles or (), policy.profiles)
+    scope = [name for name in promised.applies_to or sorted(policy.capabilities) if name in policy.capabilities]
+    refused = {name: fault for name in scope if (fault := _untyped(vocabulary, promised, name)) is not None}
+    kept = [name for name in scope if name not in refused]
+    if refused and (promised.applies_to is not None or not kept):
+        name, (key, error) = next(iter(refused.items()))
+        reader.problem((*path, key), f"column {error.column}: {error.message} (for `{name}`)", error.valid)
+    chosen = {(name, profile) for name in kept for profile in promised.profiles or policy.profiles}
+    pairs = frozenset(chosen & policy.gates.keys())
+    if kept and not pairs:
+        reader.problem((*path, "id"), f"`{promised.id}` is about no enabled pair of capability and profile")
+    return Property(shape=promised, line=reader.document.line(path), pairs=pairs)
+
+
+def _untyped(vocabulary: Vocabulary, promised: PropertyShape, name: str) -> tuple[str, ExpressionError] | None:
+    for key, source in (("when", promised.when), ("always", promised.always)):
+        if source is not None:
+            try:
+                vocabulary.typed(source, name, BOOL)
+            except ExpressionError as error:
+                return key, error
+    return None
