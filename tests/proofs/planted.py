@@ -1,0 +1,39 @@
+"""The shipped policy with something planted in it, and what proofs say of it."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from app.clock import monotonic_s
+from app.governance import bundle
+from app.proofs.prove import Report, prove
+from tests.governance.policy_world import POLICIES, files
+
+ORGANIZATION, HUMAN, REAL = "organization.yaml", "profiles/human-shared.yaml", "profiles/real-restricted.yaml"
+SIM = "profiles/sim-relaxed.yaml"
+
+
+@cache
+def promises() -> str:
+    text = bundle.read_properties(POLICIES)
+    assert text is not None
+    return text
+
+
+def proved(changed: dict[str, str], properties: str | None = None) -> Report:
+    policy = bundle.load_files({**files(), **changed})
+    return prove(policy, promises() if properties is None else properties, now=monotonic_s, all_s=600.0)
+
+
+def with_rules(rules: str, file: str = ORGANIZATION) -> dict[str, str]:
+    """Put further rules at the head of a file's rules."""
+    text = files()[file]
+    assert "\nrules:" in text
+    text = text.replace("\nrules: []", "\nrules:")
+    return {file: text.replace("\nrules:\n", f"\nrules:\n{rules.strip(chr(10))}\n", 1)}
+
+
+def edited(file: str, old: str, new: str) -> dict[str, str]:
+    text = files()[file]
+    assert old in text, (file, old)
+    return {file: text.replace(old, new)}

@@ -1,0 +1,148 @@
+"""`reins policy check`, from outside: what it prints, its exit code, SARIF, and who does without the solver."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from app.governance import bundle, cases
+from tests.governance.policy_world import POLICIES
+
+PLANT = "\nrules:\n  - {id: huge, applies_to: [grasp_object], when: target.mass_kg > 50.0, then: deny, because: So.}\n"
+FAILS = "\nrules:\n  - {id: far, applies_to: [navigate_to], when: params.x_m > 7.5, then: escalate, because: So.}\n"
+
+
+def check(folder: Path, *flags: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "app.cli", "policy", "check", str(folder), *flags], capture_output=True, text=True
+    )
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return Path(shutil.copytree(POLICIES, tmp_path / "policies"))
+
+
+def plant(folder: Path, rules: str) -> None:
+    file = folder / "organization.yaml"
+    file.write_text(file.read_text().replace("\nrules:\n", rules, 1))
+
+
+def test_the_shipped_policy_is_proved():
+    done = check(POLICIES)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "proved of 48 pairs" in done.stdout
+    assert "36 comparisons of profiles" in done.stdout
+
+
+def test_a_dead_rule_is_named_with_file_and_line(folder: Path):
+    plant(folder, PLANT)
+    done = check(folder)
+    line = (folder / "organization.yaml").read_text()[
+        : (folder / "organization.yaml").read_text().index("id: huge")
+    ].count("\n") + 1
+    assert done.returncode == 1
+    assert f"organization.yaml:{line}: refuted: a dead rule: `organization/huge` never holds" in done.stderr
+    assert "1 not proved" in done.stdout
+
+
+def test_the_example_that_is_printed_runs_as_a_case(folder: Path):
+    plant(folder, FAILS)
+    done = check(folder)
+    assert done.returncode == 1
+    shown = done.stderr.partition("    cases:")[2].partition("\norganization.yaml")[0]
+    text = "cases:" + "\n".join(line.removeprefix("    ") for line in shown.splitlines())
+    (case,) = yaml.safe_load(text)["cases"]
+    assert (case["expect"]["status"], case["params"]) == ("denied", {"target": case["params"]["target"]})
+    (result,) = cases.run(bundle.load(folder), {"tests/shown.yaml": text})
+    assert result.passed
+
+
+def test_findings_come_as_sarif(folder: Path):
+    plant(folder, FAILS)
+    done = check(folder, "--format", "sarif")
+    log = json.loads(done.stdout)
+    assert (done.returncode, log["version"]) == (1, "2.1.0")
+    results = log["runs"][0]["results"]
+    found = [result for result in results if result["level"] == "error"]
+    assert {result["ruleId"] for result in found} == {"error"}
+    place = found[0]["locations"][0]["physicalLocation"]
+    assert place["artifactLocation"]["uri"] == "organization.yaml"
+    assert place["region"]["startLine"] > 1
+    assert found[0]["properties"]["check"]["capability"] == "navigate_to"
+    assert {rule["id"] for rule in log["runs"][0]["tool"]["driver"]["rules"]} >= {
+        result["ruleId"] for result in results
+    }
+
+
+def test_what_cannot_be_loaded_comes_as_sarif_too(folder: Path):
+    plant(folder, "\nrules:\n  - {id: odd, when: target.weight > 1.0, then: deny, because: So.}\n")
+    done = check(folder, "--format", "sarif")
+    (result, *_) = json.loads(done.stdout)["runs"][0]["results"]
+    assert (done.returncode, result["ruleId"], result["level"]) == (1, "load", "error")
+    assert "no field `weight`" in result["message"]["text"]
+
+
+def test_without_effort_nothing_is_proved():
+    done = check(POLICIES, "--effort", "1")
+    assert done.returncode == 1
+    assert "undecided" in done.stderr
+    assert "proved of" not in done.stdout
+
+
+def test_a_time_limit_leaves_undecided_what_it_cuts_off():
+    done = check(POLICIES, "--time-limit", "0.01")
+    assert done.returncode == 1
+    assert "undecided" in done.stderr
+
+
+def test_proofs_can_be_left_out(folder: Path):
+    plant(folder, PLANT)
+    assert check(folder, "--no-proofs").returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("properties", "said"),
+    [
+        ("order: [human-shared, moon]\n", "there is no profile `moon`"),
+        ("order: [human-shared, human-shared]\n", "`human-shared` stands twice"),
+        ("properties: [{id: a, says: So.}]\n", "`a` promises nothing"),
+        ("properties: [{id: a, says: So., never: [allowed], applies_to: [dance]}]\n", "there is no capability `dance`"),
+        ("properties: [{id: a, says: So., never: [allowed], when: target.weight > 1.0}]\n", "no field `weight`"),
+        ("properties: [{id: a, says: So., always: params.force_n <= 1.0, applies_to: [navigate_to]}]\n", "no field `force_n`"),
+        ("properties: [{id: a, says: So., nevr: [allowed]}]\n", "unknown key `nevr`"),
+        ("properties: [{id: a, says: So., never: [allowed]}, {id: a, says: So., never: [allowed]}]\n", "`a` stands twice"),
+        ("properties: [\n", "not readable as YAML"),
+    ],
+)  # fmt: skip
+def test_properties_that_say_nothing_are_errors(folder: Path, properties: str, said: str):
+    (folder / "properties.yaml").write_text(properties)
+    done = check(folder)
+    assert done.returncode == 1
+    assert "properties.yaml:" in done.stderr
+    assert said in done.stderr
+
+
+def test_without_properties_none_are_proved(folder: Path):
+    (folder / "properties.yaml").unlink()
+    done = check(folder)
+    assert done.returncode == 0
+    assert "no properties stated" in done.stdout
+
+
+def test_properties_are_no_part_of_the_digest(folder: Path):
+    before = bundle.load(folder).digest
+    (folder / "properties.yaml").write_text("order: []\n")
+    assert bundle.load(folder).digest == before
+
+
+@pytest.mark.parametrize("module", ["app.main", "app.workcell", "app.cli"])
+def test_what_serves_and_moves_does_without_the_solver(module: str):
+    text = f"import sys, {module}; sys.exit('z3' in sys.modules or 'app.proofs' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", text]).returncode == 0

@@ -1,0 +1,201 @@
+"""Faults planted in the shipped policy, each of which must be found, and changes that are none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import pytest
+
+from app.governance import bundle, cases
+from app.proofs.findings import Kind, Weight
+from tests.governance.policy_world import files
+from tests.proofs.planted import HUMAN, ORGANIZATION, REAL, SIM, edited, proved, with_rules
+
+
+@dataclass(frozen=True)
+class Plant:
+    name: str
+    changed: dict[str, str]
+    kind: Kind
+    rule: str = ""
+    capability: str = ""
+    properties: str | None = None
+    also: frozenset[Kind] = field(default_factory=frozenset)  # what follows from it
+
+
+def rule(text: str, file: str = ORGANIZATION) -> dict[str, str]:
+    return with_rules(f"  - {{{text}, because: So.}}", file)
+
+
+PLANTS = [
+    # contradictions
+    Plant("a bound below and one above it", with_rules("""
+  - {id: firm, applies_to: [grasp_object], when: target.mass_kg > 0.3, then: modify, set: {force_n: {min: 30}}, because: So.}
+  - {id: soft, applies_to: [grasp_object], when: 'target.kind == "mug"', then: modify, set: {force_n: {max: 25}}, because: So.}
+"""), Kind.CONTRADICTION, "organization/soft"),
+    Plant("a bound above the limit of one profile",
+          rule("id: firm, applies_to: [grasp_object], when: target.mass_kg > 0.3, then: modify, set: {force_n: {min: 70}}"),
+          Kind.CONTRADICTION, "human-shared/grip_force_n", also=frozenset({Kind.ORDER})),
+    Plant("a bound that only a rare object meets",
+          rule("id: firm, applies_to: [grasp_object], when: target.fragile, then: modify, set: {force_n: {min: 20.5}}"),
+          Kind.CONTRADICTION, also=frozenset({Kind.DEAD, Kind.SHADOWED})),
+    Plant("two names at once", rule(
+        "id: other-way, applies_to: [navigate_to], profiles: [real-restricted], when: 'params.speed_mps > 0.55 && has(params.target) && params.target == \"shelf_stand\"', "
+        "then: modify, set: {corridor: {to: '\"byway\"'}}") | edited("site.yaml", "corridors:\n", "corridors:\n  byway: {line: [[1.0, 1.0], [2.0, 2.0]], half_width_m: 0.5}\n"),
+        Kind.CONTRADICTION, also=frozenset({Kind.ORDER, Kind.PROPERTY, Kind.IDEMPOTENCE, Kind.DEAD, Kind.SHADOWED})),
+    Plant("a bound that a number of the proposal brings about", with_rules("""
+  - {id: quick, applies_to: [place_object], when: params.speed_mps > 1.2, then: modify, set: {speed_mps: {min: 0.3}}, because: So.}
+"""), Kind.CONTRADICTION, also=frozenset({Kind.DEAD, Kind.SHADOWED, Kind.IDEMPOTENCE, Kind.ORDER, Kind.PROPERTY})),
+    # gaps
+    Plant("everything is denied", rule("id: closed, applies_to: [inspect_area], then: deny"), Kind.COVERAGE,
+          capability="inspect_area", also=frozenset({Kind.SHADOWED})),
+    Plant("the denials leave no room between them", with_rules("""
+  - {id: slow, applies_to: [inspect_area], when: params.dwell_s < 3.0, then: deny, because: So.}
+  - {id: long, applies_to: [inspect_area], when: params.dwell_s >= 2.5, then: deny, because: So.}
+"""), Kind.COVERAGE, capability="inspect_area"),
+    Plant("a point that may be half given", edited(
+        "capabilities/place_object.yaml", "  dependentRequired: {x_m: [y_m], y_m: [x_m]}\n", ""),
+        Kind.COVERAGE, capability="place_object", also=frozenset({Kind.PROPERTY})),
+    Plant("a place that may not be named at all", edited(
+        "capabilities/navigate_to.yaml", "  oneOf:\n    - {required: [target], properties: {x_m: false, y_m: false, yaw_rad: false}}\n    - {required: [x_m, y_m, yaw_rad], properties: {target: false}}\n", ""),
+        Kind.COVERAGE, capability="navigate_to"),
+    # dead and shadowed rules
+    Plant("no object is that heavy", rule("id: huge, applies_to: [grasp_object], when: target.mass_kg > 50.0, then: deny"),
+          Kind.DEAD, "organization/huge"),
+    Plant("a condition against itself",
+          rule("id: never, applies_to: [navigate_to], when: params.speed_mps > 1.0 && params.speed_mps < 0.5, then: deny"),
+          Kind.DEAD, "organization/never"),
+    Plant("a number beyond its own range",
+          rule("id: never, applies_to: [inspect_area], when: params.dwell_s > 10.0, then: escalate"), Kind.DEAD, "organization/never"),
+    Plant("a text that no object has",
+          rule("id: never, applies_to: [grasp_object], when: 'target.kind == \"teapot\"', then: deny"), Kind.DEAD, "organization/never"),
+    Plant("a profile it can never be in",
+          rule("id: never, profiles: [sim-relaxed], when: profile.shared_floor, then: deny"), Kind.DEAD, "organization/never"),
+    Plant("it sets nothing where it applies", rule(
+        "id: never, applies_to: [grasp_object, inspect_area], when: 'capability.name == \"inspect_area\"', then: modify, set: {force_n: {max: 10}}"),
+        Kind.DEAD, "organization/never"),
+    Plant("a denial inside another", with_rules("""
+  - {id: less, applies_to: [inspect_area], when: params.dwell_s > 9.0, then: deny, because: So.}
+  - {id: more, applies_to: [inspect_area], when: params.dwell_s > 8.0, then: deny, because: So.}
+"""), Kind.SHADOWED, "organization/less"),
+    Plant("an escalation of what is denied",
+          rule("id: ask, applies_to: [grasp_object], when: target.mass_kg > limits.payload_kg + limits.payload_kg * 0.1, then: escalate"),
+          Kind.SHADOWED, "organization/ask"),
+    Plant("a looser bound under the same condition",
+          rule("id: looser, applies_to: [grasp_object, regrasp], when: target.fragile, then: modify, set: {force_n: {max: 25}}"),
+          Kind.SHADOWED, "organization/looser"),
+    Plant("a bound at a profile's own limit",
+          rule("id: same, applies_to: [grasp_object], then: modify, set: {force_n: {max: 60}}", HUMAN), Kind.SHADOWED, "human-shared/same"),
+    Plant("the same rule twice in one file",
+          rule("id: again, when: place.forbidden, then: deny"), Kind.SHADOWED, "organization/forbidden-zone"),
+    # errors
+    Plant("a field that may be missing",
+          rule("id: doubt, when: metadata.confidence < 0.2, then: escalate"), Kind.ERROR, "organization/doubt",
+          also=frozenset({Kind.PROPERTY, Kind.ORDER, Kind.SHADOWED})),
+    Plant("a parameter that may be missing",
+          rule("id: far, applies_to: [navigate_to], when: params.x_m > 7.5, then: escalate"), Kind.ERROR, "organization/far",
+          also=frozenset({Kind.ORDER})),
+    Plant("a division by zero",
+          rule("id: ratio, applies_to: [inspect_area], when: 1.0 / (params.dwell_s * params.dwell_s - 4.0) > 0.5, then: escalate"),
+          Kind.ERROR, "organization/ratio"),
+    Plant("a remainder by zero",
+          rule("id: odd, when: 10 % world.people_count == 1, then: escalate"), Kind.ERROR, "organization/odd",
+          also=frozenset({Kind.PROPERTY, Kind.ORDER})),
+    Plant("an overflow",
+          rule("id: rank, when: has(metadata.priority) && metadata.priority * 2 > 100, then: escalate"), Kind.ERROR, "organization/rank",
+          also=frozenset({Kind.ORDER})),
+    Plant("an index outside the list",
+          rule("id: first, when: '[\"a\", \"b\"][world.people_count] == \"a\"', then: escalate"), Kind.ERROR, "organization/first",
+          also=frozenset({Kind.ORDER})),
+    Plant("a set has no first element",
+          rule("id: first, when: 'agent.permissions[0] == \"hazmat\"', then: escalate"), Kind.ERROR, "organization/first",
+          also=frozenset({Kind.DEAD, Kind.COVERAGE, Kind.SHADOWED, Kind.ORDER})),
+    Plant("a name that is not there",
+          edited(REAL, "    when: has(place.corridor)\n", ""), Kind.ERROR, "real-restricted/corridor",
+          also=frozenset({Kind.ORDER, Kind.DEAD, Kind.SHADOWED})),
+    Plant("a name the site does not have",
+          rule("id: way, applies_to: [navigate_to], when: 'has(metadata.intent) && metadata.intent.startsWith(\"by \")', then: modify, set: {corridor: {to: metadata.intent}}"),
+          Kind.ERROR, "organization/way", also=frozenset({Kind.DEAD, Kind.SHADOWED, Kind.ORDER, Kind.PROPERTY, Kind.CONTRADICTION})),
+    Plant("the gripper's holding may be nothing",
+          rule("id: held, when: 'world.holding == \"glass_1\"', then: escalate"), Kind.ERROR, "organization/held",
+          also=frozenset({Kind.PROPERTY, Kind.ORDER})),
+    # what is constrained does not re-check
+    Plant("a bound that begins to hold by another", with_rules("""
+  - {id: weakly, applies_to: [grasp_object], when: 'target.name == "mug_1"', then: modify, set: {force_n: {max: 25}}, because: So.}
+  - {id: gently, applies_to: [grasp_object], when: params.force_n < 30.0, then: modify, set: {speed_mps: {max: 0.05}}, because: So.}
+"""), Kind.IDEMPOTENCE, "organization/gently"),
+    Plant("a limit makes a rule deny",
+          rule("id: slow, applies_to: [navigate_to], when: params.speed_mps <= 0.3 && params.clearance_m > 0.9, then: deny"),
+          Kind.IDEMPOTENCE, "organization/slow", also=frozenset({Kind.ORDER})),
+    # the order of profiles
+    Plant("a limit wider than the next profile's", edited(HUMAN, "tcp_speed_mps: {max: 0.25", "tcp_speed_mps: {max: 0.55"),
+          Kind.ORDER, "human-shared/tcp_speed_mps", also=frozenset({Kind.PROPERTY})),
+    Plant("a limit that no parameter names", edited(HUMAN, "contact_force_n: {max: 100", "contact_force_n: {max: 160"),
+          Kind.ORDER, "human-shared/contact_force_n"),
+    Plant("the payload of the stricter", edited(HUMAN, "payload_kg: {max: 3,", "payload_kg: {max: 4.2,"), Kind.ORDER, "human-shared/payload_kg",
+          also=frozenset({Kind.DEAD})),
+    Plant("a rule the stricter profile has lost", edited(HUMAN, "set: {clearance_m: {min: 0.3}}", "set: {clearance_m: {min: 0.25}}"),
+          Kind.ORDER, capability="navigate_to", also=frozenset({Kind.PROPERTY})),
+    Plant("a rule that only a wider profile has",
+          rule("id: extra, applies_to: [inspect_area], when: params.dwell_s > 9.5, then: deny", SIM), Kind.ORDER, capability="inspect_area"),
+    Plant("enabled in the stricter, forbidden in the wider", edited(
+        "capabilities/operate_tool.yaml", "real-restricted: guarded", "real-restricted: forbidden"), Kind.ORDER, capability="operate_tool",
+        also=frozenset({Kind.DEAD})),
+    Plant("sensitivity the wrong way round", edited(REAL, "sensitivity: 0.7", "sensitivity: 0.95"), Kind.ORDER),
+    Plant("more retries where it is stricter", edited(HUMAN, "retry_budget: 1", "retry_budget: 4"), Kind.ORDER),
+    # stated properties
+    Plant("the rule behind a promise is gone", edited(ORGANIZATION, "when: target.hazardous && !(\"hazmat\" in agent.permissions)",
+          "when: target.hazardous && !(\"hazmat\" in agent.permissions) && target.mass_kg > 1.0"), Kind.PROPERTY, "hazardous-needs-hazmat",
+          also=frozenset({Kind.DEAD})),
+    Plant("a subtly looser bound", edited(ORGANIZATION, "speed_mps: {max: 0.15}", "speed_mps: {max: 0.16}"), Kind.PROPERTY, "fragile-speed"),
+    Plant("less or equal became less", edited(ORGANIZATION, "when: target.mass_kg > limits.payload_kg\n", "when: target.mass_kg > limits.payload_kg + 0.6\n".replace("+ 0.6", "* 1.2")),
+          Kind.PROPERTY, "payload", also=frozenset({Kind.ORDER, Kind.DEAD})),
+    Plant("one approver for the press", edited(ORGANIZATION, "    approvers: 2\n", ""), Kind.PROPERTY, "press-takes-two"),
+    Plant("a risk that is asked about no longer", edited(HUMAN, "risk: [medium, high, critical], within_s", "risk: [critical], within_s")
+          | edited("capabilities/grasp_object.yaml", "human-shared: approval-required", "human-shared: guarded"),
+          Kind.PROPERTY, "high-risk-passes-a-human", "grasp_object"),
+    Plant("the doubt's threshold moved", edited(ORGANIZATION, "metadata.confidence < 0.5 &&", "metadata.confidence < 0.49 &&"),
+          Kind.PROPERTY, "unsure-passes-a-human"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("plant", PLANTS, ids=lambda plant: plant.name)
+def test_a_planted_fault_is_found(plant: Plant):
+    report = proved(plant.changed, plant.properties)
+    found = [
+        finding
+        for finding in report.faults
+        if finding.kind is plant.kind
+        and plant.rule in ("", finding.rule)
+        and plant.capability in ("", finding.capability)
+    ]
+    assert found, [(f.kind.value, f.rule, f.capability, f.message) for f in report.faults]
+    assert {finding.weight for finding in report.faults} == {Weight.REFUTED}, [f.message for f in report.faults]
+    assert {finding.kind for finding in report.faults} <= {plant.kind, *plant.also}, [
+        (f.kind.value, f.message) for f in report.faults if f.kind not in (plant.kind, *plant.also)
+    ]
+    policy = bundle.load_files({**files(), **plant.changed})
+    for finding in report.faults:  # what is shown, anybody can run
+        for result in cases.run(policy, {"tests/x.yaml": finding.example}) if finding.example else ():
+            assert result.differences == ()
+    assert all(finding.line > 0 and finding.file in {*files(), "properties.yaml"} for finding in found)
+
+
+SOUND = [
+    ("as shipped", {}),
+    ("a tighter limit", edited(HUMAN, "tcp_speed_mps: {max: 0.25", "tcp_speed_mps: {max: 0.2")),
+    ("a rule about an agent that may come", rule("id: hazmat-asks, applies_to: [grasp_object], when: 'target.hazardous && \"hazmat\" in agent.permissions', then: escalate")),
+    ("a field asked for first", rule("id: doubt, when: has(metadata.confidence) && metadata.confidence < 0.1, then: deny")),
+    ("a division that cannot be by zero", rule("id: ratio, applies_to: [inspect_area], when: 10.0 / params.dwell_s > 40.0, then: deny")),
+    ("rules that only touch", with_rules("""
+  - {id: at-least, applies_to: [navigate_to], then: modify, set: {clearance_m: {min: 0.15}}, because: So.}
+  - {id: at-most, applies_to: [navigate_to, transport_object], when: 'world.people_count == 0', then: modify, set: {clearance_m: {max: 0.9}}, because: So.}
+""")),
+    ("people are near", rule("id: near, applies_to: [inspect_area], when: world.people_count > 0 && world.people_nearest_m < 0.5, then: deny")),
+    ("the same in another owner's words", rule("id: fragile-grip, applies_to: [grasp_object], when: target.fragile, then: modify, set: {force_n: {max: 20}, speed_mps: {max: 0.15}}", REAL)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("changed", [changed for _, changed in SOUND], ids=[name for name, _ in SOUND])
+def test_what_is_sound_passes(changed: dict[str, str]):
+    assert [(f.kind.value, f.rule, f.message, f.example) for f in proved(changed).faults] == []
