@@ -10,6 +10,7 @@ const event = (seq: number, afterS: number, body: LogEvent['body'] = {}): LogEve
 });
 const telemetry = (columns: Telemetry['columns']): Telemetry => ({
   invocation: 'inv_1', part: 1, parts: 1, file: 'f', sha256: 's', intact: true, start_at: '', rows: 3, every: 1, units: {}, columns,
+  people: { time_s: [], tracks: [] }, bodies: {},
 });
 const ROWS = telemetry({ time_s: [10, 12, 20] });
 
@@ -69,6 +70,25 @@ describe('a recorded moment in the scene', () => {
     expect([...(frame?.poses.slice(7) ?? [])].every(Number.isNaN)).toBe(true);
     expect(frame?.gauges[0]).toBeNaN(); // 99 m stands for nobody
     expect(frame?.gauges[1]).toBeCloseTo(0.25);
+  });
+
+  it('shows people where the tracker saw them, and things where they were last put', () => {
+    const recorded: Telemetry = {
+      ...full,
+      people: { time_s: [0.8, 1], tracks: [[[1, 5, 5]], [[1, 4.5, 5], [2, 1, 1]]] },
+      bodies: { mug_1: { time_s: [0, 0.9, 2], pose: [[0, 0, 1, 1, 0, 0, 0], [1, 2, 0.9, 1, 0, 0, 0], [9, 9, 9, 1, 0, 0, 0]] } },
+    };
+    const names = ['person_1_torso', 'person_1_leg_left', 'person_2_torso', 'person_3_torso', 'mug_1'];
+    const at = (row: number, k: number): number[] => [...(frameAt(recorded, row, names, [])?.poses.slice(k * 7, k * 7 + 2) ?? [])];
+    const row = 0;
+    expect([at(row, 0), at(row, 1), at(row, 2), at(row, 4)]).toEqual([[4.5, 5], [4.5, 5], [1, 1], [1, 2]]);
+    expect(at(row, 3).every(Number.isNaN)).toBe(true);
+  });
+
+  it('forgets whom nobody has seen for half a second', () => {
+    const gone: Telemetry = { ...full, people: { time_s: [0.4], tracks: [[[1, 5, 5]]] } };
+    const poses = frameAt(gone, 0, ['person_1_torso'], [])?.poses;
+    expect([...(poses ?? [])].every(Number.isNaN)).toBe(true);
   });
 
   it('is not made up where a part of the posture is missing', () => {

@@ -227,6 +227,10 @@ export interface Telemetry {
   every: number;
   units: Record<string, string>;
   columns: Record<string, (number | null)[]>;
+  /** Whom the tracker saw at each time: number, x and y in m, world frame. No times: none was recorded. */
+  people: { time_s: number[]; tracks: [number, number, number][][] };
+  /** Poses (x, y, z, qw, qx, qy, qz, world frame) of things, each from its time until the next. */
+  bodies: Record<string, { time_s: number[]; pose: number[][] }>;
 }
 
 export interface Checkpoint {

@@ -3,6 +3,12 @@ import type { PoseFrame } from '../socket/frame';
 import { bodiesOf, toolError, type Posture } from './kinematics';
 
 const FAR_M = 90;
+/** A sighting older than this says nothing of where somebody is; the tracker's are recorded five times a second. */
+const FRESH_S = 0.5;
+const SAME_S = 1e-4;
+const PERSON = /^person_(\d+)_/;
+/** How high the bodies of a figure are hung up, as the simulation builds it. */
+const HIP_M = 0.90;
 const TRUSTED_M = 0.02;
 
 const at = (telemetry: Telemetry, name: string, row: number): number | null => telemetry.columns[name]?.[row] ?? null;
@@ -17,25 +23,57 @@ export function postureAt(telemetry: Telemetry, row: number): Posture | null {
   return { base: [x, y, yaw], joints, gripWidthM: at(telemetry, 'grip_width_m', row) ?? 0 };
 }
 
+/** Where the last of rising times stands that is not after a moment; −1 before the first. */
+function lastUntil(times: readonly number[], moment: number): number {
+  let low = 0;
+  let high = times.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if ((times[middle] ?? Infinity) <= moment + SAME_S) low = middle + 1;
+    else high = middle;
+  }
+  return low - 1;
+}
+
+/** Whether where people and things were is in this record: older ones hold the robot alone. */
+export function holdsScene(telemetry: Telemetry): boolean {
+  return telemetry.people.time_s.length > 0;
+}
+
+/** Where a body other than the robot's was; null where the record does not say. */
+function recordedPose(telemetry: Telemetry, body: string, atS: number): readonly number[] | null {
+  const person = PERSON.exec(body)?.[1];
+  if (person === undefined) {
+    const way = telemetry.bodies[body];
+    return way === undefined ? null : (way.pose[lastUntil(way.time_s, atS)] ?? null);
+  }
+  const { time_s: times, tracks } = telemetry.people;
+  const last = lastUntil(times, atS);
+  if (last < 0 || atS - (times[last] ?? 0) > FRESH_S) return null;
+  const seen = tracks[last]?.find(([number]) => number === Number(person));
+  return seen === undefined ? null : [seen[1], seen[2], HIP_M, 1, 0, 0, 0];
+}
+
 /**
- * A row as the 3D view takes it: the robot's bodies where they were, everything else that moves not known.
- *
- * Objects and people are not part of telemetry. They are left out rather than drawn where they are today.
+ * A row as the 3D view takes it: the robot's bodies where they were, people where the tracker saw them (their limbs at
+ * rest), things where they were last put. What the record does not hold is left out, not drawn where it is today.
  */
 export function frameAt(telemetry: Telemetry, row: number, bodies: readonly string[], gauges: readonly string[]): PoseFrame | null {
   const posture = postureAt(telemetry, row);
   if (posture === null) return null;
   const known = bodiesOf(posture);
+  const atS = at(telemetry, 'time_s', row) ?? 0;
   const poses = new Float32Array(bodies.length * 7).fill(NaN);
   bodies.forEach((name, k) => {
-    const pose = known.get(name);
-    if (pose !== undefined) poses.set([...pose.at, ...pose.turn], k * 7);
+    const robot = known.get(name);
+    const pose = robot === undefined ? recordedPose(telemetry, name, atS) : [...robot.at, ...robot.turn];
+    if (pose !== null) poses.set(pose, k * 7);
   });
   const values = gauges.map((name) => {
     const value = at(telemetry, name, row);
     return value === null || (name === 'separation_m' && value > FAR_M) ? NaN : value;
   });
-  return { cell: 0, frame: row, tick: 0, atS: at(telemetry, 'time_s', row) ?? 0, poses, gauges: new Float32Array(values) };
+  return { cell: 0, frame: row, tick: 0, atS, poses, gauges: new Float32Array(values) };
 }
 
 /** Whether the drawn robot agrees with the measured tool at every row that has both; null where none has. */
