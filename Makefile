@@ -41,15 +41,16 @@ test: $(STAMP) console  ## the whole test suite; what decides and what proves co
 	@$(MAKE) --no-print-directory -j2 test-rules test-evaluation
 	@$(BIN)/python -m pytest $(MEASURED:%=--ignore=%) $(APART:%=--ignore=%)
 
-# What only computes runs on two cores at once. What talks to real processes comes after it and has the machine alone.
-APART := tests/evaluation tests/sim tests/cell
+# What computes, or waits within one process, runs on two cores at once. What starts servers, cells and browsers comes
+# after it and has the machine alone.
+APART := tests/evaluation tests/runtime tests/api tests/agent tests/sim tests/cell tests/proofs
 test-rules: $(STAMP)
 	@$(BIN)/coverage run -m pytest $(MEASURED)
 	@$(BIN)/coverage report
-	@$(BIN)/python -m pytest tests/sim tests/cell
+	@$(BIN)/python -m pytest tests/sim tests/cell tests/proofs
 
 test-evaluation: $(STAMP)
-	@$(BIN)/python -m pytest -p no:cacheprovider tests/evaluation
+	@$(BIN)/python -m pytest -p no:cacheprovider tests/evaluation tests/runtime tests/api tests/agent
 
 $(TYPINGS): $(STAMP)
 	@$(BIN)/pybind11-stubgen mujoco --ignore-all-errors -o typings >/dev/null 2>&1
