@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 import sqlalchemy as sa
+from alembic import command
 from alembic.autogenerate import compare_metadata
+from alembic.config import Config
 from alembic.migration import MigrationContext
 from sqlalchemy.dialects import postgresql
 
@@ -17,7 +19,7 @@ from app.audit.places import Places
 from app.audit.rows import replacement
 from app.audit.store import AuditStore
 from app.audit.tables import STATE, metadata
-from tests.audit.conftest import fill
+from tests.audit.conftest import fill, invocation_row
 
 
 @pytest.fixture
@@ -71,22 +73,49 @@ def test_finds_the_revisions_an_installed_package_ships(tmp_path: Path, monkeypa
         assert migrations_folder() == folder
 
 
+def put_back(database: Path, revision: str) -> None:
+    """Let a record lie in a database that only ever came to an older revision."""
+    older = database.with_suffix(".older")
+    engine = sa.create_engine(f"sqlite:///{older}")
+    config = Config()
+    config.set_main_option("script_location", str(migrations_folder()))
+    config.set_main_option("path_separator", "os")
+    with engine.begin() as connection:
+        config.attributes["connection"] = connection
+        command.upgrade(config, revision)
+    with engine.connect() as connection:
+        connection.exec_driver_sql(f"ATTACH '{database}' AS newest")
+        for table in sorted({*sa.inspect(connection).get_table_names()} - {"alembic_version"}):
+            names = ", ".join(column["name"] for column in sa.inspect(connection).get_columns(table))
+            connection.exec_driver_sql(f"INSERT INTO {table} ({names}) SELECT {names} FROM newest.{table}")  # noqa: S608
+        connection.commit()
+    engine.dispose()
+    older.replace(database)
+
+
+REVISIONS = sorted(path.name[:4] for path in (migrations_folder() / "versions").glob("*.py"))
+
+
 @pytest.mark.anyio
-async def test_a_record_of_the_first_revision_is_brought_up_and_goes_on(tmp_path: Path) -> None:
+@pytest.mark.parametrize("revision", REVISIONS)
+async def test_a_record_of_any_revision_is_brought_up_and_goes_on(tmp_path: Path, revision: str) -> None:
     store = AuditStore.open(tmp_path)
     await fill(store)
+    await store.append([], rows=[invocation_row("inv_1")])
     await store.close()
-    engine = sa.create_engine(f"sqlite:///{Places(tmp_path).database}")
-    with engine.begin() as connection:  # as the first revision left it
-        for table in ("events", "checkpoints"):
-            connection.exec_driver_sql(f"DROP TRIGGER {table}_refuse_replace")
-        for table in ("grants", "reviews"):
-            connection.exec_driver_sql(f"DROP TABLE {table}")
-        connection.exec_driver_sql("UPDATE alembic_version SET version_num = '0001'")
+    database = Places(tmp_path).database
+    put_back(database, revision)
+    engine = sa.create_engine(f"sqlite:///{database}")
+    with engine.connect() as connection:
+        assert connection.exec_driver_sql("SELECT version_num FROM alembic_version").scalar() == revision
+        assert set(sa.inspect(connection).get_table_names()) <= {*metadata.tables, "alembic_version"}
     reopened = AuditStore.open(tmp_path)
     await fill(reopened, 1)
     assert (await reopened.verify()).size == 15
+    assert await reopened.row("invocations", id="inv_1") is not None
     await reopened.close()
+    with engine.connect() as connection:
+        assert compare_metadata(MigrationContext.configure(connection), metadata) == []
     with engine.begin() as connection, pytest.raises(sa.exc.IntegrityError, match="only grow"):
         connection.exec_driver_sql("REPLACE INTO events SELECT * FROM events")
     engine.dispose()
