@@ -16,7 +16,7 @@ less a loosening; none may call a loosening anything else.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, cast
 
@@ -161,21 +161,15 @@ def _along(scale: tuple[Any, ...]) -> Callable[[Any, Any], Direction]:
 
 
 Way: TypeAlias = "Callable[[Any, Any], Direction]"
+_INSIDE: Final = None  # in the place of a way: compared by itself, further in
 
 
-def _fields(part: str, old: object, new: object, ways: Mapping[str, Way]) -> Found:
+def _fields(part: str, old: Any, new: Any, ways: Mapping[str, Way | None]) -> Found:  # noqa: ANN401  # one dataclass
     """Compare two values of one dataclass field by field; a field that `ways` does not name is unknown."""
-    if not is_dataclass(old) or not is_dataclass(new):
-        raise TypeError(f"`{part}` is compared field by field, and has none")
     for field in fields(old):
         before, after = getattr(old, field.name), getattr(new, field.name)
-        if before != after and (way := ways.get(field.name, _unknown)) is not _inside:
+        if before != after and (way := ways.get(field.name, _unknown)) is not None:
             yield f"{part}/{field.name}", before, after, way(before, after)
-
-
-def _inside(before: object, after: object) -> Direction:
-    """Is compared by itself, further in."""
-    raise AssertionError("never asked")
 
 
 def _named(
@@ -219,28 +213,28 @@ def _wider(before: frozenset[str] | None, after: frozenset[str] | None) -> Direc
 
 # Parts ---------------------------------------------------------------------------------------------------------------
 
-_OF_A_CAPABILITY: Final[Mapping[str, Way]] = {
+_OF_A_CAPABILITY: Final[Mapping[str, Way | None]] = {
     "version": _words, "summary": _words, "preconditions": _further, "postconditions": _further,
-    "permissions": _further, "risk": _along(_RISKS), "timeout_s": _less, "env_profile": _inside,
+    "permissions": _further, "risk": _along(_RISKS), "timeout_s": _less, "env_profile": _INSIDE,
 }  # fmt: skip
-_OF_A_PROFILE: Final[Mapping[str, Way]] = {
+_OF_A_PROFILE: Final[Mapping[str, Way | None]] = {
     "sensitivity": _more, "admits": _fewer, "keep_every_tick": _more, "retry_budget": _less,
     "rollback": lambda before, after: _more(before != "optional", after != "optional"),
-    "authority": _modes, "limits": _inside, "stale_after_ms": _inside,
-    "watch": _inside, "approval": _inside,
+    "authority": _modes, "limits": _INSIDE, "stale_after_ms": _INSIDE,
+    "watch": _INSIDE, "approval": _INSIDE,
 }  # fmt: skip
-_OF_A_LIMIT: Final[Mapping[str, Way]] = {"maximum": _less, "source": _words}
-_OF_AN_APPROVAL: Final[Mapping[str, Way]] = {
+_OF_A_LIMIT: Final[Mapping[str, Way | None]] = {"maximum": _less, "source": _words}
+_OF_AN_APPROVAL: Final[Mapping[str, Way | None]] = {
     "risks": _further, "within_s": _less, "default_approvers": _more,
     "approvers": _approvers,
 }  # fmt: skip
-_OF_A_RULE: Final[Mapping[str, Way]] = {
+_OF_A_RULE: Final[Mapping[str, Way | None]] = {
     "applies_to": _wider, "profiles": _wider,
     "when": lambda before, after: TIGHTENS if after is None else LOOSENS, "then": _along(_EFFECTS),
-    "settings": _inside, "approvers": _more, "because": _words, "remedy": _words,
+    "settings": _INSIDE, "approvers": _more, "because": _words, "remedy": _words,
 }  # fmt: skip
-_OF_AUTHORITY: Final[Mapping[str, Way]] = {
-    "within_s": _less, "confirm_before": _further, "denials": _words, "grants": _inside,
+_OF_AUTHORITY: Final[Mapping[str, Way | None]] = {
+    "within_s": _less, "confirm_before": _further, "denials": _words, "grants": _INSIDE,
 }  # fmt: skip
 
 

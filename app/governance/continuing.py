@@ -16,7 +16,7 @@ A session cannot be bound to other parameters while it runs: what departs in one
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from app.governance.admission import admit
@@ -24,6 +24,7 @@ from app.governance.authority import need
 from app.governance.guard import check
 from app.governance.model import Admission, AdmissionOutcome, PolicyOutcome, Reason
 from app.governance.policy import confirm_before, recovery_plan, watch_plan
+from app.governance.policy_model import GOVERNANCE
 
 if TYPE_CHECKING:
     from app.governance.model import ApprovalNeed, Context, Proposal, Verdict, WatchPlan, WatchRule
@@ -59,29 +60,42 @@ def departure(old: PolicySet | None, new: PolicySet, proposal: Proposal, context
         proposal: what runs, with its effective parameters.
         context: Γ_t now, the agent as the new policy knows it; whether the cell is busy does not matter.
     """
-    admission, before = admit(new, proposal, context), None if old is None else admit(old, proposal, context)
-    if admission.outcome is AdmissionOutcome.REJECT:
-        known = () if before is None else before.reasons
-        refused = tuple(reason for reason in admission.reasons if reason not in known)
-        return Departure(reasons=refused)
-    verdict, said = check(new, proposal, context), None if old is None else check(old, proposal, context)
-    refused = (*_held(verdict, said, proposal), *_watched(old, new, proposal, context))
+    admission, verdict = admit(new, proposal, context), check(new, proposal, context)
+    if old is None:
+        refused = admission.reasons if admission.outcome is AdmissionOutcome.REJECT else verdict.reasons
+        return Departure(reasons=(*refused, GONE))
+    then = _as_known_by(old, context)
+    before, said = admit(old, proposal, then), check(old, proposal, then)
+    refused = (
+        *_rejected(admission, before),
+        *_held(verdict, said, proposal),
+        *_watched(old, new, proposal, context),
+    )
     if refused:
         return Departure(reasons=refused)
     wanted = _wanted(new, proposal, admission, verdict, context)
-    asked = None
-    if old is not None and before is not None and said is not None:
-        asked = _wanted(old, proposal, before, said, context)
-    return _asks(wanted, asked)
+    return _asks(wanted, _wanted(old, proposal, before, said, then))
 
 
-def _held(verdict: Verdict, said: Verdict | None, proposal: Proposal) -> tuple[Reason, ...]:
+def _as_known_by(policy: PolicySet, context: Context) -> Context:
+    """Return Γ_t with the agent as another policy knows it: a permission that was taken away is news."""
+    name = context.agent.name
+    return replace(context, agent=policy.governance() if name == GOVERNANCE else policy.agent(name))
+
+
+def _rejected(admission: Admission, before: Admission) -> tuple[Reason, ...]:
+    """Return why the new policy does not admit what runs, but for what the old one would say as well."""
+    if admission.outcome is not AdmissionOutcome.REJECT:
+        return ()
+    return tuple(reason for reason in admission.reasons if reason not in before.reasons)
+
+
+def _held(verdict: Verdict, said: Verdict, proposal: Proposal) -> tuple[Reason, ...]:
     """Return why the verdict refuses or binds what runs, where the old one did not."""
-    known = () if said is None else said.reasons
     if verdict.outcome is PolicyOutcome.DENY:
-        same = said is not None and said.outcome is PolicyOutcome.DENY
-        return tuple(reason for reason in verdict.reasons if not (same and reason in known))
-    if verdict.effective == proposal.params or (said is not None and verdict.effective == said.effective):
+        known = said.reasons if said.outcome is PolicyOutcome.DENY else ()
+        return tuple(reason for reason in verdict.reasons if reason not in known)
+    if verdict.effective in (proposal.params, said.effective):
         return ()
     by = {change.rule for change in verdict.changes}
     return tuple(reason for reason in verdict.reasons if reason.rule in by) or verdict.reasons
@@ -109,11 +123,13 @@ def _asks(wanted: ApprovalNeed | None, asked: ApprovalNeed | None) -> Departure:
 # Watching ------------------------------------------------------------------------------------------------------------
 
 
-def _watched(old: PolicySet | None, new: PolicySet, proposal: Proposal, context: Context) -> tuple[Reason, ...]:
+def _watched(old: PolicySet, new: PolicySet, proposal: Proposal, context: Context) -> tuple[Reason, ...]:
     """Return why the plan that the session is watched by is not strict enough any more."""
     pair = (proposal.capability, context.profile)
-    if old is None or pair not in old.gates or pair not in new.gates:
-        return (_news("its_policy_is_gone", "the policy it was authorized under is not known here any more"),)
+    if pair not in old.gates:
+        return (GONE,)
+    if pair not in new.gates:
+        return ()  # which admission says
     plans = [watch_plan(policy, *pair, proposal.params, proposal.mode) for policy in (old, new)]
     found = [_news("watched_tighter", f"{what} tighter now") for what in _stricter(*plans)]
     before, after = (recovery_plan(policy, *pair) for policy in (old, new))
@@ -126,6 +142,9 @@ def _watched(old: PolicySet | None, new: PolicySet, proposal: Proposal, context:
 
 def _news(code: str, message: str) -> Reason:
     return Reason(RULE, code, message, END_IT)
+
+
+GONE: Final = _news("its_policy_is_gone", "the policy it was authorized under is not known here any more")
 
 
 def _stricter(old: WatchPlan, new: WatchPlan) -> list[str]:

@@ -1,0 +1,255 @@
+"""What runs goes on under another policy only where that policy says nothing stricter about it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.governance import bundle
+from app.governance.continuing import CONFORMS, GONE, Departure, departure
+from app.governance.model import AuthorityMode, Context, Proposal
+from app.governance.policy import PolicySet
+from app.governance.policy_model import Agent, Confirmation
+from tests.governance.policy_world import context, files, proposal, shipped
+
+HERE = "human-shared"
+SHARED, ORGANIZATION = f"profiles/{HERE}.yaml", "organization.yaml"
+GRASP = proposal("grasp_object", object_id="mug_1", force_n=40, speed_mps=0.2)
+
+
+@cache
+def edited(*edits: tuple[str, str, str]) -> PolicySet:
+    changed = files()
+    for name, before, after in edits:
+        assert before in changed[name], f"`{before}` is not in `{name}`"
+        changed[name] = changed[name].replace(before, after, 1)
+    return bundle.load_files(changed)
+
+
+def with_rule(text: str) -> PolicySet:
+    return edited((ORGANIZATION, "rules:\n", f"rules:\n  - {{{text}}}\n"))
+
+
+def with_profile(policy: PolicySet | None = None, **changes: Any) -> PolicySet:
+    policy = policy or shipped()
+    profile = replace(policy.profiles[HERE], **changes)
+    gates = {pair: replace(gate, profile=profile) if pair[1] == HERE else gate for pair, gate in policy.gates.items()}
+    return replace(policy, profiles={**policy.profiles, HERE: profile}, gates=gates)
+
+
+def with_watch(row: str, **changes: Any) -> PolicySet:
+    rows = shipped().profiles[HERE].watch
+    assert any(found.id == row for found in rows)
+    return with_profile(watch=tuple(replace(found, **changes) if found.id == row else found for found in rows))
+
+
+def with_capability(**changes: Any) -> PolicySet:
+    policy = shipped()
+    return replace(
+        policy,
+        capabilities={**policy.capabilities, "grasp_object": replace(policy.capabilities["grasp_object"], **changes)},
+    )
+
+
+def between(old: PolicySet | None, new: PolicySet, what: Proposal = GRASP, now: Context | None = None) -> Departure:
+    """Ask as the runtime does: the agent is the one that the new policy knows."""
+    now = now or context(HERE)
+    return departure(old, new, what, replace(now, agent=new.agent("planner")))
+
+
+def codes(found: Departure) -> list[str]:
+    return [reason.code for reason in found.reasons]
+
+
+def test_under_the_same_policy_everything_goes_on_whatever_the_world_has_become() -> None:
+    assert between(shipped(), shipped()) is CONFORMS
+    assert not CONFORMS
+    held = context(HERE, holding="mug_1", arm_ready=False)
+    assert between(shipped(), shipped(), now=held) is CONFORMS, "a precondition of the launch need not hold any more"
+    assert between(shipped(), shipped(), now=context(HERE, latched=True)) is CONFORMS, "both say so"
+
+
+def test_a_session_whose_policy_nobody_knows_departs_from_any() -> None:
+    found = between(None, shipped())
+    assert found.reasons[-1] == GONE
+    assert not found.askable
+    unknown = replace(GRASP, params={**GRASP.params, "object_id": "ghost"})
+    assert codes(between(None, shipped(), unknown)) == ["unknown_object", "its_policy_is_gone"]
+    nowhere = replace(shipped(), gates={})
+    assert codes(between(nowhere, shipped())) == ["its_policy_is_gone"]
+
+
+# -- admission ---------------------------------------------------------------------------------------------------------
+
+
+def test_departs_when_its_agent_loses_the_permission() -> None:
+    agents = {"planner": replace(shipped().agents["planner"], permissions=frozenset({"navigation"}))}
+    found = between(shipped(), replace(shipped(), agents=agents))
+    assert codes(found) == ["permission_missing"]
+    assert not found.askable
+    assert codes(between(shipped(), replace(shipped(), agents={}))) == ["permission_missing"]
+
+
+def test_departs_when_its_agent_loses_a_permission_that_a_rule_asks_for() -> None:
+    holds = Agent(permissions=shipped().agents["planner"].permissions | {"hazmat"})
+    solvent = proposal("grasp_object", object_id="solvent_1", force_n=40, speed_mps=0.2)
+    found = between(replace(shipped(), agents={"planner": holds}), shipped(), solvent)
+    assert [reason.rule for reason in found.reasons] == ["organization/hazardous"]
+
+
+def test_one_persons_word_lets_go_on_what_is_only_supervised_now() -> None:
+    permissions = shipped().agents["planner"].permissions
+    watched = Agent(permissions=permissions - {"manipulation"}, supervised=frozenset({"manipulation"}))
+    found = between(shipped(), replace(shipped(), agents={"planner": watched}))
+    assert codes(found) == ["permission_supervised"]
+    assert found.askable
+
+
+def test_departs_when_it_is_not_enabled_here_any_more() -> None:
+    gates = {pair: gate for pair, gate in shipped().gates.items() if pair != ("grasp_object", HERE)}
+    assert "not_in_profile" in codes(between(shipped(), replace(shipped(), gates=gates)))
+
+
+def test_governance_keeps_its_own_permissions_under_both() -> None:
+    now = replace(context(HERE, holding="mug_1"), agent=shipped().governance())
+    retract = proposal("release_and_retract")
+    assert departure(shipped(), shipped(), retract, now) is CONFORMS
+    assert departure(shipped(), with_profile(sensitivity=1.0), retract, now)
+
+
+# -- guard -------------------------------------------------------------------------------------------------------------
+
+
+def test_departs_when_a_rule_denies_it_now_and_says_only_what_is_new() -> None:
+    denying = with_rule("id: no, applies_to: [grasp_object], then: deny, because: No.")
+    assert [reason.rule for reason in between(shipped(), denying).reasons] == ["organization/no"]
+    assert between(denying, denying) is CONFORMS
+    solvent = proposal("grasp_object", object_id="solvent_1", force_n=40, speed_mps=0.2)
+    found = between(shipped(), denying, solvent)
+    assert [reason.rule for reason in found.reasons] == ["organization/no"], "that it is hazardous is no news"
+
+
+def test_departs_when_its_parameters_are_bound_tighter() -> None:
+    tighter = edited((SHARED, "grip_force_n: {max: 60", "grip_force_n: {max: 30"))
+    found = between(shipped(), tighter)
+    assert f"{HERE}/grip_force_n" in {reason.rule for reason in found.reasons}
+    assert not found.askable
+    assert between(tighter, shipped()) is CONFORMS, "what is freer now touches only what starts later"
+    glass = proposal("grasp_object", object_id="glass_1", force_n=40, speed_mps=0.2)
+    assert between(shipped(), shipped(), glass) is CONFORMS, "both would bind it so"
+
+
+# -- watching ----------------------------------------------------------------------------------------------------------
+
+ROWS = {row.id: row for row in shipped().profiles[HERE].watch}
+ZONE = next(zone for zone in shipped().site.zones.values() if zone.kind == "forbidden")
+AGES = shipped().profiles[HERE].stale_after_ms
+SEPARATION = shipped().profiles[HERE].separation
+assert SEPARATION is not None
+
+STRICTER = {
+    "the watch rule `separation` is": lambda: with_watch("separation", above=True),
+    "the watch rule `grip-force` is": lambda: with_watch("grip-force", times=0.5),
+    "the watch rule `contact-force` is": lambda: with_watch("contact-force", limit=None, named=None, number=1.0),
+    "sensitivity is": lambda: with_profile(sensitivity=0.95),
+    "the bound `base_speed_mps` is": lambda: edited((SHARED, "base_speed_mps: {max: 0.3", "base_speed_mps: {max: 0.2")),
+    "the time it may take is": lambda: with_capability(timeout_s=1.0),
+    "separation is": lambda: with_profile(separation=replace(SEPARATION, intrusion_m=0.3)),
+    "a forbidden zone is": lambda: replace(
+        shipped(),
+        site=replace(shipped().site, zones={**shipped().site.zones, "more": replace(ZONE, name="more")}),
+    ),
+    "the age of what sensors say is": lambda: with_profile(stale_after_ms={**AGES, "arm": AGES["arm"] - 1}),
+    "what has to hold afterwards is": lambda: with_capability(postconditions=("object_secured", "arm_retracted")),
+    "braking is": lambda: with_profile(base_deceleration_mps2=0.5),
+    "the room it takes is": lambda: with_profile(base_radius_m=0.5),
+}
+
+
+@pytest.mark.parametrize("what", STRICTER)
+def test_departs_when_it_would_be_watched_more_strictly(what: str) -> None:
+    found = between(shipped(), STRICTER[what]())
+    said = [reason.message for reason in found.reasons if reason.code == "watched_tighter"]
+    assert f"{what} tighter now" in said
+    assert not found.askable
+
+
+WIDER = {
+    "a rule less": lambda: with_profile(watch=shipped().profiles[HERE].watch[1:]),
+    "a rule that comes later": lambda: with_watch("grip-force", times=2.0, for_ms=1000),
+    "less sensitive": lambda: with_profile(sensitivity=0.5),
+    "longer": lambda: with_capability(timeout_s=100.0),
+    "no separation": lambda: with_profile(separation=None),
+    "older": lambda: with_profile(stale_after_ms={"arm": AGES["arm"] + 1}),
+    "nothing to hold afterwards": lambda: with_capability(postconditions=()),
+    "no zones": lambda: replace(shipped(), site=replace(shipped().site, zones={})),
+    "more retries": lambda: with_profile(retry_budget=5),
+    "no rollback needed": lambda: with_profile(rollback="optional"),
+}
+
+
+@pytest.mark.parametrize("what", WIDER)
+def test_goes_on_when_it_would_be_watched_less_and_departs_the_other_way_round(what: str) -> None:
+    wider = WIDER[what]()
+    assert between(shipped(), wider) is CONFORMS
+    found = between(wider, shipped())
+    assert found
+    assert {"watched_tighter", "recovery_tighter"} & {*codes(found)}
+
+
+@given(
+    old=st.floats(0.01, 5), new=st.floats(0.01, 5), above=st.booleans(), was=st.integers(0, 99), now=st.integers(0, 99)
+)
+def test_a_watch_rule_that_answers_no_sooner_is_no_reason(
+    old: float, new: float, above: bool, was: int, now: int
+) -> None:
+    def ruled(number: float, for_ms: int) -> PolicySet:
+        row = replace(ROWS["contact-force"], limit=None, number=number, times=1.0, above=above, for_ms=for_ms)
+        return with_profile(watch=(row,))
+
+    sooner = now < was or (new < old if above else new > old)
+    assert bool(between(ruled(old, was), ruled(new, now))) is sooner
+
+
+# -- recovery and confirmation -----------------------------------------------------------------------------------------
+
+
+def test_departs_when_a_further_phase_has_to_be_confirmed() -> None:
+    def confirming(*phases: str) -> PolicySet:
+        entry = Confirmation(capability="grasp_object", profile=HERE, phases=phases)
+        return replace(shipped(), authority=replace(shipped().authority, confirm_before=(entry,)))
+
+    found = between(confirming("close"), confirming("close", "lift"))
+    assert [(reason.code, reason.message) for reason in found.reasons] == [
+        ("confirmation_added", "a human confirms `lift` now")
+    ]
+    assert between(confirming("close", "lift"), confirming("close")) is CONFORMS
+
+
+# -- authority ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_rule_that_escalates_now_is_answered_by_as_many_people_as_it_wants() -> None:
+    look = "id: look, applies_to: [grasp_object], then: escalate, because: Somebody looks."
+    one, two = with_rule(look), with_rule(f"{look}, approvers: 2")
+    assert ([reason.rule for reason in between(shipped(), one).reasons], between(shipped(), one).askable) == (
+        ["organization/look"], True,
+    )  # fmt: skip
+    assert not between(shipped(), two).askable
+    assert between(one, one) is CONFORMS
+    more = between(one, two)
+    assert more.reasons, "the reasons are the same, and more people have to look"
+    assert not more.askable
+
+
+def test_goes_on_where_nobody_is_asked_any_more_and_is_asked_about_where_somebody_is() -> None:
+    silent = with_profile(authority=frozenset({AuthorityMode.INTERRUPT_ENABLED}))
+    assert between(shipped(), silent) is CONFORMS
+    found = between(silent, shipped())
+    assert codes(found) == ["approval_required"]
+    assert found.askable
