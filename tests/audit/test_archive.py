@@ -128,6 +128,12 @@ async def test_finds_an_index_that_hides_an_event(data: Path) -> None:
     assert all(str(Places(data).database) in problem for problem in found)
 
 
+async def test_says_nothing_where_the_time_ran_out(store: AuditStore, data: Path) -> None:
+    await store.append([draft(n=n) for n in range(1500)])
+    assert database_problems(data, within_s=0.0) is None
+    assert database_problems(data, within_s=600.0) == []
+
+
 async def test_compares_telemetry_files_with_the_log(store: AuditStore, data: Path) -> None:
     folder = Places(data).telemetry
     for name in ("a", "b", "c"):
