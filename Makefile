@@ -63,7 +63,7 @@ check: $(STAMP) $(TYPINGS)  ## format, lint, types, import contracts, policy che
 	@$(BIN)/basedpyright
 	@$(BIN)/python web/build.py check
 	@$(BIN)/reins policy check
-	@$(BIN)/reins policy test
+	@$(BIN)/reins policy test --mutation --least-coverage 100 --least-score 95
 
 bench: $(STAMP)  ## print every figure the project promises
 	@for bench in benchmarks/bench_*.py; do echo; echo "== $$bench"; $(BIN)/python $$bench || exit 1; done

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from pathlib import Path
 from textwrap import indent
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 from rich.progress import BarColumn, Progress, TextColumn
 
+from app import cli_authoring, cli_policy_test
+from app.cli_policies import Directory, finding
 from app.clock import monotonic_s
 from app.config import find_policies
 from app.governance.bundle import load, read_cases, read_properties
 from app.governance.cases import read as read_tests
-from app.governance.cases import run as run_cases
 from app.governance.errors import PolicyErrors
-from app.terminal import FINDING, err, say, say_error
+from app.terminal import FINDING, err, say
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,11 +28,10 @@ if TYPE_CHECKING:
 
 SLOW_S: Final = 1.0  # from here on a bar shows how far it is
 
-app = typer.Typer(help="Check and test policy directories.", no_args_is_help=True)
+app = typer.Typer(help="Check, test, explain and write policy.", no_args_is_help=True)
 
-Directory = Annotated[
-    Path | None, typer.Argument(help="The policy directory; default: ./policies, else the shipped one.")
-]
+app.add_typer(cli_policy_test.app)
+app.add_typer(cli_authoring.app)
 
 
 class Form(StrEnum):
@@ -67,7 +66,7 @@ def check(
         if form is Form.SARIF:
             _say_sarif([], found.problems)
             raise typer.Exit(FINDING) from found
-        raise _finding(found, folder) from found
+        raise finding(found, folder) from found
     faults = [] if report is None else report.faults
     if form is Form.SARIF:
         _say_sarif([] if report is None else report.findings, [])
@@ -111,39 +110,3 @@ def _say_sarif(findings: list[Finding], problems: Sequence[PolicyError]) -> None
     from app.proofs.sarif import sarif
 
     typer.echo(sarif(findings, problems))
-
-
-@app.command("test")
-def run_tests(directory: Directory = None) -> None:
-    """Run the cases in the directory's `tests`: proposal and context in, decision out; print every difference.
-
-    [bold]reins policy test policies[/]
-    """
-    folder = find_policies(directory)
-    policy = _load(folder)
-    try:
-        results = run_cases(policy, read_cases(folder))
-    except PolicyErrors as found:
-        raise _finding(found, folder) from found
-    failed = [result for result in results if not result.passed]
-    for result in failed:
-        err.print(f"{result.file}:{result.line}: {result.name}", markup=False)
-        for difference in result.differences:
-            err.print(f"    {difference}", markup=False)
-    say(f"{len(results) - len(failed)} of {len(results)} cases passed")
-    if failed or not results:
-        raise typer.Exit(FINDING)
-
-
-def _finding(found: PolicyErrors, folder: Path) -> typer.Exit:
-    for problem in found.problems:
-        err.print(str(problem), markup=False)
-    say_error(f"{len(found.problems)} in `{folder}`")
-    return typer.Exit(FINDING)
-
-
-def _load(folder: Path) -> PolicySet:
-    try:
-        return load(folder)
-    except PolicyErrors as found:
-        raise _finding(found, folder) from found

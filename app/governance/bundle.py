@@ -133,9 +133,22 @@ def load_files(files: Mapping[str, str]) -> PolicySet:
     Raises:
         PolicyErrors: Something is wrong with them; everything that is.
     """
-    source = _shapes(files)
+    source = read_shapes(files)
     if source.problems:
         raise PolicyErrors(source.problems)
+    known = know(source)
+    problems = check(source, known)
+    if problems:
+        raise PolicyErrors(problems)
+    return _assemble(files, source, known)
+
+
+def know(source: Source) -> Known:
+    """Return every name there is in a source, for its checks.
+
+    Raises:
+        PolicyErrors: Capabilities declare parameters that no condition could speak of.
+    """
     capabilities = {shape.name: bundle_build.capability(shape) for _, shape in source.capabilities}
     problems = [
         problem
@@ -148,7 +161,7 @@ def load_files(files: Mapping[str, str]) -> PolicySet:
     if problems:  # without parameters that can be typed, no condition could be checked
         raise PolicyErrors(problems)
     permissions = frozenset(source.organization[1].permissions)
-    known = Known(
+    return Known(
         capabilities=capabilities,
         recoveries=frozenset(name for name, found in capabilities.items() if found.recovery),
         profiles=frozenset(shape.profile for _, shape in source.profiles),
@@ -157,15 +170,11 @@ def load_files(files: Mapping[str, str]) -> PolicySet:
         names=names(bundle_build.site(source.site[1])),
         modes={shape.profile: frozenset(shape.authority.modes) for _, shape in source.profiles},
     )
-    problems = _check(source, known)
-    if problems:
-        raise PolicyErrors(problems)
-    return _assemble(files, source, known)
 
 
 @dataclass(slots=True)
-class _Source:
-    """The files as shapes, each with the reader that writes problems about it."""
+class Source:
+    """The files as shapes, each with the reader that writes problems about it; `problems` is what does not fit."""
 
     capabilities: list[tuple[Reader, bundle_shapes.CapabilityShape]] = field(default_factory=list[Any])
     profiles: list[tuple[Reader, bundle_shapes.ProfileShape]] = field(default_factory=list[Any])
@@ -174,28 +183,33 @@ class _Source:
 
     @property
     def organization(self) -> tuple[Reader, bundle_shapes.OrganizationShape]:
+        """Return `organization.yaml`."""
         return self.single["organization.yaml"]
 
     @property
     def authority(self) -> tuple[Reader, bundle_shapes.AuthorityFileShape]:
+        """Return `authority.yaml`."""
         return self.single["authority.yaml"]
 
     @property
     def site(self) -> tuple[Reader, bundle_shapes.SiteShape]:
+        """Return `site.yaml`."""
         return self.single["site.yaml"]
 
 
-def _shape_of(name: str) -> type[Any] | None:
+def shape_of(name: str) -> type[Any] | None:
+    """Return the shape of a policy file by its path; None where nothing would read it."""
     path = PurePosixPath(name)
     if len(path.parts) == 2 and path.suffix == ".yaml":
         return _FOLDERS.get(path.parts[0])
     return _SINGLE.get(name)
 
 
-def _shapes(files: Mapping[str, str]) -> _Source:
-    source = _Source()
+def read_shapes(files: Mapping[str, str]) -> Source:
+    """Fit every file into its shape; what does not fit is among the problems."""
+    source = Source()
     for name in sorted(files):
-        shape = _shape_of(name)
+        shape = shape_of(name)
         if shape is None:
             message = "is no policy file: nothing would read it"
             source.problems.append(PolicyError(file=name, line=0, key="", message=message, valid=_LAYOUT))
@@ -214,7 +228,7 @@ def _shapes(files: Mapping[str, str]) -> _Source:
     return source
 
 
-def _file(source: _Source, name: str, document: Document, found: object) -> None:
+def _file(source: Source, name: str, document: Document, found: object) -> None:
     reader = Reader(document=document)
     match found:
         case bundle_shapes.CapabilityShape():
@@ -225,7 +239,8 @@ def _file(source: _Source, name: str, document: Document, found: object) -> None
             source.single[name] = (reader, found)
 
 
-def _check(source: _Source, known: Known) -> list[PolicyError]:
+def check(source: Source, known: Known) -> list[PolicyError]:
+    """Check everything against everything."""
     problems: list[PolicyError] = []
     for reader, shape in source.capabilities:
         problems += bundle_checks.capability(reader, shape, known)
@@ -242,9 +257,9 @@ def _check(source: _Source, known: Known) -> list[PolicyError]:
     return problems
 
 
-def _assemble(files: Mapping[str, str], source: _Source, known: Known) -> PolicySet:
+def _assemble(files: Mapping[str, str], source: Source, known: Known) -> PolicySet:
     profiles = {shape.profile: bundle_build.profile(shape) for _, shape in source.profiles}
-    rules = _rules(source)
+    rules = rules_of(source)
     site = bundle_build.site(source.site[1])
     return PolicySet(
         digest=digest(files),
@@ -255,14 +270,14 @@ def _assemble(files: Mapping[str, str], source: _Source, known: Known) -> Policy
         authority=bundle_build.authority(source.authority[1]),
         rules={rule.id: rule for rule in rules},
         gates=_gates(known, profiles, rules, site),
-        inputs={name: _inputs(found) for name, found in known.capabilities.items()},
+        inputs={name: make_inputs(found) for name, found in known.capabilities.items()},
         permissions=known.permissions,
         files=dict(sorted(files.items())),
     )
 
 
-def _rules(source: _Source) -> list[Rule]:
-    """All rules; within a pair they are evaluated in this order: the profile's, the organization's, authority's."""
+def rules_of(source: Source) -> list[Rule]:
+    """Build all rules, in the order of their evaluation: the profile's, the organization's, authority's."""
     rules = [
         bundle_build.rule(shape.profile, rule, frozenset({shape.profile}))
         for _, shape in source.profiles
@@ -289,11 +304,14 @@ def _gates(
     for (name, profile), chosen in applying.items():
         found = known.capabilities[name]
         if found.env_profile[profile] != "forbidden":
-            gates[name, profile] = _gate(found, profiles[profile], chosen, site, known.vocabulary)
+            gates[name, profile] = make_gate(found, profiles[profile], chosen, site, known.vocabulary)
     return gates
 
 
-def _gate(capability: Capability, profile: Profile, rules: Sequence[Rule], site: Site, vocabulary: Vocabulary) -> Gate:
+def make_gate(
+    capability: Capability, profile: Profile, rules: Sequence[Rule], site: Site, vocabulary: Vocabulary
+) -> Gate:
+    """Compile one pair from the rules that apply to it."""
     compiled = Generator(capability, profile, site, vocabulary).compile(rules)
     reserved = {GOVERNANCE} if capability.recovery else set[str]()
     return Gate(
@@ -320,7 +338,8 @@ def _actions(capability: Capability) -> tuple[str, str] | None:
     return (found["tool"], found["action"]) if "action" in found and "tool" in found else None
 
 
-def _inputs(capability: Capability) -> Inputs:
+def make_inputs(capability: Capability) -> Inputs:
+    """Compile a capability's input schema."""
     specs = properties(capability)
     return Inputs(
         validator=jsonschema_rs.Draft202012Validator(cast("dict[str, Any]", capability.inputs)),

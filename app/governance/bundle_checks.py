@@ -20,7 +20,7 @@ from app.governance.policy_model import (
     LIMIT_UNITS,
     REFERENCES,
 )
-from app.governance.vocabulary import Vocabulary, always_there, properties
+from app.governance.vocabulary import Vocabulary, always_there, properties, referring
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -35,6 +35,7 @@ UNITS: Final[Mapping[str, str]] = {
 ASKING: Final = frozenset({"approval-required", "approval-on-escalation"})
 HUMANS: Final = ASKING | {"takeover-enabled"}
 MANIPULATION: Final = "manipulation"
+MAY_BE_LEFT_OUT: Final = frozenset({"target", "corridor"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +88,16 @@ def capability(reader: Reader, shape: shapes.CapabilityShape, known: Known) -> I
         yield reader.problem(("permissions",), "a capability that agents propose needs a permission", known.permissions)
     if shape.rollback is not None:
         yield from reader.unknown(("rollback",), "recovery capability", shape.rollback, known.recoveries)
+    yield from _named_always(reader, known.capabilities[shape.name])
     yield from _coverage(reader, shape, known)
+
+
+def _named_always(reader: Reader, found: Capability) -> Iterator[PolicyError]:
+    """What a proposal handles, works or looks at is always named; a target may be a point, a corridor none."""
+    for kind, param in referring(found).items():
+        if kind not in MAY_BE_LEFT_OUT and param not in always_there(found):
+            message = f"`{param}` names the {kind}, and may be left out: nothing could be decided about it then"
+            yield reader.problem(("inputs", "properties", param), message, [f"required: [{param}]"])
 
 
 def _coverage(reader: Reader, shape: shapes.CapabilityShape, known: Known) -> Iterator[PolicyError]:

@@ -420,9 +420,11 @@ class ExpectShape(Shape):
     admission: Literal["accept", "reject", "defer", "escalate"] | None = None
     policy: Literal["allow", "modify", "deny", "escalate"] | None = None
     codes: list[str] | None = None
-    rules: list[str] | None = None
+    rules: list[str] | None = None  # among those that determined it
+    determined_by: list[str] | None = None  # these and no others did
     changes: dict[str, JsonValue] | None = None
     approvers: int | None = None
+    session: dict[str, JsonValue] | None = None  # what a session of it would be held to, as far as it is named
 
 
 class CasesShape(Shape):

@@ -1,20 +1,23 @@
 """Cases for policy: a proposal in a context, and what must come of it (`reins policy test`).
 
 A case says what differs from the ordinary: an idle cell at bench A whose sensors see every object within reach. What
-`expect` does not name is not compared; `changes` names the parameters that must be changed, and to what.
+`expect` does not name is not compared; `changes` names the parameters that must be changed, and to what. `session` is
+what a session of it would be held to (`case_session`), as far as it is named.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 from app.governance.bundle_fit import fit
 from app.governance.bundle_shapes import CasesShape, ContextShape
 from app.governance.bundle_yaml import parse
+from app.governance.case_session import terms
 from app.governance.decision import decide
 from app.governance.errors import PolicyError, PolicyErrors
 from app.governance.model import CellFacts, Context, Mode, ObjectFact, Proposal, WorldFacts
+from app.governance.policy_model import GOVERNANCE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -39,7 +42,7 @@ class CaseResult:
         return not self.differences
 
 
-class _Found(NamedTuple):
+class Found(NamedTuple):
     """A case where it stands, and the profile it is decided in."""
 
     file: str
@@ -48,13 +51,13 @@ class _Found(NamedTuple):
     case: CaseShape
 
 
-def read(policy: PolicySet, files: Mapping[str, str]) -> list[_Found]:
+def read(policy: PolicySet, files: Mapping[str, str]) -> list[Found]:
     """Read the cases of these files (`bundle.read_cases`), in order of file and place, without deciding them.
 
     Raises:
         PolicyErrors: A file of cases is not readable, or names a place or profile that does not exist.
     """
-    cases: list[_Found] = []
+    cases: list[Found] = []
     problems: list[PolicyError] = []
     for file in sorted(files):
         document, found = parse(file, files[file])
@@ -70,7 +73,7 @@ def read(policy: PolicySet, files: Mapping[str, str]) -> list[_Found]:
                 if name not in known:
                     what = f"there is no {_KINDS[key]} `{name}`"
                     problems.append(PolicyError(file=file, line=line, key=key, message=what, valid=sorted(known)))
-            cases.append(_Found(file, line, str(profile), case))
+            cases.append(Found(file, line, str(profile), case))
     if problems:
         raise PolicyErrors(problems)
     return cases
@@ -90,18 +93,24 @@ def run(policy: PolicySet, files: Mapping[str, str]) -> list[CaseResult]:
             file=file,
             line=line,
             name=case.name,
-            differences=tuple(_differences(case, *_decide(policy, profile, case))),
+            differences=tuple(differences(policy, profile, case)),
         )
         for file, line, profile, case in read(policy, files)
     ]
 
 
-def _decide(policy: PolicySet, profile: str, case: CaseShape) -> tuple[str, Decision | None]:
-    asked = asking(policy, profile, case)
-    if asked is None:
-        return "invalid", None
-    decision = decide(policy, *asked)
-    return str(decision.status), decision
+def differences(policy: PolicySet, profile: str, case: CaseShape) -> list[str]:
+    """Decide a case, and say wherein what came of it differs from what it expects."""
+    return compared(case, came_of(policy, asking(policy, profile, case), session=case.expect.session is not None))
+
+
+def compared(case: CaseShape, found: Mapping[str, Any]) -> list[str]:
+    """Say wherein what came of a case differs from what it expects."""
+    return [
+        f"{key}: expected `{_apart(value, found.get(key))}`, found `{_apart(found.get(key), value)}`"
+        for key, value in case.expect
+        if value is not None and not _matches(key, value, found.get(key))
+    ]
 
 
 def asking(policy: PolicySet, profile: str, case: CaseShape) -> tuple[Proposal, Context] | None:
@@ -117,6 +126,15 @@ def asking(policy: PolicySet, profile: str, case: CaseShape) -> tuple[Proposal, 
         preconditions=tuple(case.preconditions),
     )
     return proposal, context(policy, profile, case.context or ContextShape())
+
+
+def came_of(policy: PolicySet, asked: tuple[Proposal, Context] | None, *, session: bool = True) -> dict[str, Any]:
+    """Decide what a case asks, and return what came of it, under the keys of `expect`."""
+    if asked is None:
+        return {"status": "invalid"}
+    decision = decide(policy, *asked)
+    found = {"status": str(decision.status), **_found(decision)}
+    return {**found, "session": terms(policy, *asked, decision)} if session else found
 
 
 def context(policy: PolicySet, profile: str, shape: ContextShape) -> Context:
@@ -145,7 +163,7 @@ def context(policy: PolicySet, profile: str, shape: ContextShape) -> Context:
         people_nearest_m=shape.people_nearest_m,
         sensors_fresh=shape.sensors_fresh,
     )
-    agent = policy.agent(shape.agent)
+    agent = policy.governance() if shape.agent == GOVERNANCE else policy.agent(shape.agent)
     return Context(
         time_s=0.0,
         profile=profile,
@@ -155,25 +173,35 @@ def context(policy: PolicySet, profile: str, shape: ContextShape) -> Context:
     )
 
 
-def _differences(case: CaseShape, status: str, decision: Decision | None) -> list[str]:
-    found: dict[str, object] = {"status": status, **_found(decision)}
-    wanted = case.expect.model_dump(exclude_none=True)
-    return [
-        f"{key}: expected `{value}`, found `{found.get(key)}`"
-        for key, value in wanted.items()
-        if not _matches(key, value, found.get(key))
-    ]
-
-
 def _matches(key: str, wanted: object, found: object) -> bool:
-    if key in ("codes", "rules") and isinstance(wanted, list) and isinstance(found, list):
-        return set(wanted) <= set(found)  # pyright: ignore[reportUnknownArgumentType]  # both are lists of names
-    return wanted == found
+    match key:
+        case "codes" | "rules" if isinstance(found, list):
+            return set(cast("list[str]", wanted)) <= set(cast("list[str]", found))
+        case "determined_by" if isinstance(found, list):
+            return sorted(set(cast("list[str]", wanted))) == found
+        case "session":
+            return _within(wanted, found)
+        case _:
+            return wanted == found
 
 
-def _found(decision: Decision | None) -> dict[str, object]:
-    if decision is None:
-        return {}
+def _within(wanted: object, found: object) -> bool:
+    """Say whether everything that is wanted is found, as deep as it goes; null wants that there be nothing."""
+    if not (isinstance(wanted, dict) and isinstance(found, dict)):
+        return wanted == found
+    held = cast("dict[str, object]", found)
+    return all(_within(value, held.get(key)) for key, value in cast("dict[str, object]", wanted).items())
+
+
+def _apart(one: object, other: object) -> object:
+    """Return the part of one that the other does not have, so that what agrees does not drown the difference."""
+    if not isinstance(one, dict) or not isinstance(other, dict):
+        return cast("object", one)
+    mine, others = cast("dict[str, object]", one), cast("dict[str, object]", other)
+    return {key: _apart(value, others[key]) for key, value in mine.items() if key in others and value != others[key]}
+
+
+def _found(decision: Decision) -> dict[str, object]:
     verdict = decision.verdict
     reasons = [*decision.admission.reasons, *(() if verdict is None else verdict.reasons)]
     return {
@@ -181,6 +209,7 @@ def _found(decision: Decision | None) -> dict[str, object]:
         "policy": None if verdict is None else verdict.outcome.value,
         "codes": [reason.code for reason in reasons],
         "rules": [reason.rule for reason in reasons],
+        "determined_by": sorted({reason.rule for reason in reasons}),
         "changes": {} if verdict is None else {change.param: change.effective for change in verdict.changes},
         "approvers": 0 if decision.need is None else decision.need.approvers,
     }

@@ -26,6 +26,7 @@ from app.governance.policy_model import LIMIT_UNITS
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from app.governance.expression_syntax import Tree
     from app.governance.expression_tree import Type, Typed
     from app.governance.model import Capability, Json
 
@@ -190,6 +191,16 @@ class Vocabulary:
         """Declare the variables of every capability; no condition names a permission that is not among those given."""
         self._envs = {name: declarations(capability, permissions) for name, capability in capabilities.items()}
         self._typed: dict[tuple[str, str, Type], Typed] = {}
+        self._trees: dict[str, Tree] = {}  # a condition of all capabilities is parsed once
+        self._permissions = permissions
+
+    def replacing(self, capability: Capability) -> Vocabulary:
+        """Return the same vocabulary but for one capability, with everything typed so far about the others."""
+        other = Vocabulary({capability.name: capability}, self._permissions)
+        other._envs = {**self._envs, **other._envs}
+        other._trees = self._trees
+        other._typed = {key: typed for key, typed in self._typed.items() if key[1] != capability.name}
+        return other
 
     def typed(self, source: str, capability: str, expect: Type = BOOL) -> Typed:
         """Return the typed tree of a condition about a capability.
@@ -199,5 +210,7 @@ class Vocabulary:
         """
         key = (source, capability, expect)
         if key not in self._typed:
-            self._typed[key] = check(parse(source), self._envs[capability], expect)
+            if source not in self._trees:
+                self._trees[source] = parse(source)
+            self._typed[key] = check(self._trees[source], self._envs[capability], expect)
         return self._typed[key]

@@ -170,6 +170,8 @@ BROKEN = [
      "human-shared.yaml:210: authority.review: no mode of this profile reviews what is finished"),
     ("a review of nothing", RELAXED, "{risk: [critical], outcomes: [terminated, stopped, taken_over, fault]}", "{}",
      "sim-relaxed.yaml:185: authority.review: neither a risk nor an outcome is named"),
+    ("a tool that need not be named", "capabilities/operate_tool.yaml", "required: [tool, action]",
+     "required: [action]", "operate_tool.yaml:9: inputs.properties.tool: `tool` names the tool, and may be left out"),
     ("a bound above what may be proposed", HUMAN, "clearance_m: {min: 0.3}", "clearance_m: {min: 5}",
      "human-shared.yaml:27: rules[1].set.clearance_m.min: min `5` is above the maximum `1` of `clearance_m` of "
      "`navigate_to`; valid: `0.1 to 1`"),

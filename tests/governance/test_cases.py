@@ -78,3 +78,36 @@ cases:
     expect: {status: deferred}
 """
     assert [result.differences for result in cases.run(shipped(), {"tests/x.yaml": text})] == [(), (), ()]
+
+
+def told(case: str, expect: str) -> tuple[str, ...]:
+    (result,) = cases.run(shipped(), {"tests/x.yaml": f"cases:\n  - {{name: x, {case}, expect: {expect}}}\n"})
+    return result.differences
+
+
+GRASP = "profile: human-shared, capability: grasp_object, params: {object_id: glass_1}"
+
+
+def test_a_case_can_say_which_rules_and_no_others_determined_it():
+    assert told(GRASP, "{status: awaiting_approval, rules: [organization/fragile-grip]}") == ()
+    assert told(GRASP, "{status: awaiting_approval, determined_by: [organization/fragile-grip]}") != ()
+
+
+def test_a_case_can_say_what_holds_a_session():
+    assert (
+        told(GRASP, "{status: awaiting_approval, session: {timeout_s: 20, watch: {zone: {below: 0}, ghost: null}}}")
+        == ()
+    )
+    assert told(GRASP, "{status: awaiting_approval, session: {watch: {zone: {below: 0.1, enter: stop}}}}") == (
+        "session: expected `{'watch': {'zone': {'below': 0.1}}}`, found `{'watch': {'zone': {'below': 0.0}}}`",
+    )
+
+
+def test_nothing_holds_a_session_of_what_does_not_exist():
+    assert told("profile: human-shared, capability: fly", "{status: rejected, session: {}}") == ()
+
+
+def test_a_case_may_be_about_governance_and_about_other_permissions():
+    regrasp = "profile: human-shared, capability: regrasp, params: {object_id: mug_1}, context: {agent: governance"
+    assert told(f"{regrasp}}}", "{status: allowed}") == ()
+    assert told(f"{regrasp}, permissions: [manipulation]}}", "{status: rejected, codes: [recovery_only]}") == ()
