@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from app.governance.model import Context, Proposal
     from app.governance.policy import PolicySet
 
-EXAMPLES: Final = 1500
-"""At so many examples for one pair the search for a case that kills gives up."""
+EXAMPLES: Final = 3000
+"""At so many examples the search for a case that kills gives up; every pair that a change concerns has its share."""
 
 
 class Fate(StrEnum):
@@ -141,14 +141,13 @@ class Trial:
     def _proposal(self, mutant: Mutant, policy: PolicySet) -> str:
         """Return a case that passes on the policy and fails on the mutant, or nothing where none is found."""
         both = (self.bench.policy, policy)
-        for name in both[0].capabilities:
-            for profile in both[0].profiles:
-                if not concerns(mutant, name, profile):
-                    continue
-                for example in islice(Examples(both, self.bench.known.vocabulary, name, profile), EXAMPLES):
-                    found = _telling(example, both)
-                    if found is not None:
-                        return _written(f"holds {mutant.key}", example, found)
+        names, profiles = both[0].capabilities, both[0].profiles
+        pairs = [(name, profile) for name in names for profile in profiles if concerns(mutant, name, profile)]
+        for name, profile in pairs:
+            for example in islice(Examples(both, self.bench.known.vocabulary, name, profile), EXAMPLES // len(pairs)):
+                found = _telling(example, both)
+                if found is not None:
+                    return _written(f"holds {mutant.key}", example, found)
         return ""
 
 
