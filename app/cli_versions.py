@@ -1,4 +1,4 @@
-"""`reins policy propose | activate | rollback | versions`: policy of a running server, over HTTP."""
+"""`reins policy propose | activate | rollback | versions | replay`: policy of a running server, and of its record."""
 
 from __future__ import annotations
 
@@ -16,10 +16,13 @@ from app.terminal import FINDING, MISUSE, err, say, say_error
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from app.audit.replay import Replay
+
 TOKEN_KEY = "engineer"  # noqa: S105  # a key in tokens.json
 PATIENCE_S = 60.0
 CREATED = 201
 ACCEPTED = 202
+EXAMPLES = 3
 SHOWN = 19  # of a digest: its kind and twelve characters
 
 Data = Annotated[Path, typer.Option(help="The server's data directory: its address and tokens.", envvar="REINS_DATA")]
@@ -160,9 +163,44 @@ def versions(*, data: Data = Path("data"), server: Server = None, token: Token =
     say(f"in force: {known['active']}; {known['why']}")
 
 
+def replay(
+    *,
+    policy: Annotated[
+        Path | None, typer.Option(help="What decides now; default: for each decision the version that decided then.")
+    ] = None,
+    since: Annotated[str | None, typer.Option(help="From when on, RFC 3339; default: all that is recorded.")] = None,
+    data: Data = Path("data"),
+    json: Annotated[bool, typer.Option("--json", help="Print every changed decision, as JSON.")] = False,
+) -> None:
+    """Make recorded decisions again, with the context of then, and print those that come out otherwise, grouped.
+
+    [bold]reins policy replay --since 2026-03-01T00:00:00Z --policy candidate[/]
+    """
+    from app.audit.errors import RecordDamaged
+    from app.audit.replaying import replay_in_processes
+    from app.clock import parse_rfc3339
+
+    try:
+        files = None if policy is None else read_files(find_policies(policy))
+        found = replay_in_processes(data, files, since=None if since is None else parse_rfc3339(since))
+    except PolicyErrors as faults:
+        for problem in faults.problems:
+            err.print(str(problem), markup=False)
+        raise typer.Exit(FINDING) from faults
+    except (RecordDamaged, ValueError) as error:
+        say_error(str(error), hint="--data names a data directory, --since a time like 2026-03-01T00:00:00Z")
+        raise typer.Exit(MISUSE) from error
+    if json:
+        say(orjson.dumps(found.document()).decode())
+    else:
+        _print_replay(found)
+    if found.changed:
+        raise typer.Exit(FINDING)
+
+
 def register(app: typer.Typer) -> None:
     """Add the commands to `reins policy`."""
-    for command in (propose, activate, rollback, versions):
+    for command in (propose, activate, rollback, versions, replay):
         app.command()(command)
 
 
@@ -170,6 +208,18 @@ def _print_difference(found: Mapping[str, Any]) -> None:
     say(f"against what is in force: {found['direction']}")
     for one in found["differences"]:
         say(f"  {one['direction']:<9} {one['part']}: {one['before'] or '-'} -> {one['after'] or '-'}")
+
+
+def _print_replay(found: Replay) -> None:
+    for (capability, profile, before, after, what), members in found.groups():
+        say(f"{len(members):>7}  {capability} in {profile}: {before} -> {after}   {what}")
+        shown = ", ".join(f"{one.invocation} (event {one.seq})" for one in members[:EXAMPLES])
+        say(f"         for instance {shown}")
+    say(f"{found.decisions} decisions made again, {len(found.changed)} changed")
+    if found.without_context:
+        say(f"{found.without_context} left out: an earlier release recorded them without their context")
+    if found.without_policy:
+        say(f"{found.without_policy} left out: the version that decided then is not kept here")
 
 
 def _read(path: Path, key: str, hint: str) -> str:

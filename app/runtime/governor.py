@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.event import EventDraft, RowWrite
 from app.governance.model import EventKind, Role, Status
+from app.governance.recorded import KEY as CIRCUMSTANCES
 from app.runtime.controls import Controls
 from app.runtime.drafts import escalation_event
 from app.runtime.errors import Conflict, InvalidParams
@@ -283,6 +284,8 @@ class Governor(Takeovers, Controls):
 def event_document(event: Event, role: Role) -> dict[str, Any]:
     """Return an event as JSON; an agent does not get what an operator wrote in words."""
     body = event.payload()
+    if role is Role.AGENT:  # what policy is asked about, grants and who is on duty, is no business of an agent's
+        body.pop(CIRCUMSTANCES, None)
     return {
         "seq": event.seq,
         "at": event.at,

@@ -37,6 +37,8 @@ from app.governance.model import (
 from app.governance.permit import mint
 from app.governance.policy import confirm_before
 from app.governance.policy_model import GOVERNANCE
+from app.governance.recorded import KEY as CIRCUMSTANCES
+from app.governance.recorded import circumstances
 from app.protocol import Launch
 from app.runtime.drafts import SERVER
 from app.runtime.errors import InvalidParams
@@ -72,11 +74,13 @@ CHANGED: Final = Reason(
 
 
 class Judgement(NamedTuple):
-    """A decision together with the policy and profile it was made under."""
+    """A decision together with the policy and profile it was made under, and what it was made on."""
 
     decision: Decision
     policy: PolicySet
     profile: str
+    proposal: Proposal
+    context: Context
 
     @property
     def need(self) -> ApprovalNeed | None:
@@ -168,6 +172,7 @@ class Judgement(NamedTuple):
             "cell": invocation.cell,
             "profile": self.profile,
             "status": invocation.status,  # what admission and guard come to together
+            CIRCUMSTANCES: circumstances(self.proposal, self.context, self.policy, self.decision),
         }
         drafts = [EventDraft(kind=EventKind.ADMISSION, actor=SERVER, invocation=invocation.id, body=body)]
         if policy is not None:
@@ -297,7 +302,7 @@ class Kernel:
             operator_on_duty=self.operator_on_duty,
             grants=self.standing(cell),
         )
-        return Judgement(decide(policy, proposal, context), policy, profile)
+        return Judgement(decide(policy, proposal, context), policy, profile, proposal, context)
 
     def context(self, capability: str, agent: str, within: Invocation, *, profile: str | None = None) -> Context:
         """Return Γ_t as it is now around an invocation that is there already, and is not in its own way."""
