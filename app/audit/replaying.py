@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from app.audit.replay import Policies
     from app.governance.policy import PolicySet
 
-ALONE: Final = 20_000  # events that one process reads in about the time another needs to start
+ALONE: Final = 200_000  # events that one process reads in about the time another needs to start
 
 
 def replay_in_processes(
