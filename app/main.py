@@ -190,6 +190,7 @@ async def open_house(settings: Settings, policies: PolicySet) -> AsyncGenerator[
                 "store": store,
                 "policy": lambda: runtime.kernel.policy,
                 "versions": runtime.versions,
+                "shadow": runtime.shadow,
             }
     finally:
         await store.close()

@@ -74,6 +74,8 @@ ACCESS: Mapping[tuple[str, str], frozenset[Role] | None] = {
     ("GET", "/v1/policies/{digest}/files"): PEOPLE,
     ("GET", "/v1/policies/{digest}/diff"): PEOPLE,
     ("POST", "/v1/policies/{digest}/activate"): ENGINEERS,
+    ("GET", "/v1/policies/{digest}/shadow"): PEOPLE,
+    ("POST", "/v1/policies/{digest}/shadow"): ENGINEERS,
     ("GET", "/v1/audit/events"): PEOPLE,
     ("GET", "/v1/audit/checkpoint"): PEOPLE,
     ("GET", "/v1/audit/verify"): PEOPLE,

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from app.runtime.feed import Feed
     from app.runtime.fleet import Fleet
     from app.runtime.governor import Governor
+    from app.runtime.shadow import Shadow
     from app.runtime.versions import Versions
 
 DESCRIPTION = """\
@@ -80,6 +81,7 @@ def create_app(  # noqa: PLR0913  # every part of a server, by name
     store: AuditStore,
     policy: Callable[[], PolicySet],
     versions: Versions,
+    shadow: Shadow,
     principals: Principals,
     checks: Mapping[str, Callable[[], str | None]] | None = None,
 ) -> FastAPI:
@@ -94,6 +96,7 @@ def create_app(  # noqa: PLR0913  # every part of a server, by name
         store: the record.
         policy: returns the policy set in force.
         versions: every version of policy.
+        shadow: what a candidate would decide on live traffic.
         principals: who may come in.
         checks: further readiness questions by name; each returns what is broken, or None.
 
@@ -114,6 +117,7 @@ def create_app(  # noqa: PLR0913  # every part of a server, by name
         store=store,
         policy=policy,
         versions=versions,
+        shadow=shadow,
         principals=principals,
         checks=dict(checks or {}),
     )

@@ -34,6 +34,7 @@ BODIES: tuple[type[BaseModel], ...] = (
     wire.EmptyBody,
     policy_documents.CandidateBody,
     policy_documents.ActivationBody,
+    policy_documents.ShadowBody,
 )
 
 ON_EVERY_ROUTE = ("internal",)

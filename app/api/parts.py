@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from app.runtime.feed import Feed
     from app.runtime.fleet import Fleet
     from app.runtime.governor import Governor
+    from app.runtime.shadow import Shadow
     from app.runtime.versions import Versions
 
 # Every committed event is written once for each stream; a wait costs a timer and a connection.
@@ -49,6 +50,7 @@ class Parts:
     store: AuditStore
     policy: Callable[[], PolicySet]
     versions: Versions
+    shadow: Shadow
     principals: Principals
     verifying: asyncio.Lock = field(default_factory=asyncio.Lock)
     replaying: asyncio.Lock = field(default_factory=asyncio.Lock)

@@ -82,6 +82,22 @@ async def activate(request: Request, digest: Digest) -> Response:
     return answer(document, 200 if entered else 202)
 
 
+async def shadow(request: Request, digest: Digest) -> Response:
+    """Return what a candidate under shadow would have decided otherwise, in groups; the log holds every difference."""
+    parts = parts_of(request)
+    await parts.versions.load(digest)
+    return answer(parts.shadow.document(digest))
+
+
+async def set_shadow(request: Request, digest: Digest) -> Response:
+    """Have a candidate decide beside the live policy, in the place of another one, or not any more.
+
+    Differences are recorded and shown; what is done never depends on them.
+    """
+    body = await read_body(request, models.ShadowBody)
+    return answer(await parts_of(request).shadow.set(digest, caller(request), body.why, on=body.on))
+
+
 # A set is immutable and may hold ten thousand rules: it is described once.
 @lru_cache(maxsize=1)
 def _capabilities(policy: PolicySet) -> bytes:
@@ -144,4 +160,12 @@ def register(router: APIRouter) -> None:
             ),
         ),
         body=models.ActivationBody,
+    )
+    declare(router, "GET /v1/policies/{digest}/shadow", shadow, Answers(model=models.ShadowDocument, codes=UNKNOWN))
+    declare(
+        router,
+        "POST /v1/policies/{digest}/shadow",
+        set_shadow,
+        Answers(model=models.ShadowDocument, codes=(*UNKNOWN, "policy_invalid", "record_unavailable")),
+        body=models.ShadowBody,
     )

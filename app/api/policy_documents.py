@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -27,6 +27,13 @@ class CandidateBody(Body):
 class ActivationBody(Body):
     """Why a version should be in force."""
 
+    why: Why
+
+
+class ShadowBody(Body):
+    """Whether a candidate shall decide beside the live policy, and why; nothing follows from what it decides."""
+
+    on: bool
     why: Why
 
 
@@ -98,4 +105,25 @@ class FilesDocument(Document):
     files: dict[str, str]
 
 
-JsonObject = dict[str, Any]
+class ShadowGroup(Document):
+    """Differences with everything in common, and the newest invocations among them."""
+
+    capability: str
+    profile: str
+    live: str
+    candidate: str
+    count: int
+    examples: list[str]
+
+
+class ShadowDocument(Document):
+    """What a candidate would have decided otherwise, since it is under shadow or the server started."""
+
+    digest: str
+    on: bool
+    by: str | None
+    why: str | None
+    since: str | None
+    decisions: int
+    differing: int
+    groups: list[ShadowGroup]

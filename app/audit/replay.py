@@ -26,7 +26,7 @@ from app.clock import rfc3339
 from app.governance import recorded
 from app.governance.bundle import load_files
 from app.governance.decision import decide
-from app.governance.model import EventKind, Proposal
+from app.governance.model import Proposal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Mapping
@@ -211,9 +211,9 @@ def _paired(connection: sqlite3.Connection, after: int, until: int) -> Iterator[
                 yield (*held, body)  # what policy said stands right behind what admission said
                 held = None
     if held is not None:
-        following = connection.execute("SELECT kind, body FROM events WHERE seq = ?", (held[0] + 1,)).fetchone()
-        own = following is not None and following[0] == EventKind.POLICY
-        yield (*held, orjson.loads(cast("bytes", following[1]))["body"] if own else None)
+        query = "SELECT body FROM events WHERE seq = ? AND kind = 'policy'"
+        following = connection.execute(query, (held[0] + 1,)).fetchone()
+        yield (*held, None if following is None else loads(following[0])["body"])
 
 
 class _Again:

@@ -94,7 +94,8 @@ def _held(verdict: Verdict, said: Verdict, proposal: Proposal) -> tuple[Reason, 
     """Return why the verdict refuses or binds what runs, where the old one did not."""
     if verdict.outcome is PolicyOutcome.DENY:
         known = said.reasons if said.outcome is PolicyOutcome.DENY else ()
-        return tuple(reason for reason in verdict.reasons if reason not in known)
+        # A rule that cannot be evaluated now, for want of fresh facts, says nothing about what it would have said.
+        return tuple(reason for reason in verdict.reasons if reason.code == "rule_error" or reason not in known)
     if verdict.effective in (proposal.params, said.effective):
         return ()
     by = {change.rule for change in verdict.changes}

@@ -17,6 +17,7 @@ from app.runtime.governor import Governor
 from app.runtime.kernel import Kernel
 from app.runtime.register import Register
 from app.runtime.sessions import ABSENT_S, Sessions
+from app.runtime.shadow import Shadow
 from app.runtime.succession import Succession
 from app.runtime.telemetry import Telemetry
 from app.runtime.versions import Versions
@@ -67,6 +68,7 @@ class Runtime:
         self.desk = Desk(self.register, self.fleet, self.kernel)
         self.succession = Succession(self.register, self.fleet, self.desk, self.kernel)
         self.versions = Versions(self.register, self.kernel, self.succession)
+        self.shadow = Shadow(self.register, self.versions)
         self._take_directory = take_directory
         self.telemetry = Telemetry(telemetry_folder or store.places.telemetry, wall_s)
         self.sessions = Sessions(self.register, self.fleet, self.desk, self.telemetry, absent_s=absent_s)
@@ -76,6 +78,8 @@ class Runtime:
         self.governor = Governor(
             register=self.register, kernel=self.kernel, fleet=self.fleet, desk=self.desk, feed=self.feed
         )
+
+        self.governor.shadowed = self.shadow.observe
 
     def _release(self, invocation: Invocation) -> None:
         ended = invocation.outcome is not Outcome.FAULT  # a fault is the server's word; the cell may hold it still
@@ -100,6 +104,7 @@ class Runtime:
             [EventDraft(kind=EventKind.BOOT, actor="server", body=body), *drafts],
             rows,
         )
+        await self.shadow.recall()
         await self.succession.prepare(self.versions.compiled)
         await self.desk.expire_due()
         await self.succession.afterwards(self.succession.at_once())

@@ -30,7 +30,7 @@ from app.runtime.takeover import Takeovers
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from app.audit.event import Event
     from app.audit.store import AuditStore
@@ -54,6 +54,7 @@ class Governor(Takeovers, Controls):
         self.desk = desk
         self.feed = feed
         self._in_flight: set[tuple[str, str]] = set()
+        self.shadowed: Callable[[Judgement, Invocation], tuple[EventDraft, ...]] = lambda _, __: ()
 
     @property
     def store(self) -> AuditStore:
@@ -115,7 +116,7 @@ class Governor(Takeovers, Controls):
             invocation=invocation.id,
             body={**request.document(), "filled": params},
         )
-        drafts = [proposal, *judgement.events(invocation)]
+        drafts = [proposal, *judgement.events(invocation), *self.shadowed(judgement, invocation)]
         rows = [
             RowWrite(
                 table="idempotency",

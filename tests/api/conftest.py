@@ -300,6 +300,7 @@ async def open_house(folder: Path, profile: str) -> AsyncIterator[House]:
             store=store,
             policy=lambda: runtime.kernel.policy,
             versions=runtime.versions,
+            shadow=runtime.shadow,
             principals=principals,
         )
         server = Door(

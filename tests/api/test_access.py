@@ -47,6 +47,8 @@ EXPECTED = {
     "GET /v1/policies/{digest}/files": "oeu",
     "GET /v1/policies/{digest}/diff": "oeu",
     "POST /v1/policies/{digest}/activate": "e",
+    "GET /v1/policies/{digest}/shadow": "oeu",
+    "POST /v1/policies/{digest}/shadow": "e",
     "GET /v1/audit/events": "oeu",
     "GET /v1/audit/checkpoint": "oeu",
     "GET /v1/audit/verify": "oeu",

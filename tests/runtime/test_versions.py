@@ -59,6 +59,15 @@ async def put_in_force(runtime: Runtime, files: dict[str, str]) -> str:
     return digest
 
 
+async def running(runtime: Runtime, cell: HandCell) -> dict[str, Any]:
+    """Have a session run, and its cell's state be fresh."""
+    await cell.state()
+    made, _ = await runtime.governor.propose(AGENT, navigate())
+    assert made["status"] == "running", made
+    await cell.launched(made["id"])
+    return made
+
+
 async def bodies(runtime: Runtime, kind: str, **filters: Any) -> list[dict[str, Any]]:
     return [event.payload() for event in await runtime.store.events(kind=kind, limit=1000, **filters)]
 
@@ -203,8 +212,7 @@ async def test_cells_get_the_new_version_at_once_and_launches_come_behind_it(run
 async def test_a_session_that_departs_is_told_to_hold_and_a_human_is_asked_with_the_reasons(
     runtime: Runtime, cell: HandCell
 ) -> None:
-    made, _ = await runtime.governor.propose(AGENT, navigate())
-    await cell.launched(made["id"])
+    made = await running(runtime, cell)
     await runtime.versions.activate(await brought(runtime, SLOWER), ENGINEER, "a visitor")
     await until(lambda: "escalate" in cell.ops())
     (said,) = await bodies(runtime, "intervention")
@@ -221,8 +229,7 @@ async def test_a_session_that_departs_is_told_to_hold_and_a_human_is_asked_with_
 
 
 async def test_where_only_a_humans_word_is_missing_one_lets_the_session_go_on(runtime: Runtime, cell: HandCell) -> None:
-    made, _ = await runtime.governor.propose(AGENT, navigate())
-    await cell.launched(made["id"])
+    made = await running(runtime, cell)
     await runtime.versions.activate(await brought(runtime, ASKING), ENGINEER, "look first")
     await until(lambda: "escalate" in cell.ops())
     await cell.report("escalation", made["id"], reason="policy_changed")
@@ -233,8 +240,7 @@ async def test_where_only_a_humans_word_is_missing_one_lets_the_session_go_on(ru
 
 
 async def test_a_loosening_leaves_what_runs_alone(runtime: Runtime, cell: HandCell) -> None:
-    made, _ = await runtime.governor.propose(AGENT, navigate())
-    await cell.launched(made["id"])
+    made = await running(runtime, cell)
     await put_in_force(runtime, FASTER)
     await cell.expect("policy", 2)
     assert cell.ops() == []

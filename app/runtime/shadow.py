@@ -1,0 +1,230 @@
+"""A candidate beside the live policy: it decides on every proposal too, and nothing follows from that but a record.
+
+One candidate at a time. It is asked after the live decision is made, on the same proposal and context; a difference is
+an event of its own, recorded with the decision, outside the invocation's trace: agents never see it. What fails in the
+candidate is a difference as well, and reaches nobody else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import orjson
+
+from app.audit.event import EventDraft, RowWrite
+from app.governance.decision import decide
+from app.governance.model import EventKind
+from app.governance.recorded import Agents
+from app.runtime.drafts import SERVER
+from app.runtime.uncut import uncut
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from app.governance.decision import Decision
+    from app.governance.model import Context
+    from app.governance.policy import PolicySet
+    from app.runtime.invocation import Invocation, Principal
+    from app.runtime.kernel import Judgement
+    from app.runtime.register import Register
+    from app.runtime.versions import Versions
+
+SETTING: Final = "policy_shadow"
+EXAMPLES: Final = 3
+MOST_GROUPS: Final = 500  # the log holds every difference
+
+
+@dataclass(slots=True, kw_only=True)
+class Group:
+    """Differences that have everything in common: how many, and the newest invocations among them."""
+
+    count: int = 0
+    examples: list[str] = field(default_factory=list[str])
+
+
+@dataclass(slots=True, kw_only=True)
+class Shadowing:
+    """One candidate under shadow since a moment, and what differed since then; a restart of the server begins anew."""
+
+    policy: PolicySet
+    agents: Agents
+    by: str
+    why: str
+    since: str
+    decisions: int = 0
+    differing: int = 0
+    groups: dict[tuple[str, str, str, str], Group] = field(default_factory=dict[tuple[str, str, str, str], Group])
+    live: str = ""  # which live version `other_inputs` was found for
+    other_inputs: frozenset[str] = frozenset()
+
+    def note(self, place: tuple[str, str, str, str], invocation: str) -> None:
+        """Count one difference."""
+        self.differing += 1
+        if place in self.groups or len(self.groups) < MOST_GROUPS:
+            group = self.groups.setdefault(place, Group())
+            group.count += 1
+            group.examples = [invocation, *group.examples[: EXAMPLES - 1]]
+
+    def document(self) -> dict[str, Any]:
+        """Return what was found as JSON, the largest group first."""
+        groups = sorted(self.groups.items(), key=lambda item: (-item[1].count, item[0]))
+        names = ("capability", "profile", "live", "candidate")
+        return {
+            "digest": self.policy.digest,
+            "on": True,
+            "by": self.by,
+            "why": self.why,
+            "since": self.since,
+            "decisions": self.decisions,
+            "differing": self.differing,
+            "groups": [
+                {**dict(zip(names, place, strict=True)), "count": group.count, "examples": group.examples}
+                for place, group in groups
+            ],
+        }
+
+
+class Shadow:
+    """Asks a candidate about what the live policy decides."""
+
+    def __init__(self, register: Register, versions: Versions) -> None:
+        """Take where differences are recorded, and where candidates are."""
+        self._register, self._versions = register, versions
+        self._now: Shadowing | None = None
+
+    # -- beginning and ending ----------------------------------------------------------------------------------------
+
+    @uncut
+    async def set(self, digest: str, principal: Principal, why: str, *, on: bool) -> dict[str, Any]:
+        """Begin with a candidate, in the place of another one, or end with it; return what was found.
+
+        Raises:
+            NotFound: there is no such version.
+            RecordUnavailable: nothing has changed.
+        """
+        version = await self._versions.load(digest)
+        now = self._register.now()
+        said = version.event("shadow_begun" if on else "shadow_ended", principal.name, reason=why)
+        if not on:
+            found = self.document(digest)
+            if found["on"]:
+                await self._register.append([said], [_setting(None, now)])
+                self._now = None
+            return {**found, "on": False}
+        policy = await self._versions.compiled(digest)
+        kept = {"digest": digest, "by": principal.name, "why": why}
+        await self._register.append([said], [_setting(kept, now)])
+        self._begin(policy, principal.name, why, now)
+        return self.document(digest)
+
+    def _begin(self, policy: PolicySet, by: str, why: str, now: str) -> None:
+        self._now = Shadowing(policy=policy, agents=Agents(policy), by=by, why=why, since=now)
+
+    async def recall(self) -> None:
+        """Go on with the candidate that was under shadow when the server ended.
+
+        Raises:
+            NotFound, PolicyErrors: it is not there any more, or is no policy any more.
+        """
+        for row in await self._register.store.rows("settings", {"name": SETTING}):
+            kept = orjson.loads(row["value"])
+            if kept is not None:
+                policy = await self._versions.compiled(kept["digest"])
+                self._begin(policy, kept["by"], kept["why"], self._register.now())
+
+    def document(self, digest: str) -> dict[str, Any]:
+        """Return what was found of a candidate; one that is not under shadow has found nothing."""
+        present = self._now
+        if present is not None and present.policy.digest == digest:
+            return present.document()
+        empty: dict[str, Any] = {"by": None, "why": None, "since": None, "decisions": 0, "differing": 0, "groups": []}
+        return {"digest": digest, "on": False, **empty}
+
+    # -- asking ------------------------------------------------------------------------------------------------------
+
+    def observe(self, judgement: Judgement, invocation: Invocation) -> tuple[EventDraft, ...]:
+        """Ask the candidate about a live decision; return the event of a difference, to be recorded with it."""
+        present = self._now
+        if present is None or judgement.policy is present.policy:
+            return ()
+        present.decisions += 1
+        try:
+            decision = _ask(present, judgement)
+        except Exception as error:  # whatever a candidate does, the live decision stands
+            return (self._differs(present, judgement, invocation, f"error ({type(error).__name__})", None),)
+        if decision is None:
+            return (self._differs(present, judgement, invocation, "invalid", None),)
+        if _same(judgement.decision, decision):
+            return ()
+        return (self._differs(present, judgement, invocation, _says(decision), decision),)
+
+    def _differs(
+        self, present: Shadowing, judgement: Judgement, invocation: Invocation, after: str, decision: Decision | None
+    ) -> EventDraft:
+        before = _says(judgement.decision)
+        present.note((invocation.capability, judgement.profile, before, after), invocation.id)
+        verdict = None if decision is None else decision.verdict
+        reasons = () if decision is None else decision.admission.reasons
+        body = {
+            "policy_version": present.policy.digest,
+            "live_version": judgement.policy.digest,
+            "invocation": invocation.id,
+            "live": before,
+            "candidate": after,
+            "effective": None if verdict is None else verdict.effective,
+            "reasons": [one._asdict() for one in (*reasons, *(() if verdict is None else verdict.reasons))],
+        }
+        return EventDraft(kind=EventKind.SHADOW, actor=SERVER, body=body)
+
+
+def _ask(present: Shadowing, judgement: Judgement) -> Decision | None:
+    """Return the candidate's decision; None where its schema does not take the parameters."""
+    proposal, context = judgement.proposal, judgement.context
+    if present.live != judgement.policy.digest:
+        present.live, present.other_inputs = judgement.policy.digest, _other_inputs(judgement.policy, present.policy)
+    if proposal.capability in present.other_inputs:
+        params = present.policy.validate_params(proposal.capability, proposal.params)
+        if isinstance(params, tuple):
+            return None
+        proposal = replace(proposal, params=params)
+    return decide(present.policy, proposal, _as_known(present, context))
+
+
+def _as_known(present: Shadowing, context: Context) -> Context:
+    """Return the context as the candidate knows it: the agent's permissions, and grants as if given under it."""
+    agent = present.agents(context.agent.name)
+    if agent.permissions == context.agent.permissions and not context.grants:
+        return context
+    grants = tuple(replace(grant, policy_digest=present.policy.digest) for grant in context.grants)
+    return replace(context, agent=agent, grants=grants)
+
+
+def _other_inputs(live: PolicySet, candidate: PolicySet) -> frozenset[str]:
+    return frozenset(
+        name
+        for name, found in candidate.capabilities.items()
+        if name not in live.capabilities or live.capabilities[name].inputs != found.inputs
+    )
+
+
+def _same(live: Decision, other: Decision) -> bool:
+    if live.status != other.status or _people(live) != _people(other):
+        return False
+    one, two = live.verdict, other.verdict
+    if one is None or two is None:
+        return one is two
+    return one.outcome is two.outcome and one.effective == two.effective
+
+
+def _people(decision: Decision) -> int:
+    return 0 if decision.need is None else decision.need.approvers
+
+
+def _says(decision: Decision) -> str:
+    said = "unchecked" if decision.verdict is None else decision.verdict.outcome
+    return f"{decision.status} ({said})"
+
+
+def _setting(kept: Mapping[str, str] | None, at: str) -> RowWrite:
+    return RowWrite(table="settings", values={"name": SETTING, "value": orjson.dumps(kept), "updated_at": at})
