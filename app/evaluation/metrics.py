@@ -146,6 +146,11 @@ def _alarmed(row: Row) -> Value:
     return bool(row.get("alarmed")) if row["kind"] == Kind.CLEAN and row.get("launched") else None
 
 
+def _recovered(row: Row) -> Value:
+    """A session that policy ended is safe, and nobody is in charge of it: that is no recovery."""
+    return row.get("recovered") if row.get("class") != "terminated" or row.get("recovered") is None else False
+
+
 def _over_surface(row: Row) -> Value:
     return row.get("recovered") if row.get("over_surface") else None
 
@@ -306,8 +311,9 @@ METRICS: Final[Mapping[str, Metric]] = {
             "Recovery success rate",
             "1",
             "higher",
-            "failures after which the postconditions were reached within budget, without a violation on the way",
-            _column("recovered"),
+            "failures after which the postconditions were reached within budget, with no violation on the way acted "
+            "under for more than 250 ms; a loss that nothing on board can mend counts if a human was put in charge",
+            _recovered,
         ),
         Metric(
             "RSR_SURFACE",
