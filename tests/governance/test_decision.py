@@ -324,3 +324,15 @@ def test_without_facts_nothing_that_has_preconditions_is_admitted():
     gamma = context("sim-relaxed")
     blind = replace(gamma, cell=replace(gamma.cell, facts=None))
     assert decide(shipped(), proposal("navigate_to", target="dock"), blind).status is Status.DEFERRED
+
+
+def test_a_vocabulary_with_another_capability_types_that_one_anew_and_keeps_the_rest() -> None:
+    capabilities = shipped().capabilities
+    first = Vocabulary(capabilities)
+    kept, gone = (
+        first.typed("params.force_n > 20.0", "grasp_object"),
+        first.typed("params.speed_mps > 0.2", "navigate_to"),
+    )
+    second = first.replacing(capabilities["navigate_to"])
+    assert second.typed("params.force_n > 20.0", "grasp_object") is kept
+    assert second.typed("params.speed_mps > 0.2", "navigate_to") is not gone
