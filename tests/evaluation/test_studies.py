@@ -81,14 +81,16 @@ def sensors(*conditions: str, count: int = 1) -> list[Row]:
 
 
 @pytest.mark.physics
-def test_a_stale_wrist_is_noticed_at_once_and_a_stuck_tracker_of_people_by_nothing() -> None:
-    stale, stuck = sensors("wrist/stale", "people/stuck")
+def test_a_stale_wrist_and_a_stuck_tracker_of_people_are_noticed_at_once_and_a_small_offset_by_nothing() -> None:
+    stale, stuck, off = sensors("wrist/stale", "people/stuck", "wrist/offset 20")
     assert (stale["detected"], stale["held"], stale["told"]) == (True, True, "stale")
     assert float(stale["ticks"] or 0) <= study_sensors.PROMPT_TICKS
-    assert (stuck["detected"], stuck["told"]) == (False, None)
-    table = told([stale, stuck])["studies"]["sensors"]["tables"][0]["rows"]
-    assert table["wrist/stale"]["prompt"]["mean"] == 1.0
-    assert table["people/stuck"]["detected"]["mean"] == 0.0
+    assert (stuck["detected"], stuck["held"], stuck["told"]) == (True, True, "implausible")
+    assert float(stuck["ticks"] or 0) <= study_sensors.PROMPT_TICKS
+    assert (off["detected"], off["told"]) == (False, None)
+    table = told([stale, stuck, off])["studies"]["sensors"]["tables"][0]["rows"]
+    assert table["wrist/stale"]["prompt"]["mean"] == table["people/stuck"]["prompt"]["mean"] == 1.0
+    assert table["wrist/offset 20"]["detected"]["mean"] == 0.0
 
 
 @pytest.mark.physics

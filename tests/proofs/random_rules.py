@@ -27,7 +27,7 @@ summary: Everything a parameter can be.
 inputs:
   type: object
   additionalProperties: false
-  required: [count]
+  required: [object_id, count]
   properties:
     object_id: {type: string, x-ref: object}
     count: {type: integer, minimum: -3, maximum: 9}

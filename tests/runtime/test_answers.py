@@ -147,7 +147,9 @@ def test_a_question_of_an_earlier_release_is_read_back() -> None:
     }  # fmt: skip
     read = read_escalation(orjson.dumps(stored))
     assert (read.constrained, read.acknowledged, read.on_timeout) == ({"force_n": 60}, (), "deny")
-    assert read_escalation(read.row().values["document"]) == replace(read, approvals=[], edits=[], acknowledged=[])
+    assert read_escalation(read.row().values["document"]) == replace(
+        read, approvals=[], edits=[], acknowledged=[], former_digests=[]
+    )
 
 
 # -- phases that wait --------------------------------------------------------------------------------------------------
