@@ -43,14 +43,14 @@ test: $(STAMP) console  ## the whole test suite; what decides and what proves co
 
 # What computes, or waits within one process, runs on two cores at once. What starts servers, cells and browsers comes
 # after it and has the machine alone.
-APART := tests/evaluation tests/runtime tests/api tests/agent tests/sim tests/cell tests/proofs
+APART := tests/evaluation tests/runtime tests/api tests/agent tests/authoring tests/sim tests/cell tests/proofs
 test-rules: $(STAMP)
 	@$(BIN)/coverage run -m pytest $(MEASURED)
 	@$(BIN)/coverage report
 	@$(BIN)/python -m pytest tests/sim tests/cell tests/proofs
 
 test-evaluation: $(STAMP)
-	@$(BIN)/python -m pytest -p no:cacheprovider tests/evaluation tests/runtime tests/api tests/agent
+	@$(BIN)/python -m pytest -p no:cacheprovider tests/evaluation tests/runtime tests/api tests/agent tests/authoring
 
 $(TYPINGS): $(STAMP)
 	@$(BIN)/pybind11-stubgen mujoco --ignore-all-errors -o typings >/dev/null 2>&1

@@ -33,6 +33,10 @@ LISTEN = """() => {
 }"""
 
 
+def cells_of(server: ServerProcess) -> list[dict[str, Any]]:
+    return server.get("/v1/cells")["items"]
+
+
 @dataclass
 class Incident:
     """Two cells, the second before the tools, and what is asked of them."""
@@ -58,6 +62,10 @@ def server(built: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Se
     made = Servers(tmp_path_factory.mktemp("incident"))
     try:
         found = made.start(None, "--pace", "2", cells=2)
+        until(
+            lambda: all(cell["online"] for cell in cells_of(found)) and len(cells_of(found)) == 2,
+            what="two cells online",
+        )
         body = {"capability": "navigate_to", "params": {"target": "tool_stand"}, "cell": "workcell-2"}
         drive = found.post("/v1/invocations", body, key="agent").json()
         assert found.await_status(drive["id"], "completed", "failed")["outcome"] == "succeeded"
