@@ -23,7 +23,7 @@ from typing import Any
 
 from app.cell import governing, telling
 from app.governance.clamp import clamp
-from app.governance.detectors import REACTION_S
+from app.governance.keepout import REACTION_S
 from app.governance.model import Zone
 from app.governance.permit import Grant
 from app.sim.faults import Fault

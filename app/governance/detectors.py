@@ -12,24 +12,19 @@ from __future__ import annotations
 
 import math
 from math import cos, dist, hypot, inf, nan, sin, sqrt
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Final
 
 from app.governance.estimation import now, tcp_velocity, track_base, track_people
 from app.governance.fusing import Part, parts
-from app.governance.keepout import least_clearance, leaves
+from app.governance.keepout import CREEP_MPS, LARGEST_BASE_SPEED_MPS, REACTION_S, near_zones, slide, turned
 from app.governance.signals import FAR_M
 
 if TYPE_CHECKING:
     from app.governance.estimation import BaseEstimate, PersonEstimate
-    from app.governance.keepout import Keepout
-    from app.governance.model import Command, Frames, Observation, SensorStamps, SkillReport, Vec3, Vec6
+    from app.governance.model import Command, Frames, Observation, SensorStamps, SkillReport, Vec6
     from app.governance.signals import Constants
 
-Pair: TypeAlias = "tuple[float, float]"
-
 NEAR_ZONE_M: Final = 1.5
-EDGE_M: Final = 0.03
-REACTION_S: Final = 0.05  # from a violation to less speed: two ticks, the filter's lag and the drives'
 HALTING_S: Final = 0.1  # the same, and what the drives take to follow
 LEFT_M: Final = 0.5
 """What has to be left to a person once the robot stands: the 0.25 m that are asked for, and as much for what the
@@ -41,7 +36,6 @@ LOST_TICKS: Final = 3
 FIST_M: Final = 0.008
 PROGRESS_STEP: Final = 1e-4
 FALLS_BACK: Final = 0.2
-CREEP_MPS: Final = 0.01
 ON_TRACK_RAD: Final = 0.02
 FIX_JUMP_M: Final = 0.3
 
@@ -51,7 +45,6 @@ LARGEST_TORQUE_NM: Final = 1000.0
 LARGEST_FORCE_N: Final = 20_000.0
 LARGEST_WIDTH_M: Final = 0.5
 LONGEST_REACH_M: Final = 3.0
-LARGEST_BASE_SPEED_MPS: Final = 10.0
 LATEST_STAMP_S: Final = 0.1
 
 STILL: Final = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -464,54 +457,6 @@ def implausible(  # noqa: PLR0913, PLR0917  # what a part needs, it names
         and (not seen.time_s <= before.time_s or seen is before)
     )
     return 0.0 if believed else 1.0
-
-
-def turned(yaw_rad: float, velocity: Vec3) -> Pair:
-    """Return a velocity of the base in the world frame."""
-    vx, vy, _ = velocity
-    c, s = cos(yaw_rad), sin(yaw_rad)
-    return c * vx - s * vy, s * vx + c * vy
-
-
-def slide(seen: Observation, before: Observation, base: BaseEstimate, base_speed_mps: float, velocity: Pair) -> Pair:
-    """Return how fast the estimated position moves while the base drives: what odometry does in a tick, and its drift.
-
-    Drift is never added to what the drives say: a bias of the odometry is no motion.
-    """
-    apart_s = seen.stamps_s.odometry - before.stamps_s.odometry
-    if base_speed_mps > CREEP_MPS and apart_s > 0.0:
-        x, y, _ = seen.odometry
-        from_x, from_y, _ = before.odometry
-        rate_x, rate_y = (x - from_x) / apart_s + base.drift_x_mps, (y - from_y) / apart_s + base.drift_y_mps
-        # A jump is no motion: where the base is shows it. What is no number stays none.
-        if not abs(rate_x) + abs(rate_y) > LARGEST_BASE_SPEED_MPS:
-            return rate_x, rate_y
-    return velocity
-
-
-def near_zones(
-    keepouts: tuple[Keepout, ...], at: Pair, velocity: Pair, slides: Pair, deceleration_mps2: float, radius_m: float
-) -> float:
-    """Return the least clearance between the hull and zones on the way to standstill, if braking began now.
-
-    Two say where that leads, and the worse one counts: the drives (`velocity`), who know nothing of wheels that slip,
-    and the rate of the estimated position (`slides`), which follows a bias of the odometry only as fast as fixes tell
-    of it.
-    """
-    x, y = at
-    speed = max(hypot(*velocity), hypot(*slides))
-    reach_s = REACTION_S + speed / (2.0 * deceleration_mps2)
-    margin_m = FAR_M
-    for zone in keepouts:
-        clearance_m = least_clearance(zone, x, y, (velocity, slides), reach_s)
-        if not clearance_m >= margin_m:
-            margin_m = clearance_m
-    margin_m -= radius_m
-    # Stopped at the edge, the base stands within the noise of its own estimate: a violation again and again. While
-    # it creeps that noise is more than its motion, so whether it backs out is for the drives to say.
-    if -EDGE_M < margin_m < 0.0 and leaves(keepouts, x, y, velocity, reach_s):
-        return 0.0
-    return margin_m
 
 
 def at_standstill(gap_m: float, closing_mps: float, coming_mps: float, deceleration_mps2: float) -> float:

@@ -1,16 +1,21 @@
-"""Zones the base keeps out of: how far it is from one, on the way to where braking would end."""
+"""Zones the base keeps out of: how far the hull stays from them on the way to where braking would end."""
 
 from __future__ import annotations
 
 import math
-from math import hypot
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from math import cos, hypot, sin
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 if TYPE_CHECKING:
-    from app.governance.model import Zone
-
+    from app.governance.estimation import BaseEstimate
+    from app.governance.model import Observation, Vec3, Zone
 
 Pair: TypeAlias = "tuple[float, float]"
+
+REACTION_S: Final = 0.05  # from a violation to less speed: two ticks, the filter's lag and the drives'
+EDGE_M: Final = 0.03
+CREEP_MPS: Final = 0.01
+LARGEST_BASE_SPEED_MPS: Final = 10.0
 
 
 class Keepout(NamedTuple):
@@ -63,6 +68,54 @@ def leaves(keepouts: tuple[Keepout, ...], x: float, y: float, velocity: Pair, re
     """Say whether the base stands, or nears no zone: who was stopped at the edge has to be able to back out."""
     ahead_x, ahead_y = velocity[0] * reach_s, velocity[1] * reach_s
     return all(zone.clearance(x, y, ahead_x, ahead_y) >= zone.clearance(x, y, 0.0, 0.0) for zone in keepouts)
+
+
+def turned(yaw_rad: float, velocity: Vec3) -> Pair:
+    """Return a velocity of the base in the world frame."""
+    vx, vy, _ = velocity
+    c, s = cos(yaw_rad), sin(yaw_rad)
+    return c * vx - s * vy, s * vx + c * vy
+
+
+def slide(seen: Observation, before: Observation, base: BaseEstimate, base_speed_mps: float, velocity: Pair) -> Pair:
+    """Return how fast the estimated position moves while the base drives: what odometry does in a tick, and its drift.
+
+    Drift is never added to what the drives say: a bias of the odometry is no motion.
+    """
+    apart_s = seen.stamps_s.odometry - before.stamps_s.odometry
+    if base_speed_mps > CREEP_MPS and apart_s > 0.0:
+        x, y, _ = seen.odometry
+        from_x, from_y, _ = before.odometry
+        rate_x, rate_y = (x - from_x) / apart_s + base.drift_x_mps, (y - from_y) / apart_s + base.drift_y_mps
+        # A jump is no motion: where the base is shows it. What is no number stays none.
+        if not abs(rate_x) + abs(rate_y) > LARGEST_BASE_SPEED_MPS:
+            return rate_x, rate_y
+    return velocity
+
+
+def near_zones(
+    keepouts: tuple[Keepout, ...], at: Pair, velocity: Pair, slides: Pair, deceleration_mps2: float, radius_m: float
+) -> float:
+    """Return the least clearance between the hull and zones on the way to standstill, if braking began now.
+
+    Two say where that leads, and the worse one counts: the drives (`velocity`), who know nothing of wheels that slip,
+    and the rate of the estimated position (`slides`), which follows a bias of the odometry only as fast as fixes tell
+    of it.
+    """
+    x, y = at
+    speed = max(hypot(*velocity), hypot(*slides))
+    reach_s = REACTION_S + speed / (2.0 * deceleration_mps2)
+    margin_m = math.inf
+    for zone in keepouts:
+        clearance_m = least_clearance(zone, x, y, (velocity, slides), reach_s)
+        if not clearance_m >= margin_m:
+            margin_m = clearance_m
+    margin_m -= radius_m
+    # Stopped at the edge, the base stands within the noise of its own estimate: a violation again and again. While
+    # it creeps that noise is more than its motion, so whether it backs out is for the drives to say.
+    if -EDGE_M < margin_m < 0.0 and leaves(keepouts, x, y, velocity, reach_s):
+        return 0.0
+    return margin_m
 
 
 def _to_segment(x: float, y: float, x0: float, y0: float, x1: float, y1: float) -> float:
