@@ -223,6 +223,14 @@ def test_the_zone_margin_is_negative_inside_and_sees_a_corner_on_the_way() -> No
     assert state.signals.zone_margin_m == pytest.approx(0.05, abs=0.02)
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_of_several_zones_the_nearest_counts_whatever_their_order(order: int) -> None:
+    farther = Zone(name="pit", kind="forbidden", polygon=((4.8, 2.2), (5.8, 2.2), (5.8, 3.0), (4.8, 3.0)))
+    plan = watching(rule("zone_margin_m", above=False), zones=(PRESS, farther)[::order], base_radius_m=0.45)
+    _, state, _ = run(plan, [seen(0, odometry=(4.0, 1.0, 0.0), fix=None)])
+    assert state.signals.zone_margin_m == pytest.approx(0.15)
+
+
 def test_the_zone_is_judged_by_the_fix_where_odometry_drifts() -> None:
     plan = watching(rule("zone_margin_m", above=False))
     stream = [
