@@ -1,9 +1,11 @@
-"""`reins policy explain`: what helps a safety engineer to read and write policy."""
+"""`reins policy explain | schemas`: what helps a safety engineer to read and write policy."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
+import orjson
 import typer
 
 from app.authoring.explain import NotEnabled
@@ -36,3 +38,26 @@ def explain(
         out.print(f"[bold]{section.heading}[/]")
         for sentence in section.sentences:
             say(f"  {sentence}")
+
+
+@app.command()
+def schemas(
+    directory: Annotated[Path, typer.Argument(help="Where to; the policy directory is expected beside it.")] = Path(
+        "schemas"
+    ),
+) -> None:
+    """Write the JSON Schema of every kind of policy file, for editors; the files name theirs in their first line.
+
+    [bold]reins policy schemas schemas[/]
+    """
+    from app.governance.bundle_schema import KINDS, SUFFIX, schema
+
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        for kind in KINDS.values():
+            path = directory / f"{kind.name}{SUFFIX}"
+            path.write_bytes(orjson.dumps(schema(kind.name), option=orjson.OPT_INDENT_2) + b"\n")
+            say(f"{path}  {kind.files}")
+    except OSError as error:
+        say_error(f"`{directory}` cannot be written: {error}")
+        raise typer.Exit(MISUSE) from error

@@ -76,6 +76,8 @@ ACCESS: Mapping[tuple[str, str], frozenset[Role] | None] = {
     ("POST", "/v1/policies/{digest}/activate"): ENGINEERS,
     ("GET", "/v1/policies/{digest}/shadow"): PEOPLE,
     ("POST", "/v1/policies/{digest}/shadow"): ENGINEERS,
+    ("GET", "/v1/schemas"): READERS,
+    ("GET", "/v1/schemas/{name}"): READERS,
     ("GET", "/v1/audit/events"): PEOPLE,
     ("GET", "/v1/audit/checkpoint"): PEOPLE,
     ("GET", "/v1/audit/verify"): PEOPLE,

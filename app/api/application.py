@@ -19,7 +19,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app import __version__
-from app.api import agents, audits, console, documents, grants, links, operators, pages, policies, problems
+from app.api import agents, audits, console, documents, grants, links, operators, pages, policies, problems, schemas
 from app.api.access import GuardedRoute, direct_routes, verify_routes
 from app.api.openapi import Answers, answer, declare, describe
 from app.api.parts import Parts, parts_of
@@ -123,7 +123,7 @@ def create_app(  # noqa: PLR0913  # every part of a server, by name
     )
     app.state.pages = pages.read_pages(pages.FOLDER)
     problems.install(app)
-    for room in (agents, operators, grants, policies, audits, links, console, pages):
+    for room in (agents, operators, grants, policies, schemas, audits, links, console, pages):
         room.register(app.router)
     declare(app.router, "GET /healthz", healthz, Answers(model=documents.Health))
     declare(app.router, "GET /readyz", readyz, Answers(model=documents.Readiness, also={503: documents.Readiness}))

@@ -98,6 +98,21 @@ class ComparisonDocument(Document):
     differences: list[DifferenceDocument]
 
 
+class SchemaItem(Document):
+    """A kind of policy file: where such files stand in a policy directory, and where their schema is."""
+
+    name: str
+    files: str
+    href: str
+
+
+class SchemaList(Document):
+    """All kinds of policy files."""
+
+    items: list[SchemaItem]
+    next: None
+
+
 class FilesDocument(Document):
     """The files of a version, by their path."""
 

@@ -61,6 +61,7 @@ CODES: Mapping[str, tuple[int, str]] = {
     "cell_unknown": (404, "there is no such cell"),
     "profile_unknown": (404, "there is no such profile"),
     "policy_unknown": (404, "there is no such version of policy; one with faults is never kept"),
+    "schema_unknown": (404, "there is no such kind of policy file"),
     "log_empty": (404, "nothing is recorded yet"),
     "telemetry_unknown": (404, "the invocation left no such telemetry file"),
     "method_not_allowed": (405, "the path does not know the method"),

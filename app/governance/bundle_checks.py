@@ -195,6 +195,7 @@ def _plain(reader: Reader, path: Path, name: str, spec: Mapping[str, Json]) -> I
 
 
 _PARAM_CHECKS: Final = {"number": _number, "integer": _plain, "string": _string, "boolean": _plain}
+PARAM_TYPES: Final = tuple(_PARAM_CHECKS)
 
 
 def _default(reader: Reader, path: Path, spec: Mapping[str, Json]) -> Iterator[PolicyError]:

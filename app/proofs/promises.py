@@ -24,11 +24,12 @@ from app.proofs.values import NotCoveredError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from app.governance.bundle_promises import PropertyShape
     from app.governance.policy import Gate
     from app.governance.policy_model import Profile
     from app.proofs.obligations import Court
     from app.proofs.pair import Pair
-    from app.proofs.stated import Property, PropertyShape
+    from app.proofs.stated import Property
     from app.proofs.witness import Seen
 
 PROBE: Final = "properties/probe"

@@ -1,4 +1,4 @@
-"""What policy promises of itself: `properties.yaml`, its shape, and the proof of every promise.
+"""What policy promises of itself, in `properties.yaml` (its shape: `bundle_promises`), held against what there is.
 
 ```yaml
 order: [human-shared, real-restricted]      # from the strictest: whatever the first allows, the second allows
@@ -19,12 +19,10 @@ The file is no part of what decides, and so none of the policy's digest.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Final, Literal
-
-from pydantic import Field
+from typing import TYPE_CHECKING, Final
 
 from app.governance.bundle_fit import fit
-from app.governance.bundle_shapes import Name, Shape, Slug, Text
+from app.governance.bundle_promises import PropertiesShape
 from app.governance.bundle_yaml import dotted, parse
 from app.governance.errors import ExpressionError, PolicyError, PolicyErrors
 from app.governance.expression_tree import BOOL
@@ -32,32 +30,12 @@ from app.governance.expression_tree import BOOL
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from app.governance.bundle_promises import PropertyShape
     from app.governance.bundle_yaml import Document, Path
     from app.governance.policy import PolicySet
     from app.governance.vocabulary import Vocabulary
 
 FILE: Final = "properties.yaml"
-Barred = Literal["allowed", "awaiting_approval"]
-
-
-class PropertyShape(Shape):
-    """One promise."""
-
-    id: Slug
-    says: Text
-    applies_to: Annotated[list[Name], Field(min_length=1)] | None = None
-    profiles: Annotated[list[Slug], Field(min_length=1)] | None = None
-    when: str | None = None
-    never: list[Barred] = Field(default_factory=list[Barred])
-    always: str | None = None
-    approvers: Annotated[int, Field(ge=1, le=9)] | None = None
-
-
-class PropertiesShape(Shape):
-    """The file."""
-
-    order: list[Slug] = Field(default_factory=list[Slug])
-    properties: list[PropertyShape] = Field(default_factory=list[PropertyShape])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

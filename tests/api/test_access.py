@@ -49,6 +49,8 @@ EXPECTED = {
     "POST /v1/policies/{digest}/activate": "e",
     "GET /v1/policies/{digest}/shadow": "oeu",
     "POST /v1/policies/{digest}/shadow": "e",
+    "GET /v1/schemas": "aoeu",
+    "GET /v1/schemas/{name}": "aoeu",
     "GET /v1/audit/events": "oeu",
     "GET /v1/audit/checkpoint": "oeu",
     "GET /v1/audit/verify": "oeu",

@@ -84,7 +84,7 @@ def fate(change, case_files):
     return trial.outcome(mutant)
 
 
-HAZARD = "organization.yaml:11: rules[0].when: without `target.hazardous`"
+HAZARD = "organization.yaml:12: rules[0].when: without `target.hazardous`"
 
 
 def test_a_mutant_that_a_case_notices_is_killed_by_it():
@@ -115,7 +115,7 @@ def test_a_change_that_no_object_of_the_site_shows_is_equivalent_and_one_that_an
 
 
 def test_a_change_that_could_not_be_loaded_is_refused_and_says_why():
-    found = fate("organization.yaml:50: rules[7].then: `deny` instead of `escalate`", bundle.read_cases(POLICIES))
+    found = fate("organization.yaml:51: rules[7].then: `deny` instead of `escalate`", bundle.read_cases(POLICIES))
     assert found.fate is Fate.REFUSED
     assert "`approvers` belongs" in found.by
 

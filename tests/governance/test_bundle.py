@@ -58,7 +58,7 @@ BROKEN = [
     ("units compared", ORG, "target.mass_kg > limits", "target.mass_kg > limits.tcp_speed_mps + limits",
      "units differ"),
     ("a pure number added to a mass", ORG, "0.8 * limits.payload_kg", "0.8 + limits.payload_kg",
-     "organization.yaml:39: rules[5].when: column 22: unit mismatch: a pure number and a quantity in `kg` do not"),
+     "organization.yaml:40: rules[5].when: column 22: unit mismatch: a pure number and a quantity in `kg` do not"),
     ("a risk there is not", ORG, '"high", "critical"]', '"high", "crit"]',
      "`crit` is compared with what is never that (for `grasp_object`); valid: `critical`"),
     ("a mode there is not", ORG, "when: place.forbidden", "when: mode == 'slow'", "`slow` is compared"),
@@ -73,7 +73,7 @@ BROKEN = [
     ("a bound and a value", HUMAN, "{to: place.corridor}", "{to: place.corridor, max: 3}", "without `min` and `max`"),
     ("a bound on a name", HUMAN, "{to: place.corridor}", "{max: 3}", "is a string, it has no bounds"),
     ("a constant that names nothing", HUMAN, "{to: place.corridor}", "{to: \"'nope'\"}",
-     "human-shared.yaml:33: rules[2].set.corridor.to: there is no corridor `nope`; valid: `aisle`"),
+     "human-shared.yaml:34: rules[2].set.corridor.to: there is no corridor `nope`; valid: `aisle`"),
     ("a constant of one branch", HUMAN, "{to: place.corridor}", "{to: \"mode == 'careful' ? 'aisle' : 'ailse'\"}",
      "there is no corridor `ailse`; valid: `aisle`"),
     ("a value for a number", HUMAN, "clearance_m: {min: 0.3}", "clearance_m: {to: place.corridor}", "is a number"),
@@ -123,7 +123,7 @@ BROKEN = [
     ("uncovered failures", HUMAN, "on: any", "on: stall", "uncovered"),
     ("no approval", HUMAN, "  approval: {risk", "  # approval: {risk", "need `approval`"),
     ("approval by no risk", HUMAN, "{risk: [medium, high, critical],", "{risk: [],",
-     "human-shared.yaml:210: authority.approval.risk: `approval-required` asks by risk, and no risk is named"),
+     "human-shared.yaml:211: authority.approval.risk: `approval-required` asks by risk, and no risk is named"),
     ("a shared floor watched for some", HUMAN, "    signal: separation_m\n",
      "    signal: separation_m\n    applies_to: [navigate_to]\n",
      "no watch rule holds `separation_m` of `grasp_object`, "),
@@ -132,7 +132,7 @@ BROKEN = [
      "shared_floor: people share the floor, and no watch rule holds `separation_m`"),
     ("no room", HUMAN, "{max: 60,", "{max: 1,", "no room"),
     ("a limit above what may be proposed", HUMAN, "{max: 60,", "{max: 500,",
-     "human-shared.yaml:13: limits.grip_force_n.max: a dead limit: `500` is above `140`, the most any parameter it "
+     "human-shared.yaml:14: limits.grip_force_n.max: a dead limit: `500` is above `140`, the most any parameter it "
      "holds may be; valid: `up to 140`"),
     ("unknown sensor", HUMAN, "stale_after_ms: {arm", "stale_after_ms: {leg", "sensor `leg`"),
     ("no list", HUMAN, "modes: [normal, careful]", "modes: normal", "expected a list, found `normal`"),
@@ -153,34 +153,34 @@ BROKEN = [
      "confirm_before: [{capability: dance, profile: human-shared, phases: [spin]}]", "capability `dance`"),
     ("confirmation of a phase there is not", H, "confirm_before: []",
      "confirm_before: [{capability: place_object, profile: human-shared, phases: [descend, relase]}]",
-     "authority.yaml:8: confirm_before[0].phases[1]: there is no phase of `place_object` called `relase`; "
+     "authority.yaml:9: confirm_before[0].phases[1]: there is no phase of `place_object` called `relase`; "
      "valid: `release`"),
     ("confirmation where nobody is asked", H, "confirm_before: []",
      "confirm_before: [{capability: place_object, profile: sim-relaxed, phases: [release]}]",
-     "authority.yaml:8: confirm_before[0].profile: nobody is asked in `sim-relaxed`"),
+     "authority.yaml:9: confirm_before[0].profile: nobody is asked in `sim-relaxed`"),
     ("an undoing there is not", H, "confirm_before: []",
      "confirm_before: [{capability: inspect_area, profile: human-shared, phases: [look], on_deny: rollback}]",
-     "authority.yaml:8: confirm_before[0].on_deny: `inspect_area` has no rollback; valid: `terminate`"),
+     "authority.yaml:9: confirm_before[0].on_deny: `inspect_area` has no rollback; valid: `terminate`"),
     ("a default that is no denial's code", H, "default: unspecified", "default: unspecifed",
-     "authority.yaml:16: denials.default: there is no code `unspecifed`; valid: `unspecified`"),
+     "authority.yaml:17: denials.default: there is no code `unspecifed`; valid: `unspecified`"),
     ("a grant of critical risk", H, "risk: [medium, high]}", "risk: [medium, critical]}",
-     "authority.yaml:12: grants.risk[1]"),
-    ("a grant for an hour", H, "up_to_minutes: 15", "up_to_minutes: 60", "authority.yaml:12: grants.up_to_minutes"),
+     "authority.yaml:13: grants.risk[1]"),
+    ("a grant for an hour", H, "up_to_minutes: 15", "up_to_minutes: 60", "authority.yaml:13: grants.up_to_minutes"),
     ("a review without its mode", HUMAN, "  approval: {risk", "  review: {outcomes: [fault]}\n  approval: {risk",
-     "human-shared.yaml:210: authority.review: no mode of this profile reviews what is finished"),
+     "human-shared.yaml:211: authority.review: no mode of this profile reviews what is finished"),
     ("a review of nothing", RELAXED, "{risk: [critical], outcomes: [terminated, stopped, taken_over, fault]}", "{}",
-     "sim-relaxed.yaml:185: authority.review: neither a risk nor an outcome is named"),
+     "sim-relaxed.yaml:186: authority.review: neither a risk nor an outcome is named"),
     ("a tool that need not be named", "capabilities/operate_tool.yaml", "required: [tool, action]",
-     "required: [action]", "operate_tool.yaml:9: inputs.properties.tool: `tool` names the tool, and may be left out"),
+     "required: [action]", "operate_tool.yaml:10: inputs.properties.tool: `tool` names the tool, and may be left out"),
     ("a bound above what may be proposed", HUMAN, "clearance_m: {min: 0.3}", "clearance_m: {min: 5}",
-     "human-shared.yaml:27: rules[1].set.clearance_m.min: min `5` is above the maximum `1` of `clearance_m` of "
+     "human-shared.yaml:28: rules[1].set.clearance_m.min: min `5` is above the maximum `1` of `clearance_m` of "
      "`navigate_to`; valid: `0.1 to 1`"),
     ("a bound below what may be proposed", HUMAN, "set: {force_n: {max: 20}", "set: {force_n: {max: 1}",
      "rules[0].set.force_n.max: max `1` is below the minimum `2` of `force_n` of `grasp_object`"),
     ("a target in a forbidden zone", SITE, "dock: {x_m: 0.8, y_m: 0.8", "dock: {x_m: 5.0, y_m: 1.0",
-     "site.yaml:7: targets.dock: target `dock` lies in the forbidden zone `press_area`"),
+     "site.yaml:8: targets.dock: target `dock` lies in the forbidden zone `press_area`"),
     ("a target outside the site", SITE, "dock: {x_m: 0.8, y_m: 0.8", "dock: {x_m: 50, y_m: 0.8",
-     "site.yaml:7: targets.dock: `dock` lies at (50, 0.8), outside the site; valid: `x_m from 0 to 8`"),
+     "site.yaml:8: targets.dock: `dock` lies at (50, 0.8), outside the site; valid: `x_m from 0 to 8`"),
     ("an object outside the site", SITE, "x_m: 7.35, y_m: 2.8}", "x_m: 7.35, y_m: 6.8}", "`solvent_1` lies at"),
 ]  # fmt: skip
 
@@ -304,7 +304,7 @@ def test_a_floor_people_share_is_watched_for_them():
     assert unwatched != text[RELAXED]
     assert not bundle.load_files({**text, RELAXED: unwatched}).profiles["sim-relaxed"].shared_floor
     shared = unwatched.replace("shared_floor: false", "shared_floor: true")
-    said = "sim-relaxed.yaml:5: shared_floor: people share the floor, and no watch rule holds `separation_m` from below"
+    said = "sim-relaxed.yaml:6: shared_floor: people share the floor, and no watch rule holds `separation_m` from below"
     with pytest.raises(PolicyErrors, match=said):
         bundle.load_files({**text, RELAXED: shared})
 
