@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import os
+import shutil
 import signal
 import subprocess
 import sys
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import httpx
@@ -23,7 +25,6 @@ from app.terminal import FINDING, FINE, MISUSE, err, out, say, say_error
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Mapping
-    from pathlib import Path
 
     from app.agent.approver import Answer, Habits
     from app.agent.client import Document
@@ -121,12 +122,20 @@ def _conclude(data: DataDir, found: Fetched) -> int:
         out.print(f"  {mark} {step.words}" + ("" if step.seq is None else f" [dim](event {step.seq})[/]"))
     say(f"\nthe trace lies in {data.root}; look at it with")
     for invocation in found.invocations[-1:]:
-        say(f"  reins audit show {invocation} --data {data.root}")
-    say(f"  reins audit verify --data {data.root}")
+        say(f"  {_command()} audit show {invocation} --data {data.root}")
+    say(f"  {_command()} audit verify --data {data.root}")
     say(f"  {data.root / 'telemetry'}/*.mcap open in Foxglove")
     if found.failure:
         say_error(found.failure)
     return FINE if found.complete else FINDING
+
+
+def _command() -> str:
+    """Return what to type for `reins` here: an environment that is not activated has it on no path."""
+    beside = Path(sys.executable).with_name("reins")
+    if shutil.which("reins") or not beside.exists():
+        return "reins"
+    return str(beside.relative_to(Path.cwd())) if beside.is_relative_to(Path.cwd()) else str(beside)
 
 
 def _tell(line: Line) -> None:
