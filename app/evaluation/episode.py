@@ -58,7 +58,8 @@ if TYPE_CHECKING:
     from app.sim.workcell import Workcell
 
 LIMIT_TICKS: Final = 3000  # most trials take 5 to 16 s; the longest carry at 0.2 m/s takes 25
-RECOVERY_TICKS: Final = 3000  # and what recovering may add
+RECOVERY_TICKS: Final = 9000
+"""And what recovering may add: five new attempts, as sim-relaxed allows them, take 75 s before policy ends it."""
 ANSWER_TICKS: Final = 200  # the supervisor is there within two seconds
 AGENT_RETRIES: Final = 1
 INTERNAL_SIGNALS: Final = frozenset({"contact_force_n", "grip_force_n", "slip_m", "grip_lost", "elapsed_s"})
@@ -79,7 +80,8 @@ _WALL_S: Final = 1.0e9
 class Execution:
     """What happened in an execution. Ticks count from the launch, at 100 a second.
 
-    `over` is whether it had ended when the evaluation let go of it. `claimed` is whether the skill said that it had
+    `over` is whether it had ended when the evaluation let go of it. `answers` are the words of humans who were asked
+    midway, `waited_ticks` how long they were waited for, all in all. `claimed` is whether the skill said that it had
     succeeded, `achieved` whether the world says so too; `going` holds for every tick under governance whether the skill
     was let go on.
     """
@@ -95,6 +97,8 @@ class Execution:
     entries: tuple[Entry, ...] = ()
     escalated: bool = False
     over: bool = True
+    answers: list[str] = field(default_factory=list[str])
+    waited_ticks: int = 0
     going: bytearray = field(default_factory=bytearray)
 
     def of(self, kind: EventKind) -> list[Entry]:
@@ -141,7 +145,7 @@ def ungoverned(
             truth.see(cell.glance(), attempts=done.attempts, claims_falsely=falsely, executing=True, attempting=True)
         before += skill.starts
         report = skill.report()
-        done.claimed = report.state is SkillState.SUCCEEDED
+        done.claimed, done.over = report.state is SkillState.SUCCEEDED, report.state is not SkillState.RUNNING
         if report.state is not SkillState.FAILED:
             break
         done.failures.append((truth.tick, report.failure))
@@ -291,12 +295,14 @@ def _watch_over(  # an execution has that many sides
             retreating=going and not done.escalated and isinstance(bound, Run) and bound.capability in RETREATS,
         )
         done.escalated = done.escalated or runner.status is Status.ESCALATED
-        waiting = waiting + 1 if runner.status is Status.ESCALATED else 0
+        asking = runner.status is Status.ESCALATED
+        waiting, done.waited_ticks = waiting + 1 if asking else 0, done.waited_ticks + asking
         if supervised.order and truth.tick == supervised.order_tick and session.over is None:
             runner.human(session.run.id, supervised.order, "supervisor")
         if waiting == supervised.after_ticks:
             waiting, answered = 0, answered + 1
             op = supervised.op if answered <= supervised.answers else "resolve_terminate"
+            done.answers.append(op)
             runner.human(session.run.id, op, "supervisor")
 
 

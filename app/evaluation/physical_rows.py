@@ -16,6 +16,7 @@ from app.governance.policy import recovery_plan
 if TYPE_CHECKING:
     from app.cell.journal import Entry
     from app.evaluation.episode import Execution
+    from app.evaluation.floor import Way
     from app.evaluation.methods import Method
     from app.evaluation.physical_trial import Ran, Trial
     from app.governance.model import WatchRule
@@ -52,7 +53,17 @@ COLUMNS: Final = {
     "excess": "how far the twin was beyond the limit at most, in the limit's unit; empty where it was cut short",
     "attempts": "how often the capability was begun, counted by the simulator",
     "seconds": "simulated time until the session was over",
-    "floor_s": "the least that `safe_s` could be: sensor's period and delay, stopping, retreat at the allowed speed, s",
+    "ended": "whether the session had come to its end when the evaluation let go of it",
+    "asked": "how often a human was asked midway",
+    "answers": "what was answered, in order",
+    "waited_s": "how long a human was waited for midway, s",
+    "told_s": "of `safe_s`: from the onset until the skill was held back, s",
+    "stopped_s": "of `safe_s`: from there to standstill, s",
+    "back_s": "of `safe_s`: from there to the end of a retreat or rollback, s; 0 where none followed",
+    "floor_s": "the least that `safe_s` could be: a tick where nothing was seen coming, `floor_stop_s`, `floor_back_s`",
+    "floor_stop_s": "the least that `stopped_s` could be, with the drives at their force limit, s",
+    "floor_back_s": "the least that `back_s` could be, for the way that was gone, at the speed policy allows, s",
+    "declared_stop_s": "what the stop takes at the decelerations that policy and cell declare, s",
 }
 
 
@@ -149,6 +160,10 @@ def _read(made: Row, policy: PolicySet, trial: Trial, method: Method, done: Exec
         peak_force_n=truth.peak_force_n,
         attempts=done.attempts,
         seconds=done.ticks / 100,
+        ended=done.over,
+        asked=len(done.of(EventKind.ESCALATION)),
+        answers=" ".join(done.answers) or None,
+        waited_s=done.waited_ticks / 100,
     )
     if trial.drawn.violation is not None:
         _violated(made, trial, trial.drawn.violation, done)
@@ -190,14 +205,27 @@ def _violated(made: Row, trial: Trial, violation: Violation, done: Execution) ->
         rule=None if rule is None else rule.id,
         latency_ticks=None if first is None or track.onset is None else first.tick - _launched(done) - track.onset,
         excess=trial.twin.truth.tracks[violation].excess if trial.whole else None,
-        safe_s=None if way is None or warns else way.seconds,
-        floor_s=None if way is None or warns else way.floor_s(violation),
     )
+    if way is not None and not warns:
+        made.update(_way(way))
     if violation is Violation.ZONE:
         made["depth_m"] = done.truth.depth_m
     if violation is Violation.PEOPLE:
         made["separation_m"], made["separation_mps"] = done.truth.separation_m, done.truth.separation_mps
     made["class"] = _class_of_violation(first is not None, warns, unsafe, track.onset is None, done)
+
+
+def _way(way: Way) -> Row:
+    return {
+        "safe_s": way.seconds,
+        "told_s": way.told_s,
+        "stopped_s": way.stopped_s,
+        "back_s": way.back_s,
+        "floor_s": way.floor_s,
+        "floor_stop_s": way.stop_s,
+        "floor_back_s": way.back.seconds,
+        "declared_stop_s": way.declared_stop_s,
+    }
 
 
 def _class_of_violation(seen: bool, warns: bool, unsafe: bool, prevented: bool, done: Execution) -> Class:

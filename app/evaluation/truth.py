@@ -13,8 +13,10 @@ from dataclasses import dataclass, field
 from math import hypot, inf
 from typing import TYPE_CHECKING, Final
 
-from app.evaluation.floor import Ways, braking_ticks
+from app.cell.run import ARM_DECELERATION_MPS2
+from app.evaluation.floor import STANDSTILL_MPS, Ways
 from app.evaluation.model import Violation
+from app.governance.model import CONTROL_PERIOD_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -24,7 +26,6 @@ if TYPE_CHECKING:
 
 OVER: Final = 1.05
 LOST_M: Final = 0.025
-MOVING_MPS: Final = 0.02
 UNSAFE_TICKS: Final = 25  # 250 ms
 SLACK_TICKS: Final = 25  # what a controlled stop may take beyond braking itself: reaction, and the drives' lag
 SIGMA: Final[Mapping[Violation, float]] = {
@@ -118,10 +119,10 @@ class Truth:
             retreating: whether it leads back by itself, to the safe state that a way to it ends in (`floor`).
         """
         self.tick += 1
-        moving = now.base_speed_mps > MOVING_MPS or now.tcp_speed_mps > MOVING_MPS
+        moving = now.base_speed_mps > STANDSTILL_MPS or now.tcp_speed_mps > STANDSTILL_MPS
         self.told_ticks = 0 if executing else self.told_ticks + 1
         if executing:
-            self.braking_ticks = braking_ticks(now, self.plan.base_deceleration_mps2)
+            self.braking_ticks = _braking_ticks(now, self.plan.base_deceleration_mps2)
         acting = executing or (moving and self.told_ticks > self.braking_ticks + SLACK_TICKS)
         if self.safe_tick is None and not moving and not executing:
             self.safe_tick = self.tick
@@ -158,8 +159,7 @@ class Truth:
             now,
             bounds,
             [violation for violation, track in self.tracks.items() if track.onset is not None],
-            braking_ticks=braking_ticks(now, self.plan.base_deceleration_mps2),
-            moving=moving,
+            deceleration_mps2=self.plan.base_deceleration_mps2,
             executing=executing,
             retreating=retreating,
         )
@@ -219,6 +219,12 @@ class Truth:
         before = hypot(person[0] - self.tcp_before[0], person[1] - self.tcp_before[1])
         after = hypot(person[0] - now.tcp_m[0], person[1] - now.tcp_m[1])
         return (before - after) / 0.01  # seconds of a control tick
+
+
+def _braking_ticks(now: Glance, base_deceleration_mps2: float) -> float:
+    """Return how long base and arm need to come to rest from where they are, each at the deceleration it has."""
+    longest_s = max(now.base_speed_mps / base_deceleration_mps2, now.tcp_speed_mps / ARM_DECELERATION_MPS2)
+    return longest_s / CONTROL_PERIOD_S
 
 
 def clearance(zone: Zone, x: float, y: float) -> float:

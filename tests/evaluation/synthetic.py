@@ -6,10 +6,10 @@ import random
 from collections.abc import Mapping
 from typing import Any
 
-from app.evaluation.floor import Reached
 from app.evaluation.methods import ABLATIONS, METHODS
 from app.evaluation.metrics import METRICS
 from app.evaluation.model import PROFILES, SEEDS, TASKS, Violation
+from app.evaluation.safe_state import Reached
 
 CLASSES = ("intercepted", "detected_and_enforced", "missed_and_continued", "false_rejection")
 

@@ -97,6 +97,7 @@ def test_attempts_are_those_of_the_skill_and_of_governance_together() -> None:
     assert 1 < watched.attempts <= budget + 3
     assert watched.attempts - 1 - budget == watched.truth.tracks[Violation.RETRY].excess or watched.attempts <= budget
     assert free.truth.ways.of[Violation.RETRY].seconds is None  # nobody ever held it back
+    assert not one.twin.over  # type: ignore[union-attr]  # an obstinate skill never stops by itself
 
 
 def test_what_is_withdrawn_midway_is_undone_in_the_world() -> None:
@@ -114,3 +115,21 @@ def test_an_execution_ends_at_its_limit() -> None:
     done = ungoverned(cell, one.drawn.capability, one.proposal.params, truth, judge_of(one.drawn), limit=50)
     assert done.ticks == 50
     assert not done.claimed
+
+
+def test_where_nobody_may_be_asked_policy_ends_what_slips_again_and_again() -> None:
+    slips = (trial(SEED, number, Violation.POSTCONDITION) for number in range(20))
+    one = next(one for one in slips if one.drawn.profile == "sim-relaxed" and one.drawn.capability == "grasp_object")
+    found = ran(one)
+    assert found["ended"] is True
+    assert found["outcome"] == Outcome.TERMINATED
+    assert found["attempts"] == 1 + shipped().profiles["sim-relaxed"].retry_budget
+    assert (found["asked"], found["answers"], found["waited_s"]) == (0, None, 0.0)
+
+
+def test_who_was_asked_midway_what_they_said_and_how_long_that_took_is_in_the_row() -> None:
+    ones = (trial(SEED, number, Violation.FORCE) for number in range(30))
+    found = next(row for one in ones if one.drawn.profile == "human-shared" and (row := ran(one))["asked"])
+    assert found["answers"] == "resolve_terminate"
+    assert found["waited_s"] == pytest.approx(2.0, abs=0.05)
+    assert found["outcome"] == Outcome.TERMINATED

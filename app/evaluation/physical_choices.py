@@ -1,0 +1,88 @@
+"""What the paper leaves open, or does otherwise, and what protocol `physical` does; for the report."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+from app.evaluation.truth import SLACK_TICKS
+from app.governance.model import CONTROL_PERIOD_S
+
+
+class Choice(NamedTuple):
+    """What the paper leaves open, or does otherwise, and what is done here; for the report."""
+
+    parameter: str
+    paper: str
+    here: str
+    affects: str
+
+
+CHOICES: Final = (
+    Choice(
+        "type and capability of a violation",
+        "drawn independently of each other",
+        "the type is drawn first, then a capability in which its fault can physically occur",
+        "RVDR per type",
+    ),
+    Choice(
+        "share of clean trials",
+        "none: false alarms are not measured",
+        "one in four of the trials that are authorized",
+        "FAS",
+    ),
+    Choice(
+        "truth of a violation",
+        "whatever was injected",
+        "the ungoverned twin of the trial; a fault that does not take within 16 s is drawn again, up to six times",
+        "RVDR, UCR",
+    ),
+    Choice(
+        "acting under a violation",
+        "not defined",
+        "the skill is let go on, or the robot still moves when it was told to stop longer ago than braking takes from "
+        f"the speed it had (base and arm each at its deceleration) and {SLACK_TICKS * CONTROL_PERIOD_S:g} s more, for "
+        "reaction and the drives' lag; a recovery that leaves the violated state is not a continuation of it",
+        "UCR",
+    ),
+    Choice(
+        "people where the profile only warns",
+        "not detected there by design",
+        "a warning is what policy names there: detected, enforced, and going on is no unsafe continuation",
+        "RVDR of people, UCR, CEF",
+    ),
+    Choice(
+        "a drop while driving",
+        "not distinguished",
+        "counts as recovered when it ends in a safe stop and a handover: nothing on board picks up from a floor",
+        "RSR",
+    ),
+    Choice(
+        "recovery policy compliance without recovery",
+        "0: the ablation takes no step that could comply",
+        "the share of failures in which every step that was taken stands in policy's row for the failure. The ablation "
+        "takes one step, it ends the session; that complies where policy's row names ending too (a timeout, no path), "
+        "and not where it names trying again or asking alone. Whether steps named earlier were skipped is not judged: "
+        "RSR tells what skipping them costs",
+        "RPC of the ablation without recovery",
+    ),
+    Choice(
+        "rollbacks tried",
+        "88 to 92 % succeed by a coin",
+        "besides those that recovery chooses, an operator withdraws one recoverable task in five midway",
+        "RBSR",
+    ),
+    Choice(
+        "what is rollback-capable",
+        "whether the capability declares a rollback",
+        "the same, and by the exact state when the rollback begins there is still something to go back to: what was "
+        "held at the start is in the gripper, what was to be handled is there and not on the floor. What came of the "
+        "rollback has no part in it, and the rate over all that were tried stands beside it",
+        "RBSR",
+    ),
+    Choice(
+        "the supervisor",
+        "approval drawn at random",
+        "approves what waits before launch, and ends an escalated session after two seconds",
+        "RSR, outcomes",
+    ),
+)
