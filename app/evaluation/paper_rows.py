@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from app.clock import precise_ns
-from app.evaluation.methods import Method, Passed, pass_gate
+from app.evaluation.methods import Method, Passed
 from app.evaluation.model import Kind, Row
 from app.evaluation.paper_generator import draw
 from app.evaluation.paper_runtime import Ending, monitor, undergo
 from app.evaluation.rows import COLUMNS
+from app.evaluation.timing import time_gate
 
 if TYPE_CHECKING:
     from app.evaluation.paper_generator import Trial
@@ -33,9 +33,7 @@ def row(
         sensitivity: Overrides s of every profile.
     """
     trial = draw(policy, seed, task, number)
-    began = precise_ns()
-    passed = pass_gate(method, policy, trial.proposal, trial.context, approved=trial.approved)
-    spent_us = (precise_ns() - began) / 1000.0
+    passed, spent_us = time_gate(method, policy, trial.proposal, trial.context, approved=trial.approved)
     made = _blank(method, policy, trial, passed)
     made["decision_us"] = spent_us
     if not passed.launched:

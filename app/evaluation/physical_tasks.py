@@ -18,15 +18,15 @@ from dataclasses import dataclass, field, replace
 from math import hypot
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from app.clock import precise_ns
 from app.evaluation.capabilities import judge_of
 from app.evaluation.draws import Drawn
 from app.evaluation.episode import LIMIT_TICKS, RECOVERY_TICKS, Execution, context_of, governed, ungoverned
 from app.evaluation.extensions import find_method, find_task
-from app.evaluation.methods import METHODS, Passed, pass_gate
+from app.evaluation.methods import METHODS, Passed
 from app.evaluation.physical_trial import Bench, alike, looking, shares_twin, took
 from app.evaluation.task_draws import DRIVING, TaskRun, draw_task
 from app.evaluation.task_rows import task_row
+from app.evaluation.timing import Timed, time_gate
 from app.governance.guard import check
 from app.governance.model import Context, Outcome, Proposal, WatchPlan
 from app.governance.policy import watch_plan
@@ -179,10 +179,8 @@ def _ask(bench: Bench, cell: Workcell, method: Method, place: int, step: Drawn) 
     return Asked(place, proposal, context, passed, spent_us, plan, execution)
 
 
-def _gate(method: Method, policy: PolicySet, proposal: Proposal, context: Context) -> tuple[Passed, float]:
-    began = precise_ns()
-    passed = pass_gate(method, policy, proposal, context, approved=True)
-    return passed, (precise_ns() - began) / 1000.0
+def _gate(method: Method, policy: PolicySet, proposal: Proposal, context: Context) -> Timed:
+    return time_gate(method, policy, proposal, context, approved=True)
 
 
 def _execute(bench: Bench, cell: Workcell, method: Method, step: Drawn, passed: Passed, plan: WatchPlan) -> Execution:

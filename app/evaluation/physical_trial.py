@@ -11,13 +11,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from app.cell.run import Doing
-from app.clock import precise_ns
 from app.evaluation.capabilities import judge_of, restored_of, undoable_of
 from app.evaluation.draws import Drawn, draw, of_type
 from app.evaluation.episode import Execution, Journals, Supervised, context_of, governed, ungoverned
-from app.evaluation.methods import Passed, Recovering, Watching, pass_gate
+from app.evaluation.methods import Passed, Recovering, Watching
 from app.evaluation.model import Breach, Failure, Kind, Violation
 from app.evaluation.stage import Stage
+from app.evaluation.timing import time_gates
 from app.evaluation.truth import SIGMA, Truth
 from app.governance.guard import check
 from app.governance.model import AgentFacts, Context, Proposal
@@ -221,11 +221,16 @@ def run(bench: Bench, trial: Trial, methods: Sequence[Method], *, change: Change
     """
     shared: dict[object, tuple[Execution, bool | None, bool | None]] = {}
     found: dict[str, Ran] = {}
+    gates = time_gates(
+        methods,
+        bench.policy,
+        trial.proposal,
+        trial.context,
+        approved=trial.drawn.breach is not Breach.APPROVAL,
+        seed=(trial.drawn.seed, trial.drawn.number),
+    )
     for method in methods:
-        began = precise_ns()
-        approved = trial.drawn.breach is not Breach.APPROVAL
-        passed = pass_gate(method, bench.policy, trial.proposal, trial.context, approved=approved)
-        spent_us = (precise_ns() - began) / 1000.0
+        passed, spent_us = gates[method.name]
         execution = restored = undoable = None
         if passed.launched and trial.drawn.kind is not Kind.UNAUTHORIZED:
             key = (*alike(method), tuple(sorted(passed.effective.items())))

@@ -21,7 +21,8 @@ COLUMNS: Final = {
     "profile": "environment profile",
     "launched": "whether it was executed at all",
     "blocked_by": "admission, guard, second_pass, authority or cell",
-    "decision_us": "time that admission, guard and authority took, µs",
+    "decision_us": "time that admission, guard and authority took, µs: the median of three rounds after an untimed "
+    "one, the methods of a trial in an order drawn for each round (`app/evaluation/timing.py`)",
     "occurred": "whether the violation was really there, by the truth of the ungoverned twin",
     "boundary": "whether its size was within 3 sigma of the limit",
     "detected": "whether the watcher said so",
