@@ -60,6 +60,19 @@ def evaluate(  # noqa: PLR0913  # its options
     studies: Annotated[
         str, typer.Option(help="Also run studies beyond the paper: names with commas between them, or all.")
     ] = "",
+    sensor_noise: Annotated[
+        float, typer.Option(help="Multiplies every error of every sensor; 1 is as measured. Protocol physical.")
+    ] = 1.0,
+    tracker_dropout: Annotated[
+        float | None, typer.Option(help="How often the tracker misses a person in a frame, 0 to 1. Protocol physical.")
+    ] = None,
+    fault_size: Annotated[
+        float,
+        typer.Option(help="Multiplies how far faults go beyond their limit; 1 is as reported. Protocol physical."),
+    ] = 1.0,
+    walks: Annotated[
+        str, typer.Option(help="How people come, usual or other (across, in a curve, halting). Protocol physical.")
+    ] = "usual",
     fresh: Annotated[bool, typer.Option("--fresh", help="Remove the former campaign from the folder first.")] = False,
     readme: Annotated[
         Path | None, typer.Option(help="Also write the measured figures into this file, between its comments.")
@@ -81,6 +94,8 @@ def evaluate(  # noqa: PLR0913  # its options
 
     [bold]reins evaluate --methods all --plugin mine.py[/]               with a method, task or fault of your own
 
+    [bold]reins evaluate --protocol physical --seeds 1,2 --trials 60 --sensor-noise 1.5 --fault-size 0.5[/]
+
     Writes results.json, trials.csv (one row per trial), timings.csv and report.html, which needs no network. Ctrl-C
     keeps what is finished and the same command goes on from there; trials.csv is the same, byte for byte, whatever
     --jobs is and however often it was interrupted. docs/evaluation.md explains protocols, metrics and plugins.
@@ -99,6 +114,8 @@ def evaluate(  # noqa: PLR0913  # its options
             policies=find_policies(policies),
             long=long,
             studies=studies,
+            under=_under(protocol, sensor_noise, tracker_dropout, fault_size, walks),
+            readme=readme,
         )
     except (UnknownName, PluginError, ValueError) as error:
         say_error(str(error))
@@ -119,6 +136,8 @@ def _request(  # noqa: PLR0913  # the command's options
     policies: Path,
     long: bool,
     studies: str,
+    under: str,
+    readme: Path | None,
 ) -> Request:
     """Read the options.
 
@@ -145,11 +164,16 @@ def _request(  # noqa: PLR0913  # the command's options
         standard = getattr(find_protocol(protocol), "TASK_TRIALS", standard)
     if studies and not study_names(protocol):
         raise ValueError(f"--studies `{studies}`: protocol `{protocol}` has none; valid is a protocol that has")
+    if under and (studies or readme is not None):
+        raise ValueError(
+            f"circumstances `{under}` with {'--studies' if studies else '--readme'}: studies have circumstances of "
+            "their own, and the README quotes the reported ones; valid is one without the other"
+        )
     named = (*METHODS, *REGISTRY.methods) if methods == "all" else _given("methods", methods)
     return Request(
         protocol=protocol,
         methods=tuple(dict.fromkeys(find_method(name).name for name in (*named, *(ABLATIONS if ablations else ())))),
-        seeds=tuple(dict.fromkeys(_seed(word) for word in _given("seeds", seeds))) if seeds else SEEDS,
+        seeds=_seeds(seeds) if seeds else SEEDS,
         trials=standard if trials is None else trials,
         policies=policies,
         tasks=find_tasks(protocol, _given("tasks", tasks) if tasks else ()),
@@ -161,7 +185,30 @@ def _request(  # noqa: PLR0913  # the command's options
         )
         if studies
         else (),
+        under=under,
     )
+
+
+def _under(protocol: str, noise: float, dropout: float | None, fault_size: float, walks: str) -> str:
+    """Read in what circumstances trials are run; empty where they are those that are reported.
+
+    Raises:
+        UnknownName: there is no such protocol.
+        ValueError: nothing can be run in them, or the protocol runs in its own alone.
+    """
+    from app.evaluation.protocols import find_protocol
+
+    if (noise, dropout, fault_size, walks) == (1.0, None, 1.0, "usual"):
+        return ""
+    if not getattr(find_protocol(protocol), "CIRCUMSTANCES", False):
+        raise ValueError(
+            f"--sensor-noise, --tracker-dropout, --fault-size or --walks with protocol `{protocol}`: it has neither "
+            "sensors nor faults of a size; valid is one that has, like `physical`"
+        )
+    from app.evaluation.circumstances import Circumstances
+
+    tracker = {} if dropout is None else {"dropout": dropout}
+    return Circumstances(noise=noise, fault_size=fault_size, walks=walks, **tracker).text
 
 
 def _run(request: Request, folder: Path, *, workers: int, fresh: bool, readme: Path | None) -> int:
@@ -244,6 +291,15 @@ def _given(option: str, text: str) -> tuple[str, ...]:
     if words := _words(text):
         return words
     raise ValueError(f"--{option} `{text}` names nothing: valid are names with commas between them")
+
+
+def _seeds(text: str) -> tuple[int, ...]:
+    """Return the seeds in an option; the same one twice would be the same trials twice, counted as more evidence."""
+    found = [_seed(word) for word in _given("seeds", text)]
+    twice = [seed for place, seed in enumerate(found) if seed in found[:place]]
+    if twice:
+        raise ValueError(f"--seeds `{text}` names `{twice[0]}` twice: valid are seeds that differ")
+    return tuple(found)
 
 
 def _seed(word: str) -> int:

@@ -95,6 +95,7 @@ class Request:
         plugins: Python files that register more.
         long: Whether the protocol's long run is meant.
         studies: Studies of the protocol to run besides; with `trials` 0 they are all that runs.
+        under: Circumstances other than the protocol's own (`circumstances.Circumstances.text`); studies keep theirs.
     """
 
     protocol: str
@@ -106,6 +107,7 @@ class Request:
     plugins: tuple[Path, ...] = ()
     long: bool = False
     studies: tuple[str, ...] = ()
+    under: str = ""
 
     def describe(self) -> dict[str, Json]:
         """Return everything that the rows follow from, as plain data."""
@@ -117,6 +119,7 @@ class Request:
             "tasks": list(self.tasks),
             "long": self.long,
             "studies": list(self.studies),
+            "circumstances": self.under,
             "policy": load(self.policies).digest,
             "plugins": {**plugin_digests(self.plugins)},
             "version": app.__version__,
@@ -289,9 +292,10 @@ def _jobs(request: Request, protocol: EvaluationProtocol) -> list[Job]:
     """Return the jobs of the comparison, then those of the studies."""
     jobs: list[Job] = []
     if request.trials:
-        jobs += protocol.jobs(
+        compared = protocol.jobs(
             methods=request.methods, tasks=request.tasks, seeds=request.seeds, trials=request.trials, long=request.long
         )
+        jobs += [job._replace(under=request.under) for job in compared]
     if request.studies:
         jobs += cast("HasStudies", protocol).study_jobs(request.studies, request.seeds)
     return jobs

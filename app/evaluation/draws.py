@@ -115,7 +115,9 @@ class Drawn:
         return self.seed * 1_000_003 + self.number
 
 
-def draw(policy: PolicySet, seed: int, number: int, *, kind: Kind | None = None, turn: int = 0) -> Drawn:
+def draw(  # a trial has that many sides
+    policy: PolicySet, seed: int, number: int, *, kind: Kind | None = None, turn: int = 0, size: float = 1.0
+) -> Drawn:
     """Draw a trial; a plain function of its arguments.
 
     Args:
@@ -125,22 +127,25 @@ def draw(policy: PolicySet, seed: int, number: int, *, kind: Kind | None = None,
         kind: only this kind, where a run asks for it.
         turn: how often it was drawn before because the fault did not take. The same kind and type is drawn again, or
             those that rarely take would become rare.
+        size: what fault sizes are multiplied with (`Drawing`).
     """
     if turn:
         first = draw(policy, seed, number, kind=kind)
         wanted = first.violation or first.failure
         if wanted is not None:
-            return of_type(policy, seed, number, wanted, turn=turn)
+            return of_type(policy, seed, number, wanted, turn=turn, size=size)
         kind = first.kind
     rng = np.random.default_rng((seed, number, turn, 11))
     chosen = _kind(rng) if kind is None else kind
-    return Drawing(policy, rng, seed, number)[chosen]()
+    return Drawing(policy, rng, seed, number, size)[chosen]()
 
 
-def of_type(policy: PolicySet, seed: int, number: int, wanted: Violation | Failure, *, turn: int = 0) -> Drawn:
+def of_type(  # a trial has that many sides
+    policy: PolicySet, seed: int, number: int, wanted: Violation | Failure, *, turn: int = 0, size: float = 1.0
+) -> Drawn:
     """Draw a trial of one violation or failure, for runs that want so many of each."""
     rng = np.random.default_rng((seed, number, turn, 13))
-    drawing = Drawing(policy, rng, seed, number)
+    drawing = Drawing(policy, rng, seed, number, size)
     return drawing.perturbed(wanted) if isinstance(wanted, Violation) else drawing.recoverable(wanted)
 
 
@@ -155,11 +160,15 @@ def _kind(rng: Generator) -> Kind:
 
 
 class Drawing:
-    """Draws one trial from one generator."""
+    """Draws one trial from one generator.
 
-    def __init__(self, policy: PolicySet, rng: Generator, seed: int, number: int) -> None:
+    `size` multiplies by how much a violation's fault goes beyond the limit (how far the arm is led into something
+    stiff, how fast odometry drifts), and divides the friction of what slips. Whatever it is, the same is drawn.
+    """
+
+    def __init__(self, policy: PolicySet, rng: Generator, seed: int, number: int, size: float = 1.0) -> None:
         """Begin with the profile."""
-        self.policy, self.rng, self.seed, self.number = policy, rng, seed, number
+        self.policy, self.rng, self.seed, self.number, self.size = policy, rng, seed, number, size
         self.profile = self.pick(PROFILES)
 
     def __getitem__(self, kind: Kind) -> Callable[[], Drawn]:
@@ -283,7 +292,7 @@ class Drawing:
         stand = self.policy.site.targets[start.stand]
         ahead, aside = self._reaches(capability, params, start)
         near = self.rng.uniform() < NEAR_LIMIT_SHARE
-        into = float(self.rng.uniform(*(INTO_NEAR_M if near else INTO_FAR_M)))
+        into = self.size * float(self.rng.uniform(*(INTO_NEAR_M if near else INTO_FAR_M)))
         face = max(ahead + HAND_M - into, CLEAR_OF_ARM_M)
         aside += float(self.rng.uniform(-ASIDE_M, ASIDE_M))
         x, y = to_world((stand.x_m, stand.y_m, stand.yaw_rad), face + CRATE_HALF_M[0], aside)
@@ -335,7 +344,7 @@ class Drawing:
     def _postcondition(self, capability: str) -> Drawn:
         params, start = self._request(capability)
         name = params.get("object_id", start.holding)
-        size = self.rng.uniform(0.005, 0.05)
+        size = self.rng.uniform(0.005, 0.05) / self.size
         phase = {"grasp_object": "lift"}.get(capability, MOVING[capability])
         faults = (
             Fault(kind="habit", at=Trigger(time_s=0.0), sizes={"habit": "overconfident"}),
@@ -347,7 +356,7 @@ class Drawing:
         # A way along the forbidden zone, slow enough for a drift of a few decimetres to lead into it. The drift leads
         # aside: one along the way, a skill that drives as fast as it may cannot make up for, and it sees that it lags.
         speed = float(self.rng.uniform(0.15, 0.3))
-        bias = self.rng.uniform(*BIAS_MPS)
+        bias = self.size * self.rng.uniform(*BIAS_MPS)
         params: dict[str, Json]
         if capability == "navigate_to":
             start = Start("tool_stand")
@@ -396,8 +405,8 @@ class Drawing:
     def _beyond(self, limit: float, sigma: float) -> float:
         """Return a value beyond what counts as a violation of a limit: a few sigma, or a good share of it."""
         if self.rng.uniform() < NEAR_LIMIT_SHARE:
-            return OVER * limit + self.rng.uniform(0.0, NEAR_SIGMAS) * sigma
-        return limit * (OVER + self.rng.uniform(*FAR_SHARE))
+            return OVER * limit + self.size * self.rng.uniform(0.0, NEAR_SIGMAS) * sigma
+        return limit * (OVER + self.size * self.rng.uniform(*FAR_SHARE))
 
     def _drawn_speed(self, capability: str) -> float:
         name = "base_speed_mps" if capability in BASE else "tcp_speed_mps"

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class Job(NamedTuple):
-    """A stretch of trials of one method, one task and one seed; a plain function of these six fields.
+    """A stretch of trials of one method, one task and one seed; a plain function of these fields.
 
     Attributes:
         name: Unique within a campaign, and a file name: letters, digits, `-`, `_`, `.`.
@@ -15,6 +15,7 @@ class Job(NamedTuple):
         seed: Seed of the run.
         first: Number of the first trial.
         count: How many trials.
+        under: Circumstances other than the protocol's own, in its words.
     """
 
     name: str
@@ -23,3 +24,4 @@ class Job(NamedTuple):
     seed: int
     first: int
     count: int  # pyright: ignore[reportIncompatibleMethodOverride]  # nobody counts the fields of a job
+    under: str = ""

@@ -42,7 +42,7 @@ def draw_fault(bench: Bench, fault: ExtraFault, seed: int, number: int, turn: in
     """
     rng = np.random.default_rng((seed, number, turn, 17))
     drawing = Drawing(bench.policy, rng, seed, number)
-    size = OVER + float(rng.uniform(*FAR_SHARE))
+    size = OVER + bench.under.fault_size * float(rng.uniform(*FAR_SHARE))
     asked = drawing.clean(drawing.pick(fault.capabilities))
     made = Fault.read(dict(fault.draw(rng, size)))
     if made.at.time_s is not None:  # the cell's clock has run on while the start was prepared

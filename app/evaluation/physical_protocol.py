@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Final
 
+from app.evaluation.circumstances import Circumstances
 from app.evaluation.extensions import FAULT, find_method
 from app.evaluation.jobs import Job
 from app.evaluation.model import Failure, Kind, Violation
@@ -34,6 +35,9 @@ COLUMNS: Final = {**TRIAL_COLUMNS, **TASK_COLUMNS, **FAULT_COLUMNS}
 FAULTS: Final = True
 """Faults of plugins can be run here."""
 
+CIRCUMSTANCES: Final = True
+"""Trials can be run with other sensors, fault sizes and ways of walking."""
+
 TASK_TRIALS: Final = 10
 """Runs of each task and seed, if nobody says otherwise: a task takes as long as several trials."""
 
@@ -56,7 +60,7 @@ More are drawn of what has a boundary band: an eighth of the speeds fall into it
 """
 
 _SEPARATOR: Final = "+"
-_bench: dict[str, Bench] = {}
+_bench: dict[tuple[str, str], Bench] = {}
 
 
 def jobs(
@@ -94,7 +98,7 @@ def run(job: Job, policy: PolicySet) -> Iterator[Row]:
     if is_study(job):
         yield from run_study(job, policy)
         return
-    bench = _bench.get(policy.digest) or _bench.setdefault(policy.digest, Bench.of(policy))
+    bench = _bench_for(policy, job.under)
     names = job.method.split(_SEPARATOR)
     if job.task.startswith(FAULT):
         yield from run_faults(bench, job, names)
@@ -110,6 +114,14 @@ def run(job: Job, policy: PolicySet) -> Iterator[Row]:
         ran = run_trial(bench, trial, methods)
         for method in methods:
             yield row(policy, trial, method, ran[method.name])
+
+
+def _bench_for(policy: PolicySet, under: str) -> Bench:
+    """Return this process's bench: preparing its worlds takes seconds."""
+    key = (policy.digest, under)
+    if key not in _bench:
+        _bench[key] = Bench.in_circumstances(policy, Circumstances.read(under))
+    return _bench[key]
 
 
 def _name(wanted: Kind | Violation | Failure) -> str:

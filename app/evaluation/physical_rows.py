@@ -56,7 +56,7 @@ COLUMNS: Final = {
     "ended": "whether the session had come to its end when the evaluation let go of it",
     "asked": "how often a human was asked midway",
     "answers": "what was answered, in order",
-    "waited_s": "how long a human was waited for midway, s",
+    "midway_s": "how long humans were waited for midway, s",
     "told_s": "of `safe_s`: from the onset until the skill was held back, s",
     "stopped_s": "of `safe_s`: from there to standstill, s",
     "back_s": "of `safe_s`: from there to the end of a retreat or rollback, s; 0 where none followed",
@@ -163,7 +163,7 @@ def _read(made: Row, policy: PolicySet, trial: Trial, method: Method, done: Exec
         ended=done.over,
         asked=len(done.of(EventKind.ESCALATION)),
         answers=" ".join(done.answers) or None,
-        waited_s=done.waited_ticks / 100,
+        midway_s=done.waited_ticks / 100,
     )
     if trial.drawn.violation is not None:
         _violated(made, trial, trial.drawn.violation, done)

@@ -113,7 +113,7 @@ def run_twin(bench: Bench, task: Task, seed: int, number: int) -> tuple[TaskRun,
     """Draw a task run until what goes wrong takes; returns it, how often it was drawn again, and its twin."""
     turn = 0
     while True:
-        run = draw_task(bench.policy, task, seed, number, turn)
+        run = draw_task(bench.policy, task, seed, number, turn, bench.under.fault_size)
         twin = run_task(bench, run, DIRECT)
         if run.step is None or turn == MOST_TURNS or any(took(run.step, one) for one in twin.executions):
             return run, turn, twin

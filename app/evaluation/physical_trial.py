@@ -7,11 +7,14 @@ execution: whoever watches nothing shares the ungoverned twin.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
 
 from app.cell.run import Doing
 from app.evaluation.capabilities import judge_of, restored_of, undoable_of
+from app.evaluation.circumstances import AS_REPORTED, USUAL, Circumstances, other_way
 from app.evaluation.draws import Drawn, draw, of_type
 from app.evaluation.episode import Execution, Journals, Supervised, context_of, governed, ungoverned
 from app.evaluation.methods import Passed, Recovering, Watching
@@ -22,6 +25,7 @@ from app.evaluation.truth import SIGMA, Truth
 from app.governance.guard import check
 from app.governance.model import AgentFacts, Context, Proposal
 from app.governance.policy import watch_plan
+from app.sim.faults import Scenario
 from app.sim.sensors import AS_MEASURED, Quality
 
 if TYPE_CHECKING:
@@ -63,12 +67,18 @@ class Bench:
 
     policy: PolicySet
     stage: Stage
+    under: Circumstances = AS_REPORTED
     journals: Journals = field(default_factory=Journals)
 
     @classmethod
     def of(cls, policy: PolicySet, quality: Quality = AS_MEASURED) -> Bench:
         """Set a bench up for a policy, with sensors of a quality."""
         return cls(policy, Stage(policy.site, quality))
+
+    @classmethod
+    def in_circumstances(cls, policy: PolicySet, under: Circumstances) -> Bench:
+        """Set a bench up for a policy, in the circumstances that a campaign asks for."""
+        return cls(policy, Stage(policy.site, under.quality), under)
 
 
 @dataclass(slots=True)
@@ -126,7 +136,7 @@ def prepare(
     whole: bool = True,
 ) -> Trial:
     """Draw a trial until its fault takes, and run its ungoverned twin, whole or as far as that needs."""
-    return taken(bench, lambda turn: _drawn(bench.policy, seed, number, wanted, turn), whole=whole)
+    return taken(bench, lambda turn: _drawn(bench, seed, number, wanted, turn), whole=whole)
 
 
 def taken(bench: Bench, draw_turn: Callable[[int], Drawn], *, whole: bool = True) -> Trial:
@@ -140,10 +150,16 @@ def taken(bench: Bench, draw_turn: Callable[[int], Drawn], *, whole: bool = True
             return trial
 
 
-def _drawn(policy: PolicySet, seed: int, number: int, wanted: Kind | Violation | Failure | None, turn: int) -> Drawn:
+def _drawn(bench: Bench, seed: int, number: int, wanted: Kind | Violation | Failure | None, turn: int) -> Drawn:
+    policy, size = bench.policy, bench.under.fault_size
     if isinstance(wanted, Violation | Failure):
-        return of_type(policy, seed, number, wanted, turn=turn)
-    return draw(policy, seed, number, kind=wanted, turn=turn)
+        drawn = of_type(policy, seed, number, wanted, turn=turn, size=size)
+    else:
+        drawn = draw(policy, seed, number, kind=wanted, turn=turn, size=size)
+    if bench.under.walks == USUAL or drawn.violation is not Violation.PEOPLE:
+        return drawn
+    walk, pace = other_way(policy, drawn, np.random.default_rng((seed, number, turn, 31)))
+    return replace(drawn, scenario=Scenario(people=(walk,)), size=pace, walk_mps=pace)
 
 
 def ready(bench: Bench, drawn: Drawn, turn: int = 0) -> tuple[Trial, Workcell]:

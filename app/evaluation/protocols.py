@@ -31,7 +31,8 @@ class EvaluationProtocol(Protocol):
     A module may declare `COLUMNS`, if its rows have more than those of `app.evaluation.rows`; and it may have studies,
     extra jobs beside those that compare methods: `STUDIES` (name → anything), `STUDY_COLUMNS`, and `study_jobs(names,
     seeds)`. Their rows come to `results` like any other. One that can run the faults of plugins says `FAULTS = True`;
-    then `tasks` may hold `fault-NAME` as well. One that has a long run says `LONG`, with anything true. `TRIALS` and
+    then `tasks` may hold `fault-NAME` as well. One that can be run in other circumstances says `CIRCUMSTANCES = True`
+    and reads them in `Job.under`. One that has a long run says `LONG`, with anything true. `TRIALS` and
     `TASK_TRIALS` are how many trials it runs if nobody says.
     """
 

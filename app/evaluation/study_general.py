@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from math import cos, pi, sin
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from app.evaluation.circumstances import other_way
 from app.evaluation.draws import MOVING, Drawn, of_type
 from app.evaluation.methods import REINS
 from app.evaluation.metrics import measure
@@ -39,7 +39,6 @@ from app.evaluation.study_trials import (
 )
 from app.sim.faults import Fault, Scenario
 from app.sim.occasions import Trigger
-from app.sim.people import Walk
 from app.sim.sensors import AS_MEASURED, Quality
 
 if TYPE_CHECKING:
@@ -115,27 +114,7 @@ def _other_way(policy: PolicySet, seed: int, number: int, turn: int) -> Drawn:
     """Draw somebody who crosses behind the robot, comes round in a curve, or comes, stops short and then goes on."""
     drawn = of_type(policy, seed, number, Violation.PEOPLE, turn=turn)
     rng = np.random.default_rng((seed, number, turn, 31))
-    stand = policy.site.targets[drawn.start.stand]
-    back = stand.yaw_rad + pi + float(rng.uniform(-0.6, 0.6))
-
-    def at(away: float, aside: float) -> tuple[float, float]:
-        return (
-            stand.x_m + away * cos(back) - aside * sin(back),
-            stand.y_m + away * sin(back) + aside * cos(back),
-        )
-
-    side = 1.0 if rng.uniform() < 0.5 else -1.0
-    near = float(rng.uniform(0.3, 0.6))
-    way, stay = {
-        0: ((at(near, 3.0 * side), at(near, 0.0), at(near, -3.0 * side)), ()),
-        1: ((at(3.5, 1.5 * side), at(2.0, 1.8 * side), at(0.9, 1.0 * side), at(near, 0.0)), ((3, 1.0),)),
-        2: ((at(4.0, 0.0), at(1.9, 0.2 * side), at(near, 0.0), at(4.0, 0.0)), ((1, 1.0), (2, 0.5))),
-    }[int(rng.integers(3))]
-    pace = float(rng.uniform(0.4, 2.0))
-    at_phase = Trigger(
-        capability=drawn.capability, phase=MOVING[drawn.capability], after_s=float(rng.uniform(0.0, 1.0))
-    )
-    walk = Walk(points=way, speed_mps=pace, start=at_phase, stay_s=stay)
+    walk, pace = other_way(policy, drawn, rng)
     return replace(drawn, scenario=Scenario(people=(walk,)), size=pace, walk_mps=pace)
 
 

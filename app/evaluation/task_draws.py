@@ -76,7 +76,9 @@ class TaskRun:
         return Scenario() if self.step is None else self.step.scenario
 
 
-def draw_task(policy: PolicySet, task: Task, seed: int, number: int, turn: int = 0) -> TaskRun:
+def draw_task(  # a run has that many sides
+    policy: PolicySet, task: Task, seed: int, number: int, turn: int = 0, size: float = 1.0
+) -> TaskRun:
     """Draw a run of a task; a plain function of its arguments.
 
     Args:
@@ -85,13 +87,14 @@ def draw_task(policy: PolicySet, task: Task, seed: int, number: int, turn: int =
         seed: the run's.
         number: the run's within its seed and task.
         turn: how often it was drawn before because what goes wrong did not take.
+        size: what fault sizes are multiplied with (`draws.Drawing`).
 
     Raises:
         ValueError: the task puts down or carries what it has not grasped before.
     """
     of = (seed, number, crc32(task.name.encode()))
     rng = np.random.default_rng((*of, 19))
-    drawing = _TaskDrawing(policy, rng, seed, number, task)
+    drawing = _TaskDrawing(policy, rng, seed, number, task, size)
     steps, befallen = drawing.steps(), None
     options = drawing.options(steps)
     if rng.uniform() >= CLEAN_SHARE and options:
@@ -107,8 +110,10 @@ def draw_task(policy: PolicySet, task: Task, seed: int, number: int, turn: int =
 class _TaskDrawing(Drawing):
     """Draws one run of a task from one generator, keeping track of where the robot is and what it holds."""
 
-    def __init__(self, policy: PolicySet, rng: Generator, seed: int, number: int, task: Task) -> None:
-        super().__init__(policy, rng, seed, number)
+    def __init__(  # a run has that many sides
+        self, policy: PolicySet, rng: Generator, seed: int, number: int, task: Task, size: float
+    ) -> None:
+        super().__init__(policy, rng, seed, number, size)
         self._task, self._chain = task, CHAINS.get(task.name, task.capabilities)
         self._stand, self._holding = self._beginning()
         self._touched: list[str] = []

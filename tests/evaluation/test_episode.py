@@ -124,12 +124,12 @@ def test_where_nobody_may_be_asked_policy_ends_what_slips_again_and_again() -> N
     assert found["ended"] is True
     assert found["outcome"] == Outcome.TERMINATED
     assert found["attempts"] == 1 + shipped().profiles["sim-relaxed"].retry_budget
-    assert (found["asked"], found["answers"], found["waited_s"]) == (0, None, 0.0)
+    assert (found["asked"], found["answers"], found["midway_s"]) == (0, None, 0.0)
 
 
 def test_who_was_asked_midway_what_they_said_and_how_long_that_took_is_in_the_row() -> None:
     ones = (trial(SEED, number, Violation.FORCE) for number in range(30))
     found = next(row for one in ones if one.drawn.profile == "human-shared" and (row := ran(one))["asked"])
     assert found["answers"] == "resolve_terminate"
-    assert found["waited_s"] == pytest.approx(2.0, abs=0.05)
+    assert found["midway_s"] == pytest.approx(2.0, abs=0.05)
     assert found["outcome"] == Outcome.TERMINATED
