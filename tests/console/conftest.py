@@ -79,13 +79,14 @@ class People:
     browser: Browser
     seated: list[Person] = field(default_factory=list)
 
-    def open(self, url: str, *, size: dict[str, int] | None = None, theme: str = "dark") -> Person:
-        """Open a page in a browser of its own, as big as `size`, where the system prefers `theme`."""
+    def open(self, url: str, *, size: dict[str, int] | None = None, theme: str = "dark", init: str = "") -> Person:
+        """Open a page in a browser of its own, `size` big, where the system prefers `theme`; `init` runs first."""
         narrow = size == PHONE
         context = self.browser.new_context(
             viewport=size or DESK, color_scheme=theme, reduced_motion="reduce", has_touch=narrow, is_mobile=narrow
         )
         context.set_default_timeout(PATIENCE_MS)
+        context.add_init_script(init)
         person = Person(context, context.new_page())
         self.seated.append(person)
         person.listen(person.page)

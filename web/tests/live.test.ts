@@ -2,6 +2,7 @@ import { describe, expect, it } from 'vitest';
 import type { Escalation, Invocation, LogEvent, Risk } from '../src/lib/api/documents';
 import { readGauge, type GaugeSpec } from '../src/lib/live/gauges';
 import { History } from '../src/lib/live/history';
+import { handsOn, refusalWords } from '../src/lib/live/control';
 import { stagesOf } from '../src/lib/live/stages';
 import { troubleOf, zonesAt } from '../src/lib/live/trouble';
 import { byUrgency, currentOf } from '../src/lib/live/urgency';
@@ -141,5 +142,23 @@ describe('trouble in the scene', () => {
     const inside = cell({ facts: { base: [5, 1, 0] } });
     expect([...troubleOf(inside, { ...near, separationM: 3, zoneMarginM: -0.1 }, scene).zones]).toEqual(['press_area']);
     expect(zonesAt(scene, 1, 1)).toEqual([]);
+  });
+});
+
+describe('the controls of a cell', () => {
+  const control = { lease: 'lease_1', holder: 'ann', where: 'remote', since: '', invocation: 'inv_1', phase: 'held' } as const;
+
+  it('are in the hands of the window that took them, and in nobody else’s', () => {
+    expect(handsOn(cell({ control: null }), 'ann', 'lease_1')).toBe('free');
+    expect(handsOn(cell({ control }), 'ann', 'lease_1')).toBe('here');
+    expect(handsOn(cell({ control }), 'ann', 'lease_0')).toBe('elsewhere');
+    expect(handsOn(cell({ control }), 'ann', null)).toBe('elsewhere');
+    expect(handsOn(cell({ control }), 'bob', 'lease_1')).toBe('other');
+  });
+
+  it('say in words why they are not obeyed, and name a rule without any', () => {
+    expect(refusalWords('release_first')).toBe('let go of everything, then press again');
+    expect(refusalWords('human-shared/separation')).toBe('a person is too near');
+    expect(refusalWords('human-shared/base-speed')).toBe('stopped by base-speed');
   });
 });

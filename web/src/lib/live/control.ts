@@ -15,3 +15,35 @@ export function inControl(cell: Cell | null, session: Invocation | null, me: str
   }
   return { long: 'Nobody', short: 'nobody', tone: 'quiet' };
 }
+
+/** In whose hands the controls are: nobody's, this window's, mine in another window, or somebody else's. */
+export type Hands = 'free' | 'here' | 'elsewhere' | 'other';
+
+export function handsOn(cell: Cell | null, me: string | null, lease: string | null): Hands {
+  const control = cell?.control ?? null;
+  if (control === null) return 'free';
+  if (control.holder !== me) return 'other';
+  return control.lease === lease ? 'here' : 'elsewhere';
+}
+
+const WHY: Record<string, string> = {
+  not_holder: 'you do not have the controls any more',
+  lease_lapsed: 'nothing was heard from you for three seconds',
+  returning: 'the cell is being handed back',
+  out_of_order: 'another window of yours drives, too',
+  cell_offline: 'the cell is not attached',
+  coming_to_rest: 'it is still coming to rest',
+  release_first: 'let go of everything, then press again',
+  paused: 'the session is paused',
+  holding: 'the cell holds, its link was away',
+  unreachable: 'the arm does not reach there',
+  separation: 'a person is too near',
+  zone: 'a forbidden zone is too near',
+  stale: 'a sensor is silent',
+};
+
+/** Why a command of somebody who drives is not obeyed, in words; a rule without any is named. */
+export function refusalWords(code: string): string {
+  const rule = code.split('/').at(-1) ?? code;
+  return WHY[rule] ?? `stopped by ${rule.replaceAll('_', ' ')}`;
+}

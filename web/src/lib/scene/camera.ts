@@ -10,6 +10,9 @@ const FROM = { overview: new Vector3(-0.14, -0.62, 0.62), top: new Vector3(0, -0
 /** What stands in a cell is about so high, m. */
 const TALL_M = 1.3;
 const MARGIN = 0.94;
+/** From where the robot is followed, and at which height it is looked at, m. */
+const BEHIND = new Vector3(-1.2, -3.6, 2.6);
+const WAIST_M = 0.5;
 
 interface Kept {
   /** The view that was chosen, if nobody has steered since: it is fitted anew to whatever window there is. */
@@ -24,6 +27,8 @@ export class CameraRig {
   readonly controls: OrbitControls;
   private chosen: View | null = 'overview';
   private bounds: Bounds = [0, 0, 8, 6];
+  /** Where it stood before it was lent to somebody who drives. */
+  private lent: Kept | null = null;
 
   constructor(canvas: HTMLElement, private readonly moved: () => void) {
     this.camera.up.set(0, 0, 1);
@@ -42,18 +47,28 @@ export class CameraRig {
   /** Frames a cell of these bounds, unless this tab remembers where its camera stood. */
   frame(bounds: Bounds): void {
     this.bounds = bounds;
+    if (this.lent !== null) return;
     const kept = read();
     if (kept === null) this.view('overview');
-    else if (kept.view === 'overview' || kept.view === 'top') this.view(kept.view);
-    else {
-      this.chosen = kept.view;
-      this.put(new Vector3().fromArray(kept.position), new Vector3().fromArray(kept.target));
+    else this.restore(kept);
+  }
+
+  /** Goes to the robot for as long as somebody drives it, whatever was chosen; then back. What is kept stays as it was. */
+  attend(on: boolean, robot: Vector3): void {
+    if (on === (this.lent !== null)) return;
+    const before = this.lent;
+    if (before === null) {
+      this.lent = this.stand();
+      this.goTo(robot);
+    } else {
+      this.lent = null;
+      this.restore(before);
     }
   }
 
   view(view: View, robot?: Vector3): void {
     this.chosen = view;
-    if (view === 'follow' && robot !== undefined) this.put(new Vector3(robot.x - 1.2, robot.y - 3.6, 2.6), new Vector3(robot.x, robot.y, 0.5));
+    if (view === 'follow' && robot !== undefined) this.goTo(robot);
     else if (view !== 'follow') this.fit(FROM[view]);
     this.keep();
   }
@@ -61,7 +76,7 @@ export class CameraRig {
   /** Moves with the robot while that view is chosen. */
   follow(robot: Vector3): void {
     if (this.chosen !== 'follow') return;
-    const shift = new Vector3(robot.x, robot.y, 0.5).sub(this.controls.target);
+    const shift = new Vector3(robot.x, robot.y, WAIST_M).sub(this.controls.target);
     if (shift.lengthSq() < 1e-5) return;
     this.camera.position.add(shift);
     this.controls.target.add(shift);
@@ -91,9 +106,23 @@ export class CameraRig {
     this.moved();
   }
 
+  private goTo(robot: Vector3): void {
+    this.chosen = 'follow';
+    this.put(robot.clone().setZ(0).add(BEHIND), new Vector3(robot.x, robot.y, WAIST_M));
+  }
+
+  private restore(kept: Kept): void {
+    this.chosen = kept.view;
+    if (kept.view === 'overview' || kept.view === 'top') this.fit(FROM[kept.view]);
+    else this.put(new Vector3().fromArray(kept.position), new Vector3().fromArray(kept.target));
+  }
+
+  private stand(): Kept {
+    return { view: this.chosen, position: this.camera.position.toArray(), target: this.controls.target.toArray() };
+  }
+
   private keep(): void {
-    const kept: Kept = { view: this.chosen, position: this.camera.position.toArray(), target: this.controls.target.toArray() };
-    sessionStorage.setItem(KEY, JSON.stringify(kept));
+    if (this.lent === null) sessionStorage.setItem(KEY, JSON.stringify(this.stand()));
   }
 }
 

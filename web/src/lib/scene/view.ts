@@ -131,6 +131,11 @@ export class CellView {
     this.rig.view(view, this.robot);
   }
 
+  /** Goes to the robot and with it, for as long as somebody drives it; then back to where the camera stood. */
+  attend(on: boolean): void {
+    this.rig.attend(on, this.robot);
+  }
+
   resize(width: number, height: number): void {
     if (width === 0 || height === 0) return;
     this.renderer.setSize(width, height, false);

@@ -1,0 +1,165 @@
+"""Hold to run by gamepad, by thumb and by key: what is held moves, what is let go stops at once, and the robot is seen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import CDPSession, expect
+
+from tests.conftest import ServerProcess, until
+from tests.console.conftest import DESK, PHONE, Floor, People, Person, box, far, out_of_reach, stop
+
+pytestmark = [pytest.mark.browser, pytest.mark.process]
+# A gamepad that a test plugs in and steers, and an ear for the commands that the page hands to its link.
+BENCH = """
+    const buttons = Array.from({ length: 16 }, () => ({ value: 0 }));
+    window.stick = { id: 'Test pad', connected: false, axes: [0, 0, 0, 0], buttons };
+    window.jogs = [];
+    const post = Worker.prototype.postMessage;
+    Worker.prototype.postMessage = function (message, ...rest) {
+        if (message?.message?.type === 'jog') window.jogs.push(message.message);
+        return post.call(this, message, ...rest);
+    };
+    navigator.getGamepads = () => [null, window.stick.connected ? window.stick : null];
+"""
+AFTER_THE_LAST_PUSH = "window.jogs.slice(window.jogs.findLastIndex((jog) => jog.base.some(Boolean)) + 1)"
+ZEROS = [0, 0, 0]
+LET_GO = "Hold to run; let go to stop"
+HELD = "Moving while you hold"
+LEAST_PX = 180  # of the cell, that a robot in it can be seen
+
+
+def let_go(person: Person) -> None:
+    """The page says zero by itself, and nothing but zero after it."""
+    expect(person.page.get_by_text(LET_GO)).to_be_visible()
+    last = person.page.evaluate(AFTER_THE_LAST_PUSH)
+    assert last, "no zero was said"
+    assert all(jog["base"] == jog["tool"] == ZEROS for jog in last)
+
+
+def take_controls(person: Person) -> None:
+    person.press("t")
+    person.button("Take the controls").click()
+    expect(person.page.get_by_text(LET_GO)).to_be_visible()
+
+
+@pytest.fixture(autouse=True)
+def free_again(server: ServerProcess) -> Iterator[None]:
+    """Nobody keeps the controls for the next test."""
+    yield
+    control = server.cell()["control"]
+    if control is not None:
+        server.post(f"/v1/invocations/{control['invocation']}/release", {"then": "end"})
+    until(lambda: server.cell()["control"] is None and server.cell()["busy"] is None, what="controls that are free")
+
+
+def at_rest(floor: Floor) -> tuple[float, float]:
+    until(lambda: floor.speed() < 0.01, what="a base at rest")
+    return floor.base()
+
+
+def touch(thumb: CDPSession, person: Person, name: str) -> None:
+    at = box(person.button(name))
+    point = {"x": at["x"] + at["width"] / 2, "y": at["y"] + at["height"] / 2}
+    thumb.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [point]})
+
+
+def test_a_gamepad_drives_while_its_stick_is_held_and_says_zero_when_it_is_let_go(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, init=BENCH)
+    take_controls(person)
+    began = floor.base()
+    person.page.evaluate("window.stick.connected = true; window.stick.axes[1] = 0.1")  # within the dead zone
+    expect(person.page.get_by_text("Test pad")).to_be_visible()
+    assert person.page.evaluate("window.jogs.every((jog) => jog.base.every((value) => value === 0))")
+    person.page.evaluate("window.stick.axes[1] = 0.8")  # pulled back
+    expect(person.page.get_by_text(HELD)).to_be_visible()
+    until(lambda: far(floor.base(), began) > 0.1, what="a base driven back")
+    person.page.evaluate("window.stick.axes[1] = 0")
+    let_go(person)
+    stood = at_rest(floor)
+    person.page.evaluate("window.stick.axes[1] = -0.8")
+    until(lambda: far(floor.base(), stood) > 0.05, what="a base that goes on")
+    person.page.evaluate("window.stick.connected = false")  # unplugged with the stick held
+    let_go(person)
+    at_rest(floor)
+
+
+def test_the_pad_on_the_screen_drives_while_a_thumb_is_on_it(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, size=PHONE, init=BENCH)
+    take_controls(person)
+    began = floor.base()
+    thumb = person.context.new_cdp_session(person.page)
+    touch(thumb, person, "Base back, hold to run")
+    expect(person.page.get_by_text(HELD)).to_be_visible()
+    until(lambda: far(floor.base(), began) > 0.1, what="a base driven back")
+    thumb.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    let_go(person)
+    stood = at_rest(floor)
+    touch(thumb, person, "Base forward, hold to run")
+    until(lambda: far(floor.base(), stood) > 0.05, what="a base that goes on")
+    thumb.send("Input.dispatchTouchEvent", {"type": "touchCancel", "touchPoints": []})  # a call comes in
+    let_go(person)
+    at_rest(floor)
+
+
+@pytest.mark.parametrize("gone", ["window, 'blur'", "document, 'visibilitychange'"], ids=["focus", "sight"])
+def test_a_key_that_is_held_is_let_go_when_the_window_loses(
+    server: ServerProcess, people: People, floor: Floor, gone: str
+) -> None:
+    person = people.sit(server, init=BENCH)
+    take_controls(person)
+    person.button("medium").click()  # and the arrows still drive: choosing a speed does not keep them
+    began = floor.base()
+    person.page.keyboard.down("ArrowDown")
+    until(lambda: far(floor.base(), began) > 0.1, what="a base driven back")
+    target, event = gone.split(", ")
+    person.page.evaluate(f"{target}.dispatchEvent(new Event({event}))")
+    let_go(person)
+    at_rest(floor)
+    let_go(person)  # with the key still down
+    person.page.keyboard.up("ArrowDown")
+    person.page.keyboard.down("ArrowUp")
+    until(lambda: floor.speed() > 0.03, what="a base that drives again")
+    person.page.keyboard.up("ArrowUp")
+    at_rest(floor)
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_whoever_drives_sees_the_robot_above_the_pad(
+    server: ServerProcess, people: People, floor: Floor, size: dict[str, int]
+) -> None:
+    person = people.sit(server, size=size)
+    take_controls(person)
+    scene, pad = box(person.region("The cell in 3D")), box(person.region("Drive by hand"))
+    assert scene["y"] + scene["height"] <= pad["y"]
+    assert scene["height"] >= LEAST_PX
+    expect(person.region("The cell in 3D")).to_be_in_viewport(ratio=1)
+    for name in ("Base forward, hold to run", "Tool down, hold to run", "End session"):
+        expect(person.button(name)).to_be_in_viewport(ratio=1)
+    if size == PHONE:
+        assert out_of_reach(stop(person)) == []
+
+
+def test_the_controls_outlive_a_reload_and_go_to_another_window_only_when_asked(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    one, other = people.sit(server, init=BENCH), people.sit(server, init=BENCH)
+    take_controls(one)
+    one.page.reload()
+    expect(one.page.get_by_text(LET_GO)).to_be_visible()
+    began = floor.base()
+    one.page.keyboard.down("ArrowDown")
+    until(lambda: far(floor.base(), began) > 0.1, what="a base driven after a reload")
+    other.press("t")
+    expect(other.region("Drive by hand")).to_contain_text("in another window")
+    assert other.page.evaluate("window.jogs") == []
+    other.button("Drive from here").click()
+    expect(one.region("Drive by hand")).to_contain_text("in another window")
+    expect(other.page.get_by_text(LET_GO)).to_be_visible()
+    at_rest(floor)
+    assert server.cell()["control"]["holder"] == "operator"
