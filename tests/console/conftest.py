@@ -113,9 +113,9 @@ class Floor:
     server: ServerProcess
     made: list[str] = field(default_factory=list)
 
-    def ask(self, **metadata: Any) -> dict[str, Any]:
+    def ask(self, object_id: str = "mug_1", **metadata: Any) -> dict[str, Any]:
         """Propose a grasp, which waits for a person."""
-        return self._propose("awaiting_approval", "grasp_object", metadata, object_id="mug_1", force_n=80)
+        return self._propose("awaiting_approval", "grasp_object", metadata, object_id=object_id, force_n=80)
 
     def answer(self, asked: dict[str, Any], decision: str) -> None:
         path = f"/v1/escalations/{asked['escalation']['id']}"

@@ -1,6 +1,6 @@
 import { describe, expect, it } from 'vitest';
-import { titleOf } from '../src/lib/format/capability';
-import { eventLine } from '../src/lib/format/events';
+import { heldIn, titleOf } from '../src/lib/format/capability';
+import { entriesOf, eventLine } from '../src/lib/format/events';
 import { labelOf, unitOf, valueOf } from '../src/lib/format/quantity';
 import { robotSays } from '../src/lib/format/status';
 import { countdown, elapsed, left } from '../src/lib/format/time';
@@ -121,5 +121,34 @@ describe('the scene', () => {
       expect(points[k]).toBeGreaterThanOrEqual(4.6 - 1e-9);
       expect(points[k]).toBeLessThanOrEqual(6.2 + 1e-9);
     }
+  });
+});
+
+describe('the event log', () => {
+  const jog = (seq: number) => ({ ...event('human', { op: 'jog', cell: 'workcell-1' }), seq });
+
+  it('says once, with how often, what is said in a row', () => {
+    const entries = entriesOf([jog(1), { ...event('boot', {}), seq: 2 }, jog(3), jog(4)], 10);
+    expect(entries.map(({ event: { seq }, times }) => [seq, times])).toEqual([[4, 2], [2, 1], [1, 1]]);
+  });
+
+  it('ends with the oldest line there is room for, however often that was said', () => {
+    const entries = entriesOf([{ ...event('boot', {}), seq: 1 }, jog(2), jog(3), jog(4)], 1);
+    expect(entries.map(({ event: { seq }, times }) => [seq, times])).toEqual([[4, 3]]);
+  });
+
+  it('names other sessions shortly', () => {
+    const reason = { rule: 'admission', code: 'cell_busy', message: '`workcell-1` is running `inv_01M813JGSNWGV9EG9QVKWK9RZN`', remedy: '' };
+    expect(eventLine(event('admission', { outcome: 'defer', reasons: [reason] })).text).toContain('inv_…WK9RZN');
+  });
+});
+
+describe('what a question is about', () => {
+  it('is held by the cell it is asked in, not by the one that is looked at', () => {
+    const facts = (holding: string) => ({ holding });
+    const cells = { a: cell({ id: 'a', facts: facts('mug_1') }), b: cell({ id: 'b', facts: facts('box_1') }) };
+    expect(heldIn(cells, 'b')).toBe('box_1');
+    expect(heldIn(cells, 'gone')).toBeNull();
+    expect(heldIn(cells, null)).toBeNull();
   });
 });

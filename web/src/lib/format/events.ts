@@ -1,5 +1,5 @@
 import type { Json, LogEvent } from '../api/documents';
-import { goodOutcome, outcomeWords, statusWords, type Tone } from './status';
+import { goodOutcome, outcomeWords, shortId, statusWords, type Tone } from './status';
 import { titleOf, words } from './capability';
 import { labelOf, valueOf } from './quantity';
 import { clockTime } from './time';
@@ -16,6 +16,8 @@ export interface Line {
 
 type Body = LogEvent['body'];
 type Writer = (body: Body, event: LogEvent) => Line;
+
+const LONG_ID = /\b(inv|esc|grant|lease|rev)_[0-9A-Z]{20,}\b/g;
 
 const str = (value: Json | undefined): string => (typeof value === 'string' ? value : '');
 const num = (value: Json | undefined): number | null => (typeof value === 'number' ? value : null);
@@ -240,7 +242,34 @@ const WRITERS: Record<string, Writer> = {
 
 /** One event in words. */
 export function eventLine(event: LogEvent): Line {
-  return WRITERS[event.kind]?.(event.body, event) ?? line('dot', 'quiet', words(event.kind));
+  const said = WRITERS[event.kind]?.(event.body, event) ?? line('dot', 'quiet', words(event.kind));
+  return { ...said, text: said.text.replace(LONG_ID, shortId) };
+}
+
+/** One line of a log that is read by the newest first, and how often it was said in a row. */
+export interface Entry {
+  /** The newest of the row. */
+  event: LogEvent;
+  line: Line;
+  times: number;
+}
+
+/** Returns the newest events first, those that say the same in a row as one: a hand on the controls says much. */
+export function entriesOf(events: readonly LogEvent[], most: number): Entry[] {
+  const entries: Entry[] = [];
+  for (const event of events.toReversed()) {
+    const line = eventLine(event);
+    const above = entries.at(-1);
+    if (above !== undefined && sameLine(above, event, line)) above.times += 1;
+    else if (entries.length === most) break;
+    else entries.push({ event, line, times: 1 });
+  }
+  return entries;
+}
+
+function sameLine(above: Entry, event: LogEvent, line: Line): boolean {
+  const same = above.line.text === line.text && above.line.strong === line.strong && above.line.tone === line.tone;
+  return same && above.event.kind === event.kind && above.event.invocation === event.invocation;
 }
 
 /** Kinds that only repeat what another line says better; the log shows them on demand. */

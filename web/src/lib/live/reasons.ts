@@ -17,6 +17,11 @@ const HELD: Record<string, string> = {
   retries: 'The tries that policy allows are used up.',
   control_lapsed: 'Whoever drove by hand fell silent.',
   confirm: 'Policy wants a person to confirm the next phase.',
+  link: 'The link to the cell broke off for a while.',
+  stall: 'It makes no headway.',
+  timeout: 'It takes longer than policy allows.',
+  zone: 'A forbidden zone is too near.',
+  'grip-lost': 'What it held is lost.',
 };
 
 function lineOf(reason: Reason, held: boolean): ReasonLine {

@@ -5,8 +5,11 @@ export type View = 'overview' | 'top' | 'follow';
 type Bounds = readonly [number, number, number, number];
 
 const KEY = 'reins.camera';
-/** From where a view looks at the middle of the cell, m of any length. */
-const FROM = { overview: new Vector3(-0.14, -0.62, 0.62), top: new Vector3(0, -0.001, 1) } as const;
+/** From where a view looks at the middle of the cell, of any length. A flat window is filled best from low down. */
+const FROM = {
+  overview: (aspect: number): Vector3 => new Vector3(-0.14, -0.62, MathUtils.clamp(0.8 / aspect, 0.38, 0.8)),
+  top: (): Vector3 => new Vector3(0, -0.001, 1),
+} as const;
 /** What stands in a cell is about so high, m. */
 const TALL_M = 1.3;
 const MARGIN = 0.94;
@@ -69,7 +72,7 @@ export class CameraRig {
   view(view: View, robot?: Vector3): void {
     this.chosen = view;
     if (view === 'follow' && robot !== undefined) this.goTo(robot);
-    else if (view !== 'follow') this.fit(FROM[view]);
+    else if (view !== 'follow') this.fit(view);
     this.keep();
   }
 
@@ -86,7 +89,7 @@ export class CameraRig {
   resize(width: number, height: number): void {
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
-    if (this.chosen === 'overview' || this.chosen === 'top') this.fit(FROM[this.chosen]);
+    if (this.chosen === 'overview' || this.chosen === 'top') this.fit(this.chosen);
     this.moved();
   }
 
@@ -94,8 +97,9 @@ export class CameraRig {
     this.controls.dispose();
   }
 
-  private fit(from: Vector3): void {
-    const { position, target } = fitted(this.bounds, from, this.camera.fov, this.camera.aspect);
+  private fit(view: 'overview' | 'top'): void {
+    const { aspect, fov } = this.camera;
+    const { position, target } = fitted(this.bounds, FROM[view](aspect), fov, aspect);
     this.put(position, target);
   }
 
@@ -113,7 +117,7 @@ export class CameraRig {
 
   private restore(kept: Kept): void {
     this.chosen = kept.view;
-    if (kept.view === 'overview' || kept.view === 'top') this.fit(FROM[kept.view]);
+    if (kept.view === 'overview' || kept.view === 'top') this.fit(kept.view);
     else this.put(new Vector3().fromArray(kept.position), new Vector3().fromArray(kept.target));
   }
 

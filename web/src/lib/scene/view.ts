@@ -15,6 +15,7 @@ const STUCK_MS = 1_000;
 const OUTSIDE_M = 1.5;
 const NAMED_FURNITURE = /^(.*)_body$/;
 const HEAD_M = 0.28;
+const BESIDE_M = 0.62;
 
 /** What is wrong at this moment, for highlighting. */
 export interface Trouble {
@@ -200,10 +201,16 @@ export class CellView {
   }
 
   private nameBody(found: Map<string, Label>, name: string, body: Group): void {
-    if (name === 'base' && body.visible) found.set(name, { text: 'robot', at: body.position.clone().setZ(0.05), tone: 'plain' });
+    if (name === 'base' && body.visible) found.set(name, { text: 'robot', at: this.before(body), tone: 'plain' });
     if (this.subjects.has(name) && body.visible) found.set(name, { text: name, at: above(body, 0.12), tone: 'accent' });
     const furniture = NAMED_FURNITURE.exec(name)?.[1];
     if (furniture !== undefined) found.set(name, { text: furniture.replace(/_post$/, ''), at: body.position.clone().setZ(0.42), tone: 'plain' });
+  }
+
+  /** A spot on the floor between a body and the camera: a name there covers nothing of it. */
+  private before(body: Group): Vector3 {
+    const aside = this.rig.camera.position.clone().sub(body.position).setZ(0).setLength(BESIDE_M);
+    return body.position.clone().setZ(0).add(aside);
   }
 
   private readonly loop = (now: number): void => {

@@ -1,0 +1,55 @@
+"""Names as long as a plant gives them: they are broken where words end, and cover nothing."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import expect
+
+from tests.conftest import ServerProcess, Servers
+from tests.console.conftest import DESK, PHONE, ROOT, Floor, People, wider_than_the_screen
+
+pytestmark = [pytest.mark.browser, pytest.mark.process]
+MUG = "calibration_weight_holder_mug_0001"
+GLASS = "borosilicate_measuring_glass_with_spout_0042"
+# Whatever stands out of its own box, and so over what is beside it.
+COVERED = """() => [...document.querySelectorAll('main *')].filter((one) => {
+    const style = getComputedStyle(one);
+    const sticks = style.display !== 'inline' && style.overflowX === 'visible' && one.clientWidth > 0;
+    return sticks && one.scrollWidth > one.clientWidth + 1;
+}).map((one) => `${one.tagName} ${one.textContent.trim().slice(0, 60)}`)"""
+
+
+@pytest.fixture(scope="module")
+def server(built: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
+    """One server whose site names its things at length."""
+    folder = tmp_path_factory.mktemp("names")
+    policies = folder / "policies"
+    shutil.copytree(ROOT / "policies", policies, ignore=shutil.ignore_patterns("tests"))
+    site: Path = policies / "site.yaml"
+    site.write_text(site.read_text().replace("mug_1:", f"{MUG}:").replace("glass_1:", f"{GLASS}:"))
+    made = Servers(folder)
+    try:
+        yield made.start(None, "--pace", "1", "--policies", str(policies))
+    finally:
+        made.end()
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_long_names_stay_within_their_cards(
+    server: ServerProcess, people: People, floor: Floor, size: dict[str, int]
+) -> None:
+    floor.ask(object_id=MUG)
+    floor.ask(object_id=GLASS)
+    person = people.sit(server, size=size)
+    card = person.page.get_by_role("article", name=f"Grasp {MUG}")
+    expect(card.get_by_role("row", name="Object")).to_contain_text(MUG)
+    expect(card.get_by_role("cell", name=re.compile(MUG))).to_have_attribute("colspan", "3")
+    expect(person.region("Waiting for you").locator("button.row")).to_contain_text(GLASS)
+    assert person.page.evaluate(COVERED) == []
+    if size == PHONE:
+        assert wider_than_the_screen(person.page) == []
