@@ -20,7 +20,7 @@ from app.cell.display import describe, look, sensed, sitting
 from app.cell.journal import JournalUnavailable
 from app.cell.loop import NewPolicy, Shutdown, Welcomed
 from app.cell.runner import Runner
-from app.cell.sighting import Sight
+from app.cell.sighting import Sight, things
 from app.governance.conditions import unmet
 from app.governance.model import Wish
 from app.governance.permit import SignedAuthorization
@@ -84,7 +84,7 @@ class GovernedCell:
             on_telemetry=self._show,
         )
         outbox.scene = describe(substrate)
-        outbox.things = (*policies.site.objects, *policies.site.tools)
+        outbox.things = things(outbox.scene, policies.site)
         self._runner.hold("link")
         self._adopt(policies)
 

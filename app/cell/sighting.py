@@ -1,15 +1,15 @@
 """Where people and movable things are during a session, for its telemetry: a replay would lack them otherwise.
 
 People are where the tracker says, which is what the watcher judges by. Things (what the site knows as objects and
-tools) are where displays show them. The control loop only takes references, five times a second of its own time;
-working them into messages is done on the link's thread (`Sightings`).
+tools, and whatever else the substrate says is loose) are where displays show them. The control loop only takes
+references, five times a second of its own time; working them into messages is done on the link's thread (`Sightings`).
 """
 
 from __future__ import annotations
 
 import math
 import struct
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, cast
 
 from app import protocol
 from app.protocol import POSE_BYTES, Sighting
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
     from app.cell.display import Socket
     from app.cell.loop import Outbox
-    from app.governance.model import PersonTrack
+    from app.governance.model import PersonTrack, Site
+    from app.protocol import Scene
 
 MOVED: Final = 0.001  # metres, or the same of a quaternion: a tenth of a degree
 MAX_PEOPLE: Final = 64
@@ -35,6 +36,12 @@ class Sight(NamedTuple):
     time_s: float
     people: tuple[PersonTrack, ...]
     poses: Callable[[], bytes]
+
+
+def things(scene: Scene, site: Site) -> tuple[str, ...]:
+    """Return which bodies of a scene are things: the site's, and what is loose besides, as an obstacle is."""
+    loose = cast("list[str]", scene.scene.get("loose", []))
+    return tuple(dict.fromkeys((*site.objects, *site.tools, *loose)))
 
 
 class Sightings:

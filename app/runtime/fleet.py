@@ -21,7 +21,7 @@ from app.audit.event import RowWrite
 from app.clock import monotonic_s
 from app.governance.model import SESSION, CellFacts
 from app.protocol import BEAT_MS, LEASE_MS, Estop, Human, Policy, ProtocolError, Watch
-from app.runtime.cells import Cell, Reunion, read_world
+from app.runtime.cells import FRESH_S, Cell, Reunion, read_world
 from app.runtime.errors import Conflict, NotFound
 from app.runtime.link import DEAD_S, SILENT_S, TRY_LATER, Attachment
 from app.runtime.screens import Screens
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from app.runtime.reports import Reports
 
 TEND_S: Final = 0.25
-SETTLE_S: Final = 0.3
 EXPECTED_S: Final = 10.0  # a process that takes longer to start is missed like any other
 RESET_S: Final = 1.0  # a cell states itself ten times a second, and on every change
 
@@ -215,12 +214,15 @@ class Fleet:
             cell.ended_at_s = monotonic_s()
 
     async def settle(self, cell: Cell | None) -> None:
-        """Wait, shortly, for facts newer than the last session's end: what it changed counts for the next decision."""
-        if cell is None or cell.state_at_s >= cell.ended_at_s or not cell.fresh:
-            return
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(SETTLE_S):
-                await cell.stated.wait()
+        """Wait for facts newer than the last session's end: what it changed counts for the next decision.
+
+        Waits no longer than the facts that are there count for. Whoever decides then meets a cell that is silent, not
+        what its world looked like before.
+        """
+        while cell is not None and cell.fresh and cell.state_at_s < cell.ended_at_s:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(max(0.0, cell.state_at_s + FRESH_S - monotonic_s())):
+                    await cell.stated.wait()
 
     def expect(self, cell_id: str, coming: bool) -> None:
         """Note that a cell's process is being started, or that nobody starts it any more."""

@@ -22,10 +22,13 @@ _SHAPES = {
     mujoco.mjtGeom.mjGEOM_BOX: "box",
 }
 _HIDDEN_GROUP = 4
+_PERSON = "person_"
 
 
 def describe(model: mujoco.MjModel, site: Site) -> Mapping[str, Json]:
     """Return bounds, zones, and every visible shape with its body, pose within it, size and colour.
+
+    `loose` are those of the bodies that are neither the robot's nor a person's, and may be anywhere.
 
     Shapes: `plane`, `sphere`, `capsule`, `cylinder` (radius, half length along z), `box` (half sizes). Poses are x,
     y, z, qw, qx, qy, qz.
@@ -52,6 +55,7 @@ def describe(model: mujoco.MjModel, site: Site) -> Mapping[str, Json]:
         "shapes": shapes,
         "fixed": _fixed(model),
         "bodies": [*_moving(model)],
+        "loose": [*_loose(model)],
     }
 
 
@@ -75,6 +79,15 @@ def _fixed(model: mujoco.MjModel) -> Json:
         for name in names
         if name not in moving
     }
+
+
+def _loose(model: mujoco.MjModel) -> list[str]:
+    free = {int(model.jnt_bodyid[k]) for k in range(model.njnt) if model.jnt_type[k] == mujoco.mjtJoint.mjJNT_FREE}
+    return [
+        name
+        for name, k in _moving(model).items()
+        if (k in free or model.body_mocapid[k] >= 0) and not name.startswith(_PERSON)
+    ]
 
 
 def _moving(model: mujoco.MjModel) -> dict[str, int]:

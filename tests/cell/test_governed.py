@@ -13,7 +13,7 @@ import pytest
 from app.cell.governed import GovernedCell
 from app.cell.journal import Journal
 from app.cell.loop import Outbox, Welcomed
-from app.cell.sighting import Sight, Sightings
+from app.cell.sighting import Sight, Sightings, things
 from app.governance.permit import mint
 from app.protocol import Human, Launch, Scene, Sighting, decode_up
 from tests.cell.rig import KEY, NOW_S, PERMIT, FakeCell
@@ -99,6 +99,14 @@ def test_sees_people_as_the_tracker_does_while_a_session_runs(governed: Governed
     asyncio.run(Sightings(governed.outbox).show(socket))
     (sighting,) = socket.sent
     assert (sighting.people, sighting.time_s) == ([(0, 1.0, 2.0)], sight.time_s)
+
+
+def test_the_things_of_a_session_are_the_sites_and_whatever_else_is_loose() -> None:
+    scene = Scene(scene={"loose": ["mug_1", "crate_1"]}, bodies=["base", "mug_1", "crate_1"], gauges=[])
+    found = things(scene, policy().site)
+    assert {"mug_1", "lever", "crate_1"} < set(found)
+    assert len(found) == len(set(found))
+    assert "base" not in found
 
 
 def test_sends_a_thing_when_it_has_moved_and_all_things_on_another_link(governed: Governed) -> None:

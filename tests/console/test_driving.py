@@ -1,4 +1,4 @@
-"""Hold to run by gamepad, by thumb and by key: what is held moves, what is let go stops at once, and the robot is seen."""
+"""Hold to run by gamepad, thumb and key: what is held moves, what is let go stops at once, and the robot is seen."""
 
 from __future__ import annotations
 

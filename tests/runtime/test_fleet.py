@@ -14,8 +14,9 @@ from app.protocol import BEAT_MS, CHANNELS, ROW, Beat, Hello, Sighting, encode, 
 from app.runtime import cells as cells_module
 from app.runtime import sessions as sessions_module
 from app.runtime.assembly import Runtime
+from app.runtime.errors import Conflict
 
-from .conftest import AGENT, AUDITOR, CELL, OPERATOR, HandCell, House, navigate, until
+from .conftest import AGENT, AT_BENCH, AUDITOR, CELL, OPERATOR, HandCell, House, navigate, until
 
 pytestmark = pytest.mark.anyio
 
@@ -119,6 +120,32 @@ async def test_a_stale_state_says_nothing(runtime: Runtime, cell: HandCell) -> N
     facts = runtime.fleet.facts(known)
     assert not facts.online
     assert facts.facts is None
+
+
+async def test_after_a_session_nothing_is_decided_on_what_the_cell_said_before_its_end(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    name = (await runtime.governor.propose(AGENT, navigate()))[0]["id"]
+    await cell.launched(name)
+    await cell.report("outcome", name, outcome="succeeded", code="done")  # and no word on where it stands now
+    silent, _ = await runtime.governor.propose(AGENT, navigate())
+    assert (silent["status"], silent["admission"]["reasons"][0]["code"]) == ("deferred", "cell_offline")
+    with pytest.raises(Conflict) as refused:
+        await runtime.governor.take_cell(CELL, OPERATOR)
+    assert refused.value.code == "takeover_refused"
+    assert len(cell.all("launch")) == 1
+
+
+async def test_after_a_session_a_decision_waits_for_what_the_cell_says_next(runtime: Runtime, cell: HandCell) -> None:
+    name = (await runtime.governor.propose(AGENT, navigate()))[0]["id"]
+    await cell.launched(name)
+    await cell.report("outcome", name, outcome="succeeded", code="done")
+    next_one = asyncio.ensure_future(runtime.governor.propose(AGENT, navigate()))
+    await asyncio.sleep(0)
+    cell.invocation = cell.status = None
+    await cell.state(facts={**AT_BENCH, "sensors_fresh": False})
+    decided, _ = await next_one
+    assert decided["admission"]["reasons"][0]["code"] == "precondition_unmet"
 
 
 async def test_a_beat_counts_as_life(runtime: Runtime, cell: HandCell) -> None:

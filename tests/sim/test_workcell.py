@@ -176,6 +176,13 @@ def test_the_scene_and_the_poses_name_the_same_bodies(site: Site):
     assert pack() == poses.tobytes()  # a copy of its own moment
 
 
+def test_what_may_be_anywhere_is_loose_and_neither_the_robot_nor_a_person_is(site: Site):
+    cell = Workcell(site, people=[Walk(points=((1.0, 1.0), (2.0, 1.0)))])
+    scene = cell.scene()
+    assert any(name.startswith("person_") for name in scene["bodies"])
+    assert {"crate_1", *site.objects} == set(scene["loose"])
+
+
 def test_a_drive_shows_the_way_it_is_planned_to_go(site: Site):
     cell = cell_of(site)
     assert cell.way() == ()
