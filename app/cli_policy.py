@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 from rich.progress import BarColumn, Progress, TextColumn
 
-from app import cli_authoring, cli_policy_new, cli_policy_test
+from app import cli_authoring, cli_policy_diff, cli_policy_new, cli_policy_test
 from app.cli_policies import Directory, finding
 from app.clock import monotonic_s
 from app.config import find_policies
@@ -33,6 +33,7 @@ app = typer.Typer(help="Check, test, explain and write policy.", no_args_is_help
 app.add_typer(cli_policy_test.app)
 app.add_typer(cli_authoring.app)
 app.add_typer(cli_policy_new.app)
+app.add_typer(cli_policy_diff.app)
 
 
 class Form(StrEnum):

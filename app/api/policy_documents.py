@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -91,11 +91,26 @@ class DifferenceDocument(Document):
     direction: Literal["same", "tightens", "loosens", "both"]
 
 
+class TransitionDocument(Document):
+    """One way in which decisions come out otherwise, with the smallest example."""
+
+    capability: str
+    profile: str
+    change: str = Field(description="What becomes of what: `deny -> allow`, `looser speed_mps`, `fewer approvers` …")
+    direction: Literal["tightens", "loosens"]
+    decided: bool = Field(description="What could not be decided counts as a loosening, and has no example.")
+    message: str
+    example: str = Field(description="A case file (YAML); what it expects is what this version does.")
+    body: dict[str, Any] = Field(description="The example's proposal, as a body of `POST /v1/check`.")
+
+
 class ComparisonDocument(Document):
     """What a version would change of what is in force."""
 
     direction: Literal["same", "tightens", "loosens", "both"]
+    proved: bool = Field(description="Whether it was proved of every decision that nothing else changes.")
     differences: list[DifferenceDocument]
+    decisions: list[TransitionDocument]
 
 
 class SchemaItem(Document):

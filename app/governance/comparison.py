@@ -1,8 +1,8 @@
 """What changes between two policies, and which way: does it tighten, loosen, both, or nothing at all?
 
 The comparison is of structure: what a part means is not proved, so a change that is not plainly stricter counts as a
-loosening. That is the safe side: a loosening needs a second engineer. Another `Compare` may prove more, and may call
-less a loosening; none may call a loosening anything else.
+loosening. That is the safe side: a loosening needs a second engineer. `app.proofs.difference` proves more, and calls
+less a loosening; nothing may call a loosening anything else.
 
 | part | stricter |
 |---|---|
@@ -16,67 +16,23 @@ less a loosening; none may call a loosening anything else.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, fields, replace
-from enum import StrEnum
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, cast
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
 
+from app.governance.changes import LOOSENS, SAME, TIGHTENS, summed
 from app.governance.model import AuthorityMode, Risk
 from app.governance.policy_model import Effect
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Mapping
 
+    from app.governance.changes import Comparison, Direction, Found
     from app.governance.model import Capability, Site
     from app.governance.policy import PolicySet
     from app.governance.policy_model import Agent, Approval, Authority, Profile, Rule, Setting, WatchRow
 
-MAX_SHOWN: Final = 120
-
-
-class Direction(StrEnum):
-    """Which way a change goes; of a whole comparison `both` says that it goes either way, in different parts."""
-
-    SAME = "same"
-    TIGHTENS = "tightens"
-    LOOSENS = "loosens"
-    BOTH = "both"
-
-
-class Difference(NamedTuple):
-    """One part that is another: where it stands, what it was, what it is, and which way that goes."""
-
-    part: str
-    before: str
-    after: str
-    direction: Direction
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Comparison:
-    """All differences, and what they come to."""
-
-    direction: Direction
-    differences: tuple[Difference, ...] = ()
-
-    @property
-    def loosens(self) -> bool:
-        """Say whether anything of it may allow more than before."""
-        return self.direction in (Direction.LOOSENS, Direction.BOTH)
-
-    @property
-    def tightens(self) -> bool:
-        """Say whether anything of it may allow less than before, or is not known not to."""
-        return self.direction is not Direction.SAME
-
-    def document(self) -> dict[str, Any]:
-        """Return the comparison as JSON."""
-        return {"direction": self.direction, "differences": [found._asdict() for found in self.differences]}
-
-
 Compare: TypeAlias = "Callable[[PolicySet, PolicySet], Comparison]"
-Found: TypeAlias = "Iterator[tuple[str, object, object, Direction]]"
 
-SAME, TIGHTENS, LOOSENS = Direction.SAME, Direction.TIGHTENS, Direction.LOOSENS
 _RISKS: Final = (Risk.LOW, Risk.MEDIUM, Risk.HIGH, Risk.CRITICAL)
 _EFFECTS: Final = (Effect.MODIFY, Effect.ESCALATE, Effect.DENY)
 _ENABLED: Final = ("allowed", "guarded", "approval-required", "forbidden")  # from the widest to the strictest
@@ -89,18 +45,26 @@ def compare(old: PolicySet, new: PolicySet) -> Comparison:
         old: the one in force.
         new: the one that may come into force.
     """
-    found = (*_capabilities(old, new), *_profiles(old, new), *_rules(old, new), *_agents(old, new),
-             *_authority(old.authority, new.authority), *_site(old.site, new.site))  # fmt: skip
     conditions = " ; ".join(rule.when for policy in (old, new) for rule in policy.rules.values() if rule.when)
-    differences = tuple(
-        Difference(
-            part, _shown(before), _shown(after), LOOSENS if _read(part, before, after, conditions) else direction
-        )
-        for part, before, after, direction in found
+    return summed(
+        (part, before, after, LOOSENS if _read(part, before, after, conditions) else direction)
+        for part, before, after, direction in parts(old, new)
     )
-    ways = {difference.direction for difference in differences} - {SAME}
-    direction = Direction.BOTH if len(ways) > 1 else next(iter(ways), SAME)
-    return Comparison(direction=direction, differences=differences)
+
+
+def parts(old: PolicySet, new: PolicySet) -> Found:
+    """Yield every part that is another, what it was and is, and which way that goes taken by itself.
+
+    What conditions make of it is not looked at.
+    """
+    yield from _capabilities(old, new)
+    yield from _profiles(old, new)
+    yield from _rules(old, new)
+    yield from _agents(old, new)
+    yield from _authority(old.authority, new.authority)
+    yield from _site(old.site, new.site)
+    if old.permissions != new.permissions:
+        yield "permissions", old.permissions, new.permissions, _words(old, new)  # nobody holds one by its being there
 
 
 _NAMED_IN_CONDITIONS: Final[Mapping[str, str]] = {"sensitivity": "profile.sensitivity", "risk": "capability.risk"}
@@ -136,13 +100,13 @@ def _more(before: float, after: float) -> Direction:
 
 
 def _fewer(before: Any, after: Any) -> Direction:  # noqa: ANN401  # collections of one kind
-    """A part of what was before is stricter."""
-    return TIGHTENS if set(after) < set(before) else LOOSENS
+    """A part of what was before is stricter; the order is none of it."""
+    return SAME if set(after) == set(before) else TIGHTENS if set(after) < set(before) else LOOSENS
 
 
 def _further(before: Any, after: Any) -> Direction:  # noqa: ANN401  # collections of one kind
-    """All that was before and more is stricter."""
-    return TIGHTENS if set(after) > set(before) else LOOSENS
+    """All that was before and more is stricter; the order is none of it."""
+    return SAME if set(after) == set(before) else TIGHTENS if set(after) > set(before) else LOOSENS
 
 
 def _unknown(before: object, after: object) -> Direction:
@@ -344,16 +308,3 @@ def _site(old: Site, new: Site) -> Found:
 
 _NAMED_PARTS: Final = ("zones", "targets", "surfaces", "areas", "corridors", "objects", "tools")
 _NOTHING: Final[Mapping[str, Any]] = {name: {} for name in _NAMED_PARTS}
-
-
-def _shown(value: object) -> str:
-    match value:
-        case None:
-            return ""
-        case frozenset() | set():
-            text = ", ".join(sorted(map(str, value)))  # pyright: ignore[reportUnknownArgumentType, reportUnknownVariableType]
-        case tuple():
-            text = ", ".join(map(str, value))  # pyright: ignore[reportUnknownArgumentType, reportUnknownVariableType]
-        case _:
-            text = str(value)
-    return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 1]}…"

@@ -52,7 +52,7 @@ class Ground:
         self.open: list[z3.BoolRef] = []  # what then answers it, either way
         kinds = ("target", "surface", "area", "tool", "object")
         self._found: dict[object, tuple[object, tuple[Record, Formula]]] = {}
-        self._on_ground: dict[object, tuple[object, Formula]] = {}
+        self.answers: dict[object, tuple[object, Formula]] = {}  # about points; two sites may share them
         self.kind = next((kind for kind in kinds if leading({kind: "-"}) and kind in references), None)
 
     def _once(
@@ -158,9 +158,9 @@ class Ground:
     def _shared(self, what: object, x: object, y: object, make: Callable[[], Formula]) -> Formula:
         """Ask the same of the same point once only."""
         key = (what, *(value.get_id() if isinstance(value, z3.ExprRef) else value for value in (x, y)))
-        if key not in self._on_ground:
-            self._on_ground[key] = ((x, y), make())
-        return self._on_ground[key][1]
+        if key not in self.answers:
+            self.answers[key] = ((x, y), make())
+        return self.answers[key][1]
 
     def leaves(self, at: Coordinates, surface: Surface | None) -> Formula:
         """Return where a point lies outside the site, or off the surface that was named with it."""
@@ -172,7 +172,7 @@ class Ground:
         return some(found)
 
     def _over(self, x: object, y: object, surface: Surface) -> Formula:
-        return self._shared(("on", surface.name), x, y, lambda: self._on(x, y, surface))
+        return self._shared(("on", surface), x, y, lambda: self._on(x, y, surface))
 
     def _inside(self, x: object, y: object, polygon: Sequence[Point]) -> Formula:
         xs, ys = [point[0] for point in polygon], [point[1] for point in polygon]

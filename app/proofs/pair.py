@@ -281,9 +281,17 @@ class Pair:
         lost: Where looking up what the rules read fails, so that the guard as a whole denies.
     """
 
-    def __init__(self, space: Space, gate: Gate, rules: Iterable[Rule], vocabulary: Vocabulary) -> None:
-        """Encode the rules that apply to the pair."""
+    def __init__(
+        self,
+        space: Space,
+        gate: Gate,
+        rules: Iterable[Rule],
+        vocabulary: Vocabulary,
+        beside: Pair | None = None,
+    ) -> None:
+        """Encode the rules that apply to the pair; what a pair beside it has a name for goes by that name here too."""
         self.space, self.gate, self.vocabulary = space, gate, vocabulary
+        self.names: dict[int, tuple[Formula, Formula]] = {} if beside is None else dict(beside.names)
         declared = properties(gate.capability)
         self.rules = [rule for rule in rules if rule.then is not Effect.MODIFY or self.settings(rule)]
         self.numbers = {name: spec for name, spec in declared.items() if spec.get("type") in ("number", "integer")}
@@ -337,8 +345,12 @@ class Pair:
         """Give a formula a name; questions then speak of the name."""
         if isinstance(formula, bool) or formula.num_args() == 0:
             return formula
+        known = self.names.get(formula.get_id())
+        if known is not None:
+            return known[1]
         named = z3.FreshBool(name)
         self.facts.append(cast("z3.BoolRef", same(named, formula)))
+        self.names[formula.get_id()] = (formula, named)  # an id is good only as long as its formula lives
         return named
 
     # The verdict -----------------------------------------------------------------------------------------------------

@@ -57,7 +57,7 @@ def _always_asks(gate: Gate) -> bool:
     return answers(gate) and (marked or listed)
 
 
-def _people(gate: Gate) -> int:
+def people(gate: Gate) -> int:
     """Return how many people a pair asks where no rule wants more."""
     approval = gate.profile.approval
     return 0 if approval is None else approval.approvers.get(gate.capability.risk, approval.default_approvers)
@@ -67,7 +67,7 @@ def _too_few(pair: Pair, wanted: int) -> Formula:
     """Return where fewer people are asked than wanted, of what may be launched."""
     found = statuses(pair)
     asking = [r.id for r in pair.rules if r.then is Effect.ESCALATE and r.approvers >= wanted]
-    enough = _people(pair.gate) >= wanted or some(pair.first.fires[rule] for rule in asking)
+    enough = people(pair.gate) >= wanted or some(pair.first.fires[rule] for rule in asking)
     return both(no(found["denied"]), no(both(found["awaiting_approval"], enough)))
 
 
@@ -176,9 +176,9 @@ def order_holds(court: Court, wide: Pair, asking: Asking) -> Iterator[Finding]:
     """
     strict = court.pair
     name, one, other = strict.gate.capability.name, strict.gate.profile, wide.gate.profile
-    if _always_asks(wide.gate) and not (_always_asks(strict.gate) and _people(strict.gate) >= _people(wide.gate)):
+    if _always_asks(wide.gate) and not (_always_asks(strict.gate) and people(strict.gate) >= people(wide.gate)):
         message = (
-            f"`{name}` is approved by {_people(wide.gate)} in {other.name}, and by fewer in {one.name}, the stricter"
+            f"`{name}` is approved by {people(wide.gate)} in {other.name}, and by fewer in {one.name}, the stricter"
         )
         yield from court.judged(Kind.ORDER, court.solve(True), message, lambda _: True)
     weaker = some((
@@ -211,4 +211,4 @@ def _weaker(court: Court, seen: Seen, wide: str) -> bool:
     return theirs is None or _RANKS.index(theirs.outcome.value) > _RANKS.index(mine.outcome.value)
 
 
-__all__ = ["Judge", "declared_order", "order_holds", "property_holds", "statuses"]
+__all__ = ["Judge", "declared_order", "order_holds", "people", "property_holds", "statuses"]

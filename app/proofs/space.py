@@ -77,6 +77,8 @@ class Space:
         facts: What every proposal and context keeps.
         said: Facts about texts, by what reads them; only questions that do pay for them.
         ground: The site.
+        beside: The space of another policy that this one is compared with. What has the same name is the same in both,
+            and so is what rounding or an edge leaves open.
     """
 
     policy: PolicySet
@@ -87,6 +89,7 @@ class Space:
     facts: list[Formula] = field(default_factory=list["Formula"])
     said: dict[str, Formula] = field(default_factory=dict[str, "Formula"])
     loose: bool = False  # whether the schema says more than is known here
+    beside: Space | None = None
     ground: Ground = field(init=False)
     agents: Options = field(init=False)
     modes: Options = field(init=False)
@@ -98,6 +101,8 @@ class Space:
     def __post_init__(self) -> None:
         """Make the variables."""
         self.ground = Ground(referring(self.capability), self.policy.site)
+        if self.beside is not None:
+            self.theory, self.ground.answers = self.beside.theory, self.beside.ground.answers
         self._parameters()
         self._who()
         self.modes = Options.of("mode", [mode.value for mode in Mode])

@@ -182,15 +182,20 @@ def decided(policy: PolicySet, case: Case) -> Seen | None:
 
 def confirm(policy: PolicySet, case: Case, shows: Shows) -> Case | None:
     """Return the case, its numbers moved to a double beside them if need be, that shows the fault; None without one."""
-    for candidate in islice(_nearby(case), NEIGHBOURS):
-        if _shown(policy, candidate, shows):
-            return candidate
-    return None
+    return confirm_by(_shown_by(policy, shows), case)
 
 
-def _shown(policy: PolicySet, case: Case, shows: Shows) -> bool:
-    found = decided(policy, case)
-    return found is not None and shows(found)
+def confirm_by(shown: Callable[[Case], bool], case: Case) -> Case | None:
+    """Return the case as `confirm` does, whatever it is that shows the fault."""
+    return next((candidate for candidate in islice(_nearby(case), NEIGHBOURS) if shown(candidate)), None)
+
+
+def _shown_by(policy: PolicySet, shows: Shows) -> Callable[[Case], bool]:
+    def shown(case: Case) -> bool:
+        found = decided(policy, case)
+        return found is not None and shows(found)
+
+    return shown
 
 
 def _nearby(case: Case) -> Iterator[Case]:
@@ -213,11 +218,16 @@ def _nearby(case: Case) -> Iterator[Case]:
 
 def shrink(policy: PolicySet, case: Case, shows: Shows) -> Case:
     """Return the smallest case that still shows the fault."""
+    return shrink_by(_shown_by(policy, shows), case)
+
+
+def shrink_by(shown: Callable[[Case], bool], case: Case) -> Case:
+    """Return the smallest case as `shrink` does, whatever it is that shows the fault."""
     small, again = deepcopy(case), True
     while again:
         again = False
         for simpler in _simpler(small):
-            if _shown(policy, simpler, shows):
+            if shown(simpler):
                 small, again = simpler, True
                 break
     return small
@@ -300,5 +310,6 @@ def written(policy: PolicySet, case: Case, name: str) -> tuple[str, Case]:
     (result,) = run(policy, {"tests/counterexample.yaml": text})
     if not result.passed:
         raise WritingError(f"{text}\n{result.differences}")
-    body = {key: held for key, held in kept.items() if key in ("capability", "params", "mode", "metadata")}
+    body = {key: held for key, held in kept.items() if key in ("capability", "mode", "metadata")}
+    body["params"] = case["params"]
     return text, body

@@ -45,7 +45,8 @@ from app.runtime.version import (
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from app.governance.comparison import Compare, Comparison
+    from app.governance.changes import Comparison
+    from app.governance.comparison import Compare
     from app.governance.policy import PolicySet
     from app.runtime.invocation import Principal
     from app.runtime.kernel import Kernel

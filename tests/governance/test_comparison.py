@@ -7,7 +7,8 @@ from functools import cache
 import pytest
 
 from app.governance import bundle
-from app.governance.comparison import Comparison, Direction, compare
+from app.governance.changes import Comparison, Direction
+from app.governance.comparison import compare
 from tests.governance.policy_world import files, shipped
 
 SHARED, ORGANIZATION, AUTHORITY, SITE = (

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.governance.comparison import LOOSENS, MAX_SHOWN, SAME, TIGHTENS, Direction, compare
+from app.governance.changes import LOOSENS, MAX_SHOWN, SAME, TIGHTENS, Comparison, Direction, Transition, summed
+from app.governance.comparison import compare
 from app.governance.model import AuthorityMode, Risk
 from app.governance.policy import PolicySet
 from app.governance.policy_model import Agent, Confirmation, Denial, Effect, GrantTerms, Rule, Setting
@@ -136,6 +137,9 @@ TABLE: list[tuple[str, PolicySet, PolicySet, Direction, Direction]] = [
     ("site/zones/aisle", zones("shared"), PLAIN, LOOSENS, TIGHTENS),
     ("site/targets/dock", site(targets={}), site(targets={"dock": PLAIN.site.targets["dock"]}), LOOSENS, TIGHTENS),
     ("site/targets/dock", PLAIN, site(targets={**PLAIN.site.targets, "dock": replace(PLAIN.site.targets["dock"], x_m=9.0)}), LOOSENS, LOOSENS),
+    ("capabilities/grasp_object/preconditions", PLAIN, grasp(preconditions=GRASP.preconditions[::-1]), SAME, SAME),
+    (f"{PHASE}/admits", PLAIN, profile(admits=tuple(PROFILE.admits)), SAME, SAME),
+    ("permissions", PLAIN, replace(PLAIN, permissions=frozenset({"a"})), SAME, SAME),
     ("site/start", PLAIN, site(start="dock"), LOOSENS, LOOSENS),
 ]  # fmt: skip
 
@@ -228,7 +232,15 @@ def test_shows_values_as_people_read_them_and_no_longer_than_a_line() -> None:
     assert only.after.endswith("…")
     (tuples,) = compare(PLAIN, grasp(preconditions=("gripper_empty", "arm_ready"))).differences
     assert tuples.after == "gripper_empty, arm_ready"
-    assert found.document() == {"direction": "loosens", "differences": [only._asdict()]}
+    said = {"direction": "loosens", "proved": False, "differences": [only._asdict()], "decisions": []}
+    assert found.document() == said
     (gone,) = compare(PLAIN, authority(grants=None)).differences
     assert gone.after == ""
     assert GrantTerms.__name__ in gone.before
+
+
+def test_a_decision_that_comes_out_otherwise_counts_like_a_part_and_survives_being_written_down() -> None:
+    more = Transition("grasp_object", HERE, "deny -> allow", LOOSENS, True, "it is", "cases: []", {"params": {}})
+    found = summed(iter([("a", 1, 2, TIGHTENS)]), (more,), proved=True)
+    assert (found.direction, found.proved, found.decisions) == (Direction.BOTH, True, (more,))
+    assert Comparison.read(found.document()) == found
