@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import pytest
 from playwright.sync_api import Locator, expect
 
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import Floor, People, Person, at_once, far
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 
@@ -14,6 +19,27 @@ pytestmark = [pytest.mark.browser, pytest.mark.process]
 def robot(person: Person) -> Locator:
     """What the robot says of itself, in the header."""
     return person.page.locator("header dl.facts")
+
+
+def hold(person: Person, key: str, until_true: Callable[[], bool], what: str) -> None:
+    """Hold a key until something is so, then let go.
+
+    As a person does: pressed anew when the console let go of it, as it does while its link is late.
+    """
+    keyboard, running = person.page.keyboard, person.page.get_by_text("Moving while you hold")
+    expect(person.page.get_by_text("Hold to run; let go to stop")).to_be_visible()  # no key counts before
+    keyboard.down(key)
+    expect(running).to_be_visible()
+
+    def done() -> bool:
+        if not running.is_visible():
+            keyboard.up(key)
+            keyboard.down(key)
+        return until_true()
+
+    until(done, what=what)
+    keyboard.up(key)
+    expect(running).to_be_hidden()
 
 
 def test_a_stop_is_heard_while_typing(server: ServerProcess, people: People, floor: Floor) -> None:
@@ -85,11 +111,7 @@ def test_one_of_two_gets_the_controls_drives_by_keyboard_and_ends_it(
     expect(watcher.page.get_by_text(f"{won} drives workcell-1 by hand")).to_be_visible()
     expect(robot(driver)).to_contain_text("You (remote)")
     began = floor.base()
-    driver.page.keyboard.down("ArrowDown")
-    expect(driver.page.get_by_text("Moving while you hold")).to_be_visible()
-    until(lambda: far(floor.base(), began) > 0.1, what="a base driven back")
-    driver.page.keyboard.up("ArrowDown")
-    expect(driver.page.get_by_text("Hold to run; let go to stop")).to_be_visible()
+    hold(driver, "ArrowDown", lambda: far(floor.base(), began) > 0.1, what="a base driven back")
     until(lambda: floor.speed() < 0.01, what="a base at rest")
     driver.button("End session").click()
     expect(robot(watcher)).to_contain_text("Nobody")
@@ -106,9 +128,7 @@ def test_a_session_taken_over_goes_on_when_it_is_handed_back(
     person.button("Take the controls").click()
     expect(robot(person)).to_contain_text("Driven by hand")
     began = floor.base()
-    person.page.keyboard.down("ArrowLeft")
-    until(lambda: far(floor.base(), began) > 0.05, what="a base driven aside")
-    person.page.keyboard.up("ArrowLeft")
+    hold(person, "ArrowLeft", lambda: far(floor.base(), began) > 0.05, what="a base driven aside")
     until(lambda: floor.speed() < 0.01, what="a base at rest")
     person.button("Agent goes on").click()
     expect(robot(person)).to_contain_text("Running")
