@@ -170,7 +170,20 @@ def test_a_trial_under_every_sensitivity_is_the_same_trial() -> None:
     late = [float(row["latency_ticks"] or 0) for row in rows[: len(study_sensitivity.FIXED)] if row["detected"]]
     assert late == sorted(late, reverse=True)  # raising s never detects later
     assert len({(row["size"], row["excess"]) for row in rows}) == 1
-    assert told(rows)["sensitivity"][0]["s"] == 0.1
+    shipped, hard = told(rows)["studies"]["sensitivity"]["tables"]
+    assert "s = 0.1" in shipped["rows"]
+    assert not hard["rows"]
+
+
+@pytest.mark.physics
+def test_where_policy_debounces_what_is_brief_goes_unseen_at_a_low_sensitivity_and_not_at_a_high_one() -> None:
+    rows = list(study_sensitivity.run(Part("hard", SEED, 0, 1), policy()))
+    seen = [row["detected"] for row in rows[: len(study_sensitivity.FIXED)]]
+    assert seen == sorted(seen)  # type: ignore[type-var]  # raising s never detects less
+    assert (seen[0], seen[-1]) == (False, True)
+    points = told(rows)["sensitivity"]
+    assert [point["s"] for point in points] == list(study_sensitivity.FIXED)
+    assert (points[0]["RVDR"]["mean"], points[-1]["RVDR"]["mean"]) == (0.0, 1.0)
 
 
 @pytest.mark.physics
