@@ -24,22 +24,26 @@ def robot(person: Person) -> Locator:
 def hold(person: Person, key: str, until_true: Callable[[], bool], what: str) -> None:
     """Hold a key until something is so, then let go.
 
-    As a person does: pressed anew when the console let go of it, as it does while its link is late.
+    As a person does: pressed anew when the console let go of it, as it does while its link is late, and when it says to
+    let go first, as the robot wants it while it is still coming to rest.
     """
-    keyboard, running = person.page.keyboard, person.page.get_by_text("Moving while you hold")
-    expect(person.page.get_by_text("Hold to run; let go to stop")).to_be_visible()  # no key counts before
+    keyboard = person.page.keyboard
+    released = person.page.get_by_text("Hold to run; let go to stop")
+    refused = person.page.get_by_text("let go of everything, then press again")
+    expect(released).to_be_visible()  # no key counts before
     keyboard.down(key)
-    expect(running).to_be_visible()
+    expect(released).to_be_hidden()
 
     def done() -> bool:
-        if not running.is_visible():
+        if released.is_visible() or refused.is_visible():
             keyboard.up(key)
+            expect(refused).to_be_hidden()
             keyboard.down(key)
         return until_true()
 
     until(done, what=what)
     keyboard.up(key)
-    expect(running).to_be_hidden()
+    expect(released).to_be_visible()
 
 
 def test_a_stop_is_heard_while_typing(server: ServerProcess, people: People, floor: Floor) -> None:
