@@ -7,45 +7,31 @@ governance goes the whole way: a signed permit, the cell's runner with its journ
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Final
-
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from app.cell.journal import Entry, Journal
 from app.cell.run import Doing
 from app.cell.runner import Runner
 from app.cell.substrate import SubstrateError
 from app.evaluation.floor import RETREATS
-from app.evaluation.methods import Recovering, Watching
-from app.evaluation.model import AGENT
+from app.evaluation.permits import UNSEEN, WALL_S, adopt, authorize, grant_of, recovery_of, signed, watch_of
 from app.governance.conditions import unmet
-from app.governance.coverage import covered_recoveries
 from app.governance.model import (
-    Authorization,
-    Bounds,
-    CellFacts,
-    Context,
     CoveredRecovery,
     EventKind,
-    Mode,
     Outcome,
     Proposal,
     RecoveryPlan,
-    RecoveryRule,
     SkillState,
     Status,
-    Strategy,
     WatchPlan,
 )
-from app.governance.permit import mint, verify
 from app.governance.policy import recovery_plan, watch_plan, watch_plan_for
-from app.governance.signals import SIGNAL_NAMES
-from app.governance.watcher import without
 from app.sim.skills import Run
 
 if TYPE_CHECKING:
@@ -53,7 +39,7 @@ if TYPE_CHECKING:
     from app.evaluation.methods import Method
     from app.evaluation.truth import Truth
     from app.governance.model import Params, WorldFacts
-    from app.governance.permit import Grant, SignedAuthorization
+    from app.governance.permit import Grant
     from app.governance.policy import PolicySet
     from app.sim.workcell import Workcell
 
@@ -62,18 +48,6 @@ RECOVERY_TICKS: Final = 9000
 """And what recovering may add: five new attempts, as sim-relaxed allows them, take 75 s before policy ends it."""
 ANSWER_TICKS: Final = 200  # the supervisor is there within two seconds
 AGENT_RETRIES: Final = 1
-INTERNAL_SIGNALS: Final = frozenset({"contact_force_n", "grip_force_n", "slip_m", "grip_lost", "elapsed_s"})
-"""What a skill's embedded checks can see: its own gripper, its own contact force, its own time."""
-UNSEEN: Final[Mapping[Watching, frozenset[str]]] = {
-    Watching.GOVERNED: frozenset(),
-    Watching.INTERNAL: frozenset(SIGNAL_NAMES) - INTERNAL_SIGNALS,
-    Watching.NOTHING: frozenset(SIGNAL_NAMES),
-}
-"""What a method's watcher is blind to, the rules included that a watcher has without being asked."""
-
-_KEY: Final = Ed25519PrivateKey.generate()
-_UNBOUNDED: Final = Bounds(1e3, 1e3, 1e4, 1e5, 1e2)
-_WALL_S: Final = 1.0e9
 
 
 @dataclass(slots=True)
@@ -126,7 +100,7 @@ def ungoverned(
     only ask that.
     """
     done = Execution(truth)
-    grant = _grant(cell, capability, params)
+    grant = grant_of(cell, capability, params)
     before = 0
     for _ in range(1 + retries):
         cell.unbind()
@@ -225,14 +199,14 @@ def governed(  # noqa: PLR0913  # an execution has that many sides
 
     def plan_of(grant: Grant, recovery: CoveredRecovery | None = None) -> tuple[WatchPlan, RecoveryPlan]:
         permit = grant.authorization
-        then = _recovery(method, recovery_plan(policy, permit.capability, permit.profile))
+        then = recovery_of(method, recovery_plan(policy, permit.capability, permit.profile))
         plan = (
             watch_plan_for(policy, permit)
             if recovery is None
             else watch_plan(policy, recovery.capability, permit.profile, recovery.params, recovery.mode)
         )
         truth.plan = plan  # a recovery is held to what policy allows it, not to what the task was allowed
-        return plan_change(_watch(method, plan)), then
+        return plan_change(watch_of(method, plan)), then
 
     promised = policy.capabilities[proposal.capability].postconditions
 
@@ -241,10 +215,10 @@ def governed(  # noqa: PLR0913  # an execution has that many sides
             return ()  # who does not look at what was promised takes the skill's word for it
         return tuple(found.condition for found in unmet(postconditions, params, facts, policy.site))
 
-    runner = Runner(cell, plan_of=plan_of, verify=verified, journal=journal, wall=lambda: _WALL_S, emit=entries.append)
-    runner.adopt(policy_digest=policy.digest, key=_KEY.public_key())
+    runner = Runner(cell, plan_of=plan_of, verify=verified, journal=journal, wall=lambda: WALL_S, emit=entries.append)
+    adopt(runner, policy)
     done = Execution(truth)
-    refused = runner.launch(mint(authorize(cell, method, policy, proposal, profile), _KEY))
+    refused = runner.launch(signed(authorize(cell, method, policy, proposal, profile)))
     if refused is None:
         _watch_over(runner, cell, done, supervised, achieved, during, limit)
     else:
@@ -306,105 +280,6 @@ def _watch_over(  # an execution has that many sides
             runner.human(session.run.id, op, "supervisor")
 
 
-def adopt(runner: Runner, policy: PolicySet) -> None:
-    """Let a cell believe authorizations under another policy from now on, as it does when one is activated."""
-    runner.adopt(policy_digest=policy.digest, key=_KEY.public_key())
-
-
-def signed(permit: Authorization) -> SignedAuthorization:
-    """Sign an authorization as the kernel of these executions does."""
-    return mint(permit, _KEY)
-
-
 def _starts(skill: Skill | None, capability: str) -> int:
     """Return how often a skill has begun with the task itself: what begins anew in a recovery is no retry of it."""
     return skill.starts if isinstance(skill, Run) and skill.capability == capability else 0
-
-
-def authorize(cell: Workcell, method: Method, policy: PolicySet, proposal: Proposal, profile: str) -> Authorization:
-    """Make the permit that the kernel would make for this proposal, with the recoveries that the method has."""
-    return Authorization(
-        id="permit",
-        invocation="trial",
-        cell=cell.id,
-        capability=proposal.capability,
-        version=policy.capabilities[proposal.capability].version,
-        params=proposal.params,
-        mode=proposal.mode,
-        profile=profile,
-        policy_digest=policy.digest,
-        issued_at_s=_WALL_S,
-        expires_at_s=_WALL_S + 60.0,
-        recoveries=_covered(method, policy, proposal, context_of(cell, policy, profile)),
-        approvals=("supervisor",),
-    )
-
-
-def context_of(cell: Workcell, policy: PolicySet, profile: str) -> Context:
-    """Return Γ_t as the server would see this cell."""
-    facts = CellFacts(id=cell.id, online=True, facts=cell.facts())
-    return Context(time_s=_WALL_S, profile=profile, agent=policy.agent(AGENT), cell=facts, operator_on_duty=True)
-
-
-def _covered(method: Method, policy: PolicySet, proposal: Proposal, context: Context) -> tuple[CoveredRecovery, ...]:
-    match method.recovery:
-        case Recovering.GOVERNED:
-            return covered_recoveries(policy, proposal, context)
-        case Recovering.INTERNAL:
-            return (
-                CoveredRecovery(strategy=Strategy.RETRY, capability=proposal.capability, params=proposal.params),
-                CoveredRecovery(strategy=Strategy.RECOVERY_CAPABILITY, capability="release_and_retract", params={}),
-            )
-        case _:
-            return ()
-
-
-_INTERNAL_ROWS: Final = (
-    RecoveryRule(
-        on="grasp_failed", do=(Strategy.RECOVERY_CAPABILITY, Strategy.RETRY), capability="release_and_retract"
-    ),
-    RecoveryRule(on="object_lost", do=(Strategy.RECOVERY_CAPABILITY, Strategy.RETRY), capability="release_and_retract"),
-    RecoveryRule(on="any", do=(Strategy.RETRY, Strategy.TERMINATE)),
-)
-
-
-def _recovery(method: Method, plan: RecoveryPlan) -> RecoveryPlan:
-    match method.recovery:
-        case Recovering.GOVERNED:
-            return replace(plan, can_ask=plan.can_ask and method.human)
-        case Recovering.INTERNAL:
-            return replace(plan, rules=_INTERNAL_ROWS, retry_budget=1, rollback="optional", rollback_capability=None)
-        case _:
-            end = RecoveryRule(on="any", do=(Strategy.TERMINATE,))
-            return replace(plan, rules=(end,), retry_budget=0, rollback="optional", rollback_capability=None)
-
-
-def _watch(method: Method, plan: WatchPlan) -> WatchPlan:
-    if not method.guard:  # bounds are what policy allows: a method that does not ask it has none
-        plan = replace(plan, bounds=_UNBOUNDED) if method.watch is Watching.NOTHING else plan
-    return without(plan, *sorted(UNSEEN[method.watch]))
-
-
-def _grant(cell: Workcell, capability: str, params: Params) -> Grant:
-    """Return a grant for the ungoverned: the substrate moves on nothing else."""
-    permit = Authorization(
-        id="permit",
-        invocation="trial",
-        cell=cell.id,
-        capability=capability,
-        version="1.0.0",
-        params=params,
-        mode=Mode.NORMAL,
-        profile="ungoverned",
-        policy_digest="none",
-        issued_at_s=_WALL_S,
-        expires_at_s=_WALL_S + 60.0,
-    )
-    return verify(
-        mint(permit, _KEY),
-        key=_KEY.public_key(),
-        cell=cell.id,
-        policy_digest="none",
-        now_s=_WALL_S + 1.0,
-        used=frozenset(),
-    )

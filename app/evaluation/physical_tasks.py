@@ -20,9 +20,10 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from app.evaluation.capabilities import judge_of
 from app.evaluation.draws import Drawn
-from app.evaluation.episode import LIMIT_TICKS, RECOVERY_TICKS, Execution, context_of, governed, ungoverned
+from app.evaluation.episode import LIMIT_TICKS, RECOVERY_TICKS, Execution, governed, ungoverned
 from app.evaluation.extensions import find_method, find_task
 from app.evaluation.methods import METHODS, Passed
+from app.evaluation.permits import context_of
 from app.evaluation.physical_trial import Bench, alike, looking, shares_twin, took
 from app.evaluation.task_draws import DRIVING, TaskRun, draw_task
 from app.evaluation.task_rows import task_row

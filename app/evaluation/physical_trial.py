@@ -16,9 +16,10 @@ from app.cell.run import Doing
 from app.evaluation.capabilities import judge_of, restored_of, undoable_of
 from app.evaluation.circumstances import AS_REPORTED, USUAL, Circumstances, other_way
 from app.evaluation.draws import Drawn, draw, of_type
-from app.evaluation.episode import Execution, Journals, Supervised, context_of, governed, ungoverned
+from app.evaluation.episode import Execution, Journals, Supervised, governed, ungoverned
 from app.evaluation.methods import Passed, Recovering, Watching
 from app.evaluation.model import Breach, Failure, Kind, Violation
+from app.evaluation.permits import context_of
 from app.evaluation.stage import Stage
 from app.evaluation.timing import time_gates
 from app.evaluation.truth import SIGMA, Truth

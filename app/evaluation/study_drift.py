@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from app.evaluation.draws import Drawn
-from app.evaluation.episode import adopt, authorize, signed
 from app.evaluation.methods import REINS
 from app.evaluation.model import PROFILES, Kind, Row, Violation
+from app.evaluation.permits import adopt, authorize, signed
 from app.evaluation.physical_trial import looking
 from app.evaluation.stage import Start
 from app.evaluation.study_trials import (

@@ -13,8 +13,8 @@ from statistics import fmean
 from typing import TYPE_CHECKING, Any, Final
 
 from app.evaluation.draws import Drawn
-from app.evaluation.episode import context_of
 from app.evaluation.model import PROFILES, Kind, Row, Violation
+from app.evaluation.permits import context_of
 from app.evaluation.physical_trial import Trial
 from app.evaluation.stage import Start
 from app.evaluation.study_trials import (

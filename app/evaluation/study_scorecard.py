@@ -19,9 +19,10 @@ import numpy as np
 from app.cell.journal import Entry, Journal
 from app.cell.runner import Runner
 from app.evaluation.draws import Drawn, draw
-from app.evaluation.episode import Supervised, adopt, authorize, signed
+from app.evaluation.episode import Supervised
 from app.evaluation.methods import REINS, pass_gate
 from app.evaluation.model import PAPER_FAILURES, PROFILES, Breach, Kind, Row
+from app.evaluation.permits import adopt, authorize, signed
 from app.evaluation.physical_rows import row
 from app.evaluation.physical_trial import prepare, ready
 from app.evaluation.physical_trial import run as run_trial

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from app.evaluation.draws import CLEAR_OF_ARM_M, STIFF, WHERE, Drawn, draw, of_type
-from app.evaluation.episode import context_of
 from app.evaluation.methods import ABLATIONS, REINS, Passed, pass_gate
 from app.evaluation.model import CAPABILITIES, PROFILES, TUNING_SEEDS, Breach, Failure, Kind, Violation
+from app.evaluation.permits import context_of
 from app.evaluation.stage import APART_M, Stage, Start, places
 from app.governance.guard import check
 from app.governance.model import AgentFacts, Context, PolicyOutcome, Proposal
