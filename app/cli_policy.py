@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from pathlib import Path
 from textwrap import indent
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -10,12 +11,13 @@ import typer
 from rich.progress import BarColumn, Progress, TextColumn
 
 from app import cli_authoring, cli_policy_diff, cli_policy_new, cli_policy_test
-from app.cli_policies import Directory, finding
+from app.cli_policies import Directory, finding, load_policy
 from app.clock import monotonic_s
 from app.config import find_policies
 from app.governance.bundle import load, read_cases, read_properties
 from app.governance.cases import read as read_tests
 from app.governance.errors import PolicyErrors
+from app.governance.evolution import outgrown
 from app.terminal import FINDING, err, say
 
 if TYPE_CHECKING:
@@ -44,13 +46,16 @@ class Form(StrEnum):
 
 
 @app.command()
-def check(
+def check(  # its options
     directory: Directory = None,
     form: Annotated[Form, typer.Option("--format", help="How to write what is found.")] = Form.TEXT,
     effort: Annotated[int, typer.Option(min=1, help="Steps of the solver for one question.")] = 20_000_000,
     all_s: Annotated[float, typer.Option("--time-limit", min=0.01, help="Seconds for all proofs together.")] = 120.0,
     proofs: Annotated[bool, typer.Option(help="Whether to prove, or only to load.")] = True,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Print notes as well.")] = False,
+    against: Annotated[
+        Path | None, typer.Option(help="The policy agents know: every capability's version has to say what changed.")
+    ] = None,
 ) -> None:
     """Load and type-check everything, cases included, and prove it: no contradiction, no gap, no dead rule, no error.
 
@@ -63,6 +68,8 @@ def check(
     try:
         policy = load(folder)
         cases = read_tests(policy, read_cases(folder))
+        if against is not None and (problems := outgrown(load_policy(find_policies(against)), policy)):
+            raise PolicyErrors(problems)  # noqa: TRY301  # they are written like all others
         report = _prove(policy, read_properties(folder), effort, all_s) if proofs else None
     except PolicyErrors as found:
         if form is Form.SARIF:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import orjson
@@ -97,3 +98,15 @@ def test_the_templates_are_explained_with_their_clauses() -> None:
     assert done.exit_code == 0
     for word in ("ISO/TS 15066:2016, 5.5.4", "ISO 13482:2014", "(EU) 2024/1689", "no standard fixes it"):
         assert word in done.output
+
+
+def test_a_candidate_is_checked_against_the_policy_that_agents_know(tmp_path: Path) -> None:
+    shutil.copytree(POLICIES, tmp_path / "candidate")
+    manifest = tmp_path / "candidate" / "capabilities" / "grasp_object.yaml"
+    manifest.write_text(manifest.read_text().replace("default: 40", "default: 50"))
+    words = ["policy", "check", str(tmp_path / "candidate"), "--no-proofs", "--against", str(POLICIES)]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 1
+    assert "grasp_object.yaml:3: version: 1.0.0 in force became 1.0.0, and what changed demands a major" in done.output
+    manifest.write_text(manifest.read_text().replace("version: 1.0.0", "version: 2.0.0"))
+    assert CliRunner().invoke(app, words).exit_code == 0

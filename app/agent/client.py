@@ -370,6 +370,7 @@ class ReinsClient:
         cell: str | None = None,
         metadata: Document | None = None,
         recovery_preference: str | None = None,
+        capability_version: str | None = None,
         idempotency_key: str | None = None,
         on_update: OnUpdate | None = None,
         **params: Any,  # noqa: ANN401 - whatever the capability's own schema declares
@@ -381,7 +382,13 @@ class ReinsClient:
         not even be sent, `Unreachable` if there was no answer. `on_update` is called with the invocation at every
         change.
         """
-        options = {"mode": mode, "cell": cell, "metadata": metadata, "recovery_preference": recovery_preference}
+        options = {
+            "mode": mode,
+            "cell": cell,
+            "metadata": metadata,
+            "recovery_preference": recovery_preference,
+            "capability_version": capability_version,
+        }
         return self._run(_invoke(_proposal(capability, params, options), idempotency_key, self._defers, on_update))
 
     def follow(self, invocation: str, *, on_update: OnUpdate | None = None) -> Result:
@@ -458,12 +465,19 @@ class AsyncReinsClient:
         cell: str | None = None,
         metadata: Document | None = None,
         recovery_preference: str | None = None,
+        capability_version: str | None = None,
         idempotency_key: str | None = None,
         on_update: OnUpdate | None = None,
         **params: Any,  # noqa: ANN401 - whatever the capability's own schema declares
     ) -> Awaitable[Result]:
         """Propose a capability and wait for its end; see `ReinsClient.invoke`."""
-        options = {"mode": mode, "cell": cell, "metadata": metadata, "recovery_preference": recovery_preference}
+        options = {
+            "mode": mode,
+            "cell": cell,
+            "metadata": metadata,
+            "recovery_preference": recovery_preference,
+            "capability_version": capability_version,
+        }
         return self._run(_invoke(_proposal(capability, params, options), idempotency_key, self._defers, on_update))
 
     async def follow(self, invocation: str, *, on_update: OnUpdate | None = None) -> Result:

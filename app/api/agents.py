@@ -151,6 +151,7 @@ def to_request(body: ProposalBody) -> ProposalRequest:
         preconditions=tuple(body.preconditions),
         recovery_preference=Strategy(body.recovery_preference) if body.recovery_preference else None,
         metadata=body.metadata,
+        version=body.capability_version,
     )
 
 

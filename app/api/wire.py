@@ -16,6 +16,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from app.api.faults import field_errors
 from app.api.problems import Problem
+from app.governance.semver import PIN
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -71,6 +72,12 @@ class ProposalBody(Body):
     )
     recovery_preference: Preference | None = Field(
         default=None, description="The recovery the agent would prefer; policy chooses."
+    )
+    capability_version: Annotated[str, Field(pattern=PIN)] | None = Field(
+        default=None,
+        description="The version of the capability that the agent was made for: `1.2.3`, `~1.2.3` or later of 1.2, "
+        "`^1.2.3` or later of 1. Where another one is in force the proposal is rejected with `capability_version`.",
+        examples=["^1.0.0"],
     )
     metadata: dict[str, Any] = Field(
         default_factory=dict, description="Context for rules and record, for instance `confidence` and `goal`."

@@ -227,14 +227,14 @@ class _Again:
         policy, profile = self._policy, admission["profile"]
         proposal, context = recorded.read(kept, profile, policy, self._agents)
         if kept["policy_version"] != policy.digest:
-            params = policy.validate_params(proposal.capability, cast("Any", proposal.params))
+            params = policy.validate_params(proposal.capability, cast("Any", proposal.params), proposal.version)
             if isinstance(params, tuple):
                 after, what = "invalid", f"{PARAMS}: {params[0].message}"
                 return self._changed(seq, invocation, profile, proposal, _said(kept, verdict), after, what)
             if params != proposal.params:
                 proposal = Proposal(
                     capability=proposal.capability, params=params, metadata=proposal.metadata, mode=proposal.mode,
-                    preconditions=proposal.preconditions,
+                    preconditions=proposal.preconditions, version=proposal.version,
                 )  # fmt: skip
         decision = decide(policy, proposal, context)
         if _same(decision, admission, verdict, kept):

@@ -5,6 +5,7 @@
 | no policy, unknown profile | reject | `no_policy`, `unknown_profile` |
 | capability unknown, or not enabled here | reject | `unknown_capability`, `not_in_profile` |
 | recovery capability, proposed by an agent | reject | `recovery_only` |
+| another version of the capability asked for than is in force | reject | `capability_version` |
 | agent not permitted | reject | `permission_missing` |
 | agent permitted under supervision | escalate | `permission_supervised` |
 | mode not admitted | reject | `mode_not_admitted` |
@@ -25,11 +26,12 @@ from app.governance.conditions import TESTS, unmet
 from app.governance.model import Admission, AdmissionOutcome, Reason
 from app.governance.policy_code import metadata_fault
 from app.governance.policy_model import GOVERNANCE
+from app.governance.semver import meets, parse
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from app.governance.model import CellFacts, Context, Proposal
+    from app.governance.model import Capability, CellFacts, Context, Proposal
     from app.governance.policy import Gate, PolicySet
 
 ACCEPT: Final = Admission(outcome=AdmissionOutcome.ACCEPT)
@@ -50,6 +52,8 @@ def admit(policy: PolicySet | None, proposal: Proposal, context: Context) -> Adm
     gate = None if policy is None else policy.gates.get((proposal.capability, context.profile))
     if policy is None or gate is None:
         return _reject(_no_gate(policy, proposal, context))
+    if proposal.version is not None and not meets(gate.capability.version, proposal.version):
+        return _reject(_other_version(gate.capability, proposal.version))  # its parameters are another version's
     cell = context.cell
     if (
         gate.permissions <= context.agent.permissions
@@ -98,6 +102,15 @@ def _no_gate(policy: PolicySet | None, proposal: Proposal, context: Context) -> 
             RULE, "unknown_capability", f"there is no capability `{name[:64]}`", f"one of: {', '.join(offered)}"
         )
     return Reason(RULE, "not_in_profile", f"`{name}` is not enabled in {profile}", "propose another capability")
+
+
+def _other_version(capability: Capability, asked: str) -> Reason:
+    """Name the version in force, and what changed on the way to it, as far as the manifest says."""
+    name, present, least = capability.name, parse(capability.version), parse(asked)
+    came = sorted((parse(version), said) for version, said in capability.changes.items() if parse(version) > least)
+    told = "".join(f"; {version}: {said}" for version, said in came)
+    message = f"`{name}` is in force as {present}, and `{asked}` was asked for{told}"
+    return Reason(RULE, "capability_version", message, f"propose what {present} takes, or leave the version out")
 
 
 def _explain(policy: PolicySet, gate: Gate, proposal: Proposal, context: Context) -> Admission:

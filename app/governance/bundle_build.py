@@ -66,6 +66,7 @@ def capability(shape: shapes.CapabilityShape) -> Capability:
         timeout_s=shape.timeout_s,
         recovery=shape.recovery,
         phases=tuple(shape.phases),
+        changes=dict(shape.changes),
     )
 
 

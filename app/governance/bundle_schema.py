@@ -282,6 +282,7 @@ _MEANINGS: Final[Mapping[tuple[str, str], str]] = {
     ("RuleShape", "because"): "The reason, as agents and people read it.",
     ("RuleShape", "remedy"): "What an agent may do instead.",
     ("CapabilityShape", "version"): "Semantic: MAJOR.MINOR.PATCH; what changed demands which part grows.",
+    ("CapabilityShape", "changes"): "By version, what came with it; agents that ask for an older one are told.",
     ("CapabilityShape", "recovery"): "Whether governance alone proposes it, to recover.",
     ("CapabilityShape", "inputs"): "A closed JSON Schema of the parameters; numbers with unit, minimum and maximum.",
     ("CapabilityShape", "permissions"): "What an agent has to hold to propose it.",

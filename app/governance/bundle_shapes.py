@@ -10,8 +10,11 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
+from app.governance.semver import PIN, VERSION
+
 Name: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
 Slug: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9]*(-[a-z0-9]+)*$", max_length=64)]
+Version: TypeAlias = Annotated[str, Field(pattern=rf"^{VERSION}$")]
 Text: TypeAlias = Annotated[str, Field(min_length=1, max_length=400)]
 Length: TypeAlias = Annotated[float, Field(gt=0)]
 Count: TypeAlias = Annotated[int, Field(ge=0, le=100)]
@@ -70,7 +73,8 @@ class CapabilityShape(Shape):
     """A capability manifest."""
 
     name: Name
-    version: Annotated[str, Field(pattern=r"^\d+\.\d+\.\d+$")]
+    version: Version
+    changes: dict[Version, Text] = {}
     summary: Text
     recovery: bool = False
     inputs: dict[str, JsonValue]
@@ -387,6 +391,7 @@ class CaseShape(Shape):
     mode: ModeName = "normal"
     metadata: dict[str, JsonValue] = {}
     preconditions: list[str] = []
+    capability_version: Annotated[str, Field(pattern=PIN)] | None = None
     context: ContextShape | None = None
     expect: ExpectShape
 

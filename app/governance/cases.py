@@ -115,7 +115,7 @@ def compared(case: CaseShape, found: Mapping[str, Any]) -> list[str]:
 
 def asking(policy: PolicySet, profile: str, case: CaseShape) -> tuple[Proposal, Context] | None:
     """Return what a case asks: its proposal and Γ_t; None where its parameters do not fit their schema."""
-    params: Any = policy.validate_params(case.capability, case.params)  # pyright: ignore[reportArgumentType]
+    params: Any = policy.validate_params(case.capability, case.params, case.capability_version)  # pyright: ignore[reportArgumentType]
     if isinstance(params, tuple):
         return None
     proposal = Proposal(
@@ -124,6 +124,7 @@ def asking(policy: PolicySet, profile: str, case: CaseShape) -> tuple[Proposal, 
         metadata=case.metadata,  # pyright: ignore[reportArgumentType]  # pydantic's JsonValue is our Json
         mode=Mode(case.mode),
         preconditions=tuple(case.preconditions),
+        version=case.capability_version,
     )
     return proposal, context(policy, profile, case.context or ContextShape())
 

@@ -178,7 +178,7 @@ def _wider(before: frozenset[str] | None, after: frozenset[str] | None) -> Direc
 # Parts ---------------------------------------------------------------------------------------------------------------
 
 _OF_A_CAPABILITY: Final[Mapping[str, Way | None]] = {
-    "version": _words, "summary": _words, "preconditions": _further, "postconditions": _further,
+    "version": _words, "summary": _words, "changes": _words, "preconditions": _further, "postconditions": _further,
     "permissions": _further, "risk": _along(_RISKS), "timeout_s": _less, "env_profile": _INSIDE,
 }  # fmt: skip
 _OF_A_PROFILE: Final[Mapping[str, Way | None]] = {

@@ -23,6 +23,7 @@ Point: TypeAlias = tuple[float, float]
 LONGEST_GRANT_S = 900.0  # what a human allowed in advance is asked about again after at most a quarter of an hour
 CONTROL_PERIOD_S = 0.01  # 100 Hz control over 500 Hz physics (design, section 4)
 EMPTY: Mapping[str, Json] = MappingProxyType({})
+NO_CHANGES: Mapping[str, str] = MappingProxyType({})
 
 
 # -- names -----------------------------------------------------------------------------------------
@@ -213,7 +214,10 @@ class Change(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Proposal:
-    """q_t = (ĉ, x, z): capability, parameters (validated, defaults filled in) and contextual metadata."""
+    """q_t = (ĉ, x, z): capability, parameters (validated, defaults filled in) and contextual metadata.
+
+    `version` is what of the capability the agent was made for (`semver`); None takes whatever is in force.
+    """
 
     capability: str
     params: Params
@@ -221,6 +225,7 @@ class Proposal:
     mode: Mode = Mode.NORMAL
     preconditions: tuple[str, ...] = ()
     recovery_preference: Strategy | None = None
+    version: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -375,7 +380,8 @@ class Capability:
     `inputs` is a JSON Schema 2020-12 object schema whose numeric properties carry `unit`; `env_profile` maps a
     profile to `allowed`, `guarded`, `approval-required` or `forbidden`; `rollback` names a recovery capability or is
     None; `recovery` marks those that only governance may start. `phases` are what its skill says it is in, in the order
-    in which it first is: a phase that is not listed cannot wait for a human.
+    in which it first is: a phase that is not listed cannot wait for a human. `changes` says in words what came with
+    which version.
     """
 
     name: str
@@ -391,6 +397,7 @@ class Capability:
     timeout_s: float
     recovery: bool = False
     phases: tuple[str, ...] = ()
+    changes: Mapping[str, str] = field(default_factory=lambda: NO_CHANGES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,6 +15,7 @@ from app.governance.control import TAKEOVER
 from app.governance.model import AgentFacts, Bounds, Mode, RecoveryPlan, WatchPlan, WatchRule
 from app.governance.policy_code import limit_for
 from app.governance.policy_model import GOVERNANCE
+from app.governance.semver import meets
 from app.governance.vocabulary import properties
 
 if TYPE_CHECKING:
@@ -108,16 +109,21 @@ class PolicySet:
     permissions: frozenset[str]
     files: Mapping[str, str]
 
-    def validate_params(self, capability: str, params: Mapping[str, Json]) -> Params | tuple[ParamProblem, ...]:
+    def validate_params(
+        self, capability: str, params: Mapping[str, Json], version: str | None = None
+    ) -> Params | tuple[ParamProblem, ...]:
         """Hold parameters to the capability's input schema; return them with defaults filled in, or what is wrong.
 
         Numbers come back as floats. Names that the site does not know are no problem here: admission rejects them. For
-        an unknown capability there is nothing to hold the parameters to, and admission rejects the proposal.
+        an unknown capability, and where `version` asks for another one than is in force, there is nothing to hold the
+        parameters to, and admission rejects the proposal.
         """
         problems = () if _plainly_safe(params) else tuple(_unsafe(params, ()))
         inputs = self.inputs.get(capability)
         if problems or inputs is None:
             return problems or params
+        if version is not None and not meets(self.capabilities[capability].version, version):
+            return params
         if not inputs.validator.is_valid(params):
             return tuple(_schema_problems(inputs.validator, self.capabilities[capability].inputs, params))
         filled = {**inputs.defaults, **params}
@@ -404,6 +410,7 @@ def _manifest(capability: Capability) -> dict[str, Any]:
         "env_profile": dict(capability.env_profile),
         "timeout_s": capability.timeout_s,
         "recovery": capability.recovery,
+        "changes": dict(capability.changes),
     }
 
 

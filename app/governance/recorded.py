@@ -48,6 +48,7 @@ def circumstances(proposal: Proposal, context: Context, policy: PolicySet, decis
             **({"metadata": proposal.metadata} if proposal.metadata else _NOTHING),
             **({"mode": proposal.mode} if proposal.mode is not Mode.NORMAL else _NOTHING),
             **({"preconditions": proposal.preconditions} if proposal.preconditions else _NOTHING),
+            **({"capability_version": proposal.version} if proposal.version is not None else _NOTHING),
         },
         "cell": {
             "id": cell.id,
@@ -94,6 +95,7 @@ def read(kept: Body, profile: str, policy: PolicySet, agents: Agents) -> tuple[P
         metadata=said.get("metadata", _NOTHING),
         mode=_MODES[said["mode"]] if "mode" in said else Mode.NORMAL,
         preconditions=tuple(said.get("preconditions", ())),
+        version=said.get("capability_version"),
     )
     context = Context(
         time_s=kept["time_s"],

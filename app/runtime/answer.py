@@ -95,7 +95,7 @@ class Answer:
         return await self._count(present, None)
 
     async def _approve_edit(self, full: Mapping[str, Any]) -> Escalation:
-        filled = self._kernel.fill_in(self._invocation.capability, full)
+        filled = self._kernel.fill_in(self._invocation.capability, full, self._invocation.terms.version)
         judgement = self._judge(filled)
         if judgement.refused:
             reasons = [reason._asdict() for reason in judgement.reasons()]

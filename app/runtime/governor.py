@@ -103,11 +103,11 @@ class Governor(Takeovers, Controls):
         self, principal: Principal, request: ProposalRequest, slots: Sequence[Mapping[str, str]]
     ) -> Invocation:
         policy = self.kernel.policy
-        params = self.kernel.fill_in(request.capability, request.params)
+        params = self.kernel.fill_in(request.capability, request.params, request.version)
         cell = self._aim(request)
         await self.fleet.settle(cell)
         if self.kernel.policy is not policy:  # one version decides, from the schema on
-            params = self.kernel.fill_in(request.capability, request.params)
+            params = self.kernel.fill_in(request.capability, request.params, request.version)
         judgement = self.kernel.judge(request.proposal(params), principal.name, cell)
         invocation = self._decided(principal, request, params, cell, judgement)
         proposal = EventDraft(
@@ -188,6 +188,7 @@ class Governor(Takeovers, Controls):
                 preconditions=request.preconditions,
                 recovery_preference=request.recovery_preference,
                 metadata=request.metadata,
+                version=request.version,
             ),
             **judgement.parts(),
         )
@@ -198,7 +199,7 @@ class Governor(Takeovers, Controls):
         Raises:
             InvalidParams: parameters that do not fit the schema, or an unknown cell.
         """
-        params = self.kernel.fill_in(request.capability, request.params)
+        params = self.kernel.fill_in(request.capability, request.params, request.version)
         cell = self._aim(request)
         judgement = self.kernel.judge(request.proposal(params), principal.name, cell)
         document = self._decided(principal, request, params, cell, judgement).public()

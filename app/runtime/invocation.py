@@ -45,9 +45,13 @@ class ProposalRequest:
     preconditions: tuple[str, ...] = ()
     recovery_preference: Strategy | None = None
     metadata: Params = field(default_factory=dict[str, Any])
+    version: str | None = None
 
     def document(self) -> dict[str, Any]:
-        """Return the request as JSON, for the record and for telling one request from another."""
+        """Return the request as JSON, for the record and for telling one request from another.
+
+        A version that nobody asked for is left out, so that a request is the same as in a release that knew none.
+        """
         return {
             "capability": self.capability,
             "params": dict(self.params),
@@ -56,6 +60,7 @@ class ProposalRequest:
             "preconditions": list(self.preconditions),
             "recovery_preference": self.recovery_preference,
             "metadata": dict(self.metadata),
+            **({} if self.version is None else {"capability_version": self.version}),
         }
 
     def proposal(self, params: Params) -> Proposal:
@@ -67,6 +72,7 @@ class ProposalRequest:
             mode=self.mode,
             preconditions=self.preconditions,
             recovery_preference=self.recovery_preference,
+            version=self.version,
         )
 
 
@@ -81,6 +87,7 @@ class Terms:
     authorization: str | None = None
     launched_at_s: float | None = None
     confirmed: bool = False  # the cell said that it has the session
+    version: str | None = None  # of the capability, as the agent asked for it
 
     def document(self) -> dict[str, Any]:
         """Return the terms as JSON."""
@@ -92,6 +99,7 @@ class Terms:
             "authorization": self.authorization,
             "launched_at_s": self.launched_at_s,
             "confirmed": self.confirmed,
+            "version": self.version,
         }
 
     @classmethod
@@ -106,6 +114,7 @@ class Terms:
             authorization=document["authorization"],
             launched_at_s=document["launched_at_s"],
             confirmed=document["confirmed"],
+            version=document.get("version"),
         )
 
 
@@ -200,6 +209,7 @@ class Invocation:
             mode=self.terms.mode,
             preconditions=self.terms.preconditions,
             recovery_preference=self.terms.recovery_preference,
+            version=self.terms.version,
         )
 
 

@@ -266,15 +266,16 @@ class Kernel:
         """Return the profiles that policy knows."""
         return frozenset(self.policy.profiles)
 
-    def fill_in(self, capability: str, params: Mapping[str, Any]) -> dict[str, Any]:
+    def fill_in(self, capability: str, params: Mapping[str, Any], version: str | None = None) -> dict[str, Any]:
         """Return parameters held against the capability's schema, defaults filled in.
 
-        A capability nobody registered has no schema: its parameters stay as they are, and admission rejects it.
+        A capability nobody registered has no schema here, nor has another version than is in force: parameters stay as
+        they are, and admission rejects the proposal.
 
         Raises:
             InvalidParams: what does not fit, each with its place.
         """
-        found = self.policy.validate_params(capability, params)
+        found = self.policy.validate_params(capability, params, version)
         if isinstance(found, tuple):
             raise InvalidParams([{"path": _path(problem), "message": _message(problem)} for problem in found])
         return dict(found)

@@ -184,7 +184,7 @@ def _ask(present: Shadowing, judgement: Judgement) -> Decision | None:
     if present.live != judgement.policy.digest:
         present.live, present.other_inputs = judgement.policy.digest, _other_inputs(judgement.policy, present.policy)
     if proposal.capability in present.other_inputs:
-        params = present.policy.validate_params(proposal.capability, proposal.params)
+        params = present.policy.validate_params(proposal.capability, proposal.params, proposal.version)
         if isinstance(params, tuple):
             return None
         proposal = replace(proposal, params=params)

@@ -208,7 +208,7 @@ class Succession:
         """Decide on what waits for approval; an approver's edit stands in the place of what was requested."""
         asked = dict(question.edits[-1]["params"]) if question.edits else dict(invocation.requested)
         try:
-            params = self._kernel.fill_in(invocation.capability, asked)
+            params = self._kernel.fill_in(invocation.capability, asked, invocation.terms.version)
         except InvalidParams as error:
             why = reason(RULE, "params_invalid", f"the capability takes other parameters now: {error}", "propose again")
             await self._end(question, invocation, status=Status.REJECTED, outcome=Outcome.REJECTED, reasons=[why])

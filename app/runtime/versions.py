@@ -26,6 +26,7 @@ from app.audit.event import EventDraft, RowWrite
 from app.governance import bundle, cases
 from app.governance.comparison import compare
 from app.governance.errors import PolicyError, PolicyErrors
+from app.governance.evolution import outgrown
 from app.governance.model import EventKind
 from app.runtime.drafts import SERVER
 from app.runtime.errors import Conflict, NotFound
@@ -85,6 +86,12 @@ def check(files: Mapping[str, str]) -> Checked:
     if failed:
         raise PolicyErrors(failed)
     return Checked(policy, len(results))
+
+
+def _demand_versions(active: PolicySet, candidate: PolicySet) -> None:
+    """Refuse a candidate with a capability whose version does not say what changed. Raises `PolicyErrors`."""
+    if problems := outgrown(active, candidate):
+        raise PolicyErrors(problems)
 
 
 class InForce(NamedTuple):
@@ -175,6 +182,7 @@ class Versions:
             self._remember(policy)
             return read_version(row["document"]).public(), False
         active, now = self._kernel.policy, self._register.now()
+        _demand_versions(active, policy)
         found = await asyncio.to_thread(self.comparing, active, policy)
         version = Version(
             digest=policy.digest,
@@ -203,6 +211,7 @@ class Versions:
             NotFound: there is no such version; one with faults is never kept.
             Conflict: `policy_active`, it is in force; `second_engineer_needed`, it takes another person than those who
                 want it already.
+            PolicyErrors: a capability changed, and its version does not say so.
             RecordUnavailable: nothing was recorded and nothing has changed.
         """
         async with self._changing:
@@ -211,6 +220,8 @@ class Versions:
             if digest == active.digest:
                 raise Conflict("policy_active", f"`{digest}` is in force already")
             candidate = await self.compiled(digest)
+            if not version.activations:  # what was in force before may come back
+                _demand_versions(active, candidate)
             found = await asyncio.to_thread(self.comparing, active, candidate)
             if found.loosens and not version.vouches(active.digest) - {principal.name}:
                 return await self._wait_for_second(version, found, principal, why), False

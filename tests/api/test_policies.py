@@ -110,3 +110,52 @@ async def test_no_request_fails_while_versions_come_into_force(changing: House) 
                     break
     assert {status for status, _ in seen} == {201}
     assert {version for _, version in seen} == set(digests)
+
+
+INSPECT = "capabilities/inspect_area.yaml"
+
+
+def inspecting(version: str, dwell: str) -> dict[str, str]:
+    """The shipped policy with another longest dwell, and what its manifest says of it."""
+    manifest = FILES[INSPECT].replace(
+        "version: 1.0.0\n", f"version: {version}\nchanges: {{{version}: Dwells otherwise.}}\n"
+    )
+    return {**FILES, INSPECT: manifest.replace("maximum: 10.0", dwell)}
+
+
+async def test_a_changed_capability_needs_the_version_its_change_demands(changing: House) -> None:
+    assert "maximum: 10.0" in FILES[INSPECT]
+    refused = await bring(changing, inspecting("1.1.0", "maximum: 5"))
+    assert (refused.status_code, refused.json()["code"]) == (422, "policy_invalid")
+    (fault,) = refused.json()["errors"]
+    assert (fault["file"], fault["line"], fault["field"]) == (INSPECT, 3, "version")
+    assert (
+        "demands a major step: input `dwell_s`: maximum is `5` instead of `10.0`; valid: `2.0.0 or later`"
+        in fault["message"]
+    )
+    assert (await bring(changing, inspecting("2.0.0", "maximum: 5"))).status_code == 201
+
+
+async def test_an_agent_made_for_an_older_capability_is_told_which_is_in_force_until_it_comes_back(
+    changing: House,
+) -> None:
+    async def propose(params: dict[str, Any], version: str) -> dict[str, Any]:
+        async with changing.client("agent") as client:
+            body = {"capability": "inspect_area", "params": params, "capability_version": version}
+            return (await client.post("/v1/invocations", json=body)).json()
+
+    former = changing.runtime.kernel.policy.digest
+    digest = (await bring(changing, inspecting("2.0.0", "maximum: 5"))).json()["digest"]
+    for key in ("engineer", "engineer_2"):
+        await activate(changing, digest, key)
+    async with changing.cell():
+        told = await propose({"area": "bench_a_top", "dwell_s": 9}, "^1.0.0")  # another schema's parameters
+        assert (told["status"], told["admission"]["reasons"][0]["code"]) == ("rejected", "capability_version")
+        assert "2.0.0: Dwells otherwise." in told["admission"]["reasons"][0]["message"]
+        taken = await propose({"area": "bench_a_top", "dwell_s": 4}, "^2.0.0")
+        assert [one["code"] for one in taken["admission"]["reasons"]] == ["precondition_unmet"]
+        malformed = await propose({"area": "bench_a_top"}, "newest")
+        assert malformed["code"] == "request_invalid"
+        for key in ("engineer", "engineer_2"):  # what was in force before may come back, its versions with it
+            await activate(changing, former, key)
+        assert changing.runtime.kernel.policy.digest == former
