@@ -64,6 +64,10 @@ class EvaluationProtocol(Protocol):
             | `effect_sizes` | baseline → metric → `statistics.Comparison` as a dict |
             | `human_override` | `with override`, `without override` → BLOCK_RATE, INCORRECT_ALLOW → entry |
             | `latency` | component → mean, std, p50, p99, in µs |
+            | `latencies` | method → decisions (µs) and detections (ticks) in percentiles |
+            | `escalations` | method → what went wrong → how often a human was asked midway, how long, what became of it |
+            | `rollbacks` | method → what went wrong → rollbacks tried, capable, verified |
+            | `unended` | method → sessions that had not ended when the evaluation let go of them |
             | `sensitivity` | list of `{s, RVDR, UCR, RSR, FAR?}`, entries or numbers |
             | `safe_state` | method → violation, or `all` → counts and percentiles, as `floor.Reached` has them |
             | `distributions` | `latency_ticks`: violation → numbers; `recovery_s`: method → numbers; |
