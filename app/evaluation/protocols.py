@@ -65,7 +65,7 @@ class EvaluationProtocol(Protocol):
             | `human_override` | `with override`, `without override` → BLOCK_RATE, INCORRECT_ALLOW → entry |
             | `latency` | component → mean, std, p50, p99, in µs |
             | `latencies` | method → decisions (µs) and detections (ticks) in percentiles |
-            | `escalations` | method → what went wrong → how often a human was asked midway, how long, what became of it |
+            | `escalations` | method → what went wrong → humans asked midway: how often, how long, what came of it |
             | `rollbacks` | method → what went wrong → rollbacks tried, capable, verified |
             | `unended` | method → sessions that had not ended when the evaluation let go of them |
             | `sensitivity` | list of `{s, RVDR, UCR, RSR, FAR?}`, entries or numbers |
