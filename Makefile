@@ -65,8 +65,9 @@ check: $(STAMP) $(TYPINGS)  ## format, lint, types, import contracts, policy che
 	@$(BIN)/reins policy check
 	@$(BIN)/reins policy test --mutation --least-coverage 100 --least-score 95
 
-bench: $(STAMP)  ## print every figure the project promises
+bench: $(STAMP) console  ## print every figure the project promises
 	@for bench in benchmarks/bench_*.py; do echo; echo "== $$bench"; $(BIN)/python $$bench || exit 1; done
+	@echo; echo "== the heap of a console's page, 35 minutes"; $(BIN)/python benchmarks/bench_browser.py --only heap --minutes 30
 
 # On two idle cores about 80 minutes in all: the paper's protocol 2 to 5, 5 seeds × 200 physical trials under eleven
 # methods about 30, their studies about 17 (measured per trial; generalisation is the longest with 7), the long run 30.

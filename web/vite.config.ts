@@ -11,6 +11,7 @@ export default defineConfig({
     outDir: fileURLToPath(new URL('../app/console', import.meta.url)),
     emptyOutDir: true,
     target: 'es2023',
+    cssCodeSplit: false, // a page that had to be fetched twice would come without its own
     modulePreload: { polyfill: false },
     assetsInlineLimit: 0, // a data: address would need a wider content security policy
     chunkSizeWarningLimit: 1000,

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from urllib.parse import urlsplit
 
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Route, expect
 
-from tests.conftest import ServerProcess
+from tests.conftest import ServerProcess, until
 from tests.console.conftest import Floor, People
 from tests.console.wire import Wire, wire_to
 
@@ -50,3 +50,28 @@ def test_a_link_that_goes_is_told_and_what_came_meanwhile_is_there_when_it_is_ba
         expect(person.page.locator(".live .stale")).to_have_count(0)
         person.button(re.compile("^Deny")).click()
         assert floor.settled(asked["id"])["status"] == "denied"
+
+
+def test_a_page_that_the_server_does_not_hand_over_says_so_and_comes_when_it_is_back(
+    server: ServerProcess, people: People
+) -> None:
+    with wire_to(urlsplit(server.url).port or 0) as wire:
+        person = people.sit(server, at=f"http://127.0.0.1:{wire.port}")
+        person.expects(BROKEN)
+        held: list[Route] = []
+
+        def hold(route: Route) -> None:
+            held.append(route)
+
+        person.page.route("**/assets/Fleet-*", hold)
+        person.press("4")
+        expect(person.page.get_by_text("Loading…")).to_be_visible()
+        wire.cut()
+        until(lambda: held or person.page.wait_for_timeout(20), what="a request for the page")
+        held[0].abort()
+        expect(person.alert("This page could not be loaded.")).to_be_visible()
+        expect(person.button(re.compile("^Emergency stop of workcell-1: "))).to_be_enabled()
+        person.page.unroute("**/assets/Fleet-*")
+        wire.mend()
+        expect(person.page.get_by_role("heading", name="Fleet")).to_be_visible()
+        expect(person.page.locator("main section header").first).to_have_css("display", "flex")

@@ -1,0 +1,272 @@
+"""What an operator's browser gets: Chromium, signed in to a real server with one real cell that drives to and fro.
+
+Prints
+
+- the first load: bytes that come over the wire (at most 300 kB compressed) and the time until the cell is drawn in 3D
+  (at most 1.5 s on loopback);
+- a proposal that waits for a person: from before it is posted until its card is on the screen (p95 at most 150 ms);
+- poses applied to the 3D view per second (at least 25), and pictures drawn, which hang on the graphics card;
+- with `--minutes`, the slope of the page's heap while it streams, after a warm-up in which every bounded list fills.
+
+Chromium draws in software where there is no graphics card, and takes the processor's time from the server it watches.
+
+    python benchmarks/bench_browser.py [--cards 60] [--seconds 20] [--minutes 30] [--warm-up 5] [--only heap]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from bench_post import ROOT, free_port, wait_until_up
+from playwright.sync_api import Browser, BrowserContext, CDPSession, Page, sync_playwright
+
+PLACES = ("/usr/lib/chromium/chromium", "chromium", "chromium-browser", "google-chrome")
+FLAGS = ("--no-sandbox", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage", "--mute-audio")
+DESK = {"width": 1440, "height": 900}
+PATIENCE_MS = 60_000
+KEPT_EVENTS = 1_000  # as the console keeps them: a heap that fills a list has not grown
+LOOK_S = 15.0
+# Notes, in the page's own time: the first drawn cell, every card, every frame that was applied, every picture.
+NOTES = """
+    window.notes = { drawn: 0, cards: [], frames: 0, pictures: 0 };
+    const { notes } = window;
+    const seen = new WeakSet();
+    const look = () => {
+        if (notes.drawn === 0 && document.querySelector('.labels span') !== null) notes.drawn = performance.now();
+        for (const card of document.querySelectorAll('article.card')) {
+            if (seen.has(card)) continue;
+            seen.add(card);
+            notes.cards.push(Date.now());
+        }
+        requestAnimationFrame(look);
+    };
+    requestAnimationFrame(look);
+    const post = Worker.prototype.postMessage;
+    Worker.prototype.postMessage = function (said, ...rest) {
+        if (said?.message?.type === 'ack' && 'frame' in said.message) notes.frames += 1;
+        return post.call(this, said, ...rest);
+    };
+    const fence = WebGL2RenderingContext.prototype.fenceSync;
+    WebGL2RenderingContext.prototype.fenceSync = function (...given) {
+        notes.pictures += 1;
+        return fence.apply(this, given);
+    };
+"""
+
+
+@dataclass
+class Served:
+    """A server with one cell, and what drives it."""
+
+    port: int
+    tokens: dict[str, str]
+    ended: threading.Event = field(default_factory=threading.Event)
+
+    def call(self, method: str, path: str, body: Any = None, key: str = "operator") -> Any:
+        headers = {"Authorization": f"Bearer {self.tokens[key]}", "Content-Type": "application/json"}
+        data = None if body is None else json.dumps(body).encode()
+        url = f"http://127.0.0.1:{self.port}{path}"
+        with urllib.request.urlopen(urllib.request.Request(url, data, headers, method=method)) as answer:
+            return json.load(answer)
+
+    def propose(self, capability: str, **params: Any) -> dict[str, Any]:
+        return self.call("POST", "/v1/invocations", {"capability": capability, "params": params}, "agent")
+
+    def drive_on(self) -> None:
+        """Have the base drive to and fro until told otherwise."""
+        goals = ("dock", "bench_a_stand")
+        while not self.ended.is_set():
+            for goal in goals:
+                made = self.propose("navigate_to", target=goal)
+                while not self.ended.is_set() and made["status"] in ("running", "paused", "recovering"):
+                    made = self.call("GET", f"/v1/invocations/{made['id']}?wait=1")
+            self.ended.wait(0.5)
+
+    @contextmanager
+    def driving(self) -> Iterator[None]:
+        self.ended.clear()
+        driver = threading.Thread(target=self.drive_on)
+        driver.start()
+        try:
+            yield
+        finally:
+            self.ended.set()
+            driver.join()
+
+
+@contextmanager
+def page_of(browser: Browser, served: Served) -> Iterator[tuple[BrowserContext, Page]]:
+    """Sign in with nothing cached; yields when the cell is drawn."""
+    context = browser.new_context(viewport=DESK)
+    context.set_default_timeout(PATIENCE_MS)
+    context.add_init_script(NOTES)
+    page = context.new_page()
+    page.goto("about:blank")
+    try:
+        yield context, page
+    finally:
+        context.close()
+
+
+def sign_in(page: Page, served: Served) -> None:
+    page.goto(f"http://127.0.0.1:{served.port}/#token={served.tokens['operator']}")
+    comes(page, "window.notes.drawn > 0")
+
+
+def comes(page: Page, condition: str) -> None:
+    """Wait in the page, frame by frame, for a condition; the page's policy forbids anybody to evaluate text there."""
+    look = f"(resolve) => {{ const look = () => {condition} ? resolve() : requestAnimationFrame(look); look(); }}"
+    page.evaluate(f"() => new Promise({look})")
+
+
+def first_load(browser: Browser, served: Served, loads: int) -> None:
+    times_ms: list[float] = []
+    sizes: list[int] = []
+    for _ in range(loads):
+        with page_of(browser, served) as (context, page):
+            came: list[int] = []
+            line = context.new_cdp_session(page)
+            line.send("Network.enable")
+            line.on("Network.loadingFinished", lambda event, came=came: came.append(int(event["encodedDataLength"])))
+            sign_in(page, served)
+            times_ms.append(page.evaluate("window.notes.drawn"))
+            sizes.append(sum(came))
+    print(f"first load, nothing cached, {loads} times:")
+    print(f"  {max(sizes) / 1000:.0f} kB over the wire (at most 300 kB)")
+    print(
+        f"  cell drawn after {statistics.median(times_ms):.0f} ms median, {max(times_ms):.0f} ms most (at most 1500 ms)"
+    )
+
+
+def cards(browser: Browser, served: Served, count: int) -> None:
+    """Post what waits for a person, and see its card come."""
+    rng = random.Random(7)  # noqa: S311
+    took_ms: list[float] = []
+    with page_of(browser, served) as (_, page):
+        sign_in(page, served)
+        for number in range(count):
+            time.sleep(rng.uniform(0.05, 0.25))  # in any phase of the batches
+            began_ms = time.time() * 1000
+            made = served.propose("grasp_object", object_id="mug_1")
+            assert made["status"] == "awaiting_approval", made["admission"]
+            comes(page, f"window.notes.cards.length > {number}")
+            took_ms.append(page.evaluate("window.notes.cards.at(-1)") - began_ms)
+            served.call("POST", f"/v1/invocations/{made['id']}/cancel", {})
+            comes(page, "document.querySelector('article.card') === null")
+    ranked = statistics.quantiles(took_ms, n=20)
+    print(f"proposal posted to card on screen, {count} proposals:")
+    print(f"  median {statistics.median(took_ms):.0f} ms, p95 {ranked[18]:.0f} ms (at most 150 ms)")
+
+
+def poses(browser: Browser, served: Served, seconds: float) -> None:
+    with page_of(browser, served) as (_, page), served.driving():
+        sign_in(page, served)
+        before = page.evaluate("window.notes")
+        began_s = time.perf_counter()
+        page.wait_for_timeout(seconds * 1000)
+        after, spent_s = page.evaluate("window.notes"), time.perf_counter() - began_s
+        software = page.evaluate("""() => {
+            const gl = document.createElement('canvas').getContext('webgl2');
+            const info = gl?.getExtension('WEBGL_debug_renderer_info');
+            return gl && info ? String(gl.getParameter(info.UNMASKED_RENDERER_WEBGL)) : 'unknown';
+        }""")
+    print(f"one watched cell that moves, {seconds:.0f} s:")
+    print(f"  {(after['frames'] - before['frames']) / spent_s:.1f} poses applied a second (at least 25)")
+    print(f"  {(after['pictures'] - before['pictures']) / spent_s:.1f} pictures drawn a second, by {software}")
+
+
+def heap(browser: Browser, served: Served, minutes: float, warm_up: float) -> None:
+    with page_of(browser, served) as (context, page), served.driving():
+        sign_in(page, served)
+        for _ in range(KEPT_EVENTS // 3):  # each leaves three events or more
+            served.propose("grasp_object", object_id="solvent_1")
+        line = context.new_cdp_session(page)
+        sample(line, page, warm_up * 60.0, lambda _at, _size: None)
+        points: list[tuple[float, float]] = []
+        before = page.evaluate("window.notes.frames")
+        sample(line, page, minutes * 60.0, lambda at_s, size_b: points.append((at_s / 60.0, size_b / 1000.0)))
+        frames = page.evaluate("window.notes.frames") - before
+    slope, error = trend(points)
+    first, last = points[0][1], points[-1][1]
+    print(f"heap of the page, {minutes:g} minutes of streaming after {warm_up:g} of warm-up, {frames} frames:")
+    print(f"  {first:.0f} kB at first, {last:.0f} kB at last, least {min(size for _, size in points):.0f} kB")
+    print(
+        f"  slope {slope:+.1f} ± {error:.1f} kB a minute (95 %): flat where the interval holds 0 or growth is under 1 %"
+    )
+    print(f"  growth over 30 minutes at that slope {30 * slope / first:+.2%}")
+
+
+def sample(line: CDPSession, page: Page, seconds: float, take: Callable[[float, float], None]) -> None:
+    """Take the heap's size after a full collection, every `LOOK_S`."""
+    began_s = time.perf_counter()
+    while (at_s := time.perf_counter() - began_s) < seconds:
+        line.send("HeapProfiler.collectGarbage")
+        take(at_s, line.send("Runtime.getHeapUsage")["usedSize"])
+        page.wait_for_timeout(LOOK_S * 1000)
+
+
+def trend(points: list[tuple[float, float]]) -> tuple[float, float]:
+    """Return the least-squares slope, and half its 95 % interval (normal)."""
+    times, sizes = zip(*points, strict=True)
+    line = statistics.linear_regression(times, sizes)
+    rests = [size - (line.slope * at + line.intercept) for at, size in points]
+    spread = sum((at - statistics.fmean(times)) ** 2 for at in times)
+    return line.slope, 1.96 * (sum(rest**2 for rest in rests) / (len(points) - 2) / spread) ** 0.5
+
+
+@contextmanager
+def served(folder: Path) -> Iterator[Served]:
+    port = free_port()
+    serve = [sys.executable, "-m", "app.cli", "serve", "--port", str(port), "--data", str(folder), "--cells", "1"]
+    server = subprocess.Popen(serve, cwd=ROOT, stdout=subprocess.DEVNULL)
+    try:
+        wait_until_up(port, "/readyz", server)
+        yield Served(port, json.loads((folder / "tokens.json").read_text()))
+    finally:
+        server.terminate()
+        server.wait(10)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--loads", type=int, default=5)
+    parser.add_argument("--cards", type=int, default=60)
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--minutes", type=float, default=0.0, help="of streaming for the heap's slope; 0 leaves it out")
+    parser.add_argument("--warm-up", type=float, default=5.0, metavar="MINUTES")
+    parser.add_argument("--only", choices=("heap",))
+    chosen = parser.parse_args()
+    place = next((found for name in PLACES if (found := shutil.which(name))), None)
+    if place is None:
+        print("chromium is missing (Debian: apt-get install chromium)", file=sys.stderr)
+        return 1
+    subprocess.run([sys.executable, str(ROOT / "web" / "build.py"), "build"], check=True)
+    with tempfile.TemporaryDirectory() as folder, served(Path(folder)) as found, sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=place, args=list(FLAGS))
+        if chosen.only is None:
+            first_load(browser, found, chosen.loads)
+            cards(browser, found, chosen.cards)
+            poses(browser, found, chosen.seconds)
+        if chosen.minutes > 0:
+            heap(browser, found, chosen.minutes, chosen.warm_up)
+        browser.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
