@@ -16,6 +16,7 @@ from __future__ import annotations
 import statistics
 import tempfile
 import time
+import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -37,7 +38,11 @@ DRIVE: dict[str, Any] = {"target": "dock", "speed_mps": 0.3, "clearance_m": 0.3}
 
 
 def shop(*faults: Fault, noise: float = 1.0) -> Workshop:
-    return Workshop(Path(tempfile.mkdtemp(prefix="bench-watch-")), faults=faults, quality=Quality(noise=noise))
+    """Return a workshop; the folder of its journal goes with it."""
+    folder = tempfile.TemporaryDirectory(prefix="bench-watch-")
+    one = Workshop(Path(folder.name), faults=faults, quality=Quality(noise=noise))
+    weakref.finalize(one, folder.cleanup)
+    return one
 
 
 def inside_the_loop() -> tuple[float, float, float, float]:
