@@ -335,6 +335,7 @@ def promotes(source: str, typed: Typed) -> bool:
 EXCLUDED = {
     "double divided by zero": ("/", re.compile(r"_divide division_by_zero")),
     "double out of range": ("", re.compile(r"(_divide|finite) not_finite")),
+    "least int % -1": ("%", re.compile(r"_remainder overflow")),
     "negative index": ("[", re.compile(r"_element index_out_of_range `-")),
     "has() inside an absent record": ("has(target.area.limit)", re.compile(r"_present absent `target.area`")),
 }
