@@ -83,7 +83,7 @@ def property_holds(court: Court, promised: Property) -> Iterator[Finding]:
         found = court.judged(Kind.PROPERTY, UNDECIDED, reading, never)
     else:
         answer = court.solve(pair.space.ready(), when, broken)
-        found = court.judged(Kind.PROPERTY, answer, message, Judge(pair, shape).broken)
+        found = court.judged(Kind.PROPERTY, answer, message, lambda seen: Judge(pair, shape).broken(seen))
     for finding in found:
         yield replace(finding, file=FILE, line=promised.line, rule=shape.id)
 
