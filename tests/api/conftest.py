@@ -47,6 +47,7 @@ from app.protocol import (
     pack_poses,
 )
 from app.runtime.assembly import Runtime
+from tests.conftest import NO_TLS
 
 POLICIES = Path(__file__).resolve().parents[2] / "policies"
 CELL = "workcell-1"
@@ -247,7 +248,9 @@ class House:
         token = self.cell_token if key == "cell" else None if key is None else self.tokens[key]
         headers = {} if token is None else {"Authorization": f"Bearer {token}"}
         hooks: dict[str, list[Any]] = {"response": [self.described.check]}
-        return httpx.AsyncClient(base_url=self.url, headers=headers, timeout=30.0, trust_env=False, event_hooks=hooks)
+        return httpx.AsyncClient(
+            base_url=self.url, headers=headers, timeout=30.0, trust_env=False, event_hooks=hooks, verify=NO_TLS
+        )
 
     @asynccontextmanager
     async def cell(self, name: str = CELL) -> AsyncIterator[Puppet]:

@@ -6,6 +6,7 @@ policy is one) fails the test that saw it, unless the test said beforehand that 
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 import subprocess
@@ -134,7 +135,8 @@ class Floor:
         return x, y
 
     def speed(self) -> float:
-        return self.server.cell()["gauges"]["base_speed_mps"]
+        """Return how fast the base drives, m/s; NaN, which is neither fast nor slow, while the cell says nothing."""
+        return self.server.cell()["gauges"].get("base_speed_mps", math.nan)
 
     def clear(self) -> None:
         if self.server.cell()["latched"]:
