@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import orjson
 import typer
 
-from app.audit import archive
 from app.audit.checkpoint import NoteInvalid, parse_verifier
 from app.audit.errors import RecordDamaged
-from app.audit.examination import examine_file
 from app.terminal import FINDING, MISUSE, out, say, say_error
 
 if TYPE_CHECKING:
@@ -40,6 +38,8 @@ def verify(
 
     [bold]reins audit verify --data data --key log.pub.copy[/]
     """
+    from app.audit.examination import examine_file
+
     with _said(data):
         verifier = None if key is None else parse_verifier(key.read_text())
         with out.status("verifying …"):
@@ -70,6 +70,8 @@ def show(
     invocation: Annotated[str, typer.Argument(help="An invocation, for instance inv_01M7…")], data: Data = Path("data")
 ) -> None:
     """Print everything recorded under one invocation, in order."""
+    from app.audit import archive
+
     with _said(data):
         events = archive.show(data, invocation)
     if not events:
@@ -85,6 +87,8 @@ def export(
     format: Annotated[Literal["jsonl"], typer.Option("--format", help="One event a line, exact bytes.")] = "jsonl",
 ) -> None:
     """Write the log as a file that can be checked without this program."""
+    from app.audit import archive
+
     with _said(data), out.status("exporting …"):
         written = archive.export(data, file, format)
     say(f"{written.count} events in {written.events} (sha256 {written.sha256}), signed by {written.checkpoint}")
@@ -98,6 +102,8 @@ def tail(
     follow: Annotated[bool, typer.Option("--follow", "-f", help="Go on as events come; Ctrl-C ends.")] = False,
 ) -> None:
     """Print the newest events."""
+    from app.audit import archive
+
     with _said(data):
         events = archive.tail(data, limit=limit)
         _print(events)
