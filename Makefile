@@ -8,8 +8,12 @@ MEASURED := $(filter-out tests/governance/test_expression_properties.py,\
   $(wildcard tests/governance/test_*.py tests/audit/test_*.py))
 TYPINGS := typings/mujoco/__init__.pyi
 
+# Hundreds of processes start in the tests; where nothing may be kept, each compiles every module anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
-.PHONY: help setup console demo run test test-rules test-evaluation check bench evaluate pictures format lock clean
+.PHONY: help setup console demo run test check bench evaluate pictures format lock clean \
+  test-rules test-evaluation test-processes test-console
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
@@ -37,13 +41,12 @@ run: $(STAMP) console  ## a server with one simulated cell and a demo agent; kee
 	@$(BIN)/reins demo --keep --port 8000
 
 test: $(STAMP) console  ## the whole test suite; what decides and what proves covered to the last branch
-	@$(BIN)/python web/build.py test
 	@$(MAKE) --no-print-directory -j2 test-rules test-evaluation
-	@$(BIN)/python -m pytest $(MEASURED:%=--ignore=%) $(APART:%=--ignore=%)
+	@$(MAKE) --no-print-directory -j2 test-processes test-console
 
-# What computes, or waits within one process, runs on two cores at once. What starts servers, cells and browsers comes
-# after it and has the machine alone.
-APART := tests/evaluation tests/runtime tests/api tests/agent tests/authoring tests/sim tests/cell tests/proofs
+# Two lanes for two cores. What computes, or waits within one process, comes first; what starts servers, cells and
+# browsers waits more than it computes and comes after it. Whatever no lane names runs with the processes.
+COMPUTES := tests/evaluation tests/runtime tests/api tests/agent tests/authoring tests/sim tests/cell tests/proofs
 test-rules: $(STAMP)
 	@$(BIN)/coverage run -m pytest $(MEASURED)
 	@$(BIN)/coverage report
@@ -51,6 +54,13 @@ test-rules: $(STAMP)
 
 test-evaluation: $(STAMP)
 	@$(BIN)/python -m pytest -p no:cacheprovider tests/evaluation tests/runtime tests/api tests/agent tests/authoring
+
+test-processes: $(STAMP)
+	@$(BIN)/python -m pytest -p no:cacheprovider $(MEASURED:%=--ignore=%) $(COMPUTES:%=--ignore=%) --ignore=tests/console
+
+test-console: $(STAMP) console
+	@$(BIN)/python web/build.py test
+	@$(BIN)/python -m pytest tests/console
 
 $(TYPINGS): $(STAMP)
 	@$(BIN)/pybind11-stubgen mujoco --ignore-all-errors -o typings >/dev/null 2>&1
