@@ -71,13 +71,13 @@ def serve(settings: Settings) -> int:
     Raises:
         ConfigError: a setting cannot be used.
     """
-    settings.layout.create()
     policies = load_policies(find_policies(settings.policies))
     if policies is None:
         return MISUSE
     if settings.profile not in policies.profiles:
         raise ConfigError("profile", settings.profile, ", ".join(sorted(policies.profiles)))
     with contextlib.closing(listen(settings.host, settings.port)) as listener:
+        settings.layout.create()  # not before: a start that is refused leaves nothing behind
         try:
             with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
                 return runner.run(_serve(settings, policies, listener))

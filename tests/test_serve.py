@@ -73,9 +73,18 @@ def test_a_broken_policy_does_not_start_and_says_where(tmp_path: Path) -> None:
     broken = reins("serve", "--port", "0", "--data", str(tmp_path / "data"), "--policies", str(folder))
     assert broken.returncode == 2
     assert f"profiles/human-shared.yaml:{place + 1}" in broken.stderr
+    assert not (tmp_path / "data").exists()
     checked = reins("policy", "check", str(folder))
     assert checked.returncode == 1
     assert f"profiles/human-shared.yaml:{place + 1}" in checked.stderr
+
+
+def test_a_start_that_is_refused_leaves_nothing_behind(tmp_path: Path, server: ServerProcess) -> None:
+    port = server.url.rpartition(":")[2]
+    for word in (("--profile", "nowhere"), ("--port", port)):
+        refused = reins("serve", "--port", "0", "--data", str(tmp_path / "data"), *word)
+        assert refused.returncode == 2
+        assert not (tmp_path / "data").exists()
 
 
 def test_an_auditor_verifies_beside_the_running_server(server: ServerProcess) -> None:

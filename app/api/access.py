@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from inspect import signature
 from typing import TYPE_CHECKING, Any, cast
+from urllib.parse import parse_qsl
 
 from fastapi.routing import APIRoute
 from starlette.requests import HTTPConnection, Request
@@ -156,15 +157,33 @@ class GuardedRoute(APIRoute):
     ) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         (method,) = cast("set[str]", self.methods)  # one method a route: the table names them one by one
         allowed = allowed_roles(method, self.path)
+        reads_query = method == "GET"  # others do not look at it, so nothing in it can stand in a stop's way
 
         async def guarded(request: Request) -> Response:
             parts = parts_of(request)
             authorize(request, parts.principals, allowed)
+            if reads_query:
+                _refuse_twice(request.scope["query_string"])
             if allowed is not PUBLIC:
                 parts.governor.kernel.heard(caller(request))  # whoever speaks is on duty
             return await handler(request)
 
         return guarded
+
+
+def _refuse_twice(query: bytes) -> None:
+    """Refuse a query that says a thing twice: of two values one would count, and nobody said which.
+
+    Raises:
+        Problem: 400 `given_twice`.
+    """
+    if b"&" not in query:
+        return
+    seen: set[str] = set()
+    for name, _ in parse_qsl(query.decode("latin-1"), keep_blank_values=True):
+        if name in seen:
+            raise Problem("given_twice", f"the parameter `{name[:100]}` is given more than once: valid is once")
+        seen.add(name)
 
 
 def direct_routes(routes: Iterable[BaseRoute]) -> dict[tuple[str, str], ASGIApp]:

@@ -207,7 +207,14 @@ def register(router: APIRouter) -> None:
         cancel,
         Answers(
             model=documents.InvocationDocument,
-            codes=("invocation_unknown", "wrong_status", "ending", "cell_offline", "record_unavailable"),
+            codes=(
+                "invocation_unknown",
+                "wrong_status",
+                "ending",
+                "rollback_ordered",
+                "cell_offline",
+                "record_unavailable",
+            ),
         ),
         body=EmptyBody,
     )

@@ -27,6 +27,7 @@ from app.audit.checkpoint import parse_checkpoint
 from app.audit.errors import RecordDamaged
 from app.audit.telemetry_reading import read_telemetry, telemetry_file
 from app.clock import parse_rfc3339, rfc3339
+from app.governance.model import EventKind
 
 if TYPE_CHECKING:
     from collections.abc import AsyncGenerator
@@ -63,7 +64,7 @@ class EventQuery(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     invocation: Filter = None
-    kind: Filter = None
+    kind: EventKind | None = None
     actor: Filter = None
     since: Moment | None = Field(default=None, description="RFC 3339, included.")
     until: Moment | None = Field(default=None, description="RFC 3339, excluded.")
@@ -226,7 +227,8 @@ class SeatedStream(StreamingResponse):
 def _last_event_id(request: Request) -> int:
     text = request.headers["last-event-id"]
     if not (text.isascii() and text.isdigit()) or len(text) > MAX_DIGITS:
-        raise Problem("cursor_invalid", f"`{text[:40]}` is no `Last-Event-ID`: valid is the `id` of an event")
+        message = f"`{text[:40]}` is no `Last-Event-ID`: valid is the `id` of an event"
+        raise Problem("request_invalid", message, errors=[{"field": "Last-Event-ID", "message": message}])
     return int(text)
 
 
@@ -288,6 +290,6 @@ def register(router: APIRouter) -> None:
         Answers(
             model=documents.EventDocument,
             media_type=STREAM,
-            codes=("request_invalid", "cursor_invalid", "too_many_streams"),
+            codes=("request_invalid", "too_many_streams"),
         ),
     )

@@ -106,10 +106,13 @@ class Principals:
         """Return who the request's bearer token stands for.
 
         Raises:
-            Problem: 401 `token_missing`, `token_invalid` or `token_expired`.
+            Problem: 401 `token_missing`, `token_invalid` or `token_expired`; 400 `given_twice`.
         """
         # Straight from the list: asking the mapping costs more than everything else here.
-        given = next((value for name, value in headers.raw if name == b"authorization"), b"")
+        bearers = [value for name, value in headers.raw if name == b"authorization"]
+        if len(bearers) > 1:  # whoever passed this on may have gone by the other one
+            raise Problem("given_twice", f"`Authorization` is given {len(bearers)} times: valid is once")
+        given = bearers[0] if bearers else b""
         scheme, _, token = given.decode("latin-1").partition(" ")
         if scheme.lower() != "bearer" or not token:
             raise Problem(

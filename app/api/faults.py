@@ -7,6 +7,7 @@ from typing import Any
 
 MAX_ERRORS = 20
 MAX_FIELD = 200
+MAX_SHOWN = 40
 
 _PLAIN: Mapping[str, str] = {
     "missing": "is missing",
@@ -46,10 +47,17 @@ def _message(error: Mapping[str, Any], fields: Sequence[str]) -> str:
     if kind in {"extra_forbidden", "unexpected_keyword_argument"}:
         return f"is unknown: valid are {', '.join(fields)}" if fields else "is unknown"
     if kind in _PLAIN:
-        return _PLAIN[kind]
+        return _naming(error, _PLAIN[kind])
     if kind in _BOUND:
         text, name = _BOUND[kind]
-        return text.format(error["ctx"][name])
+        return _naming(error, text.format(error["ctx"][name]))
     if kind == "value_error":
         return str(error["ctx"]["error"])  # a validator's own words
     return str(error["msg"])
+
+
+def _naming(error: Mapping[str, Any], message: str) -> str:
+    """Return a message with the value before it, where that is a short text that says nothing else than itself."""
+    value = error["input"]
+    shown = isinstance(value, str) and len(value) <= MAX_SHOWN and value.isprintable() and message.startswith("valid")
+    return f"is `{value}`: {message}" if shown else message

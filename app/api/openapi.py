@@ -37,9 +37,16 @@ BODIES: tuple[type[BaseModel], ...] = (
     policy_documents.ShadowBody,
 )
 
-ON_EVERY_ROUTE = ("internal",)
+ON_EVERY_ROUTE = ("internal", "given_twice")
 ON_GUARDED = ("token_missing", "token_invalid", "token_expired", "role_forbidden")
-ON_BODY = ("body_incomplete", "body_too_large", "media_type_unsupported", "malformed_json", "request_invalid")
+ON_BODY = (
+    "body_incomplete",
+    "body_too_large",
+    "media_type_unsupported",
+    "encoding_unsupported",
+    "malformed_json",
+    "request_invalid",
+)
 
 
 class Json(Response):

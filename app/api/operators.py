@@ -157,7 +157,10 @@ async def release(request: Request, id: Identifier) -> Response:
 
 
 async def set_profile(request: Request, id: Identifier) -> Response:
-    """Put a cell under another environment profile; what runs keeps the one it was authorized under."""
+    """Put a cell under another environment profile.
+
+    What runs keeps the one it was authorized under; what waits for approval is decided again, and asked anew.
+    """
     body = await read_body(request, ProfileBody)
     return answer(await parts_of(request).governor.set_profile(id, body.profile, caller(request)))
 
@@ -183,7 +186,7 @@ def _questions(router: APIRouter) -> None:
     question = documents.EscalationDocument
     late = ("already_resolved", "escalation_expired", "record_unavailable")
     answering = ("own_proposal", "cell_offline", "params_invalid", "already_approved", "digest_mismatch")
-    refused = ("edit_refused", "grant_refused", "ending")
+    refused = ("edit_refused", "grant_refused", "ending", "policy_changed", "profile_changed")
     declare(
         router,
         "GET /v1/escalations",

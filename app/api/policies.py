@@ -117,7 +117,7 @@ def register(router: APIRouter) -> None:
         router,
         "GET /v1/policies",
         versions,
-        Answers(model=models.VersionList, codes=("request_invalid", "cursor_invalid")),
+        Answers(model=models.VersionList, codes=("request_invalid",)),
     )
     declare(
         router,

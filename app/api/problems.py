@@ -47,6 +47,7 @@ HEADERS = "reins.headers"  # where in the scope a page says which headers it is 
 # Every code the server may answer with, its status and what it means. Codes are stable; the words are not.
 CODES: Mapping[str, tuple[int, str]] = {
     "body_incomplete": (400, "the connection ended within the body"),
+    "given_twice": (400, "a header or query parameter that counts once was given more than once"),
     "token_missing": (401, "the request bears no bearer token"),
     "token_invalid": (401, "the token is not known"),
     "token_expired": (401, "the token is no longer valid"),
@@ -67,11 +68,11 @@ CODES: Mapping[str, tuple[int, str]] = {
     "method_not_allowed": (405, "the path does not know the method"),
     "body_too_large": (413, "the body is over 256 kB"),
     "media_type_unsupported": (415, "the body is not `application/json`"),
+    "encoding_unsupported": (415, "the body is compressed; it is read as it is alone"),
     "malformed_json": (422, "the body is no strict JSON: the detail says where"),
     "request_invalid": (422, "a field or parameter is unknown, missing, or of another type: `errors` says which"),
     "policy_invalid": (422, "the policy has faults: `errors` names each with its file and line"),
     "params_invalid": (422, "the parameters do not fit the capability's input schema: `errors` says which"),
-    "cursor_invalid": (422, "the cursor is not one this server gave out"),
     "idempotency_key_invalid": (422, "the header `Idempotency-Key` is not 1 to 255 printable ASCII characters"),
     "internal": (500, "the server failed; its log says why"),
     "telemetry_damaged": (500, "the telemetry file cannot be read"),

@@ -187,9 +187,10 @@ async def read_body(request: Request, model: type[M], *, at_most: int = MAX_BODY
         at_most: how many bytes it may have. A model that may be larger than others bounds its texts by itself.
 
     Raises:
-        Problem: 413 `body_too_large`, 415 `media_type_unsupported`, 422 `malformed_json` or `request_invalid`.
+        Problem: 400 `given_twice`, 413 `body_too_large`, 415 `media_type_unsupported` or `encoding_unsupported`, 422
+        `malformed_json` or `request_invalid`.
     """
-    check_media_type(_header(request, b"content-type"))
+    check_media(request)
     return to_model(parse(await read_bytes(request, at_most)), model, long_texts=at_most > MAX_BODY_BYTES)
 
 
@@ -198,7 +199,7 @@ async def read_optional(request: Request, model: type[M]) -> M:
     raw = await read_bytes(request)
     if not raw:
         return to_model({}, model)
-    check_media_type(request.headers.get("content-type"))
+    check_media(request)
     return to_model(parse(raw), model)
 
 
@@ -224,6 +225,28 @@ async def read_bytes(request: Request, at_most: int = MAX_BODY_BYTES) -> bytes:
             raise _too_large(at_most)
         more = message.get("more_body", False)
     return b"".join(chunks)
+
+
+def check_media(request: Request) -> None:
+    """Refuse a body that says it is something else than plain JSON; one that says nothing is read as that.
+
+    Raises:
+        Problem: 415 `media_type_unsupported` or `encoding_unsupported`, 400 `given_twice`.
+    """
+    content_type: str | None = None
+    for name, value in request.headers.raw:  # straight from the list: the mapping over it costs every request its share
+        if name == b"content-type":
+            if content_type is not None:
+                raise Problem("given_twice", "`Content-Type` is given more than once: valid is once")
+            content_type = value.decode("latin-1")
+        elif name == b"content-encoding" and value.strip().lower() not in (b"", b"identity"):
+            shown = value.decode("latin-1")[:100]
+            raise Problem(
+                "encoding_unsupported",
+                f"a body in the encoding `{shown}` is not read here: valid is one that is not encoded",
+                headers={"Accept-Encoding": "identity"},
+            )
+    check_media_type(content_type)
 
 
 def check_media_type(content_type: str | None) -> None:

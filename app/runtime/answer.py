@@ -18,7 +18,7 @@ from app.governance.model import EventKind, Outcome, Status
 from app.protocol import Human
 from app.runtime.drafts import SERVER, grant_event, outcome_event, reason, with_edit, with_reason
 from app.runtime.errors import Conflict, InvalidParams
-from app.runtime.escalation import APPROVED, DENIED, bound_digest
+from app.runtime.escalation import APPROVED, DENIED, ROLLBACK, bound_digest
 from app.runtime.invocation import reasons_document
 from app.runtime.readmission import lapsed, readmitted
 
@@ -237,7 +237,8 @@ class Answer:
         kernel, present = self._kernel, self._invocation
         judgement, approvals = await readmitted(kernel, self._register, cell, present, self._principal)
         async with kernel.launch(present, judgement, approvals, anew=True) as launch:
-            version = present.evolve(closed.updated_at, escalation=closed.reference(), terms=launch.invocation.terms)
+            terms = replace(launch.invocation.terms, undone_by=None)  # it goes on: its end is the agent's as well
+            version = present.evolve(closed.updated_at, escalation=closed.reference(), terms=terms)
             drafts = [self._event("approve", closed), *judgement.recheck_events(present), *launch.events]
             await self._desk.commit(drafts, closed, version, launch.rows)
         return closed
@@ -251,7 +252,10 @@ class Answer:
         return closed
 
     async def _commit_session(self, decision: str, closed: Escalation) -> None:
-        invocation = self._invocation.evolve(closed.updated_at, escalation=closed.reference())
+        terms = self._invocation.terms
+        if decision == "deny" and closed.on_deny == ROLLBACK:
+            terms = replace(terms, undone_by=self._principal.name)
+        invocation = self._invocation.evolve(closed.updated_at, escalation=closed.reference(), terms=terms)
         await self._desk.commit([self._event(decision, closed)], closed, invocation)
 
     def _event(self, decision: str, escalation: Escalation) -> EventDraft:

@@ -7,13 +7,14 @@ reset) is recorded before it is sent.
 from __future__ import annotations
 
 import secrets
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft
 from app.clock import monotonic_s, rfc3339
 from app.governance.authority import refusal
-from app.governance.model import SESSION, AuthorityMode, EventKind, Outcome, Status
+from app.governance.model import SESSION, AuthorityMode, EventKind, Outcome, Role, Status
 from app.protocol import Estop, Human, Reset, SetProfile
 from app.runtime.cells import Arming
 from app.runtime.drafts import cell_word, human_event, outcome_event
@@ -98,7 +99,8 @@ class Controls:
 
         Raises:
             NotFound: there is none that this principal may see.
-            Conflict: `wrong_status`, it is over; `ending`, it has been stopped already.
+            Conflict: `wrong_status`, it is over; `ending`, it has been stopped already; `rollback_ordered`, an agent
+                may not call off the rollback that a human ordered.
             RecordUnavailable: nothing was recorded, and it goes on waiting. A session is told to stop all the same, and
                 the answer's `recorded` says whether that is in.
         """
@@ -118,6 +120,11 @@ class Controls:
         cell = self.fleet.cell(present.cell or UNNAMED)
         if cell.ending(present.id) not in {None, "cancel"}:
             raise _ending("cancel", cell, present)
+        if principal.role is Role.AGENT and present.terms.undone_by is not None:
+            raise Conflict(
+                "rollback_ordered",
+                "an operator ordered that this be undone; valid: wait for its end, or ask an operator",
+            )
         return await self._restrain("cancel", present, principal)
 
     async def _withdraw(self, present: Invocation, principal: Principal) -> dict[str, Any]:
@@ -153,9 +160,22 @@ class Controls:
             )
         if not self.fleet.attached(cell):
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to {op}")
-        await self.register.append([human_event(op, present, principal)])
+        await self._record(op, present, principal)
         self.fleet.order(cell, _message(op, present, principal))
         return (await self.register.load(invocation_id)).public()
+
+    async def _record(self, op: str, present: Invocation, principal: Principal) -> None:
+        """Record what loosens. Who wants a session undone stands with it: its end is not the agent's from now on."""
+        entry = self.register.entry(present.id)
+        if op != "rollback" or entry is None:
+            await self.register.append([human_event(op, present, principal)])
+            return
+        async with entry.lock:
+            present = entry.newest
+            if present.final:
+                raise _wrong_status(op, present.status)
+            version = present.evolve(self.register.now(), terms=replace(present.terms, undone_by=principal.name))
+            await self.register.append([human_event(op, present, principal)], versions=[version])
 
     def _allow(self, op: str, present: Invocation) -> None:
         """Hold a word to the authority of the profile that the session was launched under.
@@ -265,7 +285,9 @@ class Controls:
 
     @uncut
     async def set_profile(self, cell_id: str, profile: str, principal: Principal) -> dict[str, Any]:
-        """Put a cell under another environment profile; what runs keeps the one it was authorized under.
+        """Put a cell under another environment profile.
+
+        What runs keeps the one it was authorized under; what waits for approval is decided again, and asked anew.
 
         Raises:
             NotFound: no such cell, no such profile.
@@ -287,6 +309,7 @@ class Controls:
             await self.desk.grants.record_ends()
         if self.fleet.attached(cell):
             self.fleet.order(cell, SetProfile(profile=profile))
+        await self.desk.decide_again()  # what was asked was shown under the former profile
         return self.fleet.document(cell)
 
 

@@ -23,6 +23,8 @@ from app.runtime.escalation import (
     APPROVAL,
     EXPIRED,
     PENDING,
+    POLICY_CHANGED,
+    PROFILE_CHANGED,
     ROLLBACK,
     SESSION_QUESTION,
     WITHDRAWN,
@@ -35,7 +37,7 @@ from app.runtime.reviews import Reviews
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine, Mapping, Sequence
+    from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 
     from app.audit.event import EventDraft, RowWrite
     from app.governance.model import ApprovalNeed
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
     from app.runtime.kernel import Kernel
     from app.runtime.register import Entry, Register
 
+_SINCE: Final = {POLICY_CHANGED: "another policy is in force", PROFILE_CHANGED: "the cell is under another profile"}
 POLL_S: Final = 0.5  # the wall clock may step; a deadline is met within this all the same
 
 
@@ -62,6 +65,7 @@ class Desk:
         self.departed: dict[str, list[dict[str, str]]] = {}  # why sessions do not conform to the policy in force
         self.grants = Grants(register, fleet, kernel)
         self.reviews = Reviews(register, kernel)
+        self.decide_again: Callable[[], Awaitable[None]] = _nothing_waits
         self.on_held: Callable[[Escalation], None] = lambda _: None
         self.kept_back: Callable[[Invocation], Sequence[Mapping[str, str]]] = lambda _: ()
 
@@ -140,6 +144,15 @@ class Desk:
                 return escalation
         return None
 
+    def outdated(self, question: Escalation) -> str | None:
+        """Return why a question about a launch is not the one to ask now; None where it is, or a session asks it."""
+        if question.kind != APPROVAL:
+            return None
+        if question.policy_version != self.kernel.policy.digest:
+            return POLICY_CHANGED
+        cell = self.fleet.cell(question.cell) if question.cell else None
+        return None if question.profile == self.fleet.profile(cell) else PROFILE_CHANGED
+
     def withdrawal(self, invocation: str) -> Escalation | None:
         """Return the open question about an invocation as withdrawn, if there is one; `hold` it once recorded."""
         present = self.pending_for(invocation)
@@ -198,19 +211,21 @@ class Desk:
 
         Raises:
             NotFound: no such question.
-            Conflict: `already_resolved`, `escalation_expired`, `digest_mismatch`, `policy_changed` (it was asked under
-                another policy, and is decided again), `already_approved`, `edit_refused` (with policy's reasons),
-                `cell_offline`, `ending`, `grant_refused`.
+            Conflict: `already_resolved`, `escalation_expired`, `digest_mismatch`, `already_approved`, `edit_refused`
+                (with policy's reasons), `cell_offline`, `ending`, `grant_refused`; `policy_changed`, `profile_changed`
+                where what was asked under another one is decided again.
             Forbidden: `own_proposal`, nobody approves what they proposed.
             InvalidParams: edited parameters that do not fit the schema, or edit a session under way; a code that policy
-                does not declare, or one with an approval.
+                does not declare, or one with an approval; parameters with a denial.
             RecordUnavailable: nothing was recorded; a denial of a session has been sent to the cell all the same.
         """
         why = self._denial(decision, code)
+        if decision == "deny" and params is not None:
+            raise InvalidParams([{"path": "params", "message": "go with an approval; valid: none with a denial"}])
         entry = await self._open(escalation_id)
         async with entry.lock:
             present = await self._present(escalation_id, entry.newest)
-            _check_answer(present, principal, digest, self.kernel.policy.digest)
+            _check_answer(present, principal, digest, self.outdated(present))
             grant = None if offer is None else self._grant(offer, present, entry.newest, principal, decision, params)
             answer = Answer(self, entry.newest, present, principal, comment, grant)
             match present.kind, decision:
@@ -436,11 +451,14 @@ class Desk:
         await self.reviews.recall()
 
 
-def _check_answer(present: Escalation, principal: Principal, digest: str, version: str) -> None:
-    outdated = present.kind == APPROVAL and present.policy_version != version
-    if outdated or digest in present.former_digests:
-        message = "another policy is in force since that was asked: it is decided again, and may be asked anew"
-        raise Conflict("policy_changed", message)
+async def _nothing_waits() -> None:
+    """Decide nothing again: nobody has said yet who does."""
+
+
+def _check_answer(present: Escalation, principal: Principal, digest: str, outdated: str | None) -> None:
+    stale = outdated or (present.renewed or POLICY_CHANGED if digest in present.former_digests else None)
+    if stale is not None:
+        raise Conflict(stale, f"{_SINCE[stale]} since that was asked: it is decided again, and may be asked anew")
     if digest != present.digest:
         raise Conflict("digest_mismatch", f"`{digest}` is not what is asked now: valid is `{present.digest}`")
     if principal.name == present.agent:
@@ -450,4 +468,6 @@ def _check_answer(present: Escalation, principal: Principal, digest: str, versio
 def _gone(escalation: Escalation) -> Conflict:
     if escalation.status == EXPIRED:
         return Conflict("escalation_expired", f"the escalation `{escalation.id}` expired at `{escalation.expires_at}`")
+    if escalation.renewed == PROFILE_CHANGED and not escalation.former_digests:  # it ended by that, and was not renewed
+        return Conflict(PROFILE_CHANGED, f"{_SINCE[PROFILE_CHANGED]} since that was asked: it is withdrawn")
     return Conflict("already_resolved", f"the escalation `{escalation.id}` is `{escalation.status}` already")

@@ -23,6 +23,7 @@ CONFLICTS: Final[Mapping[str, int]] = {
     "in_flight": 409,
     "wrong_status": 409,
     "ending": 409,
+    "rollback_ordered": 409,
     "already_resolved": 409,
     "already_approved": 409,
     "escalation_expired": 409,
@@ -47,6 +48,7 @@ CONFLICTS: Final[Mapping[str, int]] = {
     "review_not_enabled": 409,
     "policy_active": 409,
     "policy_changed": 409,
+    "profile_changed": 409,
     "second_engineer_needed": 409,
 }
 """Every code a `Conflict` may bear, with the HTTP status that says the same."""

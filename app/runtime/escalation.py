@@ -6,7 +6,8 @@ ends the other as policy says, and is reported as what it is.
 
 Three versions of the parameters are kept: as requested, as policy constrained them (`constrained`), and as approved.
 `effective` is what is asked about now: the constrained ones, or what an approver's edit (`edits`) came to. When another
-policy comes into force, an approval is decided again and bound to that: `former_digests` are worth no answer any more.
+policy comes into force, or the cell is put under another profile, an approval is decided again and bound to that:
+`former_digests` are worth no answer any more, and `renewed` is the code that says why.
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ WITHDRAWN: Final = "withdrawn"
 TERMINATE: Final = "terminate"
 ROLLBACK: Final = "rollback"
 RISKS: Final = ("critical", "high", "medium", "low")
+POLICY_CHANGED: Final = "policy_changed"
+PROFILE_CHANGED: Final = "profile_changed"
 NEVER_S: Final = float("inf")
 
 
@@ -71,6 +74,7 @@ class Escalation:
     grant: str | None = None
     policy_version: str | None = None
     former_digests: Sequence[str] = ()
+    renewed: str | None = None
 
     @property
     def approved(self) -> Mapping[str, Any] | None:
@@ -116,6 +120,7 @@ class Escalation:
             "approved": None if self.approved is None else dict(self.approved),
             "digest": self.digest,
             "former_digests": list(self.former_digests),
+            "renewed": self.renewed,
             "policy_version": self.policy_version,
             "status": self.status,
             "approvals": [dict(approval) for approval in self.approvals],
@@ -155,7 +160,11 @@ def read_escalation(document: bytes) -> Escalation:
 
 
 def bound_digest(invocation: Invocation, effective: Mapping[str, Any]) -> str:
-    """Return the digest that an approval of these parameters is bound to: whose, what, where, how, by which policy."""
+    """Return the digest that an approval of these parameters is bound to.
+
+    Whose proposal, what, where, how, and under which policy and profile: the same parameters are watched differently
+    under another one.
+    """
     return digest(
         {
             "invocation": invocation.id,
@@ -163,6 +172,7 @@ def bound_digest(invocation: Invocation, effective: Mapping[str, Any]) -> str:
             "cell": invocation.cell,
             "mode": invocation.terms.mode,
             "policy": invocation.policy_version,
+            "profile": invocation.profile,
             "params": dict(effective),
         }
     )

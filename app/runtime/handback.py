@@ -111,7 +111,8 @@ class Handbacks:
             document = cell.control_document() or {}
             async with self.kernel.launch(present, judgement, approvals, anew=True) as launch:
                 word = self._word("release", present, principal, document, then="resume")
-                version = self._given_back(cell, present, "resume", terms=launch.invocation.terms)
+                terms = replace(launch.invocation.terms, undone_by=None)  # it goes on: its end is the agent's as well
+                version = self._given_back(cell, present, "resume", terms=terms)
                 recheck = judgement.recheck_events(present)
                 await self.register.append([word, *recheck, *launch.events], launch.rows, [version])
 
@@ -122,7 +123,8 @@ class Handbacks:
         async with entry.lock:
             present, document = entry.newest, cell.control_document() or {}
             word = self._word("release", present, principal, document, then="rollback")
-            await self.register.append([word], versions=[self._given_back(cell, present, "rollback")])
+            terms = replace(present.terms, undone_by=principal.name)
+            await self.register.append([word], versions=[self._given_back(cell, present, "rollback", terms=terms)])
             self.fleet.order(cell, Human(invocation=invocation, op="rollback", actor=principal.name))
 
     def _given_back(self, cell: Cell, present: Invocation, then: str, **changes: Any) -> Invocation:  # noqa: ANN401

@@ -88,6 +88,7 @@ class Terms:
     launched_at_s: float | None = None
     confirmed: bool = False  # the cell said that it has the session
     version: str | None = None  # of the capability, as the agent asked for it
+    undone_by: str | None = None  # who ordered that the session be undone: only people may call that off
 
     def document(self) -> dict[str, Any]:
         """Return the terms as JSON."""
@@ -100,11 +101,12 @@ class Terms:
             "launched_at_s": self.launched_at_s,
             "confirmed": self.confirmed,
             "version": self.version,
+            "undone_by": self.undone_by,
         }
 
     @classmethod
     def read(cls, document: Mapping[str, Any]) -> Terms:
-        """Read back what `document` wrote."""
+        """Read back what `document` wrote; earlier releases did not say who ordered a rollback."""
         preference = document["recovery_preference"]
         return cls(
             mode=Mode(document["mode"]),
@@ -115,6 +117,7 @@ class Terms:
             launched_at_s=document["launched_at_s"],
             confirmed=document["confirmed"],
             version=document.get("version"),
+            undone_by=document.get("undone_by"),
         )
 
 

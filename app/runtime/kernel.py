@@ -71,6 +71,12 @@ CHANGED: Final = Reason(
     "policy constrains this differently now than when it was approved",
     "propose again",
 )
+ANOTHER_PROFILE: Final = Reason(
+    "authority/approval",
+    "profile_changed",
+    "the cell was put under another profile before anybody approved this",
+    "propose again",
+)
 
 
 class Judgement(NamedTuple):
@@ -186,24 +192,23 @@ class Judgement(NamedTuple):
             drafts.append(EventDraft(kind=EventKind.POLICY, actor=SERVER, invocation=invocation.id, body=body))
         return drafts
 
-    def refuse(self, invocation: Invocation) -> Invocation:
-        """Return the invocation ended as this decision says, after an approval that came too late for the world."""
+    def refuse(self, invocation: Invocation, because: Reason = CHANGED) -> Invocation:
+        """Return the invocation ended as this decision says; for `because`, where this would let it launch."""
         effective = self.effective(invocation.effective or {})
         status, invocation = self.status, replace(invocation, effective=effective, **self.parts())
         if status not in REFUSED_OUTCOME:  # it may launch, but not with what was approved
-            reason = CHANGED._asdict()
             admission = {
                 "outcome": AdmissionOutcome.DEFER,
-                "reasons": [*invocation.admission["reasons"], reason],
+                "reasons": [*invocation.admission["reasons"], because._asdict()],
                 "retry_after_s": RETRY_UNMET_S,
             }
             return replace(invocation, status=Status.DEFERRED, outcome=Outcome.DEFERRED, admission=admission)
         return replace(invocation, status=status, outcome=REFUSED_OUTCOME[status])
 
-    def ending_reasons(self) -> list[dict[str, str]]:
-        """Return why an approved proposal did not launch."""
+    def ending_reasons(self, because: Reason = CHANGED) -> list[dict[str, str]]:
+        """Return why a proposal that was asked about did not launch; `because` where the decision would let it."""
         if self.status not in REFUSED_OUTCOME:
-            return [CHANGED._asdict()]
+            return [because._asdict()]
         return reasons_document(self.reasons())
 
 

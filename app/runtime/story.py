@@ -103,10 +103,15 @@ class Story:
         question = self._open(version.id)
         if status is Status.ESCALATED:
             return self._escalated(version, question, event, at)
+        terms = version.terms
+        if (
+            status is Status.RUNNING and version.status is not Status.RUNNING
+        ):  # it goes on after all, so its end is the agent's as well
+            terms = replace(terms, undone_by=None)
         if question is not None:
-            return self._withdraw(version, question, at, status=status)
+            return self._withdraw(version, question, at, status=status, terms=terms)
         if status is not version.status:
-            self._versions[version.id] = version.evolve(at, status=status)
+            self._versions[version.id] = version.evolve(at, status=status, terms=terms)
         return NOTHING
 
     def _escalated(

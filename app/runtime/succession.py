@@ -3,7 +3,8 @@
 1. Standing grants of the former policy end at once.
 2. Sessions that the new policy would not let go on as they are (`governance.continuing`) are told to hold, before
    anything is recorded. The cell asks a human then, for the reasons given here.
-3. What waits for approval is decided again: it ends, launches, or is asked anew, bound to the new version.
+3. What waits for approval is decided again: it ends, launches, or is asked anew, bound to the new version. The same
+   when a cell is put under another profile, but that launches nothing.
 4. What was decided before and is recorded only now is sent only if the new policy would let it go on as well.
 
 What restrains is not told once: a launch that is still on its way to its cell cannot be held yet, so it is held as soon
@@ -14,6 +15,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from app.audit.errors import RecordUnavailable
@@ -26,14 +28,16 @@ from app.governance.model import SESSION, AdmissionOutcome, EventKind, Outcome, 
 from app.protocol import Human
 from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
 from app.runtime.errors import InvalidParams, NotFound
-from app.runtime.escalation import APPROVAL, WITHDRAWN, bound_digest
+from app.runtime.escalation import PROFILE_CHANGED, WITHDRAWN, bound_digest
 from app.runtime.invocation import reasons_document
+from app.runtime.kernel import ANOTHER_PROFILE
+from app.runtime.kernel import CHANGED as CONDITIONS_CHANGED
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
 
-    from app.governance.model import ApprovalNeed
+    from app.governance.model import ApprovalNeed, Reason
     from app.governance.policy import PolicySet
     from app.runtime.desk import Desk
     from app.runtime.escalation import Escalation
@@ -60,6 +64,7 @@ class Succession:
         self._ending: set[asyncio.Task[None]] = set()
         kernel.overtaken = self.overtaken
         desk.kept_back = self.kept_back
+        desk.decide_again = self.decide_again
 
     # -- before and at the change ------------------------------------------------------------------------------------
 
@@ -190,22 +195,24 @@ class Succession:
     # -- what waits for approval ---------------------------------------------------------------------------------------
 
     async def decide_again(self) -> None:
-        """Decide again on everything that waits for approval under another version than the one in force."""
+        """Decide again on everything that waits for approval under another policy or profile than the one in force."""
         for known in self._desk.pending():
             entry = self._register.entry(known.invocation)
-            if entry is None or not self._outdated(known):
+            if entry is None or self._desk.outdated(known) is None:
                 continue
             async with entry.lock:
                 present = self._desk.pending_for(known.invocation)
-                if present is not None and self._outdated(present):
+                why = None if present is None else self._desk.outdated(present)
+                if present is not None and why is not None:
                     with contextlib.suppress(RecordUnavailable):  # `watch` tries again; answers are refused meanwhile
-                        await self._anew(present, entry.newest)
-
-    def _outdated(self, question: Escalation) -> bool:
-        return question.kind == APPROVAL and question.policy_version != self._kernel.policy.digest
+                        await self._anew(replace(present, renewed=why), entry.newest)
 
     async def _anew(self, question: Escalation, invocation: Invocation) -> None:
-        """Decide on what waits for approval; an approver's edit stands in the place of what was requested."""
+        """Decide on what waits for approval; an approver's edit stands in the place of what was requested.
+
+        Where nobody is asked any more under another policy, it launches: an engineer put that in force with all that
+        follows. Whoever puts a cell under another profile does not expect it to move by that: the agent proposes again.
+        """
         asked = dict(question.edits[-1]["params"]) if question.edits else dict(invocation.requested)
         try:
             params = self._kernel.fill_in(invocation.capability, asked, invocation.terms.version)
@@ -218,6 +225,8 @@ class Succession:
         wanted = self._wanted(judgement, invocation)
         if judgement.refused or (wanted is None and judgement.status is Status.DEFERRED):
             await self._refuse(question, invocation, judgement)
+        elif wanted is None and question.renewed == PROFILE_CHANGED:
+            await self._refuse(question, invocation, judgement, ANOTHER_PROFILE)
         elif wanted is None:
             await self._launch(question, invocation, judgement)
         else:
@@ -234,12 +243,14 @@ class Succession:
         context = self._kernel.context(invocation.capability, invocation.agent, invocation, profile=judgement.profile)
         return need(judgement.policy, proposal, ACCEPTED, decision.verdict, context)
 
-    async def _refuse(self, question: Escalation, invocation: Invocation, judgement: Judgement) -> None:
+    async def _refuse(
+        self, question: Escalation, invocation: Invocation, judgement: Judgement, because: Reason = CONDITIONS_CHANGED
+    ) -> None:
         now = self._register.now()
         closed = question.evolve(now, status=WITHDRAWN)
-        ended = judgement.refuse(invocation.evolve(now, escalation=closed.reference()))
+        ended = judgement.refuse(invocation.evolve(now, escalation=closed.reference()), because)
         drafts = [*judgement.recheck_events(ended), escalation_event(closed)]
-        drafts.append(outcome_event(ended, SERVER, *judgement.ending_reasons()))
+        drafts.append(outcome_event(ended, SERVER, *judgement.ending_reasons(because)))
         await self._desk.commit(drafts, closed, ended)
 
     async def _end(

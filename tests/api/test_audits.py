@@ -119,7 +119,7 @@ async def test_a_stream_resumes_behind_the_last_event_seen(house: House) -> None
 async def test_refuses_a_last_event_that_is_none(house: House, last: str) -> None:
     async with house.client("auditor") as auditor:
         answer = await auditor.get("/v1/events", headers={"Last-Event-ID": last})
-    assert (answer.status_code, answer.json()["code"]) == (422, "cursor_invalid")
+    assert (answer.status_code, answer.json()["code"]) == (422, "request_invalid")
 
 
 async def test_a_quiet_stream_says_that_it_is_there(house: House, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from base64 import b64decode
 from typing import Any
 
 import orjson
@@ -293,7 +294,7 @@ async def test_a_world_that_takes_more_people_says_why(runtime: Runtime, cell: H
     _, question = await asked(runtime, request)
     assert question["needed"] == 1
     await runtime.governor.set_profile(CELL, "human-shared", OPERATOR)
-    now = await answer(runtime, question)
+    now = await runtime.desk.get(question["id"])
     assert (now["status"], now["needed"]) == ("pending", 2)
     assert "organization/press-two-approvers" in [reason["rule"] for reason in now["reasons"]]
 
@@ -313,33 +314,77 @@ async def test_an_approval_that_finds_the_cell_busy_defers(runtime: Runtime, cel
     assert len(cell.all("launch")) == 1
 
 
-async def test_an_approval_under_a_stricter_profile_does_not_launch_the_laxer_one(
+async def test_a_question_is_put_anew_when_its_cell_comes_under_a_stricter_profile(
     runtime: Runtime, cell: HandCell
 ) -> None:
     await runtime.governor.set_profile(CELL, "real-restricted", OPERATOR)
     request = ProposalRequest(
         capability="grasp_object", params={"object_id": "mug_1", "force_n": 75}, metadata={"confidence": 0.2}
     )
-    document, question = await asked(runtime, request)
+    _, question = await asked(runtime, request)
     assert question["effective"]["force_n"] == 75
     await runtime.governor.set_profile(CELL, "human-shared", OPERATOR)
-    await answer(runtime, question)
-    late = await runtime.governor.invocation(document["id"], AGENT)
-    assert late["status"] == "deferred"
-    assert late["admission"]["reasons"][-1]["code"] == "conditions_changed"
-    assert late["admission"]["retry_after_s"] > 0
+    assert await refusal(runtime, question) == "profile_changed"
+    assert (await runtime.desk.get(question["id"]))["effective"]["force_n"] == 60
     assert not cell.all("launch")
 
 
-async def test_an_approval_given_under_one_profile_launches_under_no_other(runtime: Runtime, cell: HandCell) -> None:
-    """The same parameters under a laxer profile would be watched by laxer rules, and that is not what was shown."""
+async def test_a_question_shown_under_one_profile_is_not_approved_under_another(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    """The same parameters under another profile would be watched by other rules, and that is not what was shown."""
+    await runtime.governor.set_profile(CELL, "real-restricted", OPERATOR)
+    params = {"object_id": "mug_1", "force_n": 30, "speed_mps": 0.1}
+    request = ProposalRequest(capability="grasp_object", params=params, metadata={"confidence": 0.2})
+    document, question = await asked(runtime, request)
+    await runtime.governor.set_profile(CELL, "human-shared", OPERATOR)
+    assert await refusal(runtime, question) == "profile_changed"
+    assert await refusal(runtime, question, decision="deny") == "profile_changed"
+    anew = await runtime.desk.get(question["id"])
+    assert (anew["status"], anew["profile"], anew["renewed"]) == ("pending", "human-shared", "profile_changed")
+    assert anew["effective"] == question["effective"]
+    assert anew["former_digests"] == [question["digest"]]
+    assert (await runtime.governor.invocation(document["id"], AGENT))["profile"] == "human-shared"
+    assert not cell.all("launch")
+    assert (await answer(runtime, anew))["status"] == "approved"
+    (launch,) = cell.all("launch")
+    assert orjson.loads(b64decode(launch.body))["profile"] == "human-shared"
+
+
+async def test_nothing_launches_by_a_cell_s_coming_under_a_profile_that_asks_nobody(
+    runtime: Runtime, cell: HandCell
+) -> None:
     document, question = await asked(runtime)
     await runtime.governor.set_profile(CELL, "sim-relaxed", ENGINEER)
-    await answer(runtime, question)
     late = await runtime.governor.invocation(document["id"], AGENT)
-    assert late["status"] == "deferred"
-    assert late["admission"]["reasons"][-1]["code"] == "conditions_changed"
+    assert (late["status"], late["outcome"]) == ("deferred", "deferred")
+    assert late["admission"]["reasons"][-1]["code"] == "profile_changed"
+    assert late["admission"]["retry_after_s"] > 0
+    assert late["escalation"]["status"] == "withdrawn"
+    assert await refusal(runtime, question) == "profile_changed"
     assert not cell.all("launch")
+    again, _ = await runtime.governor.propose(AGENT, grasp())
+    assert again["status"] == "running"
+
+
+async def test_an_answer_that_comes_before_the_question_is_put_anew_is_refused(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    document, question = await asked(runtime)
+    append = runtime.store.append
+
+    async def broken(*_: Any) -> list[int]:
+        monkeypatch.setattr(runtime.store, "append", append)
+        raise RecordUnavailable("disk full")
+
+    monkeypatch.setattr(runtime.fleet.cell(CELL), "profile", "real-restricted")
+    assert await refusal(runtime, question) == "profile_changed"
+    monkeypatch.setattr(runtime.store, "append", broken)
+    await runtime.desk.decide_again()
+    assert (await runtime.desk.get(question["id"]))["profile"] == "human-shared"
+    assert await refusal(runtime, question) == "profile_changed"
+    await runtime.desk.decide_again()
+    assert (await runtime.governor.invocation(document["id"], AGENT))["status"] != "awaiting_approval"
 
 
 async def test_nothing_launches_when_the_approval_cannot_be_recorded(

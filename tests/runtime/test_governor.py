@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import base64
+from dataclasses import replace
 from typing import Any
 
 import orjson
@@ -399,6 +400,57 @@ async def test_an_agent_cancels_its_own_session_and_nobody_elses(runtime: Runtim
     await until(lambda: cell.ops() == ["cancel"])
     await cell.ended(document["id"], "cancelled")
     assert (await runtime.governor.invocation(document["id"], AGENT))["outcome"] == "cancelled"
+
+
+async def test_a_rollback_that_a_human_ordered_is_not_the_agents_to_call_off(runtime: Runtime, cell: HandCell) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    name = document["id"]
+    await cell.launched(name)
+    await runtime.governor.rollback(name, OPERATOR)
+    for status in ("running", "recovering", "escalated"):  # on its way to the cell, under way, and after it failed
+        if status != "running":
+            await cell.report("status", name, status=status)
+        with pytest.raises(Conflict) as refusal:
+            await runtime.governor.cancel(name, AGENT)
+        assert (refusal.value.code, refusal.value.status) == ("rollback_ordered", 409)
+    assert cell.ops() == ["rollback"]
+    await runtime.governor.cancel(name, OPERATOR)
+    await until(lambda: cell.ops() == ["rollback", "cancel"])
+
+
+async def test_a_rollback_that_a_denial_ordered_is_not_the_agents_to_call_off(runtime: Runtime, cell: HandCell) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    name = document["id"]
+    await cell.launched(name)
+    await cell.report("escalation", name, reason="separation")
+    question = runtime.desk.pending_for(name)
+    assert question is not None
+    undoing = replace(question, on_deny="rollback")
+    runtime.desk.hold(undoing)
+    await runtime.desk.resolve(question.id, OPERATOR, "deny", question.digest)
+    await until(lambda: cell.ops() == ["rollback"])
+    with pytest.raises(Conflict) as refusal:
+        await runtime.governor.cancel(name, AGENT)
+    assert refusal.value.code == "rollback_ordered"
+
+
+async def test_a_session_that_goes_on_after_all_is_the_agents_to_end_again(runtime: Runtime, cell: HandCell) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    name = document["id"]
+    await cell.launched(name)
+    await runtime.governor.rollback(name, OPERATOR)
+    await cell.report("status", name, status="escalated", reason="rollback_unavailable")
+    await cell.report("status", name, status="running")
+    await runtime.governor.cancel(name, AGENT)
+    await until(lambda: cell.ops() == ["rollback", "cancel"])
+
+
+async def test_the_agent_calls_off_a_recovery_that_no_human_ordered(runtime: Runtime, cell: HandCell) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    await cell.launched(document["id"])
+    await cell.report("status", document["id"], status="recovering")
+    await runtime.governor.cancel(document["id"], AGENT)
+    await until(lambda: cell.ops() == ["cancel"])
 
 
 async def test_an_emergency_stop_is_latched_and_launches_are_rejected(runtime: Runtime, cell: HandCell) -> None:

@@ -27,6 +27,7 @@ EXAMPLE_ESCALATION: dict[str, Any] = {
     "approved": None,
     "digest": "sha256:51ab…",
     "former_digests": [],
+    "renewed": None,
     "policy_version": EXAMPLE_INVOCATION["policy_version"],
     "status": "pending",
     "approvals": [],
@@ -100,7 +101,10 @@ class EscalationDocument(Document):
     effective: dict[str, Any]
     approved: dict[str, Any] | None
     digest: str
-    former_digests: list[str] = Field(description="What it was bound to before another policy came into force.")
+    former_digests: list[str] = Field(description="What it was bound to before it was asked anew.")
+    renewed: Literal["policy_changed", "profile_changed"] | None = Field(
+        description="Why it was asked anew: another policy is in force since, or its cell is under another profile."
+    )
     policy_version: str | None
     status: Literal["pending", "approved", "denied", "expired", "withdrawn"]
     approvals: list[ApprovalDocument]
