@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from starlette.responses import Response
     from starlette.routing import BaseRoute
-    from starlette.types import ASGIApp, Receive, Scope, Send
+    from starlette.types import Receive, Scope, Send
 
     from app.api.auth import Principals
     from app.runtime.invocation import Principal
@@ -108,19 +108,20 @@ def allowed_roles(method: str, path: str) -> frozenset[Role] | None:
         raise RouteUnguarded(f"`{method} {path}` has no entry in `ACCESS`: name the roles that may use it") from None
 
 
-def authorize(connection: HTTPConnection, principals: Principals, allowed: frozenset[Role] | None) -> None:
-    """Let the request through, or refuse it before anything else of it is read.
+def authorize(connection: HTTPConnection, principals: Principals, allowed: frozenset[Role] | None) -> Principal | None:
+    """Let the request through, or refuse it before anything else of it is read. Returns who asks; None on public ones.
 
     Raises:
         Problem: 401 without a valid token, 403 `role_forbidden` with the wrong role.
     """
     if allowed is None:
-        return
+        return None
     principal = principals.authenticate(connection.headers)
     if principal.role not in allowed:
         valid = ", ".join(sorted(role.value for role in allowed))
         raise Problem("role_forbidden", f"the role `{principal.role.value}` may not do this: valid are {valid}")
     connection.scope[_CALLER] = principal
+    return principal
 
 
 def caller(connection: HTTPConnection) -> Principal:
@@ -138,15 +139,15 @@ class GuardedRoute(APIRoute):
     def __init__(self, path: str, endpoint: Callable[..., Any], **options: Any) -> None:  # noqa: ANN401  # FastAPI's own
         """Build the route. Raises `RouteUnguarded`."""
         super().__init__(path, endpoint, **options)
-        self.direct: ASGIApp | None = None
+        self.direct: Callable[[Request], Coroutine[Any, Any, Response]] | None = None
         if list(signature(endpoint).parameters) == ["request"]:
-            guarded = self._guard(endpoint)
+            guarded = self.direct = self._guard(endpoint)
 
-            async def direct(scope: Scope, receive: Receive, send: Send) -> None:
+            async def app(scope: Scope, receive: Receive, send: Send) -> None:
                 response = await guarded(Request(scope, receive, send))
                 await response(scope, receive, send)
 
-            self.app = self.direct = direct
+            self.app = app
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Return FastAPI's handler behind the guard. Raises `RouteUnguarded`."""
@@ -161,11 +162,11 @@ class GuardedRoute(APIRoute):
 
         async def guarded(request: Request) -> Response:
             parts = parts_of(request)
-            authorize(request, parts.principals, allowed)
+            principal = authorize(request, parts.principals, allowed)
             if reads_query:
                 _refuse_twice(request.scope["query_string"])
-            if allowed is not PUBLIC:
-                parts.governor.kernel.heard(caller(request))  # whoever speaks is on duty
+            if principal is not None:
+                parts.governor.kernel.heard(principal)  # whoever speaks is on duty
             return await handler(request)
 
         return guarded
@@ -186,7 +187,9 @@ def _refuse_twice(query: bytes) -> None:
         seen.add(name)
 
 
-def direct_routes(routes: Iterable[BaseRoute]) -> dict[tuple[str, str], ASGIApp]:
+def direct_routes(
+    routes: Iterable[BaseRoute],
+) -> dict[tuple[str, str], Callable[[Request], Coroutine[Any, Any, Response]]]:
     """Return the routes that can be found by method and path alone and read their requests by themselves."""
     return {
         (method, route.path): route.direct

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import orjson
 from fastapi import FastAPI
 from fastapi.middleware.asyncexitstack import AsyncExitStackMiddleware
-from starlette.applications import Starlette
 from starlette.middleware.exceptions import ExceptionMiddleware
 from starlette.requests import Request
 from starlette.responses import Response
@@ -21,6 +20,7 @@ from starlette.responses import Response
 from app import __version__
 from app.api import agents, audits, console, documents, grants, links, operators, pages, policies, problems, schemas
 from app.api.access import GuardedRoute, direct_routes, verify_routes
+from app.api.frame import Frame
 from app.api.openapi import Answers, answer, declare, describe
 from app.api.parts import Parts, parts_of
 from app.api.roll import Roll
@@ -59,7 +59,10 @@ class Application(FastAPI):
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve a connection as Starlette does; asking whether it is traced would cost every request its share."""
-        await Starlette.__call__(self, scope, receive, send)
+        scope["app"] = self
+        if self.middleware_stack is None:
+            self.middleware_stack = self.build_middleware_stack()
+        await self.middleware_stack(scope, receive, send)
 
     def build_middleware_stack(self) -> ASGIApp:
         """Return the routes inside three layers: the frame, the exceptions that have problems, FastAPI's exit stack.
@@ -68,7 +71,7 @@ class Application(FastAPI):
         """
         handlers = dict(self.exception_handlers)
         inner = AsyncExitStackMiddleware(self.router)
-        return problems.Frame(ExceptionMiddleware(inner, handlers=handlers), direct_routes(self.routes))
+        return Frame(ExceptionMiddleware(inner, handlers=handlers), direct_routes(self.routes))
 
 
 def create_app(  # noqa: PLR0913  # every part of a server, by name

@@ -17,6 +17,7 @@ from starlette.responses import JSONResponse, Response
 
 from app.api import documents, policy_documents, wire
 from app.api.access import PUBLIC, allowed_roles
+from app.api.frame import Json
 from app.api.problems import CODES, MEDIA_TYPE, Problem
 
 if TYPE_CHECKING:
@@ -47,21 +48,6 @@ ON_BODY = (
     "malformed_json",
     "request_invalid",
 )
-
-
-class Json(Response):
-    """An answer whose bytes are JSON already."""
-
-    media_type = "application/json"
-
-    def init_headers(self, headers: Mapping[str, str] | None = None) -> None:
-        """Write the two headers that every such answer has, and those given."""
-        given = () if headers is None else headers.items()
-        self.raw_headers = [
-            (b"content-length", b"%d" % len(self.body)),
-            (b"content-type", b"application/json"),
-            *((name.lower().encode("latin-1"), value.encode("latin-1")) for name, value in given),
-        ]
 
 
 def answer(document: object, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Final
 from starlette.requests import Request
 from starlette.responses import Response
 
-from app.api.problems import HEADERS, Problem
+from app.api.frame import HEADERS
+from app.api.problems import Problem
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

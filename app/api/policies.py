@@ -13,8 +13,9 @@ from starlette.responses import Response
 from app.api import documents
 from app.api import policy_documents as models
 from app.api.access import caller
+from app.api.frame import Json
 from app.api.listing import PageQuery
-from app.api.openapi import Answers, Json, answer, declare
+from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
 from app.api.wire import read_body
 

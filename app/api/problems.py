@@ -8,7 +8,6 @@ shown: an exception nobody listed is logged and answered with the code `internal
 from __future__ import annotations
 
 import http
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -26,22 +25,9 @@ from app.runtime.errors import CONFLICTS, Conflict, Forbidden, InvalidParams, No
 if TYPE_CHECKING:
     from fastapi import FastAPI
     from starlette.requests import Request
-    from starlette.types import ASGIApp, Message, Receive, Scope, Send
-
-log = logging.getLogger(__name__)
 
 MEDIA_TYPE = "application/problem+json"
 URN = "urn:reins:problem:"
-
-# Sent with every answer. Answers are of the moment and for one caller, so nothing may keep them.
-SECURITY_HEADERS: tuple[tuple[bytes, bytes], ...] = (
-    (b"x-content-type-options", b"nosniff"),
-    (b"cache-control", b"no-store"),
-    (b"referrer-policy", b"no-referrer"),
-    (b"x-frame-options", b"DENY"),
-    (b"content-security-policy", b"default-src 'none'; frame-ancestors 'none'"),
-)
-HEADERS = "reins.headers"  # where in the scope a page says which headers it is sent with instead
 
 
 # Every code the server may answer with, its status and what it means. Codes are stable; the words are not.
@@ -220,41 +206,3 @@ def install(app: FastAPI) -> None:
 
     for kind, _ in PROBLEMS:
         app.add_exception_handler(kind, known)
-
-
-class Frame:
-    """The layer around all routes: security headers on every response, and an answer where a handler failed.
-
-    Routes in `direct`, by method and path, are called right here: finding them again behind further layers would cost
-    more than what many of them do.
-    """
-
-    def __init__(self, app: ASGIApp, direct: Mapping[tuple[str, str], ASGIApp]) -> None:
-        """Wrap the application."""
-        self._app = app
-        self._direct = direct
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on; stamp what comes back."""
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-        app = self._direct.get((scope["method"], scope["path"]), self._app)
-        started = False
-
-        async def stamped(message: Message) -> None:
-            nonlocal started
-            if message["type"] == "http.response.start":
-                started = True
-                message["headers"] = [*message["headers"], *scope.get(HEADERS, SECURITY_HEADERS)]
-            await send(message)
-
-        try:
-            await app(scope, receive, stamped)
-        except Exception as error:
-            if started:  # half an answer is out; cutting the connection is the only honest end
-                raise
-            problem = as_problem(error)
-            if problem.code == "internal":
-                log.exception("`%s %s` failed", scope["method"], scope["path"])
-            await problem.response(scope["path"])(scope, receive, stamped)

@@ -191,7 +191,8 @@ async def read_body(request: Request, model: type[M], *, at_most: int = MAX_BODY
         `malformed_json` or `request_invalid`.
     """
     check_media(request)
-    return to_model(parse(await read_bytes(request, at_most)), model, long_texts=at_most > MAX_BODY_BYTES)
+    raw = await read_bytes(request, at_most)
+    return to_model(parse(raw), model, long_texts=at_most > MAX_BODY_BYTES or _short_texts(raw))
 
 
 async def read_optional(request: Request, model: type[M]) -> M:
@@ -219,12 +220,13 @@ async def read_bytes(request: Request, at_most: int = MAX_BODY_BYTES) -> bytes:
         message = await request.receive()
         if message["type"] == "http.disconnect":
             raise Problem("body_incomplete", "the connection ended within the body")
-        chunks.append(message.get("body", b""))
-        size += len(chunks[-1])
+        chunk: bytes = message.get("body", b"")
+        chunks.append(chunk)
+        size += len(chunk)
         if size > at_most:
             raise _too_large(at_most)
         more = message.get("more_body", False)
-    return b"".join(chunks)
+    return chunks[0] if len(chunks) == 1 else b"".join(chunks)
 
 
 def check_media(request: Request) -> None:
@@ -234,7 +236,7 @@ def check_media(request: Request) -> None:
         Problem: 415 `media_type_unsupported` or `encoding_unsupported`, 400 `given_twice`.
     """
     content_type: str | None = None
-    for name, value in request.headers.raw:  # straight from the list: the mapping over it costs every request its share
+    for name, value in request.scope["headers"]:  # the mapping over the list costs every request its share
         if name == b"content-type":
             if content_type is not None:
                 raise Problem("given_twice", "`Content-Type` is given more than once: valid is once")
@@ -283,7 +285,7 @@ def parse(raw: bytes) -> object:
 
 
 def to_model(value: object, model: type[M], *, long_texts: bool = False) -> M:
-    """Return a parsed value as a model; with `long_texts` the model alone says how long its texts may be.
+    """Return a parsed value as a model; with `long_texts` nothing but the model says how long its texts may be.
 
     Raises:
         Problem: 422 `request_invalid`, naming each field that is wrong and what would be valid.
@@ -308,7 +310,7 @@ def read_idempotency_key(request: Request) -> str | None:
     Raises:
         Problem: 422 `idempotency_key_invalid`: empty, over 255 characters, not printable ASCII, or given twice.
     """
-    values = [value for name, value in request.headers.raw if name == b"idempotency-key"]
+    values = [value for name, value in request.scope["headers"] if name == b"idempotency-key"]
     if not values:
         return None
     key = values[0].decode("latin-1")
@@ -320,8 +322,8 @@ def read_idempotency_key(request: Request) -> str | None:
 
 
 def _header(request: Request, wanted: bytes) -> str | None:
-    """Return a header's first value, straight from the list: the mapping over it costs every request its share."""
-    for name, value in request.headers.raw:
+    """Return a header's first value, straight from the list."""
+    for name, value in request.scope["headers"]:
         if name == wanted:
             return value.decode("latin-1")
     return None
@@ -363,7 +365,7 @@ def _explain(raw: bytes, error: orjson.JSONDecodeError) -> str:
     return error.msg
 
 
-def _survey(root: object) -> tuple[int, int]:
+def _survey(root: Any) -> tuple[int, int]:  # noqa: ANN401  # JSON
     """Return how many levels a value nests, counted up to the bound, and how many members its objects have."""
     depth, members = 0, 0
     level: list[Any] = [root]
@@ -371,13 +373,14 @@ def _survey(root: object) -> tuple[int, int]:
         below: list[Any] = []
         containers = False
         for value in level:
-            if type(value) is dict:
+            kind = value.__class__
+            if kind is dict:
                 containers = True
-                members += len(cast("dict[str, Any]", value))
-                below.extend(cast("dict[str, Any]", value).values())
-            elif type(value) is list:
+                members += len(value)
+                below.extend(value.values())
+            elif kind is list:
                 containers = True
-                below.extend(cast("list[Any]", value))
+                below.extend(value)
         depth += containers
         level = below
     return depth, members
@@ -394,19 +397,26 @@ def _refuse_duplicates(raw: bytes) -> None:
     json.loads(raw, object_pairs_hook=unique, parse_int=len, parse_float=len)  # only the keys matter here
 
 
+def _short_texts(raw: bytes) -> bool:
+    """Say at a glance that no key and no text of a body is longer than a name may be."""
+    return b"\\" not in raw and max(map(len, raw.split(b'"'))) <= MAX_NAME  # without escapes, no text holds a quote
+
+
 def _refuse_long_texts(value: dict[str, Any]) -> None:
     stack: list[tuple[str, Any]] = list(value.items())
     while stack:
         path, item = stack.pop()
-        if type(item) is dict:
-            for key, inner in cast("dict[str, Any]", item).items():
+        kind = item.__class__
+        if kind is str:
+            if len(item) > MAX_TEXT:
+                raise _invalid(path, f"valid are texts of at most {MAX_TEXT} characters")
+        elif kind is dict:
+            for key, inner in item.items():
                 if len(key) > MAX_NAME:
                     raise _invalid(path, f"has a key of {len(key)} characters: valid are at most {MAX_NAME}")
                 stack.append((f"{path}.{key}", inner))
-        elif type(item) is list:
-            stack.extend((f"{path}.{index}", inner) for index, inner in enumerate(cast("list[Any]", item)))
-        elif type(item) is str and len(item) > MAX_TEXT:
-            raise _invalid(path, f"valid are texts of at most {MAX_TEXT} characters")
+        elif kind is list:
+            stack.extend((f"{path}.{index}", inner) for index, inner in enumerate(item))
 
 
 def _invalid(field: str, message: str) -> Problem:

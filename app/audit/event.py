@@ -114,7 +114,7 @@ def prepare(draft: EventDraft, at: str) -> Prepared:
 
 def prepare_all(drafts: Sequence[EventDraft], at: str) -> tuple[Prepared, ...]:
     """Encode the drafts of one caller, who sees the first that fails."""
-    return tuple(prepare(draft, at) for draft in drafts)
+    return tuple([prepare(draft, at) for draft in drafts])
 
 
 def read_columns(body: bytes) -> Event:

@@ -1,7 +1,8 @@
 """The one writer of the log, without concurrency: stage a batch, commit it, or take it back.
 
     stage    on the event loop   BEGIN, give places, insert events, rows and the signed checkpoint
-    commit   in the commit thread   COMMIT, then the checkpoint into the file outside
+    commit   in the commit thread   COMMIT
+    follow   in the commit thread   the checkpoint into the file outside, while the callers are answered already
     adopt    on the event loop   only now the tree in memory grows
     take_back                    ROLLBACK; the next stage looks first what the disk really holds
 
@@ -60,6 +61,7 @@ class Ledger:
         """
         self.places = places
         self._suspect = False
+        self._due_outside: str | None = None  # the note the file has to end in, where that is not sure
         with ExitStack() as opened, naming_failures(places):
             places.folder.mkdir(parents=True, exist_ok=True)
             opened.callback(os.close, take_lock(places))
@@ -100,7 +102,7 @@ class Ledger:
         self._connection.exec_driver_sql(BEGIN_WRITE[self._engine.dialect.name])
         if self._suspect:
             self.frontier, self.note = self._restore()
-            self._file.missing = self.note if self.note != self._file.last else None
+            self._due_outside = self.note
             self._suspect = False
         seq = self.frontier.size
         taken: set[tuple[object, ...]] = set()
@@ -113,9 +115,10 @@ class Ledger:
             if conflict is not None:
                 answers.append(conflict)
                 continue
-            mine = tuple(prepared.seal(seq + place) for place, prepared in enumerate(submission.events, 1))
+            first = seq + 1
+            mine = tuple([prepared.seal(first + place) for place, prepared in enumerate(submission.events)])
             for row in submission.rows:
-                rows.setdefault(row.table, []).append({**row.values, STORE_GIVEN: seq + 1})
+                rows.setdefault(row.table, []).append({**row.values, STORE_GIVEN: first})
             seq += len(mine)
             sealed.extend(mine)
             answers.append(mine)
@@ -124,15 +127,24 @@ class Ledger:
         frontier, note = self._insert(sealed)
         return Staged(answers=tuple(answers), events=tuple(sealed), frontier=frontier, note=note)
 
-    def commit(self, staged: Staged) -> str | None:
-        """Make a staged batch durable, in any thread; return why the outside file did not follow, if it did not.
+    def commit(self, staged: Staged) -> None:
+        """Make a staged batch durable, in any thread; not before the file outside has caught up with the last one.
 
         Raises:
             sqlalchemy.exc.SQLAlchemyError, OSError: nothing was acknowledged; call `take_back`.
         """
+        if self._due_outside is not None:
+            self._file.missing = self._due_outside if self._due_outside != (self._file.last or "") else None
+            self._due_outside = None
         self._file.catch_up()
         self._connection.exec_driver_sql("COMMIT")
-        if staged.note == self.note:  # rows alone: the tree stayed as it was
+
+    def follow(self, staged: Staged) -> str | None:
+        """Write the checkpoint of a committed batch into the file outside, in the thread that committed it.
+
+        Returns why it could not be written, if so; no further batch is committed then before it stands there.
+        """
+        if not staged.events:  # rows alone: the tree stayed as it was
             return None
         try:
             self._file.append(staged.note)

@@ -100,9 +100,9 @@ class DriverText(NamedTuple):
         """Execute the statement once for each mapping."""
         if self.positional:
             pick: Callable[[Mapping[str, Any]], tuple[Any, ...]] = itemgetter(*self.names)  # pyright: ignore[reportUnknownVariableType]
-            connection.exec_driver_sql(self.text, [pick(row) for row in values])
+            self._execute(connection, [pick(row) for row in values])
         else:
-            connection.exec_driver_sql(self.text, [dict(row) for row in values])
+            self._execute(connection, [dict(row) for row in values])
 
     def run_rows(self, connection: sa.Connection, rows: Sequence[tuple[Any, ...]]) -> None:
         """Execute the statement once for each named tuple, whose fields may stand in the statement's own order."""
@@ -110,9 +110,17 @@ class DriverText(NamedTuple):
             return
         fields = getattr(rows[0], "_fields", ())
         if self.positional and fields == self.names:
-            connection.exec_driver_sql(self.text, [tuple(row) for row in rows])
+            self._execute(connection, rows)
         else:
             self.run(connection, [dict(zip(fields, row, strict=True)) for row in rows])
+
+    def _execute(self, connection: sa.Connection, parameters: Sequence[Any]) -> None:
+        """Hand the rows to the driver itself: on the way there SQLAlchemy would do as much as the driver does."""
+        cursor = connection.connection.cursor()
+        try:
+            cursor.executemany(self.text, parameters)
+        finally:
+            cursor.close()
 
 
 def replacement(table: sa.Table, dialect: str) -> sa.Executable:

@@ -3,7 +3,7 @@
 Callers await `append`. The first one starts a batch, whoever comes until the loop gets to it joins. The batch is
 inserted on the event loop and committed in one thread of its own; meanwhile the next batch collects. So the batch grows
 with the load and nobody waits for a window to pass. Callers are answered when their events are on the disk, subscribers
-right before them.
+right before them; the checkpoint goes into the file outside meanwhile, and before the next batch is committed.
 """
 
 from __future__ import annotations
@@ -160,8 +160,27 @@ class AuditStore:
             self._fail(batch, error)
             loop.call_soon(self._write_batch)
             return
-        commit = loop.run_in_executor(self._committer, self._ledger.commit, staged)
-        commit.add_done_callback(partial(self._settle, batch, staged))
+        self._committer.submit(self._commit, batch, staged, loop)
+
+    def _commit(
+        self,
+        batch: list[tuple[Submission, asyncio.Future[list[int]]]],
+        staged: Staged,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        """Commit a batch and write its checkpoint outside, in the commit thread; the loop is told as soon as it may."""
+        ailing = self._reason is not None
+        trouble: str | None = None
+        try:
+            self._ledger.commit(staged)
+            if ailing:  # health comes back with an answer only when all of it has reached the disk
+                trouble = self._ledger.follow(staged)
+        except Exception as error:
+            loop.call_soon_threadsafe(self._settle, batch, staged, error, None)
+            return
+        loop.call_soon_threadsafe(self._settle, batch, staged, None, trouble)
+        if not ailing and (trouble := self._ledger.follow(staged)) is not None:
+            loop.call_soon_threadsafe(self._note_health, trouble)
 
     def _next_batch(self) -> list[tuple[Submission, asyncio.Future[list[int]]]]:
         batch: list[tuple[Submission, asyncio.Future[list[int]]]] = []
@@ -175,14 +194,14 @@ class AuditStore:
         self,
         batch: list[tuple[Submission, asyncio.Future[list[int]]]],
         staged: Staged,
-        commit: asyncio.Future[str | None],
+        error: Exception | None,
+        trouble: str | None,
     ) -> None:
-        error = commit.exception()
         if error is not None:
             self._fail(batch, error)
         else:
             self._ledger.adopt(staged)
-            self._note_health(commit.result())
+            self._note_health(trouble)
             self._publish(staged.events)
             for (_, future), answer in zip(batch, staged.answers, strict=True):
                 if future.done():

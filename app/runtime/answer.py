@@ -98,8 +98,7 @@ class Answer:
         filled = self._kernel.fill_in(self._invocation.capability, full, self._invocation.terms.version)
         judgement = self._judge(filled)
         if judgement.refused:
-            reasons = [reason._asdict() for reason in judgement.reasons()]
-            raise Conflict("edit_refused", "policy refuses the edited proposal", reasons=reasons)
+            raise _edit_refused(judgement)
         effective = judgement.effective(filled)
         self._note_edit(judgement)
         now, bound = self._register.now(), bound_digest(self._invocation, effective)
@@ -265,3 +264,13 @@ class Answer:
             invocation=self._invocation.id,
             body={"decision": decision, "escalation": escalation.public(), "comment": self._comment},
         )
+
+
+def _edit_refused(judgement: Judgement) -> Conflict:
+    """Say who refuses an edit, and only that: what else it would have to wait for is not why."""
+    verdict = judgement.decision.verdict
+    if judgement.status is Status.DENIED and verdict is not None:
+        message, reasons = "policy denies the edited proposal", verdict.reasons
+    else:
+        message, reasons = "the edited proposal would not be admitted", judgement.decision.admission.reasons
+    return Conflict("edit_refused", message, reasons=reasons_document(reasons))

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections import deque
+from collections import OrderedDict, deque
 from typing import TYPE_CHECKING, Any, Final
 
 import orjson
@@ -54,7 +54,7 @@ class Broadcast:
         self._events: deque[Event] = deque(maxlen=KEPT_EVENTS)
         self._fresh: list[Event] = []
         self._invocations: dict[str, Invocation] = {}
-        self._newest: dict[str, Invocation] = {}
+        self._newest: OrderedDict[str, Invocation] = OrderedDict()
         self._escalations: dict[str, Escalation] = {}
         self._grants: dict[str, Standing] = {}
         self._reviews: dict[str, Review] = {}
@@ -87,7 +87,7 @@ class Broadcast:
         self._events.extend(event for event in live if not older or event.seq > older[-1].seq)
         self.seq = self._events[-1].seq if self._events else 0
         newest = {known.id: known for known in reversed(await self._register.newest_ones(SHOWN_INVOCATIONS))}
-        self._newest = {**newest, **self._newest}
+        self._newest = OrderedDict({**newest, **self._newest})
 
     async def run(self) -> None:
         """Beat, and look after cells that have fallen silent, for ever."""
@@ -146,7 +146,7 @@ class Broadcast:
     def _shown(self, version: Invocation) -> None:
         newest = self._newest
         if version.id not in newest and len(newest) >= SHOWN_INVOCATIONS:
-            del newest[next(iter(newest))]
+            newest.popitem(last=False)
         newest[version.id] = version
         if self._consoles:
             self._invocations[version.id] = version

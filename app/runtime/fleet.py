@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 TEND_S: Final = 0.25
 EXPECTED_S: Final = 10.0  # a process that takes longer to start is missed like any other
+NOWHERE: Final = CellFacts(id="", online=False)
 RESET_S: Final = 1.0  # a cell states itself ten times a second, and on every change
 
 
@@ -127,7 +128,7 @@ class Fleet:
     def facts(self, cell: Cell | None) -> CellFacts:
         """Return what a decision may know of a cell, now; of no cell at all, that it is not there."""
         if cell is None:
-            return CellFacts(id="", online=False)
+            return NOWHERE
         state = cell.state if cell.fresh else None
         return CellFacts(
             id=cell.id,

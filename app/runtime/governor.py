@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from app.runtime.register import Register
 
 TRACE_PAGE: Final = 1000
+FORGOTTEN: Final = Terms()  # of what is final at once: its proposal is in the record
 
 
 class Governor(Takeovers, Controls):
@@ -183,13 +184,7 @@ class Governor(Takeovers, Controls):
             grant=judgement.grant,
             created_at=now,
             updated_at=now,
-            terms=Terms(
-                mode=request.mode,
-                preconditions=request.preconditions,
-                recovery_preference=request.recovery_preference,
-                metadata=request.metadata,
-                version=request.version,
-            ),
+            terms=FORGOTTEN if status in REFUSED_OUTCOME else _terms(request),
             **judgement.parts(),
         )
 
@@ -281,6 +276,16 @@ class Governor(Takeovers, Controls):
     def cells(self) -> list[dict[str, Any]]:
         """Return every cell as a document."""
         return [self.fleet.document(cell) for cell in self.fleet.cells()]
+
+
+def _terms(request: ProposalRequest) -> Terms:
+    return Terms(
+        mode=request.mode,
+        preconditions=request.preconditions,
+        recovery_preference=request.recovery_preference,
+        metadata=request.metadata,
+        version=request.version,
+    )
 
 
 def event_document(event: Event, role: Role) -> dict[str, Any]:

@@ -27,17 +27,26 @@ class Identities:
         """Take the clock."""
         self._wall_s = wall_s
         self._last = 0
+        self._stem, self._text = -1, ""  # all but the last ten bits of the last one, and how they are written
         self._drawn: list[bytes] = []
 
     def make(self, prefix: str) -> str:
         """Return a new identifier, for instance `inv_01JCEX…`."""
+        ms = int(self._wall_s() * 1000)
+        value = self._last + 1
+        if ms > value >> _RANDOM_BITS:  # else this millisecond goes on, or the wall clock stepped back
+            value = ms << _RANDOM_BITS | self._random()
+        self._last = value
+        stem = value >> 10
+        if stem != self._stem:
+            self._stem, self._text = stem, "".join([_PAIRS[stem >> shift & 1023] for shift in range(110, -1, -10)])
+        return f"{prefix}_{self._text}{_PAIRS[value & 1023]}"
+
+    def _random(self) -> int:
         if not self._drawn:
             block = os.urandom(10 * _BLOCK)
             self._drawn = [block[at : at + 10] for at in range(0, len(block), 10)]
-        fresh = int(self._wall_s() * 1000) << _RANDOM_BITS | int.from_bytes(self._drawn.pop())
-        self._last = fresh if fresh > self._last else self._last + 1  # the wall clock may step back
-        value = self._last
-        return f"{prefix}_" + "".join([_PAIRS[value >> shift & 1023] for shift in range(120, -1, -10)])
+        return int.from_bytes(self._drawn.pop())
 
 
 def digest(document: Mapping[str, Any]) -> str:

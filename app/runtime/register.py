@@ -99,9 +99,10 @@ class Register:
         """
         # What follows from an end is recorded with it: the event and the row, and then what they change in memory.
         follows = [found for version in versions if version.final and (found := self.on_ending(version)) is not None]
+        rows = [*rows, *[version.row() for version in versions]]
         seqs = await self.store.append(
-            [*drafts, *(draft for draft, _, _ in follows)],
-            [*rows, *(version.row() for version in versions), *(row for _, row, _ in follows)],
+            [*drafts, *[draft for draft, _, _ in follows]] if follows else drafts,
+            [*rows, *[row for _, row, _ in follows]] if follows else rows,
         )
         for version in versions:
             self._show(version)

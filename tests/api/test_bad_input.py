@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import gzip
 import json
 from collections.abc import AsyncIterator
 
@@ -76,6 +77,64 @@ async def test_a_body_without_declared_length_is_cut_off_too(house: House) -> No
     async with house.client() as agent:
         answer = await agent.post("/v1/invocations", content=endless(), headers=JSON)
     assert (answer.status_code, answer.json()["code"]) == (413, "body_too_large")
+
+
+async def test_two_tokens_are_nobodys(house: House) -> None:
+    bearers = [("Authorization", f"Bearer {house.tokens[key]}") for key in ("agent", "operator")]
+    async with house.client(None) as client:
+        for method, path in (("GET", "/v1/cells"), ("POST", "/v1/invocations"), ("POST", "/v1/cells/x/estop")):
+            answer = await client.request(method, path, headers=bearers)
+            assert (answer.status_code, answer.json()["code"]) == (400, "given_twice")
+            assert "`Authorization`" in answer.json()["detail"]
+
+
+@pytest.mark.parametrize("path", ["/v1/invocations", "/v1/escalations", "/v1/audit/events", "/v1/cells"])
+async def test_a_parameter_that_is_given_twice_is_refused(house: House, path: str) -> None:
+    async with house.client("operator") as operator:
+        answer = await operator.get(f"{path}?limit=1&status=&li%6dit=2")
+    assert (answer.status_code, answer.json()["code"]) == (400, "given_twice")
+    assert "`limit`" in answer.json()["detail"]
+
+
+async def test_nothing_in_a_query_stands_in_a_stops_way(house: House) -> None:
+    async with house.cell(), house.client("agent") as agent:
+        assert (await agent.post("/v1/cells/workcell-1/estop?a=1&a=2")).status_code == 200
+
+
+@pytest.mark.parametrize("path", ROUTES)
+async def test_a_compressed_body_is_refused(house: House, path: str) -> None:
+    async with house.client(ROUTES[path]) as client:
+        for encoding in ("gzip", "identity, br"):
+            headers = {**JSON, "Content-Encoding": encoding}
+            answer = await client.post(path, content=gzip.compress(b"{}"), headers=headers)
+            assert (answer.status_code, answer.json()["code"]) == (415, "encoding_unsupported")
+            assert f"`{encoding}`" in answer.json()["detail"]
+        plain = await client.post(path, content=proposal(), headers={**JSON, "Content-Encoding": "identity"})
+        assert plain.status_code in {200, 201, 422}
+        both = [("content-type", "application/json"), ("content-type", "text/plain")]
+        assert (await client.post(path, content=b"{}", headers=both)).json()["code"] == "given_twice"
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "valid"),
+    [
+        ("/v1/audit/events?kind=zzz", "`zzz`", "admission"),
+        ("/v1/invocations?status=zzz", "`zzz`", "running"),
+        ("/v1/invocations?cursor=zzz", "`zzz`", "`next`"),
+        ("/v1/audit/events?after=zzz", "`zzz`", "whole number"),
+        ("/v1/audit/events?since=zzz", "`zzz`", "2026"),
+        ("/v1/policies?cursor=zzz", "`zzz`", "`next`"),
+    ],
+)
+async def test_a_parameter_out_of_place_is_named_with_what_is_valid(
+    house: House, path: str, value: str, valid: str
+) -> None:
+    async with house.client("auditor") as auditor:
+        answer = await auditor.get(path)
+    problem = answer.json()
+    assert (answer.status_code, problem["code"]) == (422, "request_invalid")
+    assert value in problem["detail"]
+    assert valid in problem["errors"][0]["message"]
 
 
 async def test_the_server_is_well_and_the_log_holds_afterwards(house: House) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import sqlite3
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,9 @@ import pytest
 
 from app.audit.event import EventDraft, RowWrite
 from app.audit.store import AuditStore
+from app.clock import monotonic_s
 
+DEADLINE_S = 10.0
 TIME = "2026-03-01T09:30:00.000Z"
 
 
@@ -31,6 +34,13 @@ async def store(data: Path) -> AsyncIterator[AuditStore]:
     opened = AuditStore.open(data)
     yield opened
     await opened.close()
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    deadline = monotonic_s() + DEADLINE_S
+    while not condition():
+        assert monotonic_s() < deadline
+        await asyncio.sleep(0.01)
 
 
 def draft(kind: str = "proposal", invocation: str | None = "inv_1", actor: str = "planner", **body: Any) -> EventDraft:

@@ -4,26 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Callable
+import threading
 from pathlib import Path
 
 import pytest
 
+from app.audit.archive import verify_file
 from app.audit.errors import RecordUnavailable
+from app.audit.ledger import Staged
 from app.audit.store import AuditStore
-from app.clock import monotonic_s
-from tests.audit.conftest import draft, fill
+from tests.audit.conftest import draft, fill, until
 
 pytestmark = pytest.mark.anyio
-
-DEADLINE_S = 10.0
-
-
-async def until(condition: Callable[[], bool]) -> None:
-    deadline = monotonic_s() + DEADLINE_S
-    while not condition():
-        assert monotonic_s() < deadline
-        await asyncio.sleep(0.01)
 
 
 def limit_pages(store: AuditStore, pages: int | None) -> None:
@@ -71,7 +63,7 @@ async def test_no_second_batch_is_committed_while_the_file_outside_lacks_the_fir
     full = os.open("/dev/full", os.O_WRONLY)
     os.dup2(full, descriptor)
     assert await store.append([draft(n=1)]) == [4]  # it is durable, so it is acknowledged, but not unseen
-    assert not store.healthy
+    await until(lambda: not store.healthy)
     assert "No space left" in (store.reason or "")
     with pytest.raises(RecordUnavailable):
         await store.append([draft(n=2)])
@@ -83,6 +75,46 @@ async def test_no_second_batch_is_committed_while_the_file_outside_lacks_the_fir
     assert store.healthy
     assert store.places.checkpoints.read_text().count("\n\n— ") == 3
     assert (await store.verify()).ok
+
+
+async def test_a_first_batch_that_failed_leaves_nothing_in_the_file_outside(store: AuditStore) -> None:
+    limit_pages(store, None)
+    with pytest.raises(RecordUnavailable):
+        await store.append([draft(filler="x" * 100_000)])
+    limit_pages(store, 1_000_000)
+    assert await store.append([draft(n=1)]) == [1]
+    await store.close()
+    assert store.places.checkpoints.read_text() == f"{store.checkpoint}\n"
+    found = verify_file(store.places.folder)
+    assert (found.ok, found.size, found.problem) == (True, 1, None)
+
+
+async def test_the_next_batch_waits_for_the_checkpoint_of_the_last(
+    store: AuditStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Callers are answered while it is written, so it has to be there before anything more is committed."""
+    seen: list[tuple[str, int]] = []
+    follow, commit = store._ledger.follow, store._ledger.commit
+    answered = threading.Event()
+
+    def slowly(staged: Staged) -> str | None:
+        assert answered.wait(10)  # the caller of this batch has its answer by now
+        seen.append(("outside", staged.frontier.size))
+        return follow(staged)
+
+    def noted(staged: Staged) -> None:
+        seen.append(("commit", staged.frontier.size))
+        commit(staged)
+
+    monkeypatch.setattr(store._ledger, "follow", slowly)
+    monkeypatch.setattr(store._ledger, "commit", noted)
+    assert await store.append([draft(n=1)]) == [1]
+    second = asyncio.ensure_future(store.append([draft(n=2)]))
+    await asyncio.sleep(0)
+    answered.set()
+    assert await second == [2]
+    await store.close()
+    assert seen == [("commit", 1), ("outside", 1), ("commit", 2), ("outside", 2)]
 
 
 async def test_a_commit_that_failed_but_reached_the_disk_is_taken_in(

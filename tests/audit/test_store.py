@@ -23,7 +23,7 @@ from app.audit.merkle import Frontier, leaf_hash
 from app.audit.places import Places
 from app.audit.store import AuditStore
 from app.clock import parse_rfc3339, wall_s
-from tests.audit.conftest import TIME, draft, fill, invocation_row, permit_row
+from tests.audit.conftest import TIME, draft, fill, invocation_row, permit_row, until
 
 pytestmark = pytest.mark.anyio
 
@@ -51,7 +51,7 @@ async def test_returns_only_when_another_connection_sees_the_events(store: Audit
         assert other.execute("SELECT seq FROM events").fetchall() == [(seq,)]
         assert other.execute("SELECT size FROM checkpoints").fetchall() == [(seq,)]
     other.close()
-    assert store.places.checkpoints.read_text() == f"{store.checkpoint}\n"
+    await until(lambda: store.places.checkpoints.read_text() == f"{store.checkpoint}\n")
 
 
 async def test_callers_share_a_commit_while_another_runs(store: AuditStore) -> None:

@@ -264,6 +264,39 @@ async def test_an_edit_that_policy_denies_is_refused_with_its_reasons(runtime: R
     assert (await runtime.desk.get(question["id"]))["status"] == "pending"
 
 
+async def test_a_denial_takes_no_edit(runtime: Runtime, cell: HandCell) -> None:
+    _, question = await asked(runtime)
+    with pytest.raises(InvalidParams, match="valid: none with a denial"):
+        await answer(runtime, question, decision="deny", params={"speed_mps": 0.1})
+    assert (await runtime.desk.get(question["id"]))["status"] == "pending"
+
+
+async def test_an_edit_that_finds_the_cell_busy_is_no_matter_of_policys(runtime: Runtime, cell: HandCell) -> None:
+    document, question = await asked(runtime)
+    await runtime.governor.propose(AGENT, navigate())
+    await answer(runtime, question, params={"speed_mps": 0.1})
+    late = await runtime.governor.invocation(document["id"], AGENT)
+    assert (late["status"], late["outcome"]) == ("deferred", "deferred")
+    assert [reason["code"] for reason in late["admission"]["reasons"]] == ["cell_busy"]
+    assert late["policy"]["reasons"] == []
+
+
+async def test_an_edit_that_policy_denies_is_not_said_to_wait_for_the_cell(runtime: Runtime, cell: HandCell) -> None:
+    _, question = await asked(runtime)
+    await runtime.governor.propose(AGENT, navigate())
+    with pytest.raises(Conflict, match="policy denies") as found:
+        await answer(runtime, question, params={"object_id": "solvent_1"})
+    assert "cell_busy" not in [reason["code"] for reason in found.value.reasons]
+    assert "hazardous" in [reason["code"] for reason in found.value.reasons]
+
+
+async def test_an_edit_that_is_not_admitted_is_no_denial_of_policys(runtime: Runtime, cell: HandCell) -> None:
+    _, question = await asked(runtime)
+    with pytest.raises(Conflict, match="not be admitted") as found:
+        await answer(runtime, question, params={"object_id": "unicorn"})
+    assert [reason["code"] for reason in found.value.reasons] == ["unknown_object"]
+
+
 async def test_an_edit_that_does_not_fit_the_schema_is_refused(runtime: Runtime, cell: HandCell) -> None:
     _, question = await asked(runtime)
     with pytest.raises(InvalidParams):
