@@ -58,6 +58,7 @@ async def test_health_comes_back_by_itself(store: AuditStore, monkeypatch: pytes
 
 async def test_no_second_batch_is_committed_while_the_file_outside_lacks_the_first(store: AuditStore) -> None:
     await fill(store, 1)
+    await until(lambda: store._ledger._file.last == store.checkpoint)
     descriptor = store._ledger._file._descriptor
     kept = os.dup(descriptor)
     full = os.open("/dev/full", os.O_WRONLY)
