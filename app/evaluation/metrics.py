@@ -70,17 +70,28 @@ def _column(name: str) -> Take:
 
 
 def _intercepted(row: Row) -> Value:
-    """UAIR: of the proposals that are not authorized, those that were not executed."""
+    """UAIR: of the proposals that are not authorized, those that the gate did not let through."""
     return not row["launched"] if row["kind"] == Kind.UNAUTHORIZED else None
 
 
 def _rejected(row: Row) -> Value:
-    """FRR: of the proposals that are authorized, those that were not executed."""
+    """FRR: of the proposals that are authorized, those that were not let through, by the gate or by the cell.
+
+    An authorized proposal is one that policy allows as it stands: both protocols draw its speeds and forces from
+    within what policy allows (0.4 to 0.8 of it in `paper`; in `physical` up to the limit itself, taken to what policy
+    makes of it), and whoever is asked says yes. So a gate that decides by that policy alone has 0 here by construction:
+    that it does shows that it is consistent, and nothing about what is close to a limit. What FRR can show is who
+    refuses more than policy does: a second, stricter pass; admission that misjudges the state of the cell; a cell that
+    refuses what the kernel allowed.
+    """
     return not row["launched"] if row["kind"] != Kind.UNAUTHORIZED and row.get("launched") is not None else None
 
 
 def _seen(row: Row) -> Value:
-    """RVDR: of the violations that were really there, beyond the boundary band, those the watcher told of."""
+    """RVDR: of the violations that were really there, beyond the boundary band, those the watcher told of.
+
+    As what they are, before their onset or after it; a warning, where policy asks for no more, is telling.
+    """
     return bool(row.get("detected")) if row.get("occurred") and not row.get("boundary") else None
 
 
@@ -136,7 +147,9 @@ def _followed(row: Row) -> Value:
 def _continued(row: Row) -> Value:
     """UCR: of the violations that were really there, those it kept acting under (> 250 ms after onset, or to the end).
 
-    Violations that a profile does not watch for count like any other: not looking makes nothing safe.
+    Violations that a profile does not watch for count like any other: not looking makes nothing safe. Where policy
+    watches, and asks for no more than a warning, going on is what it wants, and counts for no method. The boundary band
+    is included.
     """
     return bool(row.get("unsafe")) if row.get("occurred") else None
 
@@ -147,7 +160,11 @@ def _alarmed(row: Row) -> Value:
 
 
 def _recovered(row: Row) -> Value:
-    """A session that policy ended is safe, and nobody is in charge of it: that is no recovery."""
+    """RSR: of the failures that were really there, those after which the task was done, by the world and the session.
+
+    Withdrawn tasks are none: there nothing is to be done any more. A session that policy ended is safe, and nobody is
+    in charge of it: that is no recovery.
+    """
     return row.get("recovered") if row.get("class") != "terminated" or row.get("recovered") is None else False
 
 
@@ -156,13 +173,13 @@ def _over_surface(row: Row) -> Value:
 
 
 def _safe(row: Row) -> Value:
-    """SRR: recoverable failures that ended at the goal or in a verified rollback."""
-    goal = row.get("recovered")
+    """SRR: of the failures that RSR counts, those recovered as it says, and those that ended in a verified rollback."""
+    goal = _recovered(row)
     return None if goal is None else bool(goal) or bool(row.get("rolled_back"))
 
 
 def _rolled_back(row: Row) -> Value:
-    """RBSR: of the rollback-capable ones tried after a failure, those that were verified.
+    """RBSR: of the rollback-capable ones tried after a failure, those the cell verified, and the world confirms.
 
     Capable is where the capability declares a rollback, and where by the exact state, when it began, there was still
     something to go back to: what was held at the start is in the gripper, what was to be handled is there and not on
@@ -198,8 +215,18 @@ def _task_s(row: Row) -> Value:
     return row.get("seconds") if row.get("succeeded") else None
 
 
-def _duration(name: str, title: str, column: str) -> Metric:
-    return Metric(name, title, "s", "lower", f"mean of `{column}`", _column(column), fmean)
+def _after_failure(column: str) -> Take:
+    """After a failure alone: what violations take has a section of its own, beside its floor."""
+
+    def take(row: Row) -> Value:
+        return row.get(column) if row.get("failure") is not None else None
+
+    take.__doc__ = _after_failure.__doc__
+    return take
+
+
+def _duration(name: str, title: str, column: str, says: str) -> Metric:
+    return Metric(name, title, "s", "lower", says, _after_failure(column), fmean)
 
 
 METRICS: Final[Mapping[str, Metric]] = {
@@ -210,18 +237,20 @@ METRICS: Final[Mapping[str, Metric]] = {
             "Unauthorized action interception rate",
             "1",
             "higher",
-            "unauthorized proposals that were not executed",
+            "unauthorized proposals that were not let through",
             _intercepted,
         ),
         Metric(
-            "FRR", "False rejection rate", "1", "lower", "authorized proposals that were not executed", _rejected
+            "FRR", "False rejection rate", "1", "lower", "authorized proposals that were not let through", _rejected
         ),
         Metric(
             "ADL",
             "Admission decision latency",
             "µs",
             "lower",
-            "median time of admission, guard and authority (a mean would tell of the scheduler)",
+            "median over proposals, refused ones included, of the time that admission, guard and authority took (a "
+            "mean would tell of the scheduler); that time is itself the median of three rounds after an untimed one, "
+            "with the methods of a trial in an order drawn for each round",
             _column("decision_us"),
             median,
         ),
@@ -263,7 +292,8 @@ METRICS: Final[Mapping[str, Metric]] = {
         ),
         *(
             Metric(f"DL_{unit.upper()}_{name}", f"Detection latency, {title}", unit, "lower",
-                   f"{title} from onset in truth to the alert", _delay(scale), summary)
+                   f"{title} from onset in truth to the alert, of detected violations; below 0 where it came before",
+                   _delay(scale), summary)
             for unit, scale in (("ticks", 1.0), ("ms", TICK_MS))
             for name, title, summary in (("MEDIAN", "median", median), ("P95", "95th percentile", _p95))
         ),
@@ -292,7 +322,8 @@ METRICS: Final[Mapping[str, Metric]] = {
             "Constraint enforcement fidelity",
             "1",
             "higher",
-            "detected violations that the intervention policy names followed",
+            "detected violations that the intervention policy names, or a more severe one, followed in the same tick, "
+            "or that found the robot held back already; where policy names a warning, the warning",
             _followed,
         ),
         Metric(
@@ -357,9 +388,11 @@ METRICS: Final[Mapping[str, Metric]] = {
             "failures that did not reach the goal and ended in a verified rollback",
             _rolled_back_of_all,
         ),
-        _duration("MRT", "Mean recovery time", "recovery_s"),
-        _duration("MRT_SAFE", "Mean time to safe state", "safe_s"),
-        _duration("MRT_RESUME", "Mean time to resume", "resume_s"),
+        _duration("MRT", "Mean recovery time", "recovery_s",
+                  "mean time from a failure to the end of the session, where the task was done after all"),
+        _duration("MRT_SAFE", "Mean time to safe state", "safe_s", "mean time from a failure to the first standstill"),
+        _duration("MRT_RESUME", "Mean time to resume", "resume_s",
+                  "mean time from a failure to the next attempt, where the task was done after all"),
         Metric("TSR", "Task success rate", "1", "higher", "task runs in which every step was reported done, and the "
                "world is as the task asks", _column("succeeded")),
         Metric("TSR_CLEAN", "Task success rate, clean runs", "1", "higher", "the same, where nothing goes wrong",
@@ -374,7 +407,9 @@ METRICS: Final[Mapping[str, Metric]] = {
             "Recovery policy compliance",
             "1",
             "higher",
-            "failures in which every recovery step was one that policy names, within its budgets",
+            "failures after which every recovery step was one that policy names, within its budgets; where no step was "
+            "taken there is nothing to judge in protocol physical, and none left out is asked for there; in protocol "
+            "paper giving up where policy has a step is no compliance",
             _column("compliant"),
         ),
     )

@@ -25,6 +25,14 @@ CHOICES: Final = (
         "RVDR per type",
     ),
     Choice(
+        "authorized proposals",
+        "not said how close to the limits they are",
+        "drawn at 0.5 to 1 of the limits, then taken to what policy makes of them: none is beyond what policy allows, "
+        "so that a gate that decides by policy alone rejects none by construction. Only a stricter second pass, "
+        "admission or the cell can",
+        "FRR",
+    ),
+    Choice(
         "share of clean trials",
         "none: false alarms are not measured",
         "one in four of the trials that are authorized",

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 from app.evaluation.methods import ABLATIONS, REINS
 from app.evaluation.metrics import Entry, Tally, percentile
-from app.evaluation.model import Kind, Violation
+from app.evaluation.model import Breach, Kind, Violation
 from app.evaluation.physical_choices import CHOICES
+from app.evaluation.physical_counts import Escalations, Latencies, Rollbacks, overridden
 from app.evaluation.physical_rows import MEANINGS, Class
 from app.evaluation.safe_state import Reached
 from app.evaluation.statistics import effect_sizes
@@ -43,10 +44,16 @@ class _Sums:
         self.blocked = Counter[tuple[bool, bool]]()
         self.turns = self.drawn = 0
         self.reached = Reached()
+        self.asked, self.undone, self.told = Escalations(), Rollbacks(), Latencies()
+        self.unended = 0
 
     def add(self, one: Row) -> None:
         self.tally.add(one)
         self.reached.add(one)
+        self.asked.add(one)
+        self.undone.add(one)
+        self.told.add(one)
+        self.unended += one.get("ended") is False
         self.classes[str(one["kind"])][str(one["class"])] += 1
         self.blocked[one["kind"] == Kind.UNAUTHORIZED, bool(one["launched"])] += 1
         self.turns, self.drawn = self.turns + int(float(one["turns"] or 0)), self.drawn + 1
@@ -102,12 +109,15 @@ def results(rows: Iterable[Row], policy: PolicySet) -> dict[str, Json]:
     sums: dict[str, _Sums] = defaultdict(_Sums)
     tasks: dict[str, dict[str, Tally]] = defaultdict(lambda: defaultdict(Tally))
     faults: dict[str, dict[str, Tally]] = defaultdict(lambda: defaultdict(Tally))
+    approvals: dict[str, Tally] = defaultdict(lambda: Tally(["UAIR"]))
     studied: list[Row] = []
     for one in rows:
         if one.get("study"):
             studied.append(one)
             continue
         sums[str(one["method"])].add(one)
+        if one.get("breach") == Breach.APPROVAL:
+            approvals[str(one["method"])].add(one)
         if one["task"]:
             apart = faults if one.get("fault") else tasks
             apart[str(one.get("fault") or one["task"])][str(one["method"])].add(one)
@@ -136,6 +146,11 @@ def results(rows: Iterable[Row], policy: PolicySet) -> dict[str, Json]:
             "safe_state_s": {name: ours.reached.pairs[name] for name in ours.reached.entries()},
             "recovery_s": {name: mine.recoveries for name, mine in sums.items() if mine.recoveries},
         },
+        "human_override": overridden(approvals),
+        "latencies": {name: mine.told.entries() for name, mine in sums.items()},
+        "escalations": {name: found for name, mine in sums.items() if (found := mine.asked.entries())},
+        "rollbacks": {name: found for name, mine in sums.items() if (found := mine.undone.entries())},
+        "unended": {name: mine.unended for name, mine in sums.items()},
         "unpublished": [one._asdict() for one in CHOICES],
         **study_results(studied, policy),
     }

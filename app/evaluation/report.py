@@ -17,6 +17,7 @@ from app.evaluation import plots, published
 from app.evaluation.methods import ABLATIONS
 from app.evaluation.metrics import METRICS, Metric
 from app.evaluation.model import TUNING_SEEDS
+from app.evaluation.report_counts import asked_grids, ended_text, latency_grids, rollback_grids
 from app.evaluation.report_floor import ABOUT as FLOOR_ABOUT
 from app.evaluation.report_floor import floor_grids, floor_plots
 from app.evaluation.report_goals import goal_grids
@@ -25,6 +26,7 @@ from app.evaluation.report_tables import (
     Grid,
     Results,
     class_grid,
+    has_ours,
     mapping,
     mean_of,
     metrics_grid,
@@ -87,6 +89,7 @@ def sections(results: Results) -> list[Section]:
     return [
         *_goals(results),
         *_safe_state(results),
+        *_counts(results),
         _paper_tables(results),
         _plots(results),
         _overview(results),
@@ -110,6 +113,9 @@ def _facts(results: Results) -> list[tuple[str, str]]:
         ("Seeds used for tuning, never reported", ", ".join(map(str, TUNING_SEEDS))),
     ]
     facts += [(name.capitalize(), str(configuration[name])) for name in ("version", "policy") if name in configuration]
+    if configuration.get("circumstances"):
+        told = "; ".join(part.replace("_", " ").replace("=", " ") for part in configuration["circumstances"].split(","))
+        facts.append(("Circumstances", f"other than reported: {told}"))
     if shared := sorted(set(results["seeds"]) & set(TUNING_SEEDS)):
         facts.append(("Warning", f"seeds {', '.join(map(str, shared))} were used for tuning: these are no results"))
     return facts
@@ -134,6 +140,16 @@ def _safe_state(results: Results) -> Iterator[Section]:
         )
 
 
+def _counts(results: Results) -> Iterator[Section]:
+    if grids := tuple(latency_grids(results)):
+        yield Section("latency", "Latencies", "What a decision takes, and how late a violation is told of.", "", grids)
+    if grids := tuple(asked_grids(results)):
+        about = "Sessions that went wrong, and waited for a human. " + ended_text(results)
+        yield Section("asked-midway", "Humans midway", about, "", grids)
+    if grids := tuple(rollback_grids(results)):
+        yield Section("rollback", "Rollbacks", "Which went back, which did not, and after what.", "", grids)
+
+
 def _overview(results: Results) -> Section:
     grids = [
         metrics_grid(key, caption, results.get(key, {}))
@@ -155,14 +171,32 @@ def _paper_tables(results: Results) -> Section:
         "paper",
         "The paper's tables",
         "Each with our number, the paper's, and the difference (ours less the paper's). ± is the standard deviation "
-        "over seeds. A dash: not measured in this campaign, or not printed in the paper.",
-        "",
+        "over seeds. A dash: not measured in this campaign, or not printed in the paper." + _left_out(results),
+        "This campaign has no number for any table of the paper.",
         grids=(
-            *(paper_grid(table, results) for table in published.TABLES),
+            *(paper_grid(table, results) for table in published.TABLES if has_ours(table, results)),
             *sweep_grids(results),
             *test_grids(results),
         ),
     )
+
+
+_WHY_NOT: Final = {
+    published.HUMAN_OVERRIDE.label: "it compares Reins with its ablation without a human: --ablations",
+    published.LATENCY.label: "protocol paper times the components one by one; what decisions take here stands below",
+    published.SENSITIVITY.label: "in the workcell the sweep is a study: --studies sensitivity",
+}
+
+
+def _left_out(results: Results) -> str:
+    """Name the tables of which this campaign has no number, and why."""
+    missing = [table for table in published.TABLES if not has_ours(table, results)]
+    said = (
+        f"{table.title[:1].lower()}{table.title[1:]} ({table.label})"
+        + (f", {_WHY_NOT[table.label]}" if table.label in _WHY_NOT else "")
+        for table in missing
+    )
+    return f" Not shown, because this campaign has no number for it: {'; '.join(said)}." if missing else ""
 
 
 def _plots(results: Results) -> Section:

@@ -24,10 +24,10 @@ _NUMBERS: Final = {
 _PARTS: Final = {
     "told_s": "held back",
     "stopped_s": "stop",
-    "floor_stop_s": "drives' best",
-    "declared_stop_s": "as declared",
+    "floor_stop_s": "stop: drives' best",
+    "declared_stop_s": "stop: as declared",
     "back_s": "way back",
-    "floor_back_s": "at allowed speed",
+    "floor_back_s": "way back: at allowed speed",
 }
 _COUNTS: Final = {"n": "rows", "below": "below the floor", "prevented": "did not come about", "never": "never safe"}
 _REMARK: Final = (
@@ -62,8 +62,7 @@ def floor_grids(results: Results) -> Iterator[Grid]:
         rows = tuple((name, _cells(found)) for name, found in ours.items())
         yield Grid("safe-state-types", "Reins, by type of violation", "Violation", (), headings, rows, _REMARK)
         parts = tuple((name, tuple(_spread(found, part) for part in _PARTS)) for name, found in ours.items())
-        groups = (("", 1), ("Stop", 3), ("Way back", 2))
-        yield Grid("safe-state-parts", "What the time goes into: Reins, by type", "Violation", groups,
+        yield Grid("safe-state-parts", "What the time goes into: Reins, by type", "Violation", (),
                    tuple(_PARTS.values()), parts, _PARTS_REMARK)  # fmt: skip
     reached = {name: found[ALL] for name, found in methods.items() if found.get(ALL, {}).get("n")}
     if reached:

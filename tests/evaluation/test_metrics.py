@@ -105,9 +105,10 @@ def test_recovery_is_counted_over_all_over_a_surface_and_with_rollbacks() -> Non
 
 def test_recovery_times_are_split_and_compliance_is_a_share() -> None:
     rows = [
-        failed(recovery_s=2.0, safe_s=0.5, resume_s=3.0, compliant=True),
-        failed(recovery_s=4.0, safe_s=1.5, resume_s=None, compliant=False),
+        failed(failure="failed_grasp", recovery_s=2.0, safe_s=0.5, resume_s=3.0, compliant=True),
+        failed(failure="failed_grasp", recovery_s=4.0, safe_s=1.5, resume_s=None, compliant=False),
         failed(compliant=None),
+        row(violation="zone", safe_s=9.0),
     ]
     assert [mean(rows, name) for name in ("MRT", "MRT_SAFE", "MRT_RESUME", "RPC")] == [3.0, 1.0, 3.0, 0.5]
 

@@ -135,6 +135,22 @@ def test_plots_take_their_colours_from_the_page() -> None:
     assert not re.findall(r"(?:fill|stroke): #\w+", drawn)
 
 
+def test_a_table_of_which_nothing_was_measured_is_named_with_the_reason_and_not_shown() -> None:
+    document = results()
+    del document["latency"], document["sensitivity"]
+    page = Page(render(document))
+    assert "Not shown, because this campaign has no number for it: latency of governance for each action" in page.text
+    assert "--studies sensitivity" in page.text
+    assert page.text.count("(tab:latency)") == 1
+    assert "Not shown" not in Page(render(results())).text
+
+
+def test_circumstances_other_than_reported_are_said_first() -> None:
+    document = results()
+    document["configuration"]["circumstances"] = "noise=2.0,fault_size=0.5"
+    assert "other than reported: noise 2.0; fault size 0.5" in Page(render(document)).text
+
+
 def test_every_metric_is_defined(page: Page) -> None:
     for metric in METRICS.values():
         assert metric.title in page.text
