@@ -19,7 +19,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 from app.api.access import WEBSOCKET, allowed_roles
 from app.api.parts import parts_of
 from app.api.problems import Problem
-from app.clock import wall_s
+from app.clock import monotonic_s, wall_s
 from app.governance.model import Wish
 from app.runtime.outlet import Outlet
 
@@ -38,6 +38,7 @@ HELLO_S: Final = 5.0
 CLOSE_S: Final = 1.0  # for a close frame to get into a socket that may not drain
 STILL_KNOWN_S: Final = 1.0
 MAX_FRAME: Final = 8192  # characters; a `watch` of many cells is the longest there is
+MOST_FRAMES, WITHIN_S = 2_000, 1.0  # a browser that drives and watches says about sixty a second
 NO_MESSAGE, BAD_TOKEN, FORBIDDEN, NO_HELLO, NO_SEAT = 4400, 4401, 4403, 4408, 4429
 
 
@@ -188,8 +189,16 @@ class Console:
         raise Refused(*(outlet.ended or (NO_MESSAGE, "")))
 
     async def _listen(self) -> None:
+        taken, since_s = 0, monotonic_s()
         while True:
             self._take(await _receive(self._socket))
+            taken += 1
+            if taken < MOST_FRAMES:
+                continue
+            # Shown out, not slowed down: a command for driving that waited in a queue would be obeyed too late.
+            if monotonic_s() - since_s < WITHIN_S:
+                raise NotAWord(f"a console says at most {MOST_FRAMES} frames in {WITHIN_S:g} s")
+            taken, since_s = 0, monotonic_s()
 
     def _take(self, word: Words) -> None:
         match word:

@@ -190,6 +190,18 @@ async def test_a_frame_that_is_no_message_ends_the_console_and_says_why(house: H
     assert reason
 
 
+async def test_a_console_that_floods_the_server_is_shown_out(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(door, "MOST_FRAMES", 8)
+    monkeypatch.setattr(door, "WITHIN_S", 3600.0)
+    async with signed_in(house) as screen:
+        await screen.until_type("snapshot")
+        for _ in range(8):
+            await screen.socket.send('{"type": "ping", "at_ms": 1}')
+        assert await screen.ended() == (4400, "a console says at most 8 frames in 3600 s")
+    async with signed_in(house) as screen:  # and may come back
+        await screen.until_type("snapshot")
+
+
 async def test_a_token_in_a_bad_frame_is_not_echoed(house: House) -> None:
     async with dial(house) as screen:
         await screen.socket.send('{"type": "hello", "token": {"secret": 1}}')
