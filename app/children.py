@@ -12,19 +12,20 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import fcntl
+import json
 import os
 import signal
 import sys
 from collections import deque
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, cast
 
 from app.clock import monotonic_s
-from app.config import CELL_TOKEN_VARIABLE
+from app.config import CELL_TOKEN_VARIABLE, cell_terms
 from app.terminal import MISUSE
 
 if TYPE_CHECKING:
     from asyncio.subprocess import Process
-    from collections.abc import Callable, Generator
+    from collections.abc import Callable, Generator, Mapping
     from pathlib import Path
 
     from app.config import Settings
@@ -46,8 +47,10 @@ class CellRuns(Exception):
 
 
 @contextlib.contextmanager
-def cell_lock(folder: Path) -> Generator[None]:
-    """Be the one process of a cell; the lock's file holds the process id and is free again however the process ends.
+def cell_lock(folder: Path, started_with: Mapping[str, object] | None = None) -> Generator[None]:
+    """Be the one process of a cell; the lock is free again however the process ends.
+
+    Its file holds the process id, and in a second line what the process was started with, for a server that adopts it.
 
     Raises:
         CellRuns: another process is.
@@ -59,7 +62,7 @@ def cell_lock(folder: Path) -> Generator[None]:
         except BlockingIOError:
             raise CellRuns(folder, running_cell(folder)) from None
         file.truncate(0)
-        file.write(f"{os.getpid()}\n")
+        file.write(f"{os.getpid()}\n{json.dumps(dict(started_with or {}))}\n")
         file.flush()
         yield
 
@@ -70,9 +73,33 @@ def running_cell(folder: Path) -> int | None:
         try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
-            text = file.read().strip()
+            text = file.readline().strip()
             return int(text) if text.isdigit() else None
     return None
+
+
+def kept_settings(folder: Path, wanted: Mapping[str, object]) -> str:
+    """Say what a running cell was started with otherwise than is wanted now: it keeps that until it is started again.
+
+    Empty where nothing differs, or the cell did not say.
+    """
+    try:
+        _, _, text = (folder / LOCK_FILE).read_text().partition("\n")
+        known: object = json.loads(text or "{}")
+    except (OSError, ValueError):
+        return ""
+    if not isinstance(known, dict):
+        return ""
+    found = cast("dict[str, object]", known)
+    return ", ".join(
+        f"{name} `{_shown(found[name])}` (not `{_shown(value)}`)"
+        for name, value in wanted.items()
+        if name in found and found[name] != value
+    )
+
+
+def _shown(value: object) -> str:
+    return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
 class Children:
@@ -186,7 +213,9 @@ class Children:
         return await ended
 
     async def _watch_adopted(self, cell: str, folder: Path, pid: int) -> None:
-        self._report(cell, f"runs already (process `{pid}`); adopted")
+        kept = kept_settings(folder, cell_terms(self._settings))
+        word = f"; it keeps {kept} until it is started again" if kept else ""
+        self._report(cell, f"runs already (process `{pid}`); adopted{word}")
         while running_cell(folder) == pid:
             await self._rest(LOOK_S)
             if self._stopping.is_set():

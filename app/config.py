@@ -141,6 +141,16 @@ class CellSettings:
         check_pace(self.pace)
 
 
+def cell_terms(settings: Settings | CellSettings) -> dict[str, object]:
+    """Return what a cell is started with and keeps, by name."""
+    return {
+        "pace": settings.pace,
+        "seed": settings.seed,
+        "scenario": settings.scenario,
+        "robot": settings.robot,
+    }
+
+
 def check_pace(pace: float) -> None:
     """Refuse a pace that is no number of simulated seconds per second. Raises `ConfigError`."""
     valid = "0 (as fast as possible), or 0.05 to 100 times real time"

@@ -30,7 +30,7 @@ from app.cell.runner import close_left_open
 from app.cell.telling import Recorder
 from app.children import CellRuns, cell_lock
 from app.clock import wall_s
-from app.config import ConfigError
+from app.config import ConfigError, cell_terms
 from app.sim.faults import Scenario
 from app.sim.robot import load_robot
 from app.sim.workcell import make_workcell
@@ -58,7 +58,7 @@ def run_cell(settings: CellSettings) -> int:
     """
     try:
         settings.data.mkdir(mode=0o700, parents=True, exist_ok=True)
-        with cell_lock(settings.data):
+        with cell_lock(settings.data, cell_terms(settings)):
             sys.setswitchinterval(SWITCH_S)
             return asyncio.run(_run(settings))
     except JournalUnavailable as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import sys
 from pathlib import Path
@@ -14,9 +15,9 @@ from app.clock import monotonic_s
 from app.config import Settings
 
 HOLDS_THE_LOCK = """
-import pathlib, signal, sys
+import json, pathlib, signal, sys
 from app.children import cell_lock
-with cell_lock(pathlib.Path(sys.argv[1])):
+with cell_lock(pathlib.Path(sys.argv[1]), json.loads("".join(sys.argv[2:]) or "{}")):
     signal.pause()
 """
 pytestmark = [pytest.mark.process, pytest.mark.timeout(120), pytest.mark.anyio]
@@ -76,3 +77,38 @@ async def test_a_cell_that_keeps_dying_is_given_up_until_somebody_starts_it(tmp_
     finally:
         await children.stop()
     assert await by_hand.wait() == -signal.SIGTERM  # it was adopted, so it ends with its server
+
+
+@pytest.mark.parametrize(
+    ("started_with", "said"),
+    [
+        (
+            {"pace": 0.0, "seed": 3, "scenario": None, "robot": None},
+            "it keeps pace `0` (not `1.5`), scenario `none` (not `s`)",
+        ),
+        ({"pace": 1.5, "seed": 3, "scenario": "s", "robot": None}, "adopted"),
+        ({}, "adopted"),
+    ],
+)
+async def test_an_adopted_cell_is_said_to_keep_what_it_was_started_with(
+    tmp_path: Path, started_with: dict[str, object], said: str
+) -> None:
+    settings, words = Settings(data=tmp_path, pace=1.5, seed=3, scenario="s"), list[str]()
+    folder = settings.layout.cell("workcell-1")
+    folder.mkdir(parents=True)
+    command = [sys.executable, "-c", HOLDS_THE_LOCK, str(folder), json.dumps(started_with)]
+    earlier = await anyio.open_process(command)
+    while running_cell(folder) is None:
+        await anyio.sleep(0.02)
+    children = Children(settings, "token", lambda _, word: words.append(word))
+    children.start()
+    try:
+        while not words:
+            await anyio.sleep(0.02)
+    finally:
+        await children.stop()
+        await earlier.wait()
+    (word,) = words
+    assert f"process `{earlier.pid}`" in word
+    assert said in word
+    assert ("it keeps" in word) is ("it keeps" in said)
