@@ -50,6 +50,9 @@ if TYPE_CHECKING:
 LOST_S: Final = 1.0
 ABSENT_S: Final = 30.0
 LAST_ROWS_S: Final = 0.5
+LOST_WITH_CELL: Final = frozenset(
+    {"session_lost", "cell_lost", "cell_restarted"}
+)  # how a session ends without its cell
 UNCONFIRMED_S: Final = LAUNCH_WITHIN_S + 1.0  # by then the permit has run out
 LIVED_THROUGH: Final = SESSION | {Status.COMPLETED, Status.FAILED}
 REPORTABLE: Final = frozenset({
@@ -118,8 +121,9 @@ class Sessions:
             self._keep_control(version)
         for event in events:
             self._telemetry.note(event)
-        for name in story.ended():
-            self._seal_soon(name, cell)
+        for version in story.changed():
+            if version.final:
+                self._seal_soon(version, cell)
 
     def _keep_control(self, version: Invocation) -> None:
         """Keep the lease of a cell's controls in step with what became of the session they were of."""
@@ -157,22 +161,24 @@ class Sessions:
             raise ProtocolError(f"telemetry of `{invocation}`, which is not an invocation of the cell `{cell}`")
         return known is not None or self._sealing.get(invocation) == cell
 
-    def _seal_soon(self, invocation: str, cell: str) -> None:
-        self._sealing[invocation] = cell
-        task = asyncio.create_task(self._seal(invocation, cell), name=f"seal-{invocation}")
+    def _seal_soon(self, ended: Invocation, cell: str) -> None:
+        self._sealing[ended.id] = cell
+        task = asyncio.create_task(self._seal(ended, cell), name=f"seal-{ended.id}")
         self._seals.add(task)
         task.add_done_callback(self._seals.discard)
 
-    async def _seal(self, invocation: str, cell: str) -> None:
+    async def _seal(self, ended: Invocation, cell: str) -> None:
         """Seal a session's telemetry once its last rows are in: they precede the cell's next state."""
         with suppress(TimeoutError):
             async with asyncio.timeout(LAST_ROWS_S):
                 await self._fleet.cell(cell).stated.wait()
-        await self._sealed(invocation)
+        reasons = (ended.failure or {}).get("reasons", ())
+        await self._sealed(ended.id, lost=any(because["code"] in LOST_WITH_CELL for because in reasons))
 
-    async def _sealed(self, invocation: str) -> None:
+    async def _sealed(self, invocation: str, *, lost: bool = False) -> None:
+        """Seal a session's telemetry; `lost` where its cell was, and with it what that had not sent."""
         self._sealing.pop(invocation, None)
-        draft = await self._telemetry.seal(invocation)
+        draft = await self._telemetry.seal(invocation, lost=lost)
         if draft is not None:
             await self._register.say(draft)
 
@@ -278,7 +284,7 @@ class Sessions:
             await self._register.append([outcome_event(ended, SERVER, reason(RULE, code, message))], rows, [ended])
             if open_question is not None:
                 self._desk.hold(open_question)
-        await self._sealed(name)
+        await self._sealed(name, lost=code in LOST_WITH_CELL)
 
 
 def _member(what: str, value: object, valid: Any) -> None:  # noqa: ANN401  # an enumeration or a set of one

@@ -48,10 +48,6 @@ class Story:
         """Return the new versions."""
         return [version for name, version in self._versions.items() if version is not self._before[name]]
 
-    def ended(self) -> list[str]:
-        """Return which invocations are final now."""
-        return [version.id for version in self.changed() if version.final]
-
     def tell(self, cell: str, event: UpEvent, at: str) -> None:
         """Take one report."""
         name = event.invocation

@@ -28,6 +28,8 @@ LEVELS: Final[Mapping[str, Level]] = {
 }
 """What of a session's reports goes beside its rows, and how loudly."""
 
+MISSING: Final = "the cell was lost with what it had not sent yet, mostly the last second"
+
 
 class Telemetry:
     """Writers by invocation."""
@@ -81,8 +83,11 @@ class Telemetry:
         about = event.body.get("rule") or event.body.get("failure") or ""
         writer.event(event.kind, f"{said} {about}".strip(), level=level, detail={**event.body, "tick": event.tick})
 
-    async def seal(self, invocation: str) -> EventDraft | None:
-        """Close a session's file and return the event that vouches for it; None where there was no telemetry."""
+    async def seal(self, invocation: str, *, lost: bool = False) -> EventDraft | None:
+        """Close a session's file and return the event that vouches for it; None where there was no telemetry.
+
+        With `lost`, its cell was lost, and with it the rows that it had not sent: the event says so, file or none.
+        """
         writer = self._writers.pop(invocation, None)
         failed = self._failed.pop(invocation, None)
         body: dict[str, str | int] = {} if failed is None else {"failed": failed}
@@ -91,6 +96,8 @@ class Telemetry:
                 body = (await writer.aclose()).body()
             except RecordUnavailable as error:
                 body = {"failed": str(error)}
+        if lost:
+            body = {**body, "missing": MISSING} if body else {"failed": f"nothing had come of it; {MISSING}"}
         if not body:
             return None
         return EventDraft(kind=EventKind.TELEMETRY, actor=SERVER, invocation=invocation, body=body)

@@ -346,6 +346,43 @@ async def test_telemetry_is_sealed_after_the_outcome_and_vouched_for(runtime: Ru
     assert runtime.telemetry.open() == []
 
 
+async def sealed_telemetry(runtime: Runtime) -> dict[str, Any]:
+    async with asyncio.timeout(5.0):
+        while not (sealed := await runtime.store.events(kind="telemetry")):
+            await asyncio.sleep(0.005)
+    return dict(sealed[0].payload())
+
+
+@pytest.mark.parametrize("end", ["session_lost", "cell_restarted"])
+async def test_what_was_sent_before_a_cell_was_lost_is_kept_and_the_rest_said_to_be_missing(
+    runtime: Runtime, cell: HandCell, end: str
+) -> None:
+    name = await running(runtime, cell)
+    assert cell.attachment is not None
+    await cell.attachment.receive(pack_batch(name, row(0.1) + row(0.2)))
+    if end == "session_lost":
+        await cell.hang_up()
+        await HandCell(runtime, boot="boot-2", seq=cell.seq).dial()
+    else:
+        await cell.report("outcome", name, outcome="fault", code=end)
+    body = await sealed_telemetry(runtime)
+    assert body["rows"] == 2
+    assert "not sent" in body["missing"]
+    (event,) = await runtime.store.events(kind="telemetry")
+    found = read_telemetry(runtime.store.places.telemetry, event, limit=9)
+    assert found is not None
+    assert found.rows == 2
+
+
+async def test_a_cell_that_was_lost_before_it_sent_anything_leaves_word_of_it(runtime: Runtime, cell: HandCell) -> None:
+    await running(runtime, cell)
+    await cell.hang_up()
+    await HandCell(runtime, boot="boot-2", seq=cell.seq).dial()
+    body = await sealed_telemetry(runtime)
+    assert "nothing had come of it" in body["failed"]
+    assert "file" not in body
+
+
 async def test_where_people_and_things_were_goes_into_the_telemetry(runtime: Runtime, cell: HandCell) -> None:
     name = await running(runtime, cell)
     assert cell.attachment is not None
