@@ -13,8 +13,9 @@ policies/
 ```
 
 1. `read_files` reads text; `load_files` works on text alone, so that a cell gets the same policy set over the link.
-2. Every file is parsed and fitted into its shape; then everything is checked against everything.
-3. All problems are reported together; with one problem nothing is loaded.
+2. Every file is parsed and fitted into its shape; then everything that fits is checked against everything else.
+3. All problems are reported together; with one problem nothing is loaded. What a file that does not fit may declare is
+   taken to exist, so that nothing is called unknown for another file's fault.
 4. What is sound is built and compiled; the digest is SHA-256 over every (path, bytes), in order of path.
 """
 
@@ -49,10 +50,13 @@ if TYPE_CHECKING:
 
 TESTS_FOLDER: Final = "tests"
 PROPERTIES: Final = "properties.yaml"
+ORGANIZATION: Final = "organization.yaml"
+AUTHORITY: Final = "authority.yaml"
+SITE: Final = "site.yaml"
 _SINGLE: Final[Mapping[str, type[Any]]] = {
-    "organization.yaml": bundle_shapes.OrganizationShape,
-    "authority.yaml": bundle_shapes.AuthorityFileShape,
-    "site.yaml": bundle_shapes.SiteShape,
+    ORGANIZATION: bundle_shapes.OrganizationShape,
+    AUTHORITY: bundle_shapes.AuthorityFileShape,
+    SITE: bundle_shapes.SiteShape,
 }
 _FOLDERS: Final[Mapping[str, type[Any]]] = {
     "capabilities": bundle_shapes.CapabilityShape,
@@ -134,10 +138,11 @@ def load_files(files: Mapping[str, str]) -> PolicySet:
         PolicyErrors: Something is wrong with them; everything that is.
     """
     source = read_shapes(files)
-    if source.problems:
-        raise PolicyErrors(source.problems)
-    known = know(source)
-    problems = check(source, known)
+    untyped = _set_apart_untyped(source)
+    if ORGANIZATION not in source.single or not source.capabilities or not source.profiles:  # nothing to hold names to
+        raise PolicyErrors([*source.problems, *untyped])
+    known = _known_of(source)
+    problems = [*source.problems, *untyped, *check(source, known)]
     if problems:
         raise PolicyErrors(problems)
     return _assemble(files, source, known)
@@ -149,52 +154,74 @@ def know(source: Source) -> Known:
     Raises:
         PolicyErrors: Capabilities declare parameters that no condition could speak of.
     """
-    capabilities = {shape.name: bundle_build.capability(shape) for _, shape in source.capabilities}
-    problems = [
-        problem
-        for reader, shape in source.capabilities
-        for problem in (
-            *bundle_checks.inputs(reader, shape),
-            *bundle_checks.vocabulary(reader, capabilities[shape.name]),
-        )
-    ]
-    if problems:  # without parameters that can be typed, no condition could be checked
+    problems = _set_apart_untyped(source)
+    if problems:
         raise PolicyErrors(problems)
+    return _known_of(source)
+
+
+def _set_apart_untyped(source: Source) -> list[PolicyError]:
+    """Count capabilities whose parameters no condition could speak of as unread, and return what is wrong with them."""
+    problems: list[PolicyError] = []
+    sound: list[tuple[Reader, bundle_shapes.CapabilityShape]] = []
+    for reader, shape in source.capabilities:
+        found = [
+            *bundle_checks.inputs(reader, shape),
+            *bundle_checks.vocabulary(reader, bundle_build.capability(shape)),
+        ]
+        if found:
+            source.unread["capabilities"].add(shape.name)
+        else:
+            sound.append((reader, shape))
+        problems += found
+    source.capabilities = sound
+    return problems
+
+
+def _known_of(source: Source) -> Known:
+    capabilities = {shape.name: bundle_build.capability(shape) for _, shape in source.capabilities}
+    unread = frozenset(source.unread["capabilities"])
     permissions = frozenset(source.organization[1].permissions)
     return Known(
         capabilities=capabilities,
-        recoveries=frozenset(name for name, found in capabilities.items() if found.recovery),
-        profiles=frozenset(shape.profile for _, shape in source.profiles),
+        recoveries=frozenset(name for name, found in capabilities.items() if found.recovery) | unread,
+        profiles=frozenset(shape.profile for _, shape in source.profiles) | source.unread["profiles"],
         permissions=permissions,
         vocabulary=Vocabulary(capabilities, permissions | {GOVERNANCE}),
-        names=names(bundle_build.site(source.site[1])),
+        names=names(bundle_build.site(source.site[1])) if SITE in source.single else {},
         modes={shape.profile: frozenset(shape.authority.modes) for _, shape in source.profiles},
+        unread=unread,
     )
 
 
 @dataclass(slots=True)
 class Source:
-    """The files as shapes, each with the reader that writes problems about it; `problems` is what does not fit."""
+    """The files as shapes, each with the reader that writes problems about it; `problems` is what does not fit.
+
+    `unread` are, by folder, the names that files which do not fit may declare: nothing is known of them, but they may
+    be named.
+    """
 
     capabilities: list[tuple[Reader, bundle_shapes.CapabilityShape]] = field(default_factory=list[Any])
     profiles: list[tuple[Reader, bundle_shapes.ProfileShape]] = field(default_factory=list[Any])
     single: dict[str, tuple[Reader, Any]] = field(default_factory=dict[str, Any])
     problems: list[PolicyError] = field(default_factory=list[PolicyError])
+    unread: dict[str, set[str]] = field(default_factory=lambda: {folder: set[str]() for folder in _FOLDERS})
 
     @property
     def organization(self) -> tuple[Reader, bundle_shapes.OrganizationShape]:
         """Return `organization.yaml`."""
-        return self.single["organization.yaml"]
+        return self.single[ORGANIZATION]
 
     @property
     def authority(self) -> tuple[Reader, bundle_shapes.AuthorityFileShape]:
         """Return `authority.yaml`."""
-        return self.single["authority.yaml"]
+        return self.single[AUTHORITY]
 
     @property
     def site(self) -> tuple[Reader, bundle_shapes.SiteShape]:
         """Return `site.yaml`."""
-        return self.single["site.yaml"]
+        return self.single[SITE]
 
 
 def shape_of(name: str) -> type[Any] | None:
@@ -217,8 +244,7 @@ def read_shapes(files: Mapping[str, str]) -> Source:
         document, problems = parse(name, files[name])
         found, misfits = fit(shape, document) if not problems else (None, [])
         source.problems += [*problems, *misfits]
-        if found is not None:
-            _file(source, name, document, found)
+        _file(source, name, document, found)
     for name in _SINGLE:
         if name not in files:
             source.problems.append(PolicyError(file=name, line=0, key="", message="is missing", valid=_LAYOUT))
@@ -229,8 +255,12 @@ def read_shapes(files: Mapping[str, str]) -> Source:
 
 
 def _file(source: Source, name: str, document: Document, found: object) -> None:
-    reader = Reader(document=document)
+    reader, path = Reader(document=document), PurePosixPath(name)
     match found:
+        case None if name in _SINGLE:
+            pass
+        case None:
+            source.unread[path.parts[0]].add(path.stem)
         case bundle_shapes.CapabilityShape():
             source.capabilities.append((reader, found))
         case bundle_shapes.ProfileShape():
@@ -240,7 +270,7 @@ def _file(source: Source, name: str, document: Document, found: object) -> None:
 
 
 def check(source: Source, known: Known) -> list[PolicyError]:
-    """Check everything against everything."""
+    """Check everything that could be read against everything else."""
     problems: list[PolicyError] = []
     for reader, shape in source.capabilities:
         problems += bundle_checks.capability(reader, shape, known)
@@ -250,10 +280,12 @@ def check(source: Source, known: Known) -> list[PolicyError]:
     reader, organization = source.organization
     problems += bundle_checks_site.organization(reader, organization)
     problems += bundle_checks.rules(reader, organization.rules, known)
-    reader, authority = source.authority
-    problems += bundle_checks_site.authority(reader, authority, known)
-    problems += bundle_checks.rules(reader, authority.rules, known)
-    problems += bundle_checks_site.site(*source.site)
+    if AUTHORITY in source.single:
+        reader, authority = source.authority
+        problems += bundle_checks_site.authority(reader, authority, known)
+        problems += bundle_checks.rules(reader, authority.rules, known)
+    if SITE in source.single:
+        problems += bundle_checks_site.site(*source.site)
     return problems
 
 

@@ -61,7 +61,10 @@ class Reader:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Known:
-    """Every name there is, so that references can be checked."""
+    """Every name there is, so that references can be checked.
+
+    `unread` are capabilities whose manifests could not be read: they may be named, and nothing else is known of them.
+    """
 
     capabilities: Mapping[str, Capability]
     recoveries: frozenset[str]
@@ -70,6 +73,12 @@ class Known:
     vocabulary: Vocabulary
     names: Mapping[str, frozenset[str]]  # those of the site, by kind of reference
     modes: Mapping[str, frozenset[str]]  # modes of authority, by profile
+    unread: frozenset[str] = frozenset()
+
+    @property
+    def named(self) -> frozenset[str]:
+        """Return what may be named as a capability."""
+        return self.unread.union(self.capabilities)
 
 
 # Capabilities --------------------------------------------------------------------------------------------------------
@@ -231,7 +240,7 @@ def rules(reader: Reader, shapes_: Sequence[shapes.RuleShape], known: Known) -> 
 
 def _rule_names(reader: Reader, path: Path, shape: shapes.RuleShape, known: Known) -> Iterator[PolicyError]:
     for index, name in enumerate(shape.applies_to or ()):
-        yield from reader.unknown((*path, "applies_to", index), "capability", name, known.capabilities)
+        yield from reader.unknown((*path, "applies_to", index), "capability", name, known.named)
     for index, name in enumerate(shape.profiles or ()):
         yield from reader.unknown((*path, "profiles", index), "profile", name, known.profiles)
 
@@ -265,7 +274,11 @@ def _settings(
     for param, setting in shape.set.items():
         here = (*path, "set", param)
         holders = [name for name in scope if param in properties(known.capabilities[name])]
-        if scope and not holders:
+        if (
+            scope
+            and not holders
+            and known.unread.isdisjoint(known.unread if shape.applies_to is None else shape.applies_to)
+        ):
             names = {other for name in scope for other in properties(known.capabilities[name])}
             yield from reader.unknown(here, "parameter", param, names)
         if setting.to is None:

@@ -46,7 +46,7 @@ def _watch(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator
             yield reader.problem((*path, "id"), f"watch rule `{row.id}` stands twice")
         seen.add(row.id)
         for at, name in enumerate(row.applies_to or ()):
-            yield from reader.unknown((*path, "applies_to", at), "capability", name, known.capabilities)
+            yield from reader.unknown((*path, "applies_to", at), "capability", name, known.named)
         yield from reader.unknown((*path, "signal"), "signal", row.signal, SIGNAL_UNITS)
         if row.failure:
             yield from reader.unknown((*path, "failure"), "failure", row.failure, FAILURES)
@@ -109,7 +109,7 @@ def _recovery(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Itera
         path: Path = ("recovery", index)
         yield from reader.unknown((*path, "on"), "failure", row.on, FAILURES | {"any"})
         for at, name in enumerate(row.applies_to or ()):
-            yield from reader.unknown((*path, "applies_to", at), "capability", name, known.capabilities)
+            yield from reader.unknown((*path, "applies_to", at), "capability", name, known.named)
         needs = "recovery_capability" in row.do
         if needs and row.capability is None:
             yield reader.problem(path, "`recovery_capability` needs `capability`", sorted(known.recoveries))
@@ -183,7 +183,7 @@ def _room(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[
                 yield reader.problem(("limits", key), message)
             highest[key] = max(highest.get(key, 0.0), cast("float", spec["maximum"]))
     for key, most in highest.items():
-        if limits[key][1] > most:
+        if limits[key][1] > most and not known.unread:
             message = f"a dead limit: `{limits[key][1]:g}` is above `{most:g}`, the most any parameter it holds may be"
             yield reader.problem(("limits", key, "max"), message, [f"up to {most:g}"])
 

@@ -37,7 +37,7 @@ def authority(reader: Reader, shape: shapes.AuthorityFileShape, known: Known) ->
     """Check what authority names."""
     for index, entry in enumerate(shape.confirm_before):
         path = ("confirm_before", index)
-        yield from reader.unknown((*path, "capability"), "capability", entry.capability, known.capabilities)
+        yield from reader.unknown((*path, "capability"), "capability", entry.capability, known.named)
         yield from reader.unknown((*path, "profile"), "profile", entry.profile, known.profiles)
         found = known.capabilities.get(entry.capability)
         if found is None:

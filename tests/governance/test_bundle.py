@@ -225,6 +225,57 @@ def test_reports_all_problems_together_in_order():
     assert [problem.file for problem in caught.value.problems] == [GRASP, SITE]
 
 
+def told(text):
+    """Return what is wrong, but for the names that would be valid: a file that cannot be read lends its own."""
+    try:
+        bundle.load_files(text)
+    except PolicyErrors as errors:
+        return {(problem.file, problem.line, problem.key, problem.message) for problem in errors.problems}
+    return set()
+
+
+UNFIT = {
+    "a profile": ("profiles/test-audit.yaml", "sensitivity: 0.5", "sensitivity: lots"),
+    "a manifest": ("capabilities/inspect_area.yaml", "risk: low", "risk: enormous"),
+    "a recovery's manifest": ("capabilities/safe_retreat.yaml", "risk: low", "risk: enormous"),
+    "an input": ("capabilities/inspect_area.yaml", "type: string", "type: numbr"),
+    "authority": (H, "confirm_before:", "confirm: {}\nconfirm_before:"),
+    "site": (SITE, "fragile: true", "fragile: maybe"),
+}
+NEEDS_ALL = {"a limit above what may be proposed", "a shared floor watched for some", "a constant that names nothing",
+             "a constant of one branch"}  # fmt: skip
+
+
+@pytest.mark.parametrize("unfit", UNFIT)
+def test_a_file_that_does_not_fit_hides_nothing_of_the_others_and_is_blamed_on_none(unfit):
+    other, right, wrong = UNFIT[unfit]
+    one = {**files(), other: files()[other].replace(right, wrong)}
+    assert {file for file, *_ in told(one)} == {other}
+    beside = told(one)
+    for name, file, old, new, _ in BROKEN[list(UNFIT).index(unfit) :: len(UNFIT)]:
+        if file == other or name in NEEDS_ALL:
+            continue
+        broken = {file: one[file].replace(old, new)}
+        alone = {problem for problem in told({**files(), **broken}) if problem[0] != other}
+        assert alone == told({**one, **broken}) - beside, name
+
+
+def test_every_name_is_known_of_what_can_be_typed():
+    known = bundle.know(bundle.read_shapes(files()))
+    assert known.named == set(shipped().capabilities)
+    assert known.profiles == set(shipped().profiles)
+    text = {**files(), GRASP: files()[GRASP].replace("force_n: {type: number,", "force_n: {type: numbr,")}
+    with pytest.raises(PolicyErrors, match="numbr"):
+        bundle.know(bundle.read_shapes(text))
+
+
+def test_without_the_permissions_there_are_only_what_does_not_fit_is_told():
+    text = files()
+    text[ORG] = text[ORG].replace("permissions:", "permits:", 1)
+    text[HUMAN] = text[HUMAN].replace("signal: stall_s", "signal: boredom")
+    assert {file for file, *_ in told(text)} == {ORG}
+
+
 @pytest.mark.parametrize("name", ["organization.yaml", "authority.yaml", "site.yaml"])
 def test_a_missing_file_is_named(name):
     text = files()
