@@ -226,7 +226,7 @@ def test_an_answer_that_is_no_document_is_shown():
 
 
 def test_raises_unreachable_when_nothing_ever_answers(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("app.agent.client._BACKOFF_S", 0.001)
+    monkeypatch.setattr("app.agent.conversation._BACKOFF_S", 0.001)
     with serve(lambda _: None) as server:
         url = server.url
     with ReinsClient(url, "t") as client, pytest.raises(Unreachable):

@@ -189,7 +189,7 @@ async def test_limits_of_one_profile_are_not_those_of_another(tmp_path: Path):
 async def test_a_restarted_agent_asks_for_the_same_invocation_under_the_same_key(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("app.agent.client._SEND_ATTEMPTS", 1)
+    monkeypatch.setattr("app.agent.conversation._SEND_ATTEMPTS", 1)
     lost = {"now": True}
     done = ended("completed", outcome="succeeded")
 
@@ -213,7 +213,7 @@ async def test_a_restarted_agent_asks_for_the_same_invocation_under_the_same_key
 async def test_an_agent_restarted_with_another_goal_proposes_under_a_new_key(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("app.agent.client._SEND_ATTEMPTS", 1)
+    monkeypatch.setattr("app.agent.conversation._SEND_ATTEMPTS", 1)
     lost = {"now": True}
 
     def answer(turn: Turn):

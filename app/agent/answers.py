@@ -1,0 +1,131 @@
+"""What the server's answer comes to for whoever proposed: a result, or an exception that says why there is none.
+
+ReinsError
+ ├─ Unsendable           a value that cannot be sent: not JSON, or not what a header takes; nothing was sent
+ ├─ Unreachable          no answer from the server, however often asked
+ ├─ Problem              the server refused the request itself (application/problem+json)
+ └─ NotCompleted         the proposal was decided, but the task is not done; carries the invocation
+     ├─ Refused          rejected, denied, expired, or deferred for too long: never launched
+     └─ ExecutionFailed  launched and ended otherwise than by success
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypeAlias, cast
+
+Document: TypeAlias = dict[str, Any]
+
+
+class ReinsError(Exception):
+    """Anything this client raises on purpose."""
+
+
+class Unsendable(ReinsError):
+    """A value given to the client cannot be sent; nothing was."""
+
+
+class Unreachable(ReinsError):
+    """The server did not answer, however often it was asked."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reason:
+    """Why a decision fell as it did: the rule, a stable code, plain words, and what would be accepted."""
+
+    rule: str
+    code: str
+    message: str
+    remedy: str
+
+
+class Problem(ReinsError):
+    """The server refused the request itself: malformed, unauthenticated, not allowed, conflicting (RFC 9457)."""
+
+    def __init__(self, status: int, code: str, detail: str) -> None:
+        """Keep the facts; the message is made of them."""
+        self.status = status
+        self.code = code
+        self.detail = detail
+        super().__init__(f"{status} {code}: {detail}")
+
+
+class NotCompleted(ReinsError):
+    """A proposal that did not end in success: `invocation` is the whole document, `reasons` what to replan on."""
+
+    def __init__(self, invocation: Document) -> None:
+        """Collect the reasons of admission, policy and outcome."""
+        self.invocation = invocation
+        self.reasons = reasons_of(invocation)
+        said = "; ".join(reason.message or reason.code for reason in self.reasons) or "no reason given"
+        super().__init__(f"`{invocation['capability']}` {invocation['status']}: {said}")
+
+    @property
+    def codes(self) -> frozenset[str]:
+        """The codes of all reasons."""
+        return frozenset(reason.code for reason in self.reasons)
+
+
+class Refused(NotCompleted):
+    """Never launched: rejected, denied, expired without an answer, or deferred for too long."""
+
+
+class ExecutionFailed(NotCompleted):
+    """Launched, and ended otherwise than by success; `outcome` says how (`terminated`, `stopped`, `fault`, …)."""
+
+    @property
+    def outcome(self) -> str:
+        """The outcome label o_t."""
+        return str(self.invocation.get("outcome"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Result:
+    """A completed invocation: its outcome (`succeeded` or `recovered`) and what policy changed."""
+
+    invocation: Document
+
+    @property
+    def id(self) -> str:
+        """Identifier, for `trace`."""
+        return str(self.invocation["id"])
+
+    @property
+    def outcome(self) -> str:
+        """The outcome label o_t."""
+        return str(self.invocation["outcome"])
+
+    @property
+    def effective(self) -> Document:
+        """The parameters that were really in force."""
+        return dict(self.invocation["effective"])
+
+    @property
+    def changes(self) -> list[Document]:
+        """What policy constrained: param, requested, effective, rule."""
+        return list(document(self.invocation.get("policy")).get("changes") or [])
+
+
+def reasons_of(invocation: Document) -> tuple[Reason, ...]:
+    """Return all reasons of an invocation document: admission first, then policy, then those of its end.
+
+    A part holds a list of `reasons`, or is itself the only one.
+    """
+    found: list[Document] = []
+    for part in ("admission", "policy", "failure"):
+        said = document(invocation.get(part))
+        found += cast("list[Document]", said.get("reasons") or ([said] if "code" in said else []))
+    return tuple(
+        Reason(
+            rule=item.get("rule", ""),
+            code=item.get("code", ""),
+            message=item.get("message", ""),
+            remedy=item.get("remedy", ""),
+        )
+        for item in found
+    )
+
+
+def document(value: object) -> Document:
+    """Return a JSON object as it is, and anything else (an absent part) as an empty one."""
+    return cast("Document", value) if isinstance(value, dict) else {}

@@ -1,0 +1,186 @@
+"""The conversation with the server, without I/O: generators that yield what to send and receive what came back.
+
+Every proposal bears an idempotency key, so a lost answer is asked for again without a second proposal; a `Defer` is
+proposed again after the time the server names, with growing patience.
+"""
+
+from __future__ import annotations
+
+import math
+import uuid
+from collections.abc import Callable, Generator, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias, TypeVar, cast
+
+from app.agent.answers import Document, ExecutionFailed, Problem, Refused, Result, Unreachable, Unsendable, document
+
+OnUpdate: TypeAlias = Callable[[Document], None]
+
+WAIT_S = 20
+MAX_TOKEN = 1024
+_BEFORE_LAUNCH = frozenset({"rejected", "denied", "deferred"})
+_TERMINAL = _BEFORE_LAUNCH | {"completed", "failed"}
+_SEND_ATTEMPTS = 8
+_BACKOFF_S = 0.2
+_BACKOFF_MAX_S = 5.0
+_MAX_DEPTH = 32
+_MAX_KEY = 255
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Call:
+    """A request to send; what comes back is a `Reply`."""
+
+    method: str
+    path: str
+    json: Document | None = None
+    query: Mapping[str, str] = field(default_factory=dict[str, str])
+    headers: Mapping[str, str] = field(default_factory=dict[str, str])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sleep:
+    """A wait before going on."""
+
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reply:
+    """What came back; `status` 0 means that nothing did."""
+
+    status: int
+    json: Any
+    retry_after_s: float | None = None
+
+
+T = TypeVar("T")
+Talk: TypeAlias = Generator[Call | Sleep, Reply, T]
+
+
+def _backoff_s(attempt: int) -> float:
+    return min(_BACKOFF_S * 2**attempt, _BACKOFF_MAX_S)
+
+
+def send(call: Call) -> Talk[Any]:
+    """Send until there is an answer; raise `Problem` for one that refuses. Only safe for calls that may be repeated."""
+    _check_sendable(call)
+    last: Reply | None = None
+    for attempt in range(_SEND_ATTEMPTS):
+        last = yield call
+        if last.status in range(200, 300):
+            return _read(last)
+        code = document(last.json).get("code")
+        transient = last.status in (0, 502, 503, 504) or (last.status == 409 and code == "in_flight")
+        if not transient:
+            raise _problem(last)
+        yield Sleep(seconds=last.retry_after_s or _backoff_s(attempt))
+    if last is None or last.status == 0:
+        raise Unreachable(f"no answer to `{call.method} {call.path}` after {_SEND_ATTEMPTS} attempts")
+    raise _problem(last)
+
+
+def _read(reply: Reply) -> Any:  # noqa: ANN401 - whatever the route answers with
+    if not isinstance(reply.json, dict | list):
+        said = str(reply.json)[:80]
+        raise Problem(reply.status, "unreadable_answer", f"`{said}` is no JSON document; valid is the URL of a server")
+    return cast("Any", reply.json)
+
+
+def _check_sendable(call: Call) -> None:
+    """Raise `Unsendable` for the first value that has no place in a request, before anything is sent."""
+    for name, value in (("json", call.json), ("query", dict(call.query))):
+        for wrong in _misfits(value, name):
+            raise Unsendable(f"{wrong}; nothing was sent")
+    if not call.path.isprintable():
+        raise Unsendable(f"the path is {call.path!r}; valid are printable characters; nothing was sent")
+
+
+def _misfits(value: object, name: str, depth: int = 0) -> Iterator[str]:
+    """Say of every value in a document that is no JSON where it stands, what it is, and what would be valid."""
+    if depth > _MAX_DEPTH:
+        yield f"`{name}` is nested too deep; valid are at most {_MAX_DEPTH} levels"
+    elif isinstance(value, dict):
+        for key, item in cast("dict[object, object]", value).items():
+            if not isinstance(key, str):
+                yield f"`{name}` has the key `{key!r}`; valid keys are strings"
+            yield from _misfits(key, f"{name}, key {key!r}", depth + 1)
+            yield from _misfits(item, f"{name}.{key}".removeprefix("json."), depth + 1)
+    elif isinstance(value, list | tuple):
+        for place, item in enumerate(cast("list[object]", value)):
+            yield from _misfits(item, f"{name}[{place}]", depth + 1)
+    else:
+        yield from _misfit(value, name)
+
+
+def _misfit(value: object, name: str) -> Iterator[str]:
+    if isinstance(value, float) and not math.isfinite(value):
+        yield f"`{name}` is `{value}`; valid are finite numbers"
+    elif isinstance(value, str) and any("\ud800" <= character <= "\udfff" for character in value):
+        yield f"`{name}` is `{value!r}`; valid is text without lone surrogates"
+    elif not isinstance(value, str | int | float | None):
+        yield f"`{name}` is `{value!r}`, a {type(value).__name__}; valid are JSON's types: text, numbers, lists, …"
+
+
+def header_text(name: str, value: object, most: int) -> str:
+    """Return a value that may stand in a header. Raises `Unsendable` naming it; a token is not repeated."""
+    if not isinstance(value, str) or not (0 < len(value) <= most and value.isascii() and value.isprintable()):
+        shown = "" if name == "token" else f" `{value!r}`"
+        raise Unsendable(f"{name}{shown}: valid are 1 to {most} printable ASCII characters; nothing was sent")
+    return value
+
+
+def _problem(reply: Reply) -> Problem:
+    body = document(reply.json)
+    return Problem(
+        reply.status, str(body.get("code", "unknown")), str(body.get("detail") or body.get("title") or reply.json)
+    )
+
+
+def invoke(body: Document, key: str | None, defers: int, on_update: OnUpdate | None) -> Talk[Result]:
+    """Propose, propose again while deferred, follow to the end."""
+    first_key = uuid.uuid4().hex if key is None else header_text("idempotency_key", key, _MAX_KEY)
+    for attempt in range(defers + 1):
+        headers = {"Idempotency-Key": uuid.uuid4().hex if attempt else first_key}
+        invocation: Document = yield from send(Call(method="POST", path="/v1/invocations", json=body, headers=headers))
+        invocation = yield from follow(invocation, on_update)
+        if invocation["status"] == "deferred" and attempt < defers:
+            patience = document(invocation.get("admission")).get("retry_after_s") or 1.0
+            yield Sleep(seconds=max(float(patience), _backoff_s(attempt)))
+            continue
+        return conclude(invocation)
+    raise AssertionError("unreachable: the last attempt always concludes")
+
+
+def follow(invocation: Document, on_update: OnUpdate | None) -> Talk[Document]:
+    """Long-poll until the invocation has ended, telling every change.
+
+    Each poll names the version known already, so that a change since then is answered at once.
+    """
+    told: tuple[Any, ...] = ()
+    while True:
+        seen = (invocation["status"], invocation.get("updated_at"))
+        if on_update is not None and seen != told:
+            on_update(invocation)
+        told = seen
+        if invocation["status"] in _TERMINAL:
+            return invocation
+        path = f"/v1/invocations/{invocation['id']}"
+        query = {"wait": str(WAIT_S)}
+        if invocation.get("updated_at"):
+            query["seen"] = str(invocation["updated_at"])
+        invocation = yield from send(Call(method="GET", path=path, query=query))
+
+
+def conclude(invocation: Document) -> Result:
+    """Return the result of a completed invocation. Raises `Refused` or `ExecutionFailed` for any other end."""
+    if invocation["status"] == "completed":
+        return Result(invocation=invocation)
+    raise (Refused if invocation["status"] in _BEFORE_LAUNCH else ExecutionFailed)(invocation)
+
+
+def proposal(capability: str, params: Mapping[str, Any], options: Mapping[str, Any]) -> Document:
+    """Return the body of a proposal; options that are None are left out."""
+    body: Document = {"capability": capability, "params": dict(params)}
+    body.update({name: value for name, value in options.items() if value is not None})
+    return body
