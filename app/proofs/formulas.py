@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import z3
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
     from fractions import Fraction
 
 Formula: TypeAlias = "bool | z3.BoolRef"
@@ -21,13 +21,7 @@ def both(*parts: Formula) -> Formula:
 
 def every(parts: Iterable[Formula]) -> Formula:
     """Return the conjunction of all; of none it is true."""
-    kept: dict[int, z3.BoolRef] = {}
-    for part in parts:
-        if part is False:
-            return False
-        if part is not True:
-            kept[part.get_id()] = part
-    return z3.And(*kept.values()) if len(kept) > 1 else next(iter(kept.values()), True)
+    return _joined(parts, z3.And, decisive=False)
 
 
 def either(*parts: Formula) -> Formula:
@@ -37,13 +31,18 @@ def either(*parts: Formula) -> Formula:
 
 def some(parts: Iterable[Formula]) -> Formula:
     """Return the disjunction of all; of none it is false."""
+    return _joined(parts, z3.Or, decisive=True)
+
+
+def _joined(parts: Iterable[Formula], join: Callable[..., z3.BoolRef], *, decisive: bool) -> Formula:
+    """Join parts, each once; the `decisive` truth value settles the matter, the other one adds nothing."""
     kept: dict[int, z3.BoolRef] = {}
     for part in parts:
-        if part is True:
-            return True
-        if part is not False:
+        if part is decisive:
+            return decisive
+        if not isinstance(part, bool):
             kept[part.get_id()] = part
-    return z3.Or(*kept.values()) if len(kept) > 1 else next(iter(kept.values()), False)
+    return join(*kept.values()) if len(kept) > 1 else next(iter(kept.values()), not decisive)
 
 
 def no(part: Formula) -> Formula:
