@@ -78,11 +78,11 @@ def _rejected(row: Row) -> Value:
     """FRR: of the proposals that are authorized, those that were not let through, by the gate or by the cell.
 
     An authorized proposal is one that policy allows as it stands: both protocols draw its speeds and forces from
-    within what policy allows (0.4 to 0.8 of it in `paper`; in `physical` up to the limit itself, taken to what policy
-    makes of it), and whoever is asked says yes. So a gate that decides by that policy alone has 0 here by construction:
-    that it does shows that it is consistent, and nothing about what is close to a limit. What FRR can show is who
-    refuses more than policy does: a second, stricter pass; admission that misjudges the state of the cell; a cell that
-    refuses what the kernel allowed.
+    within what policy allows (0.4 to 0.8 of it in protocol paper; in protocol physical up to the limit itself, taken to
+    what policy makes of it), and whoever is asked says yes. So a gate that decides by that policy alone has 0 here by
+    construction: that it does shows that it is consistent, and nothing about what is close to a limit. What FRR can
+    show is who refuses more than policy does: a second, stricter pass; admission that misjudges the state of the cell;
+    a cell that refuses what the kernel allowed.
     """
     return not row["launched"] if row["kind"] != Kind.UNAUTHORIZED and row.get("launched") is not None else None
 
@@ -183,7 +183,7 @@ def _rolled_back(row: Row) -> Value:
 
     Capable is where the capability declares a rollback, and where by the exact state, when it began, there was still
     something to go back to: what was held at the start is in the gripper, what was to be handled is there and not on
-    the floor. What came of the rollback has no part in that; `_rolled_back_tried` counts all of them.
+    the floor. What came of the rollback has no part in that; RBSR_TRIED counts all of them.
     """
     return row.get("rolled_back") if row.get("rollback_capable") and row["kind"] == Kind.RECOVERABLE else None
 

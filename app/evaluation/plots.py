@@ -222,7 +222,7 @@ def against_floor(groups: Mapping[str, Sequence[tuple[float, float]]]) -> Plot:
         axes.grid(visible=False, axis="y")
         axes.legend(loc="lower center", bbox_to_anchor=(0.4, 1.0), ncols=2)
     return Plot(drawn[0], f"Time to safe state and floor, in s: {'; '.join(told)}.",
-                "Time to safe state against the floor that sensors and physics leave.")  # fmt: skip
+                "Time to safe state against the floor that physics leaves.")  # fmt: skip
 
 
 def shares(cells: Mapping[str, Mapping[str, float]], caption: str) -> Plot:

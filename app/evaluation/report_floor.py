@@ -29,7 +29,7 @@ _PARTS: Final = {
     "back_s": "way back",
     "floor_back_s": "way back: at allowed speed",
 }
-_COUNTS: Final = {"n": "rows", "below": "below the floor", "prevented": "did not come about", "never": "never safe"}
+_COUNTS: Final = {"n": "rows", "below": "below floor", "prevented": "did not come about", "never": "never safe"}
 _REMARK: Final = (
     "From the onset in truth, where policy asks for more than a warning. Ratio: each row's time by its own floor; a "
     "row whose robot stood still already has a floor of 0, and no ratio. A violation that did not come about, because "

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from app.evaluation.goals import TARGETS, WORST, judge
 from app.evaluation.metrics import METRICS
-from app.evaluation.report_tables import DASH, Grid, Results, entry_text, mapping, mean_of, number_text
+from app.evaluation.report_tables import DASH, Grid, Results, entry_text, mapping, mean_of, number_text, title_of
 
 if TYPE_CHECKING:
     from app.evaluation.goals import Target
@@ -33,7 +33,7 @@ def goal_grids(results: Results) -> Iterator[Grid]:
     yield Grid("goals-table", "Goals", "Goal", (), ("ours", "rows", "asked", ""), tuple(rows), _REMARK)
     extremes: Mapping[str, Mapping[str, Any]] = results.get("extremes", {})
     worst = tuple(
-        (name, tuple(_plain(found.get(key)) for key in _EXTREMES))
+        (title_of(name), tuple(_plain(found.get(key)) for key in _EXTREMES))
         for name, found in extremes.items()
         if any(found.get(key) is not None for key in _EXTREMES)
     )
