@@ -8,7 +8,18 @@ import pytest
 from playwright.sync_api import CDPSession, expect
 
 from tests.conftest import ServerProcess, until
-from tests.console.conftest import DESK, PHONE, Floor, People, Person, box, far, out_of_reach, stop
+from tests.console.conftest import (
+    DESK,
+    PHONE,
+    Floor,
+    People,
+    Person,
+    box,
+    far,
+    out_of_reach,
+    stop,
+    wider_than_the_screen,
+)
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 # A gamepad that a test plugs in and steers, and an ear for the commands that the page hands to its link.
@@ -163,3 +174,26 @@ def test_the_controls_outlive_a_reload_and_go_to_another_window_only_when_asked(
     expect(other.page.get_by_text(LET_GO)).to_be_visible()
     at_rest(floor)
     assert server.cell()["control"]["holder"] == "operator"
+
+
+def test_whoever_leaves_the_pad_is_told_that_the_controls_have_gone(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    take_controls(person)
+    person.press("4")
+    expect(person.alert("You have lost the controls.")).to_be_visible()
+    assert server.cell()["control"] is None
+    person.button("Understood").click()
+    expect(person.alert("You have lost the controls.")).to_have_count(0)
+
+
+def test_on_a_phone_nothing_is_wider_than_the_screen_while_the_cell_is_latched(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, size=PHONE)
+    stop(person).tap()
+    person.button("Reset…").tap()
+    expect(person.button("Keep stopped")).to_be_in_viewport(ratio=1)
+    assert wider_than_the_screen(person.page) == []
+    assert out_of_reach(stop(person)) == []

@@ -2,7 +2,7 @@ import { describe, expect, it } from 'vitest';
 import type { Escalation, Invocation, LogEvent, Risk } from '../src/lib/api/documents';
 import { readGauge, type GaugeSpec } from '../src/lib/live/gauges';
 import { History } from '../src/lib/live/history';
-import { handsOn, refusalWords } from '../src/lib/live/control';
+import { handsOn, leaseLapsed, refusalWords } from '../src/lib/live/control';
 import { stagesOf } from '../src/lib/live/stages';
 import { troubleOf, zonesAt } from '../src/lib/live/trouble';
 import { byUrgency, currentOf } from '../src/lib/live/urgency';
@@ -154,6 +154,13 @@ describe('the controls of a cell', () => {
     expect(handsOn(cell({ control }), 'ann', 'lease_0')).toBe('elsewhere');
     expect(handsOn(cell({ control }), 'ann', null)).toBe('elsewhere');
     expect(handsOn(cell({ control }), 'bob', 'lease_1')).toBe('other');
+  });
+
+  it('are lost where the log says so of their lease', () => {
+    const lapsed = event('human', { op: 'control_lapsed', cell: 'workcell-1', holder: 'ann', lease: 'lease_1' });
+    expect(leaseLapsed(lapsed, 'lease_1')).toBe(true);
+    expect(leaseLapsed(lapsed, 'lease_0')).toBe(false);
+    expect(leaseLapsed(event('human', { op: 'release', lease: 'lease_1' }), 'lease_1')).toBe(false);
   });
 
   it('say in words why they are not obeyed, and name a rule without any', () => {

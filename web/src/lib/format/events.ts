@@ -1,5 +1,5 @@
 import type { Json, LogEvent } from '../api/documents';
-import { goodOutcome, outcomeWords, shortId, statusWords, type Tone } from './status';
+import { goodOutcome, outcomeTone, outcomeWords, shortId, statusWords, type Tone } from './status';
 import { titleOf, words } from './capability';
 import { labelOf, valueOf } from './quantity';
 import { clockTime } from './time';
@@ -180,7 +180,7 @@ function outcome(body: Body): Line {
   const label = str(body['outcome']);
   const good = goodOutcome(label);
   const why = str(body['failure']);
-  return line(good ? 'flag' : 'stop', good ? 'ok' : 'danger', why === '' || good ? '' : `, ${why.replaceAll('_', ' ')}`, words(outcomeWords(label)));
+  return line(good ? 'flag' : outcomeTone(label) === 'human' ? 'person' : 'stop', outcomeTone(label), why === '' || good ? '' : `, ${why.replaceAll('_', ' ')}`, words(outcomeWords(label)));
 }
 
 function status(body: Body): Line {

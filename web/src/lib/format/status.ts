@@ -54,6 +54,13 @@ export function goodOutcome(outcome: string): boolean {
   return outcome === 'succeeded' || outcome === 'recovered';
 }
 
+const TONES: Record<string, Tone> = { succeeded: 'ok', recovered: 'ok', taken_over: 'human', cancelled: 'quiet', deferred: 'quiet', rolled_back: 'warn', expired: 'warn' };
+
+/** How loudly an outcome speaks: red is for what was refused, stopped or broken. */
+export function outcomeTone(outcome: string): Tone {
+  return TONES[outcome] ?? 'danger';
+}
+
 export function shortId(id: string): string {
   return id.length > 14 ? `${id.slice(0, 4)}…${id.slice(-6)}` : id;
 }

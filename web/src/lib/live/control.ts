@@ -1,4 +1,4 @@
-import type { Cell, Invocation } from '../api/documents';
+import type { Cell, Invocation, LogEvent } from '../api/documents';
 import type { Tone } from '../format/status';
 
 const OVER = new Set(['rejected', 'deferred', 'denied', 'completed', 'failed', 'awaiting_approval']);
@@ -24,6 +24,11 @@ export function handsOn(cell: Cell | null, me: string | null, lease: string | nu
   if (control === null) return 'free';
   if (control.holder !== me) return 'other';
   return control.lease === lease ? 'here' : 'elsewhere';
+}
+
+/** Whether an event says that this lease ended because its holder fell silent. */
+export function leaseLapsed(event: LogEvent, lease: string | null): boolean {
+  return event.kind === 'human' && event.body['op'] === 'control_lapsed' && event.body['lease'] === lease;
 }
 
 const WHY: Record<string, string> = {

@@ -1,5 +1,5 @@
 import type { Invocation, LogEvent } from '../api/documents';
-import { goodOutcome, outcomeWords } from '../format/status';
+import { outcomeTone, outcomeWords, type Tone } from '../format/status';
 import { clockTime } from '../format/time';
 
 export const STAGES = ['Goal', 'Proposal', 'Decision', 'Launch', 'Watch', 'Recover', 'Outcome'] as const;
@@ -88,7 +88,9 @@ function recover(invocation: Invocation, events: readonly LogEvent[]): Stage {
   return { name: 'Recover', state: over ? 'skipped' : 'open', note: over ? 'not needed' : 'open' };
 }
 
+const OUTCOME_STATES: Partial<Record<Tone, Stage['state']>> = { ok: 'done', human: 'done', quiet: 'skipped' };
+
 function outcome(invocation: Invocation): Stage {
   if (invocation.outcome === null) return { name: 'Outcome', state: 'open', note: 'open' };
-  return { name: 'Outcome', state: goodOutcome(invocation.outcome) ? 'done' : 'bad', note: outcomeWords(invocation.outcome) };
+  return { name: 'Outcome', state: OUTCOME_STATES[outcomeTone(invocation.outcome)] ?? 'bad', note: outcomeWords(invocation.outcome) };
 }

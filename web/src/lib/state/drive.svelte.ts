@@ -10,6 +10,11 @@ class Drive {
     this.lease = lease;
     sessionStorage.setItem(KEY, lease);
   }
+
+  forget(): void {
+    this.lease = null;
+    sessionStorage.removeItem(KEY);
+  }
 }
 
 export const drive = new Drive();
