@@ -2,6 +2,7 @@ import type {
   Capability,
   Cell,
   Checkpoint,
+  Comparison,
   Control,
   Escalation,
   Grant,
@@ -13,9 +14,12 @@ import type {
   Problem,
   Review,
   ReviewVerdict,
+  Shadow,
   Telemetry,
   Verdict,
   Verification,
+  Version,
+  VersionList,
 } from './documents';
 
 /** The server's refusal of a request, or `unreachable` where no answer came. */
@@ -103,6 +107,19 @@ export class Api {
   cells = (): Promise<List<Cell>> => this.get('/v1/cells');
   capabilities = (): Promise<List<Capability>> => this.get('/v1/capabilities');
   policy = (): Promise<PolicySet> => this.get('/v1/policies/active');
+  versions = (limit: number): Promise<VersionList> => this.get(`/v1/policies?limit=${limit}`);
+  version = (digest: string): Promise<Version> => this.get(`/v1/policies/${seg(digest)}`);
+  policyFiles = (digest: string): Promise<{ files: Record<string, string> }> => this.get(`/v1/policies/${seg(digest)}/files`);
+  /** Compared by proof, which may take a while. */
+  comparison = (digest: string): Promise<Comparison> =>
+    this.call('GET', `/v1/policies/${seg(digest)}/diff`, undefined, LONG_PATIENCE_MS);
+  propose = (files: Record<string, string>, why: string): Promise<Version> =>
+    this.call('POST', '/v1/policies', { files, why }, LONG_PATIENCE_MS);
+  activate = (digest: string, why: string): Promise<Version> =>
+    this.call('POST', `/v1/policies/${seg(digest)}/activate`, { why }, LONG_PATIENCE_MS);
+  shadow = (digest: string): Promise<Shadow> => this.get(`/v1/policies/${seg(digest)}/shadow`);
+  setShadow = (digest: string, on: boolean, why: string): Promise<Shadow> =>
+    this.call('POST', `/v1/policies/${seg(digest)}/shadow`, { on, why }, LONG_PATIENCE_MS);
   trace = (id: string): Promise<List<LogEvent>> => this.get(`/v1/invocations/${seg(id)}/trace`);
   invocation = (id: string): Promise<Invocation> => this.get(`/v1/invocations/${seg(id)}`);
 

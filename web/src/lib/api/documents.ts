@@ -210,7 +210,8 @@ export interface Problem {
   status: number;
   detail: string;
   code: string;
-  errors?: { field: string; message: string }[];
+  /** Of a policy each has its file and line. */
+  errors?: { field: string; message: string; file?: string; line?: number }[];
   reasons?: Reason[];
 }
 
@@ -247,4 +248,58 @@ export interface Verification {
   checkpoint: string | null;
   first_bad: number | null;
   problem: string | null;
+}
+
+export type Direction = 'same' | 'tightens' | 'loosens' | 'both';
+
+/** A version of policy: whose it is, and what became of it. */
+export interface Version {
+  digest: string;
+  status: 'candidate' | 'awaiting_second' | 'active' | 'former';
+  source: 'request' | 'directory';
+  by: string;
+  why: string;
+  against: string | null;
+  rules: number;
+  cases: number;
+  awaiting: { by: string; at: string; why: string; against: string } | null;
+  activations: { at: string; by: string[]; why: string; former: string | null; direction: Direction | null }[];
+  created_at: string;
+  updated_at: string;
+}
+
+export interface VersionList extends List<Version> {
+  active: string;
+  why: string;
+}
+
+/** What a version would change of what is in force; `decisions` where it was proved what follows. */
+export interface Comparison {
+  direction: Direction;
+  proved?: boolean;
+  differences: { part: string; before: string; after: string; direction: Direction }[];
+  decisions?: Transition[];
+}
+
+export interface Transition {
+  capability: string;
+  profile: string;
+  change: string;
+  direction: Direction;
+  decided: boolean;
+  message: string;
+  /** A case file. */
+  example: string;
+}
+
+/** What a candidate would have decided otherwise on live traffic. */
+export interface Shadow {
+  digest: string;
+  on: boolean;
+  by: string | null;
+  why: string | null;
+  since: string | null;
+  decisions: number;
+  differing: number;
+  groups: { capability: string; profile: string; live: string; candidate: string; count: number; examples: string[] }[];
 }

@@ -1,0 +1,176 @@
+"""Policy changed from the console: brought, mended, compared, asked in the shadow, put in force by two, undone."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Locator, expect
+
+from app.api.auth import issue_token
+from app.governance.model import Role
+from tests.conftest import ServerProcess, Servers, until
+from tests.console.conftest import PHONE, ROOT, People, Person, wider_than_the_screen
+from tests.console.test_access import AXE, faults
+
+pytestmark = [pytest.mark.browser, pytest.mark.process]
+FASTER = "base_speed_mps: {max: 0.4,"
+SHIPPED = "base_speed_mps: {max: 0.3,"
+PROFILE = "profiles/human-shared.yaml"
+REFUSED = r"status of (403|409|422)"  # the browser's own note of a request that was refused
+
+
+@pytest.fixture(scope="module")
+def changing(built: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
+    """A server of its own, without a cell: what is in force changes here. A second engineer has a token."""
+    made = Servers(tmp_path_factory.mktemp("versions"))
+    try:
+        server = made.start(None, "--policies", str(ROOT / "policies"), cells=0)
+        server.tokens["engineer_2"] = issue_token(server.data, name="engineer_2", role=Role.ENGINEER)
+        yield server
+    finally:
+        made.end()
+
+
+def candidate(folder: Path, bound: str, *, break_it: bool = False) -> Path:
+    """A policy directory as an engineer has it, with everything that lies about in one."""
+    shutil.copytree(ROOT / "policies", folder)
+    profile = folder / PROFILE
+    text = profile.read_text()
+    assert SHIPPED in text
+    text = text.replace(SHIPPED, bound)
+    profile.write_text(text.replace("signal: stall_s", "signal: stall_h") if break_it else text)
+    for cases in (folder / "tests").glob("*.yaml"):  # the shipped cases hold the shipped bound in place
+        cases.unlink()
+    return folder
+
+
+def seat(people: People, server: ServerProcess, key: str, **how: object) -> Person:
+    """Sit down before the versions of policy, signed in as `key`."""
+    keep = f"sessionStorage.setItem('reins.token', '{server.tokens[key]}')"
+    person = people.open(f"{server.url}/#/policy/Versions", init=keep, **how)
+    expect(person.region("Versions").get_by_role("link").first).to_be_visible()
+    return person
+
+
+def versions(person: Person) -> None:
+    person.page.evaluate("location.hash = '#/policy/Versions'")
+    expect(person.region("Versions").get_by_role("link").first).to_be_visible()
+
+
+def say_why(region: Locator, why: str) -> None:
+    region.get_by_label("Why").fill(why)
+
+
+def test_a_candidate_is_mended_compared_tried_put_in_force_by_two_and_undone(
+    changing: ServerProcess, people: People, tmp_path: Path
+) -> None:
+    first = seat(people, changing, "engineer")
+    first.expects(REFUSED)
+
+    # brought, with a fault: told at its line, and mended there
+    first.page.get_by_role("link", name="Bring a candidate").click()
+    bring = first.region("Bring a candidate")
+    bring.get_by_label("Choose a folder").set_input_files(candidate(tmp_path / "policies", FASTER, break_it=True))
+    expect(bring).to_contain_text("Left out, because they decide nothing: properties.yaml")
+    say_why(bring, "people stand further away")
+    bring.get_by_role("button", name="Check and keep").click()
+    expect(bring.get_by_role("alert")).to_contain_text("1 fault: it is not kept.")
+    told = bring.get_by_role("list", name=f"Faults in {PROFILE}")
+    expect(told).to_contain_text("there is no signal `stall_h`")
+    told.get_by_role("button", name=re.compile(r"Line \d+")).click()
+    editor = bring.get_by_role("textbox", name=PROFILE)
+    expect(editor).to_be_focused()
+    first.press("End")
+    first.press("Backspace")
+    first.page.keyboard.type("s")
+    bring.get_by_role("button", name="Check again").click()
+
+    # kept: what it would change, and what it would have decided
+    view = first.page.get_by_role("region", name=re.compile("^Version "))
+    expect(view.get_by_role("region", name="What it would change")).to_contain_text("Loosens")
+    expect(view).to_contain_text("profiles/human-shared/limits/base_speed_mps/maximum")
+    expect(view).to_contain_text("another engineer’s word")
+    say_why(view, "is anything else decided otherwise?")
+    view.get_by_role("button", name="Ask it in the shadow").click()
+    expect(view.get_by_role("button", name="End the shadow")).to_be_visible()
+    changing.propose("navigate_to", target="dock", speed_mps=1.0)
+    shadow = view.get_by_role("region", name="In the shadow")
+    expect(shadow).to_contain_text(re.compile("[1-9][0-9]* decisions, [1-9]"))
+    expect(shadow.get_by_role("link", name=re.compile("^inv_")).first).to_be_visible()
+
+    # two engineers put it in force
+    say_why(view, "people stand further away")
+    view.get_by_role("button", name="Put in force").click()
+    expect(view).to_contain_text("Waits for another engineer")
+    expect(view.get_by_role("button", name="Give the second word")).to_be_disabled()
+    digest = changing.get("/v1/policies", key="engineer")["items"][0]["digest"]
+    second = seat(people, changing, "engineer_2")
+    second.region("Versions").get_by_role("link", name=re.compile("Waits for another engineer")).click()
+    other = second.page.get_by_role("region", name=re.compile("^Version "))
+    say_why(other, "agreed, after the measurement")
+    other.get_by_role("button", name="Give the second word").click()
+    expect(other).to_contain_text("engineer and engineer_2")
+    assert changing.get("/v1/policies/active")["version"] == digest
+    expect(first.region("Versions").get_by_role("link", name=re.compile(f"In force {digest[7:19]}"))).to_be_visible()
+
+    # and one of them takes it back: a tightening
+    versions(first)
+    first.region("Versions").get_by_role("link", name=re.compile("Was in force")).click()
+    former = first.page.get_by_role("region", name=re.compile("^Version "))
+    expect(former).to_contain_text("It loosens nothing: one engineer is enough.")
+    say_why(former, "too many near misses")
+    former.get_by_role("button", name="Roll back to this").click()
+    expect(former.get_by_role("region", name="When it was in force")).to_contain_text("too many near misses")
+    until(lambda: changing.get("/v1/policies/active")["version"] != digest, what="the former version in force")
+
+
+def test_an_archive_of_one_file_stands_for_a_change_and_an_auditor_only_looks(
+    changing: ServerProcess, people: People, tmp_path: Path
+) -> None:
+    text = (ROOT / PROFILE.replace("profiles/", "policies/profiles/")).read_text()
+    with zipfile.ZipFile(tmp_path / "change.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("human-shared.yaml", text.replace(SHIPPED, "base_speed_mps: {max: 0.2,"))
+    engineer = seat(people, changing, "engineer")
+    engineer.page.evaluate("location.hash = '#/policy/Versions/new'")
+    bring = engineer.region("Bring a candidate")
+    bring.get_by_label("Choose files or a ZIP").set_input_files(tmp_path / "change.zip")
+    expect(bring).to_contain_text("One file differs from what is in force; everything else is taken from it")
+    say_why(bring, "slower, for a visit")
+    bring.get_by_role("button", name="Check and keep").click()
+    view = engineer.page.get_by_role("region", name=re.compile("^Version "))
+    expect(view).to_contain_text("It loosens nothing: one engineer is enough.")
+    auditor = seat(people, changing, "auditor")
+    expect(auditor.page.get_by_role("link", name="Bring a candidate")).to_have_count(0)
+    auditor.region("Versions").get_by_role("link", name=re.compile("slower, for a visit")).click()
+    looked = auditor.page.get_by_role("region", name=re.compile("^Version "))
+    expect(looked).to_contain_text("Engineers put versions in force; you may look.")
+    expect(looked.get_by_role("button", name="Put in force")).to_have_count(0)
+
+
+@pytest.mark.parametrize("size", [None, PHONE], ids=["desk", "phone"])
+def test_versions_can_be_used_by_everybody_at_any_width(
+    changing: ServerProcess, people: People, size: dict[str, int] | None
+) -> None:
+    axe = AXE.read_text()
+    found: dict[str, list[str]] = {}
+    person = seat(people, changing, "engineer", size=size)
+    links = person.region("Versions").get_by_role("link").filter(has_text=re.compile("sha|[0-9a-f]{12}"))
+    for name, there in (("list", None), ("version", links.last), ("new", None)):
+        if there is not None:
+            there.click()
+            expect(person.page.get_by_role("region", name=re.compile("^Version "))).to_be_visible()
+        if name == "new":
+            person.page.evaluate("location.hash = '#/policy/Versions/new'")
+            person.button("Edit what is in force").click()
+            expect(person.page.get_by_role("textbox", name=re.compile("yaml$"))).to_be_visible()
+        for theme in ("light", "dark"):
+            person.press("n")
+            found[f"{name}, {theme}"] = faults(person.page, axe)
+        if size == PHONE:
+            found[f"{name}, width"] = wider_than_the_screen(person.page)
+    assert {name: what for name, what in found.items() if what} == {}

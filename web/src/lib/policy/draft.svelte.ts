@@ -1,0 +1,83 @@
+import { ApiError, type Api } from '../api/client';
+import type { Version } from '../api/documents';
+import { candidateOf, inOrder, read, standings, type Fault, type Files } from './candidate';
+import { said } from './versions.svelte';
+
+/** The candidate that is being brought; it outlives the page that shows it, as long as the tab. */
+class Draft {
+  files = $state.raw<Files>({});
+  live = $state.raw<Files>({});
+  leftOut = $state.raw<string[]>([]);
+  partial = $state(false);
+  faults = $state.raw<Fault[]>([]);
+  chosen = $state<string | null>(null);
+  why = $state('');
+  trouble = $state<string | null>(null);
+  busy = $state<'reading' | 'checking' | null>(null);
+
+  get empty(): boolean {
+    return Object.keys(this.files).length === 0;
+  }
+
+  get listed(): ReturnType<typeof standings> {
+    return standings(this.files, this.live);
+  }
+
+  clear(): void {
+    this.files = {};
+    this.faults = [];
+    this.leftOut = [];
+    this.chosen = null;
+    this.trouble = null;
+    this.why = '';
+  }
+
+  /** Takes what was picked; none: begins with what is in force. */
+  async take(picked: File[], api: Api, active: string | null): Promise<void> {
+    this.busy = 'reading';
+    this.trouble = null;
+    this.faults = [];
+    try {
+      this.live = active === null ? {} : (await api.policyFiles(active)).files;
+      const found = candidateOf(await read(picked), this.live);
+      this.files = found.files;
+      this.leftOut = found.leftOut;
+      this.partial = found.partial;
+      this.chosen = this.listed.find(({ standing }) => standing === 'new' || standing === 'changed')?.path ?? this.listed[0]?.path ?? null;
+    } catch (error) {
+      this.trouble = said(error);
+    }
+    this.busy = null;
+  }
+
+  write(path: string, text: string): void {
+    this.files = { ...this.files, [path]: text };
+  }
+
+  /** Has the server check it; returns the version it is kept as, or null where there are faults. */
+  async bring(api: Api): Promise<Version | null> {
+    this.busy = 'checking';
+    this.trouble = null;
+    try {
+      const kept = await api.propose(this.files, this.why.trim());
+      this.faults = [];
+      return kept;
+    } catch (error) {
+      this.refused(error);
+      return null;
+    } finally {
+      this.busy = null;
+    }
+  }
+
+  private refused(error: unknown): void {
+    if (!(error instanceof ApiError) || error.code !== 'policy_invalid') {
+      this.trouble = said(error);
+      return;
+    }
+    this.faults = inOrder((error.problem.errors ?? []).map(({ field, message, file, line }) => ({ file: file ?? '', line: line ?? 0, field, message })));
+    this.chosen = this.faults.find(({ file }) => file in this.files)?.file ?? this.chosen;
+  }
+}
+
+export const draft = new Draft();

@@ -1,0 +1,95 @@
+/** What is said of versions of policy, and who may do what about them. Whatever is shown, the server decides. */
+import type { Comparison, Direction, Version } from '../api/documents';
+import type { Tone } from '../format/status';
+
+/** Names of capabilities are small letters, so this is none. */
+export const PLACE = 'Versions';
+export const NEW = 'new';
+
+export const STATUS: Record<Version['status'], { text: string; tone: Tone }> = {
+  active: { text: 'In force', tone: 'ok' },
+  awaiting_second: { text: 'Waits for another engineer', tone: 'warn' },
+  candidate: { text: 'Candidate', tone: 'accent' },
+  former: { text: 'Was in force', tone: 'quiet' },
+};
+
+export const DIRECTION: Record<Direction, { text: string; says: string; tone: Tone }> = {
+  same: { text: 'No effect', says: 'No decision comes out otherwise.', tone: 'quiet' },
+  tightens: { text: 'Tightens', says: 'Nothing is allowed that was not allowed before.', tone: 'plain' },
+  loosens: { text: 'Loosens', says: 'Something is allowed that was not allowed before.', tone: 'warn' },
+  both: { text: 'Tightens and loosens', says: 'Some things are allowed that were not, and others no longer.', tone: 'warn' },
+};
+
+export function shortVersion(digest: string): string {
+  return digest.replace(/^sha256:/, '').slice(0, 12);
+}
+
+export interface Deed {
+  label: string;
+  /** What will come of it. */
+  says: string;
+  /** Why it cannot be done; null where it can. */
+  barrier: string | null;
+}
+
+export interface Who {
+  name: string;
+  role: string;
+}
+
+export interface Situation {
+  version: Version;
+  /** What is in force. */
+  active: Version | null;
+  who: Who | null;
+  live: boolean;
+  /** What the version would change, once that is known. */
+  found: Comparison | null;
+}
+
+/** What may be done to put a version in force; null where it is. */
+export function deedOf(of: Situation): Deed | null {
+  if (of.version.status === 'active') return null;
+  const first = wordGiven(of);
+  return { label: first === null ? labelOf(of) : 'Give the second word', says: outlook(of, first), barrier: barrierOf(of, first) };
+}
+
+/** Who gave the first word on it in the place of what is in force now. */
+function wordGiven({ version, active }: Situation): string | null {
+  const { awaiting } = version;
+  return awaiting !== null && awaiting.against === active?.digest ? awaiting.by : null;
+}
+
+function labelOf({ version, active }: Situation): string {
+  if (version.activations.length === 0) return 'Put in force';
+  return active?.activations.at(-1)?.former === version.digest ? 'Roll back to this' : 'Put in force again';
+}
+
+function barrierOf({ who, live }: Situation, first: string | null): string | null {
+  if (who?.role !== 'engineer') return 'Engineers put versions in force; you may look.';
+  if (!live) return 'The link is down: nothing but a stop is sent.';
+  if (first === who.name) return 'You gave the first word: another engineer has to give the second.';
+  return null;
+}
+
+function outlook(of: Situation, first: string | null): string {
+  if (first !== null) return `${first} wants it in force; with another engineer’s word it is.`;
+  if (of.found === null) return 'What it changes is being compared.';
+  if (of.found.direction === 'same' || of.found.direction === 'tightens') return 'It loosens nothing: one engineer is enough.';
+  const { version, who } = of;
+  if (vouched(of) && version.by !== who?.name) return `It loosens something; ${version.by} brought it, so your word is the second.`;
+  return 'It loosens something: it comes into force with another engineer’s word.';
+}
+
+/** Whether bringing it counts as the first word: as long as nothing has changed since. */
+function vouched({ version, active }: Situation): boolean {
+  return version.source === 'request' && version.activations.length === 0 && version.against === active?.digest;
+}
+
+/** Which way decisions of a group of the shadow go, in words. */
+export function decidedAs(said: string): string {
+  const [, status, verdict] = /^(\w+) \((\w+)\)$/.exec(said) ?? [];
+  if (status === undefined || verdict === undefined) return said;
+  const words = status.replaceAll('_', ' ');
+  return verdict === 'modify' ? `${words}, with bounds` : words;
+}

@@ -1,0 +1,162 @@
+import { deflateRawSync } from 'node:zlib';
+import { describe, expect, it } from 'vitest';
+import type { Comparison, Version } from '../src/lib/api/documents';
+import { candidateOf, inOrder, lineSpan, read, standings } from '../src/lib/policy/candidate';
+import { decidedAs, deedOf, shortVersion } from '../src/lib/policy/versions';
+import { unzip, ZipError } from '../src/lib/policy/zip';
+
+/** An archive as packers write it: local headers with their data, the central directory, its end. */
+function archive(entries: Record<string, string>, { deflated = true, flags = 0, size = 0 } = {}): ArrayBuffer {
+  const chunks: Buffer[] = [];
+  const directory: Buffer[] = [];
+  let at = 0;
+  for (const [path, text] of Object.entries(entries)) {
+    const raw = Buffer.from(text);
+    const data = deflated ? deflateRawSync(raw) : raw;
+    const name = Buffer.from(path);
+    const local = Buffer.alloc(30);
+    local.writeUInt32LE(0x04034b50, 0);
+    local.writeUInt16LE(name.length, 26);
+    const central = Buffer.alloc(46);
+    central.writeUInt32LE(0x02014b50, 0);
+    central.writeUInt16LE(flags, 8);
+    central.writeUInt16LE(deflated ? 8 : 0, 10);
+    central.writeUInt32LE(data.length, 20);
+    central.writeUInt32LE(size === 0 ? raw.length : size, 24);
+    central.writeUInt16LE(name.length, 28);
+    central.writeUInt32LE(at, 42);
+    chunks.push(local, name, data);
+    directory.push(central, name);
+    at += 30 + name.length + data.length;
+  }
+  const index = Buffer.concat(directory);
+  const end = Buffer.alloc(22);
+  end.writeUInt32LE(0x06054b50, 0);
+  end.writeUInt16LE(Object.keys(entries).length, 10);
+  end.writeUInt32LE(at, 16);
+  const whole = Buffer.concat([...chunks, index, end]);
+  return whole.buffer.slice(whole.byteOffset, whole.byteOffset + whole.length);
+}
+
+const WHOLE = { 'site.yaml': 'site: a', 'organization.yaml': 'o', 'authority.yaml': 'h', 'profiles/a.yaml': 'profile: a' };
+const picked = (files: Record<string, string>) => Object.entries(files).map(([path, text]) => ({ path, text }));
+
+describe('an archive', () => {
+  it.each([true, false])('gives its files back (deflated: %s)', async (deflated) => {
+    const found = await unzip(archive({ 'p/': '', 'p/site.yaml': 'site: a\n'.repeat(99) }, { deflated }));
+    expect(found.map(({ path, bytes }) => [path, new TextDecoder().decode(bytes)])).toEqual([['p/site.yaml', 'site: a\n'.repeat(99)]]);
+  });
+
+  it.each([
+    ['that is none', new ArrayBuffer(40), 'no ZIP archive'],
+    ['that is encrypted', archive({ a: 'b' }, { flags: 1 }), 'not read here'],
+    ['cut short', archive({ 'a.yaml': 'b' }).slice(20), 'damaged'],
+    ['that says another size', archive({ a: 'bbbb' }, { size: 2 }), 'larger than it says'],
+    ['that is larger than any policy', archive({ a: 'b' }, { size: 99_000_000 }), 'larger than any policy'],
+  ])('%s is refused', async (_, bytes, why) => {
+    await expect(unzip(bytes)).rejects.toThrow(why);
+    await expect(unzip(bytes)).rejects.toBeInstanceOf(ZipError);
+  });
+});
+
+describe('a candidate', () => {
+  it('is what stands around site.yaml, whatever folder that is in', () => {
+    const found = candidateOf(picked(Object.fromEntries(Object.entries(WHOLE).map(([path, text]) => [`./shop/policies/${path}`, text]))), { 'x.yaml': 'y' });
+    expect(found).toEqual({ files: WHOLE, leftOut: [], partial: false });
+  });
+
+  it('leaves out what is no part of it, and says so', () => {
+    const more = { 'README.md': 'r', '.git/config.yaml': 'g', '__MACOSX/site.yaml': 'm', 'properties.yaml': 'order: []' };
+    const found = candidateOf(picked({ ...WHOLE, ...more }), {});
+    expect(found.files).toEqual(WHOLE);
+    expect(found.leftOut).toEqual(Object.keys(more));
+  });
+
+  it('takes the rest from what is in force where only some files are picked', () => {
+    const found = candidateOf(picked({ 'a.yaml': 'profile: a\nnew: 1' }), WHOLE);
+    expect(found).toEqual({ files: { ...WHOLE, 'profiles/a.yaml': 'profile: a\nnew: 1' }, leftOut: [], partial: true });
+  });
+
+  it.each([
+    ['# c\nprofile: b', 'profiles/b.yaml'],
+    ['name: b', 'capabilities/b.yaml'],
+    ['cases: []', 'tests/b.yaml'],
+    ['what: b', 'b.yaml'],
+  ])('puts a new file where its first key says: %j', (text, path) => {
+    expect(candidateOf(picked({ 'b.yaml': text }), WHOLE).files[path]).toBe(text);
+  });
+
+  it('is read from an archive and from files alike', async () => {
+    const zip = new File([archive({ 'p/site.yaml': 'site: a', 'p/x.png': 'png' })], 'p.ZIP');
+    const found = await read([zip, new File(['profile: a'], 'a.yaml'), new File([new Uint8Array([255])], 'b.png')]);
+    expect(found).toEqual([{ path: 'p/site.yaml', text: 'site: a' }, { path: 'p/x.png', text: '' }, { path: 'a.yaml', text: 'profile: a' }, { path: 'b.png', text: '' }]);
+    await expect(read([new File([new Uint8Array([255, 254])], 'a.yaml')])).rejects.toThrow('no UTF-8 text');
+  });
+
+  it('says how every file stands to what is in force, changes first', () => {
+    const files = { ...WHOLE, 'site.yaml': 'other', 'profiles/b.yaml': 'new', 'tests/a.yaml': 'cases' } as Record<string, string>;
+    delete files['authority.yaml'];
+    expect(standings(files, WHOLE).map(({ path, standing }) => `${standing} ${path}`)).toEqual([
+      'new profiles/b.yaml', 'changed site.yaml', 'gone authority.yaml', 'same organization.yaml', 'same profiles/a.yaml', 'same tests/a.yaml',
+    ]);
+  });
+
+  it('has its faults in order, each on its line', () => {
+    const fault = (file: string, line: number) => ({ file, line, field: '', message: '' });
+    expect(inOrder([fault('b', 1), fault('a', 12), fault('a', 3)]).map(({ file, line }) => `${file}${line}`)).toEqual(['a3', 'a12', 'b1']);
+    expect(['one\ntwo\n', 'one\ntwo'].map((text) => lineSpan(text, 2))).toEqual([[4, 7], [4, 7]]);
+    expect([lineSpan('one', 0), lineSpan('one', 9)]).toEqual([[0, 3], [0, 3]]);
+  });
+});
+
+describe('a version', () => {
+  const version = (over: Partial<Version> = {}): Version => ({
+    digest: 'sha256:b', status: 'candidate', source: 'request', by: 'ada', why: 'w', against: 'sha256:a', rules: 1, cases: 2, awaiting: null, activations: [],
+    created_at: '', updated_at: '', ...over,
+  });
+  const active = version({ digest: 'sha256:a', status: 'active', activations: [{ at: '', by: ['ada'], why: '', former: 'sha256:z', direction: null }] });
+  const found = (direction: Comparison['direction']): Comparison => ({ direction, differences: [] });
+  const deed = (version: Version, active: Version | null, who: { name: string; role: string } | null, live: boolean, found: Comparison | null) => deedOf({ version, active, who, live, found });
+  const ada = { name: 'ada', role: 'engineer' };
+  const bob = { name: 'bob', role: 'engineer' };
+
+  it('that is in force leaves nothing to do', () => {
+    expect(deed(active, active, ada, true, null)).toBeNull();
+  });
+
+  it('that tightens takes one engineer', () => {
+    expect(deed(version(), active, ada, true, found('tightens'))).toEqual({ label: 'Put in force', says: 'It loosens nothing: one engineer is enough.', barrier: null });
+  });
+
+  it('that loosens takes another engineer than the one who brought it', () => {
+    expect(deed(version(), active, ada, true, found('both'))?.says).toContain('another engineer’s word');
+    expect(deed(version(), active, bob, true, found('loosens'))?.says).toContain('your word is the second');
+    expect(deed(version({ against: 'sha256:old' }), active, bob, true, found('loosens'))?.says).toContain('another engineer’s word');
+  });
+
+  it('that waits for a second word takes it from another person only', () => {
+    const waiting = version({ status: 'awaiting_second', awaiting: { by: 'ada', at: '', why: '', against: 'sha256:a' } });
+    expect(deed(waiting, active, ada, true, found('loosens'))).toMatchObject({ label: 'Give the second word', barrier: 'You gave the first word: another engineer has to give the second.' });
+    expect(deed(waiting, active, bob, true, found('loosens'))).toMatchObject({ label: 'Give the second word', barrier: null });
+    expect(deed(waiting, version({ digest: 'sha256:c', status: 'active' }), ada, true, found('loosens'))).toMatchObject({ label: 'Put in force', barrier: null });
+  });
+
+  it('that was in force is gone back to, or put in force again', () => {
+    const former = version({ digest: 'sha256:z', status: 'former', activations: active.activations });
+    expect(deed(former, active, ada, true, found('tightens'))?.label).toBe('Roll back to this');
+    expect(deed({ ...former, digest: 'sha256:y' }, active, ada, true, found('tightens'))?.label).toBe('Put in force again');
+  });
+
+  it.each([
+    [null, true, 'Engineers'],
+    [{ name: 'eve', role: 'operator' }, true, 'Engineers'],
+    [ada, false, 'link is down'],
+  ])('is put in force by an engineer over a link that holds', (who, live, why) => {
+    expect(deed(version(), active, who, live, null)?.barrier).toContain(why);
+  });
+
+  it('is said in words', () => {
+    expect(shortVersion('sha256:0123456789abcdef')).toBe('0123456789ab');
+    expect([decidedAs('awaiting_approval (modify)'), decidedAs('denied (deny)'), decidedAs('invalid')]).toEqual(['awaiting approval, with bounds', 'denied', 'invalid']);
+  });
+});
