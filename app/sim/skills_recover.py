@@ -162,7 +162,8 @@ def _back(body: Body, trail: list[Mark], limit_mps: float, *, gentle: bool) -> M
         while end < len(marks) - 1 and marks[end].driving == base:
             end += 1
         if base:
-            yield from body.drive_poses([mark.base for mark in marks[k : end + 1]], RECOVERY_BASE_SPEED_MPS)
+            stands = [mark.base for mark in marks[k : end + 1]]
+            yield from body.drive_poses(stands, min(body.speed(limit_mps), RECOVERY_BASE_SPEED_MPS))
         else:
             yield from _back_arm(
                 body,

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from math import dist
+
 import pytest
 
 from app.governance.model import Site
 from app.sim.soak import Report, count, soak, trial
+from app.sim.trial import run_skill
+from app.sim.workcell import make_workcell
 
 pytestmark = [pytest.mark.physics, pytest.mark.timeout(300)]
 
@@ -35,6 +39,16 @@ def test_skills_keep_to_the_limits_they_were_given(report: Report):
     assert by_name["transport_object"].base_speed_mps <= 0.3 * 1.05
     assert by_name["navigate_to"].base_speed_mps <= 0.6 * 1.05
     assert all(tally.contact_force_n <= 100.0 for tally in report.tallies)
+
+
+def test_going_back_keeps_to_its_own_limit_on_wheels_too(site: Site) -> None:
+    cell = make_workcell(site, cell_id="back", seed=FIRST)
+    start = cell.truth().base
+    assert run_skill(cell, "navigate_to", {"target": "dock", "speed_mps": 0.6, "clearance_m": 0.3}).done
+    ran = run_skill(cell, "retrace", {"speed_mps": 0.1}, limit_s=150.0)
+    assert ran.done, ran.detail
+    assert dist(cell.truth().base[:2], start[:2]) < 0.1
+    assert 0.05 < ran.base_speed_mps <= 0.1 * 1.05
 
 
 def test_a_failed_skill_is_counted_with_its_seed_and_reason(site: Site):
