@@ -9,7 +9,7 @@ import orjson
 import typer
 
 from app.config import DataDir, find_policies
-from app.governance.bundle import read_cases, read_files
+from app.governance.bundle import PROPERTIES, read_cases, read_files, read_properties
 from app.governance.errors import PolicyErrors
 from app.terminal import FINDING, MISUSE, err, say, say_error
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from app.audit.replay import Replay
 
 TOKEN_KEY = "engineer"  # noqa: S105  # a key in tokens.json
-PATIENCE_S = 60.0
+PATIENCE_S = 1800.0  # for proofs of a large policy
 CREATED = 201
 ACCEPTED = 202
 EXAMPLES = 3
@@ -106,13 +106,14 @@ def propose(
     server: Server = None,
     token: Token = None,
 ) -> None:
-    """Bring a policy directory to a running server, its cases included; it is checked and kept, nothing changes.
+    """Bring a policy directory to a running server, with cases and promises; it is proved and kept, nothing changes.
 
     [bold]reins policy propose policies --why "people work closer"[/]
     """
     folder = find_policies(directory)
     try:
-        files = {**read_files(folder), **read_cases(folder)}
+        promises = read_properties(folder)
+        files = {**read_files(folder), **read_cases(folder), **({} if promises is None else {PROPERTIES: promises})}
     except PolicyErrors as found:
         for problem in found.problems:
             err.print(str(problem), markup=False)
@@ -206,6 +207,9 @@ def register(app: typer.Typer) -> None:
 
 def _print_difference(found: Mapping[str, Any]) -> None:
     say(f"against what is in force: {found['direction']}")
+    for change in dict.fromkeys(one["change"] for one in found["decisions"]):
+        first, *more = [one for one in found["decisions"] if one["change"] == change]
+        say(f"  {first['direction']:<9} {first['message']}" + (f"; and {len(more)} more" if more else ""))
     for one in found["differences"]:
         say(f"  {one['direction']:<9} {one['part']}: {one['before'] or '-'} -> {one['after'] or '-'}")
 

@@ -26,6 +26,11 @@ def precise_ns() -> int:
     return time.perf_counter_ns()
 
 
+def cpu_s() -> float:
+    """Return the seconds of processor time that this process has had; it stands still while others have the machine."""
+    return time.process_time()
+
+
 def rfc3339(wall_s: float) -> str:
     """Write a wall time as RFC 3339 in UTC with milliseconds, for instance `2026-03-01T09:30:00.250Z`.
 

@@ -23,11 +23,12 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from app import __version__
 from app.api.application import create_app
 from app.api.auth import CELL_TOKEN_FILE, PrincipalsUnreadable, open_principals
+from app.assayer import Assayer
 from app.audit.errors import AuditError
 from app.audit.store import AuditStore
 from app.children import Children
 from app.config import ConfigError, find_policies
-from app.governance.bundle import load
+from app.governance.bundle import load, read_properties
 from app.governance.errors import PolicyErrors
 from app.runtime.assembly import Runtime
 from app.runtime.errors import NotFound
@@ -171,13 +172,16 @@ async def _serve(settings: Settings, policies: PolicySet, listener: socket.socke
 async def open_house(settings: Settings, policies: PolicySet) -> AsyncGenerator[dict[str, Any]]:
     """Open the record and run the governor on it; yields what the application serves, and closes in the other order."""
     layout = settings.layout
-    store = AuditStore.open(layout.root)
+    promises = await asyncio.to_thread(read_properties, find_policies(settings.policies))
+    store, examine = AuditStore.open(layout.root), Assayer()
     try:
         runtime = Runtime(
             store,
             policies,
             kernel_key(layout.kernel_key),
             default_profile=settings.profile,
+            examine=examine,
+            promises=promises,
             take_directory=settings.take_policies,
         )
         async with runtime.running():
@@ -193,6 +197,7 @@ async def open_house(settings: Settings, policies: PolicySet) -> AsyncGenerator[
                 "shadow": runtime.shadow,
             }
     finally:
+        examine.close()
         await store.close()
 
 

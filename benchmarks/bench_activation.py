@@ -22,7 +22,7 @@ from pathlib import Path
 
 import httpx
 
-from app.governance.bundle import read_files
+from app.governance.bundle import PROPERTIES, read_files, read_properties
 
 ROOT = Path(__file__).resolve().parents[1]
 BODY = {"capability": "grasp_object", "params": {"object_id": "mug_1", "force_n": 80}, "agent": "planner"}
@@ -44,14 +44,24 @@ class Seen:
 
 
 def grown(rules: int) -> dict[str, str]:
-    """Return the shipped policy with this many further rules of the organization, spread over its capabilities."""
-    files = read_files(ROOT / "policies")
+    """Return the shipped policy with so many further rules, spread over its capabilities and profiles; it is sound.
+
+    Each denies a slice of the speeds of its own, the same slice in every profile: none is dead, and stricter profiles
+    stay stricter.
+    """
+    properties = read_properties(ROOT / "policies")
+    assert properties is not None
+    files = {**read_files(ROOT / "policies"), PROPERTIES: properties}
     names = ("grasp_object", "place_object", "transport_object", "navigate_to")
-    more = "".join(
-        f"\n  - id: more-{place}\n    applies_to: [{names[place % len(names)]}]\n"
-        f"    when: params.speed_mps > {1.5 + place / 10_000}\n    then: deny\n    because: Rule {place}.\n"
-        for place in range(rules)
-    )
+    profiles = ("human-shared", "real-restricted", "test-audit", "sim-relaxed")
+
+    def rule(place: int) -> str:
+        slice_mps = 1.5 + place // 16 * 0.001
+        when = f"params.speed_mps > {slice_mps:.3f} && params.speed_mps <= {slice_mps + 0.001:.3f}"
+        scope = f"applies_to: [{names[place % 4]}]\n    profiles: [{profiles[place // 4 % 4]}]"
+        return f"\n  - id: more-{place}\n    {scope}\n    when: {when}\n    then: deny\n    because: Rule {place}.\n"
+
+    more = "".join(rule(place) for place in range(rules))
     return {**files, "organization.yaml": files["organization.yaml"].replace("rules:\n", f"rules:{more}", 1)}
 
 
@@ -82,7 +92,7 @@ async def drive(url: str, token: str, rate: float, seen: Seen, until: asyncio.Ev
 async def change(url: str, token: str, files: dict[str, str]) -> tuple[float, float, float]:
     """Bring and activate; return when that began, when the version was kept, and when it was in force."""
     headers = {"Authorization": f"Bearer {token}"}
-    async with httpx.AsyncClient(base_url=url, headers=headers, timeout=120, trust_env=False) as client:
+    async with httpx.AsyncClient(base_url=url, headers=headers, timeout=600, trust_env=False) as client:
         begun_s = time.perf_counter()
         made = await client.post("/v1/policies", json={"files": files, "why": "a measurement"})
         assert made.status_code == 201, made.text[:400]

@@ -62,9 +62,10 @@ async def difference(request: Request, digest: Digest) -> Response:
 
 
 async def propose(request: Request) -> Response:
-    """Bring a candidate. It is checked as `reins policy check` and `test` do, and kept by its digest; nothing changes.
+    """Bring a candidate. It is checked and proved as `reins policy check` and `test` do, and kept; nothing changes.
 
-    One with a fault is not kept: `errors` names every fault with its file and line. 200 where it was known already.
+    One with a fault is not kept: `errors` names every fault with its file and line, and every refuted proof with a case
+    that shows it. What is not decided is a fault too. 200 where it was known already.
     """
     body = await read_body(request, models.CandidateBody, at_most=models.MAX_POLICY_BYTES)
     document, new = await parts_of(request).versions.propose(body.files, caller(request), body.why)
@@ -128,7 +129,7 @@ def register(router: APIRouter) -> None:
             model=models.VersionDocument,
             status=201,
             also={200: models.VersionDocument},
-            codes=("policy_invalid", "record_unavailable"),
+            codes=("policy_invalid", "examination_failed", "record_unavailable"),
         ),
         body=models.CandidateBody,
     )
@@ -137,13 +138,13 @@ def register(router: APIRouter) -> None:
         router,
         "GET /v1/policies/{digest}/files",
         files,
-        Answers(model=models.FilesDocument, codes=(*UNKNOWN, "policy_invalid")),
+        Answers(model=models.FilesDocument, codes=(*UNKNOWN, "policy_invalid", "examination_failed")),
     )
     declare(
         router,
         "GET /v1/policies/{digest}/diff",
         difference,
-        Answers(model=models.ComparisonDocument, codes=(*UNKNOWN, "policy_invalid")),
+        Answers(model=models.ComparisonDocument, codes=(*UNKNOWN, "policy_invalid", "examination_failed")),
     )
     declare(
         router,
@@ -157,6 +158,7 @@ def register(router: APIRouter) -> None:
                 "policy_active",
                 "second_engineer_needed",
                 "policy_invalid",
+                "examination_failed",
                 "record_unavailable",
             ),
         ),
@@ -167,6 +169,8 @@ def register(router: APIRouter) -> None:
         router,
         "POST /v1/policies/{digest}/shadow",
         set_shadow,
-        Answers(model=models.ShadowDocument, codes=(*UNKNOWN, "policy_invalid", "record_unavailable")),
+        Answers(
+            model=models.ShadowDocument, codes=(*UNKNOWN, "policy_invalid", "examination_failed", "record_unavailable")
+        ),
         body=models.ShadowBody,
     )

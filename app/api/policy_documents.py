@@ -18,7 +18,10 @@ Text = Annotated[str, Field(max_length=MAX_POLICY_BYTES)]
 
 
 class CandidateBody(Body):
-    """A candidate: every file of a policy directory as text, by its path in it, cases (`tests/…`) included."""
+    """A candidate: every file of a policy directory as text, by its path in it, cases (`tests/…`) included.
+
+    So is `properties.yaml`, what the policy promises: it is proved, and giving up a promise counts as a loosening.
+    """
 
     files: Annotated[dict[FileName, Text], Field(min_length=1, max_length=MAX_FILES)]
     why: Why
@@ -67,6 +70,7 @@ class VersionDocument(Document):
     against: str | None = Field(description="What was in force when it was brought.")
     rules: int
     cases: int = Field(description="How many cases came with it, all of which it passed.")
+    proved: str = Field(description="What was proved of it; empty as long as nothing was.")
     awaiting: AwaitingDocument | None
     activations: list[ActivationDocument]
     created_at: str

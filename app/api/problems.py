@@ -20,7 +20,7 @@ from starlette.responses import Response
 from app.api.faults import field_errors
 from app.audit.errors import RecordUnavailable
 from app.governance.errors import PolicyErrors
-from app.runtime.errors import CONFLICTS, Conflict, Forbidden, InvalidParams, NotFound
+from app.runtime.errors import CONFLICTS, Conflict, ExaminationFailed, Forbidden, InvalidParams, NotFound
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -64,6 +64,7 @@ CODES: Mapping[str, tuple[int, str]] = {
     "telemetry_damaged": (500, "the telemetry file cannot be read"),
     "too_many_streams": (503, "as many event streams are open as the server, or one caller, may hold"),
     "too_many_waits": (503, "as many long polls are open as the server, or one caller, may hold"),
+    "examination_failed": (503, "a policy could not be examined, so nothing has changed"),
     "record_unavailable": (503, "the record cannot be written, so nothing is let move"),
     **{code: (status, f"refused by the runtime: {code.replace('_', ' ')}") for code, status in CONFLICTS.items()},
 }
@@ -179,6 +180,10 @@ def _or_else(message: str, valid: Sequence[str]) -> str:
     return f"{message}; valid: {', '.join(f'`{name}`' for name in valid)}" if valid else message
 
 
+def _from_examination(error: ExaminationFailed) -> Problem:
+    return Problem("examination_failed", str(error))
+
+
 def _from_record(error: RecordUnavailable) -> Problem:
     detail = f"{error}; nothing was let move; a pause, a stop and an emergency stop are obeyed all the same"
     return Problem("record_unavailable", detail, headers={"Retry-After": "5"})
@@ -194,6 +199,7 @@ PROBLEMS: tuple[tuple[type[Exception], Callable[[Any], Problem]], ...] = (
     (Forbidden, _from_forbidden),
     (Conflict, _from_conflict),
     (PolicyErrors, _from_policy),
+    (ExaminationFailed, _from_examination),
     (RecordUnavailable, _from_record),
 )
 

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
     from app.governance.bundle_yaml import Document
     from app.governance.model import Capability, Site
+    from app.governance.policy_code import Compiled
     from app.governance.policy_model import Profile, Rule
 
 TESTS_FOLDER: Final = "tests"
@@ -344,7 +345,11 @@ def make_gate(
     capability: Capability, profile: Profile, rules: Sequence[Rule], site: Site, vocabulary: Vocabulary
 ) -> Gate:
     """Compile one pair from the rules that apply to it."""
-    compiled = Generator(capability, profile, site, vocabulary).compile(rules)
+    return bind_gate(capability, profile, site, Generator(capability, profile, site, vocabulary).compile(rules))
+
+
+def bind_gate(capability: Capability, profile: Profile, site: Site, compiled: Compiled) -> Gate:
+    """Return a pair's gate from what its rules were compiled to."""
     reserved = {GOVERNANCE} if capability.recovery else set[str]()
     return Gate(
         capability=capability,
@@ -356,6 +361,7 @@ def make_gate(
         actions=_actions(capability),
         check=compiled.check,
         source=compiled.source,
+        parts=compiled.parts,
     )
 
 

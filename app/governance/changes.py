@@ -80,6 +80,11 @@ class Comparison:
             "decisions": [found._asdict() for found in self.decisions],
         }
 
+    def brief(self) -> dict[str, Any]:
+        """Return the comparison as JSON without its examples, for the record."""
+        said = [found._replace(example="", body={})._asdict() for found in self.decisions]
+        return {**self.document(), "decisions": said}
+
     @staticmethod
     def read(document: Mapping[str, Any]) -> Comparison:
         """Return the comparison that a document says."""
@@ -104,6 +109,11 @@ SAME, TIGHTENS, LOOSENS = Direction.SAME, Direction.TIGHTENS, Direction.LOOSENS
 def summed(found: Found, decisions: tuple[Transition, ...] = (), *, proved: bool = False) -> Comparison:
     """Return what parts and decisions come to together: one that loosens is outweighed by nothing."""
     differences = tuple(Difference(part, _shown(was), _shown(now), way) for part, was, now, way in found)
+    return total(differences, decisions, proved=proved)
+
+
+def total(differences: tuple[Difference, ...], decisions: tuple[Transition, ...], *, proved: bool) -> Comparison:
+    """Return what these come to."""
     ways = {one.direction for one in (*differences, *decisions)} - {SAME}
     direction = Direction.BOTH if len(ways) > 1 else next(iter(ways), SAME)
     return Comparison(direction=direction, differences=differences, decisions=decisions, proved=proved)

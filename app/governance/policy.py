@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from app.governance.conditions import Test
     from app.governance.model import Authorization, Capability, Json, Params, Site
-    from app.governance.policy_code import Check
+    from app.governance.policy_code import Check, Parts
     from app.governance.policy_model import Agent, Authority, Profile, Rule, WatchRow
 
 
@@ -56,7 +56,8 @@ class Gate:
     """Everything a decision about one (capability, profile) needs, looked up once.
 
     `known` lists the parameters that refer to names of the site (parameter, kind, the names there are), `actions` the
-    parameters that hold a tool and what to do with it. `source` is the text `check` was compiled from.
+    parameters that hold a tool and what to do with it. `source` is the text `check` was compiled from, `parts` what it
+    can be bound from again in another process.
     """
 
     capability: Capability
@@ -68,6 +69,7 @@ class Gate:
     actions: tuple[str, str] | None
     check: Check
     source: str
+    parts: Parts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

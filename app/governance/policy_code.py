@@ -19,7 +19,7 @@ whatever raises, the answer is a denial with code `rule_error`.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, TypeAlias, assert_never, cast
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias, assert_never, cast
 
 from app.governance.errors import EvaluationError
 from app.governance.expression_code import INTRINSICS, to_python
@@ -32,6 +32,7 @@ from app.governance.vocabulary import NAMES, always_there, properties, referring
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
+    from types import CodeType
 
     from app.governance.expression_tree import Type
     from app.governance.model import Capability, Context, Json, Params, Proposal, Site
@@ -44,12 +45,21 @@ Check: TypeAlias = "Callable[[Proposal, Context], Verdict]"
 SCHEMA: Final = "the input schema"
 
 
+class Parts(NamedTuple):
+    """What a generated function is bound from: its code, the constants it names, and whether it looks again."""
+
+    code: CodeType
+    constants: Mapping[str, object]
+    again: bool
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Compiled:
-    """A generated function and the text it was made of."""
+    """A generated function, the text it was made of, and what it can be bound from again elsewhere (`bind`)."""
 
     check: Check
     source: str
+    parts: Parts
 
 
 def limit_for(spec: Mapping[str, Json], limits: Mapping[str, Limit]) -> Limit | None:
@@ -187,8 +197,9 @@ class Generator:
         lines += [f"        {line}" for line in (*prelude, *body)]
         lines += ["    except Exception as error:", "        return failed(params, error)", ""]
         source = "\n".join(lines)
-        check = self._load(source)
-        return Compiled(check=settled(check) if self._interferes() else check, source=source)
+        code = compile(source, f"<{self.profile.name}/{self.capability.name}>", "exec")
+        parts = Parts(code, self.constants, self._interferes())
+        return Compiled(check=bind(self.capability, self.profile, self.site, parts), source=source, parts=parts)
 
     def _interferes(self) -> bool:
         """Say whether a condition reads what a rule or a limit may change."""
@@ -340,21 +351,23 @@ class Generator:
         self.used |= {NAMES[path.partition(".")[0]] for path in references(typed) if path not in self.inlined}
         return to_python(typed, {**NAMES, **self.inlined})
 
-    def _load(self, source: str) -> Checking:
-        namespace: dict[str, object] = {
-            **INTRINSICS,
-            **self.constants,
-            **_SUPPORT,
-            "CAPABILITY": self.capability,
-            "PROFILE": self.profile,
-            "LIMITS": {name: limit.maximum for name, limit in self.profile.limits.items()},
-            "TOOLS": self.site.tools,
-            "find_target": finder(referring(self.capability), self.site),
-            "find_place": locator(referring(self.capability), self.site),
-        }
-        code = compile(source, f"<{self.profile.name}/{self.capability.name}>", "exec")
-        exec(code, namespace)  # noqa: S102  # our own text: names are identifiers, values are reprs of checked constants
-        return cast("Checking", namespace["check"])
+
+def bind(capability: Capability, profile: Profile, site: Site, parts: Parts) -> Check:
+    """Return the decision function of a pair, from the parts that were compiled here or by another process."""
+    namespace: dict[str, object] = {
+        **INTRINSICS,
+        **parts.constants,
+        **_SUPPORT,
+        "CAPABILITY": capability,
+        "PROFILE": profile,
+        "LIMITS": {name: limit.maximum for name, limit in profile.limits.items()},
+        "TOOLS": site.tools,
+        "find_target": finder(referring(capability), site),
+        "find_place": locator(referring(capability), site),
+    }
+    exec(parts.code, namespace)  # noqa: S102  # our own text: names are identifiers, values are reprs of checked constants
+    check = cast("Checking", namespace["check"])
+    return settled(check) if parts.again else check
 
 
 def _setter(name: str) -> Callable[[Verdict, object], None]:

@@ -30,19 +30,22 @@ if TYPE_CHECKING:
 
     from app.audit.store import AuditStore
     from app.governance.policy import PolicySet
+    from app.runtime.examining import Examine
     from app.runtime.invocation import Invocation
 
 
 class Runtime:
     """A governor with everything it stands on."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  # the parts of a server, each by its name
         self,
         store: AuditStore,
         policy: PolicySet,
         signing_key: Ed25519PrivateKey,
         *,
         default_profile: str,
+        examine: Examine,
+        promises: str | None = None,
         telemetry_folder: Path | None = None,
         absent_s: float = ABSENT_S,
         take_directory: bool = False,
@@ -55,6 +58,8 @@ class Runtime:
             policy: what the directory of this start holds; in force, unless an engineer put another version there.
             signing_key: what authorizations are signed with.
             default_profile: for a cell never seen before.
+            examine: who examines candidates of policy.
+            promises: what the directory's `properties.yaml` says; None where it says nothing.
             telemetry_folder: where telemetry files go; the store's own by default.
             absent_s: how long a cell with a session may be away before the session is given up.
             take_directory: `policy` comes into force in any case.
@@ -67,7 +72,7 @@ class Runtime:
         self.kernel = Kernel(self.register, self.fleet, policy, signing_key)
         self.desk = Desk(self.register, self.fleet, self.kernel)
         self.succession = Succession(self.register, self.fleet, self.desk, self.kernel)
-        self.versions = Versions(self.register, self.kernel, self.succession)
+        self.versions = Versions(self.register, self.kernel, self.succession, examine, promises)
         self.shadow = Shadow(self.register, self.versions)
         self._take_directory = take_directory
         self.telemetry = Telemetry(telemetry_folder or store.places.telemetry, wall_s)

@@ -4,6 +4,7 @@ RuntimeRefusal
 ├── InvalidParams   the request does not fit the capability's schema, or names a cell that does not exist
 ├── NotFound        there is no such thing, or it is not the caller's to see
 ├── Forbidden       the caller may see it but not do this with it
+├── ExaminationFailed  a candidate could not be examined, so it is not kept and cannot come into force
 └── Conflict        it cannot be done in the present state; `code` says why and is stable
 
 `RecordUnavailable` (from `app.audit`) passes through unchanged: the record cannot be written, so nothing was done.
@@ -85,6 +86,14 @@ class Forbidden(RuntimeRefusal):
         """Keep the code and the message."""
         self.code = code
         super().__init__(message)
+
+
+class ExaminationFailed(RuntimeRefusal):
+    """A policy could not be examined; nothing is known of it, and nothing has changed."""
+
+    def __init__(self, why: str) -> None:
+        """Say why."""
+        super().__init__(f"the policy could not be examined: {why}")
 
 
 class Conflict(RuntimeRefusal):

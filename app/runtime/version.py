@@ -43,6 +43,8 @@ class Version:
         against: what was in force then; None for the first.
         rules: how many rules it has.
         cases: how many cases it passed.
+        proved: what was proved of it, in a sentence; empty where nothing was yet.
+        promises: text of its `properties.yaml`; None where it promises nothing.
         awaiting: the first of two engineers' word: `{by, at, why, against}`; None where nobody waits.
         activations: every time it came into force: `{at, by, why, former, direction}`, the newest last.
     """
@@ -57,6 +59,8 @@ class Version:
     cases: int
     created_at: str
     updated_at: str
+    proved: str = ""
+    promises: str | None = None
     awaiting: Mapping[str, Any] | None = None
     activations: tuple[Mapping[str, Any], ...] = ()
 
@@ -91,6 +95,7 @@ class Version:
             "against": self.against,
             "rules": self.rules,
             "cases": self.cases,
+            "proved": self.proved,
             "awaiting": None if self.awaiting is None else dict(self.awaiting),
             "activations": [dict(one) for one in self.activations],
             "created_at": self.created_at,
@@ -104,7 +109,7 @@ class Version:
             values={
                 "id": self.digest,
                 "status": self.status,
-                "document": orjson.dumps(self.public()),
+                "document": orjson.dumps({**self.public(), "promises": self.promises}),
                 "created_at": self.created_at,
                 "updated_at": self.updated_at,
             },

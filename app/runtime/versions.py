@@ -23,13 +23,13 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import orjson
 
 from app.audit.event import EventDraft, RowWrite
-from app.governance import bundle, cases
-from app.governance.comparison import compare
+from app.governance import bundle
 from app.governance.errors import PolicyError, PolicyErrors
 from app.governance.evolution import outgrown
 from app.governance.model import EventKind
 from app.runtime.drafts import SERVER
-from app.runtime.errors import Conflict, NotFound
+from app.runtime.errors import Conflict, ExaminationFailed, NotFound
+from app.runtime.examining import Candidate
 from app.runtime.uncut import uncut
 from app.runtime.version import (
     ACTIVE,
@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from app.governance.changes import Comparison
-    from app.governance.comparison import Compare
     from app.governance.policy import PolicySet
+    from app.runtime.examining import Examine, Examined
     from app.runtime.invocation import Principal
     from app.runtime.kernel import Kernel
     from app.runtime.register import Register
@@ -59,33 +59,13 @@ KEPT_COMPILED: Final = 4  # beside those that are needed: a candidate is compile
 CASES: Final = f"{bundle.TESTS_FOLDER}/"
 
 
-class Checked(NamedTuple):
-    """A candidate without a fault: compiled, and how many cases it passed."""
-
-    policy: PolicySet
-    cases: int
-
-
-def check(files: Mapping[str, str]) -> Checked:
-    """Do what `reins policy check` and `test` do: load, type-check, and run the cases that came with the files.
-
-    Args:
-        files: path → text; what lies in `tests/` are cases, and no part of the policy.
-
-    Raises:
-        PolicyErrors: everything that is wrong, each with its file and line.
-    """
-    tests = {name: text for name, text in files.items() if name.startswith(CASES)}
-    policy = bundle.load_files({name: text for name, text in files.items() if name not in tests})
-    results = cases.run(policy, tests)
-    failed = [
-        PolicyError(file=one.file, line=one.line, key=one.name, message="; ".join(one.differences))
-        for one in results
-        if not one.passed
-    ]
-    if failed:
-        raise PolicyErrors(failed)
-    return Checked(policy, len(results))
+def candidate_of(files: Mapping[str, str]) -> Candidate:
+    """Return what was brought as what is to be examined: what lies in `tests/`, and the promises, decide nothing."""
+    return Candidate(
+        files={name: text for name, text in files.items() if not name.startswith(CASES) and name != bundle.PROPERTIES},
+        cases={name: text for name, text in files.items() if name.startswith(CASES)},
+        promises=files.get(bundle.PROPERTIES),
+    )
 
 
 def _demand_versions(active: PolicySet, candidate: PolicySet) -> None:
@@ -105,14 +85,21 @@ class InForce(NamedTuple):
 class Versions:
     """Every version that one server knows, and which of them decides."""
 
-    def __init__(self, register: Register, kernel: Kernel, succession: Succession) -> None:
-        """Take where changes are recorded, who decides, and what follows; `comparing` may be put in another's place."""
+    def __init__(
+        self, register: Register, kernel: Kernel, succession: Succession, examine: Examine, promises: str | None
+    ) -> None:
+        """Take where changes are recorded, who decides, what follows, and who examines candidates.
+
+        `promises` is the `properties.yaml` of the directory this server starts with.
+        """
         self._register = register
         self._kernel = kernel
         self._succession = succession
-        self.comparing: Compare = compare
+        self._examine = examine
+        self._promises = promises
         self._changing = asyncio.Lock()  # one change of what is in force at a time
         self._compiled: OrderedDict[str, PolicySet] = OrderedDict()
+        self._compared: OrderedDict[tuple[str, str], Comparison] = OrderedDict()
         self.in_force = InForce(kernel.policy.digest, DIRECTORY, "")
         self.reason = ""  # why that, in words, since the start
 
@@ -140,6 +127,7 @@ class Versions:
         Raises:
             NotFound: its files are not here.
             PolicyErrors: they are no policy any more, or not those of the digest.
+            ExaminationFailed: they could not be compiled.
         """
         known = self._kernel.policy if self._kernel.policy.digest == digest else self._compiled.get(digest)
         if known is not None:
@@ -147,7 +135,8 @@ class Versions:
         row = await self._register.store.row("policy_files", digest=digest)
         if row is None:
             raise NotFound("policy", digest)
-        policy = await asyncio.to_thread(bundle.load_files, orjson.loads(row["files"]))
+        kept = Candidate(files=orjson.loads(row["files"]), cases={}, promises=None, prove=False)
+        policy = (await self._examine(kept, None)).policy
         if policy.digest != digest:
             message = f"what is kept as `{digest}` has the digest `{policy.digest}`"
             raise PolicyErrors([PolicyError(file="policy_files", line=0, key="", message=message)])
@@ -162,28 +151,55 @@ class Versions:
 
     async def difference(self, digest: str) -> Comparison:
         """Return what a version would change of what is in force. Errors as `compiled`."""
-        candidate = await self.compiled(digest)
-        return await asyncio.to_thread(self.comparing, self._kernel.policy, candidate)
+        version, active = await self.load(digest), self._kernel.policy
+        known = self._compared.get((active.digest, digest))
+        if known is not None:
+            return known
+        policy = await self.compiled(digest)
+        return (await self._examined(version, policy, active, prove=False))[1]
+
+    async def _examined(
+        self, version: Version, policy: PolicySet, active: PolicySet, *, prove: bool
+    ) -> tuple[Examined, Comparison]:
+        """Have a version compared with what is in force, and proved if need be."""
+        candidate = Candidate(files=policy.files, cases={}, promises=version.promises, prove=prove)
+        found = await self._examine(candidate, await self._basis(active))
+        return found, self._note(active, found)
+
+    async def _basis(self, active: PolicySet) -> Candidate:
+        """Return what is in force as what a candidate is compared with."""
+        promises = (await self.load(active.digest)).promises
+        return Candidate(files=active.files, cases={}, promises=promises, prove=False)
+
+    def _note(self, active: PolicySet, found: Examined) -> Comparison:
+        if found.comparison is None:
+            raise ExaminationFailed("it was not compared with what is in force")
+        self._compared[active.digest, found.policy.digest] = found.comparison
+        while len(self._compared) > KEPT_COMPILED:
+            self._compared.popitem(last=False)
+        return found.comparison
 
     # -- bringing ----------------------------------------------------------------------------------------------------
 
     @uncut
     async def propose(self, files: Mapping[str, str], principal: Principal, why: str) -> tuple[dict[str, Any], bool]:
-        """Check a candidate, keep it by its digest, and return it and whether it is new; nothing comes into force.
+        """Examine a candidate, keep it by its digest, and return it and whether it is new; nothing comes into force.
 
         Raises:
             PolicyErrors: what is wrong with it; then it is not kept, and nobody can put it in force.
+            ExaminationFailed: likewise, because nobody knows.
             RecordUnavailable: it is not kept.
         """
-        checked = await asyncio.to_thread(check, files)
-        policy = checked.policy
+        candidate, active = candidate_of(files), self._kernel.policy
+        found = await self._examine(candidate, await self._basis(active))
+        policy = found.policy
+        self._remember(policy)
         row = await self._register.store.row("policies", id=policy.digest)
         if row is not None:
-            self._remember(policy)
             return read_version(row["document"]).public(), False
-        active, now = self._kernel.policy, self._register.now()
         _demand_versions(active, policy)
-        found = await asyncio.to_thread(self.comparing, active, policy)
+        comparison = self._note(active, found)  # of a known one, with the promises that are kept with it, another time
+        now = self._register.now()
         version = Version(
             digest=policy.digest,
             status=CANDIDATE,
@@ -192,13 +208,21 @@ class Versions:
             why=why,
             against=active.digest,
             rules=len(policy.rules),
-            cases=checked.cases,
+            cases=found.cases,
+            proved=found.proved,
+            promises=candidate.promises,
             created_at=now,
             updated_at=now,
         )
-        said = version.event("proposed", principal.name, against=active.digest, comparison=found.document())
+        said = version.event(
+            "proposed",
+            principal.name,
+            against=active.digest,
+            comparison=comparison.brief(),
+            proved=found.proved,
+            promises=candidate.promises,
+        )
         await self._register.append([said], [version.row(), files_row(policy.digest, policy.files, now)])
-        self._remember(policy)
         return version.public(), True
 
     # -- putting in force --------------------------------------------------------------------------------------------
@@ -212,6 +236,8 @@ class Versions:
             Conflict: `policy_active`, it is in force; `second_engineer_needed`, it takes another person than those who
                 want it already.
             PolicyErrors: a capability changed, and its version does not say so.
+            PolicyErrors: it was never proved, because a start brought it, and does not pass its proofs.
+            ExaminationFailed: it could not be examined.
             RecordUnavailable: nothing was recorded and nothing has changed.
         """
         async with self._changing:
@@ -222,11 +248,19 @@ class Versions:
             candidate = await self.compiled(digest)
             if not version.activations:  # what was in force before may come back
                 _demand_versions(active, candidate)
-            found = await asyncio.to_thread(self.comparing, active, candidate)
+            version, found = await self._sound(version, candidate, active)
             if found.loosens and not version.vouches(active.digest) - {principal.name}:
                 return await self._wait_for_second(version, found, principal, why), False
             version = await self._enter(version, candidate, found, principal, why)
         return version.public(), True
+
+    async def _sound(self, version: Version, candidate: PolicySet, active: PolicySet) -> tuple[Version, Comparison]:
+        """Return a version that is proved, and what it would change; both may have been found out before."""
+        known = self._compared.get((active.digest, version.digest))
+        if version.proved and known is not None:
+            return version, known
+        found, comparison = await self._examined(version, candidate, active, prove=not version.proved)
+        return version.evolve(version.updated_at, proved=version.proved or found.proved), comparison
 
     async def _wait_for_second(
         self, version: Version, found: Comparison, principal: Principal, why: str
@@ -238,7 +272,7 @@ class Versions:
         now = self._register.now()
         word = {"by": principal.name, "at": now, "why": why, "against": active}
         waiting = version.evolve(now, status=AWAITING, awaiting=word)
-        said = waiting.event("awaiting_second", principal.name, awaiting=word, comparison=found.document())
+        said = waiting.event("awaiting_second", principal.name, awaiting=word, comparison=found.brief())
         await self._register.append([said], [waiting.row()])
         return waiting.public()
 
@@ -257,7 +291,7 @@ class Versions:
             **activation,
             "proposed_by": version.by,
             "awaiting": version.awaiting,
-            "comparison": found.document(),
+            "comparison": found.brief(),
         }
         said = EventDraft(kind=EventKind.POLICY_ACTIVATED, actor=principal.name, body=body)
         kept = _setting(InForce(candidate.digest, REQUEST, why), now)
@@ -330,6 +364,7 @@ class Versions:
             against=None,
             rules=len(policy.rules),
             cases=0,
+            promises=self._promises,
             created_at=now,
             updated_at=now,
         )
@@ -337,7 +372,10 @@ class Versions:
 
     async def _entered_by_start(self, version: Version, before: InForce | None, why: str, now: str) -> list[RowWrite]:
         if before is not None and before.digest == version.digest and version.status == ACTIVE:
-            return []
+            if version.promises == self._promises:
+                return []
+            return [version.evolve(now, promises=self._promises, proved="").row()]
+        version = version.evolve(version.updated_at, promises=self._promises)
         activation = {"by": [SERVER], "why": why, "former": None if before is None else before.digest}
         entered = version.entered(now, {**activation, "direction": None})
         rows = [entered.row(), files_row(version.digest, self._kernel.policy.files, now)]

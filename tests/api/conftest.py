@@ -48,6 +48,7 @@ from app.protocol import (
 )
 from app.runtime.assembly import Runtime
 from tests.conftest import NO_TLS
+from tests.examining import examine_here
 
 POLICIES = Path(__file__).resolve().parents[2] / "policies"
 CELL = "workcell-1"
@@ -292,7 +293,9 @@ async def open_house(folder: Path, profile: str) -> AsyncIterator[House]:
     """Serve a data directory on a free port of this machine."""
     store = AuditStore.open(folder)
     principals = open_principals(folder)
-    runtime = Runtime(store, load(POLICIES), Ed25519PrivateKey.generate(), default_profile=profile)
+    runtime = Runtime(
+        store, load(POLICIES), Ed25519PrivateKey.generate(), default_profile=profile, examine=examine_here
+    )
     async with runtime.running() as governor:
         app = create_app(
             governor=governor,

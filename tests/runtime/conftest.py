@@ -20,8 +20,10 @@ from app.governance.model import Role
 from app.governance.policy import PolicySet
 from app.protocol import Down, Hello, State, UpEvent, decode_down, encode
 from app.runtime.assembly import Runtime
+from app.runtime.examining import Examine
 from app.runtime.invocation import Principal, ProposalRequest
 from app.runtime.link import Attachment
+from tests.examining import examine_here
 
 PATIENCE_S = 5.0
 CELL = "workcell-1"
@@ -198,6 +200,8 @@ class House:
     wall_s: Clock = field(default_factory=Clock)
     profile: str = "human-shared"
     absent_s: float = 30.0
+    examine: Examine = examine_here
+    promises: str | None = None
 
     @asynccontextmanager
     async def open(self) -> AsyncIterator[Runtime]:
@@ -207,6 +211,8 @@ class House:
             self.policy,
             KEY,
             default_profile=self.profile,
+            examine=self.examine,
+            promises=self.promises,
             absent_s=self.absent_s,
             wall_s=self.wall_s,
         )

@@ -9,11 +9,13 @@ from typing import Any
 import pytest
 
 from app.governance import bundle
-from app.governance.errors import PolicyErrors
+from app.governance.errors import PolicyError, PolicyErrors
 from app.governance.model import Role, Status
 from app.runtime.assembly import Runtime
-from app.runtime.errors import Conflict, NotFound
+from app.runtime.errors import Conflict, ExaminationFailed, NotFound
+from app.runtime.examining import Candidate, Examined
 from app.runtime.invocation import Principal
+from tests.examining import examine_here
 from tests.runtime.conftest import AGENT, ENGINEER, OPERATOR, HandCell, House, grasp, navigate, until
 
 pytestmark = pytest.mark.anyio
@@ -106,6 +108,72 @@ async def test_a_candidate_that_fails_a_case_of_its_own_is_not_kept(runtime: Run
     with pytest.raises(PolicyErrors, match="it is denied"):
         await runtime.versions.propose({**SLOWER, "tests/mine.yaml": case}, ENGINEER, "with a case")
     assert (await runtime.versions.list())[0][0]["digest"] == runtime.kernel.policy.digest
+
+
+async def test_what_a_start_offered_is_proved_before_it_comes_into_force(house: House) -> None:
+    broken = PolicyErrors([PolicyError(file=SHARED, line=3, key="property", message="refuted: it does not hold")])
+    proving: list[bool] = []
+
+    async def examine(candidate: Candidate, against: Candidate | None) -> Examined:
+        proving.append(candidate.prove)
+        if candidate.prove and bundle.digest(candidate.files) == bundle.digest(FASTER):
+            raise broken
+        return await examine_here(candidate, against)
+
+    async with house.open() as runtime:
+        chosen = await put_in_force(runtime, SLOWER)
+    house.policy, house.examine = bundle.load_files(FASTER), examine
+    async with house.open() as runtime:
+        assert runtime.kernel.policy.digest == chosen
+        offered = (await runtime.versions.load(bundle.digest(FASTER))).public()
+        assert (offered["status"], offered["proved"]) == ("candidate", "")
+        for engineer in (ENGINEER, ENGINEER_2):
+            with pytest.raises(PolicyErrors, match="it does not hold"):
+                await runtime.versions.activate(bundle.digest(FASTER), engineer, "all the same")
+        assert runtime.kernel.policy.digest == chosen
+        assert proving.count(True) == 2
+        first = next(
+            one for one in (await runtime.versions.list())[0] if one["digest"] not in (chosen, offered["digest"])
+        )
+        await runtime.versions.activate(first["digest"], ENGINEER, "back")
+        await runtime.versions.activate(first["digest"], ENGINEER_2, "back")
+        assert runtime.kernel.policy.digest == first["digest"]
+        assert (await runtime.versions.load(first["digest"])).proved
+
+
+async def test_what_cannot_be_examined_is_not_kept(house: House) -> None:
+    async def examine(candidate: Candidate, against: Candidate | None) -> Examined:
+        if candidate.prove:
+            raise ExaminationFailed("it ended with `-9`")
+        return await examine_here(candidate, against)
+
+    house.examine = examine
+    async with house.open() as runtime:
+        with pytest.raises(ExaminationFailed):
+            await runtime.versions.propose(SLOWER, ENGINEER, "a try")
+        assert [one["digest"] for one in (await runtime.versions.list())[0]] == [runtime.kernel.policy.digest]
+
+
+async def test_promises_are_kept_with_a_version_and_with_the_directory(house: House) -> None:
+    house.promises = "order: []\n"
+    against: list[str | None] = []
+
+    async def examine(candidate: Candidate, other: Candidate | None) -> Examined:
+        against.append(None if other is None else other.promises)
+        return await examine_here(candidate, other)
+
+    house.examine = examine
+    async with house.open() as runtime:
+        digest = await brought(runtime, {**SLOWER, bundle.PROPERTIES: "properties: []\n"})
+        assert digest == bundle.digest(SLOWER)
+        assert (await runtime.versions.load(digest)).promises == "properties: []\n"
+        assert against == ["order: []\n"]
+        _, new = await runtime.versions.propose({**SLOWER, bundle.PROPERTIES: "order: []\n"}, ENGINEER, "again")
+        assert not new
+        assert (await runtime.versions.load(digest)).promises == "properties: []\n"
+    house.promises = "order: [human-shared]\n"
+    async with house.open() as runtime:
+        assert (await runtime.versions.load(runtime.kernel.policy.digest)).promises == "order: [human-shared]\n"
 
 
 # -- who may -----------------------------------------------------------------------------------------------------------
