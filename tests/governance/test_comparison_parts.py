@@ -244,3 +244,11 @@ def test_a_decision_that_comes_out_otherwise_counts_like_a_part_and_survives_bei
     found = summed(iter([("a", 1, 2, TIGHTENS)]), (more,), proved=True)
     assert (found.direction, found.proved, found.decisions) == (Direction.BOTH, True, (more,))
     assert Comparison.read(found.document()) == found
+
+
+def test_the_record_of_a_comparison_leaves_out_its_examples_and_nothing_else() -> None:
+    more = Transition("grasp_object", HERE, "deny -> allow", LOOSENS, True, "it is", "cases: []", {"params": {}})
+    found = summed(iter([("a", 1, 2, TIGHTENS)]), (more,), proved=True)
+    (kept,) = found.brief()["decisions"]
+    assert kept == {**more._asdict(), "example": "", "body": {}}
+    assert {**found.brief(), "decisions": []} == {**found.document(), "decisions": []}
