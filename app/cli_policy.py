@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 from rich.progress import BarColumn, Progress, TextColumn
 
-from app import cli_authoring, cli_policy_diff, cli_policy_new, cli_policy_test
+from app import cli_authoring, cli_policy_diff, cli_policy_new, cli_policy_suggest, cli_policy_test
 from app.cli_policies import Directory, finding, load_policy
 from app.clock import monotonic_s
 from app.config import find_policies
@@ -36,6 +36,7 @@ app.add_typer(cli_policy_test.app)
 app.add_typer(cli_authoring.app)
 app.add_typer(cli_policy_new.app)
 app.add_typer(cli_policy_diff.app)
+app.add_typer(cli_policy_suggest.app)
 
 
 class Form(StrEnum):

@@ -1,0 +1,95 @@
+"""What people answered, sorted by what alone had them asked: one rule, or authority for a capability in a profile."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from app.authoring.habits import Tally
+from app.governance.authority import REQUIRED
+from app.governance.policy_model import Effect
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from app.authoring.habits import Habits, Question
+    from app.governance.policy import PolicySet
+
+
+@dataclass(slots=True)
+class Answers:
+    """What people answered to questions of one kind.
+
+    Attributes:
+        all: every answer, launches by standing grants among them.
+        granted: approved as shown.
+        edited: approved otherwise than shown.
+        denied: by a person.
+        expired: by nobody.
+        in_advance: launched by a standing grant.
+    """
+
+    all: Tally = field(default_factory=Tally)
+    granted: int = 0
+    edited: int = 0
+    denied: int = 0
+    expired: int = 0
+    in_advance: int = 0
+
+    def note(self, question: Question) -> None:
+        """Count one answer."""
+        self.all.note(question.seq, question.at)
+        match question.document["status"], bool(question.document["edits"]):
+            case "approved", False:
+                self.granted += 1
+            case "approved", True:
+                self.edited += 1
+            case "denied", _:
+                self.denied += 1
+            case _:
+                self.expired += 1
+
+    def always(self, least: int) -> bool:
+        """Say whether everything was granted as shown, so often at least."""
+        return not (self.edited or self.denied or self.expired) and self.granted + self.in_advance >= least
+
+    def never(self, least: int) -> bool:
+        """Say whether everything was denied by people, so often at least."""
+        return self.denied >= least and not (self.granted or self.edited or self.expired or self.in_advance)
+
+    def counts(self) -> dict[str, float]:
+        """Return how often, by name."""
+        return {"granted": self.granted, "in_advance": self.in_advance, "denied": self.denied}
+
+
+def answered(policy: PolicySet, habits: Habits) -> tuple[dict[str, Answers], dict[tuple[str, str], Answers]]:
+    """Return the answers by rule, and by capability and profile. Where two had asked nobody can say which was meant."""
+    by_rule: dict[str, Answers] = {}
+    by_pair: dict[tuple[str, str], Answers] = {}
+    for question in habits.questions.values():
+        said = question.document
+        asked = _asking(policy, said["reasons"])
+        if asked == {REQUIRED}:
+            by_pair.setdefault((said["capability"], said["profile"]), Answers()).note(question)
+        elif len(asked) == 1 and asked <= policy.rules.keys():
+            by_rule.setdefault(asked.pop(), Answers()).note(question)
+    for pair, used in habits.in_advance.items():
+        found = by_pair.setdefault(pair, Answers())
+        found.in_advance = used.count
+        found.all = found.all.with_(used)
+    return by_rule, by_pair
+
+
+def _asking(policy: PolicySet, reasons: Iterable[Mapping[str, str]]) -> set[str]:
+    """Return what had people asked: rules that escalate, authority by its code, anything else by its rule.
+
+    What was merely bounded stands among the reasons as well, and asks nobody.
+    """
+    found: set[str] = set()
+    for one in reasons:
+        rule = policy.rules.get(one["rule"])
+        if one["code"] == REQUIRED:
+            found.add(REQUIRED)
+        elif (rule is None and one["code"] != "limit") or (rule is not None and rule.then is Effect.ESCALATE):
+            found.add(one["rule"])
+    return found
