@@ -30,6 +30,7 @@ class Place(NamedTuple):
     corridor: str | None = None
 
 
+STAND_M: Final = 0.45  # the base's radius
 EDGE_M: Final = 1e-9  # what rounding may shift a point on a slanted edge by
 NOWHERE: Final = Place("", "none")
 NOTHING: Final = SiteObject(
@@ -72,6 +73,16 @@ def centre(polygon: Sequence[Point]) -> Point:
     return sum(x for x, _ in polygon) / len(polygon), sum(y for _, y in polygon) / len(polygon)
 
 
+class Stand(NamedTuple):
+    """The box of points (world frame, m) that count as a target, and the corridor that leads there."""
+
+    x0: float
+    y0: float
+    x1: float
+    y1: float
+    corridor: str
+
+
 class _Keepout(NamedTuple):
     """A forbidden polygon behind its bounding box."""
 
@@ -103,6 +114,19 @@ class _Map(NamedTuple):
 def _keepout(polygon: tuple[Point, ...]) -> _Keepout:
     xs, ys = [x for x, _ in polygon], [y for _, y in polygon]
     return _Keepout(min(xs), min(ys), max(xs), max(ys), polygon)
+
+
+def stands(site: Site) -> tuple[Stand, ...]:
+    """Return where the base stands as good as at a target that a corridor leads to, in the site's order.
+
+    A point there is that target by another notation, and the corridor leads to it as well: within `STAND_M` of it along
+    either axis, the base covers the target.
+    """
+    return tuple(
+        Stand(at.x_m - STAND_M, at.y_m - STAND_M, at.x_m + STAND_M, at.y_m + STAND_M, at.corridor)
+        for at in site.targets.values()
+        if at.corridor is not None
+    )
 
 
 def names(site: Site) -> Mapping[str, frozenset[str]]:
@@ -141,10 +165,15 @@ def _target(param: str, ground: _Map) -> Locate:
         name: ground.point(name, "target", (target.x_m, target.y_m), target.corridor)
         for name, target in ground.site.targets.items()
     }
+    led = stands(ground.site)
 
     def locate(params: Params, _facts: WorldFacts | None) -> Place:
         name = params.get(param)
-        return ground.point("", "point", _point(params)) if name is None else known[cast("str", name)]
+        if name is not None:
+            return known[cast("str", name)]
+        x, y = point = _point(params)
+        corridor = next((leads for x0, y0, x1, y1, leads in led if x0 <= x <= x1 and y0 <= y <= y1), None)
+        return ground.point("", "point", point, corridor)
 
     return locate
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, cast
 
 import z3
 
-from app.governance.places import NOTHING, Place, finder, inside, leading, locator, on_surface
+from app.governance.places import NOTHING, Place, finder, inside, leading, locator, on_surface, stands
 from app.proofs.encoding import Record, Slot
 from app.proofs.formulas import Formula, both, choose, either, no, rational, some
 from app.proofs.values import Value, choice, truth
@@ -130,6 +130,7 @@ class Ground:
     ) -> Record:
         fields = dict(_fields(places, ("name", "kind", "forbidden", "outside"))) if places else {}
         corridors = [(guard, place.corridor) for guard, place in places if place.corridor is not None]
+        corridors += [led for guard, _, kind, at, _ in points if kind == "point" for led in self._led(guard, at)]
         corridor = Slot(some(guard for guard, _ in corridors), choice(corridors))
         if points:
             free = [(guard, name, kind) for guard, name, kind, _, _ in points]
@@ -144,6 +145,17 @@ class Ground:
                 "outside": Slot(True, truth(either(_truth(fields.get("outside")), outside))),
             }
         return {**fields, "corridor": corridor}
+
+    def _led(self, guard: Formula, at: Coordinates) -> list[tuple[Formula, str]]:
+        """Return which corridors lead to a point, and where: to the first target that the base covers there."""
+        found: list[tuple[Formula, str]] = []
+        for case, x, y in at.cases:
+            before: Formula = False
+            for x0, y0, x1, y1, corridor in stands(self.site):
+                here = both(_between(x0, x, x1), _between(y0, y, y1))
+                found.append((both(guard, case, no(before), here), corridor))
+                before = either(before, here)
+        return found
 
     # Geometry --------------------------------------------------------------------------------------------------------
 

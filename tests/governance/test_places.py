@@ -48,6 +48,23 @@ def test_a_proposal_leads_where_its_names_and_points_say(references, params, kin
 
 
 @pytest.mark.parametrize(
+    ("x_m", "y_m", "corridor"),
+    [
+        (6.75, 2.6, "aisle"),  # the shelf's stand, by another notation
+        (6.75 - 0.45, 2.6 + 0.45, "aisle"),
+        (5.2, 4.2, "aisle"),
+        (6.25, 2.6, None),
+        (6.75, 3.1, None),
+        (0.8, 0.8, None),
+        (math.nan, 2.6, None),
+    ],
+)
+def test_a_corridor_leads_to_points_where_the_base_covers_its_target(x_m: float, y_m: float, corridor: str | None):
+    place = locator({"target": "target"}, SITE)({"x_m": x_m, "y_m": y_m}, None)
+    assert (place.kind, place.corridor) == ("point", corridor)
+
+
+@pytest.mark.parametrize(
     ("seen_at", "forbidden", "outside"),
     [
         (None, False, False),
