@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 from app.audit.event import EventDraft
 from app.governance.model import EventKind, Outcome, Status
 from app.protocol import Human
-from app.runtime.drafts import SERVER, grant_event, outcome_event, reason, with_edit, with_reason
+from app.runtime.drafts import SERVER, decided_again, grant_event, outcome_event, reason, with_edit, with_reason
 from app.runtime.errors import Conflict, InvalidParams
 from app.runtime.escalation import APPROVED, DENIED, ROLLBACK, bound_digest
 from app.runtime.invocation import reasons_document
@@ -154,6 +154,7 @@ class Answer:
         # What was shown was shown under a profile: the same parameters under another one are watched differently.
         if judgement.profile != invocation.profile or not judgement.conforms(counted.effective):
             ended = judgement.refuse(invocation)
+            ended = replace(ended, policy=decided_again(invocation.policy, ended.policy))
             await self._desk.commit(
                 [
                     self._event("approve", closed),

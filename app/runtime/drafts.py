@@ -68,6 +68,29 @@ def with_edit(
     return {"outcome": outcome, "reasons": reasons, "changes": changes}
 
 
+def decided_again(said: Mapping[str, Any] | None, anew: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
+    """Return what policy said of a request, once what was approved of it was decided again and may not launch.
+
+    The changes lead on from the request, so that the agent sees why the values are other than its own.
+
+    Args:
+        said: the verdict on the request, with what approvers edited.
+        anew: the verdict on what was approved; None where admission left nothing to check.
+    """
+    if said is None or anew is None:
+        return anew if said is None else said
+    further = {change["param"]: change for change in anew["changes"]}
+    before = {change["param"]: change["requested"] for change in said["changes"]}
+    changes = [change for change in said["changes"] if change["param"] not in further]
+    changes += [{**one, "requested": before.get(name, one["requested"])} for name, one in further.items()]
+    told = {(one["rule"], one["code"]) for one in anew["reasons"]}
+    reasons = [*anew["reasons"], *(one for one in said["reasons"] if (one["rule"], one["code"]) not in told)]
+    outcome = anew["outcome"]
+    if outcome in {PolicyOutcome.ALLOW, PolicyOutcome.MODIFY}:
+        outcome = PolicyOutcome.MODIFY if changes else PolicyOutcome.ALLOW
+    return {"outcome": outcome, "reasons": reasons, "changes": changes}
+
+
 def outcome_event(invocation: Invocation, actor: str, *reasons: Mapping[str, str]) -> EventDraft:
     """Return the event that says how an invocation ended."""
     body = {"status": invocation.status, "outcome": invocation.outcome, "reasons": list(reasons)}

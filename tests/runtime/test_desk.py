@@ -278,7 +278,8 @@ async def test_an_edit_that_finds_the_cell_busy_is_no_matter_of_policys(runtime:
     late = await runtime.governor.invocation(document["id"], AGENT)
     assert (late["status"], late["outcome"]) == ("deferred", "deferred")
     assert [reason["code"] for reason in late["admission"]["reasons"]] == ["cell_busy"]
-    assert late["policy"]["reasons"] == []
+    assert {reason["code"] for reason in late["policy"]["reasons"]} <= {"limit", "edited_by_human"}
+    assert {change["param"]: change["effective"] for change in late["policy"]["changes"]} == {"speed_mps": 0.1}
 
 
 async def test_an_edit_that_policy_denies_is_not_said_to_wait_for_the_cell(runtime: Runtime, cell: HandCell) -> None:
@@ -330,6 +331,28 @@ async def test_a_world_that_takes_more_people_says_why(runtime: Runtime, cell: H
     now = await runtime.desk.get(question["id"])
     assert (now["status"], now["needed"]) == ("pending", 2)
     assert "organization/press-two-approvers" in [reason["rule"] for reason in now["reasons"]]
+
+
+@pytest.mark.parametrize("latched", [False, True])
+async def test_a_proposal_approved_too_late_still_says_what_policy_changed(
+    runtime: Runtime, cell: HandCell, latched: bool
+) -> None:
+    request = ProposalRequest(capability="grasp_object", params={"object_id": "mug_1", "force_n": 80, "speed_mps": 0.5})
+    document, question = await asked(runtime, request)
+    said = (await runtime.governor.invocation(document["id"], AGENT))["policy"]
+    assert said["outcome"] == "modify"
+    if latched:
+        await runtime.governor.estop(CELL, OPERATOR)
+    else:
+        await runtime.governor.propose(AGENT, navigate())
+    await answer(runtime, question)
+    late = await runtime.governor.invocation(document["id"], AGENT)
+    assert late["status"] in {"deferred", "rejected"}
+    assert late["policy"]["outcome"] == "modify"
+    assert late["policy"]["changes"] == said["changes"]
+    trace = await runtime.governor.trace(document["id"], AUDITOR)
+    (told,) = [event for event in trace if event["kind"] == "policy" and event["body"].get("recheck")]
+    assert told["body"]["changes"] == said["changes"]
 
 
 # -- the world went on -----------------------------------------------------------------------------------------------
