@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
     from app.config import Settings
     from app.governance.policy import PolicySet
+    from app.runtime.fleet import Fleet
     from app.runtime.versions import Versions
 
 KEY_BYTES: Final = 32
@@ -157,7 +158,7 @@ async def _serve(settings: Settings, policies: PolicySet, listener: socket.socke
         await asyncio.wait({serving, opened}, return_when=asyncio.FIRST_COMPLETED)
         try:
             write_private(layout.server, orjson.dumps({"url": url, "pid": os.getpid()}))
-            introduce(settings, house["versions"], policies.digest, url)
+            introduce(settings, house["fleet"], house["versions"], policies.digest, url)
             children.start()
             await _told_to_stop(serving, children.misused)
         finally:
@@ -238,11 +239,14 @@ def address(listener: socket.socket) -> str:
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
-def introduce(settings: Settings, versions: Versions, directory: str, url: str) -> None:
-    """Print where the server is and how to come in."""
+def introduce(settings: Settings, fleet: Fleet, versions: Versions, directory: str, url: str) -> None:
+    """Print where the server is, what holds there, and how to come in."""
     tokens = settings.layout.tokens
     say(f"reins {__version__} serves {url}")
     say(f"  profile  {settings.profile}")
+    for cell in fleet.cells():
+        if cell.profile != settings.profile:
+            say(f"           not for {cell.id}: it stays in {cell.profile}, which it was put into")
     say(f"  policy   {versions.in_force.digest}")
     say(f"           {versions.reason}")
     if versions.in_force.digest != directory:

@@ -34,6 +34,16 @@ def test_the_cells_token_is_in_no_command_line(server: ServerProcess) -> None:
     assert token not in Path(f"/proc/{pid}/cmdline").read_text()
 
 
+def test_a_start_says_which_cells_stay_in_another_profile(servers: Servers) -> None:
+    first = servers.start(cells=1)
+    with first.client() as client:
+        assert client.put("/v1/cells/workcell-1/profile", json={"profile": "test-audit"}).is_success
+    first.stop()
+    again = servers.start(first.data, "--profile", "human-shared", cells=1)
+    assert again.cell()["profile"] == "test-audit"
+    assert "not for workcell-1: it stays in test-audit" in again.log.read_text()
+
+
 def test_a_second_server_on_the_same_data_does_not_start(server: ServerProcess) -> None:
     second = reins("serve", "--port", "0", "--data", str(server.data))
     assert second.returncode == 2
