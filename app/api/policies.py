@@ -51,9 +51,10 @@ async def version(request: Request, digest: Digest) -> Response:
 
 
 async def files(request: Request, digest: Digest) -> Response:
-    """Return the files of a version: what its digest is over."""
-    found = await parts_of(request).versions.compiled(digest)
-    return answer({"digest": found.digest, "files": dict(found.files)})
+    """Return the files of a version: what its digest is over, and what it promises."""
+    versions = parts_of(request).versions
+    found, version = await versions.compiled(digest), await versions.load(digest)
+    return answer({"digest": found.digest, "files": dict(found.files), "promises": version.promises})
 
 
 async def difference(request: Request, digest: Digest) -> Response:

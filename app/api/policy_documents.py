@@ -133,10 +133,11 @@ class SchemaList(Document):
 
 
 class FilesDocument(Document):
-    """The files of a version, by their path."""
+    """The files of a version, by their path; `promises` is the text of its `properties.yaml`, if it has any."""
 
     digest: str
     files: dict[str, str]
+    promises: str | None
 
 
 class ShadowGroup(Document):

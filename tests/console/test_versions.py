@@ -18,8 +18,8 @@ from tests.console.conftest import PHONE, ROOT, People, Person, wider_than_the_s
 from tests.console.test_access import AXE, faults
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
-FASTER = "base_speed_mps: {max: 0.4,"
-SHIPPED = "base_speed_mps: {max: 0.3,"
+FIRMER = "grip_force_n: {max: 70,"
+SHIPPED = "grip_force_n: {max: 60,"
 PROFILE = "profiles/human-shared.yaml"
 REFUSED = r"status of (403|409|422)"  # the browser's own note of a request that was refused
 
@@ -75,9 +75,8 @@ def test_a_candidate_is_mended_compared_tried_put_in_force_by_two_and_undone(
     # brought, with a fault: told at its line, and mended there
     first.page.get_by_role("link", name="Bring a candidate").click()
     bring = first.region("Bring a candidate")
-    bring.get_by_label("Choose a folder").set_input_files(candidate(tmp_path / "policies", FASTER, break_it=True))
-    expect(bring).to_contain_text("Left out, because they decide nothing: properties.yaml")
-    say_why(bring, "people stand further away")
+    bring.get_by_label("Choose a folder").set_input_files(candidate(tmp_path / "policies", FIRMER, break_it=True))
+    say_why(bring, "mugs slip at 60 N")
     bring.get_by_role("button", name="Check and keep").click()
     expect(bring.get_by_role("alert")).to_contain_text("1 fault: it is not kept.")
     told = bring.get_by_role("list", name=f"Faults in {PROFILE}")
@@ -93,18 +92,18 @@ def test_a_candidate_is_mended_compared_tried_put_in_force_by_two_and_undone(
     # kept: what it would change, and what it would have decided
     view = first.page.get_by_role("region", name=re.compile("^Version "))
     expect(view.get_by_role("region", name="What it would change")).to_contain_text("Loosens")
-    expect(view).to_contain_text("profiles/human-shared/limits/base_speed_mps/maximum")
+    expect(view).to_contain_text("profiles/human-shared/limits/grip_force_n/maximum")
     expect(view).to_contain_text("another engineer’s word")
     say_why(view, "is anything else decided otherwise?")
     view.get_by_role("button", name="Ask it in the shadow").click()
     expect(view.get_by_role("button", name="End the shadow")).to_be_visible()
-    changing.propose("navigate_to", target="dock", speed_mps=1.0)
+    changing.propose("grasp_object", object_id="mug_1", force_n=80.0)
     shadow = view.get_by_role("region", name="In the shadow")
     expect(shadow).to_contain_text(re.compile("[1-9][0-9]* decisions, [1-9]"))
     expect(shadow.get_by_role("link", name=re.compile("^inv_")).first).to_be_visible()
 
     # two engineers put it in force
-    say_why(view, "people stand further away")
+    say_why(view, "mugs slip at 60 N")
     view.get_by_role("button", name="Put in force").click()
     expect(view).to_contain_text("Waits for another engineer")
     expect(view.get_by_role("button", name="Give the second word")).to_be_disabled()
@@ -134,19 +133,19 @@ def test_an_archive_of_one_file_stands_for_a_change_and_an_auditor_only_looks(
 ) -> None:
     text = (ROOT / PROFILE.replace("profiles/", "policies/profiles/")).read_text()
     with zipfile.ZipFile(tmp_path / "change.zip", "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("human-shared.yaml", text.replace(SHIPPED, "base_speed_mps: {max: 0.2,"))
+        archive.writestr("human-shared.yaml", text.replace(SHIPPED, "grip_force_n: {max: 40,"))
     engineer = seat(people, changing, "engineer")
     engineer.page.evaluate("location.hash = '#/policy/Versions/new'")
     bring = engineer.region("Bring a candidate")
     bring.get_by_label("Choose files or a ZIP").set_input_files(tmp_path / "change.zip")
     expect(bring).to_contain_text("One file differs from what is in force; everything else is taken from it")
-    say_why(bring, "slower, for a visit")
+    say_why(bring, "weaker, for a visit")
     bring.get_by_role("button", name="Check and keep").click()
     view = engineer.page.get_by_role("region", name=re.compile("^Version "))
     expect(view).to_contain_text("It loosens nothing: one engineer is enough.")
     auditor = seat(people, changing, "auditor")
     expect(auditor.page.get_by_role("link", name="Bring a candidate")).to_have_count(0)
-    auditor.region("Versions").get_by_role("link", name=re.compile("slower, for a visit")).click()
+    auditor.region("Versions").get_by_role("link", name=re.compile("weaker, for a visit")).click()
     looked = auditor.page.get_by_role("region", name=re.compile("^Version "))
     expect(looked).to_contain_text("Engineers put versions in force; you may look.")
     expect(looked.get_by_role("button", name="Put in force")).to_have_count(0)

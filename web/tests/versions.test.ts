@@ -1,7 +1,7 @@
 import { deflateRawSync } from 'node:zlib';
 import { describe, expect, it } from 'vitest';
 import type { Comparison, Version } from '../src/lib/api/documents';
-import { candidateOf, inOrder, lineSpan, read, standings } from '../src/lib/policy/candidate';
+import { candidateOf, filesOf, inOrder, lineSpan, read, standings } from '../src/lib/policy/candidate';
 import { decidedAs, deedOf, shortVersion } from '../src/lib/policy/versions';
 import { unzip, ZipError } from '../src/lib/policy/zip';
 
@@ -66,10 +66,18 @@ describe('a candidate', () => {
   });
 
   it('leaves out what is no part of it, and says so', () => {
-    const more = { 'README.md': 'r', '.git/config.yaml': 'g', '__MACOSX/site.yaml': 'm', 'properties.yaml': 'order: []' };
+    const more = { 'README.md': 'r', '.git/config.yaml': 'g', '__MACOSX/site.yaml': 'm' };
     const found = candidateOf(picked({ ...WHOLE, ...more }), {});
     expect(found.files).toEqual(WHOLE);
     expect(found.leftOut).toEqual(Object.keys(more));
+  });
+
+  it('keeps its promises, those of what is in force too', () => {
+    const promises = 'order: []';
+    expect(candidateOf(picked({ ...WHOLE, 'properties.yaml': promises }), {}).files['properties.yaml']).toBe(promises);
+    const live = filesOf({ files: WHOLE, promises });
+    expect(candidateOf(picked({ 'a.yaml': 'profile: a\nnew: 1' }), live).files['properties.yaml']).toBe(promises);
+    expect(filesOf({ files: WHOLE, promises: null })).toEqual(WHOLE);
   });
 
   it('takes the rest from what is in force where only some files are picked', () => {

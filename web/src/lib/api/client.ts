@@ -109,7 +109,7 @@ export class Api {
   policy = (): Promise<PolicySet> => this.get('/v1/policies/active');
   versions = (limit: number): Promise<VersionList> => this.get(`/v1/policies?limit=${limit}`);
   version = (digest: string): Promise<Version> => this.get(`/v1/policies/${seg(digest)}`);
-  policyFiles = (digest: string): Promise<{ files: Record<string, string> }> => this.get(`/v1/policies/${seg(digest)}/files`);
+  policyFiles = (digest: string): Promise<{ files: Record<string, string>; promises: string | null }> => this.get(`/v1/policies/${seg(digest)}/files`);
   /** Compared by proof, which may take a while. */
   comparison = (digest: string): Promise<Comparison> =>
     this.call('GET', `/v1/policies/${seg(digest)}/diff`, undefined, LONG_PATIENCE_MS);

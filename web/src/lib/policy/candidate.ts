@@ -19,7 +19,11 @@ export interface Picked {
 /** What makes a policy directory one; with fewer, the pick is taken for changes to what is in force. */
 const WHOLE = ['site.yaml', 'organization.yaml', 'authority.yaml'];
 const FOLDERS = ['capabilities', 'profiles', 'tests'];
-const PROMISES = 'properties.yaml';
+
+/** What is brought of a version that is there: its files, and what it promises beside them. */
+export function filesOf({ files, promises }: { files: Files; promises: string | null }): Files {
+  return promises === null ? files : { ...files, 'properties.yaml': promises };
+}
 
 /** Reads what an input of files holds; an archive among them stands for its entries. */
 export async function read(picked: Iterable<File>): Promise<Picked[]> {
@@ -59,7 +63,7 @@ export function candidateOf(picked: Picked[], live: Files): Candidate {
   for (const { path, text } of clean) {
     const inside = path.startsWith(root) ? path.slice(root.length) : path;
     const hidden = inside.split('/').some((part) => part.startsWith('.') || part === '__MACOSX');
-    if (hidden || !isText(inside) || inside === PROMISES) leftOut.push(inside);
+    if (hidden || !isText(inside)) leftOut.push(inside);
     else files[placed(inside, text, live)] = text;
   }
   const partial = !WHOLE.every((name) => name in files);

@@ -1,6 +1,6 @@
 import { ApiError, type Api } from '../api/client';
 import type { Version } from '../api/documents';
-import { candidateOf, inOrder, read, standings, type Fault, type Files } from './candidate';
+import { candidateOf, filesOf, inOrder, read, standings, type Fault, type Files } from './candidate';
 import { said } from './versions.svelte';
 
 /** The candidate that is being brought; it outlives the page that shows it, as long as the tab. */
@@ -38,7 +38,7 @@ class Draft {
     this.trouble = null;
     this.faults = [];
     try {
-      this.live = active === null ? {} : (await api.policyFiles(active)).files;
+      this.live = active === null ? {} : filesOf(await api.policyFiles(active));
       const found = candidateOf(await read(picked), this.live);
       this.files = found.files;
       this.leftOut = found.leftOut;
