@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help setup console demo run test check bench evaluate pictures format lock clean \
-  test-rules test-evaluation test-processes test-console
+  test-rules test-evaluation test-runtime test-processes test-console
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
@@ -41,19 +41,23 @@ run: $(STAMP) console  ## a server with one simulated cell and a demo agent; kee
 	@$(BIN)/reins demo --keep --port 8000
 
 test: $(STAMP) console  ## the whole test suite; what decides and what proves covered to the last branch
-	@$(MAKE) --no-print-directory -j2 test-rules test-evaluation
+	@$(MAKE) --no-print-directory -j3 test-rules test-evaluation test-runtime
 	@$(MAKE) --no-print-directory -j2 test-processes test-console
 
-# Two lanes for two cores. What computes, or waits within one process, comes first; what starts servers, cells and
-# browsers waits more than it computes and comes after it. Whatever no lane names runs with the processes.
+# For two cores. What computes, or waits within one process, comes first, in three lanes as none computes all the time;
+# what starts servers, cells and browsers waits more than it computes and comes after it, in two. Whatever no lane names
+# runs with the processes.
 COMPUTES := tests/evaluation tests/runtime tests/api tests/agent tests/authoring tests/sim tests/cell tests/proofs
 test-rules: $(STAMP)
 	@$(BIN)/coverage run -m pytest $(MEASURED)
 	@$(BIN)/coverage report
-	@$(BIN)/python -m pytest tests/sim tests/cell tests/proofs
+	@$(BIN)/python -m pytest -p no:cacheprovider tests/sim tests/cell
 
 test-evaluation: $(STAMP)
-	@$(BIN)/python -m pytest -p no:cacheprovider tests/evaluation tests/runtime tests/api tests/agent tests/authoring
+	@$(BIN)/python -m pytest -p no:cacheprovider tests/evaluation
+
+test-runtime: $(STAMP)
+	@$(BIN)/python -m pytest -p no:cacheprovider tests/runtime tests/api tests/agent tests/authoring tests/proofs
 
 test-processes: $(STAMP)
 	@$(BIN)/python -m pytest -p no:cacheprovider $(MEASURED:%=--ignore=%) $(COMPUTES:%=--ignore=%) --ignore=tests/console
