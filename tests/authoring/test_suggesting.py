@@ -35,8 +35,9 @@ from tests.runtime.conftest import AGENT, AT_BENCH, CELL, OPERATOR, HandCell, Ho
 POLICIES = Path(__file__).resolve().parents[2] / "policies"
 LEAST = Least(decisions=6, answers=4, silent=20, overrides=3)
 SPEEDS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-CARRYING = {**AT_BENCH, "gripper_empty": False, "holding": "mug_1"}
-AT_SHELF = {**AT_BENCH, "objects": dict.fromkeys(("box_1", "solvent_1"), AT_BENCH["objects"]["mug_1"])}
+CARRYING: dict[str, Any] = {**AT_BENCH, "gripper_empty": False, "holding": "mug_1"}
+SEEN = {"visible": True, "reachable": True, "x_m": 1.5, "y_m": 5.25, "z_m": 0.8, "stamp_s": 1.0}
+AT_SHELF: dict[str, Any] = {**AT_BENCH, "objects": {"box_1": SEEN, "solvent_1": SEEN}}
 
 
 @cache
@@ -56,7 +57,7 @@ class Floor:
         self.runtime.fleet.cell(CELL).profile = profile
         await self.cell.state()
 
-    async def ask(self, capability: str, metadata: dict[str, Any] | None = None, **params: object) -> dict[str, Any]:
+    async def ask(self, capability: str, metadata: dict[str, Any] | None = None, **params: Any) -> dict[str, Any]:
         request = ProposalRequest(capability=capability, params=params, metadata=metadata or {})
         made, _ = await self.runtime.governor.propose(AGENT, request)
         if made["status"] == "running":
