@@ -15,8 +15,10 @@ import orjson
 from app.audit.event import EventDraft, RowWrite
 from app.governance.decision import decide
 from app.governance.model import EventKind
+from app.governance.policy_model import GOVERNANCE
 from app.governance.recorded import Agents
 from app.runtime.drafts import SERVER
+from app.runtime.invocation import reasons_document
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
@@ -55,16 +57,21 @@ class Shadowing:
     decisions: int = 0
     differing: int = 0
     groups: dict[tuple[str, str, str, str], Group] = field(default_factory=dict[tuple[str, str, str, str], Group])
-    live: str = ""  # which live version `other_inputs` was found for
+    live: str = ""  # which live version these two were found for
     other_inputs: frozenset[str] = frozenset()
+    other_agents: frozenset[str] = frozenset()
 
     def note(self, place: tuple[str, str, str, str], invocation: str) -> None:
         """Count one difference."""
         self.differing += 1
-        if place in self.groups or len(self.groups) < MOST_GROUPS:
-            group = self.groups.setdefault(place, Group())
-            group.count += 1
-            group.examples = [invocation, *group.examples[: EXAMPLES - 1]]
+        group = self.groups.get(place)
+        if group is None:
+            if len(self.groups) >= MOST_GROUPS:
+                return
+            group = self.groups[place] = Group()
+        group.count += 1
+        group.examples.insert(0, invocation)
+        del group.examples[EXAMPLES:]
 
     def document(self) -> dict[str, Any]:
         """Return what was found as JSON, the largest group first."""
@@ -79,7 +86,7 @@ class Shadowing:
             "decisions": self.decisions,
             "differing": self.differing,
             "groups": [
-                {**dict(zip(names, place, strict=True)), "count": group.count, "examples": group.examples}
+                {**dict(zip(names, place, strict=True)), "count": group.count, "examples": list(group.examples)}
                 for place, group in groups
             ],
         }
@@ -173,31 +180,39 @@ class Shadow:
             "live": before,
             "candidate": after,
             "effective": None if verdict is None else verdict.effective,
-            "reasons": [one._asdict() for one in (*reasons, *(() if verdict is None else verdict.reasons))],
+            "reasons": reasons_document((*reasons, *(() if verdict is None else verdict.reasons))),
         }
         return EventDraft(kind=EventKind.SHADOW, actor=SERVER, body=body)
 
 
 def _ask(present: Shadowing, judgement: Judgement) -> Decision | None:
     """Return the candidate's decision; None where its schema does not take the parameters."""
-    proposal, context = judgement.proposal, judgement.context
-    if present.live != judgement.policy.digest:
-        present.live, present.other_inputs = judgement.policy.digest, _other_inputs(judgement.policy, present.policy)
+    proposal, context, live = judgement.proposal, judgement.context, judgement.policy
+    if present.live != live.digest:
+        present.live = live.digest
+        present.other_inputs = _other_inputs(live, present.policy)
+        present.other_agents = _other_agents(live, present.policy)
     if proposal.capability in present.other_inputs:
         params = present.policy.validate_params(proposal.capability, proposal.params, proposal.version)
         if isinstance(params, tuple):
             return None
         proposal = replace(proposal, params=params)
-    return decide(present.policy, proposal, _as_known(present, context))
+    if context.grants or context.agent.name in present.other_agents:
+        context = _as_known(present, context)
+    return decide(present.policy, proposal, context)
 
 
 def _as_known(present: Shadowing, context: Context) -> Context:
     """Return the context as the candidate knows it: the agent's permissions, and grants as if given under it."""
-    agent = present.agents(context.agent.name)
-    if agent.permissions == context.agent.permissions and not context.grants:
-        return context
     grants = tuple(replace(grant, policy_digest=present.policy.digest) for grant in context.grants)
-    return replace(context, agent=agent, grants=grants)
+    return replace(context, agent=present.agents(context.agent.name), grants=grants)
+
+
+def _other_agents(live: PolicySet, candidate: PolicySet) -> frozenset[str]:
+    """Return whom the two permit something else; whoever neither knows is permitted nothing by both."""
+    names = live.agents.keys() | candidate.agents.keys()
+    found = {name for name in names if live.agent(name) != candidate.agent(name)}
+    return frozenset(found if live.permissions == candidate.permissions else {*found, GOVERNANCE})
 
 
 def _other_inputs(live: PolicySet, candidate: PolicySet) -> frozenset[str]:
@@ -209,7 +224,10 @@ def _other_inputs(live: PolicySet, candidate: PolicySet) -> frozenset[str]:
 
 
 def _same(live: Decision, other: Decision) -> bool:
-    if live.status != other.status or _people(live) != _people(other):
+    if live.status != other.status:
+        return False
+    asked, asks = live.need, other.need
+    if asked is not asks and (asked is None or asks is None or asked.approvers != asks.approvers):
         return False
     one, two = live.verdict, other.verdict
     if one is None or two is None:
@@ -217,13 +235,9 @@ def _same(live: Decision, other: Decision) -> bool:
     return one.outcome is two.outcome and one.effective == two.effective
 
 
-def _people(decision: Decision) -> int:
-    return 0 if decision.need is None else decision.need.approvers
-
-
 def _says(decision: Decision) -> str:
     said = "unchecked" if decision.verdict is None else decision.verdict.outcome
-    return f"{decision.status} ({said})"
+    return decision.status + " (" + said + ")"  # of enumerations that are texts; formatting them takes twice as long
 
 
 def _setting(kept: Mapping[str, str] | None, at: str) -> RowWrite:

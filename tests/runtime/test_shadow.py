@@ -6,7 +6,7 @@ import pytest
 
 from app.runtime.assembly import Runtime
 from tests.runtime.conftest import AGENT, ENGINEER, HandCell, House, grasp, navigate
-from tests.runtime.test_versions import FORBIDDEN, SLOWER, bodies, brought
+from tests.runtime.test_versions import FORBIDDEN, ORGANIZATION, SLOWER, bodies, brought, edited
 
 pytestmark = pytest.mark.anyio
 
@@ -27,6 +27,19 @@ async def test_what_a_candidate_would_decide_is_recorded_and_changes_nothing(run
     assert (said["policy_version"], said["invocation"]) == (digest, made["id"])
     assert "organization/no-mug" in {one["rule"] for one in said["reasons"]}
     assert "shadow" not in {event["kind"] for event in await runtime.governor.trace(made["id"], ENGINEER)}
+
+
+async def test_an_agent_is_permitted_what_the_candidate_permits(runtime: Runtime, cell: HandCell) -> None:
+    less = edited(
+        ORGANIZATION, "permissions: [navigation, perception, manipulation", "permissions: [navigation, perception"
+    )
+    digest = await brought(runtime, less)
+    await runtime.shadow.set(digest, ENGINEER, "a look", on=True)
+    await cell.state()
+    await runtime.governor.propose(AGENT, grasp())
+    await runtime.governor.propose(AGENT, navigate())
+    (group,) = runtime.shadow.document(digest)["groups"]
+    assert (group["capability"], group["candidate"]) == ("grasp_object", "rejected (unchecked)")
 
 
 async def test_a_candidate_that_breaks_reaches_nobody(runtime: Runtime, cell: HandCell) -> None:
