@@ -23,7 +23,8 @@ from typing import Any
 import orjson
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from app.audit.replay import replay
+from app.assayer import Assayer
+from app.audit.replay import Replay, replay
 from app.audit.replaying import replay_in_processes
 from app.audit.store import AuditStore
 from app.governance.bundle import load_files, read_files
@@ -45,7 +46,7 @@ FACTS: dict[str, Any] = {
     "tools": {"lever": "up", "press": "raised"}, "inspected": {}, "people_count": 1, "people_nearest_m": 3.5,
     "sensors_fresh": True,
 }  # fmt: skip
-ASKED = (
+ASKED: tuple[tuple[str, dict[str, Any], dict[str, Any]], ...] = (
     ("grasp_object", {"object_id": "mug_1", "force_n": 80.0, "speed_mps": 0.5}, {"confidence": 0.9}),
     ("grasp_object", {"object_id": "glass_1"}, {}),
     ("grasp_object", {"object_id": "mug_1"}, {"confidence": 0.3}),
@@ -71,7 +72,9 @@ async def record(folder: Path) -> None:
     """Have a governor decide once on everything that is asked."""
     store = AuditStore.open(folder)
     policy = load_files(read_files(POLICIES))
-    runtime = Runtime(store, policy, Ed25519PrivateKey.generate(), default_profile="human-shared")
+    runtime = Runtime(
+        store, policy, Ed25519PrivateKey.generate(), default_profile="human-shared", examine=Assayer()
+    )  # fmt: skip
     async with runtime.running():
         link = await runtime.fleet.attach("workcell-1", Silent())
         hello = Hello(cell="workcell-1", boot="b", robot="r", policy_digest=policy.digest, profile=None,
@@ -127,6 +130,7 @@ def bench(decisions: int, rounds: int) -> None:
         policy = load_files(files)
         alone: list[float] = []
         whole: list[float] = []
+        found = Replay()
         for _ in range(rounds):
             start_s = time.perf_counter()
             found = replay(folder, lambda _: policy, until=200_000)
