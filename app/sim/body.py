@@ -43,7 +43,7 @@ SOFT_CLOSE_N, PAD_TOUCH_N, PAD_TOUCH_TICKS = 8.0, 2.0, 3
 CLOSE_TIMEOUT_S, RAMP_S, OPEN_N = 2.5, 0.2, 12.0
 OPEN_WIDTH_M = 2 * robot.FINGER_STROKE_M - 0.006
 _LINE_STEP_M, _TURN_STEP_RAD, _TURN_M_PER_RAD = 0.01, 0.05, 0.12
-_JOINT_SPEED_RADPS = 1.6
+JOINT_SPEED_RADPS = 1.6
 _SOLVES_PER_TICK = 3
 _DRIVE_GAIN, _TURN_GAIN = 1.5, 1.5
 _DOCKED_M, _DOCKED_RAD, _DOCKED_TICKS, _DOCKING_S = 0.006, 0.01, 20, 2.5
@@ -190,9 +190,16 @@ class Body:
         yield from self.plan_line(target, points)
         yield from self.follow(points, speed_mps, until=until)
 
-    def follow(self, points: Sequence[Floats], speed_mps: float, *, until: Callable[[], bool] | None = None) -> Moves:
-        """Travel along joint way points, the tool at most at `speed_mps`."""
-        path = joint_path(self.senses.solver, points, speed_mps)
+    def follow(
+        self,
+        points: Sequence[Floats],
+        speed_mps: float,
+        *,
+        until: Callable[[], bool] | None = None,
+        joint_radps: float = JOINT_SPEED_RADPS,
+    ) -> Moves:
+        """Travel along joint way points, the tool at most at `speed_mps` and no joint faster than `joint_radps`."""
+        path = joint_path(self.senses.solver, points, speed_mps, joint_radps)
         travel = Travel(path, Limits(speed_mps, ARM_ACCELERATION, ARM_JERK))
         while not travel.done:
             point, velocity = travel.advance(self.rate)
@@ -369,7 +376,9 @@ class Body:
         return to_base(self.senses.believed_pose(), x_m, y_m)
 
 
-def joint_path(solver: ArmSolver, points: Sequence[Floats], speed_mps: float) -> Path:
+def joint_path(
+    solver: ArmSolver, points: Sequence[Floats], speed_mps: float, joint_radps: float = JOINT_SPEED_RADPS
+) -> Path:
     """Measure joint way points by what bounds their speed.
 
     Metres of the tool, or joint travel where that takes longer.
@@ -378,7 +387,7 @@ def joint_path(solver: ArmSolver, points: Sequence[Floats], speed_mps: float) ->
     metres: list[float] = []
     for a, b, p, q in zip(poses, poses[1:], points, points[1:], strict=False):
         tool = hypot(b.x_m - a.x_m, b.y_m - a.y_m, b.z_m - a.z_m) * 1.002
-        joint = float(np.abs(q - p).max()) * speed_mps / _JOINT_SPEED_RADPS
+        joint = float(np.abs(q - p).max()) * speed_mps / joint_radps
         metres.append(max(tool, joint, abs(wrapped(b.yaw_rad - a.yaw_rad)) * _TURN_M_PER_RAD))
     return Path(points, metres)
 

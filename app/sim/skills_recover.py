@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from app.cell.substrate import SubstrateError
-from app.sim.body import CONTACT_SPEED_MPS, Body, Moves, SkillFailed
+from app.sim.body import CONTACT_SPEED_MPS, JOINT_SPEED_RADPS, Body, Moves, SkillFailed
 from app.sim.localisation import wrapped
 from app.sim.skills_arm import HOVER_M, LIFT_M, grasp_object, number, put_down, within_reach
 from app.sim.skills_drive import RECOVERY_BASE_SPEED_MPS, RECOVERY_TCP_SPEED_MPS
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 _GENTLE_POINTS = 12
 _ON_MARKS = 0.9  # the recorded way is a polygon: the hand is a little faster on it than along a smooth line
 _APART_M, _APART_RAD = 0.03, 0.05
+_LOWER_M = 0.01
+_CAREFUL_RADPS = 0.1  # servos that run ahead of what they are told do so by a share of the joints' speed
 _STANDS_RAD, _SHARP = 1e-4, 0.85  # a turn of more than 30 degrees is sharp
 
 
@@ -52,11 +54,38 @@ def _release(body: Body, limit_mps: float) -> Moves:
         body.senses.hand = None
         body.senses.tare()
         body.enter("retreat", 0.5)
-        here = body.pose
-        yield from body.line(here._replace(z_m=here.z_m + HOVER_M), min(speed, CONTACT_SPEED_MPS))
+        yield from _rise(body, limit_mps)
     body.enter("retract", 0.8)
     yield from body.retract(speed)
     yield from body.wait(0.2)
+
+
+def _rise(body: Body, limit_mps: float) -> Moves:
+    """Draw the open hand back: by the way it came, if that is one for an empty hand, and else straight up.
+
+    What the hand has met may hang above it as well, and an arm that is stretched out may reach no higher; the way it
+    came is free, and within reach.
+    """
+    speed = min(body.speed(limit_mps), CONTACT_SPEED_MPS)
+    way = _way_it_came(body)
+    for stretch in _stretches(way):
+        yield from body.follow(stretch, _ON_MARKS * speed)
+    if not way:
+        here = body.pose
+        yield from body.line(here._replace(z_m=here.z_m + HOVER_M), speed)
+
+
+def _way_it_came(body: Body) -> list[Floats]:
+    """Return the arm's way backwards until the hand is clear; empty where that leads down, or to where it took hold."""
+    here, points = body.pose, [body.joints]
+    for mark in reversed(_split(list(body.senses.trail))[1]):
+        at = body.senses.solver.forward(mark.joints)
+        if mark.driving or mark.holding or at.z_m < here.z_m - _LOWER_M:
+            break
+        points.append(mark.joints)
+        if hypot(at.x_m - here.x_m, at.y_m - here.y_m, at.z_m - here.z_m) >= HOVER_M:
+            return _thinned(points)
+    return []
 
 
 def regrasp(body: Body, params: Mapping[str, Json]) -> Moves:
@@ -177,13 +206,11 @@ def _back(body: Body, trail: list[Mark], limit_mps: float, *, gentle: bool) -> M
 def _back_arm(body: Body, points: list[Floats], limit_mps: float, *, gentle: bool) -> Moves:
     points = [body.joints, *points]
     speed = _ON_MARKS * body.speed(limit_mps)
-    if not gentle:
-        for stretch in _stretches(points):
-            yield from body.follow(stretch, speed)
-        return
-    split = max(0, len(points) - _GENTLE_POINTS)
+    split = max(0, len(points) - _GENTLE_POINTS) if gentle else len(points) - 1
     for stretch in _stretches(points[: split + 1]):
-        yield from body.follow(stretch, speed)
+        yield from body.follow(stretch, speed, joint_radps=_CAREFUL_RADPS if body.careful else JOINT_SPEED_RADPS)
+    if not gentle:
+        return
     yield from body.follow(points[split:], min(speed, 0.9 * CONTACT_SPEED_MPS), until=lambda: body.touched(12.0))
 
 
