@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from math import hypot
+from math import dist, hypot, remainder, tau
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
@@ -14,7 +14,12 @@ if TYPE_CHECKING:
 ARRIVED_M: Final = 0.15
 STANDS_M: Final = 0.03
 BACK_M: Final = 0.05
-FLOOR_M: Final = 0.3  # lower than any surface: what is there lies on the floor, or is gone
+STOOD_M: Final = 0.10
+STOOD_RAD: Final = 0.10
+"""How near to where they stood object and base count as back. A session verifies this by sensors, to 10 cm, and to
+15 cm and 0.15 rad; the truth, which has no error of its own, is held to less."""
+TOOL_BACK: Final[Mapping[str, float]] = {"lever": 0.08, "button": 0.003}  # rad, m
+"""A quarter of the way at which a tool's switch turns: play, which operates nothing."""
 
 Judge = Callable[["Workcell"], bool]
 
@@ -32,19 +37,19 @@ def judge_of(trial: Drawn) -> Judge:
 def restored_of(trial: Drawn, began: Truth) -> Judge:
     """Return the judge of a rollback: true where the world is again as it was when the trial began.
 
-    The base stands within 15 cm, the gripper holds what it held, and an object that was to be grasped stands upright
-    within 5 cm of where it stood.
+    The base stands within 10 cm and 0.1 rad, the gripper holds what it held, an object that was to be grasped stands
+    upright within 5 cm of where it stood, and a tool that was to be operated says what it said, and stands so.
     """
 
     def restored(cell: Workcell) -> bool:
         now = cell.truth()
-        if hypot(now.base[0] - began.base[0], now.base[1] - began.base[1]) > ARRIVED_M or now.held != began.held:
-            return False
-        name = str(trial.params.get("object_id", ""))
-        if name not in began.objects:
-            return True
-        was, at = began.objects[name], now.objects[name]
-        return now.upright[name] and hypot(at[0] - was[0], at[1] - was[1]) < BACK_M
+        return (
+            hypot(now.base[0] - began.base[0], now.base[1] - began.base[1]) <= STOOD_M
+            and abs(remainder(now.base[2] - began.base[2], tau)) <= STOOD_RAD
+            and now.held == began.held
+            and _stands(trial, began, now)
+            and _unmoved(trial, cell, began, now)
+        )
 
     return restored
 
@@ -52,23 +57,37 @@ def restored_of(trial: Drawn, began: Truth) -> Judge:
 def undoable_of(trial: Drawn, began: Truth) -> Judge:
     """Return the judge of whether a rollback has anything to go back to, asked when it begins.
 
-    By the exact state alone: what was held when the trial began still has to be in the gripper, since going back picks
-    nothing up; and an object that was to be handled has to be in the workshop, and not on the floor. What is held is
-    not judged by where it is.
+    By the exact state alone. Going back picks nothing up and operates nothing: what was held when the trial began still
+    has to be in the gripper, with friction enough to bear it; an object that was to be grasped has to be in the gripper
+    or still stand where it stood (not tipped over, fallen, or moved by somebody); a tool has to be as it was. What is
+    held is not judged by where it is.
     """
 
     def undoable(cell: Workcell) -> bool:
         now = cell.truth()
         if began.held is not None:
-            return now.held == began.held
-        name = str(trial.params.get("object_id", ""))
-        if name not in began.objects or now.held == name:
-            return True
-        x, y, z = now.objects[name]
-        x0, y0, x1, y1 = cell.site.bounds_m
-        return x0 <= x <= x1 and y0 <= y <= y1 and z > FLOOR_M
+            return now.held == began.held and now.secure
+        taken = now.held is not None and now.held == trial.params.get("object_id")
+        return (taken or _stands(trial, began, now)) and _unmoved(trial, cell, began, now)
 
     return undoable
+
+
+def _stands(trial: Drawn, began: Truth, now: Truth) -> bool:
+    """Say whether the object that was to be grasped, if any, stands upright where it stood."""
+    name = str(trial.params.get("object_id", ""))
+    if name not in began.objects:
+        return True
+    return now.upright[name] and dist(now.objects[name], began.objects[name]) < BACK_M
+
+
+def _unmoved(trial: Drawn, cell: Workcell, began: Truth, now: Truth) -> bool:
+    """Say whether the tool that was to be operated, if any, is as it was."""
+    tool = cell.site.tools.get(str(trial.params.get("tool", "")))
+    if tool is None:
+        return True
+    moved = abs(now.tools[tool.name] - began.tools[tool.name])
+    return now.switches[tool.name] == began.switches[tool.name] and moved <= TOOL_BACK[tool.kind]
 
 
 def _arrived(trial: Drawn, cell: Workcell) -> bool:

@@ -387,6 +387,20 @@ class Plant:
                 return name
         return None
 
+    def true_grip_n(self, name: str) -> float:
+        """Return the most that the pads can bear of an object by friction (N), at the force they press it with."""
+        geom, most, wrench = self._object_geom[name], 0.0, np.zeros(6)
+        for k, contact in enumerate(self.data.contact[: self.data.ncon]):
+            pair = {int(contact.geom[0]), int(contact.geom[1])}
+            if geom in pair and not pair.isdisjoint(self._pads):
+                mujoco.mj_contactForce(self.model, self.data, k, wrench)
+                most += float(contact.friction[0] * wrench[0])
+        return most
+
+    def weight_n(self, name: str) -> float:
+        """Return what an object weighs (N)."""
+        return float(self.model.body_mass[self._object_body[name]] * np.linalg.norm(self.model.opt.gravity))
+
     def true_contact_n(self, held: str | None) -> tuple[float, float]:
         """Return the exact force between gripper (with what it holds) and the rest.
 

@@ -23,7 +23,11 @@ UPRIGHT: Final = 0.9  # cosine of the lean
 
 
 class Truth(NamedTuple):
-    """What truly is; for evaluation and tests alone."""
+    """What truly is; for evaluation and tests alone.
+
+    `secure` is whether the friction of the pads can bear what they hold: what cannot be borne slides out, however long
+    the pads still touch it. `tools` are joints (rad, m), `switches` the states that the tools themselves tell.
+    """
 
     time_s: float
     base: Vec3
@@ -33,6 +37,7 @@ class Truth(NamedTuple):
     contact_force_n: float
     peak_force_n: float
     held: str | None
+    secure: bool
     grip_force_n: float
     people_m: float
     people: tuple[Point, ...]
@@ -40,6 +45,7 @@ class Truth(NamedTuple):
     objects: Mapping[str, Vec3]
     upright: Mapping[str, bool]
     tools: Mapping[str, float]
+    switches: Mapping[str, str]
 
 
 class Glance(NamedTuple):
@@ -61,7 +67,14 @@ class Glance(NamedTuple):
     people: tuple[Point, ...]
 
 
-def truth_of(plant: Plant, self_model: SelfModel, site: Site, people: Mapping[int, Point], time_s: float) -> Truth:
+def truth_of(  # the world has that many sides
+    plant: Plant,
+    self_model: SelfModel,
+    site: Site,
+    people: Mapping[int, Point],
+    switches: Mapping[str, str],
+    time_s: float,
+) -> Truth:
     """Return everything that truly is.
 
     Args:
@@ -69,6 +82,7 @@ def truth_of(plant: Plant, self_model: SelfModel, site: Site, people: Mapping[in
         self_model: the robot's kinematics, for the speed of its tool.
         site: names and zones.
         people: who is present, and where.
+        switches: the state of every tool.
         time_s: cell time.
     """
     tick, held, base = plant.read(), plant.true_held(), plant.read_base()
@@ -84,6 +98,7 @@ def truth_of(plant: Plant, self_model: SelfModel, site: Site, people: Mapping[in
         contact_force_n=contact,
         peak_force_n=peak,
         held=held,
+        secure=held is not None and plant.true_grip_n(held) >= plant.weight_n(held),
         grip_force_n=0.5 * sum(tick.pad_force_n),
         people_m=min((hypot(x - base[0], y - base[1]) for x, y in people.values()), default=NOBODY_M),
         people=tuple(people.values()),
@@ -91,6 +106,7 @@ def truth_of(plant: Plant, self_model: SelfModel, site: Site, people: Mapping[in
         objects={name: found[0] for name, found in objects.items()},
         upright={name: found[2] > UPRIGHT for name, found in objects.items()},
         tools={name: plant.tool_angle(name) for name in site.tools},
+        switches=switches,
     )
 
 

@@ -340,7 +340,9 @@ class Workcell:
     def truth(self) -> Truth:
         """Return what truly is (evaluation and tests; no skill and no watcher sees it)."""
         state = self._state
-        return truth_of(self.plant, self._self_model, self.site, state.people.present, state.tick * CONTROL_PERIOD_S)
+        switches = {name: self.tool_state(name) for name in self.site.tools}
+        time_s = state.tick * CONTROL_PERIOD_S
+        return truth_of(self.plant, self._self_model, self.site, state.people.present, switches, time_s)
 
     def glance(self) -> Glance:
         """Return what truly is as far as limits speak of it, without the cost of the whole truth."""

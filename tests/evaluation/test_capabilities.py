@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
-from math import nan
+from math import nan, pi
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
-from app.evaluation.capabilities import ARRIVED_M, BACK_M, STANDS_M, judge_of, restored_of, undoable_of
+from app.evaluation.capabilities import (
+    ARRIVED_M,
+    BACK_M,
+    STANDS_M,
+    STOOD_M,
+    STOOD_RAD,
+    TOOL_BACK,
+    judge_of,
+    restored_of,
+    undoable_of,
+)
 from app.evaluation.draws import Drawn
 from app.evaluation.model import CAPABILITIES, Kind
 from app.evaluation.stage import Start
@@ -26,6 +36,9 @@ BEGAN: dict[str, Any] = {
     "held": None,
     "objects": {"mug_1": ON_BENCH},
     "upright": {"mug_1": True},
+    "secure": False,
+    "tools": {"lever": 0.0, "press": 0.0},
+    "switches": {"lever": "between", "press": "released"},
 }
 
 
@@ -115,8 +128,11 @@ def test_every_capability_has_a_judge() -> None:
     ("differs", "back"),
     [
         ({}, True),
-        ({"base": (0.9 * ARRIVED_M, 0.0, 0.0)}, True),
-        ({"base": (1.1 * ARRIVED_M, 0.0, 0.0)}, False),
+        ({"base": (0.9 * STOOD_M, 0.0, 0.0)}, True),
+        ({"base": (1.1 * STOOD_M, 0.0, 0.0)}, False),
+        ({"base": (0.0, 0.0, 0.9 * STOOD_RAD)}, True),
+        ({"base": (0.0, 0.0, -1.1 * STOOD_RAD)}, False),
+        ({"base": (0.0, 0.0, 2.0 * pi)}, True),
         ({"held": "mug_1"}, False),
         ({"upright": {"mug_1": False}}, False),
         ({"objects": {"mug_1": (ON_BENCH[0] + 0.9 * BACK_M, ON_BENCH[1], MUG_Z)}}, True),
@@ -139,14 +155,17 @@ def test_what_was_held_is_held_again() -> None:
     [
         ({}, True),
         ({"base": (9.0, 9.0, 0.0)}, True),  # far off, and yet there is a way back
-        ({"upright": {"mug_1": False}}, True),
+        ({"upright": {"mug_1": False}}, False),  # nothing on the way back sets it up
         ({"held": "mug_1"}, True),
+        ({"held": "mug_1", "objects": {"mug_1": (ON_BENCH[0] + 0.4, ON_BENCH[1], MUG_Z)}}, True),
+        ({"objects": {"mug_1": (ON_BENCH[0] + 0.9 * BACK_M, ON_BENCH[1], MUG_Z)}}, True),
+        ({"objects": {"mug_1": (ON_BENCH[0] + 1.1 * BACK_M, ON_BENCH[1], MUG_Z)}}, False),  # moved by somebody
         ({"objects": {"mug_1": (ON_BENCH[0], ON_BENCH[1], 0.05)}}, False),  # on the floor
         ({"objects": {"mug_1": (ON_BENCH[0], ON_BENCH[1], -2.0)}}, False),  # taken away
         ({"objects": {"mug_1": (-1.0, -1.0, MUG_Z)}}, False),  # and so far that it is outside
     ],
 )
-def test_there_is_something_to_go_back_to_where_the_object_is_there_and_not_on_the_floor(
+def test_there_is_something_to_go_back_to_where_the_object_is_in_the_hand_or_where_it_stood(
     differs: dict[str, Any], capable: bool
 ) -> None:
     trial = drawn("grasp_object", object_id="mug_1")
@@ -155,6 +174,21 @@ def test_there_is_something_to_go_back_to_where_the_object_is_there_and_not_on_t
 
 def test_what_slipped_out_of_a_hand_that_held_it_at_the_start_cannot_be_gone_back_to() -> None:
     undoable = undoable_of(drawn("place_object", "mug_1", surface="bench_a"), truth(held="mug_1"))
-    assert undoable(world(held="mug_1"))
+    assert undoable(world(held="mug_1", secure=True))
+    assert not undoable(world(held="mug_1"))  # the pads touch it still, and it slides out
     assert not undoable(world())
     assert undoable_of(drawn("navigate_to", target="dock"), truth())(world())
+
+
+@pytest.mark.parametrize("tool", ["lever", "press"])
+@pytest.mark.parametrize(
+    ("share", "switched", "as_it_was"), [(0.9, False, True), (-1.1, False, False), (0.0, True, False)]
+)
+def test_a_tool_that_was_operated_is_neither_restored_nor_to_be_restored_by_going_back(
+    tool: str, share: float, switched: bool, as_it_was: bool
+) -> None:
+    trial = drawn("operate_tool", tool=tool, action=next(iter(SITE.tools[tool].actions)))
+    tools = {**BEGAN["tools"], tool: share * TOOL_BACK[SITE.tools[tool].kind]}
+    now = world(tools=tools, switches={**BEGAN["switches"], **({tool: "elsewhere"} if switched else {})})
+    assert restored_of(trial, truth())(now) is as_it_was
+    assert undoable_of(trial, truth())(now) is as_it_was

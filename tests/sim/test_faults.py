@@ -71,6 +71,18 @@ def test_a_slippery_object_slips_out(site: Site):
     assert not ran.done
 
 
+def test_what_the_pads_touch_is_secure_as_long_as_their_friction_bears_it(site: Site):
+    cell = cell_with(site)
+    assert run_skill(cell, "grasp_object", GRASP).done
+    assert (cell.truth().held, cell.truth().secure) == ("mug_1", True)
+    cell.plant.make_slippery("mug_1", 0.03)  # 2 x 0.03 x 40 N is less than the mug weighs
+    cell.step(cell.hold())
+    assert (cell.truth().held, cell.truth().secure) == ("mug_1", False)
+    for _ in range(100):
+        cell.step(cell.hold())
+    assert cell.truth().held is None
+
+
 def test_a_crate_that_hangs_in_the_way_is_no_obstacle_on_the_floor_and_holds_what_meets_it(site: Site):
     cell = cell_with(site, fault("blocked", x_m=1.6, y_m=3.7, z_m=0.45))
     ran = drive(cell, limit_s=20.0)
