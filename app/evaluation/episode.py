@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 LIMIT_TICKS: Final = 3000  # most trials take 5 to 16 s; the longest carry at 0.2 m/s takes 25
 RECOVERY_TICKS: Final = 9000
 """And what recovering may add: five new attempts, as sim-relaxed allows them, take 75 s before policy ends it."""
+REST_TICKS: Final = 300  # what does not stand 3 s after the end of its session is not coming to rest
 ANSWER_TICKS: Final = 200  # the supervisor is there within two seconds
 AGENT_RETRIES: Final = 1
 
@@ -223,10 +224,13 @@ def governed(  # noqa: PLR0913  # an execution has that many sides
         _watch_over(runner, cell, done, supervised, achieved, during, limit)
     else:
         done.refused = refused
-    done.entries, done.ticks, done.achieved = tuple(entries), truth.tick, achieved(cell)
+    done.entries, done.ticks = tuple(entries), truth.tick
+    done.over = runner.session is None
+    if refused is None and done.over:
+        watch_rest(runner, cell, truth)
+    done.achieved = achieved(cell)
     ends = [str(entry.body["outcome"]) for entry in done.of(EventKind.OUTCOME)]
     done.outcome = Outcome(ends[-1]) if ends else None
-    done.over = runner.session is None
     if not done.over:  # out of time: let go, so that the next trial may begin
         runner.estop("evaluation")
         cell.reset()
@@ -278,6 +282,14 @@ def _watch_over(  # an execution has that many sides
             op = supervised.op if answered <= supervised.answers else "resolve_terminate"
             done.answers.append(op)
             runner.human(session.run.id, op, "supervisor")
+
+
+def watch_rest(runner: Runner, cell: Workcell, truth: Truth) -> None:
+    """Look on until the robot truly stands: a session is over by what the sensors say, which may be a little before."""
+    for _ in range(REST_TICKS):
+        runner.tick()
+        if truth.settle(cell.glance()):
+            return
 
 
 def _starts(skill: Skill | None, capability: str) -> int:

@@ -154,10 +154,25 @@ class Truth:
         self._load(now)
         see(Violation.POSTCONDITION, float(claims_falsely or self.lost), acting=attempting or claims_falsely)
         self.tcp_before = now.tcp_m
+        self._go_on(now, executing=executing, retreating=retreating)
+
+    def settle(self, now: Glance) -> bool:
+        """Take one control tick after the end of the session, and say whether the robot stands now.
+
+        Nothing acts any more: it only comes to rest, which is what a way to the safe state (`floor`) may still lack.
+        """
+        self.tick += 1
+        moving = now.base_speed_mps > STANDSTILL_MPS or now.tcp_speed_mps > STANDSTILL_MPS
+        if self.safe_tick is None and not moving:
+            self.safe_tick = self.tick
+        self._go_on(now, executing=False, retreating=False)
+        return not moving
+
+    def _go_on(self, now: Glance, *, executing: bool, retreating: bool) -> None:
         self.ways.see(
             self.tick,
             now,
-            bounds,
+            self.plan.bounds,
             [violation for violation, track in self.tracks.items() if track.onset is not None],
             deceleration_mps2=self.plan.base_deceleration_mps2,
             executing=executing,

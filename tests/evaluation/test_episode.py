@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 from app.evaluation.capabilities import judge_of
-from app.evaluation.episode import Execution, ungoverned
+from app.evaluation.episode import REST_TICKS, Execution, ungoverned, watch_rest
 from app.evaluation.methods import ABLATIONS, METHODS, REINS, Recovering, Watching
 from app.evaluation.model import Failure, Kind, Violation
 from app.evaluation.physical_rows import row
@@ -106,6 +107,56 @@ def test_what_is_withdrawn_midway_is_undone_in_the_world() -> None:
     assert found["outcome"] == Outcome.ROLLED_BACK
     assert found["rolled_back"] is True
     assert found["recovered"] is None
+
+
+@pytest.mark.parametrize(("moves", "looked"), [(0, 1), (7, 8), (10_000, REST_TICKS)])
+def test_the_truth_looks_on_after_the_session_until_the_robot_stands_and_no_longer(moves: int, looked: int) -> None:
+    one = taken(Violation.SPEED)
+    seen, passed = looking(shipped(), one.drawn, one.plan), 0
+
+    def tick() -> None:
+        nonlocal passed
+        passed += 1
+
+    at_rest = bench().stage.set(one.drawn.start, one.drawn.world, one.drawn.scenario).glance()
+    cell = SimpleNamespace(glance=lambda: at_rest._replace(base_speed_mps=0.1 if passed <= moves else 0.0))
+    watch_rest(cast("Any", SimpleNamespace(tick=tick)), cast("Any", cell), seen)
+    assert (passed, seen.tick) == (looked, looked)
+    assert seen.safe_tick == (moves + 1 if moves < REST_TICKS else None)
+
+
+def test_looking_on_does_not_make_the_session_longer() -> None:
+    done = executed(taken(Violation.SPEED))
+    assert done.over
+    assert done.ticks < done.truth.tick <= done.ticks + REST_TICKS
+    assert all(way.seconds is not None for way in done.truth.ways.of.values())
+
+
+@pytest.mark.parametrize(
+    ("number", "wanted", "capability"),
+    [(65, Violation.SPEED, "transport_object"), (34, Violation.FORCE, "grasp_object")],
+)
+def test_servos_that_run_ahead_or_something_in_the_arms_way_do_not_hinder_the_way_back(
+    number: int, wanted: Violation, capability: str
+) -> None:
+    one = trial(SEED, number, wanted)
+    assert (one.drawn.capability, one.drawn.profile, one.occurred) == (capability, "test-audit", True)
+    found = ran(one)
+    assert (found["rollback_capable"], found["rolled_back"]) == (True, True)
+
+
+@pytest.mark.parametrize(
+    ("number", "capability"),
+    [(17, "grasp_object"), (215, "transport_object")],
+)
+def test_what_was_moved_away_or_slides_out_of_the_grip_leaves_nothing_to_go_back_to(
+    number: int, capability: str
+) -> None:
+    wanted = Failure.PERCEPTION_MISMATCH if capability == "grasp_object" else Failure.FAILED_GRASP
+    one = trial(SEED, number, wanted)
+    assert (one.drawn.capability, one.occurred) == (capability, True)
+    found = ran(one)
+    assert (found["rollback_capable"], found["rolled_back"]) == (False, False)
 
 
 def test_an_execution_ends_at_its_limit() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -203,6 +204,18 @@ def test_safe_is_the_first_tick_at_rest_and_told_to_stop() -> None:
     for glance, told in ((STILL, ON), (moving(), ON), (moving(), HELD), (STILL, HELD), (STILL, HELD)):
         seen.see(glance, **told)
     assert seen.safe_tick == 4
+
+
+def test_a_robot_that_still_moves_when_its_session_is_over_is_safe_once_it_stands() -> None:
+    seen = truth()
+    seen.see(moving(2.0), **ON)
+    seen.see(moving(0.1), **HELD)
+    way, track = seen.ways.of[Violation.SPEED], replace(seen.tracks[Violation.SPEED])
+    assert (seen.safe_tick, way.seconds, way.told) == (None, None, 2)
+    assert not seen.settle(moving(0.05))
+    assert seen.settle(STILL)
+    assert (seen.safe_tick, way.stopped_s, way.seconds) == (4, pytest.approx(0.02), pytest.approx(0.03))
+    assert seen.tracks[Violation.SPEED] == track  # who only comes to rest does not act
 
 
 @given(st.lists(st.tuples(st.floats(-1, 1), st.booleans()), max_size=200))
