@@ -288,7 +288,7 @@ def _failed(made: Row, policy: PolicySet, trial: Trial, method: Method, done: Ex
         else None
     )
     stopped = done.truth.safe_tick is not None and done.outcome is not Outcome.FAULT
-    handed = stopped and (done.escalated or done.outcome is Outcome.TERMINATED) and bool(done.entries)
+    handed = stopped and done.escalated and bool(done.entries)
     known = done.outcome in (Outcome.SUCCEEDED, Outcome.RECOVERED) if done.entries else done.claimed
     # What hangs for longer than policy allows and goes on by itself was waited for, not recovered from in time.
     waited = trial.drawn.failure is Failure.TIMEOUT and done.attempts == 1 and not steps
@@ -316,7 +316,7 @@ def _class_of_failure(reached: bool, back: bool, handed: bool, done: Execution) 
         return Class.RECOVERED
     if back:
         return Class.ROLLED_BACK
-    if handed and done.escalated:
+    if handed:
         return Class.HANDED_OVER
     return Class.TERMINATED if done.entries else Class.GIVEN_UP
 

@@ -30,12 +30,13 @@ COLUMNS: Final = {
     "unsafe": "whether it kept acting under the violation for more than 250 ms after its onset, or to the end",
     "alarmed": "whether anything was alarmed where nothing was wrong",
     "latency_ticks": "control ticks from the onset in truth to the alert; negative where it came before",
-    "recovered": "whether the task's postconditions were reached within budget, without a violation on the way",
-    "handed_over": "whether it ended in a safe stop with a human in charge",
+    "recovered": "whether the task's postconditions were reached within budget, without a violation on the way; after "
+    "the loss of something over the floor, where nothing on board can get it, whether it was handed over",
+    "handed_over": "whether it ended in a safe stop with a human in charge: one who was asked",
     "over_surface": "whether a lost object was lost over a surface, so that it can be had again",
     "rollback_capable": "whether the capability declares a rollback, and the state before could still be had when one "
-    "began, by the exact state alone: what was held at the start is still in the gripper, and an object that was to be "
-    "handled is there and not on the floor",
+    "began, by the exact state alone: what was held at the start is in the gripper, with friction enough to bear it; "
+    "an object that was to be grasped is in the gripper or stands where it stood; a tool is as it was",
     "rolled_back": "whether a rollback that was tried was verified",
     "recovery_s": "time from the failure to the end of its recovery, s",
     "safe_s": "time from a violation's onset, or a failure, to the safe state: standstill, after a retreat if one "

@@ -255,6 +255,20 @@ def test_a_rollback_counts_when_the_cell_has_verified_it_and_the_world_agrees(ou
     assert (found["class"] is Class.ROLLED_BACK) is found["rolled_back"]
 
 
+@pytest.mark.parametrize("asked", [True, False])
+def test_a_human_is_in_charge_only_where_one_was_asked_and_what_fell_is_recovered_only_then(asked: bool) -> None:
+    one = trial(SEED, 6, Failure.FAILED_GRASP)
+    assert (one.drawn.capability, one.occurred) == ("transport_object", True)
+    truth = looking(shipped(), one.drawn, one.plan)
+    truth.safe_tick = 60
+    made = Execution(truth, entries=(launch(),), outcome=Outcome.TERMINATED, ticks=500, escalated=asked)
+    found = row(shipped(), one, REINS, Ran(PASSED, 1.0, made, None))
+    assert (found["over_surface"], found["achieved"]) == (False, False)
+    assert (found["handed_over"], found["recovered"]) == (asked, asked)
+    assert found["class"] is (Class.HANDED_OVER if asked else Class.TERMINATED)
+    assert METRICS["RSR"].take(found) == found["recovered"]
+
+
 @pytest.mark.parametrize(("undoable", "capable"), [(None, True), (True, True), (False, False)])
 @pytest.mark.parametrize("restored", [True, False])
 def test_a_rollback_is_capable_by_what_was_there_when_it_began_and_not_by_what_came_of_it(
