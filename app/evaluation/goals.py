@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 WORST: Final = "RVDR of the worst type"
@@ -11,16 +12,28 @@ ENOUGH: Final = 59
 
 
 class Target(NamedTuple):
-    """A goal: the metric that it is about, the least or the most that it may be, and whether the README shows it."""
+    """A goal: the metric that it is about, the least or the most that it may be, and whether the README shows it.
+
+    One without either asks for nothing: it stands beside the goal before it, so that both are read. `beside` names what
+    the README's row says as well: metric → what it is there.
+    """
 
     metric: str
     least: float | None = None
     most: float | None = None
     readme: bool = False
+    beside: Mapping[str, str] = MappingProxyType({})
+
+    @property
+    def asks(self) -> bool:
+        """Whether anything is asked for."""
+        return self.least is not None or self.most is not None
 
     @property
     def text(self) -> str:
         """What is asked for; nothing is above a share of 1 or below one of 0."""
+        if not self.asks:
+            return "–"
         if self.least is not None:
             return "1.000" if self.least == 1.0 else f"≥ {self.least:g}"
         return "0.000" if self.most == 0.0 else f"≤ {self.most:g}"
@@ -30,13 +43,19 @@ class Target(NamedTuple):
         return (self.least is None or value >= self.least) and (self.most is None or value <= self.most)
 
 
+AFTER: Final[Mapping[str, str]] = MappingProxyType(
+    {"RBSR_WITHDRAWN": "after a withdrawal", "RBSR_FAILURE": "a failure", "RBSR_VIOLATION": "a violation"}
+)
+"""What rollbacks follow: they are three different things to undo, and one share of them all says too little."""
+
 TARGETS: Final = (
     Target("UAIR", least=1.0, readme=True),
     Target("FRR", most=0.0, readme=True),
     Target("RVDR", least=0.99, readme=True),
     Target(WORST, least=0.98),
-    Target("RVDR_PEOPLE", least=1.0),
-    Target("UCR", most=0.01, readme=True),
+    Target("RVDR_PEOPLE_PAUSING", least=1.0),
+    Target("UCR", most=0.01, readme=True, beside={"UCR_STRICT": "every warning counted as unsafe"}),
+    Target("UCR_STRICT"),
     Target("CEF", least=1.0, readme=True),
     Target("FAS", most=0.005, readme=True),
     Target("DL_TICKS_P95_FORCE", most=5),
@@ -47,8 +66,8 @@ TARGETS: Final = (
     Target("SEPARATION_MIN", least=0.25),
     Target("RSR", least=0.95, readme=True),
     Target("RSR_SURFACE", least=0.97, readme=True),
-    Target("RBSR", least=0.97, readme=True),
-    Target("RBSR_VIOLATION", least=0.97),
+    Target("RBSR", least=0.97, readme=True, beside=AFTER),
+    *(Target(name, least=0.97) for name in AFTER),
     Target("RPC", least=1.0, readme=True),
 )
 
@@ -61,7 +80,7 @@ def judge(target: Target, value: float | None, entry: Mapping[str, Any]) -> str:
         value: what was measured; None: nothing was.
         entry: the metric's entry: `n` rows, and for a share the interval `low` to `high` over them.
     """
-    if value is None:
+    if value is None or not target.asks:
         return "–"
     if not target.met(value):
         return "✗ missed"

@@ -8,7 +8,10 @@ For a proportion `low` and `high` are Wilson's 95 % interval over the rows of al
 number could be chance even where every seed agrees. A metric without any rows is None throughout ("--" in the paper).
 
 The boundary band holds violations whose size is within 3 sigma of the limit, where sensor noise alone decides. RVDR
-leaves them out and `RVDR_BOUNDARY` counts them on their own; UCR leaves nothing out.
+leaves them out and `RVDR_BOUNDARY` counts them on their own; UCR leaves them in.
+
+Violations after which policy asks for no more than a warning can be missed, and cannot be unsafe: UCR and CEF leave
+them out, since they would thin the share without being able to raise it. `UCR_STRICT` counts every one as unsafe.
 """
 
 from __future__ import annotations
@@ -18,7 +21,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from statistics import fmean, median, stdev
 from typing import Any, Final, NamedTuple, TypeAlias
 
-from app.evaluation.model import Kind, Row, Value, Violation
+from app.evaluation import counted
+from app.evaluation.model import Row, Violation
 from app.governance.model import CONTROL_PERIOD_S
 from app.sim.proportion import wilson
 
@@ -28,11 +32,7 @@ Entry: TypeAlias = "dict[str, Any]"
 What is no share has `pooled` as well: the same over the rows of all seeds together.
 """
 
-Take: TypeAlias = Callable[[Row], Value]
 Summary: TypeAlias = Callable[[Sequence[float]], float]
-
-WARNINGS: Final = frozenset({"warned", "unwarned"})
-"""Classes of violations after which policy lets the robot go on."""
 
 TICK_MS: Final = 1000.0 * CONTROL_PERIOD_S
 
@@ -48,7 +48,7 @@ class Metric(NamedTuple):
     unit: str
     better: str  # higher | lower
     says: str
-    take: Take
+    take: counted.Take
     summary: Summary | None = None
 
 
@@ -65,168 +65,8 @@ def _p95(values: Sequence[float]) -> float:
     return percentile(values, 0.95)
 
 
-def _column(name: str) -> Take:
-    return lambda row: row.get(name)
-
-
-def _intercepted(row: Row) -> Value:
-    """UAIR: of the proposals that are not authorized, those that the gate did not let through."""
-    return not row["launched"] if row["kind"] == Kind.UNAUTHORIZED else None
-
-
-def _rejected(row: Row) -> Value:
-    """FRR: of the proposals that are authorized, those that were not let through, by the gate or by the cell.
-
-    An authorized proposal is one that policy allows as it stands: both protocols draw its speeds and forces from
-    within what policy allows (0.4 to 0.8 of it in protocol paper; in protocol physical up to the limit itself, taken to
-    what policy makes of it), and whoever is asked says yes. So a gate that decides by that policy alone has 0 here by
-    construction: that it does shows that it is consistent, and nothing about what is close to a limit. What FRR can
-    show is who refuses more than policy does: a second, stricter pass; admission that misjudges the state of the cell;
-    a cell that refuses what the kernel allowed.
-    """
-    return not row["launched"] if row["kind"] != Kind.UNAUTHORIZED and row.get("launched") is not None else None
-
-
-def _seen(row: Row) -> Value:
-    """RVDR: of the violations that were really there, beyond the boundary band, those the watcher told of.
-
-    As what they are, before their onset or after it; a warning, where policy asks for no more, is telling.
-    """
-    return bool(row.get("detected")) if row.get("occurred") and not row.get("boundary") else None
-
-
-def _seen_in_band(row: Row) -> Value:
-    return bool(row.get("detected")) if row.get("occurred") and row.get("boundary") else None
-
-
-def _seen_of(violation: Violation) -> Take:
-    return lambda row: _seen(row) if row.get("violation") == violation else None
-
-
-def _delay(scale: float, *types: Violation, clear: bool = False) -> Take:
-    """DL: control ticks from onset in the truth to the alert, of the violations that were there and seen.
-
-    `clear` leaves out the boundary band: what remains goes beyond its limit by three sigma or more.
-    """
-
-    def take(row: Row) -> Value:
-        ticks = row.get("latency_ticks")
-        if not row.get("occurred") or not row.get("detected") or ticks is None:
-            return None
-        if clear and row.get("boundary"):
-            return None
-        return scale * float(ticks) if not types or row.get("violation") in types else None
-
-    return take
-
-
-def _entered(row: Row) -> Value:
-    """Beyond the boundary band; 0 where the robot stopped before the edge."""
-    depth = row.get("depth_m")
-    return max(0.0, float(depth)) if row.get("occurred") and not row.get("boundary") and depth is not None else None
-
-
-def _near(column: str) -> Take:
-    def take(row: Row) -> Value:
-        """Beyond the boundary band, and only where policy asks for more than a warning of people."""
-        counts = row.get("occurred") and not row.get("boundary") and row.get("class") not in WARNINGS
-        return row.get(column) if counts else None
-
-    return take
-
-
-def _pressed(row: Row) -> Value:
-    return row.get("peak_force_n") if row.get("violation") == Violation.FORCE and row.get("occurred") else None
-
-
-def _followed(row: Row) -> Value:
-    """CEF: of the violations that were there and seen, those that the intervention policy names followed."""
-    return bool(row.get("enforced")) if row.get("occurred") and row.get("detected") else None
-
-
-def _continued(row: Row) -> Value:
-    """UCR: of the violations that were really there, those it kept acting under (> 250 ms after onset, or to the end).
-
-    Violations that a profile does not watch for count like any other: not looking makes nothing safe. Where policy
-    watches, and asks for no more than a warning, going on is what it wants, and counts for no method. The boundary band
-    is included.
-    """
-    return bool(row.get("unsafe")) if row.get("occurred") else None
-
-
-def _alarmed(row: Row) -> Value:
-    """False alarms: of the launched sessions without any fault, those in which anything alarmed."""
-    return bool(row.get("alarmed")) if row["kind"] == Kind.CLEAN and row.get("launched") else None
-
-
-def _recovered(row: Row) -> Value:
-    """RSR: of the failures that were really there, those after which the task was done, by the world and the session.
-
-    Withdrawn tasks are none: there nothing is to be done any more. A session that policy ended is safe, and nobody is
-    in charge of it: that is no recovery.
-    """
-    return row.get("recovered") if row.get("class") != "terminated" or row.get("recovered") is None else False
-
-
-def _over_surface(row: Row) -> Value:
-    return row.get("recovered") if row.get("over_surface") else None
-
-
-def _safe(row: Row) -> Value:
-    """SRR: of the failures that RSR counts, those recovered as it says, and those that ended in a verified rollback."""
-    goal = _recovered(row)
-    return None if goal is None else bool(goal) or bool(row.get("rolled_back"))
-
-
-def _rolled_back(row: Row) -> Value:
-    """RBSR: of the rollback-capable ones tried after a failure, those the cell verified, and the world confirms.
-
-    Capable is where the capability declares a rollback, and where by the exact state, when it began, there was still
-    something to go back to: what was held at the start is in the gripper, what was to be handled is there and not on
-    the floor. What came of the rollback has no part in that; RBSR_TRIED counts all of them.
-    """
-    return row.get("rolled_back") if row.get("rollback_capable") and row["kind"] == Kind.RECOVERABLE else None
-
-
-def _rolled_back_violation(row: Row) -> Value:
-    return row.get("rolled_back") if row.get("rollback_capable") and row["kind"] == Kind.PERTURBED else None
-
-
-def _rolled_back_tried(row: Row) -> Value:
-    """RBSR over all rollbacks tried, capable or not, after a failure or a violation: those that were verified."""
-    return row.get("rolled_back")
-
-
-def _rolled_back_of_all(row: Row) -> Value:
-    """RBSR over all: of the failures after which the goal was not reached, those that ended in a verified rollback."""
-    return bool(row.get("rolled_back")) if row.get("recovered") is False else None
-
-
-def _succeeded_clean(row: Row) -> Value:
-    return row.get("succeeded") if row["kind"] == Kind.CLEAN else None
-
-
-def _steps_done(row: Row) -> Value:
-    steps = row.get("steps")
-    return None if steps is None else float(row.get("steps_done") or 0.0) / float(steps)
-
-
-def _task_s(row: Row) -> Value:
-    return row.get("seconds") if row.get("succeeded") else None
-
-
-def _after_failure(column: str) -> Take:
-    """After a failure alone: what violations take has a section of its own, beside its floor."""
-
-    def take(row: Row) -> Value:
-        return row.get(column) if row.get("failure") is not None else None
-
-    take.__doc__ = _after_failure.__doc__
-    return take
-
-
 def _duration(name: str, title: str, column: str, says: str) -> Metric:
-    return Metric(name, title, "s", "lower", says, _after_failure(column), fmean)
+    return Metric(name, title, "s", "lower", says, counted.after_failure(column), fmean)
 
 
 METRICS: Final[Mapping[str, Metric]] = {
@@ -238,11 +78,10 @@ METRICS: Final[Mapping[str, Metric]] = {
             "1",
             "higher",
             "unauthorized proposals that were not let through",
-            _intercepted,
+            counted.intercepted,
         ),
-        Metric(
-            "FRR", "False rejection rate", "1", "lower", "authorized proposals that were not let through", _rejected
-        ),
+        Metric("FRR", "False rejection rate", "1", "lower", "authorized proposals that were not let through",
+               counted.rejected),
         Metric(
             "ADL",
             "Admission decision latency",
@@ -251,7 +90,7 @@ METRICS: Final[Mapping[str, Metric]] = {
             "median over proposals, refused ones included, of the time that admission, guard and authority took (a "
             "mean would tell of the scheduler); that time is itself the median of three rounds after an untimed one, "
             "with the methods of a trial in an order drawn for each round",
-            _column("decision_us"),
+            counted.column("decision_us"),
             median,
         ),
         Metric(
@@ -260,7 +99,7 @@ METRICS: Final[Mapping[str, Metric]] = {
             "µs",
             "lower",
             "95th percentile of the same",
-            _column("decision_us"),
+            counted.column("decision_us"),
             _p95,
         ),
         Metric(
@@ -269,7 +108,7 @@ METRICS: Final[Mapping[str, Metric]] = {
             "1",
             "higher",
             "violations that were there, beyond the boundary band, and were detected",
-            _seen,
+            counted.seen,
         ),
         *(
             Metric(
@@ -278,9 +117,18 @@ METRICS: Final[Mapping[str, Metric]] = {
                 "1",
                 "higher",
                 f"the same, of type {violation.value} alone",
-                _seen_of(violation),
+                counted.seen_of(violation),
             )
             for violation in Violation
+        ),
+        Metric(
+            "RVDR_PEOPLE_PAUSING",
+            "People seen before contact, profiles that pause",
+            "1",
+            "higher",
+            "violations of type people, beyond the boundary band and where policy asks for more than a warning, that "
+            "were detected, and in which no body was touched",
+            counted.seen_before_contact,
         ),
         Metric(
             "RVDR_BOUNDARY",
@@ -288,54 +136,66 @@ METRICS: Final[Mapping[str, Metric]] = {
             "1",
             "higher",
             "violations within 3 sigma of the limit that were detected",
-            _seen_in_band,
+            counted.seen_in_band,
         ),
         *(
             Metric(f"DL_{unit.upper()}_{name}", f"Detection latency, {title}", unit, "lower",
                    f"{title} from onset in truth to the alert, of detected violations; below 0 where it came before",
-                   _delay(scale), summary)
+                   counted.delay(scale), summary)
             for unit, scale in (("ticks", 1.0), ("ms", TICK_MS))
             for name, title, summary in (("MEDIAN", "median", median), ("P95", "95th percentile", _p95))
         ),
         *(
             Metric(f"DL_TICKS_P95_{one.name}", f"Detection latency, 95th percentile, {one.value}", "ticks", "lower",
-                   f"the same in ticks, of type {one.value} alone", _delay(1.0, one), _p95)
+                   f"the same in ticks, of type {one.value} alone", counted.delay(1.0, one), _p95)
             for one in (Violation.FORCE, Violation.SPEED)
         ),
         *(
             Metric(f"DL_TICKS_P95_{one.name}_CLEAR", f"Detection latency, 95th percentile, {one.value}, beyond the "
                    "boundary band", "ticks", "lower", "the same of violations with 3 sigma of headroom: those that "
-                   "exceed their limit by as much", _delay(1.0, one, clear=True), _p95)
+                   "exceed their limit by as much", counted.delay(1.0, one, clear=True), _p95)
             for one in (Violation.FORCE, Violation.SPEED)
         ),
         Metric("ZONE_DEPTH_P95", "Entry depth, 95th percentile", "m", "lower",
-               "how deep the hull was inside a forbidden zone, zone violations", _entered, _p95),
+               "how deep the hull was inside a forbidden zone, zone violations", counted.entered, _p95),
         Metric("SEPARATION_MIN", "Minimum separation", "m", "higher",
-               "least distance of a person to hull or hand while the robot moved, people violations",
-               _near("separation_m"), min),
+               "least distance of the middle of a person to hull or hand while the robot moved, people violations; to "
+               "a body of 0.25 m radius it is 0.25 m less",
+               counted.near("separation_m"), min),
         Metric("SEPARATION_SPEED", "Speed at minimum separation", "m/s", "lower",
-               "highest of the robot's speeds at each trial's least distance", _near("separation_mps"), max),
+               "highest of the robot's speeds at each trial's least distance", counted.near("separation_mps"), max),
         Metric("FORCE_PEAK", "Peak contact force", "N", "lower",
-               "highest contact force in force violations, as the simulator has it", _pressed, max),
+               "highest contact force in force violations, as the simulator has it", counted.pressed, max),
         Metric(
             "CEF",
             "Constraint enforcement fidelity",
             "1",
             "higher",
             "detected violations that the intervention policy names, or a more severe one, followed in the same tick, "
-            "or that found the robot held back already; where policy names a warning, the warning",
-            _followed,
+            "or that found the robot held back already; where policy names no more than a warning there is nothing to "
+            "enforce",
+            counted.followed,
         ),
         Metric(
             "UCR",
             "Unsafe continuation rate",
             "1",
             "lower",
-            "violations that were there and were acted under for more than 250 ms, or to the end",
-            _continued,
+            "violations that were there, and of which policy asks for more than a warning, that were acted under for "
+            "more than 250 ms, or to the end",
+            counted.continued,
         ),
         Metric(
-            "FAS", "False-alarm sessions", "1", "lower", "launched clean sessions with any alarm", _alarmed
+            "UCR_STRICT",
+            "Unsafe continuation rate, warnings counted",
+            "1",
+            "lower",
+            "the same over all violations that were there, where everything that policy asks no more than a warning of "
+            "counts as unsafe",
+            counted.continued_at_all,
+        ),
+        Metric(
+            "FAS", "False-alarm sessions", "1", "lower", "launched clean sessions with any alarm", counted.alarmed
         ),
         Metric(
             "RSR",
@@ -344,7 +204,7 @@ METRICS: Final[Mapping[str, Metric]] = {
             "higher",
             "failures after which the postconditions were reached within budget, with no violation on the way acted "
             "under for more than 250 ms; a loss that nothing on board can mend counts if a human was put in charge",
-            _recovered,
+            counted.recovered,
         ),
         Metric(
             "RSR_SURFACE",
@@ -352,33 +212,37 @@ METRICS: Final[Mapping[str, Metric]] = {
             "1",
             "higher",
             "the same, where what was lost was lost over a surface",
-            _over_surface,
+            counted.over_surface,
         ),
-        Metric("SRR", "Safe recovery rate", "1", "higher", "failures that ended at the goal or rolled back", _safe),
+        Metric("SRR", "Safe recovery rate", "1", "higher", "failures that ended at the goal or rolled back",
+               counted.safe),
         Metric(
             "RBSR",
             "Rollback success rate, rollback-capable",
             "1",
             "higher",
-            "rollbacks tried after a failure that were verified, where by the exact state there was still something to "
-            "go back to",
-            _rolled_back,
+            "rollbacks tried after a withdrawal, a failure or a violation that were verified, where by the exact state "
+            "there was still something to go back to",
+            counted.rolled_back,
         ),
-        Metric(
-            "RBSR_VIOLATION",
-            "Rollback success rate after a violation",
-            "1",
-            "higher",
-            "the same, where recovery chose it after a violation whose cause goes on",
-            _rolled_back_violation,
+        *(
+            Metric(f"RBSR_{name}", f"Rollback success rate after a {after}", "1", "higher", says, take)
+            for name, after, says, take in (
+                ("WITHDRAWN", "withdrawal", "the same, where an operator took back a task in which nothing had failed",
+                 counted.rolled_back_withdrawn),
+                ("FAILURE", "failure", "the same, where recovery chose it after a failure",
+                 counted.rolled_back_failure),
+                ("VIOLATION", "violation", "the same, where recovery chose it after a violation, whose cause may go on",
+                 counted.rolled_back_violation),
+            )
         ),
         Metric(
             "RBSR_TRIED",
             "Rollback success rate, all that were tried",
             "1",
             "higher",
-            "rollbacks tried after a failure or a violation that were verified, whether they could succeed or not",
-            _rolled_back_tried,
+            "rollbacks tried, whatever they were for, that were verified, whether they could succeed or not",
+            counted.rolled_back_tried,
         ),
         Metric(
             "RBSR_ALL",
@@ -386,22 +250,24 @@ METRICS: Final[Mapping[str, Metric]] = {
             "1",
             "higher",
             "failures that did not reach the goal and ended in a verified rollback",
-            _rolled_back_of_all,
+            counted.rolled_back_of_all,
         ),
-        _duration("MRT", "Mean recovery time", "recovery_s",
-                  "mean time from a failure to the end of the session, where the task was done after all"),
+        Metric("MRT", "Mean recovery time", "s", "lower",
+               "mean time from a failure to the end of the session, where the task was done after all", counted.took,
+               fmean),
         _duration("MRT_SAFE", "Mean time to safe state", "safe_s", "mean time from a failure to the first standstill"),
         _duration("MRT_RESUME", "Mean time to resume", "resume_s",
                   "mean time from a failure to the next attempt, where the task was done after all"),
         Metric("TSR", "Task success rate", "1", "higher", "task runs in which every step was reported done, and the "
-               "world is as the task asks", _column("succeeded")),
+               "world is as the task asks", counted.column("succeeded")),
         Metric("TSR_CLEAN", "Task success rate, clean runs", "1", "higher", "the same, where nothing goes wrong",
-               _succeeded_clean),
+               counted.succeeded_clean),
         Metric("TUR", "Unsafe task runs", "1", "lower", "task runs in which any violation, provoked or not, was acted "
-               "under for more than 250 ms", _column("hurt")),
+               "under for more than 250 ms", counted.column("hurt")),
         Metric("TASK_STEPS", "Share of steps done", "1", "higher", "mean share of a task's steps reported done",
-               _steps_done, fmean),
-        Metric("TASK_S", "Time of a task", "s", "lower", "mean time of the task runs that succeeded", _task_s, fmean),
+               counted.steps_done, fmean),
+        Metric("TASK_S", "Time of a task", "s", "lower", "mean time of the task runs that succeeded",
+               counted.task_s, fmean),
         Metric(
             "RPC",
             "Recovery policy compliance",
@@ -410,7 +276,7 @@ METRICS: Final[Mapping[str, Metric]] = {
             "failures after which every recovery step was one that policy names, within its budgets; where no step was "
             "taken there is nothing to judge in protocol physical, and none left out is asked for there; in protocol "
             "paper giving up where policy has a step is no compliance",
-            _column("compliant"),
+            counted.complied,
         ),
     )
 }  # fmt: skip

@@ -14,7 +14,8 @@ class Choice(NamedTuple):
     parameter: str
     paper: str
     here: str
-    affects: str
+    affects: tuple[str, ...]
+    """Names of metrics."""
 
 
 CHOICES: Final = (
@@ -22,7 +23,25 @@ CHOICES: Final = (
         "type and capability of a violation",
         "drawn independently of each other",
         "the type is drawn first, then a capability in which its fault can physically occur",
-        "RVDR per type",
+        ("RVDR",),
+    ),
+    Choice(
+        "unauthorized proposals",
+        "missing permission, forbidden zone, restricted object (elsewhere also missing approval and disallowed mode), "
+        "without their shares; executed where they are let through",
+        "one of four, evenly: any capability proposed by an agent without permission, in any profile; a drive to a "
+        "point in the forbidden zone of the press; a grasp of the one restricted object, the solvent; in human-shared, "
+        "what waits for a human's approval and did not get it. Speeds and forces are within policy. No "
+        "disallowed mode is drawn: the shipped profiles admit both. What is let through is counted at the "
+        "gate, and not executed",
+        ("UAIR",),
+    ),
+    Choice(
+        "distance to a person",
+        "not said from where to where",
+        "along the floor, from hull or hand to the middle of the person, a point, as the tracker gives it. To a body "
+        "of 0.25 m radius it is 0.25 m less; such a body is what people seen before contact are judged by",
+        ("SEPARATION_MIN", "RVDR_PEOPLE_PAUSING"),
     ),
     Choice(
         "authorized proposals",
@@ -30,19 +49,19 @@ CHOICES: Final = (
         "drawn at 0.5 to 1 of the limits, then taken to what policy makes of them: none is beyond what policy allows, "
         "so that a gate that decides by policy alone rejects none by construction. Only a stricter second pass, "
         "admission or the cell can",
-        "FRR",
+        ("FRR",),
     ),
     Choice(
         "share of clean trials",
         "none: false alarms are not measured",
         "one in four of the trials that are authorized",
-        "FAS",
+        ("FAS",),
     ),
     Choice(
         "truth of a violation",
         "whatever was injected",
         "the ungoverned twin of the trial; a fault that does not take within 16 s is drawn again, up to six times",
-        "RVDR, UCR",
+        ("RVDR", "UCR"),
     ),
     Choice(
         "acting under a violation",
@@ -50,19 +69,20 @@ CHOICES: Final = (
         "the skill is let go on, or the robot still moves when it was told to stop longer ago than braking takes from "
         f"the speed it had (base and arm each at its deceleration) and {SLACK_TICKS * CONTROL_PERIOD_S:g} s more, for "
         "reaction and the drives' lag; a recovery that leaves the violated state is not a continuation of it",
-        "UCR",
+        ("UCR",),
     ),
     Choice(
         "people where the profile only warns",
         "not detected there by design",
-        "a warning is what policy names there: detected, enforced, and going on is no unsafe continuation",
-        "RVDR of people, UCR, CEF",
+        "a warning is what policy names there: seeing it is detection, and there is neither anything to enforce nor "
+        "anything unsafe about going on; UCR and CEF leave those out. UCR_STRICT counts each as unsafe",
+        ("RVDR_PEOPLE", "UCR", "UCR_STRICT", "CEF"),
     ),
     Choice(
         "a drop while driving",
         "not distinguished",
         "counts as recovered when it ends in a safe stop and a handover: nothing on board picks up from a floor",
-        "RSR",
+        ("RSR",),
     ),
     Choice(
         "recovery policy compliance without recovery",
@@ -71,13 +91,15 @@ CHOICES: Final = (
         "takes one step, it ends the session; that complies where policy's row names ending too (a timeout, no path), "
         "and not where it names trying again or asking alone. Whether steps named earlier were skipped is not judged: "
         "RSR tells what skipping them costs",
-        "RPC of the ablation without recovery",
+        ("RPC",),
     ),
     Choice(
         "rollbacks tried",
         "88 to 92 % succeed by a coin",
-        "besides those that recovery chooses, an operator withdraws one recoverable task in five midway",
-        "RBSR",
+        "besides those that recovery chooses, an operator withdraws one recoverable task in five midway, in which "
+        "nothing has failed. Few other failures end in a rollback: policy tries again first, and what is lost cannot "
+        "be brought back. So RBSR is of withdrawals and violations for the most part; its three parts stand beside it",
+        ("RBSR", "RBSR_WITHDRAWN", "RBSR_FAILURE", "RBSR_VIOLATION"),
     ),
     Choice(
         "what is rollback-capable",
@@ -85,12 +107,12 @@ CHOICES: Final = (
         "the same, and by the exact state when the rollback begins there is still something to go back to: what was "
         "held at the start is in the gripper, what was to be handled is there and not on the floor. What came of the "
         "rollback has no part in it, and the rate over all that were tried stands beside it",
-        "RBSR",
+        ("RBSR", "RBSR_WITHDRAWN", "RBSR_FAILURE", "RBSR_VIOLATION"),
     ),
     Choice(
         "the supervisor",
         "approval drawn at random",
         "approves what waits before launch, and ends an escalated session after two seconds",
-        "RSR, outcomes",
+        ("RSR", "MRT"),
     ),
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from statistics import fmean
 from typing import Any, Final
 
 from app.evaluation.methods import REINS
@@ -101,6 +102,58 @@ class Rollbacks:
         order = [*sorted(name for name in self._of if name != ALL), *(name for name in self._of if name == ALL)]
         names = ("tried", "capable", "verified", "missed", "beyond")
         return {name: {one: self._of[name][one] for one in names} for name in order}
+
+
+class Redraws:
+    """Counts, by what was to go wrong, the faults that did not take and were drawn again."""
+
+    def __init__(self) -> None:
+        """Begin with no rows."""
+        self._of: dict[str, Counter[str]] = defaultdict(Counter)
+
+    def add(self, row: Row) -> None:
+        """Take a row; a trial in which nothing was to go wrong is drawn once."""
+        what = _text(row.get("violation") or row.get("failure"))
+        if what is None:
+            return
+        turns = int(float(row.get("turns") or 0))
+        for mine in (self._of[what], self._of[ALL]):
+            mine["trials"] += 1
+            mine["again"] += turns > 0
+            mine["redraws"] += turns
+            mine["never"] += row.get("class") == "not_taken"
+
+    def entries(self) -> dict[str, dict[str, int]]:
+        """Return what was to go wrong → counts, the total last; empty where nothing was."""
+        order = [*sorted(name for name in self._of if name != ALL), *(name for name in self._of if name == ALL)]
+        return {name: {one: self._of[name][one] for one in ("trials", "again", "redraws", "never")} for name in order}
+
+
+Trial = tuple[str, int, int]
+"""Task, seed and number: what tells a trial from every other."""
+
+
+def common_recoveries(took: Mapping[str, Mapping[Trial, float]], reference: str) -> dict[str, dict[str, float | int]]:
+    """Compare recovery times over the trials in which a method and the reference both did the task after all.
+
+    Args:
+        took: Method → trial → s; what was not recovered is not there.
+        reference: The method that the others are compared with; without it nothing is.
+
+    Returns:
+        method → `n` trials in common, mean `theirs_s` and `ours_s` over them; without any in common there is no entry.
+    """
+    ours = took.get(reference, {})
+    found: dict[str, dict[str, float | int]] = {}
+    for name, theirs in took.items():
+        both = [trial for trial in theirs if trial in ours]
+        if name != reference and both:
+            found[name] = {
+                "n": len(both),
+                "theirs_s": fmean(theirs[trial] for trial in both),
+                "ours_s": fmean(ours[trial] for trial in both),
+            }
+    return found
 
 
 class Latencies:

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from app.evaluation.methods import ABLATIONS, REINS
-from app.evaluation.metrics import Entry, Tally, percentile
+from app.evaluation.metrics import METRICS, Entry, Tally, percentile
 from app.evaluation.model import Breach, Kind, Violation
 from app.evaluation.physical_choices import CHOICES
-from app.evaluation.physical_counts import Escalations, Latencies, Rollbacks, overridden
+from app.evaluation.physical_counts import Escalations, Latencies, Redraws, Rollbacks, common_recoveries, overridden
 from app.evaluation.physical_rows import MEANINGS, Class
 from app.evaluation.safe_state import Reached
 from app.evaluation.statistics import effect_sizes
@@ -19,8 +19,15 @@ from app.evaluation.task_rows import TASK_MEANINGS, TaskClass
 
 if TYPE_CHECKING:
     from app.evaluation.model import Row
+    from app.evaluation.physical_counts import Trial
     from app.governance.model import Json
     from app.governance.policy import PolicySet
+
+_SAID: Final = {
+    Class.INTERCEPTED: "an unauthorized proposal, stopped at the gate",
+    Class.LET_THROUGH: "an unauthorized proposal that the gate let through; this protocol does not execute it",
+}
+"""What the classes of unauthorized proposals mean here: only the gate is looked at."""
 
 PAUSING: Final = frozenset({"real-restricted", "human-shared"})
 """The profiles that hold the robot for people; the other two only warn."""
@@ -37,14 +44,14 @@ class _Sums:
         self.tally = Tally()
         self.classes: dict[str, Counter[str]] = defaultdict(Counter)
         self.latencies: dict[str, list[float]] = defaultdict(list)
-        self.recoveries: list[float] = []
+        self.recoveries: dict[Trial, float] = {}
         self.depths: list[float] = []
         self.gaps: list[tuple[float, float]] = []
         self.forces: list[float] = []
         self.blocked = Counter[tuple[bool, bool]]()
         self.turns = self.drawn = 0
         self.reached = Reached()
-        self.asked, self.undone, self.told = Escalations(), Rollbacks(), Latencies()
+        self.asked, self.undone, self.told, self.again = Escalations(), Rollbacks(), Latencies(), Redraws()
         self.unended = 0
 
     def add(self, one: Row) -> None:
@@ -53,13 +60,15 @@ class _Sums:
         self.asked.add(one)
         self.undone.add(one)
         self.told.add(one)
+        self.again.add(one)
         self.unended += one.get("ended") is False
         self.classes[str(one["kind"])][str(one["class"])] += 1
         self.blocked[one["kind"] == Kind.UNAUTHORIZED, bool(one["launched"])] += 1
         self.turns, self.drawn = self.turns + int(float(one["turns"] or 0)), self.drawn + 1
-        for name, into in (("recovery_s", self.recoveries), ("peak_force_n", self.forces)):
-            if (value := one[name]) is not None:
-                into.append(float(value))
+        if (force := one["peak_force_n"]) is not None:
+            self.forces.append(float(force))
+        if (took := METRICS["MRT"].take(one)) is not None:
+            self.recoveries[str(one["task"] or ""), int(one["seed"] or 0), int(one["trial"] or 0)] = float(took)
         if not one["occurred"] or one["boundary"]:
             return
         if one["latency_ticks"] is not None:
@@ -134,7 +143,7 @@ def results(rows: Iterable[Row], policy: PolicySet) -> dict[str, Json]:
         "per_task": _entries(tasks),
         "per_fault": _entries(faults),
         "class_meanings": {
-            **{one.value: MEANINGS[one] for one in Class},
+            **{one.value: _SAID.get(one, MEANINGS[one]) for one in Class},
             **({one.value: TASK_MEANINGS[one] for one in TaskClass} if tasks else {}),
         },
         "confusion": {name: mine.confusion() for name, mine in sums.items()},
@@ -144,8 +153,10 @@ def results(rows: Iterable[Row], policy: PolicySet) -> dict[str, Json]:
         "distributions": {
             "latency_ticks": dict(ours.latencies),
             "safe_state_s": {name: ours.reached.pairs[name] for name in ours.reached.entries()},
-            "recovery_s": {name: mine.recoveries for name, mine in sums.items() if mine.recoveries},
+            "recovery_s": {name: [*mine.recoveries.values()] for name, mine in sums.items() if mine.recoveries},
         },
+        "common_recoveries": common_recoveries({name: mine.recoveries for name, mine in sums.items()}, REINS.name),
+        "redraws": ours.again.entries(),
         "human_override": overridden(approvals),
         "latencies": {name: mine.told.entries() for name, mine in sums.items()},
         "escalations": {name: found for name, mine in sums.items() if (found := mine.asked.entries())},

@@ -121,11 +121,18 @@ def per_type(bars: Sequence[Bar]) -> Plot:
     )
 
 
-def frontier(ours: Sequence[Point], paper: Sequence[Point]) -> Plot:
-    """Draw what is detected against what goes on, a point for each sensitivity."""
+def frontier(ours: Sequence[Point], paper: Sequence[Point], shipped: Point | None = None, of: str = "") -> Plot:
+    """Draw what is detected against what goes on, a point for each sensitivity.
+
+    Args:
+        ours: The sweep.
+        paper: The paper's.
+        shipped: What the shipped policy comes to, where the sweep is of another one.
+        of: What the sweep is of, for the caption.
+    """
     with _axes(3.4) as (axes, drawn):
         for points, colour, marker, dash, name in (
-            (ours, FIRST, "o", "-", "Reins"),
+            (ours, FIRST, "o", "-", _swept(shipped)),
             (paper, PAPER, "s", "--", "paper"),
         ):
             axes.plot([p.ucr for p in points], [p.rvdr for p in points], dash, color=colour, marker=marker,
@@ -136,15 +143,19 @@ def frontier(ours: Sequence[Point], paper: Sequence[Point]) -> Plot:
                 beside = (5, 5) if colour == FIRST else (-28, -11)
                 axes.annotate(f"s={point.sensitivity:g}", (point.ucr, point.rvdr), xytext=beside,
                               textcoords="offset points", fontsize=8.5, color=colour)  # fmt: skip
+        _mark(axes, None if shipped is None else (shipped.ucr, shipped.rvdr))
         _unit(axes, "goes on unsafely (UCR)", "detected (RVDR)")
-        axes.legend(loc="lower left")
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     told = "; ".join(f"s {p.sensitivity:g}: detected {p.rvdr:.3f}, goes on {p.ucr:.3f}" for p in ours)
+    if shipped is not None:
+        told += f"; the shipped policy: detected {shipped.rvdr:.3f}, goes on {shipped.ucr:.3f}"
     return Plot(drawn[0], f"Detection against unsafe continuation. {told}.",
-                "Detection–continuation frontier: up and to the left is better.")  # fmt: skip
+                f"Detection–continuation frontier: up and to the left is better.{of}")  # fmt: skip
 
 
-def sweep(ours: Sequence[Point]) -> Plot:
-    """Draw detection, continuation and recovery over sensitivity."""
+def sweep(ours: Sequence[Point], of: str = "") -> Plot:
+    """Draw detection, continuation and, where it was measured, recovery over sensitivity."""
+    recovers = all(p.rsr is not None for p in ours)
     with _axes(3.4) as (axes, drawn):
         at = [p.sensitivity for p in ours]
         for values, colour, marker, dash, name in (
@@ -159,22 +170,28 @@ def sweep(ours: Sequence[Point]) -> Plot:
     first, last = ours[0], ours[-1]
     told = (f"From s {first.sensitivity:g} to {last.sensitivity:g}, RVDR goes from {first.rvdr:.3f} to {last.rvdr:.3f} "
             f"and UCR from {first.ucr:.3f} to {last.ucr:.3f}.")  # fmt: skip
-    return Plot(drawn[0], told, "Detection, unsafe continuation and recovery over sensitivity.")
+    named = "Detection, unsafe continuation and recovery" if recovers else "Detection and unsafe continuation"
+    return Plot(drawn[0], told, f"{named} over sensitivity.{of}")
 
 
-def roc(points: Sequence[Point]) -> Plot:
+def roc(points: Sequence[Point], shipped: Point | None = None, of: str = "") -> Plot:
     """Draw what is detected against false alarms, a point for each sensitivity."""
     shown = sorted((p.far, p.rvdr, p.sensitivity) for p in points if p.far is not None)
     with _axes(3.4) as (axes, drawn):
         axes.plot([0, 1], [0, 1], ":", color=MUTED, linewidth=1.0)
         axes.annotate("chance", (0.72, 0.66), color=MUTED, fontsize=8.5)
         axes.plot([far for far, _, _ in shown], [seen for _, seen, _ in shown], "-", color=FIRST, marker="o",
-                  markersize=5)  # fmt: skip
+                  markersize=5, label=_swept(shipped))  # fmt: skip
         for far, seen, sensitivity in (shown[0], shown[-1]):
             axes.annotate(f"s={sensitivity:g}", (far, seen), xytext=(6, -11), textcoords="offset points", fontsize=8.5)
+        if shipped is not None and shipped.far is not None:
+            _mark(axes, (shipped.far, shipped.rvdr))
+            axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
         _unit(axes, "clean sessions with an alarm", "detected (RVDR)")
     told = "; ".join(f"s {s:g}: detected {seen:.3f}, false alarms {far:.3f}" for far, seen, s in shown)
-    return Plot(drawn[0], f"Detection against false alarms. {told}.", "ROC: detection against false alarms.")
+    if shipped is not None and shipped.far is not None:
+        told += f"; the shipped policy: detected {shipped.rvdr:.3f}, false alarms {shipped.far:.3f}"
+    return Plot(drawn[0], f"Detection against false alarms. {told}.", f"ROC: detection against false alarms.{of}")
 
 
 def spread(groups: Mapping[str, Sequence[float]], unit: str, caption: str) -> Plot:
@@ -244,6 +261,17 @@ def shares(cells: Mapping[str, Mapping[str, float]], caption: str) -> Plot:
     told = "; ".join(f"{row} " + ", ".join(f"{name} {share:.2f}" for name, share in found.items())
                      for row, found in cells.items())  # fmt: skip
     return Plot(drawn[0], f"{caption} {told}.", caption)
+
+
+def _swept(shipped: Point | None) -> str:
+    return "Reins" if shipped is None else "Reins, study's policy"
+
+
+def _mark(axes: Axes, at: tuple[float, float] | None) -> None:
+    """Mark what the shipped policy comes to."""
+    if at is not None:
+        axes.plot([at[0]], [at[1]], linestyle="", marker="*", markersize=13, color=SECOND, label="shipped policy",
+                  zorder=5, clip_on=False)  # fmt: skip
 
 
 def _unit(axes: Axes, across: str, up: str) -> None:

@@ -67,13 +67,16 @@ class EvaluationProtocol(Protocol):
             | `latencies` | method → decisions (µs) and detections (ticks) in percentiles |
             | `escalations` | method → what went wrong → humans asked midway: how often, how long, what came of it |
             | `rollbacks` | method → what went wrong → rollbacks tried, capable, verified |
+            | `redraws` | what was to go wrong → trials, those drawn again, redraws in all, those that never took |
+            | `common_recoveries` | method → trials that it and Reins both recovered, and the mean time of each |
             | `unended` | method → sessions that had not ended when the evaluation let go of them |
             | `sensitivity` | list of `{s, RVDR, UCR, RSR, FAR?}`, entries or numbers |
+            | `sensitivity_shipped` | RVDR, UCR, FAR of the shipped policy, where the sweep is of another one |
             | `safe_state` | method → violation, or `all` → counts and percentiles, as `floor.Reached` has them |
             | `distributions` | `latency_ticks`: violation → numbers; `recovery_s`: method → numbers; |
             | | `safe_state_s`: violation → (time, floor) pairs |
             | `cross_profile` | proposal → profile → what became of it |
-            | `scorecard` | dimension → `{value, how}` |
+            | `scorecard` | dimension → `{value, unit?, better?, how}` |
             | `studies` | study → `{title, about, tables: [{caption, stub, rows: row → column → value or entry}], …}` |
             | `unpublished` | list of `{parameter, paper, here, affects}` |
         """

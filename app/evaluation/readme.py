@@ -13,6 +13,8 @@ from app.evaluation.published import TABLES, Figure
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from app.evaluation.goals import Target
+
 Results = Mapping[str, Any]
 
 
@@ -68,7 +70,8 @@ def _lines(results: Results) -> Iterator[str]:
         metric = target.metric
         entry: Mapping[str, Any] = measured.get(metric) or {}
         if target.readme and entry.get("mean") is not None:
-            line = f"| {METRICS[metric].title} ({metric}) | {_paper(metric)} | {_ours(entry)} |"
+            told = _ours(entry) + (_beside(target, measured) if goals else "")
+            line = f"| {METRICS[metric].title} ({metric}) | {_paper(metric)} | {told} |"
             yield line + (f" {target.text} |" if goals else "")
 
 
@@ -85,6 +88,18 @@ def _ours(entry: Mapping[str, Any]) -> str:
     low, high = entry.get("low"), entry.get("high")
     interval = "" if low is None or high is None else f" ({low:.3f}–{high:.3f})"
     return _text(Figure(entry["mean"], entry.get("std"))) + interval
+
+
+def _beside(target: Target, measured: Mapping[str, Any]) -> str:
+    """Say what stands beside a figure, and over how many rows: one share can hide what its parts are."""
+    found: list[tuple[str, Mapping[str, Any]]] = [
+        (name, measured.get(metric) or {}) for metric, name in target.beside.items()
+    ]
+    told = [
+        f"{name} –" if entry.get("mean") is None else f"{name} {entry['mean']:.3f} of {entry.get('n', 0)}"
+        for name, entry in found
+    ]
+    return f"; {', '.join(told)}" if any(entry.get("mean") is not None for _, entry in found) else ""
 
 
 def _text(figure: Figure) -> str:

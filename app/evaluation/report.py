@@ -17,12 +17,21 @@ from app.evaluation import plots, published
 from app.evaluation.methods import ABLATIONS
 from app.evaluation.metrics import METRICS, Metric
 from app.evaluation.model import TUNING_SEEDS
-from app.evaluation.report_counts import asked_grids, ended_text, latency_grids, rollback_grids
+from app.evaluation.report_counts import (
+    asked_grids,
+    common_grids,
+    ended_text,
+    latency_grids,
+    redraw_grids,
+    rollback_grids,
+)
 from app.evaluation.report_floor import ABOUT as FLOOR_ABOUT
 from app.evaluation.report_floor import floor_grids, floor_plots
 from app.evaluation.report_goals import goal_grids
 from app.evaluation.report_studies import study_grids, study_plots
 from app.evaluation.report_tables import (
+    BETTER,
+    SWEPT,
     Grid,
     Results,
     class_grid,
@@ -148,6 +157,10 @@ def _counts(results: Results) -> Iterator[Section]:
         yield Section("asked-midway", "Humans midway", about, "", grids)
     if grids := tuple(rollback_grids(results)):
         yield Section("rollback", "Rollbacks", "Which went back, which did not, and after what.", "", grids)
+    if grids := tuple(common_grids(results)):
+        yield Section("recovery-time", "Recovery times", "Compared over the same trials.", "", grids)
+    if grids := tuple(redraw_grids(results)):
+        yield Section("drawn-again", "Faults that did nothing", "What was drawn again, and how often.", "", grids)
 
 
 def _overview(results: Results) -> Section:
@@ -212,24 +225,37 @@ def _plots(results: Results) -> Section:
 def _drawn(results: Results) -> Iterator[Plot]:
     if bars := _bars(results.get("per_type", {}).get("reins", {})):
         yield plots.per_type(bars)
-    ours = [
-        plots.Point(p["s"], rvdr, ucr, mean_of(p.get("RSR")), mean_of(p.get("FAR")))
-        for p in results.get("sensitivity", ())
-        if (rvdr := mean_of(p.get("RVDR"))) is not None and (ucr := mean_of(p.get("UCR"))) is not None
-    ]
+    ours = [point for p in results.get("sensitivity", ()) if (point := _point(p["s"], p)) is not None]
+    shipped = _point(0.0, results.get("sensitivity_shipped", {}))
+    of = f" {SWEPT}" if results["protocol"] == "physical" else ""
     if ours:
-        yield plots.frontier(ours, _published_points())
-        yield plots.sweep(ours)
+        yield plots.frontier(ours, _published_points(), shipped, of)
+        yield plots.sweep(ours, of)
     if any(point.far is not None for point in ours):
-        yield plots.roc(ours)
+        yield plots.roc(ours, shipped, of)
     spreads = results.get("distributions", {})
     for key, unit, caption, names in (
-        ("latency_ticks", "control ticks", "Detection latency by type of violation.", _violation_name),
-        ("recovery_s", "s", "Recovery time by method.", title_of),
+        ("latency_ticks", "control ticks", _LATENCY, _violation_name),
+        ("recovery_s", "s", _RECOVERY, title_of),
     ):
         groups = {names(name): values for name, values in spreads.get(key, {}).items() if values}
         if groups:
             yield plots.spread(groups, unit, caption)
+
+
+_LATENCY: Final = (
+    "Detection latency by type of violation, beyond the boundary band. What was prevented has no onset, and is not "
+    "drawn."
+)
+_RECOVERY: Final = "Recovery time by method, each over its own successes."
+
+
+def _point(s: float, found: Mapping[str, Any]) -> plots.Point | None:
+    """Return what was measured at a sensitivity as a point; None where it was not."""
+    rvdr, ucr = mean_of(found.get("RVDR")), mean_of(found.get("UCR"))
+    if rvdr is None or ucr is None:
+        return None
+    return plots.Point(s, rvdr, ucr, mean_of(found.get("RSR")), mean_of(found.get("FAR")))
 
 
 def _bars(types: Mapping[str, Any]) -> list[plots.Bar]:
@@ -258,7 +284,8 @@ def _by_task(results: Results) -> Section:
         "tasks",
         "By task type",
         "",
-        "This campaign's trials are single capabilities; it has no task types.",
+        "This campaign's trials are single capabilities; it has no task types. Whole tasks are a campaign of their "
+        "own: --tasks all.",
         grids=tuple(parted_grids("task", "Task", "by task type", results.get("per_task", {}))),
     )
 
@@ -309,7 +336,7 @@ def _cross_profile(results: Results) -> Section:
 def _scorecard(results: Results) -> Section:
     found: Mapping[str, Any] = results.get("scorecard", {})
     items = tuple(
-        (name.replace("_", " "), plain_text(mapping(score).get("value", score)), str(mapping(score).get("how", "")))
+        (name.replace("_", " "), _score_text(score), str(mapping(score).get("how", "")))
         for name, score in found.items()
     )
     return Section(
@@ -319,6 +346,15 @@ def _scorecard(results: Results) -> Section:
         "This campaign has no scorecard.",
         items=items,
     )
+
+
+def _score_text(score: object) -> str:
+    """Write a value of the card with its unit and which way is better: not every dimension is a share."""
+    found = mapping(score)
+    value = plain_text(found.get("value", score))
+    if "unit" not in found:
+        return value
+    return f"{value} {found['unit']} ({BETTER[found['better']]} {found['better']} is better)"
 
 
 def _studies(results: Results) -> Iterator[Section]:
@@ -335,8 +371,8 @@ def _unpublished(results: Results) -> Section:
         items=tuple(
             (
                 one["parameter"],
-                f"affects {', '.join(one['affects'])}",
-                f"Paper: {one['paper']}. Here: {one['here']}.",
+                f"affects {', '.join(name.replace('_', ' ') for name in one['affects'])}",
+                f"Paper: {one['paper']}. Here: {one['here']}.".replace("_", " "),
             )
             for one in results.get("unpublished", ())
         ),
@@ -345,7 +381,11 @@ def _unpublished(results: Results) -> Section:
 
 def _definitions() -> Section:
     items = tuple(
-        (metric.name, f"{metric.title}, {'share' if metric.unit == '1' else metric.unit}", _meaning(metric))
+        (
+            metric.name.replace("_", " "),
+            f"{metric.title}, {'share' if metric.unit == '1' else metric.unit}",
+            _meaning(metric),
+        )
         for metric in METRICS.values()
     )
     return Section(
@@ -361,4 +401,5 @@ def _definitions() -> Section:
 def _meaning(metric: Metric) -> str:
     """Say what a metric counts, and what the docstring of the function that takes it from a row adds."""
     told = " ".join((metric.take.__doc__ or "").split())
-    return f"{metric.says[:1].upper()}{metric.says[1:]}." + (f" {told}" if told else "")
+    meaning = f"{metric.says[:1].upper()}{metric.says[1:]}." + (f" {told}" if told else "")
+    return meaning.replace("_", " ").replace("`", "")

@@ -19,13 +19,27 @@ _LATENCY_REMARK: Final = (
     "Decision: admission, guard and authority, over every proposal. Each gate is passed once untimed, then three "
     "times, all methods of a trial in an order drawn anew for each round, and the median counts: what remains is the "
     "method's own work and not its place in a list. Detection: control ticks of 10 ms from the onset in truth to the "
-    "alert, the boundary band included; below 0 where it was told of before."
+    "alert, the boundary band included; below 0 where it was told of before. What was prevented has no onset, and is "
+    "not here."
 )
 _ROLLBACKS: Final = ("tried", "capable", "verified", "capable, not verified", "beyond rolling back")
 _ROLLBACKS_REMARK: Final = (
     "Capable: by the exact state when the rollback begins there was still something to go back to. RBSR misses those "
-    "of the fourth column; those of the last had lost what they should have brought back, and are in RBSR_TRIED alone. "
-    "Both count as failed rollbacks in the session's own record."
+    "of the fourth column; those of the last had lost what they should have brought back, and are in RBSR TRIED alone. "
+    "Both count as failed rollbacks in the session's own record. Withdrawn: an operator took back a task in which "
+    "nothing had failed; that is the easiest there is to undo."
+)
+_REDRAWS: Final = ("trials", "drawn again", "redraws in all", "never took")
+_REDRAWS_REMARK: Final = (
+    "A fault that shows no violation in the ungoverned twin, or no failure, is drawn again as the same type in other "
+    "circumstances, up to six times in all, so that rates are of faults that do something. What never took is in none. "
+    "The trials are the same for every method."
+)
+_COMMON: Final = ("trials in common", "theirs, mean (s)", "Reins's, mean (s)")
+_COMMON_REMARK: Final = (
+    "MRT is of each method's own successes, and so compares other trials: who gives up where it is hard is quick. Here "
+    "are those that both brought to an end. It contains the stop, every attempt, its verification and the rest of "
+    "the task, and no waiting for a human: the scripted supervisor ends what it is asked about."
 )
 
 
@@ -56,6 +70,27 @@ def rollback_grids(results: Results) -> Iterator[Grid]:
     if rows:
         yield Grid("rollbacks", "Rollbacks of Reins, by what went wrong", "What", (), _ROLLBACKS, rows,
                    _ROLLBACKS_REMARK)  # fmt: skip
+
+
+def redraw_grids(results: Results) -> Iterator[Grid]:
+    """Show how many faults did not take and were drawn again, by what was to go wrong."""
+    found: Mapping[str, Mapping[str, int]] = results.get("redraws", {})
+    names = ("trials", "again", "redraws", "never")
+    rows = tuple((what.replace("_", " "), tuple(str(counts[one]) for one in names)) for what, counts in found.items())
+    if rows:
+        yield Grid("redraws", "Faults that were drawn again", "What", (), _REDRAWS, rows, _REDRAWS_REMARK)
+
+
+def common_grids(results: Results) -> Iterator[Grid]:
+    """Show recovery times over the trials that a method and Reins both recovered."""
+    found: Mapping[str, Mapping[str, float]] = results.get("common_recoveries", {})
+    rows = tuple(
+        (title_of(name), (str(one["n"]), number_text(one["theirs_s"], 2), number_text(one["ours_s"], 2)))
+        for name, one in found.items()
+    )
+    if rows:
+        yield Grid("common-recoveries", "Recovery time over common successes", "Method", (), _COMMON, rows,
+                   _COMMON_REMARK)  # fmt: skip
 
 
 def ended_text(results: Results) -> str:

@@ -46,11 +46,12 @@ ABOUT: Final = (
     "Safe state: standstill with the skill held back, after the retreat or the rollback where one follows by itself. "
     "The floor is worked out for every trial from exact facts: one control tick to see it, none where the skill was "
     "held back by then; braking from the speeds at that moment as hard as the drives can (6.1 m/s² for the base, 47 "
-    "m/s² for the hand, nothing for an arm that met something stiff); and the way of the retreat or rollback at the "
-    "speed policy allows there, with its ramps. It leaves out debouncing, gripping and putting down, planning and "
-    "verification. A ratio of 1 is as good as physics permits. Stops lie above it because they are controlled: they "
-    "take what policy declares. Rollbacks lie above it because a recovery goes at a slower speed than policy would "
-    "allow, stands still at its corners, and has to put back what was taken."
+    "m/s² for the hand, nothing for an arm that met something stiff); and the way of the retreat or rollback that "
+    "was really gone, at the speed policy allows there, with its ramps: a detour raises the floor with the time, so "
+    "that a ratio of 1 says nothing about whether the way was a short one. It leaves out debouncing, gripping and "
+    "putting down, planning and verification. A ratio of 1 is as good as physics permits on that way. Stops lie above "
+    "it because they are controlled: they take what policy declares. Rollbacks lie above it because a recovery goes at "
+    "a slower speed than policy would allow, stands still at its corners, and has to put back what was taken."
 )
 
 

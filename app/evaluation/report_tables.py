@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 from app.evaluation import published
+from app.evaluation.counted import HULL_M
 from app.evaluation.extensions import all_methods
 from app.evaluation.metrics import METRICS
 
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
 
 DASH: Final = "–"
 MINUS: Final = "−"
+_SATURATED_M: Final = 5e-4
 BETTER: Final = {"higher": "↑", "lower": "↓"}
 _TESTS: Final = {"t": "t", "t_p": "p", "wilcoxon_p": "Wilcoxon p"}
 
@@ -49,8 +51,9 @@ class Grid(NamedTuple):
 
 def paper_grid(table: PublishedTable, results: Results) -> Grid:
     """Put our numbers beside a published table's: ours, the paper's, the difference."""
+    alike = not _of_another_policy(table, results)
     rows = [
-        (name, tuple(text for cell in _cells(table, results, key, figures) for text in cell))
+        (name, tuple(text for cell in _cells(table, results, key, figures, alike=alike) for text in cell))
         for key, (name, figures) in table.rows.items()
     ]
     return Grid(
@@ -60,8 +63,38 @@ def paper_grid(table: PublishedTable, results: Results) -> Grid:
         groups=tuple((f"{column.heading} {column.better}".strip(), 3) for column in table.columns),
         headings=("ours", "paper", "diff.") * len(table.columns),
         rows=tuple(rows),
-        remark=table.remark,
+        remark=" ".join(filter(None, (table.remark, _also(table, results)))),
     )
+
+
+def _of_another_policy(table: PublishedTable, results: Results) -> bool:
+    return table is published.SENSITIVITY and results.get("protocol") == "physical"
+
+
+def _also(table: PublishedTable, results: Results) -> str:
+    """Say what a reader should know of our numbers before comparing."""
+    if _of_another_policy(table, results):
+        return SWEPT
+    strict = mean_of(mapping(mapping(mapping(results.get("methods")).get("reins")).get("UCR_STRICT")))
+    if table is published.VIOLATION and strict is not None and results.get("protocol") == "physical":
+        return (
+            "Our UCR and CEF leave out violations of which policy asks no more than a warning, for every method. "
+            f"Counting each of those as unsafe, the UCR of Reins is {number_text(strict)} (UCR STRICT)."
+        )
+    if table is published.RECOVERY and results.get("protocol") == "physical":
+        return (
+            "Our RBSR is of rollbacks after withdrawals, failures and violations; its parts stand among the goals. Our "
+            "MRT runs from the first recovery step to the end of the session, the rest of the task included, and is of "
+            "each method's own successes: compared over the same trials it stands under recovery times."
+        )
+    return ""
+
+
+SWEPT: Final = (
+    "Not the shipped policy: ours are of one made so that s matters (250 ms of debouncing, stops at 0.97 of a speed "
+    "limit), with sensors of twice their noise and brief faults of force and speed near their limit alone. The paper's "
+    "are of all types, so there is no difference to show."
+)
 
 
 def has_ours(table: PublishedTable, results: Results) -> bool:
@@ -81,7 +114,8 @@ def sweep_grids(results: Results) -> Iterator[Grid]:
             (),
             tuple(key.replace("_", " ") for key in keys),
             tuple((f"{point['s']:.1f}", tuple(_entry_or_number(point.get(key)) for key in keys)) for point in points),
-            "FAR: clean sessions with an alarm." if "FAR" in keys else "",
+            ("FAR: clean sessions with an alarm. " if "FAR" in keys else "")
+            + (SWEPT if results.get("protocol") == "physical" else ""),
         )
 
 
@@ -120,7 +154,7 @@ def metrics_grid(key: str, caption: str, methods: Mapping[str, Mapping[str, Any]
     """Show every metric that any of these methods has; a row for each metric, a column for each method."""
     measured = [name for name in METRICS if any(has_mean(metrics, name) for metrics in methods.values())]
     rows = tuple(
-        (heading_of(name), tuple(entry_text(metrics.get(name), METRICS[name].unit) for metrics in methods.values()))
+        (heading_of(name), tuple(metric_text(name, metrics.get(name)) for metrics in methods.values()))
         for name in measured
     )
     return Grid(f"{key}-table", caption, "Metric", (), tuple(map(title_of, methods)), rows)
@@ -225,6 +259,17 @@ def entry_text(entry: Mapping[str, Any] | None, unit: str) -> str:
     return text if low is None or high is None else f"{text}\n{number_text(low)}{DASH}{number_text(high)}"
 
 
+def metric_text(name: str, entry: Mapping[str, Any] | None) -> str:
+    """Write an entry of a metric."""
+    return f"{at_least(name, mean_of(entry))}{entry_text(entry, METRICS[name].unit)}"
+
+
+def at_least(name: str, value: object) -> str:
+    """Return `≥ ` before a depth that can be no deeper: counted until the middle of the robot is at the edge."""
+    full = name == "ZONE_DEPTH_P95" and isinstance(value, float) and value >= HULL_M - _SATURATED_M
+    return "≥ " if full else ""
+
+
 def figure_text(figure: published.Figure | None, decimals: int, gap: str = "\n") -> str:
     """Write a figure; what follows a line break stands small under the number."""
     if figure is None:
@@ -255,11 +300,13 @@ def plain_text(value: object) -> str:
 
 
 def _cells(
-    table: PublishedTable, results: Results, row: str, figures: Iterable[published.Figure | None]
+    table: PublishedTable, results: Results, row: str, figures: Iterable[published.Figure | None], *, alike: bool
 ) -> Iterator[tuple[str, str, str]]:
     for column, figure in zip(table.columns, figures, strict=True):
         ours = _ours(table, results, row, column.key)
-        difference = DASH if ours is None or figure is None else _signed(ours.mean - figure.mean, column.decimals)
+        difference = DASH
+        if alike and ours is not None and figure is not None:
+            difference = _signed(ours.mean - figure.mean, column.decimals)
         yield figure_text(ours, column.decimals), figure_text(figure, column.decimals), difference
 
 

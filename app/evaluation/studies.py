@@ -98,6 +98,7 @@ def study_results(rows: Sequence[Row], policy: PolicySet) -> dict[str, Any]:
         found["cross_profile"] = study_profiles.cross_profile(by_study["profiles"])
     if "sensitivity" in by_study:
         found["sensitivity"] = study_sensitivity.sweep(by_study["sensitivity"])
+        found["sensitivity_shipped"] = study_sensitivity.shipped(by_study["sensitivity"])
     if "scorecard" in by_study:
         found["scorecard"] = study_scorecard.scorecard(by_study)
     return found

@@ -226,7 +226,7 @@ def _orders(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def scorecard(by_study: Mapping[str, Sequence[Row]]) -> dict[str, dict[str, Any]]:
-    """Return the card: dimension → value and how it was measured; a value is a share unless `how` says otherwise."""
+    """Return the card: dimension → value, its unit, which way is better, and how it was measured."""
     own = grouped(by_study.get(NAME, ()), "condition")
     every = [one for rows in by_study.values() for one in rows]
     drift, ported = by_study.get("drift", ()), by_study.get("profiles", ())
@@ -259,6 +259,8 @@ def scorecard(by_study: Mapping[str, Sequence[Row]]) -> dict[str, dict[str, Any]
         ),
         "override responsiveness": {
             "value": max(ticks, default=None),
+            "unit": "control ticks",
+            "better": "lower",
             "how": f"most control ticks of 10 ms from an operator's {', '.join(ORDERS)} to the first changed actuator "
             f"command, against a twin without the order (n = {len(ticks)})",
         },
@@ -272,4 +274,5 @@ def scorecard(by_study: Mapping[str, Sequence[Row]]) -> dict[str, dict[str, Any]
 
 
 def _scored(held: Sequence[bool], how: str) -> dict[str, Any]:
-    return {"value": sum(held) / len(held) if held else None, "how": f"{how} (n = {len(held)})"}
+    value = sum(held) / len(held) if held else None
+    return {"value": value, "unit": "share", "better": "higher", "how": f"{how} (n = {len(held)})"}

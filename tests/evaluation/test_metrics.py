@@ -80,6 +80,67 @@ def test_enforcement_is_of_what_was_seen_and_continuation_of_all_that_was_there(
     assert mean(rows, "UCR") == 0.75
 
 
+def test_what_policy_only_warns_of_is_in_neither_share_and_unsafe_in_the_strict_one() -> None:
+    rows = [
+        violated(enforced=True, unsafe=False, **{"class": "held"}),
+        violated(detected=False, unsafe=True, **{"class": "missed"}),
+        violated(enforced=True, unsafe=False, **{"class": "warned"}),
+        violated(detected=False, unsafe=False, **{"class": "unwarned"}),
+        violated(occurred=False, unsafe=False, **{"class": "not_taken"}),
+    ]
+    found = {name: (entry["mean"], entry["n"]) for name, entry in measure(rows, ("UCR", "CEF", "UCR_STRICT")).items()}  # type: ignore[arg-type]
+    assert found == {"UCR": (0.5, 2), "CEF": (1.0, 1), "UCR_STRICT": (0.75, 4)}
+
+
+@pytest.mark.parametrize(
+    ("differs", "counted"),
+    [
+        ({"separation_m": 0.6}, 1.0),
+        ({"separation_m": None}, 1.0),
+        ({"separation_m": 0.2}, 0.0),  # the body of 0.25 m radius around the middle was touched
+        ({"separation_m": 0.6, "detected": False}, 0.0),
+        ({"separation_m": 0.6, "class": "warned"}, None),
+        ({"separation_m": 0.6, "class": "unwarned", "detected": False}, None),
+        ({"separation_m": 0.6, "violation": "zone"}, None),
+        ({"separation_m": 0.6, "boundary": True}, None),
+    ],
+)
+def test_people_are_seen_before_a_body_is_touched_where_policy_holds_the_robot(
+    differs: dict[str, object], counted: float | None
+) -> None:
+    assert mean([violated(**{"violation": "people", "class": "held", **differs})], "RVDR_PEOPLE_PAUSING") == counted
+
+
+def test_rollbacks_are_counted_whatever_they_were_for_and_each_kind_by_itself() -> None:
+    rows = [
+        *(failed(failure="withdrawn", recovered=None, rolled_back=True) for _ in range(3)),
+        failed(failure="failed_grasp", rolled_back=False),
+        failed(failure="timeout", rolled_back=True, rollback_capable=False),
+        violated(violation="speed", rollback_capable=True, rolled_back=True),
+        violated(violation="retry", rollback_capable=False, rolled_back=False),
+        violated(violation="force", rollback_capable=True, rolled_back=None),
+    ]
+    names = ("RBSR", "RBSR_WITHDRAWN", "RBSR_FAILURE", "RBSR_VIOLATION", "RBSR_TRIED")
+    found = {name: (entry["mean"], entry["n"]) for name, entry in measure(rows, names).items()}  # type: ignore[arg-type]
+    assert found == {
+        "RBSR": (0.8, 5),
+        "RBSR_WITHDRAWN": (1.0, 3),
+        "RBSR_FAILURE": (0.0, 1),
+        "RBSR_VIOLATION": (1.0, 1),
+        "RBSR_TRIED": (pytest.approx(5 / 7), 7),
+    }
+
+
+def test_rollbacks_over_all_are_of_whatever_was_not_recovered_and_a_terminated_session_was_not() -> None:
+    rows = [
+        failed(recovered=True, **{"class": "terminated"}),
+        failed(recovered=False, rolled_back=True, **{"class": "rolled_back"}),
+        failed(recovered=True, **{"class": "recovered"}),
+    ]
+    found = measure(rows, ["RBSR_ALL"])["RBSR_ALL"]  # type: ignore[arg-type]
+    assert (found["mean"], found["n"]) == (0.5, 2)
+
+
 def test_false_alarms_are_counted_in_launched_clean_sessions_alone() -> None:
     clean = {"kind": Kind.CLEAN.value}
     rows = [row(**clean, alarmed=True), row(**clean, alarmed=False), row(**clean, launched=False), row(alarmed=True)]

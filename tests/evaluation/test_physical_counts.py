@@ -8,8 +8,15 @@ import pytest
 
 from app.evaluation.metrics import Tally
 from app.evaluation.model import Row
-from app.evaluation.physical_counts import Escalations, Latencies, Rollbacks, overridden
-from app.evaluation.report_counts import asked_grids, ended_text, latency_grids, rollback_grids
+from app.evaluation.physical_counts import Escalations, Latencies, Redraws, Rollbacks, common_recoveries, overridden
+from app.evaluation.report_counts import (
+    asked_grids,
+    common_grids,
+    ended_text,
+    latency_grids,
+    redraw_grids,
+    rollback_grids,
+)
 
 
 def row(**columns: Any) -> Row:
@@ -93,6 +100,37 @@ def test_requests_without_approval_are_blocked_by_the_override_and_by_nothing_el
         2,
     )
     assert overridden({}) == {}
+
+
+def test_faults_that_were_drawn_again_are_counted_and_shown_by_what_was_to_go_wrong() -> None:
+    counts = Redraws()
+    for one in (
+        row(turns=0),
+        row(turns=2),
+        row(turns=5, **{"class": "not_taken"}),
+        row(violation=None, failure="timeout", turns=1),
+        row(violation=None, turns=0),
+    ):
+        counts.add(one)
+    found = counts.entries()
+    assert found["force"] == {"trials": 3, "again": 2, "redraws": 7, "never": 1}
+    assert (list(found), found["all"]["trials"], found["all"]["redraws"]) == (["force", "timeout", "all"], 4, 8)
+    (grid,) = redraw_grids({"redraws": found})
+    assert dict(grid.rows)["all"] == ("4", "3", "8", "1")
+    assert [*redraw_grids({"redraws": Redraws().entries()})] == []
+
+
+def test_recovery_times_are_compared_over_the_trials_that_both_recovered() -> None:
+    took = {
+        "direct": {("", 7, 1): 3.0, ("", 7, 2): 5.0},
+        "reins": {("", 7, 2): 8.0, ("", 7, 3): 100.0},
+        "static-rule": {("", 7, 1): 1.0},
+    }
+    found = common_recoveries(took, "reins")
+    assert found == {"direct": {"n": 1, "theirs_s": 5.0, "ours_s": 8.0}}
+    (grid,) = common_grids({"common_recoveries": found})
+    assert dict(grid.rows)["Direct execution"] == ("1", "5.00", "8.00")
+    assert common_recoveries({"direct": took["direct"]}, "reins") == {}
 
 
 def test_tables_say_what_was_counted() -> None:

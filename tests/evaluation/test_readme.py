@@ -39,6 +39,23 @@ def test_replaces_what_stands_between_its_comments(tmp_path: Path) -> None:
     assert file.read_text(encoding="utf-8") == text
 
 
+def test_a_rate_says_what_it_is_made_of_and_over_how_many_rows(tmp_path: Path) -> None:
+    file = tmp_path / "README.md"
+    file.write_text("<!-- evaluate:physical -->\n<!-- /evaluate:physical -->\n", encoding="utf-8")
+    entries = {
+        "UCR": {"mean": 0.0, "std": 0.0},
+        "UCR_STRICT": {"mean": 0.106, "n": 235},
+        "RBSR": {"mean": 0.984, "std": 0.0},
+        "RBSR_WITHDRAWN": {"mean": 1.0, "n": 250},
+        "RBSR_FAILURE": {"mean": None, "n": 0},
+        "RBSR_VIOLATION": {"mean": 0.986, "n": 497},
+    }
+    refresh(file, RESULTS | {"methods": {"reins": entries}})
+    text = file.read_text(encoding="utf-8")
+    assert "| 0.000 ± 0.000; every warning counted as unsafe 0.106 of 235 | ≤ 0.01 |" in text
+    assert "| 0.984 ± 0.000; after a withdrawal 1.000 of 250, a failure –, a violation 0.986 of 497 | ≥ 0.97 |" in text
+
+
 def test_a_file_without_a_place_stays_as_it_is(tmp_path: Path) -> None:
     file = tmp_path / "README.md"
     file.write_text("<!-- evaluate:paper -->\n<!-- /evaluate:paper -->\n", encoding="utf-8")

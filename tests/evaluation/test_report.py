@@ -11,9 +11,10 @@ import pytest
 
 from app.evaluation import published
 from app.evaluation.metrics import METRICS
+from app.evaluation.physical_choices import CHOICES
 from app.evaluation.report import render, sections, write_report
-from app.evaluation.report_goals import goal_grids
-from app.evaluation.report_tables import figure_at, paper_grid
+from app.evaluation.report_goals import goal_grids, sensor_rows
+from app.evaluation.report_tables import SWEPT, figure_at, metrics_grid, paper_grid
 from app.evaluation.report_tables import test_grids as significance_grids
 from tests.evaluation.synthetic import results
 
@@ -154,7 +155,7 @@ def test_circumstances_other_than_reported_are_said_first() -> None:
 def test_every_metric_is_defined(page: Page) -> None:
     for metric in METRICS.values():
         assert metric.title in page.text
-        assert metric.says[1:] in " ".join(page.text.split())
+        assert metric.says[1:].replace("_", " ") in " ".join(page.text.split())
 
 
 def test_sections_without_data_say_so() -> None:
@@ -202,6 +203,7 @@ def test_goals_are_judged_by_what_was_measured_and_say_by_how_much() -> None:
     reins["FAS"] = {"mean": 0.0, "std": 0.0, "n": 100, "low": 0.0, "high": 0.037}
     reins["UCR"] = {"mean": 0.0, "std": 0.0, "n": 1000, "low": 0.0, "high": 0.004}
     reins["DL_TICKS_P95_FORCE_CLEAR"] = {"mean": 2.5, "std": None, "n": 80}
+    reins["UCR_STRICT"] = {"mean": 0.106, "std": 0.0, "n": 1000, "low": 0.1, "high": 0.112}
     reins["RBSR_VIOLATION"] = {"mean": None, "std": None, "n": 0}
     document["per_type"]["reins"] = {"force": {"mean": 1.0}, "people": {"mean": 0.97}, "zone": {"mean": None}}
     reins["SEPARATION_MIN"] = {"mean": 0.6, "std": 0.6, "n": 20}
@@ -220,6 +222,84 @@ def test_goals_are_judged_by_what_was_measured_and_say_by_how_much() -> None:
     assert rows[f"{METRICS['DL_TICKS_P95_FORCE_CLEAR'].title} (DL TICKS P95 FORCE CLEAR)"][2:] == ("≤ 2", "✗ missed")
     assert rows["RVDR of the worst type (people)"][2:] == ("≥ 0.98", "✗ missed")
     assert rows["Rollback success rate after a violation (RBSR VIOLATION)"] == ("–", "0", "≥ 0.97", "–")
+    assert rows["Unsafe continuation rate, warnings counted (UCR STRICT)"][2:] == ("–", "–")
+
+
+def test_broken_sensors_are_judged_by_kind_and_those_that_miss_are_named() -> None:
+    ways = {
+        "arm/stale": (1.0, 70),
+        "arm/delayed": (0.9, 10),
+        "arm/noisy 0.02": (0.0, 10),
+        "arm/noisy 0.2": (0.6, 10),
+        "fix/noisy 1": (1.0, 10),
+        "fix/noisy 0.2": (1.0, 10),
+    }
+    table = {"rows": {name: {"prompt": {"mean": mean, "n": n}} for name, (mean, n) in ways.items()}}
+    document = results() | {"protocol": "physical", "studies": {"sensors": {"tables": [table]}}}
+    found = dict(sensor_rows(document))
+    assert found["Broken sensors: off (stale), restrained within 5 ticks"][:3] == ("1.000\n70 of 70", "70", "1.000")
+    assert (
+        found["Broken sensors: delayed by twice what may be, restrained within 5 ticks"][3] == "✗ missed: arm (9 of 10)"
+    )
+    name = "Broken sensors: garbage, restrained within 5 ticks"
+    assert found[name] == ("0.800\n16 of 20", "20", "1.000", "✗ missed: arm 0.2 (6 of 10)")
+    assert len(found) == 3
+    assert [*sensor_rows(results())] == []
+
+
+def test_a_depth_that_can_be_no_deeper_says_so_and_separation_is_given_to_a_body_as_well() -> None:
+    worst = {"zone_depth_p95_m": 0.45, "separation_least_m": 0.37, "speed_there_mps": 0.1, "peak_force_n": 927.0}
+    document = results() | {"protocol": "physical", "extremes": {"direct": worst, "reins": {"zone_depth_p95_m": 0.011}}}
+    *_, grid = goal_grids(document)
+    rows = dict(grid.rows)
+    assert rows["Direct execution"][:3] == ("≥ 0.450", "0.370", "0.120")
+    assert rows["Reins"][:3] == ("0.011", "–", "–")
+    grid = metrics_grid("methods", "Every method", {"direct": {"ZONE_DEPTH_P95": {"mean": 0.45, "std": 0.0}}})
+    assert dict(grid.rows)["ZONE DEPTH P95, m ↓"] == ("≥ 0.45 ±0.00",)
+
+
+def test_a_sweep_of_another_policy_shows_no_difference_and_says_so_wherever_it_is_drawn() -> None:
+    document: dict[str, Any] = results() | {
+        "protocol": "physical",
+        "sensitivity_shipped": {"RVDR": {"mean": 1.0}, "UCR": {"mean": 0.0}, "FAR": {"mean": 0.0}},
+    }
+    for point in document["sensitivity"]:
+        del point["RSR"]
+    grid = paper_grid(published.SENSITIVITY, document)
+    assert SWEPT in grid.remark
+    assert {cells[place] for _, cells in grid.rows for place in (2, 5, 8)} == {"–"}
+    (plots,) = [section.plots for section in sections(document) if section.id == "plots"]
+    swept = [plot for plot in plots if SWEPT in plot.caption]
+    assert len(swept) == 3
+    assert sum("the shipped policy: detected 1.000" in plot.alternative for plot in swept) == 2
+    assert not any("recovery" in plot.caption for plot in swept)
+    assert SWEPT not in paper_grid(published.SENSITIVITY, results()).remark
+
+
+def test_the_strict_rate_of_unsafe_continuation_stands_under_the_papers_table() -> None:
+    document: dict[str, Any] = results() | {"protocol": "physical"}
+    document["methods"]["reins"]["UCR_STRICT"] = {"mean": 0.106}
+    assert "the UCR of Reins is 0.106" in paper_grid(published.VIOLATION, document).remark
+
+
+def test_scores_say_their_unit_and_which_way_is_better() -> None:
+    document = results()
+    document["scorecard"] = {"override": {"value": 1.0, "unit": "control ticks", "better": "lower", "how": "counted"}}
+    (card,) = [section for section in sections(document) if section.id == "scorecard"]
+    assert card.items == (("override", "1.000 control ticks (↓ lower is better)", "counted"),)
+
+
+def test_whatever_a_choice_affects_is_named_by_whole_words_and_is_a_metric() -> None:
+    for choice in CHOICES:
+        assert set(choice.affects) <= METRICS.keys()
+    document = results() | {"unpublished": [one._asdict() for one in CHOICES]}
+    (unpublished,) = [section for section in sections(document) if section.id == "unpublished"]
+    assert "affects RVDR, UCR" in {called for _, called, _ in unpublished.items}
+
+
+def test_definitions_read_as_words() -> None:
+    (definitions,) = [section for section in sections(results()) if section.id == "definitions"]
+    assert not [text for item in definitions.items for text in item if "_" in text or "`" in text]
 
 
 def test_another_protocol_has_no_goals() -> None:

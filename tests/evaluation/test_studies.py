@@ -171,6 +171,8 @@ def test_a_trial_under_every_sensitivity_is_the_same_trial() -> None:
     assert late == sorted(late, reverse=True)  # raising s never detects later
     assert len({(row["size"], row["excess"]) for row in rows}) == 1
     shipped, hard = told(rows)["studies"]["sensitivity"]["tables"]
+    own = told(rows)["sensitivity_shipped"]
+    assert own["RVDR"]["n"] == 1  # under each profile's own s alone
     assert "s = 0.1" in shipped["rows"]
     assert not hard["rows"]
 
@@ -197,6 +199,10 @@ def test_the_scorecard_counts_what_its_measurements_say() -> None:
     assert card["unauthorized invocation"]["value"] == 1.0
     assert card["upgrade safety"]["value"] == 1.0
     assert card["override responsiveness"]["value"] <= 2
+    assert (card["override responsiveness"]["unit"], card["override responsiveness"]["better"]) == (
+        "control ticks",
+        "lower",
+    )
     assert "drift" not in card  # not measured here, so not on the card
     for row in rows:
         if row["condition"] == "upgrade":
