@@ -17,7 +17,8 @@ import hashlib
 import shutil
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from fnmatch import fnmatchcase
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Final, cast
 
 import orjson
@@ -39,10 +40,36 @@ CONFIGURATION: Final = "campaign.json"
 RESULTS: Final = "results.json"
 _LOCK: Final = ".lock"
 _ROOM: Final = Path(app.__file__).parent
+_NO_ROWS_FROM: Final = frozenset({"agent", "api", "audit", "authoring", "console", "proofs", "runtime"})
+"""Rooms that nothing an episode runs imports: the server, its record, and what reads or proves policy."""
+
 _AFTER_ROWS: Final = (
+    # The command line, the processes of a server, and what they are made of.
+    "assay.py",
+    "assayer.py",
+    "children.py",
     "cli*.py",
-    "api/*.py",
-    "agent/*.py",
+    "config.py",
+    "demo.py",
+    "main.py",
+    "terminal.py",
+    "workcell.py",
+    "cell/display.py",
+    "cell/governed.py",
+    "cell/link.py",
+    "cell/loop.py",
+    "cell/pin.py",
+    "cell/sighting.py",
+    "governance/bundle_promises.py",
+    "governance/bundle_schema.py",
+    "governance/changes.py",
+    "governance/comparison.py",
+    "governance/evolution.py",
+    "governance/parcel.py",
+    "governance/recorded.py",
+    "sim/soak.py",
+    # What counts and shows rows.
+    "evaluation/counted.py",
     "evaluation/metrics.py",
     "evaluation/goals.py",
     "evaluation/statistics.py",
@@ -200,15 +227,21 @@ def write_json(path: Path, document: Mapping[str, Json]) -> None:
 def code_digest() -> str:
     """Return the SHA-256 over the Python files that rows may follow from: rows made by other code are other rows.
 
-    What only counts or shows rows is left out, so that a report can be mended without running everything again.
+    What only counts or shows rows is left out, so that a report can be mended without running everything again; so is
+    what no episode ever imports, so that a finished campaign outlives a change of the server.
     """
     state = hashlib.sha256()
-    for path in sorted(_ROOM.rglob("*.py")):
-        if any(path.relative_to(_ROOM).match(pattern) for pattern in _AFTER_ROWS):
-            continue
+    for path in sorted(path for path in _ROOM.rglob("*.py") if makes_rows(path.relative_to(_ROOM))):
         state.update(f"{path.relative_to(_ROOM).as_posix()}\0".encode())
         state.update(hashlib.sha256(path.read_bytes()).digest())
     return f"sha256:{state.hexdigest()}"
+
+
+def makes_rows(path: PurePath) -> bool:
+    """Say whether rows may follow from a Python file, by its path within `app/`; a new file's may."""
+    return path.parts[0] not in _NO_ROWS_FROM and not any(
+        fnmatchcase(path.as_posix(), pattern) for pattern in _AFTER_ROWS
+    )
 
 
 def _run(

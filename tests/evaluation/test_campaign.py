@@ -9,11 +9,18 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import pytest
 
-from app.evaluation.campaign import CampaignError, FolderBusy, OtherConfiguration, Request, run_campaign
+from app.evaluation.campaign import (
+    CampaignError,
+    FolderBusy,
+    OtherConfiguration,
+    Request,
+    makes_rows,
+    run_campaign,
+)
 from app.evaluation.extensions import UnknownName
 from app.evaluation.jobs import Job
 from app.evaluation.parts import Parts, RowError
@@ -248,3 +255,32 @@ def test_results_say_what_they_follow_from(reference: Path) -> None:
     assert (results["protocol"], results["seeds"], results["trials"]) == ("toy", [3, 1], 8)
     assert results["configuration"]["policy"].startswith("sha256:")
     assert set(results["methods"]) == {"direct", "reins"}
+
+
+COUNTS = frozenset(
+    f"evaluation/{name}.py"
+    for name in (
+        *("counted", "metrics", "statistics", "safe_state", "paper_tables", "paper_unpublished"),
+        *("physical_choices", "physical_counts", "physical_sums"),
+    )
+)
+"""What protocols import to sum rows up; it makes none."""
+
+
+def test_whatever_an_episode_imports_belongs_to_the_digest_of_the_code_and_the_server_does_not() -> None:
+    """A protocol is imported in a process of its own, and by hand what it takes in says what rows can follow from."""
+    asked = (
+        "import sys, app.evaluation.workers, app.evaluation.protocols as protocols\n"
+        "for name in ('paper', 'physical'): protocols.find_protocol(name)\n"
+        "print(*(one.__file__ for name, one in sys.modules.items() if name.split('.')[0] == 'app'), sep='\\n')"
+    )
+    said = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True).stdout
+    app = Path("app").resolve()
+    imported = {Path(line).relative_to(app).as_posix() for line in said.splitlines()}
+    assert {"evaluation/episode.py", "cell/runner.py", "governance/watcher.py", "sim/world.py"} <= imported
+    assert {name for name in imported if not makes_rows(PurePath(name))} == COUNTS
+    server = ("api/documents/cells.py", "audit/store.py", "runtime/kernel.py", "children.py", "proofs/prove.py")
+    assert not [name for name in server if makes_rows(PurePath(name))]
+    assert all((app / name).is_file() for name in server)
+    assert makes_rows(PurePath("a_new_room/a_new_file.py"))
+    assert makes_rows(PurePath("sim/workcell.py"))  # not the one beside it, which starts processes
