@@ -83,11 +83,13 @@ bench: $(STAMP) console  ## print every figure the project promises
 	@for bench in benchmarks/bench_*.py; do echo; echo "== $$bench"; $(BIN)/python $$bench || exit 1; done
 	@echo; echo "== the heap of a console's page, 35 minutes"; $(BIN)/python benchmarks/bench_browser.py --only heap --minutes 30
 
-# On two idle cores about 80 minutes in all: the paper's protocol 2 to 5, 5 seeds × 200 physical trials under eleven
-# methods about 30, their studies about 17 (measured per trial; generalisation is the longest with 7), the long run 30.
+# On two idle cores about 86 minutes in all: the paper's protocol 2 to 5, 5 seeds × 200 physical trials under eleven
+# methods about 30, their studies about 17 (measured per trial; generalisation is the longest with 7), 120 whole
+# tasks 6 (5 to 7 s of a core for each, all methods together), the long run 30.
 evaluate: $(STAMP)  ## measure all methods against each other; reports into evaluation/, figures into the README
 	@$(BIN)/reins evaluate --protocol paper --readme README.md
 	@$(BIN)/reins evaluate --protocol physical --methods all --trials 200 --studies all --readme README.md
+	@$(BIN)/reins evaluate --protocol physical --tasks all --methods all --trials 3 --out evaluation/physical-tasks
 	@$(BIN)/reins evaluate --protocol physical --long --methods reins --out evaluation/physical-long
 
 pictures: $(STAMP) console  ## take the console's pictures anew, into docs/pictures
