@@ -19,6 +19,7 @@ import orjson
 import uvicorn
 import uvloop
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from app import __version__
 from app.api.application import create_app
@@ -32,11 +33,13 @@ from app.governance.bundle import load, read_properties
 from app.governance.errors import PolicyErrors
 from app.runtime.assembly import Runtime
 from app.runtime.errors import NotFound
-from app.terminal import FINE, MISUSE, err, say, say_error
+from app.terminal import FINE, MISUSE, err, remark, say, say_error
 
 if TYPE_CHECKING:
     from collections.abc import AsyncGenerator, Generator
     from pathlib import Path
+
+    from uvicorn._types import ASGISendEvent
 
     from app.config import Settings
     from app.governance.policy import PolicySet
@@ -67,6 +70,20 @@ class DoorServer(uvicorn.Server):
         yield
 
 
+class Handshakes(WebSocketsSansIOProtocol):
+    """Uvicorn's websockets, where a refusal with a status of its own (ASGI's denial response) is an answer as well.
+
+    Uvicorn marks a handshake as answered when it is accepted or closed, not when it is denied, and then complains of
+    every denial that it was left without an answer.
+    """
+
+    async def send(self, message: ASGISendEvent) -> None:
+        """Send one message; the last part of a denial ends the handshake."""
+        await super().send(message)
+        if message["type"] == "websocket.http.response.body" and not message.get("more_body", False):
+            self.handshake_complete = True
+
+
 def serve(settings: Settings) -> int:
     """Run a server until it is told to stop; return the exit code.
 
@@ -78,6 +95,7 @@ def serve(settings: Settings) -> int:
         return MISUSE
     if settings.profile not in policies.profiles:
         raise ConfigError("profile", settings.profile, ", ".join(sorted(policies.profiles)))
+    check_world(settings)
     with contextlib.closing(listen(settings.host, settings.port)) as listener:
         settings.layout.create()  # not before: a start that is refused leaves nothing behind
         try:
@@ -90,6 +108,20 @@ def serve(settings: Settings) -> int:
         except (AuditError, PrincipalsUnreadable, OSError) as error:
             say_error(f"the server cannot run: {error}")
             return MISUSE
+
+
+def check_world(settings: Settings) -> None:
+    """Refuse a scenario or a robot that no cell could be started with, whether cells are started here or not.
+
+    Raises:
+        ConfigError: there is no such scenario or model, or it cannot be used.
+    """
+    if settings.scenario is None and settings.robot is None:
+        return
+    from app.workcell import read_scenario, robot_model  # the physics, which a server does without otherwise
+
+    read_scenario(settings.scenario)
+    robot_model(settings.robot)
 
 
 def load_policies(folder: Path) -> PolicySet | None:
@@ -151,7 +183,7 @@ async def _serve(settings: Settings, policies: PolicySet, listener: socket.socke
     token = (layout.root / CELL_TOKEN_FILE).read_text().strip()
     url = address(listener)
     async with open_house(settings, policies) as house:
-        children = Children(settings, token, lambda cell, word: say(f"{cell}: {word}"), expect=house["fleet"].expect)
+        children = Children(settings, token, lambda cell, word: remark(f"{cell}: {word}"), expect=house["fleet"].expect)
         door = DoorServer(_door(create_app(**house, principals=principals, checks={"children": children.trouble})))
         serving = asyncio.create_task(door.serve(sockets=[listener]))
         opened = asyncio.create_task(door.up.wait())
@@ -207,7 +239,7 @@ def _door(app: Any) -> uvicorn.Config:  # noqa: ANN401  # an ASGI application
         app,
         loop="none",
         http="httptools",
-        ws="websockets-sansio",
+        ws=Handshakes,
         ws_per_message_deflate=False,
         ws_ping_interval=None,  # the link beats by itself
         lifespan="on",

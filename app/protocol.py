@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, TypeAdapter, Valid
 LEASE_MS = 300
 BEAT_MS = 75
 STATE_MS = 100
-VERSION = 5
+VERSION = 6
 
 
 class Message(BaseModel):
@@ -175,10 +175,12 @@ class UpEvent(Message):
 class Sitting(Message):
     """What a session is at, for displays: the skill's phase, what is bound, and why it does not go on if it does not.
 
-    `violated` names the watch rules whose condition holds now, `paused_by` the rules that hold the session, and
-    `waits_for` what it asks a human about.
+    `profile` is the one it was authorized under, which the cell's own may differ from by now. `violated` names the
+    watch rules whose condition holds now, `paused_by` the rules that hold the session, and `waits_for` what it asks a
+    human about.
     """
 
+    profile: str
     phase: str
     doing: str
     violated: list[str]
@@ -191,6 +193,23 @@ class Jogged(Message):
 
     n: int
     refused: str | None
+
+
+class Ended(Message):
+    """A session that is over, or a launch that was refused, of which the journal does not say so yet."""
+
+    invocation: str
+    outcome: Literal[
+        "succeeded", "recovered", "rolled_back", "terminated", "stopped", "cancelled", "taken_over", "fault"
+    ]  # fmt: skip
+    code: str
+
+
+class Unrecorded(Message):
+    """The cell cannot write its journal, so nothing moves: `why`, and what has `ended` that only this word says."""
+
+    why: str
+    ended: list[Ended]
 
 
 class State(Message):
@@ -209,6 +228,7 @@ class State(Message):
     gauges: dict[str, float]  # newest watcher signals, for displays
     session: Sitting | None = None
     jog: Jogged | None = None
+    fault: Unrecorded | None = None
 
 
 class Scene(Message):

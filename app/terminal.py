@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Final
 
 from rich.console import Console
@@ -17,6 +18,12 @@ err = Console(stderr=True, highlight=False, soft_wrap=True)
 def say(message: str) -> None:
     """Write a line."""
     out.print(message, markup=False)
+
+
+def remark(message: str) -> None:
+    """Write a line that nothing depends on: a process that governs does not end because its log's disk is full."""
+    with contextlib.suppress(OSError):
+        say(message)
 
 
 def say_error(message: str, *, hint: str = "") -> None:

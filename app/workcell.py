@@ -34,7 +34,7 @@ from app.config import ConfigError, cell_terms
 from app.sim.faults import Scenario
 from app.sim.robot import load_robot
 from app.sim.workcell import make_workcell
-from app.terminal import FINDING, FINE, MISUSE, say, say_error
+from app.terminal import FINDING, FINE, MISUSE, remark, say_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -107,7 +107,7 @@ async def _run(settings: CellSettings) -> int:
         inbox,
         outbox,
         lease,
-        lambda word: say(f"{settings.id}: {word}"),
+        lambda word: remark(f"{settings.id}: {word}"),
     )
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import resource
 import signal
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -168,6 +169,70 @@ def test_a_full_disk_launches_nothing_and_stops_all_the_same(servers: Servers) -
     assert server.await_status(invocation, "failed")["outcome"] == "stopped"
     until(lambda: httpx_ready(server), what="the server is ready again")
     assert server.get("/v1/audit/verify")["ok"]
+
+
+def fill_the_disk_of_the_cell(server: ServerProcess) -> Callable[[], None]:
+    """Let no file of the cell's process grow any more, its log included; returns what makes room again."""
+    pid = server.cell_pid()
+    assert pid is not None
+    hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)[1]
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, (1, hard))
+
+    def make_room() -> None:
+        resource.prlimit(pid, resource.RLIMIT_FSIZE, (hard, hard))
+
+    return make_room
+
+
+def shows_the_fault(server: ServerProcess) -> None:
+    cell = until(lambda: (found := server.cell())["fault"] and found, what="the cell says why nothing moves")
+    assert "cannot write journal" in cell["fault"]
+    assert (cell["busy"], cell["status"], cell["session"]) == (None, None, None)
+    with server.client() as client:
+        health, ready = client.get("/healthz"), client.get("/readyz")
+    assert (health.status_code, health.json()["status"]) == (200, "degraded")
+    assert "cannot write journal" in health.json()["broken"]["cell/workcell-1"]
+    assert (ready.status_code, ready.json()["broken"]) == (503, health.json()["broken"])
+
+
+def is_well_again(server: ServerProcess, invocation: str) -> None:
+    until(lambda: httpx_ready(server), what="the server is ready again")
+    assert server.cell()["fault"] is None
+    assert "workcell-1: the journal can be written again" in server.log.read_text()
+    trace = server.get(f"/v1/invocations/{invocation}/trace")["items"]
+    assert [event["kind"] for event in trace].count("outcome") == 1
+    assert server.get("/v1/audit/verify")["ok"]
+    again = server.propose("navigate_to", target="dock")["id"]
+    server.await_status(again, "completed")
+
+
+def test_a_cell_without_room_for_its_journal_launches_nothing_and_says_why(servers: Servers) -> None:
+    server = servers.start()
+    make_room = fill_the_disk_of_the_cell(server)
+    resting = server.cell()["facts"]["base"]
+    refused = server.propose("navigate_to", target=FAR)["id"]
+    ended = server.await_status(refused, "failed", within_s=5.0)
+    assert ended["outcome"] == "fault"
+    assert [reason["code"] for reason in ended["failure"]["reasons"]] == ["journal_unavailable"]
+    shows_the_fault(server)
+    assert server.cell()["facts"]["base"] == pytest.approx(resting, abs=0.02)
+    later = server.propose("navigate_to", target=FAR)
+    assert later["status"] == "deferred"
+    assert [reason["code"] for reason in later["admission"]["reasons"]] == ["journal_unavailable"]
+    make_room()
+    is_well_again(server, refused)
+
+
+def test_a_stop_shows_although_the_cell_cannot_write_it_down(servers: Servers) -> None:
+    server = servers.start(None, "--pace", "3")
+    invocation = drive(server)
+    make_room = fill_the_disk_of_the_cell(server)
+    assert server.post(f"/v1/invocations/{invocation}/stop").status_code == 200
+    assert server.await_status(invocation, "failed", within_s=5.0)["outcome"] == "stopped"
+    shows_the_fault(server)
+    assert server.cell()["gauges"]["base_speed_mps"] < 0.01
+    make_room()
+    is_well_again(server, invocation)
 
 
 def httpx_ready(server: ServerProcess) -> bool:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import httpx
 import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
 
 from tests.conftest import ServerProcess, Servers
 
@@ -44,6 +48,21 @@ def test_a_start_says_which_cells_stay_in_another_profile(servers: Servers) -> N
     assert "not for workcell-1: it stays in test-audit" in again.log.read_text()
 
 
+@pytest.mark.parametrize(("token", "status"), [(None, 401), ("nonsense", 401), ("agent", 403)])
+def test_a_link_that_is_refused_is_answered_and_makes_no_noise(
+    server: ServerProcess, token: str | None, status: int
+) -> None:
+    before = server.log.read_text()
+    headers = {} if token is None else {"Authorization": f"Bearer {server.tokens.get(token, token)}"}
+    url = server.url.replace("http", "ws", 1) + "/v1/cells/workcell-1/link"
+    with pytest.raises(InvalidStatus) as refused, connect(url, additional_headers=headers, proxy=None):
+        pass
+    assert refused.value.response.status_code == status
+    assert json.loads(refused.value.response.body or b"")["status"] == status
+    assert httpx.get(f"{server.url}/healthz", trust_env=False).is_success  # whatever was to be printed is by now
+    assert "ERROR" not in server.log.read_text().removeprefix(before)
+
+
 def test_a_second_server_on_the_same_data_does_not_start(server: ServerProcess) -> None:
     second = reins("serve", "--port", "0", "--data", str(server.data))
     assert second.returncode == 2
@@ -63,13 +82,15 @@ def test_leaves_with_its_cells_when_told_to(servers: Servers) -> None:
     assert server.cell_pid() is None
 
 
-@pytest.mark.parametrize("flag", ["--scenario", "--robot"])
-def test_what_no_cell_can_be_started_with_starts_no_server(tmp_path: Path, flag: str) -> None:
-    ended = reins("serve", "--port", "0", "--data", str(tmp_path / "data"), flag, "nope")
-    assert ended.returncode == 2
-    assert "`nope`" in ended.stderr
-    assert "cannot be started as it is told" in ended.stdout
-    assert not (tmp_path / "data" / "server.json").exists()
+@pytest.mark.parametrize(("flag", "cells"), [("--scenario", "1"), ("--robot", "0")])
+def test_what_no_cell_can_be_started_with_starts_no_server(tmp_path: Path, flag: str, cells: str) -> None:
+    for value in ("nope", "/nope.xml", "/nope.yaml"):
+        ended = reins("serve", "--port", "0", "--data", str(tmp_path / "data"), "--cells", cells, flag, value)
+        assert ended.returncode == 2
+        assert f"`{value}`" in ended.stderr
+        assert "valid" in ended.stderr
+        assert "serves" not in ended.stdout
+        assert not (tmp_path / "data").exists()
 
 
 def test_a_broken_policy_does_not_start_and_says_where(tmp_path: Path) -> None:

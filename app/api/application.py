@@ -137,9 +137,13 @@ def create_app(  # noqa: PLR0913  # every part of a server, by name
 
 
 async def healthz(request: Request) -> Response:
-    """Say that the process answers, and whether it can keep its record; without that only what restrains is obeyed."""
-    store = parts_of(request).store
-    broken = {} if store.healthy else {"store": store.reason}
+    """Say that the process answers, and whether it and its cells can keep their records.
+
+    Without that only what restrains is obeyed: everywhere, or on the cells that `broken` names.
+    """
+    parts = parts_of(request)
+    broken = {} if parts.store.healthy else {"store": parts.store.reason}
+    broken |= parts.fleet.faults()
     return answer({"status": "degraded" if broken else "ok", "version": __version__, "broken": broken})
 
 

@@ -110,6 +110,7 @@ async def events(request: Request, query: Annotated[EventQuery, Query()]) -> Res
     filters = query.model_dump()
     for bound in ("since", "until"):
         filters[bound] = None if filters[bound] is None else parse_rfc3339(filters[bound])
+    _within_the_log(request, "after", query.after)
     found = await parts_of(request).store.events(**filters)
     more = len(found) == query.limit
     return answer({"items": [orjson.Fragment(event.body) for event in found], "next": found[-1].seq if more else None})
@@ -199,10 +200,14 @@ async def stream(request: Request, query: Annotated[StreamQuery, Query()]) -> Re
     `id` is the `seq`, `event` the kind, `data` the event as it was hashed.
 
     A client that comes back with `Last-Event-ID` gets everything it missed. A comment is sent every few seconds, so
-    that a dead connection shows; a client that does not keep up is cut off, and comes back the same way.
+    that a dead connection shows; a client that does not keep up is cut off, and comes back the same way. One that has
+    seen more than this log holds was told by another, and is refused: what it waits for would never come.
     """
     parts = parts_of(request)
-    after = _last_event_id(request) if "last-event-id" in request.headers else query.after
+    field, after = ("after", query.after)
+    if "last-event-id" in request.headers:
+        field, after = ("Last-Event-ID", _last_event_id(request))
+    _within_the_log(request, field, after)
     # "From now on" is fixed before the first byte is out, so that what happens meanwhile is not missed.
     chunks = _chunks(parts.feed, parts.store.size if after is None else after)
     seat = ExitStack()
@@ -230,6 +235,18 @@ def _last_event_id(request: Request) -> int:
         message = f"`{text[:40]}` is no `Last-Event-ID`: valid is the `id` of an event"
         raise Problem("request_invalid", message, errors=[{"field": "Last-Event-ID", "message": message}])
     return int(text)
+
+
+def _within_the_log(request: Request, field: str, after: int | None) -> None:
+    """Refuse a place that the log has not reached: whoever has seen that much has seen another log.
+
+    Raises:
+        Problem: 422 `request_invalid`.
+    """
+    size = parts_of(request).store.size
+    if after is not None and after > size:
+        message = f"`{after}` is ahead of this log, which holds `{size}` events; valid: 0 to {size}, or none"
+        raise Problem("request_invalid", f"`{field}`: {message}", errors=[{"field": field, "message": message}])
 
 
 async def _chunks(feed: Feed, after: int) -> AsyncGenerator[bytes]:

@@ -86,6 +86,7 @@ def sitting(session: Governing | None) -> Sitting | None:
     run = session.run
     rules = run.watcher.rules
     return Sitting(
+        profile=run.grant.authorization.profile,
         phase=run.skill.report().phase,
         doing=run.doing.value,
         violated=[rules[row].id for row, _ in run.watching.lasting],

@@ -25,7 +25,21 @@ from app.governance.conditions import unmet
 from app.governance.model import Wish
 from app.governance.permit import SignedAuthorization
 from app.governance.policy import recovery_plan, watch_plan, watch_plan_for
-from app.protocol import Ack, Estop, Human, Jog, Jogged, Launch, Reset, SetProfile, State, UpEvent, pack_batch
+from app.protocol import (
+    Ack,
+    Ended,
+    Estop,
+    Human,
+    Jog,
+    Jogged,
+    Launch,
+    Reset,
+    SetProfile,
+    State,
+    Unrecorded,
+    UpEvent,
+    pack_batch,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,6 +47,7 @@ if TYPE_CHECKING:
     from app.cell.display import Moment
     from app.cell.journal import Entry, Journal
     from app.cell.loop import Order, Outbox
+    from app.cell.runner import View
     from app.cell.substrate import Substrate
     from app.governance.model import CoveredRecovery, Params, RecoveryPlan, WatchPlan, WorldFacts
     from app.governance.permit import Grant
@@ -158,6 +173,7 @@ class GovernedCell:
             gauges={**gauges, "late_ticks": float(overruns)},
             session=sitting(self._runner.session),
             jog=None if view.jogged is None else Jogged(n=view.jogged[0], refused=view.jogged[1] or None),
+            fault=_unrecorded(view) if view.fault else None,
         )
 
     def look(self) -> Moment:
@@ -214,6 +230,11 @@ class GovernedCell:
 
     def _show(self, invocation: str, rows: bytes) -> None:
         self._outbox.batch(pack_batch(invocation, rows))
+
+
+def _unrecorded(view: View) -> Unrecorded:
+    ended = [{"invocation": name, "outcome": outcome, "code": code} for name, (outcome, code) in view.unsaid.items()]
+    return Unrecorded(why=view.fault, ended=[Ended.model_validate(end) for end in ended])
 
 
 def _signed(order: Launch) -> SignedAuthorization:

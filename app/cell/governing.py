@@ -119,8 +119,14 @@ class Governing:
             try:
                 self._consider(alerts, report)
             except JournalUnavailable:
-                self.end(End(Outcome.FAULT, "journal_unavailable", 1))
+                self._end_unrecorded()
         return seen
+
+    def _end_unrecorded(self) -> None:
+        """Come to rest and end, although a rule has more to say in every tick than can be written down."""
+        self.end(End(Outcome.FAULT, "journal_unavailable", 1))
+        if self.run.next is not None:
+            self._go_on(self.run.next)
 
     def _failed(self, error: Exception) -> SkillReport:
         """Return what a skill that broke would have had to say."""

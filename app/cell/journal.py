@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 COMPACT_BYTES: Final = 4 * 1024 * 1024
 USED: Final = "used:"
+ROOM_BYTES: Final = 64 * 1024  # less than this is no room for the record of a session that comes to its end in order
 ID_BYTES: Final = 12
 
 
@@ -131,6 +132,25 @@ class Journal:
             # After a failed fsync nobody knows what the disk holds: the file is not used again in this run.
             self._broken = error.strerror or "fsync failed"
             raise JournalUnavailable(f"cannot sync journal `{self.path}`: {error.strerror}") from error
+
+    def require_room(self) -> None:
+        """Return where a session's record could be written, as far as that can be told without writing it.
+
+        Raises:
+            JournalUnavailable: the file is out of use, its disk is read-only or holds less than `ROOM_BYTES` more.
+        """
+        self._check()
+        try:
+            disk = os.fstatvfs(self._file)
+        except OSError as error:
+            raise JournalUnavailable(f"cannot look at the disk of journal `{self.path}`: {error.strerror}") from error
+        free = disk.f_frsize * (disk.f_bfree if os.geteuid() == 0 else disk.f_bavail)
+        if disk.f_flag & os.ST_RDONLY:
+            raise JournalUnavailable(f"cannot write journal `{self.path}`: its file system is read-only")
+        if disk.f_blocks and free < ROOM_BYTES:  # a file system without blocks does not say
+            raise JournalUnavailable(
+                f"no room for journal `{self.path}`: `{free}` bytes are free on its disk; valid: `{ROOM_BYTES}` or more"
+            )
 
     def acknowledge(self, seq: int) -> None:
         """Forget entries up to `seq`: the server's log has them. Compacts the file when it has grown.

@@ -137,6 +137,7 @@ class Link:
         self._retry_s = FIRST_RETRY_S
         self._welcomed_s = float("inf")
         self._last_word = ""
+        self._fault = ""
 
     async def run(self, stop: asyncio.Event) -> None:
         """Dial until told to stop; then bring the robot to rest and hand up what is left.
@@ -330,6 +331,7 @@ class Link:
             if state is not None and state is not shown:
                 await socket.send(protocol.encode(state))
                 shown = state
+                self._say_fault("" if state.fault is None else state.fault.why)
 
     async def _mind(self) -> NoReturn:
         """End the connection when the lease lapsed or the control loop ended."""
@@ -360,6 +362,11 @@ class Link:
     def _check_loop(self) -> None:
         if self._loop is not None and self._loop.broken is not None:
             raise RuntimeError("the control loop broke; the cell ends") from self._loop.broken
+
+    def _say_fault(self, why: str) -> None:
+        if why != self._fault:
+            self._say(f"nothing moves: {why}" if why else "the journal can be written again")
+        self._fault = why
 
     def _say_once(self, word: str) -> None:
         if word != self._last_word:

@@ -34,7 +34,7 @@ from app.governance.signals import Signals
 from app.governance.watcher import compile_watch
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
@@ -43,12 +43,14 @@ if TYPE_CHECKING:
     from app.governance.permit import Grant
 
 CATCH_UP_TICKS: Final = 100
+_NOTHING: Final[Mapping[str, tuple[str, str]]] = {}
 
 
 class View(NamedTuple):
     """The runner as displays and the server see it.
 
-    `fault` says why nothing moves, empty when all is well; `signals` are those of the last session, where none runs.
+    `fault` says why nothing moves, empty when all is well, and `unsaid` what has ended (outcome, code, by invocation)
+    and could not be recorded for that reason; `signals` are those of the last session, where none runs.
     """
 
     tick: int
@@ -58,6 +60,7 @@ class View(NamedTuple):
     latched: bool
     holding: str
     fault: str
+    unsaid: Mapping[str, tuple[str, str]]
     signals: Signals
     jogged: tuple[int, str] | None
 
@@ -149,9 +152,15 @@ class Runner:
             self.latched,
             self.holding,
             self.fault,
+            self._unsaid_ends() if self.fault else _NOTHING,
             self._signals if session is None else session.run.watching.signals,
             None if session is None else session.jogged(),
         )
+
+    def _unsaid_ends(self) -> dict[str, tuple[str, str]]:
+        ends = self._record.unsaid_ends()
+        ends.pop(self.invocation or "", None)  # a change of hands was refused; the session itself is not over yet
+        return ends
 
     def standing(self) -> bool:
         """Say whether nothing moves and nothing is about to."""
@@ -179,6 +188,7 @@ class Runner:
             return self._refuse(permit.invocation, *why)
         used: dict[str, Json] = {USED + permit.id: permit.expires_at_s, "open": permit.invocation}
         try:
+            self._record.require_room()
             self._record.say(telling.launch(permit), marks=used)
             self._record.sync()
         except JournalUnavailable as error:
@@ -259,9 +269,9 @@ class Runner:
         """Do one control period."""
         record = self._record
         record.tick += 1
-        if record.fault and record.tick % CATCH_UP_TICKS == 0:
-            record.catch_up()
         session = self._session
+        if (record.fault or session is None) and record.tick % CATCH_UP_TICKS == 1:
+            record.catch_up()
         if session is None:
             self.observation = self.substrate.step(self.substrate.hold())
             return

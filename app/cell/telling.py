@@ -6,11 +6,12 @@ number that is not finite becomes null, because JSON has none and a guard's brok
 
 from __future__ import annotations
 
+import contextlib
 import math
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from app.cell.journal import Entry, Journal, JournalUnavailable
-from app.governance.model import EMPTY, EventKind, Signal, Strategy
+from app.governance.model import EMPTY, EventKind, Outcome, Signal, Strategy
 from app.protocol import ROW, ROWS_PER_BATCH
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
         Intervention,
         Json,
         Observation,
-        Outcome,
         Params,
         Status,
         WatchPlan,
@@ -84,15 +84,40 @@ class Recorder:
             self.fault = str(error)
             raise
 
+    def require_room(self) -> None:
+        """Return where a session could be recorded. Raises `JournalUnavailable`."""
+        try:
+            self._journal.require_room()
+        except JournalUnavailable as error:
+            self.fault = str(error)
+            raise
+
+    def unsaid_ends(self) -> dict[str, tuple[str, str]]:
+        """Return how what is kept says that invocations ended: outcome and code, by invocation.
+
+        A launch that was refused is no more than that where the session of its name ran already.
+        """
+        ends: dict[str, tuple[str, str]] = {}
+        for saying, _ in self._unsaid:
+            if saying.invocation is None:
+                continue
+            if saying.kind == EventKind.OUTCOME:
+                ends[saying.invocation] = str(saying.body["outcome"]), str(saying.body["code"])
+            elif saying.kind == EventKind.LAUNCH and "refused" in saying.body:
+                ends.setdefault(saying.invocation, (Outcome.FAULT.value, str(saying.body["refused"])))
+        return ends
+
     def catch_up(self) -> None:
-        """Write what was kept; all is well again when everything could be."""
+        """Write what was kept; all is well again when everything could be, and there is room for more."""
         while self._unsaid:
             try:
                 self.say(*self._unsaid[0])
             except JournalUnavailable:
                 return
             self._unsaid.pop(0)
-        self.fault = ""
+        with contextlib.suppress(JournalUnavailable):  # `fault` says so
+            self.require_room()
+            self.fault = ""
 
 
 def launch(permit: Authorization) -> Saying:

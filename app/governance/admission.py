@@ -12,7 +12,7 @@
 | a name the site does not know | reject | `unknown_object`, `unknown_target`, … |
 | metadata that is not what it should be | reject | `invalid_metadata` |
 | cell latched | reject | `estop_latched` |
-| cell offline or holding, busy | defer | `cell_offline`, `cell_busy` |
+| cell offline or holding, without a journal, busy | defer | `cell_offline`, `journal_unavailable`, `cell_busy` |
 | a precondition is not met | defer | `precondition_unmet` |
 
 Reject > defer > escalate > accept. All reasons of the strongest outcome are reported.
@@ -61,6 +61,7 @@ def admit(policy: PolicySet | None, proposal: Proposal, context: Context) -> Adm
         and cell.online
         and not cell.latched
         and not cell.holding_link
+        and cell.recording
         and cell.busy is None
         and not proposal.preconditions
         and (not proposal.metadata or metadata_fault(proposal.metadata) is None)
@@ -214,6 +215,9 @@ def _away(cell: CellFacts) -> Iterator[Reason]:
         yield Reason(RULE, "cell_offline", f"`{cell.id}` is not connected", "propose again later")
     elif cell.holding_link:
         yield Reason(RULE, "cell_offline", f"`{cell.id}` holds because its link lapsed", "propose again later")
+    elif not cell.recording:
+        message = f"`{cell.id}` cannot write its journal, and moves nothing without"
+        yield Reason(RULE, "journal_unavailable", message, "propose again once an operator has made room for it")
 
 
 def _busy(cell: CellFacts) -> Iterator[Reason]:

@@ -277,7 +277,8 @@ class CellFacts:
     """The cell a proposal is aimed at, as the server knows it when it decides.
 
     `online` is false without a fresh report inside the link's lease; `facts` is None until the first one. `busy`
-    names the invocation that has the cell.
+    names the invocation that has the cell. `recording` is false while the cell cannot write its journal: it
+    lets nothing move then.
     """
 
     id: str
@@ -285,6 +286,7 @@ class CellFacts:
     latched: bool = False
     busy: str | None = None
     holding_link: bool = False
+    recording: bool = True
     facts: WorldFacts | None = None
 
 

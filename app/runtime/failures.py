@@ -40,6 +40,7 @@ KNOWN: Final[Mapping[str, tuple[str, str]]] = {
     "cancelled": ("it was cancelled", ""),
     "estop": ("an emergency stop was pressed", "wait until it is reset"),
     "shutdown": ("the cell was shut down", "propose it again when the cell is back"),
+    "journal_unavailable": ("the cell cannot write its journal", "propose it again once there is room for it"),
     "verified": ("it was rolled back; the world is as it was before", "change what is proposed"),
 }
 

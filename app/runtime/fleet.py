@@ -114,7 +114,7 @@ class Fleet:
         cells = self.cells()
         fresh = [cell for cell in cells if cell.fresh]
         usable = [cell for cell in fresh if not self.latched(cell)]
-        awake = [cell for cell in usable if cell.state is None or not cell.state.holding]
+        awake = [cell for cell in usable if cell.state is None or not (cell.state.holding or cell.state.fault)]
         free = [cell for cell in awake if self.busy(cell) is None]
         return next(iter(free or awake or usable or fresh or cells), None)
 
@@ -136,6 +136,7 @@ class Fleet:
             latched=self.latched(cell),
             busy=self.busy(cell),
             holding_link=state is not None and state.holding,
+            recording=state is None or state.fault is None,
             facts=None if state is None else self._world(cell, state),
         )
 
@@ -168,6 +169,7 @@ class Fleet:
             "busy": self.busy(cell),
             "status": None if state is None else state.status,
             "holding_link": state is not None and state.holding,
+            "fault": None if state is None or state.fault is None else state.fault.why,
             "robot": None if hello is None else hello.robot,
             "policy_version": None if state is None else state.policy_digest,
             "facts": None if state is None else state.facts,
@@ -189,7 +191,15 @@ class Fleet:
                 found[f"cell/{cell.id}"] = cell.trouble
             elif facts.holding_link:
                 found[f"cell/{cell.id}"] = "holds: its link's lease lapsed"
-        return found
+        return {**found, **self.faults()}
+
+    def faults(self) -> dict[str, str]:
+        """Return why cells that are there can record nothing, and so move nothing, by cell."""
+        return {
+            f"cell/{cell.id}": cell.state.fault.why
+            for cell in self.cells()
+            if cell.fresh and cell.state is not None and cell.state.fault is not None
+        }
 
     # -- having a cell -----------------------------------------------------------------------------------------------
 
@@ -348,6 +358,12 @@ class Fleet:
         await self._desk.attached(cell.id, hello)
         await self.caught_up(attachment)
 
+    async def _unrecorded(self, cell: Cell, attachment: Attachment) -> None:
+        """Have what a cell says has ended, and cannot write down, seen to once every older report is in."""
+        fault = None if cell.state is None else cell.state.fault
+        if fault is not None and fault.ended and attachment.settled:
+            await self._desk.unrecorded(cell.id, fault.ended)
+
     async def caught_up(self, attachment: Attachment) -> None:
         """Compare what the cell holds with what the server believes, as soon as every older report is in."""
         cell = attachment.cell
@@ -493,5 +509,6 @@ class Fleet:
                 attachment.shut(TRY_LATER, f"nothing heard for {SILENT_S} s")
             if attachment is not None and attachment.welcomed:
                 await self.caught_up(attachment)
+                await self._unrecorded(cell, attachment)
             absent_s = None if cell.absent_since_s is None else monotonic_s() - cell.absent_since_s
             await self._desk.overdue(cell.id, absent_s)

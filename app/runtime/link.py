@@ -93,6 +93,11 @@ class Attachment:
         """Say whether the cell has said `Hello` and was answered, and the link still stands."""
         return self.hello is not None and not self.closed
 
+    @property
+    def settled(self) -> bool:
+        """Say whether every report that has come is in the log."""
+        return not self._reports
+
     def silent_s(self) -> float:
         """Return for how long nothing has been heard."""
         return monotonic_s() - self.heard_s

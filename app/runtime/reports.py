@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from app.audit.event import RowWrite
-    from app.protocol import Hello, Sighting, UpEvent
+    from app.protocol import Ended, Hello, Sighting, UpEvent
 
 
 class Reports(Protocol):
@@ -32,6 +32,10 @@ class Reports(Protocol):
 
     async def left(self, cell: str) -> None:
         """Record that a cell's link is gone."""
+        ...
+
+    async def unrecorded(self, cell: str, ended: Sequence[Ended]) -> None:
+        """See to sessions that a cell says are over, and cannot report in its journal."""
         ...
 
     async def overdue(self, cell: str, absent_s: float | None) -> None:

@@ -11,6 +11,7 @@ When server and cell have lost sight of each other:
 | a session | is back without it | `failed`, outcome `fault` (`session_lost`) |
 | a session | has been away for `LOST_S`, its process not being started | `escalated` (`link_lost`) |
 | a session | has been away for `absent_s` | `failed`, outcome `fault` (`cell_lost`) |
+| a session | says it is over, its journal being full | over, with that outcome (`journal_unavailable`) |
 | a launch | said nothing of it until its permit ran out | `failed`, outcome `fault` (`launch_unconfirmed`) |
 | no such session, or it has ended | holds one | is told to stop it |
 
@@ -29,18 +30,19 @@ from app.audit.event import EventDraft
 from app.clock import monotonic_s
 from app.governance.control import Phase, refused
 from app.governance.model import SESSION, EventKind, Outcome, Status
+from app.governance.session import final_status
 from app.protocol import Human, ProtocolError
 from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
 from app.runtime.hands import HELD, OPEN
 from app.runtime.kernel import LAUNCH_WITHIN_S
-from app.runtime.story import RULE, Story
+from app.runtime.story import DONE, RULE, Story
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from app.audit.event import RowWrite
-    from app.protocol import Hello, Sighting, UpEvent
+    from app.protocol import Ended, Hello, Sighting, UpEvent
     from app.runtime.desk import Desk
     from app.runtime.fleet import Fleet
     from app.runtime.invocation import Invocation
@@ -229,6 +231,18 @@ class Sessions:
         if place.lapsed:
             await self._ask(believed, "link_returned", "the cell is back and has held the session meanwhile")
 
+    async def unrecorded(self, cell: str, ended: Sequence[Ended]) -> None:
+        """End the sessions of this cell that it says are over, and cannot report: its journal cannot be written.
+
+        What it reports of them once it can is recorded as what came late.
+        """
+        over = {end.invocation: end for end in ended}
+        for invocation in self._sessions_of(cell):
+            if (end := over.get(invocation.id)) is not None:
+                message = f"the cell cannot write its journal; it says itself that the session is over (`{end.code}`)"
+                with suppress(RecordUnavailable):  # tried again at the next round
+                    await self._finish(invocation.id, Outcome(end.outcome), "journal_unavailable", message)
+
     async def overdue(self, cell: str, absent_s: float | None) -> None:
         """See to a session whose cell is away, and to a launch that nobody confirmed."""
         await self._register.say_unsaid()
@@ -266,9 +280,13 @@ class Sessions:
             asked = present.evolve(now, status=Status.ESCALATED, escalation=question.reference())
             await self._desk.commit([escalation_event(question)], question, asked)
 
-    @uncut
     async def _fault(self, name: str, code: str, message: str) -> None:
         """End a session as a fault."""
+        await self._finish(name, Outcome.FAULT, code, message)
+
+    @uncut
+    async def _finish(self, name: str, outcome: Outcome, code: str, message: str) -> None:
+        """End a session of which the cell itself has not reported the end."""
         entry = self._register.entry(name)
         if entry is None:
             return
@@ -278,8 +296,8 @@ class Sessions:
                 return
             open_question = self._desk.withdrawal(name)
             changes: dict[str, Any] = {} if open_question is None else {"escalation": open_question.reference()}
-            changes["failure"] = {"reasons": [reason(RULE, code, message)]}
-            ended = present.evolve(self._register.now(), status=Status.FAILED, outcome=Outcome.FAULT, **changes)
+            changes["failure"] = None if outcome in DONE else {"reasons": [reason(RULE, code, message)]}
+            ended = present.evolve(self._register.now(), status=final_status(outcome), outcome=outcome, **changes)
             rows = [] if open_question is None else [open_question.row()]
             await self._register.append([outcome_event(ended, SERVER, reason(RULE, code, message))], rows, [ended])
             if open_question is not None:

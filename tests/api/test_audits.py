@@ -122,6 +122,28 @@ async def test_refuses_a_last_event_that_is_none(house: House, last: str) -> Non
     assert (answer.status_code, answer.json()["code"]) == (422, "request_invalid")
 
 
+@pytest.mark.parametrize("where", ["Last-Event-ID", "/v1/events", "/v1/audit/events"])
+async def test_refuses_a_place_that_this_log_has_not_reached(house: House, where: str) -> None:
+    await refuse(house)
+    size = house.runtime.store.size
+    headers = {where: str(size + 1)} if where == "Last-Event-ID" else {}
+    path = "/v1/events" if headers else f"{where}?after={size + 1}"
+    async with house.client("auditor") as auditor:
+        answer = await auditor.get(path, headers=headers)
+    assert (answer.status_code, answer.json()["code"]) == (422, "request_invalid")
+    (fault,) = answer.json()["errors"]
+    assert fault["field"] == (where if headers else "after")
+    assert f"`{size + 1}`" in fault["message"]
+    assert f"`{size}` events" in fault["message"]
+
+
+async def test_the_end_of_the_log_is_a_place_in_it(house: House) -> None:
+    await refuse(house)
+    async with house.client("auditor") as auditor:
+        answer = await auditor.get(f"/v1/audit/events?after={house.runtime.store.size}")
+        assert (answer.status_code, answer.json()["items"]) == (200, [])
+
+
 async def test_a_quiet_stream_says_that_it_is_there(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(audits, "HEARTBEAT_S", 0.05)
     async with (

@@ -186,6 +186,22 @@ def test_a_closed_journal_is_out_of_use(tmp_path: Path) -> None:
             deed()
 
 
+def test_says_whether_there_is_room_for_the_record_of_a_session(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal = Journal(tmp_path / "journal", boot="a")
+    journal.require_room()
+    disk = os.fstatvfs(0)
+    free = module.ROOM_BYTES // disk.f_frsize - 1
+    for changed, why in (
+        ((*disk[:3], free, free, *disk[5:]), f"`{free * disk.f_frsize}` bytes are free"),
+        ((*disk[:8], disk.f_flag | os.ST_RDONLY, *disk[9:]), "read-only"),
+    ):
+        monkeypatch.setattr(os, "fstatvfs", lambda _, changed=changed: os.statvfs_result(changed))
+        with pytest.raises(JournalUnavailable, match=why):
+            journal.require_room()
+
+
 LIMITED = """
 import resource, signal, sys
 from pathlib import Path

@@ -20,7 +20,22 @@ from app.cell.loop import Lease, NewPolicy, Order, Outbox, TickLoop, Welcomed
 from app.cell.pin import KeyPin, LinkRefused
 from app.governance import bundle
 from app.governance.policy import PolicySet
-from app.protocol import Ack, Beat, Down, Estop, Hello, Human, Launch, Policy, State, Up, UpEvent, Welcome
+from app.protocol import (
+    Ack,
+    Beat,
+    Down,
+    Ended,
+    Estop,
+    Hello,
+    Human,
+    Launch,
+    Policy,
+    State,
+    Unrecorded,
+    Up,
+    UpEvent,
+    Welcome,
+)
 from tests.cell.test_loop import Recorder, event
 
 POLICIES = Path(__file__).parents[2] / "policies"
@@ -258,6 +273,24 @@ async def test_dials_again_after_a_lapse_that_only_the_loop_noticed(
         cell.script.beats = True
         await cell.script.say(Beat())
         await until(lambda: len(cell.orders(Welcomed)) > 1, "the second welcome")
+
+
+@pytest.mark.anyio
+async def test_says_up_and_to_people_that_its_journal_cannot_be_written(tmp_path: Path) -> None:
+    async with rig(tmp_path) as cell:
+        cell.runner.unrecorded = Unrecorded(
+            why="no room", ended=[Ended(invocation="inv-1", outcome="stopped", code="x")]
+        )
+        await until(lambda: any(isinstance(one, State) and one.fault is not None for one in cell.script.heard))
+        await until(lambda: "nothing moves: no room" in cell.said)
+        cell.runner.unrecorded = None
+        await until(lambda: "the journal can be written again" in cell.said)
+        newest = lambda: [one for one in cell.script.heard if isinstance(one, State)][-1]  # noqa: E731
+        await until(lambda: newest().fault is None, "the server hears it as well")
+        assert [word for word in cell.said if "linked" not in word] == [
+            "nothing moves: no room",
+            "the journal can be written again",
+        ]
 
 
 @pytest.mark.anyio

@@ -9,7 +9,7 @@ import pytest
 
 from app.cell.loop import SIGHT_EVERY, Lease, Order, Outbox, Shutdown, TickLoop, Welcomed
 from app.cell.sighting import Sight
-from app.protocol import LEASE_MS, Estop, State, UpEvent
+from app.protocol import LEASE_MS, Estop, State, Unrecorded, UpEvent
 from tests.conftest import until
 
 LONG_S = 3600.0
@@ -26,6 +26,7 @@ class Recorder:
         self.holds: list[str] = []
         self.moving_for = 0
         self.fault: Exception | None = None
+        self.unrecorded: Unrecorded | None = None
 
     def tick(self) -> None:
         if self.fault is not None:
@@ -57,6 +58,7 @@ class Recorder:
             profile=None,
             facts={},
             gauges={"late_ticks": float(overruns)},
+            fault=self.unrecorded,
         )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 import struct
 from collections.abc import Iterator
 from dataclasses import replace
@@ -696,6 +697,66 @@ def test_a_session_stops_when_its_record_fails_and_says_so_once_it_can(
     rig.ticks(200)
     assert rig.runner.fault == ""
     assert rig.last("outcome")["code"] == "journal_unavailable"
+
+
+def test_a_rule_that_speaks_in_every_tick_does_not_keep_an_unrecorded_session_from_its_end(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = BrokenDisk(rig, monkeypatch)
+    rig.plan = replace(PLAN, rules=(rule("contact_force_n", threshold=100.0),))
+    rig.launch()
+    rig.ticks(20)
+    disk.broken = True
+    rig.cell.lie = lambda seen: seen._replace(contact_force_n=400.0)
+    rig.until(lambda: rig.runner.invocation is None)
+    assert not rig.moving()
+    assert rig.runner.view().unsaid == {"inv-1": ("fault", "journal_unavailable")}
+
+
+def test_what_ended_without_a_record_is_said_until_the_record_has_it(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    disk = BrokenDisk(rig, monkeypatch)
+    rig.launch()
+    rig.ticks(20)
+    disk.broken = True
+    rig.runner.human("inv-1", "stop", "operator")
+    assert rig.runner.view().unsaid == {}, "it comes to rest first"
+    rig.until(lambda: rig.runner.invocation is None)
+    assert rig.runner.launch(signed(id="auth-2", invocation="inv-2")) == "journal_unavailable"
+    assert rig.runner.view().unsaid == {"inv-1": ("stopped", "operator"), "inv-2": ("fault", "journal_unavailable")}
+    disk.broken = False
+    rig.ticks(200)
+    assert rig.runner.view().fault == ""
+    assert rig.runner.view().unsaid == {}
+    assert rig.last("outcome")["outcome"] == "stopped"
+
+
+def test_a_change_of_hands_that_cannot_be_recorded_does_not_pass_for_the_end_of_what_still_moves(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = BrokenDisk(rig, monkeypatch)
+    rig.launch()
+    rig.ticks(20)
+    disk.broken = True
+    assert rig.runner.launch(signed(id="auth-2", capability="takeover")) == "journal_unavailable"
+    assert rig.runner.invocation == "inv-1"
+    assert rig.runner.view().unsaid == {}
+    rig.until(lambda: rig.runner.invocation is None)
+    assert rig.runner.view().unsaid == {"inv-1": ("fault", "journal_unavailable")}
+
+
+def test_an_idle_cell_notices_a_full_disk_before_it_is_asked_for_anything(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    room = os.fstatvfs(0)
+    full = os.statvfs_result((*room[:3], 0, 0, *room[5:]))
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fstatvfs", lambda _: full)
+        rig.ticks(101)
+        assert "`0` bytes are free" in rig.runner.view().fault
+        assert rig.runner.launch(signed()) == "journal_unavailable"
+        assert rig.cell.bound == []
+    rig.ticks(100)
+    assert rig.runner.view().fault == ""
 
 
 @pytest.mark.parametrize("op", ["pause", "stop", "cancel"])

@@ -89,6 +89,13 @@ def test_a_cell_that_holds_because_its_link_lapsed_defers():
     assert "link" in found.reasons[0].message
 
 
+def test_a_cell_that_cannot_write_its_journal_defers():
+    gamma = context("sim-relaxed")
+    found = admit(shipped(), GRASP, replace(gamma, cell=replace(gamma.cell, recording=False)))
+    assert (found.outcome, found.reasons[0].code) == (AdmissionOutcome.DEFER, "journal_unavailable")
+    assert "cannot write its journal" in found.reasons[0].message
+
+
 def test_preconditions_of_the_proposal_count_beside_those_of_the_capability():
     drive = proposal("navigate_to", target="dock", preconditions=["arm_ready", "gripper_empty"])
     assert admit(shipped(), drive, context("sim-relaxed")).outcome is AdmissionOutcome.ACCEPT

@@ -57,6 +57,12 @@ def test_a_cell_that_says_nothing_comes_back_as_one() -> None:
     assert read(kept(GRASP, given), "human-shared", shipped(), Agents(shipped()))[1] == given
 
 
+def test_a_cell_that_cannot_record_comes_back_as_one() -> None:
+    given = context("human-shared")
+    given = replace(given, cell=replace(given.cell, recording=False))
+    assert read(kept(GRASP, given), "human-shared", shipped(), Agents(shipped()))[1] == given
+
+
 @pytest.mark.parametrize("version", ["of the record", "another"])
 def test_a_grant_holds_under_the_policy_it_was_given_under_or_the_one_that_stands_in_for_it(version: str) -> None:
     digest = shipped().digest if version == "of the record" else "sha256:another"

@@ -521,6 +521,82 @@ async def test_a_launch_nobody_confirms_is_a_fault(house: House, runtime: Runtim
     await until(lambda: cell.ops() == ["stop"])
 
 
+def unrecorded(*ended: tuple[str, str, str]) -> dict[str, Any]:
+    said = [{"invocation": name, "outcome": outcome, "code": code} for name, outcome, code in ended]
+    return {"why": "no room for journal `journal`", "ended": said}
+
+
+async def test_what_a_cell_cannot_write_down_ends_all_the_same_and_its_report_comes_late(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    name = await running(runtime, cell)
+    cell.invocation = cell.status = None
+    await cell.state(fault=unrecorded((name, "stopped", "operator"), ("inv_unheard_of", "fault", "estop")))
+    await runtime.fleet.tend_once()
+    ended = await runtime.governor.invocation(name, AGENT)
+    assert (ended["status"], ended["outcome"]) == ("failed", "stopped")
+    assert await outcome_codes(runtime, name) == ["journal_unavailable"]
+    shown = runtime.fleet.document(runtime.fleet.cell(CELL))
+    assert (shown["busy"], shown["status"], shown["fault"]) == (None, None, "no room for journal `journal`")
+    await cell.report("outcome", name, outcome="stopped", code="operator")
+    trace = await runtime.governor.trace(name, AUDITOR)
+    assert [event["kind"] for event in trace if event["body"].get("outcome") == "stopped"] == ["outcome", "cell"]
+
+
+async def test_a_refused_launch_that_cannot_be_written_down_is_a_fault(runtime: Runtime, cell: HandCell) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    await cell.state(fault=unrecorded((document["id"], "fault", "journal_unavailable")))
+    await runtime.fleet.tend_once()
+    assert (await runtime.governor.invocation(document["id"], AGENT))["outcome"] == "fault"
+
+
+async def test_what_came_before_the_full_disk_is_recorded_before_the_end_that_only_the_state_tells(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = await running(runtime, cell)
+    append = runtime.register.append
+    gate = asyncio.Event()
+
+    async def slow(*args: Any, **kwargs: Any) -> Any:
+        await gate.wait()
+        return await append(*args, **kwargs)
+
+    monkeypatch.setattr(runtime.register, "append", slow)
+    alert = cell.event("alert", name, signal="WARNING", rule="watch/timeout")
+    await cell.say(alert)
+    await cell.state(fault=unrecorded((name, "stopped", "operator")))
+    await runtime.fleet.tend_once()
+    gate.set()
+    await cell.acknowledged(alert.seq)
+    await runtime.fleet.tend_once()
+    trace = await runtime.governor.trace(name, AUDITOR)
+    assert [event["kind"] for event in trace][-2:] == ["alert", "outcome"]
+
+
+async def test_nothing_is_proposed_to_a_cell_that_cannot_record(runtime: Runtime, cell: HandCell) -> None:
+    assert runtime.governor.ready() == {}
+    await cell.state(fault=unrecorded())
+    assert runtime.governor.ready() == {f"cell/{CELL}": "no room for journal `journal`"}
+    document, _ = await runtime.governor.propose(AGENT, navigate(cell=CELL))
+    assert document["status"] == "deferred"
+    assert [reason["code"] for reason in document["admission"]["reasons"]] == ["journal_unavailable"]
+    other = await HandCell(runtime, id="workcell-2").dial()
+    await other.state()
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    assert (document["status"], document["cell"]) == ("running", "workcell-2")
+    await cell.state()
+    assert runtime.governor.ready() == {}
+
+
+async def test_a_session_shows_the_profile_it_was_authorized_under(runtime: Runtime, cell: HandCell) -> None:
+    await running(runtime, cell)
+    sitting = {"profile": "human-shared", "phase": "drive", "doing": "attempt", "violated": [], "paused_by": []}
+    await runtime.governor.set_profile(CELL, "sim-relaxed", OPERATOR)
+    await cell.state(session={**sitting, "waits_for": ""})
+    shown = runtime.fleet.document(runtime.fleet.cell(CELL))
+    assert (shown["profile"], shown["session"]["profile"]) == ("sim-relaxed", "human-shared")
+
+
 async def test_a_stop_reaches_a_cell_that_was_away(runtime: Runtime, cell: HandCell) -> None:
     name = await running(runtime, cell)
     await cell.hang_up()

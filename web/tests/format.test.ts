@@ -49,6 +49,8 @@ describe('words', () => {
   it('put the gravest thing a robot says first', () => {
     expect(robotSays(cell({ latched: true, status: 'running' })).text).toBe('Stopped, latched');
     expect(robotSays(cell({ online: false, status: 'running' })).text).toBe('Not heard');
+    expect(robotSays(cell({ fault: 'no room for the journal', status: null, busy: null })).text).toBe('Stopped, cannot record');
+    expect(robotSays(cell({ fault: 'no room for the journal', status: 'running', busy: 'inv_1' })).text).toBe('Running');
     expect(robotSays(cell({ status: 'paused' })).text).toBe('Paused, holding');
   });
 });

@@ -25,6 +25,7 @@ class LeaseDocument(Document):
 class SittingDocument(Document):
     """What a cell says of its session: phase, what is bound, the rules violated now, and why it does not go on."""
 
+    profile: str = Field(description="The one the session was authorized under, whatever the cell's is by now.")
     phase: str
     doing: str
     violated: list[str]
@@ -49,6 +50,7 @@ class CellDocument(Document):
     busy: str | None
     status: str | None
     holding_link: bool
+    fault: str | None = Field(description="Why the cell can record nothing: nothing moves there until it can.")
     robot: str | None
     policy_version: str | None
     facts: dict[str, Any] | None

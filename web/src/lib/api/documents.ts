@@ -123,11 +123,13 @@ export interface Cell {
   busy: string | null;
   status: string | null;
   holding_link: boolean;
+  /** Why it can record nothing, and so moves nothing. */
+  fault?: string | null;
   robot: string | null;
   policy_version: string | null;
   facts: WorldFacts | null;
   gauges: Record<string, number>;
-  session?: { phase: string | null; doing: string; violated: string[]; paused_by: string[]; waits_for: string | null } | null;
+  session?: { profile?: string; phase: string | null; doing: string; violated: string[]; paused_by: string[]; waits_for: string | null } | null;
   control?: Control | null;
   /** Stands in the answer to the first step of a reset. */
   arming?: { code: string; expires_at: string } | null;

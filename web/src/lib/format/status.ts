@@ -26,6 +26,7 @@ export function robotSays(cell: Cell | null): { text: string; tone: Tone } {
   if (cell.latched) return { text: 'Stopped, latched', tone: 'danger' };
   if (!cell.online) return { text: 'Not heard', tone: 'danger' };
   if (cell.holding_link) return { text: 'Holding, link lapsed', tone: 'danger' };
+  if (cell.fault != null && cell.status === null) return { text: 'Stopped, cannot record', tone: 'danger' };
   if (cell.control != null) return { text: 'Driven by hand', tone: 'human' };
   if (cell.status === null || cell.busy === null) return { text: 'Idle', tone: 'plain' };
   return statusWords(cell.status);
