@@ -58,7 +58,8 @@ def parts(table: Mapping[Callable[..., object], tuple[str, ...]]) -> tuple[Part,
     Call it while that module is imported: the source read then is the one that runs.
 
     Raises:
-        ValueError: A function returns elsewhere than at its end, or rebinds a parameter that it does not give back.
+        ValueError: A function returns elsewhere than at its end, rebinds a parameter that it does not give back, or
+            uses two underscores in a row in a name that others share.
         OSError: The module's source is not there.
     """
     modules = {function.__module__ for function in table}
@@ -77,6 +78,8 @@ def _part(function: Callable[..., object], gives: tuple[str, ...], source: ast.F
     if sum(isinstance(node, ast.Return) for node in inside) != 1 or not isinstance(made.body[-1], ast.Return):
         raise ValueError(f"`{made.name}` cannot be fused; valid: one `return`, at the end")
     bound = {node.id for node in inside if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+    if odd := sorted(name for name in {*made.takes, *gives} if "__" in name):
+        raise ValueError(f"`{made.name}` takes or gives `{odd[0]}`; valid: names without two underscores in a row")
     if lost := sorted((bound & set(made.takes)) - set(gives)):
         raise ValueError(f"`{made.name}` rebinds `{lost[0]}`; valid: give it back, or use another name")
     return made
@@ -168,7 +171,9 @@ class _Rename(ast.NodeTransformer):
 
     def visit_Name(self, node: ast.Name) -> ast.expr:
         if node.id in self.own:
-            node.id = f"{self.prefix}_{node.id}"
+            # Two underscores, which no name that is given or unpacked has: `ahead_m` of `separation` is not what it
+            # gives as `separation_ahead_m`.
+            node.id = f"{self.prefix}__{node.id}"
         elif node.id in self.numbers and isinstance(node.ctx, ast.Load):
             return ast.copy_location(ast.Constant(self.numbers[node.id]), node)
         return node

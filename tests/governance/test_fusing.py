@@ -43,6 +43,14 @@ def capped(load_n: float) -> float:
     return MOST_N if load_n > MOST_N else load_n
 
 
+def least(load_n: float) -> float:
+    """Its own `n` is another name than `least_n`, which it gives."""
+    least_n = load_n
+    for n in (3.0, 2.0, 5.0):
+        least_n = min(least_n, n)
+    return least_n
+
+
 def leaves_early(load_n: float) -> float:
     if load_n > 1.0:
         return 1.0
@@ -79,7 +87,11 @@ def test_parts_run_one_after_the_other_and_keep_their_own_names_apart() -> None:
     whole = build(parts({total: ("load_n",), heavy: ("is_heavy", "load_n")}))
     assert whole(Reading(4.0, 0.1), 2.0) == (1.5, True)
     assert whole(Reading(1.0, 0.1), 2.0) == (0.75, False)
-    assert {"total_held", "heavy_held"} <= set(whole.__code__.co_varnames)
+    assert {"total__held", "heavy__held"} <= set(whole.__code__.co_varnames)
+
+
+def test_what_a_part_gives_is_not_taken_for_one_of_its_own_names() -> None:
+    assert build(parts({least: ("least_n",)}), "least_n")(Reading(1.0, 0.1), 9.0) == 2.0
 
 
 def test_numbers_stand_in_the_code() -> None:
@@ -103,6 +115,7 @@ def test_what_breaks_in_a_part_is_found_in_its_own_source() -> None:
         (loses, ("more_n",), "rebinds `load_n`"),
         (crosses, ("load_n", "width_m"), "just overwritten"),
         (too_few, ("load_n", "width_m"), "gives 2 names"),
+        (too_few, ("too__few",), "takes or gives `too__few`"),
     ],
 )
 def test_a_function_that_would_mean_something_else_when_fused_is_refused(

@@ -311,6 +311,17 @@ def test_the_hand_counts_where_it_is_nearer_than_the_hull() -> None:
     assert state.signals.separation_m == pytest.approx(4.0 - 2.9)
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_of_several_people_the_one_with_the_least_left_counts_whatever_their_order(order: int) -> None:
+    plan = watching(rule("separation_m", above=False, threshold=0.25), base_radius_m=0.45)
+    near, far = PersonTrack(1, 0.0, 2.0, 3.0), PersonTrack(2, 0.0, 2.0, 5.0)
+    (_, alone, _), (_, both, _) = (
+        run(plan, [seen(0, people=people, joint_speed_radps=STILL)]) for people in ((near,), (near, far)[::order])
+    )
+    assert both.signals.separation_ahead_m == alone.signals.separation_ahead_m
+    assert both.signals.separation_m == alone.signals.separation_m
+
+
 def test_separation_alarms_below_the_computed_distance_and_reports_it() -> None:
     plan = watching(rule("separation_m", above=False))
     need = expected_gap(0.0) + 0.45
