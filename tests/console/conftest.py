@@ -11,7 +11,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -200,6 +200,29 @@ def out_of_reach(button: Locator) -> list[str]:
         "cut off": at["y"] + at["height"] > PHONE["height"],
     }
     return [words for words, so in wrong.items() if so]
+
+
+def insist(
+    person: Person, press: Callable[[], object], release: Callable[[], object], so: Callable[[], bool], what: str
+) -> None:
+    """Hold something to run until it has run.
+
+    As a person does: let go and pressed anew where the page let go of it, as it does while its link is late, and where
+    it asks for that, as the robot wants it while it is still coming to rest.
+    """
+    idle = person.page.get_by_text("Hold to run; let go to stop")
+    asked = person.page.get_by_text("let go of everything, then press again")
+    expect(idle).to_be_visible()  # nothing counts before
+    press()
+
+    def done() -> bool:
+        if idle.is_visible() or asked.is_visible():
+            release()
+            expect(asked).to_be_hidden()
+            press()
+        return so()
+
+    until(done, what=what)
 
 
 def far(here: tuple[float, float], there: tuple[float, float]) -> float:

@@ -16,6 +16,7 @@ from tests.console.conftest import (
     Person,
     box,
     far,
+    insist,
     out_of_reach,
     stop,
     wider_than_the_screen,
@@ -76,6 +77,10 @@ def touch(thumb: CDPSession, person: Person, name: str) -> None:
     thumb.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [point]})
 
 
+def lift(thumb: CDPSession) -> None:
+    thumb.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+
+
 def test_a_gamepad_drives_while_its_stick_is_held_and_says_zero_when_it_is_let_go(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
@@ -85,9 +90,14 @@ def test_a_gamepad_drives_while_its_stick_is_held_and_says_zero_when_it_is_let_g
     person.page.evaluate("window.stick.connected = true; window.stick.axes[1] = 0.1")  # within the dead zone
     expect(person.page.get_by_text("Test pad")).to_be_visible()
     assert person.page.evaluate("window.jogs.every((jog) => jog.base.every((value) => value === 0))")
-    person.page.evaluate("window.stick.axes[1] = 0.8")  # pulled back
+    insist(
+        person,
+        lambda: person.page.evaluate("window.stick.axes[1] = 0.8"),  # pulled back
+        lambda: person.page.evaluate("window.stick.axes[1] = 0"),
+        lambda: far(floor.base(), began) > 0.1,
+        "a base driven back",
+    )
     expect(person.page.get_by_text(HELD)).to_be_visible()
-    until(lambda: far(floor.base(), began) > 0.1, what="a base driven back")
     person.page.evaluate("window.stick.axes[1] = 0")
     let_go(person)
     stood = at_rest(floor)
@@ -105,10 +115,15 @@ def test_the_pad_on_the_screen_drives_while_a_thumb_is_on_it(
     take_controls(person)
     began = floor.base()
     thumb = person.context.new_cdp_session(person.page)
-    touch(thumb, person, "Base back, hold to run")
+    insist(
+        person,
+        lambda: touch(thumb, person, "Base back, hold to run"),
+        lambda: lift(thumb),
+        lambda: far(floor.base(), began) > 0.1,
+        "a base driven back",
+    )
     expect(person.page.get_by_text(HELD)).to_be_visible()
-    until(lambda: far(floor.base(), began) > 0.1, what="a base driven back")
-    thumb.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    lift(thumb)
     let_go(person)
     stood = at_rest(floor)
     touch(thumb, person, "Base forward, hold to run")
@@ -125,9 +140,14 @@ def test_a_key_that_is_held_is_let_go_when_the_window_loses(
     person = people.sit(server, init=BENCH)
     take_controls(person)
     person.button("medium").click()  # and the arrows still drive: choosing a speed does not keep them
-    began = floor.base()
-    person.page.keyboard.down("ArrowDown")
-    until(lambda: far(floor.base(), began) > 0.1, what="a base driven back")
+    began, keyboard = floor.base(), person.page.keyboard
+    insist(
+        person,
+        lambda: keyboard.down("ArrowDown"),
+        lambda: keyboard.up("ArrowDown"),
+        lambda: far(floor.base(), began) > 0.1,
+        "a base driven back",
+    )
     target, event = gone.split(", ")
     person.page.evaluate(f"{target}.dispatchEvent(new Event({event}))")
     let_go(person)
@@ -163,9 +183,14 @@ def test_the_controls_outlive_a_reload_and_go_to_another_window_only_when_asked(
     take_controls(one)
     one.page.reload()
     expect(one.page.get_by_text(LET_GO)).to_be_visible()
-    began = floor.base()
-    one.page.keyboard.down("ArrowDown")
-    until(lambda: far(floor.base(), began) > 0.1, what="a base driven after a reload")
+    began, keyboard = floor.base(), one.page.keyboard
+    insist(
+        one,
+        lambda: keyboard.down("ArrowDown"),
+        lambda: keyboard.up("ArrowDown"),
+        lambda: far(floor.base(), began) > 0.1,
+        "a base driven after a reload",
+    )
     other.press("t")
     expect(other.region("Drive by hand")).to_contain_text("in another window")
     assert other.page.evaluate("window.jogs") == []

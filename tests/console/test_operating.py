@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Locator, expect
 
 from tests.conftest import ServerProcess, until
-from tests.console.conftest import Floor, People, Person, at_once, far
+from tests.console.conftest import Floor, People, Person, at_once, far, insist
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,29 +21,12 @@ def robot(person: Person) -> Locator:
     return person.page.locator("header dl.facts")
 
 
-def hold(person: Person, key: str, until_true: Callable[[], bool], what: str) -> None:
-    """Hold a key until something is so, then let go.
-
-    As a person does: pressed anew when the console let go of it, as it does while its link is late, and when it says to
-    let go first, as the robot wants it while it is still coming to rest.
-    """
+def hold(person: Person, key: str, so: Callable[[], bool], what: str) -> None:
+    """Hold a key until something is so, then let go."""
     keyboard = person.page.keyboard
-    released = person.page.get_by_text("Hold to run; let go to stop")
-    refused = person.page.get_by_text("let go of everything, then press again")
-    expect(released).to_be_visible()  # no key counts before
-    keyboard.down(key)
-    expect(released).to_be_hidden()
-
-    def done() -> bool:
-        if released.is_visible() or refused.is_visible():
-            keyboard.up(key)
-            expect(refused).to_be_hidden()
-            keyboard.down(key)
-        return until_true()
-
-    until(done, what=what)
+    insist(person, lambda: keyboard.down(key), lambda: keyboard.up(key), so, what)
     keyboard.up(key)
-    expect(released).to_be_visible()
+    expect(person.page.get_by_text("Hold to run; let go to stop")).to_be_visible()
 
 
 def test_a_stop_is_heard_while_typing(server: ServerProcess, people: People, floor: Floor) -> None:
