@@ -2,13 +2,15 @@
 
 Starts `reins serve` with one simulated cell and prints four figures:
 
-- how much 20 consoles that watch it slow durable `POST /v1/invocations` of refused proposals (at most 15 %);
+- how much 20 consoles that watch it slow durable `POST /v1/invocations` of refused proposals (at most 15 %), and what
+  of that is the server's own work for them;
 - how many frames of poses reach each of them (at least 25 a second);
 - what one more of them costs the server (at most 0.5 % of a core);
 - what a console on a line of 20 kB/s gets beside a fast one: fewer frames, none older than 0.5 s, every event.
 
-Consoles run in a process of their own and acknowledge as a browser does. On a machine with few cores they take time
-from the server that browsers elsewhere would not take.
+Consoles run in a process of their own. They acknowledge as a browser does, and come back for a snapshot as one does
+where they fell behind; how often is printed. On a machine with few cores they take time from the server that browsers
+elsewhere would not take: the server's own time for a proposal, poses for the consoles in it, is printed beside it.
 
     python benchmarks/bench_console.py [--rounds 5] [--seconds 3]
 """
@@ -21,6 +23,7 @@ import base64
 import contextlib
 import json
 import os
+import re
 import socket
 import statistics
 import struct
@@ -42,6 +45,8 @@ SLOW_S = 20.0
 CELL = "workcell-1"
 ROOT = Path(__file__).resolve().parents[1]
 CREATED = b"http/1.1 201"
+FELL_BEHIND = 4410
+BEAT = re.compile(rb'\{"type":(?:"beat","n"|"update","seq":\d+,"beat"):(\d+)')
 
 
 def handshake(port: int) -> bytes:
@@ -71,7 +76,7 @@ class Reader:
     ages_s: list[float] = field(default_factory=list)
     seqs: list[int] = field(default_factory=list)
     keep_events: bool = False
-    closed: str = ""
+    closed: tuple[int, str] | None = None
 
     def feed(self, data: bytes) -> Iterator[bytes]:
         self.buffer += data
@@ -84,59 +89,74 @@ class Reader:
             self.greeted = True
             yield text_frame({"type": "hello", "token": self.token, "after": None})
             yield text_frame({"type": "watch", "cells": [CELL]})
-        while (frame := self._cut()) is not None:
-            opcode, payload = frame
-            if opcode == 8:
-                self.closed = payload[2:].decode() or "closed"
-            elif opcode == 2:
-                cell, number, at_s = *struct.unpack_from("<4xH6xI", payload), struct.unpack_from("<d", payload, 20)[0]
-                self.frames += 1
-                self.ages_s.append(time.time() - at_s)
-                yield text_frame({"type": "ack", "cell": cell, "frame": number})
-            else:
-                yield from self._text(payload)
+        start = 0
+        while (found := self._whole(start)) is not None:
+            opcode, body, start = found
+            yield from self._take(opcode, body, start)
+        del self.buffer[:start]  # once for all that came: a console costs the server's machine little
 
-    def _cut(self) -> tuple[int, bytes] | None:
-        buffer = self.buffer
-        if len(buffer) < 2:
+    def _whole(self, start: int) -> tuple[int, int, int] | None:
+        """Return the opcode of the frame that begins there, where its payload begins and where it ends."""
+        buffer, body = self.buffer, start + 2
+        if len(buffer) < body:
             return None
-        size, start = buffer[1], 2
-        if size == 126:
-            if len(buffer) < 4:
+        size = buffer[start + 1]
+        if size >= 126:
+            form = ">H" if size == 126 else ">Q"
+            body += struct.calcsize(form)
+            if len(buffer) < body:
                 return None
-            size, start = struct.unpack_from(">H", buffer, 2)[0], 4
-        elif size == 127:
-            if len(buffer) < 10:
-                return None
-            size, start = struct.unpack_from(">Q", buffer, 2)[0], 10
-        if len(buffer) < start + size:
-            return None
-        opcode, payload = buffer[0] & 15, bytes(buffer[start : start + size])
-        del buffer[: start + size]
-        return opcode, payload
+            size = struct.unpack_from(form, buffer, start + 2)[0]
+        return None if len(buffer) < body + size else (buffer[start] & 15, body, body + size)
 
-    def _text(self, payload: bytes) -> Iterator[bytes]:
-        if payload.startswith(b'{"type":"beat"'):
-            yield text_frame({"type": "ack", "beat": json.loads(payload)["n"]})
-            return
-        self.snapshots += payload.startswith(b'{"type":"snapshot"')
+    def _take(self, opcode: int, body: int, end: int) -> Iterator[bytes]:
+        if opcode == 8:
+            code = struct.unpack_from(">H", self.buffer, body)[0] if end - body >= 2 else 1005
+            self.closed = code, self.buffer[body + 2 : end].decode()
+        elif opcode == 2:
+            (cell, number), (at_s,) = (struct.unpack_from(form, self.buffer, body) for form in ("<4xH6xI", "<20xd"))
+            self.frames += 1
+            self.ages_s.append(time.time() - at_s)
+            yield text_frame({"type": "ack", "cell": cell, "frame": number})
+        else:
+            yield from self._text(body, end)
+
+    def _text(self, body: int, end: int) -> Iterator[bytes]:
+        if beat := BEAT.match(self.buffer, body):
+            yield text_frame({"type": "ack", "beat": int(beat[1])})
+        self.snapshots += self.buffer.startswith(b'{"type":"snapshot"', body)
         if self.keep_events:
-            self.seqs.extend(event["seq"] for event in json.loads(payload).get("events", []))
+            self.seqs.extend(event["seq"] for event in json.loads(self.buffer[body:end]).get("events", []))
 
 
 class Console(asyncio.Protocol):
-    """A fast console."""
+    """A fast console; where it fell behind it comes back for a snapshot."""
 
     def __init__(self, port: int, token: str) -> None:
-        self.port, self.reader = port, Reader(token)
+        self.port, self.token = port, token
+        self.reader = Reader(token)
+        self.frames = self.returns = 0
+        self.ended: str | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self.transport = transport
         self.transport.write(handshake(self.port))
 
     def data_received(self, data: bytes) -> None:
+        before = self.reader.frames
         for answer in self.reader.feed(data):
             self.transport.write(answer)
+        self.frames += self.reader.frames - before
+
+    def connection_lost(self, error: Exception | None) -> None:
+        if self.reader.closed is None or self.reader.closed[0] != FELL_BEHIND:
+            self.ended = f"{self.reader.closed or error}"
+            return
+        self.returns += 1
+        self.reader = Reader(self.token)
+        self.coming = asyncio.ensure_future(
+            asyncio.get_running_loop().create_connection(lambda: self, "127.0.0.1", self.port)
+        )
 
 
 async def keep_consoles(port: int, token: str, number: int) -> None:
@@ -147,15 +167,16 @@ async def keep_consoles(port: int, token: str, number: int) -> None:
     ]
     while not all(console.reader.snapshots and console.reader.frames for console in consoles):  # noqa: ASYNC110
         await asyncio.sleep(0.01)
-    for console in consoles:
-        console.reader.frames = 0
+    before = [console.frames for console in consoles]
     since_s = time.perf_counter()
     print("ready", flush=True)
     await asyncio.to_thread(sys.stdin.read)
     spent_s = time.perf_counter() - since_s
-    assert not any(console.reader.closed for console in consoles), [console.reader.closed for console in consoles]
-    rates = [console.reader.frames / spent_s for console in consoles]
-    print(json.dumps({"slowest": min(rates), "median": statistics.median(rates)}), flush=True)
+    ended = [console.ended for console in consoles if console.ended is not None]
+    assert not ended, ended
+    rates = [(console.frames - old) / spent_s for console, old in zip(consoles, before, strict=True)]
+    returns = sum(console.returns for console in consoles)
+    print(json.dumps({"slowest": min(rates), "median": statistics.median(rates), "returns": returns}), flush=True)
 
 
 @contextlib.contextmanager
@@ -181,22 +202,40 @@ def cpu_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def post_slowdown(port: int, tokens: dict[str, str], rounds: int, seconds: float, *, watching: int) -> None:
+def post_slowdown(port: int, tokens: dict[str, str], pid: int, rounds: int, seconds: float) -> None:
+    """Propose with and without consoles, round by round in turn: other work of the machine meets both alike."""
     import uvloop
 
     request = request_bytes("/v1/invocations", tokens["agent"])
-    alone: list[float] = []
-    watched: list[float] = []
+    alone: list[tuple[float, float]] = []
+    watched: list[tuple[float, float]] = []
+    found: list[dict[str, float]] = []
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
-        runner.run(drive(port, request, 1.0, CREATED))
+
+        def proposed() -> tuple[float, float]:
+            """Return proposals a second, and the server's time for one, s."""
+            before_s = cpu_s(pid)
+            rate = runner.run(drive(port, request, seconds, CREATED))[0]
+            return rate, (cpu_s(pid) - before_s) / (rate * seconds)
+
+        proposed()
         for _ in range(rounds):
-            alone.append(runner.run(drive(port, request, seconds, CREATED))[0])
-            with consoles(port, tokens["operator"], watching, []):
-                watched.append(runner.run(drive(port, request, seconds, CREATED))[0])
-    slower = statistics.median(1 - b / a for a, b in zip(alone, watched, strict=True))
+            alone.append(proposed())
+            with consoles(port, tokens["operator"], CONSOLES, found):
+                watched.append(proposed())
+    rates, costs = ([one[place] for one in alone] for place in (0, 1))
+    rates_watched, costs_watched = ([one[place] for one in watched] for place in (0, 1))
+    slower = statistics.median(1 - b / a for a, b in zip(rates, rates_watched, strict=True))
+    own_us, own_watched_us = (1e6 * statistics.median(one) for one in (costs, costs_watched))
+    poses = statistics.median(one["slowest"] for one in found)
     print(f"POST /v1/invocations, refused, durable, 32 connections ({rounds} rounds of {seconds:.0f} s):")
-    print(f"  alone {statistics.median(alone):6.0f}/s   with {watching} consoles {statistics.median(watched):6.0f}/s")
+    print(
+        f"  alone {statistics.median(rates):.0f}/s, with {CONSOLES} consoles {statistics.median(rates_watched):.0f}/s"
+    )
     print(f"  slower by {slower:.1%} (at most 15 %)")
+    print(f"  server's own time for one: {own_us:.0f} us alone, {own_watched_us:.0f} us with consoles and their poses")
+    print(f"  meanwhile {poses:.0f} frames/s of poses at the slowest console")
+    print(f"  {sum(one['returns'] for one in found):.0f} times a console came back for a snapshot, over all rounds")
 
 
 def poses_and_cost(port: int, tokens: dict[str, str], pid: int, seconds: float) -> None:
@@ -252,7 +291,7 @@ def read_slowly(port: int, reader: Reader, stop: threading.Event) -> None:
             data = line.recv(500)
             for answer in reader.feed(data):
                 line.sendall(answer)
-            assert not reader.closed, reader.closed
+            assert reader.closed is None, reader.closed
             due_s = max(due_s + len(data) / SLOW_BYTES_S, time.perf_counter() - 0.05)
             time.sleep(max(0.0, due_s - time.perf_counter()))
 
@@ -286,7 +325,7 @@ def bench(rounds: int, seconds: float) -> None:
             tokens = json.loads((Path(folder) / "tokens.json").read_text())
             poses_and_cost(port, tokens, server.pid, 10.0)
             slow_console(port, tokens)
-            post_slowdown(port, tokens, rounds, seconds, watching=CONSOLES)
+            post_slowdown(port, tokens, server.pid, rounds, seconds)
         finally:
             server.terminate()
             server.wait(10)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 import orjson
 
 from app.clock import monotonic_s, wall_s
-from app.runtime.outlet import Outlet
+from app.runtime.outlet import Key, Outlet
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 TICK_S: Final = 0.033
 GATHER_S: Final = 0.004  # documents become visible right behind their events: let them leave together
 BEAT_S: Final = 0.2
+LONG_UPDATE: Final = 2048  # bytes; a third of what may be under way when a frame of poses leaves
 REFRESH_S: Final = 1.0  # facts and gauges of a cell that otherwise has not changed
 KEPT_EVENTS: Final = 2000
 SHOWN_EVENTS: Final = 200
@@ -199,12 +200,11 @@ class Broadcast:
         self._flushed_s = monotonic_s()
         update = self._update()
         if update is not None:
-            for outlet in tuple(self._consoles):
-                outlet.say(update)
+            self._tell(update)
         self._welcome()
         self._drop_ended()
 
-    def _update(self) -> str | None:
+    def _update(self) -> bytes | None:
         parts: list[bytes] = []
         if not self._consoles:
             self._forget()
@@ -223,9 +223,18 @@ class Broadcast:
         if cells := self._changed_cells():
             parts.append(b'"cells":' + orjson.dumps(cells))
         self._forget()
-        if not parts:
-            return None
-        return (b'{"type":"update","seq":%d,' % self.seq + b",".join(parts) + b"}").decode()
+        return b",".join(parts) or None
+
+    def _tell(self, update: bytes) -> None:
+        """Tell what changed; what is long is a beat as well, so that poses wait for no other to be acknowledged."""
+        mark: Key | None = None
+        head = b'{"type":"update","seq":%d,' % self.seq
+        if len(update) > LONG_UPDATE:
+            self._beats += 1
+            mark, head = ("beat", self._beats), head + b'"beat":%d,' % self._beats
+        text = (head + update + b"}").decode()
+        for outlet in tuple(self._consoles):
+            outlet.say(text, mark)
 
     def _forget(self) -> None:
         self._fresh, self._invocations, self._escalations = [], {}, {}

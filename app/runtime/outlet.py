@@ -14,7 +14,9 @@ from typing import Final, NamedTuple, TypeAlias
 
 from app.clock import monotonic_s
 
-MAX_BEHIND_BYTES: Final = 4 * 1024 * 1024  # waiting and under way together
+# Waiting and under way together: a browser that is held up for a second or two while proposals flood in is not turned
+# away for it. What waits is the same text for all consoles, kept once.
+MAX_BEHIND_BYTES: Final = 16 * 1024 * 1024
 MAX_SILENT_S: Final = 15.0  # so long a beat may go unacknowledged
 BUDGET_BYTES: Final = 6 * 1024  # under way when a frame leaves: 0.3 s of a 20 kB/s line
 MAX_FRAMES: Final = 3  # of one cell, unacknowledged

@@ -67,8 +67,9 @@ class Screen:
                     continue
                 message: dict[str, Any] = orjson.loads(frame)
                 self.heard.append(message)
-                if message["type"] == "beat" and self.acknowledges:
-                    await self.say(type="ack", beat=message["n"])
+                beat = message["n"] if message["type"] == "beat" else message.get("beat")
+                if beat is not None and self.acknowledges:
+                    await self.say(type="ack", beat=beat)
                 return message
 
     async def until_frames(self, number: int) -> list[Frame]:
@@ -408,6 +409,20 @@ async def test_a_console_that_falls_behind_is_closed_slows_nobody_and_comes_back
         snapshot = await back.until_type("snapshot")
     assert before[-1] >= seen
     assert back.seqs() == list(range(before[-1] + 1, snapshot["seq"] + 1))
+
+
+async def test_a_long_update_is_acknowledged_itself_and_poses_wait_for_no_beat(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(house.runtime.broadcast, "beat", lambda: None)  # none by the clock
+    async with house.cell() as puppet, signed_in(house) as screen:
+        await screen.say(type="watch", cells=[CELL])
+        await screen.until_type("scene")
+        await propose(house, 20)
+        long = await screen.until(lambda message: "beat" in message)
+        assert len(orjson.dumps(long)) > outlet.BUDGET_BYTES
+        await puppet.show(3.5, 1.0)
+        assert (await screen.until_frames(1))[0].poses[0][0] == 3.5
 
 
 async def test_a_console_may_be_opened_only_so_often(house: House, monkeypatch: pytest.MonkeyPatch) -> None:

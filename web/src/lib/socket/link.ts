@@ -47,7 +47,7 @@ export class Link {
     this.heardMs = performance.now();
     switch (said.is) {
       case 'message':
-        if (said.message.type === 'beat') this.send({ type: 'ack', beat: said.message.n });
+        this.acknowledge(said.message);
         this.listener.message(said.message);
         break;
       case 'frame': {
@@ -62,6 +62,11 @@ export class Link {
       case 'refused':
         this.listener.refused(said.why);
     }
+  }
+
+  private acknowledge(message: Down): void {
+    if (message.type === 'beat') this.send({ type: 'ack', beat: message.n });
+    else if (message.type === 'update' && message.beat !== undefined) this.send({ type: 'ack', beat: message.beat });
   }
 
   private look(): void {

@@ -37,7 +37,7 @@ export interface Scene {
 export type Down =
   | { type: 'welcome'; version: number; name: string; role: string; boot: string; at: string | number }
   | ({ type: 'snapshot' } & Required<Changes>)
-  | ({ type: 'update' } & Changes)
+  | ({ type: 'update'; beat?: number } & Changes)
   | { type: 'scene'; cell: string; scene: Scene; bodies: string[]; gauges: string[] }
   | { type: 'path'; cell: string; invocation: string | null; points: [number, number][] }
   | { type: 'beat'; n: number; at: string | number; seq: number }
