@@ -186,12 +186,13 @@ def fill_the_disk_of_the_cell(server: ServerProcess) -> Callable[[], None]:
 
 def shows_the_fault(server: ServerProcess) -> None:
     cell = until(lambda: (found := server.cell())["fault"] and found, what="the cell says why nothing moves")
-    assert "cannot write journal" in cell["fault"]
+    assert "cannot write the journal" in cell["fault"]
     assert (cell["busy"], cell["status"], cell["session"]) == (None, None, None)
     with server.client() as client:
         health, ready = client.get("/healthz"), client.get("/readyz")
     assert (health.status_code, health.json()["status"]) == (200, "degraded")
-    assert "cannot write journal" in health.json()["broken"]["cell/workcell-1"]
+    assert "cannot write the journal" in health.json()["broken"]["cell/workcell-1"]
+    assert str(server.data) not in health.text + ready.text  # both are answered to anybody
     assert (ready.status_code, ready.json()["broken"]) == (503, health.json()["broken"])
 
 

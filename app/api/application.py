@@ -142,6 +142,7 @@ async def healthz(request: Request) -> Response:
     Without that only what restrains is obeyed: everywhere, or on the cells that `broken` names.
     """
     parts = parts_of(request)
+    await parts.store.look()
     broken = {} if parts.store.healthy else {"store": parts.store.reason}
     broken |= parts.fleet.faults()
     return answer({"status": "degraded" if broken else "ok", "version": __version__, "broken": broken})
@@ -153,6 +154,7 @@ async def readyz(request: Request) -> Response:
     `broken` says what is in the way: the store, each cell, the policy.
     """
     parts = parts_of(request)
+    await parts.store.look()
     broken = parts.governor.ready()
     for name, question in parts.checks.items():
         if (trouble := question()) is not None:

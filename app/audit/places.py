@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 FOR_OTHERS = 0o077
+ROOM_BYTES = 64 * 1024  # less than this is no room for the record of a session that comes to its end in order
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,3 +136,20 @@ def sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def full(folder: Path) -> str | None:
+    """Return why a directory's disk takes no more, as far as it says so without being written to; None: it may.
+
+    One with less than `ROOM_BYTES` free counts as full, one that cannot be looked at as broken.
+    """
+    try:
+        disk = os.statvfs(folder)
+    except OSError as error:
+        return f"the disk of the record cannot be looked at: {error.strerror}"
+    free = disk.f_frsize * (disk.f_bfree if os.geteuid() == 0 else disk.f_bavail)
+    if disk.f_flag & os.ST_RDONLY:
+        return "the disk of the record is read-only"
+    if disk.f_blocks and free < ROOM_BYTES:  # a file system without blocks does not say
+        return f"the disk of the record is full: `{free}` bytes are free; valid: `{ROOM_BYTES}` or more"
+    return None

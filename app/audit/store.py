@@ -19,11 +19,11 @@ from app.audit.event import Event, EventDraft, RowWrite, Submission, prepare_all
 from app.audit.examination import WITHIN_S as EXAMINE_WITHIN_S
 from app.audit.examination import Examination, examine
 from app.audit.ledger import Ledger, Staged, describe
-from app.audit.places import Places
+from app.audit.places import Places, full
 from app.audit.reader import Page, Reader, Row
 from app.audit.rows import check_row
 from app.audit.verification import Verification, verify_log
-from app.clock import rfc3339, wall_s
+from app.clock import monotonic_s, rfc3339, wall_s
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -56,6 +56,7 @@ class AuditStore:
         self._idle: asyncio.Future[None] | None = None
         self._probe: asyncio.TimerHandle | None = None
         self._reason: str | None = None
+        self._wrote_s = 0.0
         self._subscribers: list[Callable[[tuple[Event, ...]], None]] = []
 
     @classmethod
@@ -93,6 +94,18 @@ class AuditStore:
     def reason(self) -> str | None:
         """Why the store is not healthy."""
         return self._reason
+
+    async def look(self) -> None:
+        """Find out whether the disk takes more; waits at most `PROBE_AFTER_S` for that.
+
+        A disk that filled up or became read-only since the last write shows in `healthy` and `reason` after this.
+        """
+        if self._reason is not None or self._closed:
+            return
+        if (why := full(self.places.folder)) is not None:
+            self._note_health(why)
+        elif not self._writing and monotonic_s() - self._wrote_s >= PROBE_AFTER_S:
+            await asyncio.wait({self._write_probe()}, timeout=PROBE_AFTER_S)
 
     @property
     def size(self) -> int:
@@ -238,6 +251,8 @@ class AuditStore:
     # -- health ------------------------------------------------------------------------------------------------------
 
     def _note_health(self, reason: str | None) -> None:
+        if reason is None:
+            self._wrote_s = monotonic_s()
         self._reason = reason
         if reason is not None and self._probe is None and not self._closed:
             self._probe = asyncio.get_running_loop().call_later(PROBE_AFTER_S, self._try_again)
@@ -247,9 +262,17 @@ class AuditStore:
         self._probe = None
         if self._reason is None or self._closed or len(self._waiting) >= MAX_WAITING:
             return
+        # Writing the same row again may need no room that the database has not got already.
+        if (why := full(self.places.folder)) is not None:
+            self._note_health(why)
+            return
+        self._write_probe()
+
+    def _write_probe(self) -> asyncio.Future[list[int]]:
         values = {"id": 1, "at": rfc3339(wall_s()), "filler": bytes(PROBE_BYTES)}
         probe = self._enqueue(Submission((), (RowWrite(table="probes", values=values),)))
         probe.add_done_callback(lambda answer: answer.exception())  # what it says stands in the health already
+        return probe
 
     # -- reading -----------------------------------------------------------------------------------------------------
 

@@ -37,7 +37,11 @@ ID_BYTES: Final = 12
 
 
 class JournalUnavailable(Exception):
-    """The journal cannot be read or written; says the file and the system's reason. Nothing may move."""
+    """The journal cannot be read or written; says the system's reason. Nothing may move.
+
+    The file is named where it cannot be opened, which is said to who started the cell. What comes later goes up to the
+    server, which shows it to everybody: where a cell keeps its files concerns nobody there.
+    """
 
 
 class Entry(NamedTuple):
@@ -131,7 +135,7 @@ class Journal:
         except OSError as error:
             # After a failed fsync nobody knows what the disk holds: the file is not used again in this run.
             self._broken = error.strerror or "fsync failed"
-            raise JournalUnavailable(f"cannot sync journal `{self.path}`: {error.strerror}") from error
+            raise JournalUnavailable(f"cannot sync the journal: {error.strerror}") from error
 
     def require_room(self) -> None:
         """Return where a session's record could be written, as far as that can be told without writing it.
@@ -143,13 +147,13 @@ class Journal:
         try:
             disk = os.fstatvfs(self._file)
         except OSError as error:
-            raise JournalUnavailable(f"cannot look at the disk of journal `{self.path}`: {error.strerror}") from error
+            raise JournalUnavailable(f"cannot look at the disk of the journal: {error.strerror}") from error
         free = disk.f_frsize * (disk.f_bfree if os.geteuid() == 0 else disk.f_bavail)
         if disk.f_flag & os.ST_RDONLY:
-            raise JournalUnavailable(f"cannot write journal `{self.path}`: its file system is read-only")
+            raise JournalUnavailable("cannot write the journal: its file system is read-only")
         if disk.f_blocks and free < ROOM_BYTES:  # a file system without blocks does not say
             raise JournalUnavailable(
-                f"no room for journal `{self.path}`: `{free}` bytes are free on its disk; valid: `{ROOM_BYTES}` or more"
+                f"no room for the journal: `{free}` bytes are free on its disk; valid: `{ROOM_BYTES}` or more"
             )
 
     def acknowledge(self, seq: int) -> None:
@@ -186,7 +190,7 @@ class Journal:
                 os.close(fresh)
                 raise
         except OSError as error:
-            raise JournalUnavailable(f"cannot compact journal `{self.path}`: {error.strerror}") from error
+            raise JournalUnavailable(f"cannot compact the journal: {error.strerror}") from error
         os.close(self._file)
         self._file = fresh
         self.marks = kept
@@ -231,7 +235,7 @@ class Journal:
 
     def _check(self) -> None:
         if self._broken is not None:
-            raise JournalUnavailable(f"journal `{self.path}` is out of use: {self._broken}")
+            raise JournalUnavailable(f"the journal is out of use: {self._broken}")
 
     def _size(self) -> int:
         return os.fstat(self._file).st_size
@@ -241,7 +245,7 @@ class Journal:
         try:
             line = _line(record)
         except TypeError as error:
-            raise JournalUnavailable(f"cannot write journal `{self.path}`: {error}") from error
+            raise JournalUnavailable(f"cannot write the journal: {error}") from error
         try:
             size = self._size()
             try:
@@ -250,7 +254,7 @@ class Journal:
                 self._undo(size)
                 raise
         except OSError as error:
-            raise JournalUnavailable(f"cannot write journal `{self.path}`: {error.strerror}") from error
+            raise JournalUnavailable(f"cannot write the journal: {error.strerror}") from error
 
     def _undo(self, size: int) -> None:
         """Cut off half a line; if even that fails, the file is not used again in this run."""

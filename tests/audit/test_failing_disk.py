@@ -12,6 +12,7 @@ import pytest
 from app.audit.archive import verify_file
 from app.audit.errors import RecordUnavailable
 from app.audit.ledger import Staged
+from app.audit.places import ROOM_BYTES, full
 from app.audit.store import AuditStore
 from tests.audit.conftest import draft, fill, until
 
@@ -54,6 +55,55 @@ async def test_health_comes_back_by_itself(store: AuditStore, monkeypatch: pytes
     await until(lambda: store.healthy)
     assert store.size == 0
     assert (await store.verify()).ok
+
+
+async def test_whoever_asks_hears_of_a_disk_that_filled_up_since_the_last_write(store: AuditStore) -> None:
+    await store.look()
+    assert store.healthy
+    limit_pages(store, None)
+    store._wrote_s = 0.0  # long ago
+    connection = store._ledger._connection
+    connection.exec_driver_sql("DELETE FROM probes")
+    connection.exec_driver_sql("VACUUM")  # the room that the first look left would do for a second one
+    limit_pages(store, None)
+    await store.look()
+    assert (store.healthy, store.reason) == (False, "database or disk is full")
+    limit_pages(store, 1_000_000)
+    await until(lambda: store.healthy)
+    assert store.size == 0
+
+
+async def test_a_disk_that_says_it_takes_no_more_is_believed_until_it_does(
+    store: AuditStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the database has got already may do for another probe, and for nothing else."""
+    monkeypatch.setattr("app.audit.store.PROBE_AFTER_S", 0.01)
+    await store.look()
+    disk = os.statvfs(store.places.folder)
+    blocks = ROOM_BYTES // disk.f_frsize - 1
+    monkeypatch.setattr(os, "statvfs", lambda _: os.statvfs_result((*disk[:3], blocks, blocks, *disk[5:])))
+    await store.look()
+    assert store.reason is not None
+    assert store.reason.startswith(f"the disk of the record is full: `{blocks * disk.f_frsize}` bytes are free")
+    probed = store._probe
+    await until(lambda: store._probe is not probed)
+    assert not store.healthy
+    monkeypatch.undo()
+    await until(lambda: store.healthy)
+
+
+def test_says_of_a_disk_whether_it_takes_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert full(tmp_path) is None
+    assert "No such file" in (full(tmp_path / "gone") or "")
+    disk = os.statvfs(tmp_path)
+    for changed, why in (
+        ((*disk[:3], 0, 0, *disk[5:]), "is full: `0` bytes are free"),
+        ((*disk[:8], disk.f_flag | os.ST_RDONLY, *disk[9:]), "is read-only"),
+    ):
+        monkeypatch.setattr(os, "statvfs", lambda _, changed=changed: os.statvfs_result(changed))
+        assert why in (full(tmp_path) or "")
+    monkeypatch.setattr(os, "statvfs", lambda _: os.statvfs_result((*disk[:2], 0, 0, 0, *disk[5:])))
+    assert full(tmp_path) is None  # it does not say
 
 
 async def test_no_second_batch_is_committed_while_the_file_outside_lacks_the_first(store: AuditStore) -> None:
