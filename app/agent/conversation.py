@@ -25,6 +25,7 @@ _BACKOFF_S = 0.2
 _BACKOFF_MAX_S = 5.0
 _MAX_DEPTH = 32
 _MAX_KEY = 255
+_ATTEMPTS = uuid.UUID("6f1c5a52-3f0e-4d0b-9a53-0d7a0b1f7c11")  # sets our keys apart from whatever else is named so
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,10 +139,14 @@ def _problem(reply: Reply) -> Problem:
 
 
 def invoke(body: Document, key: str | None, defers: int, on_update: OnUpdate | None) -> Talk[Result]:
-    """Propose, propose again while deferred, follow to the end."""
+    """Propose, propose again while deferred, follow to the end.
+
+    Every attempt has a key of its own that follows from the first one, so that whoever calls again under a key, say
+    after a restart, finds what the last attempt under it came to, and launches nothing a second time.
+    """
     first_key = uuid.uuid4().hex if key is None else header_text("idempotency_key", key, _MAX_KEY)
     for attempt in range(defers + 1):
-        headers = {"Idempotency-Key": uuid.uuid4().hex if attempt else first_key}
+        headers = {"Idempotency-Key": _nth_key(first_key, attempt)}
         invocation: Document = yield from send(Call(method="POST", path="/v1/invocations", json=body, headers=headers))
         invocation = yield from follow(invocation, on_update)
         if invocation["status"] == "deferred" and attempt < defers:
@@ -150,6 +155,10 @@ def invoke(body: Document, key: str | None, defers: int, on_update: OnUpdate | N
             continue
         return conclude(invocation)
     raise AssertionError("unreachable: the last attempt always concludes")
+
+
+def _nth_key(first: str, attempt: int) -> str:
+    return first if attempt == 0 else uuid.uuid5(_ATTEMPTS, f"{first} {attempt}").hex
 
 
 def follow(invocation: Document, on_update: OnUpdate | None) -> Talk[Document]:

@@ -141,6 +141,22 @@ def test_proposes_a_deferred_invocation_again_under_a_new_key():
     assert len({turn.headers["idempotency-key"] for turn in server.turns}) == 3
 
 
+def test_whoever_asks_again_under_a_key_finds_what_became_of_it_after_defers():
+    """As after a restart: the server keeps one invocation for each key, and only the second attempt was launched."""
+    kept: dict[str, dict[str, object]] = {}
+
+    def answer(turn: Turn):
+        made = invocation("completed", outcome="succeeded") if kept else deferred
+        return 201, kept.setdefault(turn.headers["idempotency-key"], made)
+
+    deferred = invocation("deferred", admission={"outcome": "defer", "reasons": [], "retry_after_s": 0.01})
+    with serve(answer) as server:
+        for _ in range(2):
+            with ReinsClient(server.url, "t") as client:
+                assert client.invoke("grasp_object", idempotency_key="x" * 255).outcome == "succeeded"
+    assert [made["status"] for made in kept.values()] == ["deferred", "completed"]
+
+
 def test_gives_a_defer_up_after_the_allowed_number_of_attempts():
     deferred = invocation("deferred", admission={"outcome": "defer", "reasons": [], "retry_after_s": 0.01})
     with (
