@@ -8,19 +8,18 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import TYPE_CHECKING, Final, NamedTuple, Protocol, cast
+from typing import TYPE_CHECKING, Final, Protocol, cast
 
 from app import protocol
+from app.cell.moment import Moment, Session
 from app.governance.signals import FAR_M, Signals
 from app.protocol import Path, Scene, Sitting, pack_poses
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from app.cell.governing import Governing
     from app.cell.loop import Outbox
     from app.cell.substrate import Substrate
-    from app.governance.model import Bounds, Observation
+    from app.governance.model import Observation
 
 GAUGES: Final = (
     "separation_m", "protective_separation_m", "zone_margin_m", "tcp_speed_mps", "tcp_speed_limit_mps",
@@ -32,27 +31,6 @@ GAUGES: Final = (
 _ROW: Final = struct.Struct(f"<{len(GAUGES)}f")
 
 UNKNOWN: Final = math.nan
-
-
-class Session(NamedTuple):
-    """The numbers of a session at one moment: what watching measured, the limits, how far and how fast it is."""
-
-    measured: tuple[float, ...]
-    bounds: Bounds
-    progress: float
-    rate: float
-
-
-class Moment(NamedTuple):
-    """Everything to be seen at one moment, by reference."""
-
-    at_s: float
-    tick: int
-    poses: Callable[[], bytes]
-    seen: Observation
-    session: Session | None
-    invocation: str | None
-    way: tuple[tuple[float, float], ...]
 
 
 class Socket(Protocol):

@@ -19,8 +19,9 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from app.cell.display import describe, look, sensed, sitting
 from app.cell.journal import JournalUnavailable
 from app.cell.loop import NewPolicy, Shutdown, Welcomed
+from app.cell.moment import Sight
 from app.cell.runner import Runner
-from app.cell.sighting import Sight, things
+from app.cell.sighting import things
 from app.governance.conditions import unmet
 from app.governance.model import Wish
 from app.governance.permit import SignedAuthorization
@@ -44,9 +45,9 @@ from app.protocol import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from app.cell.display import Moment
     from app.cell.journal import Entry, Journal
     from app.cell.loop import Order, Outbox
+    from app.cell.moment import Moment
     from app.cell.runner import View
     from app.cell.substrate import Substrate
     from app.governance.model import CoveredRecovery, Params, RecoveryPlan, WatchPlan, WorldFacts

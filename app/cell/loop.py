@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from queue import SimpleQueue
 
-    from app.cell.display import Moment
-    from app.cell.sighting import Sight
+    from app.cell.moment import Moment, Sight
     from app.governance.policy import PolicySet
     from app.protocol import Scene, UpEvent
 

@@ -9,17 +9,16 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import TYPE_CHECKING, Final, NamedTuple, cast
+from typing import TYPE_CHECKING, Final, cast
 
 from app import protocol
 from app.protocol import POSE_BYTES, Sighting
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from app.cell.display import Socket
     from app.cell.loop import Outbox
-    from app.governance.model import PersonTrack, Site
+    from app.cell.moment import Sight
+    from app.governance.model import Site
     from app.protocol import Scene
 
 MOVED: Final = 0.001  # metres, or the same of a quaternion: a tenth of a degree
@@ -27,15 +26,6 @@ MAX_PEOPLE: Final = 64
 _POSE: Final = struct.Struct("<7f")
 
 Pose = tuple[float, float, float, float, float, float, float]
-
-
-class Sight(NamedTuple):
-    """What there is to be seen of a session at one moment, by reference; times in seconds of the cell."""
-
-    invocation: str
-    time_s: float
-    people: tuple[PersonTrack, ...]
-    poses: Callable[[], bytes]
 
 
 def things(scene: Scene, site: Site) -> tuple[str, ...]:

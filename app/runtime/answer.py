@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 
     from app.governance.policy_model import Denial
     from app.runtime.cells import Cell
-    from app.runtime.desk import Desk
     from app.runtime.escalation import Escalation
     from app.runtime.grant import Standing
     from app.runtime.invocation import Invocation, Principal
     from app.runtime.kernel import Judgement
+    from app.runtime.questions import Questions
 
 RULE: Final = "authority/approval"
 DENIAL: Final = "authority/denial"
@@ -42,7 +42,7 @@ class Answer:
 
     def __init__(
         self,
-        desk: Desk,
+        questions: Questions,
         invocation: Invocation,
         escalation: Escalation,
         principal: Principal,
@@ -50,10 +50,10 @@ class Answer:
         grant: Standing | None = None,
     ) -> None:
         """Take the question and its invocation as they stand, who answers, and what is granted with an approval."""
-        self._desk = desk
-        self._register = desk.register
-        self._fleet = desk.fleet
-        self._kernel = desk.kernel
+        self._questions = questions
+        self._register = questions.register
+        self._fleet = questions.fleet
+        self._kernel = questions.kernel
         self._invocation = invocation
         self._escalation = escalation
         self._principal = principal
@@ -75,7 +75,7 @@ class Answer:
         ended = self._invocation.evolve(
             now, status=Status.DENIED, outcome=Outcome.DENIED, escalation=closed.reference(), policy=policy
         )
-        await self._desk.commit(
+        await self._questions.commit(
             [self._event("deny", closed), outcome_event(ended, self._principal.name, *reasons)], closed, ended
         )
         return closed
@@ -155,7 +155,7 @@ class Answer:
         if judgement.profile != invocation.profile or not judgement.conforms(counted.effective):
             ended = judgement.refuse(invocation)
             ended = replace(ended, policy=decided_again(invocation.policy, ended.policy))
-            await self._desk.commit(
+            await self._questions.commit(
                 [
                     self._event("approve", closed),
                     *judgement.recheck_events(ended),
@@ -175,7 +175,7 @@ class Answer:
             policy_version=judgement.policy.digest,
         )
         async with self._kernel.launch(launching, judgement, approvers) as launch:
-            await self._desk.commit(
+            await self._questions.commit(
                 [
                     self._event("approve", closed),
                     *(grant_event("given", self._principal.name, grant) for grant in given),
@@ -186,7 +186,7 @@ class Answer:
                 launch.invocation,
                 [*(grant.row() for grant in given), *launch.rows],
             )
-        self._desk.grants.hold(*given)
+        self._questions.grants.hold(*given)
         return closed
 
     def _granting(self, closed: Escalation) -> tuple[Escalation, tuple[Standing, ...]]:
@@ -198,7 +198,7 @@ class Answer:
         invocation = self._invocation.evolve(
             self._register.now(), effective=dict(escalation.effective), escalation=escalation.reference()
         )
-        await self._desk.commit([self._event(decision, escalation)], escalation, invocation)
+        await self._questions.commit([self._event(decision, escalation)], escalation, invocation)
 
     def _judge(self, params: Mapping[str, Any]) -> Judgement:
         invocation = self._invocation
@@ -219,7 +219,7 @@ class Answer:
             raise Conflict("ending", f"the session is coming to its end after `{word}`: it cannot go on")
         if not self._fleet.attached(cell):
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to go on")
-        if reasons := self._desk.kept_back(self._invocation):
+        if reasons := self._questions.kept_back(self._invocation):
             raise Conflict("resume_refused", "the policy in force does not let it go on; valid: deny", reasons=reasons)
         now = self._register.now()
         approval = {"by": self._principal.name, "at": now, "digest": self._escalation.digest}
@@ -240,13 +240,13 @@ class Answer:
             terms = replace(launch.invocation.terms, undone_by=None)  # it goes on: its end is the agent's as well
             version = present.evolve(closed.updated_at, escalation=closed.reference(), terms=terms)
             drafts = [self._event("approve", closed), *judgement.recheck_events(present), *launch.events]
-            await self._desk.commit(drafts, closed, version, launch.rows)
+            await self._questions.commit(drafts, closed, version, launch.rows)
         return closed
 
     async def end(self, why: Denial) -> Escalation:
         """End the session as policy says of a denial."""
         closed = self._denied(self._register.now(), why)
-        await self._desk.end_session(
+        await self._questions.end_session(
             self._invocation, closed.on_deny, self._principal.name, self._commit_session("deny", closed)
         )
         return closed
@@ -256,7 +256,7 @@ class Answer:
         if decision == "deny" and closed.on_deny == ROLLBACK:
             terms = replace(terms, undone_by=self._principal.name)
         invocation = self._invocation.evolve(closed.updated_at, escalation=closed.reference(), terms=terms)
-        await self._desk.commit([self._event(decision, closed)], closed, invocation)
+        await self._questions.commit([self._event(decision, closed)], closed, invocation)
 
     def _event(self, decision: str, escalation: Escalation) -> EventDraft:
         return EventDraft(

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from app.runtime.grant import Standing
     from app.runtime.invocation import Invocation
     from app.runtime.register import Register
-    from app.runtime.reviews import Review
+    from app.runtime.review import Review
 
 TICK_S: Final = 0.033
 GATHER_S: Final = 0.004  # documents become visible right behind their events: let them leave together

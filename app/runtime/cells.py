@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final, Protocol, cast
 
 import orjson
 from pydantic import TypeAdapter, ValidationError
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from app.governance.control import Control
     from app.protocol import Hello, Message, State
-    from app.runtime.link import Attachment
 
 FRESH_S: Final = 1.0  # a state older than this says nothing
 ENDING: Final = frozenset(
@@ -27,6 +26,44 @@ ENDING: Final = frozenset(
 )  # after these a session only comes to rest
 _WORLD: Final = TypeAdapter(WorldFacts)
 _WORLD_NAMES: Final = frozenset(WorldFacts.__dataclass_fields__)
+
+
+class Line(Protocol):
+    """A cell's link, as those see it who speak to the cell; `app.runtime.link.Attachment` is one."""
+
+    cell: Cell
+    hello: Hello | None
+    closed: bool
+
+    @property
+    def welcomed(self) -> bool:
+        """Say whether the cell has said `Hello` and was answered, and the link still stands."""
+        ...
+
+    @property
+    def settled(self) -> bool:
+        """Say whether every report that has come is in the log."""
+        ...
+
+    def silent_s(self) -> float:
+        """Return for how long nothing has been heard."""
+        ...
+
+    def post(self, message: Message, *, urgent: bool = False) -> None:
+        """Send a message without waiting; an urgent one overtakes what waits."""
+        ...
+
+    def jog(self, command: Message) -> None:
+        """Send a jog command once nothing else waits, in the place of an older one that waits still."""
+        ...
+
+    def beat(self) -> None:
+        """Keep the lease alive."""
+        ...
+
+    def shut(self, code: int, reason: str) -> None:
+        """Close the link and say why."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +97,7 @@ class Cell:
     recording: asyncio.Lock = field(default_factory=asyncio.Lock)  # one batch at a time, whichever link brought it
     taking: asyncio.Lock = field(default_factory=asyncio.Lock)  # one taker of an idle cell at a time
     claim: str | None = None
-    attachment: Attachment | None = None
+    attachment: Line | None = None
     state: State | None = None
     state_at_s: float = 0.0
     world: WorldFacts | None = None

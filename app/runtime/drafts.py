@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from app.runtime.escalation import Escalation
     from app.runtime.grant import Standing
     from app.runtime.invocation import Invocation, Principal
-    from app.runtime.reviews import Review
+    from app.runtime.review import Review
 
 SERVER: Final = "server"
 EDIT: Final = "authority/edit"

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from app.governance.control import Control
     from app.governance.model import WorldFacts
     from app.protocol import Hello, Jog, Message, Sighting, State, UpEvent
+    from app.runtime.cells import Line
     from app.runtime.link import Link
     from app.runtime.register import Register
     from app.runtime.reports import Reports
@@ -358,13 +359,13 @@ class Fleet:
         await self._desk.attached(cell.id, hello)
         await self.caught_up(attachment)
 
-    async def _unrecorded(self, cell: Cell, attachment: Attachment) -> None:
+    async def _unrecorded(self, cell: Cell, attachment: Line) -> None:
         """Have what a cell says has ended, and cannot write down, seen to once every older report is in."""
         fault = None if cell.state is None else cell.state.fault
         if fault is not None and fault.ended and attachment.settled:
             await self._desk.unrecorded(cell.id, fault.ended)
 
-    async def caught_up(self, attachment: Attachment) -> None:
+    async def caught_up(self, attachment: Line) -> None:
         """Compare what the cell holds with what the server believes, as soon as every older report is in."""
         cell = attachment.cell
         reunion = cell.unreconciled

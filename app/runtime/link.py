@@ -14,7 +14,7 @@ from __future__ import annotations
 import asyncio
 import base64
 from collections import deque
-from typing import TYPE_CHECKING, Final, Protocol, assert_never
+from typing import TYPE_CHECKING, Any, Final, Protocol, assert_never
 
 from app.audit.errors import RecordUnavailable
 from app.clock import monotonic_s
@@ -38,11 +38,11 @@ from app.protocol import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Coroutine, Mapping, Sequence
 
     from app.protocol import Message
     from app.runtime.cells import Cell
-    from app.runtime.fleet import Fleet
+    from app.runtime.screens import Screens
 
 MAX_WAITING_FRAMES: Final = 256
 MAX_WAITING_EVENTS: Final = 4096
@@ -69,16 +69,65 @@ class Link(Protocol):
         ...
 
 
+class Hub(Protocol):
+    """Where links lead: what a link tells of its cell, and asks; the fleet is one."""
+
+    screens: Screens
+    kernel_key: str
+    policy_digest: str
+    policy_files: Mapping[str, str]
+
+    async def take_place(self, attachment: Attachment, hello: Hello) -> None:
+        """Make this the cell's link. Raises `ProtocolError` where another one lives."""
+        ...
+
+    async def welcome(self, attachment: Attachment, hello: Hello) -> None:
+        """Deliver what the cell is owed."""
+        ...
+
+    async def caught_up(self, attachment: Attachment) -> None:
+        """Hear that every report which has come is in the log."""
+        ...
+
+    async def leave(self, attachment: Attachment) -> None:
+        """Forget a link whose socket is gone."""
+        ...
+
+    def closing(self, closing: Coroutine[Any, Any, None]) -> None:
+        """Close a socket without waiting for it."""
+        ...
+
+    def take_state(self, cell: Cell, state: State) -> None:
+        """Keep the newest state."""
+        ...
+
+    def take_telemetry(self, cell: Cell, invocation: str, rows: Sequence[tuple[float, ...]]) -> None:
+        """Pass rows of telemetry on."""
+        ...
+
+    def take_sighting(self, cell: Cell, sighting: Sighting) -> None:
+        """Pass on where people and things were."""
+        ...
+
+    def check_report(self, cell: Cell, event: UpEvent) -> None:
+        """Refuse a report that this cell may not make. Raises `ProtocolError`."""
+        ...
+
+    def record(self, cell: Cell, journal: str, batch: Sequence[UpEvent]) -> Coroutine[Any, Any, None]:
+        """Record a batch of reports. Raises `RecordUnavailable`, `ProtocolError`."""
+        ...
+
+
 class Attachment:
     """A link while it is attached. The route calls `receive` for every frame, and `detach` when the socket is gone."""
 
-    def __init__(self, fleet: Fleet, cell: Cell, link: Link) -> None:
+    def __init__(self, hub: Hub, cell: Cell, link: Link) -> None:
         """Bind a link to a cell's place in the fleet; nothing is sent before `Hello`."""
         self.cell = cell
         self.hello: Hello | None = None
         self.heard_s = monotonic_s()
         self.closed = False
-        self._fleet = fleet
+        self._hub = hub
         self._link = link
         self._outlet: deque[str] = deque()
         self._jog: str | None = None
@@ -182,11 +231,11 @@ class Attachment:
         """Pass on what the cell shows of itself; no decision waits for its record."""
         match message:
             case State():
-                self._fleet.take_state(self.cell, message)
+                self._hub.take_state(self.cell, message)
             case Scene() | Path():
-                self._fleet.screens.draw(self.cell.id, message)
+                self._hub.screens.draw(self.cell.id, message)
             case Sighting():
-                self._fleet.take_sighting(self.cell, message)
+                self._hub.take_sighting(self.cell, message)
             case Beat():
                 pass
             case _:
@@ -196,17 +245,17 @@ class Attachment:
         if self.hello is None:
             raise ProtocolError("a link begins with `hello`, not with telemetry")
         if is_poses(frame):
-            self._fleet.screens.show(self.cell.id, frame)
+            self._hub.screens.show(self.cell.id, frame)
             return
         invocation, rows = unpack_batch(frame)
-        self._fleet.take_telemetry(self.cell, invocation, rows)
+        self._hub.take_telemetry(self.cell, invocation, rows)
 
     async def _greet(self, hello: Hello) -> None:
         if hello.cell != self.cell.id:
             raise ProtocolError(f"this is the link of `{self.cell.id}`, the cell says it is `{hello.cell}`")
         if hello.version != VERSION:
             raise ProtocolError(f"the cell speaks version `{hello.version}` of the link: valid is `{VERSION}`")
-        await self._fleet.take_place(self, hello)
+        await self._hub.take_place(self, hello)
         self.hello = hello
         self._next_seq = self.cell.up_seq + 1
         self._tasks = [asyncio.create_task(self._drain()), asyncio.create_task(self._record(hello.journal))]
@@ -214,15 +263,15 @@ class Attachment:
             task.add_done_callback(self._broke)
         self.post(
             Welcome(
-                kernel_key=self._fleet.kernel_key,
-                policy_digest=self._fleet.policy_digest,
+                kernel_key=self._hub.kernel_key,
+                policy_digest=self._hub.policy_digest,
                 profile=self.cell.profile,
                 acknowledged=self.cell.up_seq,
             )
         )
-        if hello.policy_digest != self._fleet.policy_digest:
-            self.post(Policy(digest=self._fleet.policy_digest, files=dict(self._fleet.policy_files)))
-        await self._fleet.welcome(self, hello)
+        if hello.policy_digest != self._hub.policy_digest:
+            self.post(Policy(digest=self._hub.policy_digest, files=dict(self._hub.policy_files)))
+        await self._hub.welcome(self, hello)
 
     def _queue(self, event: UpEvent) -> None:
         if event.seq < self._next_seq:
@@ -232,7 +281,7 @@ class Attachment:
             raise ProtocolError(f"report `{event.seq}` leaves a gap: `{self._next_seq}` comes next")
         if len(self._reports) >= MAX_WAITING_EVENTS:
             raise ProtocolError(f"more than `{MAX_WAITING_EVENTS}` reports wait for the record")
-        self._fleet.check_report(self.cell, event)
+        self._hub.check_report(self.cell, event)
         self._next_seq += 1
         self._reports.append(event)
         self._incoming.set()
@@ -249,11 +298,11 @@ class Attachment:
                 for _ in batch:
                     self._reports.popleft()
                 self.post(Ack(seq=self.cell.up_seq))
-            await self._fleet.caught_up(self)
+            await self._hub.caught_up(self)
 
     async def _recorded(self, journal: str, batch: Sequence[UpEvent]) -> bool:
         try:
-            await self._fleet.record(self.cell, journal, batch)
+            await self._hub.record(self.cell, journal, batch)
         except RecordUnavailable:
             return False
         except ProtocolError as error:
@@ -268,7 +317,7 @@ class Attachment:
         if self.closed:
             return
         self.closed = True
-        self._fleet.closing(self._link.close(code, reason[:120]))
+        self._hub.closing(self._link.close(code, reason[:120]))
 
     def _broke(self, task: asyncio.Task[None]) -> None:
         """Let a bug end the link, not hide behind it: the cell holds, and the loop's handler hears of it."""
@@ -285,7 +334,7 @@ class Attachment:
             task.cancel()
         if self._tasks:
             await asyncio.wait(self._tasks)
-        await self._fleet.leave(self)
+        await self._hub.leave(self)
 
 
 def key_text(public_key: bytes) -> str:

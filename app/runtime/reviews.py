@@ -7,7 +7,7 @@ reviewer writes (`note`) stays in the record and never reaches an agent.
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import orjson
@@ -18,10 +18,11 @@ from app.governance.model import AuthorityMode, Reason, Status
 from app.runtime.drafts import SERVER, review_event
 from app.runtime.errors import Conflict, Forbidden, NotFound
 from app.runtime.invocation import reasons_document
+from app.runtime.review import Review
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable
 
     from app.audit.event import EventDraft
     from app.governance.model import Outcome
@@ -32,57 +33,6 @@ if TYPE_CHECKING:
 WAITING: Final = "waiting"
 SHOWN: Final = 100  # as many as anybody wants to see at once; the rest waits in the record
 ENDED: Final = frozenset({Status.COMPLETED, Status.FAILED})
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Review:
-    """The newest version of one review: what for, and the verdict once there is one."""
-
-    id: str
-    invocation: str
-    status: str  # waiting, or the verdict
-    capability: str
-    agent: str
-    cell: str | None
-    profile: str
-    risk: str
-    outcome: str
-    reasons: Sequence[Mapping[str, str]]
-    verdict: Mapping[str, Any] | None
-    created_at: str
-    updated_at: str
-
-    def public(self) -> dict[str, Any]:
-        """Return the document."""
-        return {
-            "id": self.id,
-            "invocation": self.invocation,
-            "status": self.status,
-            "capability": self.capability,
-            "agent": self.agent,
-            "cell": self.cell,
-            "profile": self.profile,
-            "risk": self.risk,
-            "outcome": self.outcome,
-            "reasons": [dict(reason) for reason in self.reasons],
-            "verdict": None if self.verdict is None else dict(self.verdict),
-            "created_at": self.created_at,
-            "updated_at": self.updated_at,
-        }
-
-    def row(self) -> RowWrite:
-        """Return the row that holds this version."""
-        return RowWrite(
-            table="reviews",
-            values={
-                "id": self.id,
-                "invocation": self.invocation,
-                "status": self.status,
-                "document": orjson.dumps(self.public()),
-                "created_at": self.created_at,
-                "updated_at": self.updated_at,
-            },
-        )
 
 
 class Reviews:

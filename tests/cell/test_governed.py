@@ -13,7 +13,8 @@ import pytest
 from app.cell.governed import GovernedCell
 from app.cell.journal import Journal
 from app.cell.loop import Outbox, Welcomed
-from app.cell.sighting import Sight, Sightings, things
+from app.cell.moment import Sight
+from app.cell.sighting import Sightings, things
 from app.governance.permit import mint
 from app.protocol import Human, Launch, Scene, Sighting, decode_up
 from tests.cell.rig import KEY, NOW_S, PERMIT, FakeCell

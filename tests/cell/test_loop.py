@@ -8,7 +8,7 @@ from queue import SimpleQueue
 import pytest
 
 from app.cell.loop import SIGHT_EVERY, Lease, Order, Outbox, Shutdown, TickLoop, Welcomed
-from app.cell.sighting import Sight
+from app.cell.moment import Sight
 from app.protocol import LEASE_MS, Estop, State, Unrecorded, UpEvent
 from tests.conftest import until
 

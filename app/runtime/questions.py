@@ -1,0 +1,181 @@
+"""The open questions to humans: how one is asked, kept, recorded, and what ends the session it is about.
+
+A question is pending from the moment it is recorded until a version of it that is closed is recorded. Who may answer,
+and what silence means, is the desk's subject (`app.runtime.desk`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Any
+
+from app.audit.errors import RecordUnavailable
+from app.clock import rfc3339
+from app.governance.authority import waiting
+from app.protocol import Human
+from app.runtime.errors import Conflict
+from app.runtime.escalation import (
+    APPROVAL,
+    PENDING,
+    POLICY_CHANGED,
+    PROFILE_CHANGED,
+    ROLLBACK,
+    SESSION_QUESTION,
+    WITHDRAWN,
+    Escalation,
+    bound_digest,
+)
+from app.runtime.grants import Grants
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Coroutine, Mapping, Sequence
+
+    from app.audit.event import EventDraft, RowWrite
+    from app.governance.model import ApprovalNeed
+    from app.runtime.fleet import Fleet
+    from app.runtime.invocation import Invocation
+    from app.runtime.kernel import Kernel
+    from app.runtime.register import Register
+
+
+class Questions:
+    """The questions of one server that are open."""
+
+    def __init__(self, register: Register, fleet: Fleet, kernel: Kernel) -> None:
+        """Take where changes are recorded, where orders go, and who decides."""
+        self.register = register
+        self.fleet = fleet
+        self.kernel = kernel
+        self.grants = Grants(register, fleet, kernel)
+        self.on_held: Callable[[Escalation], None] = lambda _: None
+        self.kept_back: Callable[[Invocation], Sequence[Mapping[str, str]]] = lambda _: ()
+        self._pending: dict[str, Escalation] = {}
+        self._asked = asyncio.Event()
+
+    # -- asking ------------------------------------------------------------------------------------------------------
+
+    def question(self, invocation: Invocation, need: ApprovalNeed, risk: str) -> Escalation:
+        """Return the question whether an invocation may launch; `hold` it once it is recorded."""
+        now_s = self.register.now_s()
+        return self._build(
+            invocation,
+            kind=APPROVAL,
+            risk=risk,
+            reasons=[reason._asdict() for reason in need.reasons],
+            needed=need.approvers,
+            expires_at=rfc3339(now_s + need.within_s),
+            on_timeout=need.on_timeout,
+        )
+
+    def session_question(
+        self, invocation: Invocation, reasons: Sequence[Mapping[str, str]], phase: str | None = None
+    ) -> Escalation:
+        """Return the question whether a held session may go on, or begin a phase; `hold` it once it is recorded."""
+        wait = waiting(self.kernel.policy, invocation.capability, invocation.profile, phase)
+        return self._build(
+            invocation,
+            kind=SESSION_QUESTION,
+            phase=phase,
+            risk=self.kernel.risk(invocation.capability),
+            reasons=reasons,
+            needed=1,
+            expires_at=rfc3339(self.register.now_s() + wait.within_s),
+            on_deny=wait.on_deny,
+            on_timeout=wait.on_timeout,
+        )
+
+    def _build(self, invocation: Invocation, **fields: Any) -> Escalation:  # noqa: ANN401  # fields of an escalation
+        effective = invocation.requested if invocation.effective is None else invocation.effective
+        now = self.register.now()
+        return Escalation(
+            id=self.kernel.identities.make("esc"),
+            invocation=invocation.id,
+            capability=invocation.capability,
+            agent=invocation.agent,
+            cell=invocation.cell,
+            profile=invocation.profile,
+            requested=invocation.requested,
+            constrained=effective,
+            effective=effective,
+            digest=bound_digest(invocation, effective),
+            policy_version=invocation.policy_version,
+            status=PENDING,
+            approvals=(),
+            created_at=now,
+            updated_at=now,
+            **fields,
+        )
+
+    def hold(self, *versions: Escalation) -> None:
+        """Take newest versions that are recorded: a pending one waits for its answer, others are done."""
+        for version in versions:
+            if version.status == PENDING:
+                self._pending[version.id] = version
+                self._asked.set()
+            else:
+                self._pending.pop(version.id, None)
+            self.on_held(version)
+
+    def pending(self) -> list[Escalation]:
+        """Return the questions that are open."""
+        return list(self._pending.values())
+
+    def pending_for(self, invocation: str) -> Escalation | None:
+        """Return the question that is open about an invocation."""
+        for escalation in self._pending.values():
+            if escalation.invocation == invocation:
+                return escalation
+        return None
+
+    def outdated(self, question: Escalation) -> str | None:
+        """Return why a question about a launch is not the one to ask now; None where it is, or a session asks it."""
+        if question.kind != APPROVAL:
+            return None
+        if question.policy_version != self.kernel.policy.digest:
+            return POLICY_CHANGED
+        cell = self.fleet.cell(question.cell) if question.cell else None
+        return None if question.profile == self.fleet.profile(cell) else PROFILE_CHANGED
+
+    def withdrawal(self, invocation: str) -> Escalation | None:
+        """Return the open question about an invocation as withdrawn, if there is one; `hold` it once recorded."""
+        present = self.pending_for(invocation)
+        return None if present is None else present.evolve(self.register.now(), status=WITHDRAWN)
+
+    # -- closing ----------------------------------------------------------------------------------------------------
+
+    async def commit(
+        self,
+        drafts: Sequence[EventDraft],
+        escalation: Escalation,
+        invocation: Invocation,
+        rows: Sequence[RowWrite] = (),
+    ) -> None:
+        """Record the new version of a question together with its invocation's. Raises `RecordUnavailable`."""
+        await self.register.append(drafts, [*rows, escalation.row()], [invocation])
+        self.hold(escalation)
+
+    async def end_session(
+        self, invocation: Invocation, ending: str, actor: str, recording: Coroutine[Any, Any, None]
+    ) -> None:
+        """Have a held session come to rest, or undone where policy says so.
+
+        Coming to rest is sent first, as any restraint. Undoing moves, so it is recorded first; where it cannot be
+        recorded, or the cell is away or ending the session already, the session comes to rest instead.
+
+        Raises:
+            RecordUnavailable: it is not recorded; the session comes to rest all the same.
+        """
+        cell = self.fleet.cell(invocation.cell or "")
+        rest = Human(invocation=invocation.id, op="resolve_terminate", actor=actor)
+        if ending != ROLLBACK or not self.fleet.attached(cell) or cell.ending(invocation.id):
+            self.fleet.restrain(cell, rest)
+            await recording
+            return
+        try:
+            await recording
+            self.fleet.order(cell, Human(invocation=invocation.id, op="rollback", actor=actor))
+        except RecordUnavailable:
+            self.fleet.restrain(cell, rest)
+            raise
+        except Conflict:  # the cell left while this was recorded
+            self.fleet.restrain(cell, rest)
