@@ -10,7 +10,7 @@ import subprocess
 import sys
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import httpx
 import orjson
@@ -75,8 +75,8 @@ def approve(habits_file: Path, url: str, data: Path) -> int:
     """Answer escalations by habit until interrupted; return the exit code."""
     try:
         habits = load_habits(habits_file)
-        token = orjson.loads(DataDir(root=data).tokens.read_bytes())[habits.name]
-    except (OSError, ValueError, TypeError, KeyError, yaml.YAMLError) as error:
+        token = _token_of(habits.name, DataDir(root=data).tokens)
+    except (OSError, ValueError, yaml.YAMLError) as error:
         say_error(f"no approver: {error}")
         return MISUSE
     try:
@@ -87,6 +87,15 @@ def approve(habits_file: Path, url: str, data: Path) -> int:
         say_error(f"the approver leaves: {error}")
         return FINDING
     return FINE
+
+
+def _token_of(name: str, tokens: Path) -> str:
+    """Return who it is to the server. Raises `OSError`, `ValueError` naming who is known."""
+    document: object = orjson.loads(tokens.read_bytes())
+    known = cast("dict[str, str]", document) if isinstance(document, dict) else {}
+    if name not in known:
+        raise ValueError(f"`{name}` has no token in `{tokens}`; valid as `approver`: {', '.join(known) or 'none'}")
+    return known[name]
 
 
 async def _approve(url: str, token: str, habits: Habits) -> None:

@@ -90,13 +90,15 @@ def parse_habits(raw: object, source: str = "habits") -> Habits:
         raise ValueError(f"{source}: `reads_s` is {low}…{high}; valid: 0 ≤ min ≤ max")
     if not 0 <= rate <= 1:
         raise ValueError(f"{source}: `error_rate` is {rate}; valid: 0…1")
-    seed, rules = data.get("seed", 0), data.get("rules", [])
-    if not isinstance(seed, int):
+    name, seed, rules = data.get("approver", "operator"), data.get("seed", 0), data.get("rules", [])
+    if not isinstance(name, str):
+        raise ValueError(f"{source}: `approver` is `{name}`; valid: the name of one approver")
+    if isinstance(seed, bool) or not isinstance(seed, int):
         raise ValueError(f"{source}: `seed` is `{seed}`; valid: a whole number")
     if not isinstance(rules, list):
         raise ValueError(f"{source}: `rules` is `{rules}`; valid: a list of rules")
     return Habits(
-        name=str(data.get("approver", "operator")),
+        name=name,
         reads_min_s=low,
         reads_max_s=high,
         error_rate=rate,
@@ -157,7 +159,7 @@ def decide(habits: Habits, escalation: Document, draw: float) -> Answer:
 
 
 class ScriptedApprover:
-    """Polls for pending escalations and answers each once, after its reading time."""
+    """Polls for pending escalations and answers each once, after its reading time; again where the cell was away."""
 
     def __init__(self, client: AsyncReinsClient, habits: Habits, *, on_answer: OnAnswer = lambda _e, _a: None) -> None:
         """Answer through `client`, whose token names the operator; `on_answer` is told of every answer given."""
@@ -186,12 +188,16 @@ class ScriptedApprover:
             raise refused.exceptions[0] from failed  # whatever failed beside it, failed at the same server
 
     async def _look(self, answers: asyncio.TaskGroup) -> None:
-        page = await self._client.call("GET", "/v1/escalations", query={"status": "pending"})
-        for escalation in page["items"]:
-            bound_to = (escalation["id"], escalation["digest"])
-            if bound_to not in self._seen:
-                self._seen.add(bound_to)
-                answers.create_task(self._answer(escalation))
+        query = {"status": "pending"}
+        while True:  # every page: what was ignored stays pending, and must not hide what is older
+            page = await self._client.call("GET", "/v1/escalations", query=query)
+            for escalation in page["items"]:
+                if _bound_to(escalation) not in self._seen:
+                    self._seen.add(_bound_to(escalation))
+                    answers.create_task(self._answer(escalation))
+            if page["next"] is None:
+                return
+            query = {**query, "cursor": page["next"]}
 
     async def _answer(self, escalation: Document) -> None:
         reading_s = self._random.uniform(self._habits.reads_min_s, self._habits.reads_max_s)
@@ -212,5 +218,11 @@ class ScriptedApprover:
         except Problem as refused:
             if refused.status != 409:  # somebody else was faster, or it expired while being read
                 raise
+            if refused.code == "cell_offline":  # for now: the question waits on, so it is read again
+                self._seen.discard(_bound_to(escalation))
             return
         self._on_answer(escalation, replace(answer, status=resolved["status"]))
+
+
+def _bound_to(escalation: Document) -> tuple[str, str]:
+    return escalation["id"], escalation["digest"]

@@ -1,10 +1,11 @@
 import asyncio
+from collections.abc import Callable
 
 import pytest
 
 from app.agent.approver import Answer, ScriptedApprover, decide, parse_habits
 from app.agent.client import AsyncReinsClient, Problem
-from app.demo import answered
+from app.demo import answered, approve
 
 from .scripted_server import Turn, serve
 
@@ -68,11 +69,23 @@ def test_an_error_turns_the_answer_round():
         ({"reads_s": {"min": 0, "max": float("inf")}}, "valid: 0 ≤ min ≤ max"),
         ({"error_rate": "often"}, "`error_rate` is `often`; valid: a number"),
         ({"seed": "x"}, "`seed` is `x`; valid: a whole number"),
+        ({"seed": True}, "`seed` is `True`; valid: a whole number"),
+        ({"approver": ["a", "b"]}, "valid: the name of one approver"),
     ],
 )
 def test_bad_habits_are_refused_with_what_would_be_valid(change, message):
     with pytest.raises(ValueError, match=message):
         parse_habits({**HABITS, **change})
+
+
+def test_an_approver_nobody_knows_is_refused_with_who_is_known(tmp_path, capfd):
+    (tmp_path / "tokens.json").write_text('{"operator": "t1", "operator_2": "t2"}')
+    habits = tmp_path / "habits.yaml"
+    habits.write_text("approver: nobody")
+    assert approve(habits, "http://127.0.0.1:1", tmp_path) == 2
+    said = " ".join(capfd.readouterr().err.split())
+    assert "`nobody` has no token" in said
+    assert "valid as `approver`: operator, operator_2" in said
 
 
 def test_habits_that_are_no_mapping_are_refused():
@@ -100,6 +113,48 @@ async def test_answers_each_escalation_once_with_its_digest_and_edit():
             await asyncio.gather(task, return_exceptions=True)
     posts = [turn.body for turn in server.turns if turn.method == "POST"]
     assert posts == [{"decision": "approve", "digest": "sha256:a", "params": {"object_id": "mug_1", "force_n": 40}}]
+
+
+async def _answered(answer: Callable[[Turn], tuple[int, object]], habits: dict[str, object]) -> list[Turn]:
+    """Let an approver answer until it has given its first answer that counts; return what it posted."""
+    given = asyncio.Event()
+    with serve(answer) as server:
+        async with AsyncReinsClient(server.url, "t") as client:
+            approver = ScriptedApprover(client, parse_habits(habits), on_answer=lambda _e, _a: given.set())
+            task = asyncio.create_task(approver.run())
+            await asyncio.wait_for(given.wait(), 5)
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+    return [turn for turn in server.turns if turn.method == "POST"]
+
+
+@pytest.mark.anyio
+async def test_questions_it_ignores_hide_no_older_one():
+    ignored = [escalation(id=f"esc_{place}", capability="operate_tool") for place in range(2, 52)]
+
+    def answer(turn: Turn):
+        if turn.method == "POST":
+            return 200, escalation(status="approved")
+        if "cursor=older" in turn.path:
+            return 200, {"items": [escalation()], "next": None}
+        return 200, {"items": ignored, "next": "older"}
+
+    assert [turn.path for turn in await _answered(answer, HABITS)] == ["/v1/escalations/esc_1/resolve"]
+
+
+@pytest.mark.anyio
+async def test_answers_again_once_the_cell_that_was_away_may_be_back():
+    away = iter([True, False])
+
+    def answer(turn: Turn):
+        if turn.method == "GET":
+            return 200, {"items": [escalation(kind="session")], "next": None}
+        if next(away):
+            return 409, {"code": "cell_offline", "detail": "the cell is away"}
+        return 200, escalation(status="approved")
+
+    posts = await _answered(answer, HABITS)
+    assert [turn.body for turn in posts] == [{"decision": "approve", "digest": "sha256:a"}] * 2
 
 
 @pytest.mark.anyio
