@@ -46,6 +46,12 @@ LARGEST_FORCE_N: Final = 20_000.0
 LARGEST_WIDTH_M: Final = 0.5
 LONGEST_REACH_M: Final = 3.0
 LATEST_STAMP_S: Final = 0.1
+FASTEST_FINGERS_MPS: Final = 2.5  # they snap shut at 1 m/s when 80 N lose what was between them
+FINGERS_STEP_M: Final = 0.015  # less than that in a tick is not looked at closer
+OFF_TRACK_RAD: Final = 0.05  # joints that have leapt are off their command at least by this
+DOUBT_S: Final = 5.0
+"""How long a reading that leapt is held against its sensor: it does not come right by staying where it leapt to, so
+this is longer than any shipped profile waits (3 s) before it ends the session or asks a human."""
 
 STILL: Final = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 RESTING: Final = (0.0, 0.0, 0.0)
@@ -405,17 +411,46 @@ def frozen_samples(
     return frozen, stuck_grip_ticks
 
 
+def leaps(
+    seen: Observation,
+    before: Observation,
+    stamps: SensorStamps,
+    people: tuple[PersonEstimate, ...],
+    fix_jumped: bool,
+    tracking_error_rad: float,
+    doubted_until_s: float,
+) -> float:
+    """Say until when sensors are doubted, because base, joints, fingers or somebody moved as no body can.
+
+    That is, from one sample to the next. A leap is over at once, and what it leaves behind may look sound: an offset.
+    So it is remembered for `DOUBT_S`.
+    """
+    leapt = fix_jumped
+    opened_m = seen.grip_width_m - before.grip_width_m
+    if not -FINGERS_STEP_M <= opened_m <= FINGERS_STEP_M:
+        leapt = leapt or abs(opened_m) > FASTEST_FINGERS_MPS * (stamps.gripper - before.stamps_s.gripper)
+    if not tracking_error_rad < OFF_TRACK_RAD:
+        could_rad = LARGEST_JOINT_SPEED_RADPS * (stamps.arm - before.stamps_s.arm)
+        leapt = leapt or dist(seen.joint_rad, before.joint_rad) > could_rad
+    if people:
+        for person in people:
+            leapt = leapt or person.leapt
+    if leapt:
+        doubted_until_s = seen.time_s + DOUBT_S
+    return doubted_until_s
+
+
 def implausible(  # noqa: PLR0913, PLR0917  # what a part needs, it names
     seen: Observation,
     before: Observation,
     placed: float,
     fastest_radps: float,
     residual_nm: float,
-    fix_jumped: bool,
     stuck_ticks: int,
     stuck_base_ticks: int,
     frozen: int,
     stuck_grip_ticks: int,
+    doubted_until_s: float,
 ) -> float:
     """Say whether a reading is not finite, cannot be, jumps, repeats, or comes with a clock that stands."""
     total = (
@@ -453,7 +488,7 @@ def implausible(  # noqa: PLR0913, PLR0917  # what a part needs, it names
         and stuck_base_ticks < STUCK_TICKS
         and not frozen
         and stuck_grip_ticks < STUCK_TICKS
-        and not fix_jumped
+        and not seen.time_s < doubted_until_s
         and (not seen.time_s <= before.time_s or seen is before)
     )
     return 0.0 if believed else 1.0
@@ -526,6 +561,7 @@ DETECTORS: Final[tuple[Part, ...]] = parts(
         stuck_arm: ("stuck_ticks",),
         stuck_drives: ("stuck_base_ticks",),
         frozen_samples: ("frozen", "stuck_grip_ticks"),
+        leaps: ("doubted_until_s",),
         implausible: ("implausible",),
     }
 )

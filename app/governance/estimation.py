@@ -24,12 +24,16 @@ FIRST_DRIFT_MPS: Final = 0.05
 OFFSET_NOISE_M2PS: Final = 4e-6
 DRIFT_NOISE: Final = 4e-3  # (m/s)² per s: an odometry bias that appears at once is followed within about 0.3 s
 YAW_GAIN: Final = 0.1
+AHEAD_M: Final = 1.0  # where a fix misses is asked of what lies so far ahead of the robot: the hand, or who comes
 
 ALPHA: Final = 0.5
 BETA: Final = 0.17
 FASTEST_PERSON_MPS: Final = 2.5
 EXTRAPOLATE_S: Final = 0.3
 FORGET_S: Final = 2.0
+LEAP_M: Final = 0.6
+"""Who is seen farther than this from where they were expected, beyond what turning on the spot at full speed explains,
+did not walk there: five σ of the tracker at twice its noise."""
 
 
 _Moment: TypeAlias = tuple[float, float, float, float]
@@ -41,8 +45,8 @@ class BaseEstimate(NamedTuple):
     The truth is modelled as odometry + offset, where the offset drifts with a slowly changing velocity: a Kalman filter
     with the state (offset, drift) per axis. Both axes have the same noise, so they share one covariance (`p_oo`,
     `p_od`, `p_dd`). `fix_s` is the stamp of the last fix used, −1 before the first; `miss_m` says how far that fix lay
-    from where it was expected. `history` holds (time_s, x_m, y_m, yaw_rad) of the odometry, newest first; `due_s` is
-    when it takes the next.
+    from where it was expected, its yaw as what it moves 1 m ahead. `history` holds (time_s, x_m, y_m, yaw_rad) of the
+    odometry, newest first; `due_s` is when it takes the next.
     """
 
     at_s: float = 0.0
@@ -105,7 +109,7 @@ def track_base(estimate: BaseEstimate, time_s: float, odometry: Vec3, fix: Fix |
             (1.0 - gain_o) * p_od,
             p_dd - gain_d * p_od,
             stamp_s,
-            0.0 if first else math.hypot(off_x, off_y),
+            0.0 if first else math.hypot(off_x, off_y, turned * AHEAD_M),
             due_s,
             history,
         )
@@ -135,7 +139,10 @@ def _at(newest: _Moment, history: tuple[_Moment, ...], stamp_s: float) -> Vec3:
 
 
 class PersonEstimate(NamedTuple):
-    """One person as filtered: position and velocity at `stamp_s`, world frame."""
+    """One person as filtered: position and velocity at `stamp_s`, world frame.
+
+    `leapt` says that the last sample lay farther from where they were expected than anybody can get.
+    """
 
     person: int
     stamp_s: float
@@ -143,6 +150,7 @@ class PersonEstimate(NamedTuple):
     y_m: float
     vx_mps: float
     vy_mps: float
+    leapt: bool = False
 
 
 def track_people(
@@ -176,7 +184,8 @@ def _track(known: tuple[PersonEstimate, ...], track: PersonTrack) -> PersonEstim
     speed = math.hypot(vx, vy)
     if speed > FASTEST_PERSON_MPS:
         vx, vy = vx * FASTEST_PERSON_MPS / speed, vy * FASTEST_PERSON_MPS / speed
-    return PersonEstimate(person, stamp_s, ahead_x + ALPHA * miss_x, ahead_y + ALPHA * miss_y, vx, vy)
+    leapt = math.hypot(miss_x, miss_y) > LEAP_M + 2.0 * FASTEST_PERSON_MPS * gap_s
+    return PersonEstimate(person, stamp_s, ahead_x + ALPHA * miss_x, ahead_y + ALPHA * miss_y, vx, vy, leapt)
 
 
 def now(person: PersonEstimate, time_s: float) -> tuple[float, float]:

@@ -67,7 +67,8 @@ SHOWN: Final = frozenset(
 class Senses(NamedTuple):
     """What measuring remembers from tick to tick: estimates, timers of the attempt, and the tick before.
 
-    `sound` says whether that tick's readings of where base, hand and people are were all finite.
+    `sound` says whether that tick's readings of where base, hand and people are were all finite; until
+    `doubted_until_s` a leap of a reading is held against its sensor.
     """
 
     base: BaseEstimate = BaseEstimate()
@@ -88,6 +89,7 @@ class Senses(NamedTuple):
     closings: int = 0
     reached: float = 0.0
     restarts: int = 0
+    doubted_until_s: float = 0.0
 
 
 class WatchState(NamedTuple):

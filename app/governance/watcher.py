@@ -106,12 +106,13 @@ class Watcher:
         self.watch: Final = generate(self._constants, tuple(row.bound() for row in rows), self._none, self._judge)
 
     def begin(self, before: WatchState | None = None) -> WatchState:
-        """Return the state an attempt begins with: estimates live on, timers, sums and the grip start afresh."""
+        """Return the state an attempt begins with: estimates and doubts live on, all else starts afresh."""
         fresh = WatchState(sums=self._none)
         if before is None:
             return fresh
         kept = before.senses
-        return fresh._replace(remembered=tuple(Senses(base=kept.base, people=kept.people, before=kept.before)))
+        lives_on = Senses(base=kept.base, people=kept.people, before=kept.before, doubted_until_s=kept.doubted_until_s)
+        return fresh._replace(remembered=tuple(lives_on))
 
     def signal_of(self, rule: str) -> str:
         """Return the signal that a rule watches; empty where the plan has no such rule."""

@@ -315,8 +315,10 @@ BROKEN = (
     ("arm", "stuck", 0.0, GRASPED, "implausible"),
     ("arm", "stale", 0.0, DRIVEN, "stale"),
     ("arm", "delayed", 0.1, GRASPED, "stale"),
-    ("arm", "noisy", 0.2, GRASPED, "tcp-speed"),
-    ("arm", "offset", 0.2, GRASPED, "tracking"),
+    ("arm", "noisy", 0.2, GRASPED, "implausible"),
+    ("arm", "noisy", 0.2, DRIVEN, "implausible"),
+    ("arm", "offset", 0.2, GRASPED, "implausible"),
+    ("arm", "offset", 0.2, DRIVEN, "implausible"),
     ("wrist", "stuck", 0.0, GRASPED, "implausible"),
     ("wrist", "stale", 0.0, DRIVEN, "stale"),
     ("wrist", "delayed", 0.1, GRASPED, "stale"),
@@ -325,6 +327,8 @@ BROKEN = (
     ("wrist", "stuck", 0.0, DRIVEN, "implausible"),
     ("gripper", "stuck", 0.0, LIFTED, "implausible"),
     ("gripper", "stuck", 0.0, GRASPED, "implausible"),
+    ("gripper", "noisy", 0.05, GRASPED, "implausible"),
+    ("gripper", "offset", 0.05, GRASPED, "implausible"),
     ("gripper", "stale", 0.0, GRASPED, "stale"),
     ("gripper", "delayed", 0.2, GRASPED, "stale"),
     ("odometry", "stuck", 0.0, DRIVEN, "implausible"),
@@ -350,6 +354,13 @@ def test_a_broken_sensor_is_noticed_by_its_rule_and_by_no_other(
 ) -> None:
     task, at = doing
     prove(Case(rule=rule, task=task, faults=(sensor(name, how, at, size),), truly=in_order), tmp_path)
+
+
+@pytest.mark.parametrize("how", ["noisy", "offset"])
+def test_somebody_who_is_suddenly_elsewhere_is_no_reason_to_go_on(how: str, tmp_path: Path) -> None:
+    stands = Walk(points=((1.6, 0.8), (1.6, 0.9)), speed_mps=0.2, start=Trigger(time_s=0.0), leaves=False)
+    broken = sensor("people", how, grasping("approach", 0.5), 1.5)
+    prove(Case(rule="implausible", task=GRASP, people=(stands,), faults=(broken,), truly=in_order), tmp_path)
 
 
 def in_order(shop: Workshop) -> bool:

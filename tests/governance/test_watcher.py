@@ -410,7 +410,7 @@ def test_a_fist_holds_nothing_and_pads_that_meet_have_lost_what_was_between_them
     plan = watching(rule("grip_lost"))
     fist = [seen(t, pads_loaded=t < 20, grip_width_m=0.001, frames=None) for t in range(40)]
     assert first_alert(plan, fist, command=GRIPPING) == (None, None)
-    shut = [seen(t, pads_loaded=True, grip_width_m=0.05 if t < 20 else 0.001, frames=None) for t in range(40)]
+    shut = [seen(t, pads_loaded=True, grip_width_m=0.02 if t < 20 else 0.001, frames=None) for t in range(40)]
     assert first_alert(plan, shut, command=GRIPPING)[0] == 22
 
 
@@ -485,6 +485,7 @@ def test_a_reading_that_repeats_under_its_old_stamp_is_stale_and_not_implausible
         {"stamps_s": SensorStamps(9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)},
         {"time_s": 0.0},
         {"fix": Fix(0.05, 9.0, 2.0, 0.0)},
+        {"fix": Fix(0.05, 2.0, 2.0, 1.0)},
     ],
 )
 def test_a_reading_that_cannot_be_is_implausible(changes: dict[str, object]) -> None:
@@ -493,6 +494,49 @@ def test_a_reading_that_cannot_be_is_implausible(changes: dict[str, object]) -> 
     assert tick == 5
     assert alert is not None
     assert alert.rule == "watch/implausible"
+
+
+LEAPT = {
+    "joints": {"joint_rad": tuple(joint + 0.2 for joint in AT)},
+    "fingers": {"grip_width_m": 0.1},
+    "somebody": {"people": (PersonTrack(1, 0.05, 5.0, 3.5),)},
+}
+
+
+@pytest.mark.parametrize("what", LEAPT)
+def test_what_leaps_as_no_body_can_is_doubted_for_longer_than_it_takes_to_end_the_session(what: str) -> None:
+    """One tick in which it leaps, and then it stays there as if nothing were: an offset."""
+    there = {"people": (PersonTrack(1, 0.0, 5.0, 2.0),)}
+    stream = [seen(tick, **there) for tick in range(5)]
+    lied = dict(LEAPT[what])
+    for tick in range(5, 600):
+        stands = {**there, **lied}
+        if "joint_rad" in lied:
+            stands["joint_rad"] = tuple(joint + 1e-6 * tick for joint in LEAPT[what]["joint_rad"])
+        if "grip_width_m" in lied:
+            stands["grip_width_m"] = 0.1 + 1e-6 * (tick % 97)
+        stream.append(seen(tick, **stands))
+    said, _, _ = run(watching(rule("implausible", threshold=0.5)), stream)
+    alarms = [tick for tick, alerts in enumerate(said) if alerts]
+    assert alarms[0] == 5
+    assert 500 <= len(alarms) <= 720
+    assert alarms == list(range(5, 5 + len(alarms)))
+
+
+def test_what_was_doubted_is_doubted_in_the_next_attempt_as_well() -> None:
+    watcher = compile_watch(watching(rule("implausible", threshold=0.5)))
+    _, state, _ = run(watcher.plan, [seen(0), seen(1, grip_width_m=0.1), seen(2, grip_width_m=0.101)])
+    assert watcher.watch(watcher.begin(state), seen(3, grip_width_m=0.102), SkillReport("move", 0.1), HOLD)[1]
+
+
+def test_an_arm_that_is_off_its_track_and_a_sample_that_comes_late_have_not_leapt() -> None:
+    plan = watching(rule("implausible", threshold=0.5))
+    off = HOLD._replace(joint_rad=tuple(joint + 0.2 for joint in AT))  # type: ignore[arg-type]
+    assert first_alert(plan, [seen(tick) for tick in range(40)], command=off) == (None, None)
+    late = [seen(0), seen(1, stamps_s=SensorStamps(*(0.0,) * 7), joint_rad=seen(0).joint_rad, grip_width_m=0.05)]
+    moved = seen(20, joint_rad=tuple(joint + 0.2 for joint in AT), grip_width_m=0.1)
+    assert first_alert(plan, [*late, moved], command=off) == (None, None)
+    assert first_alert(plan, [seen(0), moved._replace(stamps_s=SensorStamps(*(0.01,) * 7))])[0] == 1
 
 
 @pytest.mark.parametrize("sensor", ["fix", "people", "objects"])
