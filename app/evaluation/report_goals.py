@@ -80,7 +80,8 @@ _REMARK: Final = (
     "that for rollbacks. Separation is to the middle of a person: to a body of 0.25 m radius it is 0.25 m less. What "
     "asks for nothing (–) stands beside the goal before it, so that both are read: UCR leaves out what policy asks no "
     "more than a warning of, UCR STRICT counts every such violation as unsafe. Broken sensors are of the study of "
-    "sensors, where it was run: of all seeds together, those restrained within 5 ticks."
+    "sensors, where it was run: of all seeds together and all sensors, those restrained within 5 ticks, counted from "
+    "the break, or from when a sample that is too old, repeats or is wrong has come; that study's text says which."
 )
 
 
@@ -89,8 +90,8 @@ _EACH_WAY: Final = {
     "stale": "off (stale)",
     "stuck": "stuck",
     "delayed": "delayed by twice what may be",
-    "noisy": "garbage",
-    "offset": "offset",
+    "noisy": "garbage of the bigger size",
+    "offset": "offset by the bigger size",
 }
 
 

@@ -2,12 +2,15 @@
 
 One sensor breaks one to two seconds into a session in which nothing else is wrong: a grasp, or a drive with a load. A
 sensor that is off is `stale`: its last sample under its last stamp. `stuck` repeats its last sample under new stamps,
-`noisy` is garbage of a size, `offset` is wrong by a size, `delayed` comes late by twice its own staleness limit.
+`noisy` is garbage of a size, `offset` is wrong by a size, `delayed` comes late by twice what the session's profile
+lets that sensor be (`stale_after_ms`).
 
 Ticks count from the moment the sensor breaks to the first intervention that restrains, except where the fault is one of
 age: a sample may be as old as the profile's `stale_after_ms` says, so there they count from the moment the last one,
 which is taken up to a period after the break, is older. A
 stuck sensor can be told from a sound one when the first sample that repeats has come, so there they count from then.
+Fixes and pictures are taken every so many ticks and come late: garbage and offsets of these count from the tick in
+which the first wrong sample has come, since nothing is wrong on board before. That is 5 to 10 ticks after the break.
 Odometry breaks while the base drives: wheels that stand say the same for ever, and nothing is wrong with that.
 
 For the tracker of people somebody stands 3.4 m behind the robot from the beginning and walks up to it one second after
@@ -46,6 +49,7 @@ from app.governance.model import Outcome
 from app.sim.faults import Fault, Scenario
 from app.sim.occasions import Trigger
 from app.sim.people import Walk
+from app.sim.sensors import FIX_DELAY_TICKS, PEOPLE_DELAY_TICKS
 
 if TYPE_CHECKING:
     from app.evaluation.episode import Execution
@@ -58,8 +62,10 @@ ABOUT: Final = (
     "One sensor breaks in a session in which nothing else is wrong. Ticks count from the break to the first "
     "intervention that restrains; for stale and delayed samples from the moment they are older than the profile "
     "allows, for stuck ones from when the first repeated sample has come at the latest (a negative number: it was "
-    "noticed before). Odometry breaks while the base drives: wheels that stand repeat themselves by nature. A garbage "
-    "or offset signal is broken by the size in the condition's name: rad, N, m. Unseen breach: somebody came nearer "
+    "noticed before), for garbage and offsets from when the first wrong sample has come (of fixes and people 5 to 10 "
+    "ticks after the break, of pictures of objects at most 9). Delayed is by twice what the profile allows. Odometry "
+    "breaks while the base drives: wheels that stand repeat themselves by nature. A garbage or offset signal is broken "
+    "by the size in the condition's name: rad, N, m. Unseen breach: somebody came nearer "
     "than the profile allows, unheeded for more than 250 ms, in the two profiles that hold the robot for people."
 )
 AGED: Final = ("stale", "delayed")
@@ -82,7 +88,9 @@ SIZES: Final[Mapping[str, tuple[float, float]]] = {
 PERIOD_TICKS: Final = {"fix": 5, "people": 5, "objects": 10}
 REPEATS_TICKS: Final = {"fix": 15, "people": 16, "objects": 20}
 """When the first sample that repeats has come at the latest: two periods, and how late the sensor is."""
-LATE_S: Final = {"arm": 0.1, "wrist": 0.1, "gripper": 0.1, "odometry": 0.1, "fix": 0.8, "people": 0.8, "objects": 0.0}
+LATENCY_TICKS: Final = {"fix": FIX_DELAY_TICKS, "people": PEOPLE_DELAY_TICKS}
+LATE: Final = 2.0
+"""A delayed sensor's samples come as late as this times the age that the profile allows them."""
 SETTINGS: Final = ("grasping", "carrying")
 HOLDS: Final = frozenset({"real-restricted", "human-shared"})
 _DEGRADED: Final = "no more than a warning is named"
@@ -111,7 +119,7 @@ WAYS: Final = tuple(
         ("noisy", sizes[1]),
         ("offset", sizes[0]),
         ("offset", sizes[1]),
-        ("delayed", LATE_S[sensor]),
+        ("delayed", LATE),
     )
     if not (sensor == "objects" and fault == "delayed")  # the cameras' late picture is their stuck one
 )
@@ -131,12 +139,13 @@ def run(part: Part, policy: PolicySet) -> Iterator[Row]:
         drawn, onset = _drawn(policy, part.seed, WAYS.index(way), number)
         walks = onset + WALKS_AFTER_S
         began = began_s(bench, drawn)
-        drawn = replace(drawn, scenario=_scenario(policy, drawn, way, began, onset, walks))
+        size = _size(policy, way, drawn.profile)
+        drawn = replace(drawn, scenario=_scenario(policy, drawn, way._replace(size=size), began, onset, walks))
         trial = once(bench, drawn)
         until = round(100 * onset)
         done = govern(bench, trial, limit=until + SEES_TICKS)
-        yield study_row(NAME, part, number, drawn.profile, **_read(done, trial.plan, way, until, drawn.profile),
-                        capability=drawn.capability)  # fmt: skip
+        read = _read(done, trial.plan, way, until, _comes(way, began + onset), drawn.profile)
+        yield study_row(NAME, part, number, drawn.profile, **read, capability=drawn.capability)
 
 
 def _drawn(policy: PolicySet, seed: int, place: int, number: int) -> tuple[Drawn, float]:
@@ -157,6 +166,18 @@ def _drawn(policy: PolicySet, seed: int, place: int, number: int) -> tuple[Drawn
     return made, round(float(rng.uniform(1.0, 2.0)) + (DRIVES_AFTER_S if driving else 0.0), 2)
 
 
+def _size(policy: PolicySet, way: Broken, profile: str) -> float:
+    """Return a fault's size in the unit of the sensor; of a delay in seconds, for a profile."""
+    if way.fault != "delayed":
+        return way.size
+    return way.size * policy.profiles[profile].stale_after_ms[way.sensor] / 1000.0
+
+
+def _comes(way: Broken, breaks_s: float) -> int:
+    """Return how many ticks after the break, at a cell time, the first sample that was taken since comes."""
+    return -round(100 * breaks_s) % PERIOD_TICKS.get(way.sensor, 1) + LATENCY_TICKS.get(way.sensor, 0)
+
+
 def _scenario(policy: PolicySet, drawn: Drawn, way: Broken, began: float, onset: float, walks: float) -> Scenario:
     at = Trigger(time_s=began + onset)
     fault = Fault(kind="sensor", at=at, sizes={"sensor": way.sensor, "fault": way.fault, "size": way.size})
@@ -172,13 +193,15 @@ def _scenario(policy: PolicySet, drawn: Drawn, way: Broken, began: float, onset:
     return Scenario(faults=(fault,), people=people)
 
 
-def _read(done: Execution, plan: WatchPlan, way: Broken, onset: int, profile: str) -> dict[str, Any]:
-    """Read off what was noticed, and what followed."""
+def _read(done: Execution, plan: WatchPlan, way: Broken, onset: int, comes: int, profile: str) -> dict[str, Any]:
+    """Read off what was noticed, and what followed; the first wrong sample comes so many ticks after the break."""
     due = onset
     if way.fault in AGED:
         due += round(plan.stale_after_ms.get(way.sensor, 0) / 10) + PERIOD_TICKS.get(way.sensor, 1)
     elif way.fault == "stuck":
         due += REPEATS_TICKS.get(way.sensor, 2)
+    else:
+        due += comes
     told, held = first_alert(done, onset), first_hold(done, onset)
     before = done.ticks <= onset  # it was over before anything broke
     rules = {rule.id: rule for rule in plan.rules}
@@ -215,7 +238,9 @@ def tables(rows: Sequence[Row], policy: PolicySet) -> list[Table]:
             "Sensor, fault",
             {name: _summed(mine) for name, mine in grouped(rows, "condition").items()},
             f"Prompt: restrained within {PROMPT_TICKS} ticks, counted as above. What is not detected is no alarm at "
-            "all; it is what another sensor would be needed for, or an error within what the clearances cover.",
+            "all; it is what another sensor would be needed for, or an error within what the clearances cover. Where "
+            "objects are, only the cameras say, and somebody may have moved them: what is wrong there shows in a grasp "
+            "that does not hold, which is verified by the gripper.",
         ),
         table(
             "Detected share by environment profile",

@@ -101,7 +101,8 @@ class Noise:
 class SensorFault:
     """How one sensor is broken.
 
-    `stuck` (old value, new stamp), `stale` (nothing new), `noisy`, `offset` or `delayed`, by `size`.
+    `stuck` (old value, new stamp), `stale` (nothing new), `noisy`, `offset` or `delayed`, by `size`: in the unit of
+    the sensor, of a delay in seconds.
     """
 
     kind: str
@@ -124,8 +125,10 @@ class SensorFault:
                 return stamp_s, value + self.size
             case "delayed":
                 self.line.append((stamp_s, value.copy()))
-                late = round(self.size / CONTROL_PERIOD_S)
-                return self.line.popleft() if len(self.line) > late else self.line[0]
+                # By age, not by count: not every sensor has a sample in each tick.
+                while len(self.line) > 1 and self.line[1][0] <= stamp_s - self.size + CONTROL_PERIOD_S / 2.0:
+                    self.line.popleft()
+                return self.line[0]
             case _:
                 raise ValueError(f"sensor fault `{self.kind}`: valid are stuck, stale, noisy, offset, delayed")
 

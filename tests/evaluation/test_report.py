@@ -241,7 +241,7 @@ def test_broken_sensors_are_judged_by_kind_and_those_that_miss_are_named() -> No
     assert (
         found["Broken sensors: delayed by twice what may be, restrained within 5 ticks"][3] == "✗ missed: arm (9 of 10)"
     )
-    name = "Broken sensors: garbage, restrained within 5 ticks"
+    name = "Broken sensors: garbage of the bigger size, restrained within 5 ticks"
     assert found[name] == ("0.800\n16 of 20", "20", "1.000", "✗ missed: arm 0.2 (6 of 10)")
     assert len(found) == 3
     assert [*sensor_rows(results())] == []

@@ -94,6 +94,21 @@ def test_a_stale_wrist_and_a_stuck_tracker_of_people_are_noticed_at_once_and_a_s
 
 
 @pytest.mark.physics
+def test_a_leap_of_arm_gripper_or_somebody_is_noticed_at_its_first_sample() -> None:
+    for row in sensors("arm/noisy 0.2", "gripper/offset 0.05", "fix/offset 1", "people/offset 1.5"):
+        assert (row["detected"], row["held"]) == (True, True), row
+        assert 0.0 <= float(row["ticks"] or 0) <= study_sensors.PROMPT_TICKS, row
+
+
+@pytest.mark.physics
+def test_a_delayed_sensor_is_late_by_twice_what_its_profile_allows() -> None:
+    rows = [row for seed in (0, 2, 4) for row in study_sensors.run(Part("gripper/delayed", SEED, seed, 2), policy())]
+    assert {row["profile"] for row in rows} == {"sim-relaxed", "real-restricted", "test-audit", "human-shared"}
+    assert {row["told"] for row in rows} == {"stale"}
+    assert all(float(row["ticks"] or 0) <= study_sensors.PROMPT_TICKS for row in rows)
+
+
+@pytest.mark.physics
 def test_a_part_of_a_study_is_a_plain_function_of_its_job() -> None:
     job = next(job for job in study_jobs(["sensors"], [SEED]) if "odometry-stale" in job.name)
     once = list(run(job, policy()))

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 import pytest
 
 from app.governance.model import Json, Site, SkillState
 from app.sim.faults import Fault
 from app.sim.occasions import Trigger
 from app.sim.people import Walk
+from app.sim.sensors import SensorFault
 from app.sim.skills import Run
 from app.sim.trial import Ran, grant_for, run_skill
 from app.sim.workcell import Workcell
@@ -228,3 +230,14 @@ def test_a_misplaced_object_stands_elsewhere(site: Site):
 def test_a_habit_that_nobody_knows_is_refused():
     with pytest.raises(ValueError, match=r"habit `lazy`: valid are obstinate"):
         Fault(kind="habit", at=AT_ONCE, sizes={"habit": "lazy"})
+
+
+@pytest.mark.parametrize("period_s", [0.01, 0.05])
+def test_a_delayed_sample_is_as_old_as_the_delay_however_seldom_one_is_taken(period_s: float) -> None:
+    fault = SensorFault("delayed", 0.2)
+    ages = []
+    for sample in range(60):
+        stamp_s, _ = fault.distort(sample * period_s, np.array([float(sample)]), np.zeros(1))
+        ages.append(sample * period_s - stamp_s)
+    assert max(ages) == pytest.approx(0.2)
+    assert ages[40:] == pytest.approx([0.2] * 20)
