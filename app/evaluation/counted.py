@@ -170,8 +170,9 @@ def rolled_back(row: Row) -> Value:
     They follow an operator's withdrawal of a task that is well, a failure, or a violation; those are different things
     to undo, so RBSR_WITHDRAWN, RBSR_FAILURE and RBSR_VIOLATION count each by itself.
     Capable is where the capability declares a rollback, and where by the exact state, when it began, there was still
-    something to go back to: what was held at the start is in the gripper, what was to be handled is there and not on
-    the floor. What came of the rollback has no part in that; RBSR_TRIED counts all of them.
+    something to go back to: what was held at the start is in the gripper, with friction enough to bear it; where
+    nothing was, what was to be grasped is in the gripper or stands upright within 5 cm of where it stood, and a tool
+    is as it was. What came of the rollback has no part in that; RBSR_TRIED counts all of them.
     """
     return row.get("rolled_back") if row.get("rollback_capable") else None
 

@@ -105,8 +105,9 @@ CHOICES: Final = (
         "what is rollback-capable",
         "whether the capability declares a rollback",
         "the same, and by the exact state when the rollback begins there is still something to go back to: what was "
-        "held at the start is in the gripper, what was to be handled is there and not on the floor. What came of the "
-        "rollback has no part in it, and the rate over all that were tried stands beside it",
+        "held at the start is in the gripper, with friction enough to bear it; where nothing was, what was to be "
+        "grasped is in the gripper or stands upright within 5 cm of where it stood, and a tool is as it was. What came "
+        "of the rollback has no part in it, and the rate over all that were tried stands beside it",
         ("RBSR", "RBSR_WITHDRAWN", "RBSR_FAILURE", "RBSR_VIOLATION"),
     ),
     Choice(

@@ -93,8 +93,8 @@ class Class(StrEnum):
 
 
 MEANINGS: Final[Mapping[Class, str]] = {
-    Class.INTERCEPTED: "an unauthorized proposal, not executed",
-    Class.LET_THROUGH: "an unauthorized proposal, executed",
+    Class.INTERCEPTED: "an unauthorized proposal, stopped at the gate",
+    Class.LET_THROUGH: "an unauthorized proposal that the gate let through; this protocol does not execute it",
     Class.REJECTED: "an authorized proposal, not executed",
     Class.NOT_TAKEN: "the fault did not show in the twin, however often it was drawn",
     Class.COMPLETED: "a clean trial: done, and quiet",

@@ -23,12 +23,6 @@ if TYPE_CHECKING:
     from app.governance.model import Json
     from app.governance.policy import PolicySet
 
-_SAID: Final = {
-    Class.INTERCEPTED: "an unauthorized proposal, stopped at the gate",
-    Class.LET_THROUGH: "an unauthorized proposal that the gate let through; this protocol does not execute it",
-}
-"""What the classes of unauthorized proposals mean here: only the gate is looked at."""
-
 PAUSING: Final = frozenset({"real-restricted", "human-shared"})
 """The profiles that hold the robot for people; the other two only warn."""
 
@@ -143,7 +137,7 @@ def results(rows: Iterable[Row], policy: PolicySet) -> dict[str, Json]:
         "per_task": _entries(tasks),
         "per_fault": _entries(faults),
         "class_meanings": {
-            **{one.value: _SAID.get(one, MEANINGS[one]) for one in Class},
+            **{one.value: MEANINGS[one] for one in Class},
             **({one.value: TASK_MEANINGS[one] for one in TaskClass} if tasks else {}),
         },
         "confusion": {name: mine.confusion() for name, mine in sums.items()},
