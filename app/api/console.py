@@ -19,6 +19,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 from app.api.access import WEBSOCKET, allowed_roles
 from app.api.parts import parts_of
 from app.api.problems import Problem
+from app.api.wire import parse
 from app.clock import monotonic_s, wall_s
 from app.governance.model import Wish
 from app.runtime.outlet import Outlet
@@ -276,7 +277,10 @@ async def _receive(socket: WebSocket) -> Words:
     if len(text) > MAX_FRAME:
         raise NotAWord(f"a frame has at most {MAX_FRAME} characters")
     try:
+        parse(text.encode())  # as strictly as a body: of two equal keys none wins
         return _WORDS.validate_json(text)
+    except Problem as problem:
+        raise NotAWord(problem.detail) from problem
     except ValidationError as error:
         first = error.errors(include_input=False)[0]  # what was sent may be a token
         where = ".".join(str(part) for part in first["loc"])

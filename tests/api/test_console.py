@@ -178,6 +178,7 @@ async def test_the_servers_own_page_comes_in(house: House) -> None:
         '{"type": "jog", "cell": "c", "lease": "l", "n": 1, "base": [0, 0], "tool": [0, 0, 0], "grip": null}',
         '{"type": "hello", "token": "again"}',
         '{"type": "ping", "at_ms": 1, "more": 1}',
+        '{"type": "ping", "at_ms": 1, "at_ms": 2}',
         "x" * 9000,
         b"\x00\x01",
     ],
