@@ -298,7 +298,7 @@ class ReferenceAgent:
         the client raises when the site cannot be read, or the server gives no answer.
         """
         site: Site = (await self._client.call("GET", "/v1/policies/active"))["site"]
-        if self.state.goals[:1] != [goal] or not self.state.plan:
+        if self.state.goals[:1] != [goal]:  # one that is there with an empty plan was reached, and nobody was told yet
             self.state.goals = [goal]
             self.state.plan = plan_for(goal, site)
             on_thought(f"plan: {', '.join(step.capability for step in self.state.plan)}")
@@ -308,7 +308,6 @@ class ReferenceAgent:
             step = self.state.plan[0]
             try:
                 results.append(await self._propose(step, on_update))
-                self.state.plan.pop(0)
             except Problem as refused:
                 raise GoalFailed(goal, step, str(refused)) from refused
             except NotCompleted as failed:
@@ -354,6 +353,7 @@ class ReferenceAgent:
             self.state.memory.under_way = None
             self._save()
             raise
+        self.state.plan.pop(0)  # saved together with what came of it: a restarted agent does no step again
         self._remember(step, result.invocation, ())
         return result
 

@@ -209,6 +209,46 @@ async def test_a_restarted_agent_asks_for_the_same_invocation_under_the_same_key
     assert len(results) == 5
 
 
+class Killed(BaseException):
+    """The process is gone."""
+
+
+class Mortal(ReferenceAgent):
+    """An agent that is killed right after so many writes of its memory."""
+
+    saves = 0
+
+    def _save(self) -> None:
+        super()._save()
+        self.saves -= 1
+        if self.saves == 0:
+            raise Killed
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("saves", range(1, 12))
+async def test_an_agent_killed_after_any_write_of_its_memory_does_no_step_twice(tmp_path: Path, saves: int):
+    done: dict[str, str] = {}
+
+    def answer(turn: Turn):
+        if turn.path == "/v1/policies/active":
+            return 200, {"site": SITE}
+        done.setdefault(turn.headers["idempotency-key"], turn.body["capability"])
+        return 201, ended("completed", outcome="succeeded")
+
+    with serve(answer) as server:
+        async with AsyncReinsClient(server.url, "t", defers=0) as client:
+            agent = Mortal(client, tmp_path / "memory.json")
+            agent.saves = saves
+            with pytest.raises(Killed):
+                await agent.pursue(FETCH)
+            if recall(tmp_path / "memory.json", "planner").goals:
+                await ReferenceAgent(client, tmp_path / "memory.json").pursue(FETCH)
+    assert list(done.values()) == [
+        "navigate_to", "inspect_area", "grasp_object", "transport_object", "place_object",
+    ]  # fmt: skip
+
+
 @pytest.mark.anyio
 async def test_an_agent_restarted_with_another_goal_proposes_under_a_new_key(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
