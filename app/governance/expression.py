@@ -53,6 +53,7 @@ from app.governance.expression_tree import (
     RecordType,
     Scalar,
     Select,
+    SetType,
     Type,
     Typed,
     Variable,
@@ -67,6 +68,7 @@ _SUMS: Final = frozenset({"+", "-", "%"})
 _ADDING: Final = frozenset({"+", "-"})
 _MATCHING: Final = frozenset({"==", "!=", "in"})
 _SCALING: Final = frozenset({"*", "/"})
+_OF_A_SET: Final = ("x in set", "set.exists(x, condition on x)", "set.all(x, condition on x)", "size(set)")
 _COUNTS: Final = frozenset({"size", ".size", "!_", ".startsWith", ".endsWith", ".contains"})
 
 
@@ -170,10 +172,10 @@ def _name(syntax: Syntax, scope: _Scope) -> Typed:
 
 
 def _reach_of(declared: Field) -> float:
-    """Largest magnitude of a number of this type, or of the numbers in this list or map."""
+    """Largest magnitude of a number of this type, or of the numbers in this list, set or map."""
     held = declared.type
-    while isinstance(held, (ListType, MapType)):
-        held = held.element if isinstance(held, ListType) else held.value
+    while isinstance(held, (ListType, SetType, MapType)):
+        held = held.value if isinstance(held, MapType) else held.element
     within = math.inf if declared.within is None else declared.within
     if held is INT:
         return math.floor(min(within, -INT_MIN))
@@ -247,6 +249,9 @@ def _apply(symbol: str, args: tuple[Typed, ...], syntax: Syntax, scope: _Scope) 
                 result = found["any"] if overload.result is ANY else overload.result
                 return _applied(symbol, overload, result, attempt, syntax, scope)
     given = " and ".join(show(arg.type) for arg in args) or "nothing"
+    if any(isinstance(arg.type, SetType) for arg in args) and symbol not in _COUNTS | {"in"}:
+        message = f"`{symbol.strip('_.')}` does not take {given}: a set has no order, and is compared with nothing"
+        raise scope.error(syntax, message, _OF_A_SET)
     takes = [" and ".join(show(param) for param in overload.params) for overload in OVERLOADS[symbol]]
     mixed = "; `double(…)` converts an int" if {INT, DOUBLE} <= {arg.type for arg in args} else ""
     raise scope.error(syntax, f"`{symbol.strip('_.')}` does not take {given}{mixed}", takes)
@@ -256,7 +261,9 @@ def _fits(param: Type, given: Type, found: dict[str, Type]) -> bool:
     if param is ANY:
         return found.setdefault("any", given) == given
     match param, given:
-        case (ListType(inner), ListType(other)) | (MapType(inner), MapType(other)):
+        case (
+            (ListType(inner), ListType(other)) | (SetType(inner), SetType(other)) | (MapType(inner), MapType(other))
+        ):
             return _fits(inner, other, found)
         case _:
             return param == given
@@ -339,8 +346,8 @@ def _among(node: Typed, scope: _Scope) -> frozenset[str] | None:
     match node:
         case Select(record=record, name=name):
             return cast("RecordType", record.type).fields[name].among
-        case Variable(name=name, bound=False):
-            return scope.variables[name].among
+        case Variable(name=name, bound=bound):
+            return (scope.bound if bound else scope.variables)[name].among
         case _:
             return None
 
@@ -444,12 +451,12 @@ def _quantifier(syntax: Syntax, scope: _Scope) -> Typed:
     if len(scope.bound) == MAX_QUANTIFIERS:
         raise scope.error(syntax, f"more than {MAX_QUANTIFIERS} quantifiers inside one another")
     match domain.type:
-        case ListType(element):
-            held = Field(element, unit=domain.unit, within=domain.reach)
+        case ListType(element) | SetType(element):
+            held = Field(element, unit=domain.unit, within=domain.reach, among=_among(domain, scope))
         case MapType():
             held = Field(STRING)
         case other:
-            raise scope.error(syntax, f"`{syntax.value}` needs a list or a map, this is a {show(other)}")
+            raise scope.error(syntax, f"`{syntax.value}` needs a list, a set or a map, this is a {show(other)}")
     predicate = _bool(syntax.parts[2], replace(scope, bound={**scope.bound, variable: held}))
     return Quantifier(
         type=BOOL,

@@ -51,6 +51,13 @@ class ListType:
 
 
 @dataclass(frozen=True, slots=True)
+class SetType:
+    """Equal elements in no order: what is in it can be asked, and how many; neither which is first nor what it equals."""
+
+    element: Type
+
+
+@dataclass(frozen=True, slots=True)
 class MapType:
     """A map from strings to equal values."""
 
@@ -75,7 +82,7 @@ class RecordType:
             require_identifier(name)
 
 
-Type: TypeAlias = Scalar | ListType | MapType | RecordType
+Type: TypeAlias = Scalar | ListType | SetType | MapType | RecordType
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,9 +92,9 @@ class Field:
     Attributes:
         type: Its type.
         required: Whether it is always there; variables are.
-        unit: Unit of the number, or of the numbers in the list or map; `None` matches every unit.
+        unit: Unit of the number, or of the numbers in the list, set or map; `None` matches every unit.
         within: Largest magnitude these numbers have. Arithmetic that cannot leave the range then needs no check.
-        among: Every value this text, or a text in this list, can have; None where it may be any.
+        among: Every value this text, or a text in this list or set, can have; None where it may be any.
     """
 
     type: Type
@@ -114,6 +121,8 @@ def show(type_: Type) -> str:
             return type_.value
         case ListType(element):
             return f"list<{show(element)}>"
+        case SetType(element):
+            return f"set<{show(element)}>"
         case MapType(value):
             return f"map<string, {show(value)}>"
         case _:
@@ -131,8 +140,8 @@ class Node:
 
     Attributes:
         type: Type of the value.
-        unit: Unit of the value (of what a list or map holds) where it is known; `None` matches every unit.
-        reach: Largest magnitude the value (what a list or map holds) can have; 0 where it is no number.
+        unit: Unit of the value (of what a list, set or map holds) where it is known; `None` matches every unit.
+        reach: Largest magnitude the value (what a list, set or map holds) can have; 0 where it is no number.
         can_fail: Whether an evaluation may raise `EvaluationError`, given values of the declared types.
         column: Where it stands in the source, from 1.
     """
@@ -278,7 +287,8 @@ def _text(name: str, text: str) -> tuple[Overload, ...]:
 
 
 _SIZE: Final = tuple(
-    Overload(name="size", params=(t,), result=INT, bare="len({0})") for t in (STRING, ListType(ANY), MapType(ANY))
+    Overload(name="size", params=(t,), result=INT, bare="len({0})")
+    for t in (STRING, ListType(ANY), SetType(ANY), MapType(ANY))
 )
 _QUOTIENT: Final = "_cel_quotient({0}, {1})"
 _DIVIDE: Final = "_cel_divide({0}, {1})"
@@ -306,7 +316,11 @@ OVERLOADS: Final[Mapping[str, tuple[Overload, ...]]] = {
         Overload(name="negate_double", params=(DOUBLE,), result=DOUBLE, bare="(-{0})"),
     ),
     "in": (
-        *(Overload(name="in_list", params=(t, ListType(t)), result=BOOL, bare="({0} in {1})") for t in _SCALARS),
+        *(
+            Overload(name="in_list", params=(t, held(t)), result=BOOL, bare="({0} in {1})")
+            for held in (ListType, SetType)
+            for t in _SCALARS
+        ),
         Overload(name="in_map", params=(STRING, MapType(ANY)), result=BOOL, bare="({0} in {1})"),
     ),
     "[": (

@@ -19,6 +19,7 @@ from app.governance.expression_tree import (
     MapType,
     RecordType,
     Scalar,
+    SetType,
     Type,
     Typed,
     Variable,
@@ -61,7 +62,7 @@ def _free_variables(typed: Typed) -> Iterator[Variable]:
 def conform(value: object, declared: Field, path: str) -> object:
     """Bring a value into the form emitted text relies on: exact types, finite, in range, nothing undeclared, no `None`.
 
-    Lists become tuples, an integer where a double is declared becomes one, records become fresh dicts (or namespaces).
+    Lists become tuples, sets frozen ones, an integer where a double is declared becomes one, records become fresh dicts (or namespaces).
 
     Args:
         value: Anything.
@@ -77,6 +78,9 @@ def conform(value: object, declared: Field, path: str) -> object:
         case ListType(element) if isinstance(value, (list, tuple)):
             items = cast("Sequence[object]", value)
             return tuple(conform(item, replace(declared, type=element), f"{path}[{i}]") for i, item in enumerate(items))
+        case SetType(element) if isinstance(value, (set, frozenset)):
+            items = cast("frozenset[object]", value)
+            return frozenset(conform(item, replace(declared, type=element), f"{path}[…]") for item in items)
         case MapType(held) if isinstance(value, Mapping):
             return _conform_map(cast("Mapping[object, object]", value), replace(declared, type=held), path)
         case RecordType() as record if record.attributes:

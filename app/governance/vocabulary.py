@@ -6,7 +6,7 @@
 | `target` | the object a proposal handles: the one it names, else the one in the gripper, else a weightless nothing |
 | `place` | where it leads: `forbidden`, `outside`, `corridor` |
 | `tool` | the tool it works |
-| `agent` | `name`, `permissions` |
+| `agent` | `name`, `permissions` (a set) |
 | `metadata` | what the agent says about its proposal: `confidence` in 0…1, `intent`, `priority` |
 | `capability`, `profile`, `limits`, `mode` | what was proposed, under which profile |
 | `world` | what the cell's sensors say: people, gripper, arm |
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final
 
 from app.governance.expression import Env, check, declare
 from app.governance.expression_syntax import parse
-from app.governance.expression_tree import BOOL, DOUBLE, INT, STRING, Field, ListType, RecordType
+from app.governance.expression_tree import BOOL, DOUBLE, INT, STRING, Field, RecordType, SetType
 from app.governance.model import Mode, Risk
 from app.governance.policy_model import LIMIT_UNITS
 
@@ -160,7 +160,7 @@ def _within(spec: Mapping[str, Json]) -> float | None:
 
 
 def _agent(permissions: frozenset[str] | None) -> RecordType:
-    held = Field(ListType(STRING), among=permissions)
+    held = Field(SetType(STRING), among=permissions)
     return RecordType(name="agent", fields={"name": Field(STRING), "permissions": held}, attributes=True)
 
 

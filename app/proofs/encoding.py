@@ -104,11 +104,11 @@ def _apply(typed: Apply, scope: Scope, theory: Theory) -> Value:
 
 
 def _element(held: Value, index: Value, boolean: bool, theory: Theory) -> Value:
-    """`list[i]`: an error outside the list, and always of a set, which has no order."""
+    """`list[i]`: an error outside the list."""
     result = Value((), True)
     for guard, payload in held.cases:
         items = cast("Items", payload)
-        for place, (_, element) in enumerate(items.elements if items.ordered else ()):
+        for place, (_, element) in enumerate(items.elements):
             here = both(guard, theory.apply("equal", (index, constant(place)), checked=False, wide=False).truth)
             result = pick(here, element, result if result.cases or not boolean else truth(False, True), boolean)
     if boolean and not result.cases:

@@ -300,7 +300,7 @@ class Space:
         held = [(self.holds(name), constant(name)) for name in sorted({*self.policy.permissions, *self.held})]
         return {
             "name": Slot(True, choice(names_)),
-            "permissions": Slot(True, constant(Items(tuple(held), ordered=False))),
+            "permissions": Slot(True, constant(Items(tuple(held)))),
         }
 
     def _metadata(self) -> Record:

@@ -39,10 +39,9 @@ class NotCoveredError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Items:
-    """A list, or a set in no particular order: each element under the condition that it is in it."""
+    """A list, whose elements are all there, or a set: each element under the condition that it is in it."""
 
     elements: tuple[tuple[Formula, Value], ...]
-    ordered: bool = True
 
 
 Payload: TypeAlias = "Constant | z3.ExprRef | Items"
@@ -233,12 +232,10 @@ class Theory:
         return _COMPARISONS[overload](one, other)
 
     def _equal_lists(self, left: Items, right: Items) -> Formula:
-        if left.ordered and right.ordered:
-            if len(left.elements) != len(right.elements):
-                return False
-            pairs = zip(left.elements, right.elements, strict=True)
-            return every(self._equal(one, other) for (_, one), (_, other) in pairs)
-        raise NotCoveredError("the order of `agent.permissions`, which is a set")
+        if len(left.elements) != len(right.elements):
+            return False
+        pairs = zip(left.elements, right.elements, strict=True)
+        return every(self._equal(one, other) for (_, one), (_, other) in pairs)
 
     def _equal(self, one: Value, other: Value) -> Formula:
         return self.apply("equal", (one, other), checked=False, wide=False).truth

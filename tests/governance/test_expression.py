@@ -24,6 +24,7 @@ from app.governance.expression_tree import (
     MapType,
     RecordType,
     Select,
+    SetType,
     Typed,
     children,
     references,
@@ -64,6 +65,7 @@ ENV = declare(
         "ls": ListType(STRING),
         "limits": Field(MapType(DOUBLE), unit="N", within=500),
         "colour": Field(STRING, among=frozenset({"red", "green"})),
+        "held": Field(SetType(STRING), among=frozenset({"red", "green"})),
         "colours": Field(ListType(STRING), among=frozenset({"red", "green"})),
     }
 )
@@ -83,6 +85,7 @@ VALUES: dict[str, object] = {
     "ls": ["a", "b"],
     "limits": {"grip": 60.0, "touch": 100.0},
     "colour": "red",
+    "held": {"red"},
     "colours": ["red"],
 }
 
@@ -132,6 +135,7 @@ has(limits.grip) && !has(limits.x)
 limits.grip < limits["touch"]
 li[0] == 1 && li[2] == 3
 [1, 2][1] == 2
+"red" in held && size(held) == 1 && held.exists(h, h == "red") && !held.all(h, h == "green")
 size(li) == 3 && li.size() == 3 && size(limits) == 2 && size("äb") == 2
 li == [1, 2, 3] && li != [1, 2]
 ld == [0.5, 1.5]
@@ -311,6 +315,14 @@ REFUSED = [
     ("0.8 - force_n < 5", 5, PURE, ()),
     ("force_n - d * 2 > 1", 9, PURE, ()),
     ("colour == 'grün'", 8, "`grün` is compared with what is never that", ("green", "red")),
+    ("held[0] == 'red'", 5, "`[` does not take set<string> and int: a set has no order, and is compared with nothing", ("x in set",)),
+    ("held == ['red']", 6, "`==` does not take set<string> and list<string>: a set has no order, and is compared with nothing", ("x in set",)),
+    ("colours != held", 9, "`!=` does not take list<string> and set<string>: a set has no order, and is compared with nothing", ("x in set",)),
+    ("held == held", 6, "`==` does not take set<string> and set<string>: a set has no order, and is compared with nothing", ("x in set",)),
+    ("'red' in (b ? held : colours)", 13, "types differ: set<string> and list<string>", ()),
+    ("1 in held", 3, "`in` does not take int and set<string>", ("bool and list<bool>",)),
+    ("held.exists(h, h == 'gren')", 18, "`gren` is compared with what is never that", ("green", "red")),
+    ("'gren' in held", 8, "`gren` is compared with what is never that", ("green", "red")),
     ("'gren' in colours", 8, "`gren` is compared with what is never that", ("green", "red")),
     ("colour in ['red', 'blue']", 8, "`blue` is compared with what is never that", ("green", "red")),
     ("has(b)", 1, "`has` takes one field", ("has(record.field)",)),
@@ -320,7 +332,7 @@ REFUSED = [
     ("li.all(1, b)", 4, "`all` takes a variable and a condition", ("list.all(x, condition on x)",)),
     ("li.all(d, b)", 8, "`d` is already a variable; choose another name", ()),
     ("li.all(e, li.all(e, b))", 18, "`e` is already a variable; choose another name", ()),
-    ("i.all(e, b)", 3, "`all` needs a list or a map, this is a int", ()),
+    ("i.all(e, b)", 3, "`all` needs a list, a set or a map, this is a int", ()),
     ("li.all(e, li.all(f, li.all(g, b)))", 24, "more than 2 quantifiers inside one another", ()),
     ("li.all(e, b) && e > 1", 17, "unknown variable `e`", ("b",)),
 ]  # fmt: skip
@@ -539,6 +551,8 @@ FITTING: list[tuple[Field, object, object]] = [
     (Field(DOUBLE, within=3), -3, -3.0),
     (Field(ListType(DOUBLE), within=3), [1, 2.5], (1.0, 2.5)),
     (Field(ListType(INT)), (1, 2), (1, 2)),
+    (Field(SetType(INT)), {2}, frozenset({2})),
+    (Field(SetType(DOUBLE), within=3), frozenset({2}), frozenset({2.0})),
     (Field(MapType(INT)), {"a": 1, "b": None}, {"a": 1}),
     (Field(TARGET), {"fragile": False, "weight_kg": None, "more": 1}, {"fragile": False}),
     (Field(TARGET), {"fragile": False, "weight_kg": 2}, {"fragile": False, "weight_kg": 2.0}),
@@ -566,6 +580,8 @@ UNFIT: list[tuple[Field, object, str]] = [
     (Field(STRING), None, "wrong_type: `v` is a NoneType, not a string"),
     (Field(ListType(INT)), "ab", "wrong_type: `v` is a str, not a list<int>"),
     (Field(ListType(INT)), [1, None], "wrong_type: `v[1]` is a NoneType, not a int"),
+    (Field(SetType(INT)), [1], "wrong_type: `v` is a list, not a set<int>"),
+    (Field(SetType(DOUBLE), within=3), {4.0}, "out_of_range: `v[…]` is 4.0; at most 3 in magnitude"),
     (Field(MapType(INT)), [1], "wrong_type: `v` is a list, not a map<string, int>"),
     (Field(MapType(INT)), {1: 1}, "wrong_type: `key of v` is a int, not a string"),
     (Field(MapType(INT)), {"a": "b"}, "wrong_type: `v['a']` is a str, not a int"),
