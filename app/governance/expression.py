@@ -261,9 +261,7 @@ def _fits(param: Type, given: Type, found: dict[str, Type]) -> bool:
     if param is ANY:
         return found.setdefault("any", given) == given
     match param, given:
-        case (
-            (ListType(inner), ListType(other)) | (SetType(inner), SetType(other)) | (MapType(inner), MapType(other))
-        ):
+        case (ListType(inner), ListType(other)) | (SetType(inner), SetType(other)) | (MapType(inner), MapType(other)):
             return _fits(inner, other, found)
         case _:
             return param == given

@@ -52,7 +52,7 @@ class ListType:
 
 @dataclass(frozen=True, slots=True)
 class SetType:
-    """Equal elements in no order: what is in it can be asked, and how many; neither which is first nor what it equals."""
+    """Equal elements in no order: what is in it can be asked, and how many; not which is first, nor what it equals."""
 
     element: Type
 

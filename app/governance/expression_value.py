@@ -62,7 +62,8 @@ def _free_variables(typed: Typed) -> Iterator[Variable]:
 def conform(value: object, declared: Field, path: str) -> object:
     """Bring a value into the form emitted text relies on: exact types, finite, in range, nothing undeclared, no `None`.
 
-    Lists become tuples, sets frozen ones, an integer where a double is declared becomes one, records become fresh dicts (or namespaces).
+    Lists become tuples, sets frozen ones, an integer where a double is declared becomes one, records become fresh dicts
+    (or namespaces).
 
     Args:
         value: Anything.

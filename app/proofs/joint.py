@@ -25,11 +25,10 @@ from app.governance.admission import ACCEPT
 from app.governance.authority import need
 from app.governance.changes import LOOSENS, TIGHTENS
 from app.governance.model import Status
-from app.governance.policy_model import Effect
 from app.governance.vocabulary import always_there, properties
 from app.proofs.asking import Asking, Undecided
 from app.proofs.formulas import Formula, both, either, every, no, same, some
-from app.proofs.promises import people, statuses
+from app.proofs.promises import at_least, people, statuses
 from app.proofs.space import Options
 from app.proofs.values import Items, lift
 from app.proofs.witness import confirm_by, decided, read, shrink_by
@@ -184,7 +183,7 @@ class Joint:
             ("fewer approvers", LOOSENS, self.old, self.new),
             ("more approvers", TIGHTENS, self.new, self.old),
         ):
-            where = some(both(_at_least(one, count), no(_at_least(other, count))) for count in counts if count > 1)
+            where = some(both(at_least(one, count), no(at_least(other, count))) for count in counts if count > 1)
             yield Question(
                 change, direction, both(waits, where),
                 lambda a, b, _params, fewer=direction is LOOSENS: (
@@ -281,12 +280,6 @@ def _equal(one: object, other: object) -> Formula:
         mine, theirs = (lift(cast("Items", found)) for found in (one, other))
         return cast("Formula", mine == theirs)
     return one == other
-
-
-def _at_least(pair: Pair, count: int) -> Formula:
-    """Return where at least so many people have to approve, of what has to be approved."""
-    asking = [rule.id for rule in pair.rules if rule.then is Effect.ESCALATE and rule.approvers >= count]
-    return people(pair.gate) >= count or some(pair.first.fires[rule] for rule in asking)
 
 
 # The same proposal ---------------------------------------------------------------------------------------------------

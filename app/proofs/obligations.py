@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final, cast
 
 import z3
 
+from app.governance.authority import answers
 from app.proofs.asking import Asking, Undecided
 from app.proofs.findings import Finding, Kind, Lines, Weight
 from app.proofs.formulas import Formula, both, either, no, some
@@ -58,11 +59,12 @@ class Court:
         )  # fmt: skip
 
     def solve(self, *parts: Formula) -> z3.ModelRef | Undecided | None:
-        """Ask; of the solutions there are, prefer one that neither rounds nor lies on an edge."""
-        found = self.asking.ask(*parts)
+        """Ask about modes the profile admits; of the solutions, prefer one that neither rounds nor lies on an edge."""
+        asked = (self.pair.space.modes.where([mode.value for mode in self.pair.gate.profile.admits]), *parts)
+        found = self.asking.ask(*asked)
         if not isinstance(found, z3.ModelRef) or not self.pair.space.approximate:
             return found
-        plain = self.asking.ask(*parts, *self.pair.space.plain())
+        plain = self.asking.ask(*asked, *self.pair.space.plain())
         return plain if isinstance(plain, z3.ModelRef) else found
 
     def confirmed(self, model: z3.ModelRef, shows: Shows, *, small: bool = True) -> Case | None:
@@ -153,9 +155,11 @@ def coverage(court: Court) -> Iterator[Finding]:
             message,
             lambda seen: any(reason.rule == GUARD for reason in seen.reasons),
         )
-    through = court.solve(either(pair.allowed, pair.modified, pair.escalated))
+    escalates = either(pair.first.asked, pair.space.supervised)
+    through = court.solve(no(pair.denied), True if answers(pair.gate) else no(escalates))
     if through is None:
-        message = f"a gap: {court.where} is enabled, and no proposal ever gets through"
+        why = "" if answers(pair.gate) else " (what a rule escalates is denied there: nobody is asked)"
+        message = f"a gap: {court.where} is enabled, and no proposal ever gets through{why}"
         yield court.finding(Kind.COVERAGE, Weight.REFUTED, message)
     elif isinstance(through, Undecided):
         yield from court.judged(Kind.COVERAGE, through, f"whether anything gets through {court.where}", never)

@@ -1,4 +1,4 @@
-"""The proof of a stated property in one (capability, profile), and the order of profiles between two."""
+"""The proof of a stated property in one (capability, profile), and the order of profiles between two of them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 import z3
 
-from app.governance.authority import answers
+from app.governance.admission import ACCEPT
+from app.governance.authority import answers, need
 from app.governance.decision import decide
 from app.governance.expression_tree import BOOL
 from app.governance.model import AuthorityMode, Verdict
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 
     from app.governance.bundle_promises import PropertyShape
     from app.governance.policy import Gate
-    from app.governance.policy_model import Profile
     from app.proofs.obligations import Court
     from app.proofs.pair import Pair
     from app.proofs.stated import Property
@@ -66,9 +66,24 @@ def people(gate: Gate) -> int:
 def _too_few(pair: Pair, wanted: int) -> Formula:
     """Return where fewer people are asked than wanted, of what may be launched."""
     found = statuses(pair)
-    asking = [r.id for r in pair.rules if r.then is Effect.ESCALATE and r.approvers >= wanted]
-    enough = people(pair.gate) >= wanted or some(pair.first.fires[rule] for rule in asking)
-    return both(no(found["denied"]), no(both(found["awaiting_approval"], enough)))
+    return both(no(found["denied"]), no(both(found["awaiting_approval"], at_least(pair, wanted))))
+
+
+def at_least(pair: Pair, count: int) -> Formula:
+    """Return where at least so many people have to approve, of what has to be approved."""
+    asking = [rule.id for rule in pair.rules if rule.then is Effect.ESCALATE and rule.approvers >= count]
+    return people(pair.gate) >= count or some(pair.first.fires[rule] for rule in asking)
+
+
+def applies(court: Court, promised: Property) -> bool:
+    """Say whether a promise is about anything that can be proposed in this pair, as far as that is known."""
+    if promised.shape.when is None:
+        return True
+    try:
+        when = _holds_or_fails(court.pair, promised.shape.when)
+    except NotCoveredError:
+        return True
+    return court.solve(court.pair.space.ready(), when) is not None
 
 
 def property_holds(court: Court, promised: Property) -> Iterator[Finding]:
@@ -147,32 +162,11 @@ def _reason(verdict: Verdict) -> str | None:
 # The order of profiles -----------------------------------------------------------------------------------------------
 
 
-def declared_order(strict: Profile, wide: Profile) -> Iterator[tuple[str, str]]:
-    """Yield what two profiles declare in the wrong order: what it is about, and what is wrong."""
-    for name, limit in strict.limits.items():
-        other = wide.limits[name].maximum
-        if limit.maximum > other:
-            yield (
-                f"{strict.name}/{name}",
-                f"`{name}` is {limit.maximum:g} in {strict.name} and {other:g} in {wide.name}",
-            )
-    if strict.sensitivity < wide.sensitivity:
-        yield (
-            strict.name,
-            f"`sensitivity` is {strict.sensitivity:g} in {strict.name} and {wide.sensitivity:g} in {wide.name}",
-        )
-    if strict.retry_budget > wide.retry_budget:
-        yield (
-            strict.name,
-            f"`retry_budget` is {strict.retry_budget} in {strict.name} and {wide.retry_budget} in {wide.name}",
-        )
-
-
 def order_holds(court: Court, wide: Pair, asking: Asking) -> Iterator[Finding]:
     """Yield where the stricter profile (the court's) lets something through that the wider one would not.
 
     Deny > escalate > modify > allow: for no proposal is the stricter profile's verdict the weaker one, and where the
-    wider profile asks for every approval, the stricter one does.
+    wider profile asks for every approval, the stricter one does, and never fewer people.
     """
     strict = court.pair
     name, one, other = strict.gate.capability.name, strict.gate.profile, wide.gate.profile
@@ -185,6 +179,7 @@ def order_holds(court: Court, wide: Pair, asking: Asking) -> Iterator[Finding]:
         both(strict.allowed, no(wide.allowed)),
         both(strict.modified, either(wide.escalated, wide.denied)),
         both(strict.escalated, wide.denied),
+        _fewer(strict, wide),
     ))  # fmt: skip
     admitted = strict.space.modes.where([mode.value for mode in one.admits])
     foreign = no(strict.space.modes.where([mode.value for mode in other.admits]))
@@ -194,7 +189,8 @@ def order_holds(court: Court, wide: Pair, asking: Asking) -> Iterator[Finding]:
         plain = asking.ask(*doubt, *strict.space.plain())
         answer = plain if isinstance(plain, z3.ModelRef) else answer
     message = (
-        f"{one.name} lets something through about `{name}` that {other.name} does not, and is declared the stricter"
+        f"{one.name} lets something through about `{name}` that {other.name} does not, or asks fewer people, and is "
+        "declared the stricter"
     )
     yield from court.judged(Kind.ORDER, answer, message, lambda seen: _weaker(court, seen, other.name))
 
@@ -202,13 +198,25 @@ def order_holds(court: Court, wide: Pair, asking: Asking) -> Iterator[Finding]:
 _RANKS: Final = ("allow", "modify", "escalate", "deny")
 
 
+def _fewer(strict: Pair, wide: Pair) -> Formula:
+    """Return where the stricter profile asks fewer people about what both ask about."""
+    counts = {people(wide.gate), *(rule.approvers for rule in wide.rules)}
+    asked = both(*(statuses(pair)["awaiting_approval"] for pair in (strict, wide)))
+    return both(asked, some(both(at_least(wide, count), no(at_least(strict, count))) for count in counts if count > 1))
+
+
 def _weaker(court: Court, seen: Seen, wide: str) -> bool:
-    """Say whether the real verdict in the wider profile is the stricter one."""
+    """Say whether the real verdict in the wider profile is the stricter one, or asks more people."""
     mine = seen.decision.verdict
-    theirs = decide(court.policy, seen.proposal, replace(seen.context, profile=wide)).verdict
+    context = replace(seen.context, profile=wide)
+    theirs = decide(court.policy, seen.proposal, context).verdict
     if mine is None:
         return False
-    return theirs is None or _RANKS.index(theirs.outcome.value) > _RANKS.index(mine.outcome.value)
+    if theirs is None or _RANKS.index(theirs.outcome.value) > _RANKS.index(mine.outcome.value):
+        return True
+    one = need(court.policy, seen.proposal, ACCEPT, mine, seen.context)
+    other = need(court.policy, seen.proposal, ACCEPT, theirs, context)
+    return one is not None and other is not None and one.approvers < other.approvers
 
 
-__all__ = ["Judge", "declared_order", "order_holds", "people", "property_holds", "statuses"]
+__all__ = ["Judge", "applies", "at_least", "order_holds", "people", "property_holds", "statuses"]

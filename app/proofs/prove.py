@@ -10,10 +10,11 @@ from app.governance.policy_model import GOVERNANCE
 from app.governance.vocabulary import Vocabulary
 from app.proofs.asking import Asking, Budget
 from app.proofs.deciding import fates
+from app.proofs.declared import misplaced
 from app.proofs.findings import Finding, Kind, Lines, Weight
 from app.proofs.obligations import Court, contradictions, coverage, errors, idempotence
 from app.proofs.pair import Pair
-from app.proofs.promises import declared_order, order_holds, property_holds
+from app.proofs.promises import applies, order_holds, property_holds
 from app.proofs.space import Space
 from app.proofs.stated import FILE, Stated, read
 from app.proofs.witness import written
@@ -40,6 +41,7 @@ class Report:
         properties: How many (property, pair) were looked at.
         ordered: How many (capability, stricter, wider) were compared.
         asked: How many questions the solver was asked.
+        idle: The properties that are about nothing that can be proposed, and so hold whatever policy does.
     """
 
     findings: list[Finding] = field(default_factory=list[Finding])
@@ -49,6 +51,7 @@ class Report:
     properties: int = 0
     ordered: int = 0
     asked: int = 0
+    idle: list[str] = field(default_factory=list[str])
 
     @property
     def faults(self) -> list[Finding]:
@@ -62,6 +65,8 @@ class Report:
             f"{self.ordered} comparisons of profiles" if self.ordered else "no order of profiles declared",
             f"{self.stated} properties, {self.properties} times" if self.stated else "no properties stated",
         ]
+        if self.idle:
+            parts.append(f"about nothing that can be proposed: {', '.join(f'`{name}`' for name in self.idle)}")
         return f"proved of {self.pairs} pairs: " + "; ".join(parts)
 
 
@@ -106,6 +111,7 @@ class Prover:
         self.report = Report(rules=len(policy.rules), stated=len(stated.properties))
         self.fates: dict[str, list[Fate]] = {rule: [] for rule in policy.rules}
         self.courts: dict[str, Court] = {}
+        self.applied: set[str] = set()  # promises that are about something
 
     def run(self, progress: Progress) -> Report:
         """Prove everything."""
@@ -122,6 +128,7 @@ class Prover:
                     done += 1
             self.report.findings += self._order(space, name)
         self.report.findings += self._fates()
+        self.report.findings += self._idle_promises()
         self.report.findings.sort(key=lambda found: (found.file, found.line, found.kind, found.capability))
         progress(done, done, "")
         return self.report
@@ -147,23 +154,24 @@ class Prover:
             if (name, profile) in promised.pairs:
                 self.report.properties += 1
                 yield from property_holds(court, promised)
+                if promised.shape.id not in self.applied and applies(court, promised):
+                    self.applied.add(promised.shape.id)
         self.report.asked += court.asking.asked
 
     # Profiles against one another ------------------------------------------------------------------------------------
 
     def _declared_order(self) -> Iterator[Finding]:
         for strict, wide in zip(self.stated.order, self.stated.order[1:], strict=False):
-            for what, message in declared_order(self.policy.profiles[strict], self.policy.profiles[wide]):
-                file, line = self.lines.rule(what) if "/" in what else self.lines.of(f"profiles/{strict}.yaml")
-                said = f"{message}, and {strict} is declared the stricter"
+            for found in misplaced(self.policy.profiles[strict], self.policy.profiles[wide]):
+                file, line = self.lines.of(f"profiles/{strict}.yaml", found.path)
                 yield Finding(
                     kind=Kind.ORDER,
                     weight=Weight.REFUTED,
-                    message=said,
+                    message=f"{found.message}, and {strict} is declared the stricter",
                     file=file,
                     line=line,
                     profile=strict,
-                    rule=what,
+                    rule=found.limit,
                 )
 
     def _order(self, space: Space, name: str) -> Iterator[Finding]:
@@ -202,6 +210,17 @@ class Prover:
                 kind=kind, weight=weight, message=(_SAID[best] if found else _NOWHERE).format(rule=rule),
                 file=file, line=line, rule=rule, example=text, body=body,
             )  # fmt: skip
+
+    def _idle_promises(self) -> Iterator[Finding]:
+        """What nothing can be proposed about is kept, whatever policy does: worth a word, and no fault."""
+        for promised in self.stated.properties:
+            name = promised.shape.id
+            if promised.pairs and name not in self.applied:
+                self.report.idle.append(name)
+                message = f"`{name}` promises something about nothing: no proposal meets its `when`"
+                yield Finding(
+                    kind=Kind.PROPERTY, weight=Weight.NOTE, message=message, file=FILE, line=promised.line, rule=name
+                )
 
     def _notes(self, rule: str, found: list[Fate], file: str, line: int) -> Iterator[Finding]:
         idle = [f"`{fate.capability}` in {fate.profile}" for fate in found if fate.state in ("dead", "shadowed")]

@@ -251,6 +251,7 @@ def test_five_hundred_operands_are_one_level(word: str) -> None:
 # -- refused on load -------------------------------------------------------------------------------------------------
 
 PURE = "unit mismatch: a pure number and a quantity in `N` do not add up: a factor goes by `*`"
+NO_ORDER = " a set has no order, and is compared with nothing"
 REFUSED = [
     ("", 1, "unexpected end", ()),
     ("b &&", 5, "unexpected end", ()),
@@ -315,10 +316,10 @@ REFUSED = [
     ("0.8 - force_n < 5", 5, PURE, ()),
     ("force_n - d * 2 > 1", 9, PURE, ()),
     ("colour == 'grün'", 8, "`grün` is compared with what is never that", ("green", "red")),
-    ("held[0] == 'red'", 5, "`[` does not take set<string> and int: a set has no order, and is compared with nothing", ("x in set",)),
-    ("held == ['red']", 6, "`==` does not take set<string> and list<string>: a set has no order, and is compared with nothing", ("x in set",)),
-    ("colours != held", 9, "`!=` does not take list<string> and set<string>: a set has no order, and is compared with nothing", ("x in set",)),
-    ("held == held", 6, "`==` does not take set<string> and set<string>: a set has no order, and is compared with nothing", ("x in set",)),
+    ("held[0] == 'red'", 5, f"`[` does not take set<string> and int:{NO_ORDER}", ("x in set",)),
+    ("held == ['red']", 6, f"`==` does not take set<string> and list<string>:{NO_ORDER}", ("x in set",)),
+    ("colours != held", 9, f"`!=` does not take list<string> and set<string>:{NO_ORDER}", ("x in set",)),
+    ("held == held", 6, f"`==` does not take set<string> and set<string>:{NO_ORDER}", ("x in set",)),
     ("'red' in (b ? held : colours)", 13, "types differ: set<string> and list<string>", ()),
     ("1 in held", 3, "`in` does not take int and set<string>", ("bool and list<bool>",)),
     ("held.exists(h, h == 'gren')", 18, "`gren` is compared with what is never that", ("green", "red")),

@@ -9,7 +9,7 @@ import pytest
 from app.governance import bundle, cases
 from app.proofs.findings import Kind, Weight
 from tests.governance.policy_world import files
-from tests.proofs.planted import HUMAN, ORGANIZATION, REAL, SIM, edited, proved, with_rules
+from tests.proofs.planted import HUMAN, ORGANIZATION, REAL, SIM, edited, promises, proved, with_rules
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,9 @@ PLANTS = [
     # gaps
     Plant("everything is denied", rule("id: closed, applies_to: [inspect_area], then: deny"), Kind.COVERAGE,
           capability="inspect_area", also=frozenset({Kind.SHADOWED})),
+    Plant("everything is asked about where nobody is asked",
+          rule("id: ask, applies_to: [inspect_area], profiles: [sim-relaxed], then: escalate"), Kind.COVERAGE,
+          capability="inspect_area", also=frozenset({Kind.ORDER})),
     Plant("the denials leave no room between them", with_rules("""
   - {id: slow, applies_to: [inspect_area], when: params.dwell_s < 3.0, then: deny, because: So.}
   - {id: long, applies_to: [inspect_area], when: params.dwell_s >= 2.5, then: deny, because: So.}
@@ -140,6 +143,8 @@ PLANTS = [
         also=frozenset({Kind.DEAD})),
     Plant("sensitivity the wrong way round", edited(REAL, "sensitivity: 0.7", "sensitivity: 0.95"), Kind.ORDER),
     Plant("more retries where it is stricter", edited(HUMAN, "retry_budget: 1", "retry_budget: 4"), Kind.ORDER),
+    Plant("fewer people asked where it is stricter", edited(REAL, "approvers: {default: 1,", "approvers: {default: 2,"), Kind.ORDER, capability="grasp_object"),
+    Plant("a later alarm where it is stricter", edited(HUMAN, "above: 0.012", "above: 0.016"), Kind.ORDER),
     # stated properties
     Plant("the rule behind a promise is gone", edited(ORGANIZATION, "when: target.hazardous && !(\"hazmat\" in agent.permissions)",
           "when: target.hazardous && !(\"hazmat\" in agent.permissions) && target.mass_kg > 1.0"), Kind.PROPERTY, "hazardous-needs-hazmat",
@@ -178,7 +183,7 @@ def test_a_planted_fault_is_found(plant: Plant):
     assert all(finding.line > 0 and finding.file in {*files(), "properties.yaml"} for finding in found)
 
 
-SOUND = [
+SOUND: list[tuple[str, dict[str, str]]] = [
     ("as shipped", {}),
     ("a tighter limit", edited(HUMAN, "tcp_speed_mps: {max: 0.25", "tcp_speed_mps: {max: 0.2")),
     ("a rule about an agent that may come", rule("id: hazmat-asks, applies_to: [grasp_object], when: 'target.hazardous && \"hazmat\" in agent.permissions', then: escalate")),
@@ -188,6 +193,9 @@ SOUND = [
   - {id: at-least, applies_to: [navigate_to], then: modify, set: {clearance_m: {min: 0.15}}, because: So.}
   - {id: at-most, applies_to: [navigate_to, transport_object], when: 'world.people_count == 0', then: modify, set: {clearance_m: {max: 0.9}}, because: So.}
 """)),
+    ("a mode that only the wider profiles admit", {
+        HUMAN: files()[HUMAN].replace("modes: [normal, careful]", "modes: [normal]").replace("safer_mode, ", "")}),
+    ("an earlier alarm where it is stricter", edited(HUMAN, "above: 0.012", "above: 0.011")),
     ("people are near", rule("id: near, applies_to: [inspect_area], when: world.people_count > 0 && world.people_nearest_m < 0.5, then: deny")),
     ("the same in another owner's words", rule("id: fragile-grip, applies_to: [grasp_object], when: target.fragile, then: modify, set: {force_n: {max: 20}, speed_mps: {max: 0.15}}", REAL)),
 ]  # fmt: skip
@@ -196,3 +204,15 @@ SOUND = [
 @pytest.mark.parametrize("changed", [changed for _, changed in SOUND], ids=[name for name, _ in SOUND])
 def test_what_is_sound_passes(changed: dict[str, str]):
     assert [(f.kind.value, f.rule, f.message, f.example) for f in proved(changed).faults] == []
+
+
+def test_a_promise_about_nothing_is_named() -> None:
+    idle = "  - {id: idle, says: So., when: target.mass_kg > 50.0, never: [allowed]}\n"
+    report = proved({}, promises().replace("properties:\n", f"properties:\n{idle}"))
+    assert not report.faults
+    assert report.idle == ["idle"]
+    assert [(f.kind, f.weight, f.rule) for f in report.findings if f.kind is Kind.PROPERTY] == [
+        (Kind.PROPERTY, Weight.NOTE, "idle")
+    ]
+    assert report.summary().endswith("about nothing that can be proposed: `idle`")
+    assert "about nothing" not in proved({}).summary()
