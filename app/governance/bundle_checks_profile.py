@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from app.governance.bundle_checks import Known, Reader
     from app.governance.bundle_yaml import Path
     from app.governance.errors import PolicyError
-    from app.governance.model import Json
+    from app.governance.model import Capability, Json
 
 ASKING: Final = frozenset({"approval-required", "approval-on-escalation"})
 HUMANS: Final = ASKING | {"takeover-enabled"}
@@ -110,17 +110,33 @@ def _recovery(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Itera
         yield from reader.unknown((*path, "on"), "failure", row.on, FAILURES | {"any"})
         for at, name in enumerate(row.applies_to or ()):
             yield from reader.unknown((*path, "applies_to", at), "capability", name, known.named)
-        needs = "recovery_capability" in row.do
-        if needs and row.capability is None:
-            yield reader.problem(path, "`recovery_capability` needs `capability`", sorted(known.recoveries))
-        if row.capability is not None:
-            yield from reader.unknown((*path, "capability"), "recovery capability", row.capability, known.recoveries)
+        yield from _recovered(reader, path, row, shape, known)
         for step in row.budget:
             if step not in row.do:
                 yield reader.problem((*path, "budget", step), f"`{step}` is no step of this row", row.do)
         yield from _steps(reader, path, row, shape)
     if not any(row.on == "any" and row.applies_to is None and row.risks is None for row in shape.recovery):
         yield reader.problem(("recovery",), "failures are left uncovered: the table needs a last row", ["on: any"])
+
+
+def _recovered(
+    reader: Reader, path: Path, row: shapes.RecoveryShape, shape: shapes.ProfileShape, known: Known
+) -> Iterator[PolicyError]:
+    """A recovery by a capability names one that is there, and enabled in this profile."""
+    needs = "recovery_capability" in row.do
+    if needs and row.capability is None:
+        yield reader.problem(path, "`recovery_capability` needs `capability`", sorted(known.recoveries))
+    if row.capability is not None:
+        yield from reader.unknown((*path, "capability"), "recovery capability", row.capability, known.recoveries)
+        if needs and _forbidden(row.capability, shape, known):
+            message = f"`{row.capability}` is forbidden in this profile: the step could never be taken"
+            enabled = [name for name in sorted(known.recoveries) if not _forbidden(name, shape, known)]
+            yield reader.problem((*path, "capability"), message, enabled)
+
+
+def _forbidden(name: str, shape: shapes.ProfileShape, known: Known) -> bool:
+    found = known.capabilities.get(name)
+    return found is not None and found.env_profile.get(shape.profile) == "forbidden"
 
 
 def _steps(reader: Reader, path: Path, row: shapes.RecoveryShape, shape: shapes.ProfileShape) -> Iterator[PolicyError]:
@@ -148,9 +164,18 @@ def _authority(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iter
         if found.env_profile.get(shape.profile) == "approval-required" and not asks:
             message = f"`{name}` requires approval here, but no mode of this profile asks for it"
             yield reader.problem(("authority", "modes"), message, sorted(ASKING))
-        if shape.rollback == "required" and MANIPULATION in found.permissions and found.rollback is None:
-            message = f"rollback is required for manipulation, and `{name}` has none"
-            yield reader.problem(("rollback",), message, ["optional", "always"])
+        yield from _rolls_back(reader, shape, known, found)
+
+
+def _rolls_back(reader: Reader, shape: shapes.ProfileShape, known: Known, found: Capability) -> Iterator[PolicyError]:
+    """What is to be undone has something that undoes it, and that is enabled here."""
+    if shape.rollback == "required" and MANIPULATION in found.permissions and found.rollback is None:
+        message = f"rollback is required for manipulation, and `{found.name}` has none"
+        yield reader.problem(("rollback",), message, ["optional", "always"])
+    enabled = found.env_profile.get(shape.profile) != "forbidden"
+    if shape.rollback != "optional" and enabled and found.rollback and _forbidden(found.rollback, shape, known):
+        message = f"`{found.name}` is rolled back by `{found.rollback}`, which is forbidden in this profile"
+        yield reader.problem(("rollback",), message, ["optional"])
 
 
 def _review(reader: Reader, shape: shapes.ProfileShape) -> Iterator[PolicyError]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from fractions import Fraction
+from itertools import combinations
+from typing import TYPE_CHECKING, TypeAlias
 
 from app.governance.bundle_checks import ASKING
 from app.governance.places import inside
@@ -16,6 +18,8 @@ if TYPE_CHECKING:
     from app.governance.bundle_yaml import Path
     from app.governance.errors import PolicyError
     from app.governance.model import Capability
+
+_Exact: TypeAlias = "tuple[Fraction, Fraction]"
 
 
 def organization(reader: Reader, shape: shapes.OrganizationShape) -> Iterator[PolicyError]:
@@ -87,11 +91,34 @@ def _polygons(reader: Reader, shape: shapes.SiteShape) -> Iterator[PolicyError]:
         for name, found in held.items():
             if not _area(found.polygon) > 0.0:
                 yield reader.problem((key, name, "polygon"), "a polygon runs counter-clockwise around some area")
+            elif (crossing := _crossing(found.polygon)) is not None:
+                corners = " and ".join(str(number) for number in crossing)
+                message = f"its edges cross, those from corners {corners}: nobody could tell what is inside"
+                yield reader.problem((key, name, "polygon"), message)
 
 
 def _area(polygon: Sequence[Sequence[float]]) -> float:
     corners = list(polygon)
     return sum(x1 * y2 - x2 * y1 for (x1, y1), (x2, y2) in zip(corners, [*corners[1:], corners[0]], strict=True)) / 2
+
+
+def _crossing(polygon: Sequence[Sequence[float]]) -> tuple[int, int] | None:
+    """Return the first two edges that cross, each by the number of its first corner (from 1); touching is no crossing.
+
+    Computed exactly: rounding makes no crossing of two edges that only touch.
+    """
+    corners = [(Fraction(x), Fraction(y)) for x, y in polygon]
+    edges = list(zip(corners, [*corners[1:], corners[0]], strict=True))
+    for (one, (a, b)), (other, (c, d)) in combinations(enumerate(edges, 1), 2):
+        if _side(a, b, c) * _side(a, b, d) < 0 and _side(c, d, a) * _side(c, d, b) < 0:
+            return one, other
+    return None
+
+
+def _side(a: _Exact, b: _Exact, c: _Exact) -> int:
+    """Return on which side of the line from a to b a point lies: 1 to the left, -1 to the right, 0 on it."""
+    turn = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    return (turn > 0) - (turn < 0)
 
 
 def _places(reader: Reader, shape: shapes.SiteShape) -> Iterator[PolicyError]:

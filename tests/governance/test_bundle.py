@@ -149,6 +149,15 @@ BROKEN = [
     ("unknown surface", SITE, "surface: bench_a,", "surface: bench_z,", "surface `bench_z`"),
     ("clockwise zone", SITE, "[[4.6, 0.4], [6.2, 0.4], [6.2, 1.6], [4.6, 1.6]]",
      "[[4.6, 1.6], [6.2, 1.6], [6.2, 0.4], [4.6, 0.4]]", "counter-clockwise"),
+    ("a zone whose edges cross", SITE, "[[4.6, 0.4], [6.2, 0.4], [6.2, 1.6], [4.6, 1.6]]",
+     "[[4.6, 0.4], [6.2, 0.4], [5.0, 1.6], [6.2, 1.5]]",
+     "zones.press_area.polygon: its edges cross, those from corners 2 and 4: nobody could tell what is inside"),
+    ("a recovery that is forbidden", "capabilities/safe_retreat.yaml", "shared: guarded", "shared: forbidden",
+     "human-shared.yaml:180: recovery[9].capability: `safe_retreat` is forbidden in this profile: the step could never "
+     "be taken; valid: `regrasp`"),
+    ("a rollback that is forbidden", "capabilities/safe_retreat.yaml", "shared: guarded", "shared: forbidden",
+     "human-shared.yaml:8: rollback: `operate_tool` is rolled back by `safe_retreat`, which is forbidden in this "
+     "profile; valid: `optional`"),
     ("confirmation of nothing", H, "confirm_before: []",
      "confirm_before: [{capability: dance, profile: human-shared, phases: [spin]}]", "capability `dance`"),
     ("confirmation of a phase there is not", H, "confirm_before: []",
@@ -243,7 +252,7 @@ UNFIT = {
     "site": (SITE, "fragile: true", "fragile: maybe"),
 }
 NEEDS_ALL = {"a limit above what may be proposed", "a shared floor watched for some", "a constant that names nothing",
-             "a constant of one branch"}  # fmt: skip
+             "a constant of one branch", "an undoing there is not"}  # fmt: skip
 
 
 @pytest.mark.parametrize("unfit", UNFIT)
