@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import product
-from math import isfinite
+from math import frexp, isfinite
 from typing import Final, TypeAlias, cast
 
 import z3
@@ -26,6 +26,7 @@ from app.proofs.formulas import Formula, both, either, every, no, rational, some
 
 MOST_CASES: Final = 64
 EXACT_INT: Final = 2**53
+HALF: Final = 0.5  # the mantissa of a power of two
 ROUNDING: Final = Fraction(1, 2**53)
 SMALLEST: Final = Fraction(1, 2**1075)
 OVERFLOW: Final = 2**1024 - 2**970  # from here on a double rounds to infinity
@@ -280,6 +281,24 @@ def _arithmetic(operate: Callable[[object, object], object], whole: bool) -> _Op
     return made
 
 
+_rounding_product: Final = _arithmetic(lambda a, b: a * b, whole=False)  # type: ignore[operator]  # pyright: ignore[reportOperatorIssue]
+
+
+def _multiply_double(theory: Theory, payloads: list[Payload], checked: bool, wide: bool) -> Outcome:
+    """Multiply; by a power of two of one or more nothing is rounded, only the exponent grows."""
+    powers = [payload for payload in payloads if isinstance(payload, float) and _doubling(payload)]
+    if not powers or _constants(payloads):
+        return _rounding_product(theory, payloads, checked, wide)
+    left, right = (cast("z3.ArithRef", lift(payload)) for payload in payloads)
+    limit = rational(Fraction(OVERFLOW))
+    exact = left * right
+    return exact, either(exact >= limit, exact <= -limit) if checked else False
+
+
+def _doubling(factor: float) -> bool:
+    return abs(factor) >= 1.0 and abs(frexp(factor)[0]) == HALF
+
+
 def _divide_double(theory: Theory, payloads: list[Payload], checked: bool, _wide: bool) -> Outcome:
     left, right = payloads
     zero = cast("z3.ArithRef", right) == 0 if isinstance(right, z3.ExprRef) else right == 0
@@ -389,7 +408,7 @@ _OPERATIONS: Final[Mapping[str, _Operation]] = {
     "multiply_int": _arithmetic(lambda a, b: a * b, whole=True),  # type: ignore[operator]  # pyright: ignore[reportOperatorIssue]
     "add_double": _arithmetic(lambda a, b: a + b, whole=False),  # type: ignore[operator]  # pyright: ignore[reportOperatorIssue]
     "subtract_double": _arithmetic(lambda a, b: a - b, whole=False),  # type: ignore[operator]  # pyright: ignore[reportOperatorIssue]
-    "multiply_double": _arithmetic(lambda a, b: a * b, whole=False),  # type: ignore[operator]  # pyright: ignore[reportOperatorIssue]
+    "multiply_double": _multiply_double,
     "divide_double": _divide_double,
     "divide_int": _divide_int,
     "remainder_int": _remainder,

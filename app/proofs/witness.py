@@ -199,18 +199,21 @@ def _shown_by(policy: PolicySet, shows: Shows) -> Callable[[Case], bool]:
 
 
 def _nearby(case: Case) -> Iterator[Case]:
-    places = [
-        (part, name) for part in ("params", "metadata") for name, held in case[part].items() if isinstance(held, float)
-    ]
-    steps = [
-        (case[part][name], math.nextafter(case[part][name], -math.inf), math.nextafter(case[part][name], math.inf))
-        for part, name in places
-    ]
+    steps = [(value, math.nextafter(value, -math.inf), math.nextafter(value, math.inf)) for *_, value in _numbers(case)]
     for values in product(*steps):
         moved = deepcopy(case)
-        for (part, name), value in zip(places, values, strict=True):
-            moved[part][name] = value
+        for (held, key, _), value in zip([*_numbers(moved)], values, strict=True):
+            held[key] = value
         yield moved
+
+
+def _numbers(case: Case) -> Iterator[tuple[Any, Any, float]]:
+    """Yield every number that a model may have put between two doubles: where it stands, under which key, and what."""
+    points = case["context"].get("at", {}).values()
+    for held in (case["params"], case["metadata"], *points):
+        for key, value in list(enumerate(held) if isinstance(held, list) else held.items()):
+            if isinstance(value, float):
+                yield held, key, value
 
 
 # Making it small -----------------------------------------------------------------------------------------------------

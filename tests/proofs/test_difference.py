@@ -55,6 +55,9 @@ def changes(found: Comparison) -> set[tuple[str, str, str]]:
 PLANTED: dict[str, tuple[Edit, Direction, tuple[str, str, str] | None]] = {
     "a bound raised in one profile": (
         (HUMAN, r"clearance_m: \{min: 0.3\}", "clearance_m: {min: 0.25}"), TIGHTENS, ("navigate_to", "human-shared", "looser clearance_m")),
+    "a bound raised by the least there is": (
+        (ORGANIZATION, r"speed_mps: \{max: 0.15\}", "speed_mps: {max: 0.15000000000000002}"), TIGHTENS,
+        ("grasp_object", "sim-relaxed", "looser speed_mps")),
     "a limit raised": (
         (REAL, r"grip_force_n: \{max: 80", "grip_force_n: {max: 81"), TIGHTENS, ("grasp_object", "real-restricted", "looser force_n")),
     "a condition narrowed": (
@@ -157,6 +160,7 @@ HARMLESS: dict[str, tuple[Edit, ...]] = {
     "other words": ((ORGANIZATION, "because: Hazardous objects", "because: Such objects"),),
     "conditions in another order": ((GRASP, "object_visible, object_reachable", "object_reachable, object_visible"),),
     "a condition that never mattered": ((ORGANIZATION, r"\(\"hazmat\" in agent.permissions\)\n", '("hazmat" in agent.permissions) && target.mass_kg >= 0.0\n'),),
+    "a number twice, and twice the bound": ((ORGANIZATION, r"metadata.confidence < 0.5", "metadata.confidence * 2.0 < 1.0"),),
     "the corners of a zone from another one on": (
         (SITE, r"\[\[4.6, 0.4\], \[6.2, 0.4\], \[6.2, 1.6\], \[4.6, 1.6\]\]", "[[6.2, 0.4], [6.2, 1.6], [4.6, 1.6], [4.6, 0.4]]"),),
 }  # fmt: skip
