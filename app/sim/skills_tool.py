@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from app.governance.model import Json, Tool
 
 _CLEAR_M = 0.22  # above the tool's place: clear of a raised lever
+# A handle that is gripped harder cannot turn in the fingers: the hand goes on a circle of its own then, against the
+# lever's, and strains the arm. `force_n` is what the tool may be worked with, not what it has to be held with.
+HANDLE_GRIP_N = 60.0
 
 
 def operate_tool(body: Body, params: Mapping[str, Json]) -> Moves:
@@ -50,7 +53,7 @@ def _swing_lever(body: Body, tool: Tool, wanted: str, force_n: float, limit_mps:
     body.enter("descend", 0.3)
     yield from body.line(grips[0], slow, until=body.touched)
     body.enter("close", 0.4)
-    yield from body.close(force_n)
+    yield from body.close(min(force_n, HANDLE_GRIP_N))
     body.enter("operate", 0.5)
     if abs(end - begin) > 0.1:
         for grip in grips[1:]:

@@ -369,6 +369,15 @@ def in_order(shop: Workshop) -> bool:
     return truth.contact_force_n < 8.0 and truth.tcp_speed_mps < 0.26 and truth.base_speed_mps < 0.31
 
 
+@pytest.mark.parametrize(("profile", "force_n"), [("sim-relaxed", 250.0), ("test-audit", 200.0)])
+def test_a_lever_is_swung_at_whatever_force_the_profile_allows(profile: str, force_n: float, tmp_path: Path) -> None:
+    shop = Workshop(tmp_path, profile=profile, seed=5001)
+    shop.launch("navigate_to", target="tool_stand", speed_mps=0.2)
+    assert shop.finish()["outcome"] == "succeeded", shop.story()
+    shop.launch("operate_tool", 2, tool="lever", action="pull_down", force_n=force_n, speed_mps=0.15)
+    assert (shop.finish()["outcome"], shop.rules()) == ("succeeded", [])
+
+
 def test_every_rule_of_the_profile_has_its_case(tmp_path: Path) -> None:
     shop = Workshop(tmp_path)
     plans: list[WatchPlan] = []
