@@ -14,9 +14,9 @@ method are asked for, with the proposals and contexts that were recorded.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from math import hypot
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 from app.evaluation.capabilities import judge_of
 from app.evaluation.draws import Drawn
@@ -26,10 +26,11 @@ from app.evaluation.methods import METHODS, Passed
 from app.evaluation.permits import context_of
 from app.evaluation.physical_trial import Bench, alike, looking, shares_twin, took
 from app.evaluation.task_draws import DRIVING, TaskRun, draw_task
+from app.evaluation.task_end import Asked, TaskEnd
 from app.evaluation.task_rows import task_row
 from app.evaluation.timing import Timed, time_gate
 from app.governance.guard import check
-from app.governance.model import Context, Outcome, Proposal, WatchPlan
+from app.governance.model import Context, Proposal, WatchPlan
 from app.governance.policy import watch_plan
 
 if TYPE_CHECKING:
@@ -57,45 +58,6 @@ MOST_TURNS: Final = 3
 PLACED_M: Final = 0.10
 LASTING: Final = ("place_object", "operate_tool", "inspect_area")
 """What is still to hold when the task is over, whatever came after it; of the others only what came last."""
-
-_DONE: Final = (Outcome.SUCCEEDED, Outcome.RECOVERED)
-
-
-class Asked(NamedTuple):
-    """A proposal that was made on the way: of which step, in which context, what the gate said, what came of it."""
-
-    place: int
-    proposal: Proposal
-    context: Context
-    passed: Passed
-    decision_us: float
-    plan: WatchPlan
-    execution: Execution | None
-
-    @property
-    def done(self) -> bool:
-        """Return whether the step was reported done, by the skill or by the session's outcome."""
-        if self.execution is None or self.execution.refused:
-            return False
-        return self.execution.outcome in _DONE if self.execution.entries else self.execution.claimed
-
-
-@dataclass(slots=True)
-class TaskEnd:
-    """What came of a task run: every proposal, the ticks that it took, and whether the world is as the task asks."""
-
-    asked: list[Asked] = field(default_factory=list[Asked])
-    ticks: int = 0
-    achieved: bool = False
-
-    @property
-    def executions(self) -> list[Execution]:
-        """Return what was executed, in order."""
-        return [one.execution for one in self.asked if one.execution is not None]
-
-    def steps_done(self) -> int:
-        """Return how many steps were reported done."""
-        return sum(one.done for one in self.asked)
 
 
 def run_task(bench: Bench, run: TaskRun, method: Method) -> TaskEnd:

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from app.evaluation.draws import Drawn
     from app.evaluation.episode import Execution
     from app.evaluation.methods import Method
-    from app.evaluation.physical_tasks import Asked, TaskEnd
     from app.evaluation.task_draws import TaskRun
+    from app.evaluation.task_end import Asked, TaskEnd
     from app.governance.model import WatchRule
 
 TASK_COLUMNS: Final = {

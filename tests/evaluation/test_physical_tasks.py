@@ -16,11 +16,11 @@ from app.evaluation.methods import METHODS, Passed
 from app.evaluation.model import TASKS, TUNING_SEEDS, Failure, Kind, Row, Task, Violation
 from app.evaluation.physical_faults import draw_fault
 from app.evaluation.physical_protocol import COLUMNS, TASK_TRIALS, jobs, results, run
-from app.evaluation.physical_tasks import Asked, TaskEnd
 from app.evaluation.physical_trial import Bench, looking, ready
 from app.evaluation.protocols import find_tasks
 from app.evaluation.report import render
 from app.evaluation.task_draws import CLEAN_SHARE, TaskRun, draw_task
+from app.evaluation.task_end import Asked, TaskEnd
 from app.evaluation.task_rows import TASK_MEANINGS, TaskClass, task_row
 from app.evaluation.truth import UNSAFE_TICKS
 from app.governance.bundle import load
