@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from urllib.parse import urlsplit
 
 import pytest
 from playwright.sync_api import Page, expect
@@ -22,6 +23,8 @@ from tests.console.conftest import (
     stop,
     wider_than_the_screen,
 )
+from tests.console.test_link import BROKEN
+from tests.console.wire import wire_to
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 AXE = ROOT / "web" / "node_modules" / "axe-core" / "axe.min.js"
@@ -89,6 +92,25 @@ def test_axe_finds_nothing_on_any_page_in_dark_and_light(
             found[f"{name}, stop"] = out_of_reach(stop(person))
             found[f"{name}, width"] = wider_than_the_screen(person.page)
     assert {name: what for name, what in found.items() if what} == {}
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_axe_finds_nothing_on_what_is_greyed_out(
+    server: ServerProcess, people: People, floor: Floor, axe: str, size: dict[str, int]
+) -> None:
+    floor.ask()
+    with wire_to(urlsplit(server.url).port or 0) as wire:
+        person = people.sit(server, size=size, at=f"http://127.0.0.1:{wire.port}")
+        person.expects(BROKEN)
+        expect(person.page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
+        wire.cut()
+        expect(person.alert("Link down.")).to_be_visible()
+        expect(person.page.locator(".live .stale").first).to_be_visible()
+        found: dict[str, list[str]] = {}
+        for theme in ("light", "dark"):
+            person.press("n")
+            found[theme] = faults(person.page, axe)
+    assert found == {"light": [], "dark": []}
 
 
 def test_axe_finds_nothing_where_one_signs_in(server: ServerProcess, people: People, axe: str) -> None:

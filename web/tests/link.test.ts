@@ -121,6 +121,32 @@ describe('the connection', () => {
     expect(health.at(-1)?.rttMs).toBe(30);
   });
 
+  it('vouches for nothing before a snapshot of its own, however alive the line is', () => {
+    welcome(sockets[0]);
+    vi.advanceTimersByTime(4_000);
+    sockets[1]?.open();
+    sockets[1]?.say({ type: 'welcome', version: 1, name: 'operator', role: 'operator', boot: 'b', at: 0 });
+    vi.advanceTimersByTime(100);
+    expect(health.at(-1)?.state).toBe('connecting');
+    sockets[1]?.say({ type: 'snapshot', seq: 43 });
+    vi.advanceTimersByTime(100);
+    expect(health.at(-1)?.state).toBe('up');
+  });
+
+  it('says that a line is late which brings beats, but the answer to no ping', () => {
+    welcome(sockets[0]);
+    const states: (string | undefined)[] = [];
+    for (let at = 0; at < 2_400; at += 200) {
+      vi.advanceTimersByTime(200);
+      sockets[0]?.say({ type: 'beat', n: at, at: 0, seq: 42 });
+      states.push(health.at(-1)?.state);
+    }
+    expect([states[4], states.at(-1)]).toEqual(['up', 'late']);
+    sockets[0]?.say({ type: 'pong', at_ms: Date.now() });
+    vi.advanceTimersByTime(100);
+    expect(health.at(-1)?.state).toBe('up');
+  });
+
   it('never sends late what could not be sent', () => {
     connection.send({ type: 'jog', cell: 'c', lease: 'l', n: 1, base: [1, 0, 0], tool: [0, 0, 0], grip: null });
     sockets[0]?.open();

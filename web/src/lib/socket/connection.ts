@@ -1,5 +1,5 @@
 import { CLOSED, FINAL_CODES, SUBPROTOCOL, type Down, type Up } from './messages';
-import { retryMs, Watchdog, type LinkState } from './watchdog';
+import { LATE_MS, retryMs, Watchdog, type LinkState } from './watchdog';
 
 const TICK_MS = 100;
 const PING_MS = 500;
@@ -31,6 +31,10 @@ export class Connection {
   private attempt = 0;
   private retryAtMs: number | null = null;
   private pingedMs = 0;
+  /** When the pings were sent that wait for an answer, oldest first: it comes in line behind everything else. */
+  private unanswered: number[] = [];
+  /** Whether this socket's snapshot has come: until then, what is known is what an earlier one said. */
+  private synced = false;
   private rttMs: number | null = null;
   private frames: number[] = [];
   private lastSeq: number | null = null;
@@ -63,6 +67,8 @@ export class Connection {
 
   private open(): void {
     this.retryAtMs = null;
+    this.unanswered = [];
+    this.synced = false;
     this.dog.opened(this.now());
     const socket = this.make(this.url, SUBPROTOCOL);
     socket.binaryType = 'arraybuffer';
@@ -107,9 +113,11 @@ export class Connection {
     const message = JSON.parse(data) as Down;
     if (message.type === 'pong') {
       this.rttMs = now - message.at_ms;
+      this.unanswered = this.unanswered.filter((at) => at > message.at_ms);
       return;
     }
     if (message.type === 'welcome') this.welcomed(message.boot);
+    if (message.type === 'snapshot') this.synced = true;
     if (message.type === 'snapshot' || message.type === 'update') this.lastSeq = message.seq;
     this.listener.message(message);
   }
@@ -130,11 +138,18 @@ export class Connection {
     if (this.retryAtMs !== null && now >= this.retryAtMs) this.open();
     if (now - this.pingedMs >= PING_MS) {
       this.pingedMs = now;
+      if (this.synced) this.unanswered.push(now);
       this.send({ type: 'ping', at_ms: now });
     }
     this.frames = this.frames.filter((at) => now - at < 1_000);
-    const up = this.socket !== null;
-    const state = up ? this.dog.state(now) : 'down';
+    const state = this.state(now);
     this.listener.health({ state, rttMs: state === 'up' ? this.rttMs : null, framesPerS: this.frames.length });
+  }
+
+  private state(now: number): LinkState {
+    const heard = this.socket === null ? 'down' : this.dog.state(now);
+    if (heard !== 'up') return heard;
+    if (!this.synced) return 'connecting';
+    return now - (this.unanswered[0] ?? now) > LATE_MS ? 'late' : 'up';
   }
 }

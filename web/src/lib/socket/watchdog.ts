@@ -1,9 +1,12 @@
 /** How long the link may be silent before the console says that it is down. The server beats every 200 ms. */
 export const SILENT_MS = 700;
+/** How far what comes may lag behind before it is no longer the present: so long a ping may wait for its answer. */
+export const LATE_MS = 1_000;
 /** How long a silent socket is waited for before it is given up and another is opened. */
 export const GIVE_UP_MS = 2_500;
 
-export type LinkState = 'connecting' | 'up' | 'down';
+/** `connecting`: nothing of this socket's own yet, as no snapshot has come; `late`: what comes is no longer the present. */
+export type LinkState = 'connecting' | 'up' | 'late' | 'down';
 
 /** Decides from times alone whether the link is up; the caller brings the clock. */
 export class Watchdog {

@@ -1,3 +1,8 @@
+/** The server's word for a moment, ms since the epoch; NaN where it is none. */
+export function serverMs(at: string | number): number {
+  return typeof at === 'number' ? at * 1000 : Date.parse(at);
+}
+
 /** The time everything on screen is told by: the server's wall clock, as far as its beats let us know it. */
 class Clock {
   /** Server's wall clock, ms since the epoch; steps four times a second. */
@@ -11,9 +16,9 @@ class Clock {
 
   /** Takes the server's time from a message that just came. */
   sync(at: string | number): void {
-    const serverMs = typeof at === 'number' ? at * 1000 : Date.parse(at);
-    if (!Number.isFinite(serverMs)) return;
-    const offset = serverMs - Date.now();
+    const ms = serverMs(at);
+    if (!Number.isFinite(ms)) return;
+    const offset = ms - Date.now();
     // The least delayed message tells best; drift and a stepped clock still come through.
     this.offsetMs = !this.synced || offset > this.offsetMs || this.offsetMs - offset > 500 ? offset : this.offsetMs;
     this.synced = true;

@@ -4,8 +4,9 @@ import type { Health } from '../socket/connection';
 import type { PoseFrame } from '../socket/frame';
 import { Link } from '../socket/link';
 import type { Down, Jog, Scene } from '../socket/messages';
-import { clock } from './clock.svelte';
+import { clock, serverMs } from './clock.svelte';
 import { fromSnapshot, merged, NOTHING, type Documents } from './documents';
+import { Pace } from './pace';
 
 export interface SceneInfo {
   scene: Scene;
@@ -39,11 +40,14 @@ export class Console {
   jogRefused = $state<string | null>(null);
   policy = $state.raw<PolicySet | null>(null);
   capabilities = $state.raw<Record<string, Capability>>({});
-  /** When the last word came that is shown, server's wall clock in ms. */
+  /** Of when what is shown is, server's wall clock in ms. */
   heardAtMs = $state<number | null>(null);
 
   private readonly link: Link;
   private frameListeners: readonly FrameListener[] = [];
+  /** What the server said last; `docs` follows as fast as the page can draw it. */
+  private latest: Documents = NOTHING;
+  private readonly pace = new Pace(() => this.draw());
 
   constructor(token: string) {
     this.api = new Api(token);
@@ -120,21 +124,27 @@ export class Console {
         void this.fetchPolicy();
         break;
       case 'snapshot':
-        this.docs = fromSnapshot(message, this.docs);
-        this.watchFirst();
+        this.latest = fromSnapshot(message, this.latest);
+        this.heardAtMs = clock.read();
+        this.draw(); // at once: from now on it is the present
         break;
       case 'update':
-        this.docs = merged(this.docs, message);
-        this.watchFirst();
+        this.latest = merged(this.latest, message);
+        this.pace.ask();
         if (message.events?.some((event) => event.kind === 'policy_activated') === true) void this.fetchPolicy();
         break;
       case 'beat':
-        clock.sync(message.at);
+        this.heardAtMs = serverMs(message.at);
+        if (this.live) clock.sync(message.at); // one that comes late tells the time wrong
         break;
       default:
         this.takeAboutCell(message);
     }
-    this.heardAtMs = clock.read();
+  }
+
+  private draw(): void {
+    this.docs = this.latest;
+    this.watchFirst();
   }
 
   private takeAboutCell(message: Down): void {

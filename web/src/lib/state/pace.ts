@@ -1,0 +1,62 @@
+/** The least time between two drawings, ms: what the server sends at most as often. */
+export const LEAST_MS = 33;
+/** Of its time a page gives at most one part in so many to drawing what comes; the rest is for whoever presses a key. */
+export const SHARE = 4;
+
+/**
+ * Draws what comes at the pace the page can keep: at once after a quiet moment, then the less often the longer a drawing
+ * takes. A flood of proposals must not keep an operator from being heard.
+ */
+export class Pace {
+  private wanted = false;
+  private running = false;
+
+  /**
+   * @param draw what is to be done when there is something new.
+   * @param drawn resolves when the page has done what came of it.
+   */
+  constructor(
+    private readonly draw: () => void,
+    private readonly drawn: () => Promise<void> = nextTask,
+    private readonly now: () => number = () => performance.now(),
+  ) {}
+
+  /** There is something new. */
+  ask(): void {
+    this.wanted = true;
+    if (!this.running) void this.run();
+  }
+
+  private async run(): Promise<void> {
+    this.running = true;
+    try {
+      while (this.wanted) {
+        this.wanted = false;
+        const began = this.now();
+        this.draw();
+        await this.drawn();
+        const took = this.now() - began;
+        // A hidden page's timers may be late by a minute, and nobody presses keys there.
+        if (!hidden()) await pause(Math.max(LEAST_MS - took, (SHARE - 1) * took));
+      }
+    } finally {
+      this.running = false;
+    }
+  }
+}
+
+function hidden(): boolean {
+  return typeof document !== 'undefined' && document.hidden;
+}
+
+function pause(ms: number): Promise<void> {
+  return new Promise((resolve) => setTimeout(resolve, ms));
+}
+
+function nextTask(): Promise<void> {
+  return new Promise((resolve) => {
+    const { port1, port2 } = new MessageChannel();
+    port1.onmessage = () => resolve();
+    port2.postMessage(null);
+  });
+}

@@ -1,0 +1,53 @@
+import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
+import { LEAST_MS, Pace, SHARE } from '../src/lib/state/pace';
+
+describe('the pace of drawing', () => {
+  const COST_MS = 50;
+  let drawn: number[];
+  let pace: Pace;
+
+  beforeEach(() => {
+    vi.useFakeTimers({ now: 0 });
+    drawn = [];
+    const cost = (): Promise<void> => new Promise((resolve) => setTimeout(resolve, COST_MS));
+    pace = new Pace(() => drawn.push(Date.now()), cost, () => Date.now());
+  });
+  afterEach(() => {
+    vi.useRealTimers();
+  });
+
+  it('draws at once after a quiet moment, and once for what comes together', async () => {
+    pace.ask();
+    pace.ask();
+    expect(drawn).toEqual([0]);
+    await vi.advanceTimersByTimeAsync(10_000);
+    expect(drawn).toEqual([0, SHARE * COST_MS]);
+    pace.ask();
+    expect(drawn.at(-1)).toBe(10_000);
+  });
+
+  it('leaves most of the time to whoever presses a key, whatever floods in', async () => {
+    for (let at = 0; at < 4_000; at += 5) {
+      pace.ask();
+      await vi.advanceTimersByTimeAsync(5);
+    }
+    expect(drawn.length * COST_MS).toBeLessThanOrEqual(4_000 / SHARE + COST_MS);
+    expect(drawn.length).toBeGreaterThan(4_000 / SHARE / COST_MS / 2);
+    expect(LEAST_MS).toBeLessThan(SHARE * COST_MS);
+  });
+
+  it('goes on after a drawing that failed', async () => {
+    let fails = true;
+    const failing = new Pace(() => {
+      drawn.push(Date.now());
+      if (fails) throw new Error('no such thing');
+    }, () => Promise.resolve());
+    const failed = vi.fn();
+    process.once('unhandledRejection', failed);
+    failing.ask();
+    await vi.advanceTimersByTimeAsync(0);
+    fails = false;
+    failing.ask();
+    expect(drawn.length).toBe(2);
+  });
+});
