@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 import pytest
 from playwright.sync_api import Route, expect
 
-from tests.conftest import ServerProcess, until
+from tests.conftest import ServerProcess, Servers, until
 from tests.console.conftest import Floor, People
 from tests.console.wire import Wire, wire_to
 
@@ -40,6 +40,7 @@ def test_a_link_that_goes_is_told_and_what_came_meanwhile_is_there_when_it_is_ba
         how(wire)
         told_after_ms = person.page.evaluate(SAYS_SO)
         assert told_after_ms <= 1_000
+        expect(header.get_by_text("Nobody")).to_have_count(0)
         expect(person.alert("Link down.")).to_contain_text("STOP is still sent")
         expect(header).to_contain_text("Not known")
         expect(person.page.locator(".live .stale").first).to_be_visible()
@@ -50,6 +51,30 @@ def test_a_link_that_goes_is_told_and_what_came_meanwhile_is_there_when_it_is_ba
         expect(person.page.locator(".live .stale")).to_have_count(0)
         person.button(re.compile("^Deny")).click()
         assert floor.settled(asked["id"])["status"] == "denied"
+
+
+def test_a_server_that_is_killed_and_started_again_finds_the_console_waiting(
+    built: None, servers: Servers, people: People
+) -> None:
+    killed = servers.start(None, "--pace", "1")
+    asked = {"capability": "grasp_object", "params": {"object_id": "mug_1"}}
+    body = killed.post("/v1/invocations", asked, key="agent").json()
+    person = people.sit(killed)
+    person.expects(BROKEN)
+    question = person.page.get_by_role("article", name="Grasp mug_1")
+    expect(question).to_be_visible()
+    killed.kill()
+    assert person.page.evaluate(SAYS_SO) <= 1_000
+    person.press(".")
+    expect(person.page.locator("header").get_by_role("button", name="stopping")).to_be_visible()
+    started = servers.start(killed.data, "--port", str(urlsplit(killed.url).port), "--pace", "1")
+    assert started.url == killed.url
+    expect(person.alert("Link down.")).to_have_count(0)
+    expect(person.page.locator(".live .stale")).to_have_count(0)
+    expect(question).to_be_visible()
+    expect(person.region("Events")).to_contain_text("Server started")
+    until(lambda: started.cell()["latched"] or person.page.wait_for_timeout(20), what="the stop, sent again")
+    assert started.get(f"/v1/invocations/{body['id']}")["status"] == "awaiting_approval"
 
 
 def test_a_page_that_the_server_does_not_hand_over_says_so_and_comes_when_it_is_back(
