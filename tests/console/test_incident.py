@@ -11,7 +11,7 @@ import pytest
 from playwright.sync_api import Locator, expect
 
 from tests.conftest import ServerProcess, Servers, until
-from tests.console.conftest import PHONE, People, Person, out_of_reach, stop, wider_than_the_screen
+from tests.console.conftest import PHONE, People, Person, box, out_of_reach, stop, wider_than_the_screen
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 FIRST = "Grasp mug_1"
@@ -44,17 +44,26 @@ class Incident:
     server: ServerProcess
     made: list[str] = field(default_factory=list)
 
-    def begin(self) -> None:
+    def begin(self, person: Person) -> None:
+        """Ask the first, and the rest when somebody has it before them: what is open stays open."""
         for cell, capability, params in ASKED:
             body = {"capability": capability, "params": params, "cell": cell}
             proposed = self.server.post("/v1/invocations", body, key="agent").json()
             assert proposed["status"] == "awaiting_approval", proposed["admission"]
             self.made.append(proposed["id"])
+            if len(self.made) == 1:
+                expect(cards(person)).to_have_accessible_name(FIRST)
+
+    def drive(self, cell: str, **params: Any) -> None:
+        body = {"capability": "navigate_to", "params": params, "cell": cell}
+        proposed = self.server.post("/v1/invocations", body, key="agent").json()
+        assert proposed["status"] == "running", proposed["admission"]
+        self.made.append(proposed["id"])
 
     def clear(self) -> None:
         for invocation in self.made:
             self.server.post(f"/v1/invocations/{invocation}/cancel")
-            self.server.await_status(invocation, "denied")
+            self.server.await_status(invocation, "denied", "failed", "completed")
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +107,7 @@ def test_five_at_once_are_sorted_counted_and_told_in_two_sentences(
 ) -> None:
     person = people.sit(server)
     person.page.evaluate(LISTEN)
-    incident.begin()
+    incident.begin(person)
     expect(rows(person)).to_have_count(4)
     expect(cards(person)).to_have_accessible_name(FIRST)
     expect(rows(person)).to_have_text([re.compile(rf"^\s*{title}.*[12]:\d\d\s*$", re.DOTALL) for title in REST])
@@ -120,7 +129,7 @@ def test_an_incident_is_worked_off_by_keyboard_the_gravest_first(
     server: ServerProcess, people: People, incident: Incident
 ) -> None:
     person = people.sit(server)
-    incident.begin()
+    incident.begin(person)
     expect(rows(person)).to_have_count(4)
     expect(person.button(f"Open the most urgent question: {REST[0]}")).to_contain_text("2 more urgent")
     person.press("x")
@@ -141,7 +150,7 @@ def test_in_an_incident_on_a_phone_answers_and_stop_stay_in_reach(
     server: ServerProcess, people: People, incident: Incident
 ) -> None:
     person = people.sit(server, size=PHONE)
-    incident.begin()
+    incident.begin(person)
     expect(rows(person)).to_have_count(4)
     more = person.button(f"Open the most urgent question: {REST[0]}")
     expect(more).to_be_in_viewport(ratio=1)
@@ -157,3 +166,21 @@ def test_in_an_incident_on_a_phone_answers_and_stop_stay_in_reach(
     deny(person).tap()
     expect(rows(person)).to_have_count(3)
     expect(cards(person)).to_have_accessible_name(REST[1])
+
+
+def test_on_a_phone_the_session_and_a_question_share_a_line_above_the_stop_and_the_stop_names_its_cell(
+    server: ServerProcess, people: People, incident: Incident
+) -> None:
+    person = people.sit(server, size=PHONE)
+    incident.begin(person)
+    expect(rows(person)).to_have_count(4)
+    incident.drive("workcell-1", target="dock")
+    back, named = person.button("Roll back"), person.page.locator("footer .docked")
+    expect(back).to_be_in_viewport(ratio=1)
+    expect(named).to_contain_text(FIRST)
+    line, name, answer = box(back), box(named), box(deny(person))
+    assert line["y"] <= name["y"] + name["height"] / 2 <= line["y"] + line["height"] <= answer["y"]
+    assert name["x"] + name["width"] <= box(person.button("Pause"))["x"]
+    expect(stop(person)).to_contain_text("workcell-1")
+    assert out_of_reach(stop(person)) == []
+    assert wider_than_the_screen(person.page) == []
