@@ -14,6 +14,7 @@ from tests.console.conftest import DESK, FLAGS, PHONE, ROOT, Floor, People, Pers
 
 FOLDER = ROOT / "docs" / "pictures"
 LIMIT_B = 300_000
+CANDIDATE_WHY = "mugs slip at 60 N"
 SIZES = {"desk": DESK, "phone": PHONE}
 # Somebody walks up to the robot on its third drive, and stays until the pictures are taken.
 SCENARIO = """summary: Somebody walks up to the robot while it drives, and stays.
@@ -32,7 +33,9 @@ def shoot(person: Person, name: str) -> None:
 
 
 def live(person: Person) -> None:
-    expect(person.page.get_by_role("article", name="Drive to bench_b")).to_be_visible()
+    asked = person.page.get_by_role("article", name="Drive to bench_b")
+    # Nothing else holds the robot: a cell whose link broke off on a busy machine makes another picture.
+    expect(asked).to_contain_text("A person stayed inside the protective distance.")
 
 
 def takeover(person: Person) -> None:
@@ -62,6 +65,39 @@ def fleet(person: Person) -> None:
     expect(person.page.get_by_role("heading", name="Fleet")).to_be_visible()
 
 
+def versions(person: Person) -> None:
+    person.page.evaluate("location.hash = '#/policy/Versions'")
+    person.region("Versions").get_by_role("link").filter(has_text=CANDIDATE_WHY).click()
+    expect(person.page.get_by_role("region", name="What it would change")).to_contain_text("Loosens")
+
+
+def keep_candidate(server: ServerProcess) -> None:
+    """Have an engineer bring a version that grips harder; it is not put in force."""
+    with server.client("engineer") as client:
+        digest = client.get("/v1/policies").json()["items"][0]["digest"]
+        files = client.get(f"/v1/policies/{digest}/files").json()["files"]
+        profile = files["profiles/human-shared.yaml"]
+        files = {name: text for name, text in files.items() if not name.startswith("tests/")}
+        files["profiles/human-shared.yaml"] = profile.replace("grip_force_n: {max: 60,", "grip_force_n: {max: 70,")
+        assert files["profiles/human-shared.yaml"] != profile
+        kept = client.post("/v1/policies", json={"files": files, "why": CANDIDATE_WHY})
+        assert kept.is_success, kept.text
+
+
+def picture(people: People, server: ServerProcess, lead: Callable[[Person], None], name: str, key: str) -> None:
+    """Seat one person, lead them to a view, and shoot: several drawing at once take the time from the cell."""
+    _, size, theme = name.rsplit("-", 2)
+    person = people.sit(server, key, size=SIZES[size], theme=theme)
+    lead(person)
+    shoot(person, name)
+    leave(people)
+
+
+def leave(people: People) -> None:
+    assert people.leave() == []
+    people.seated.clear()
+
+
 def take(people: People, server: ServerProcess) -> None:
     floor = Floor(server)
     x, y = floor.base()
@@ -69,23 +105,24 @@ def take(people: People, server: ServerProcess) -> None:
     server.await_status(ended, "completed")
     server.await_status(floor.drive(target="bench_a_stand")["id"], "completed")
     until(lambda: server.get(f"/v1/audit/events?invocation={ended}&kind=telemetry")["items"], what="its telemetry")
-    seated = {name: people.sit(server, size=size) for name, size in SIZES.items()}
-    light = {name: people.sit(server, size=size, theme="light") for name, size in SIZES.items()}
+    keep_candidate(server)
+    person = people.sit(server)  # there from the start: the plots tell how it came
     held = floor.drive(target="bench_b_stand")["id"]
     server.await_status(held, "escalated")
-    for theme, group in (("dark", seated), ("light", light)):
-        for name, person in group.items():
-            live(person)
-            shoot(person, f"live-{name}-{theme}")
-    for view, lead in (("audit", audit(ended)), ("policy", policy), ("fleet", fleet)):
-        for name, person in seated.items():
-            lead(person)
-            shoot(person, f"{view}-{name}-dark")
-    people.leave()
-    for name, size in SIZES.items():
-        person = people.sit(server, size=size)
+    live(person)
+    shoot(person, "live-desk-dark")
+    leave(people)
+    for name in ("live-phone-dark", "live-desk-light", "live-phone-light"):
+        picture(people, server, live, name, "operator")
+    views = [("audit", audit(ended), "operator"), ("policy", policy, "operator")]
+    views += [("versions", versions, "engineer"), ("fleet", fleet, "operator")]
+    for view, lead, key in views:
+        for size in SIZES:
+            picture(people, server, lead, f"{view}-{size}-dark", key)
+    for size in SIZES:
+        person = people.sit(server, size=SIZES[size])
         takeover(person)
-        shoot(person, f"takeover-{name}-dark")
+        shoot(person, f"takeover-{size}-dark")
         person.button("End session").click()
         server.await_status(held, "failed", "completed")
         person.context.close()
