@@ -124,6 +124,20 @@ describe('a decision', () => {
     expect(sent).toEqual([{ decision: 'deny', digest: 'sha256:1', code: 'person_in_the_way' }]);
   });
 
+  it('takes no second answer while the card of an answered question is still there', async () => {
+    const decision = decide();
+    await decision.approve();
+    await decision.deny();
+    expect([sent.length, decision.ready]).toEqual([1, false]);
+  });
+
+  it('can be given again where one approval was not enough', async () => {
+    reply = () => Promise.resolve(escalation({ digest: 'sha256:2' }));
+    const decision = decide();
+    await decision.approve();
+    expect(decision.ready).toBe(true);
+  });
+
   it('is sent once, and says in words why the server would not have it', async () => {
     reply = () => Promise.reject(new ApiError({ title: '', status: 409, detail: 'x', code: 'already_resolved' }));
     const decision = decide();

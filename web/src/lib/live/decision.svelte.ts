@@ -95,15 +95,18 @@ export class Decision {
   private async send(answer: Answer): Promise<Escalation | null> {
     this.sending = answer.decision;
     this.problem = '';
+    let over = false;
     try {
-      return await this.api.resolve(this.asked.id, answer);
+      const answered = await this.api.resolve(this.asked.id, answer);
+      over = answered.status !== 'pending'; // the card goes with the next update; until then it takes no second answer
+      return answered;
     } catch (error) {
       const code = error instanceof ApiError ? error.code : '';
       const reasons = error instanceof ApiError ? (error.problem.reasons ?? []).map((reason) => reason.message) : [];
       this.problem = [WORDS[code] ?? String(error instanceof Error ? error.message : error), ...reasons].join(' ');
       return null;
     } finally {
-      this.sending = null;
+      if (!over) this.sending = null;
     }
   }
 }
