@@ -15,6 +15,7 @@ export interface Documents {
 
 export const EVENTS_KEPT = 1_000;
 export const INVOCATIONS_KEPT = 200;
+export const VERDICTS_KEPT = 100;
 
 export const NOTHING: Documents = { seq: 0, cells: {}, invocations: {}, escalations: {}, grants: {}, reviews: {}, events: [] };
 
@@ -33,8 +34,8 @@ export function merged(before: Documents, changes: Changes): Documents {
     cells: put(before.cells, changes.cells),
     invocations: newest(put(before.invocations, changes.invocations)),
     escalations: pendingOnly(put(before.escalations, changes.escalations)),
-    grants: put(before.grants, changes.grants),
-    reviews: put(before.reviews, changes.reviews),
+    grants: standing(put(before.grants, changes.grants)),
+    reviews: judged(put(before.reviews, changes.reviews)),
     events: appended(before.events, changes.events),
   };
 }
@@ -46,16 +47,38 @@ function put<T extends { id: string }>(before: Record<string, T>, changed: reado
 
 /** An answered question waits for nobody; its invocation still tells what became of it. */
 function pendingOnly(all: Record<string, Escalation>): Record<string, Escalation> {
-  const items = Object.entries(all);
-  const open = items.filter(([, item]) => item.status === 'pending');
-  return open.length === items.length ? all : Object.fromEntries(open);
+  return only(all, (item) => item.status === 'pending');
 }
 
+/** A grant that has ended answers for nobody any more. */
+function standing(all: Record<string, Grant>): Record<string, Grant> {
+  return only(all, (item) => item.status === 'active');
+}
+
+/** What waits for a verdict is kept until it has one; of the rest, the newest. */
+function judged(all: Record<string, Review>): Record<string, Review> {
+  return bounded(all, (item) => item.status === 'waiting', (item) => item.verdict?.at ?? item.created_at, VERDICTS_KEPT);
+}
+
+/** What is not over is kept whatever comes after it: no flood of refusals hides the session that runs. */
 function newest(all: Record<string, Invocation>): Record<string, Invocation> {
+  return bounded(all, (item) => item.outcome === null, (item) => item.created_at, INVOCATIONS_KEPT);
+}
+
+function only<T>(all: Record<string, T>, wanted: (item: T) => boolean): Record<string, T> {
   const items = Object.entries(all);
-  if (items.length <= INVOCATIONS_KEPT) return all;
-  items.sort(([, a], [, b]) => b.created_at.localeCompare(a.created_at));
-  return Object.fromEntries(items.slice(0, INVOCATIONS_KEPT));
+  const left = items.filter(([, item]) => wanted(item));
+  return left.length === items.length ? all : Object.fromEntries(left);
+}
+
+/** Keeps what is open, and of the rest the newest, `most` of them. Times are ISO 8601 in UTC: their text has their order. */
+function bounded<T>(all: Record<string, T>, open: (item: T) => boolean, at: (item: T) => string, most: number): Record<string, T> {
+  const items = Object.entries(all);
+  const over = items.filter(([, item]) => !open(item));
+  if (over.length <= most) return all;
+  over.sort(([, a], [, b]) => (at(a) < at(b) ? 1 : -1));
+  const dropped = new Set(over.slice(most).map(([id]) => id));
+  return Object.fromEntries(items.filter(([id]) => !dropped.has(id)));
 }
 
 function appended(before: LogEvent[], more: readonly LogEvent[] | undefined): LogEvent[] {
