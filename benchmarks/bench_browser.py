@@ -6,7 +6,9 @@ Prints
   (at most 1.5 s on loopback);
 - a proposal that waits for a person: from before it is posted until its card is on the screen (p95 at most 150 ms);
 - poses applied to the 3D view per second (at least 25), and pictures drawn, which hang on the graphics card;
-- with `--minutes`, the slope of the page's heap while it streams, after a warm-up in which every bounded list fills.
+- with `--minutes`, the slope of the page's heap while it streams, after a warm-up in which every bounded list fills
+  with what will go through it: a list that changes what it holds is as little flat as one that fills. Short drives
+  leave the records of long ones: the warm-up has as many as the console keeps sessions, however long that takes.
 
 Chromium draws in software where there is no graphics card, and takes the processor's time from the server it watches.
 
@@ -16,6 +18,7 @@ Chromium draws in software where there is no graphics card, and takes the proces
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import random
 import shutil
@@ -26,7 +29,9 @@ import tempfile
 import threading
 import time
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -39,8 +44,14 @@ PLACES = ("/usr/lib/chromium/chromium", "chromium", "chromium-browser", "google-
 FLAGS = ("--no-sandbox", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage", "--mute-audio")
 DESK = {"width": 1440, "height": 900}
 PATIENCE_MS = 60_000
-KEPT_EVENTS = 1_000  # as the console keeps them: a heap that fills a list has not grown
+KEPT_INVOCATIONS = 200  # as the console keeps them: a heap that fills a list has not grown
+KEPT_EVENTS = 1_000
 LOOK_S = 15.0
+LOOKS = 3
+FILLED_S = 1_800.0  # a warm-up that has not filled every list by then never will
+UNDER_WAY = frozenset({"running", "paused", "recovering", "escalated"})
+FAR = ({"target": "dock"}, {"target": "bench_a_stand"})
+NEAR = tuple({"x_m": 1.6, "y_m": y_m, "yaw_rad": 1.5708} for y_m in (4.5, 4.6))  # bench_a_stand, and a step back
 # Notes, in the page's own time: the first drawn cell, every card, every frame that was applied, every picture.
 NOTES = """
     window.notes = { drawn: 0, cards: [], frames: 0, pictures: 0 };
@@ -76,6 +87,7 @@ class Served:
     port: int
     tokens: dict[str, str]
     ended: threading.Event = field(default_factory=threading.Event)
+    drives: Counter[str] = field(default_factory=Counter[str])  # by outcome
 
     def call(self, method: str, path: str, body: Any = None, key: str = "operator") -> Any:
         headers = {"Authorization": f"Bearer {self.tokens[key]}", "Content-Type": "application/json"}
@@ -87,26 +99,43 @@ class Served:
     def propose(self, capability: str, **params: Any) -> dict[str, Any]:
         return self.call("POST", "/v1/invocations", {"capability": capability, "params": params}, "agent")
 
-    def drive_on(self) -> None:
+    def drive(self, goal: Mapping[str, Any]) -> None:
+        """Drive there. A watcher that asks gets no answer here: what is escalated is cancelled, to free the cell."""
+        made = self.propose("navigate_to", **goal)
+        cancelled = False
+        while not self.ended.is_set() and made["status"] in UNDER_WAY:
+            if made["status"] == "escalated" and not cancelled:
+                self.call("POST", f"/v1/invocations/{made['id']}/cancel", {})
+                cancelled = True
+            made = self.call("GET", f"/v1/invocations/{made['id']}?wait=1")
+        if made["status"] in UNDER_WAY:
+            return
+        self.drives[made["outcome"]] += 1
+        if made["outcome"] != "succeeded":
+            self.ended.wait(1.0)  # proposals that are refused must not take the place of drives
+
+    def drive_on(self, goals: Sequence[Mapping[str, Any]]) -> None:
         """Have the base drive to and fro until told otherwise."""
-        goals = ("dock", "bench_a_stand")
-        while not self.ended.is_set():
-            for goal in goals:
-                made = self.propose("navigate_to", target=goal)
-                while not self.ended.is_set() and made["status"] in ("running", "paused", "recovering"):
-                    made = self.call("GET", f"/v1/invocations/{made['id']}?wait=1")
-            self.ended.wait(0.5)
+        for goal in itertools.cycle(goals):
+            if self.ended.is_set():
+                return
+            self.drive(goal)
 
     @contextmanager
-    def driving(self) -> Iterator[None]:
+    def driving(self, goals: Sequence[Mapping[str, Any]] = FAR) -> Iterator[Future[None]]:
         self.ended.clear()
-        driver = threading.Thread(target=self.drive_on)
-        driver.start()
-        try:
-            yield
-        finally:
-            self.ended.set()
-            driver.join()
+        self.drives.clear()
+        with ThreadPoolExecutor(1) as pool:
+            driver = pool.submit(self.drive_on, goals)
+            try:
+                yield driver
+            finally:
+                self.ended.set()
+            driver.result()  # raises what ended the driving early
+
+    def logged(self) -> int:
+        """Return how many events the record holds."""
+        return self.call("GET", "/v1/audit/checkpoint", key="auditor")["size"]
 
 
 @contextmanager
@@ -191,19 +220,36 @@ def poses(browser: Browser, served: Served, seconds: float) -> None:
 
 
 def heap(browser: Browser, served: Served, minutes: float, warm_up: float) -> None:
-    with page_of(browser, served) as (context, page), served.driving():
+    points: list[tuple[float, float]] = []
+    with page_of(browser, served) as (context, page):
         sign_in(page, served)
-        for _ in range(KEPT_EVENTS // 3):  # each leaves three events or more
-            served.propose("grasp_object", object_id="solvent_1")
         line = context.new_cdp_session(page)
-        sample(line, page, warm_up * 60.0, lambda _at, _size: None)
-        points: list[tuple[float, float]] = []
+        logged = served.logged()
+        with served.driving(NEAR) as driver:
+
+            def warm(at_s: float) -> bool:
+                full = served.drives["succeeded"] >= KEPT_INVOCATIONS
+                return driver.done() or at_s > FILLED_S or (full and at_s >= warm_up * 60.0)
+
+            warmed_s = sample(line, page, warm, lambda _at, _size: None)
+        filled = served.drives.copy()
+        assert filled["succeeded"] >= KEPT_INVOCATIONS, f"the list of sessions is not full: {counted(filled)}"
+        assert served.logged() - logged >= KEPT_EVENTS, "the list of events is not full"
         before = page.evaluate("window.notes.frames")
-        sample(line, page, minutes * 60.0, lambda at_s, size_b: points.append((at_s / 60.0, size_b / 1000.0)))
+        with served.driving() as driver:
+            sample(
+                line,
+                page,
+                lambda at_s: driver.done() or at_s >= minutes * 60.0,
+                lambda at_s, size_b: points.append((at_s / 60.0, size_b / 1000.0)),
+            )
         frames = page.evaluate("window.notes.frames") - before
     slope, error = trend(points)
     first, last = points[0][1], points[-1][1]
-    print(f"heap of the page, {minutes:g} minutes of streaming after {warm_up:g} of warm-up, {frames} frames:")
+    print(
+        f"heap of the page, {minutes:g} minutes of streaming after {warmed_s / 60.0:.1f} of warm-up, {frames} frames:"
+    )
+    print(f"  drives in the warm-up: {counted(filled)}; measured: {counted(served.drives)}")
     print(f"  {first:.0f} kB at first, {last:.0f} kB at last, least {min(size for _, size in points):.0f} kB")
     print(
         f"  slope {slope:+.1f} ± {error:.1f} kB a minute (95 %): flat where the interval holds 0 or growth is under 1 %"
@@ -211,13 +257,23 @@ def heap(browser: Browser, served: Served, minutes: float, warm_up: float) -> No
     print(f"  growth over 30 minutes at that slope {30 * slope / first:+.2%}")
 
 
-def sample(line: CDPSession, page: Page, seconds: float, take: Callable[[float, float], None]) -> None:
-    """Take the heap's size after a full collection, every `LOOK_S`."""
+def counted(outcomes: Counter[str]) -> str:
+    return ", ".join(f"{count} {outcome}" for outcome, count in outcomes.most_common()) or "none"
+
+
+def sample(line: CDPSession, page: Page, over: Callable[[float], bool], take: Callable[[float, float], None]) -> float:
+    """Take the heap's size after a full collection every `LOOK_S`, until it is `over`; returns the seconds spent."""
     began_s = time.perf_counter()
-    while (at_s := time.perf_counter() - began_s) < seconds:
-        line.send("HeapProfiler.collectGarbage")
-        take(at_s, line.send("Runtime.getHeapUsage")["usedSize"])
+    while not over(at_s := time.perf_counter() - began_s):
+        take(at_s, min(held(line) for _ in range(LOOKS)))
         page.wait_for_timeout(LOOK_S * 1000)
+    return at_s
+
+
+def held(line: CDPSession) -> int:
+    """Return the heap's bytes after a full collection; what the page has since dropped is among them: least is best."""
+    line.send("HeapProfiler.collectGarbage")
+    return line.send("Runtime.getHeapUsage")["usedSize"]
 
 
 def trend(points: list[tuple[float, float]]) -> tuple[float, float]:
