@@ -24,6 +24,8 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from app import __version__
 from app.api.application import create_app
 from app.api.auth import CELL_TOKEN_FILE, PrincipalsUnreadable, open_principals
+from app.api.console import MAX_FRAME_BYTES
+from app.api.console import PATH as CONSOLE_PATH
 from app.assayer import Assayer
 from app.audit.errors import AuditError
 from app.audit.store import AuditStore
@@ -47,6 +49,7 @@ if TYPE_CHECKING:
     from app.runtime.versions import Versions
 
 KEY_BYTES: Final = 32
+LET_GO_S: Final = 2.0  # for a peer to take the last words and close its end
 LEAVE_S: Final = 1  # for requests under way when the server stops
 HAND_OVER_S: Final = 0.0003  # after so long a thread that waits for the interpreter gets it
 
@@ -71,14 +74,27 @@ class DoorServer(uvicorn.Server):
 
 
 class Handshakes(WebSocketsSansIOProtocol):
-    """Uvicorn's websockets, where a refusal with a status of its own (ASGI's denial response) is an answer as well.
+    """Uvicorn's websockets, held open by no peer, and where ASGI's denial response is an answer as well.
 
     Uvicorn marks a handshake as answered when it is accepted or closed, not when it is denied, and then complains of
-    every denial that it was left without an answer.
+    every denial that it was left without an answer. It waits for a peer's half of the close for ten seconds, and for
+    good until the peer has read what was written; and it reads long frames from whoever sends them.
     """
 
+    def __init__(self, *given: Any, **named: Any) -> None:  # noqa: ANN401  # what uvicorn makes it of
+        """Read short frames only: nobody has said yet who they are."""
+        super().__init__(*given, **named)
+        self.conn.max_message_size = MAX_FRAME_BYTES
+
+    def on_task_complete(self, task: asyncio.Task[None]) -> None:
+        """Cut what the application is done with, if the peer does not let go of it."""
+        super().on_task_complete(task)
+        self.loop.call_later(LET_GO_S, self.transport.abort)
+
     async def send(self, message: ASGISendEvent) -> None:
-        """Send one message; the last part of a denial ends the handshake."""
+        """Send one message. A denial's last part ends the handshake; a cell that is let in may say long things."""
+        if message["type"] == "websocket.accept" and self.scope["path"] != CONSOLE_PATH:
+            self.conn.max_message_size = self.config.ws_max_size
         await super().send(message)
         if message["type"] == "websocket.http.response.body" and not message.get("more_body", False):
             self.handshake_complete = True

@@ -39,7 +39,10 @@ HELLO_S: Final = 5.0
 CLOSE_S: Final = 1.0  # for a close frame to get into a socket that may not drain
 STILL_KNOWN_S: Final = 1.0
 MAX_FRAME: Final = 8192  # characters; a `watch` of many cells is the longest there is
+MAX_FRAME_BYTES: Final = 4 * MAX_FRAME  # as UTF-8; the server reads no more of one, whoever sends it
 MOST_FRAMES, WITHIN_S = 2_000, 1.0  # a browser that drives and watches says about sixty a second
+# What is said costs so much of a person's ration: a snapshot, scenes of cells, and little otherwise.
+SIGN_IN_COSTS, WATCH_COSTS, WORD_COSTS = 100, 20, 1
 NO_MESSAGE, BAD_TOKEN, FORBIDDEN, NO_HELLO, NO_SEAT = 4400, 4401, 4403, 4408, 4429
 
 
@@ -128,9 +131,7 @@ async def console(socket: WebSocket) -> None:
     await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
     parts = parts_of(socket)
     try:
-        with _signing_in(parts):
-            _check_origin(socket)
-            hello, principal = await _sign_in(socket, parts)
+        hello, principal = await _sign_in(socket, parts)
         with _seated(parts, principal):
             await Console(socket, parts, principal, hello.token).run(hello.after)
     except WebSocketDisconnect:
@@ -192,7 +193,9 @@ class Console:
     async def _listen(self) -> None:
         taken, since_s = 0, monotonic_s()
         while True:
-            self._take(await _receive(self._socket))
+            word = await _receive(self._socket)
+            self._pay(WATCH_COSTS if isinstance(word, Watch) else WORD_COSTS)
+            self._take(word)
             taken += 1
             if taken < MOST_FRAMES:
                 continue
@@ -200,6 +203,11 @@ class Console:
             if monotonic_s() - since_s < WITHIN_S:
                 raise NotAWord(f"a console says at most {MOST_FRAMES} frames in {WITHIN_S:g} s")
             taken, since_s = 0, monotonic_s()
+
+    def _pay(self, amount: int) -> None:
+        words = self._parts.words
+        if not words.take(self._principal.name, amount):
+            raise NotAWord(f"`{self._principal.name}` says more than {words.most} frames in {words.within_s:g} s")
 
     def _take(self, word: Words) -> None:
         match word:
@@ -236,11 +244,15 @@ class Console:
 
 
 async def _sign_in(socket: WebSocket, parts: Parts) -> tuple[Hello, Principal]:
+    address = "" if socket.client is None else socket.client.host
     try:
-        async with asyncio.timeout(HELLO_S):
+        async with parts.ungreeted.stand(address, HELLO_S):
+            _check_origin(socket)
             hello = await _receive(socket)
     except TimeoutError:
         raise Refused(NO_HELLO, f"nobody signed in within {HELLO_S:.0f} s") from None
+    except Problem as problem:
+        raise Refused(NO_SEAT, problem.detail) from problem
     if not isinstance(hello, Hello):
         raise NotAWord(f"a console begins with `hello`, not with `{hello.type}`")
     if socket.scope["subprotocols"] and SUBPROTOCOL not in socket.scope["subprotocols"]:
@@ -288,17 +300,9 @@ async def _receive(socket: WebSocket) -> Words:
 
 
 @contextlib.contextmanager
-def _signing_in(parts: Parts) -> Generator[None]:
-    """Bound how many sockets may be open that nobody has signed in on."""
-    try:
-        with parts.ungreeted.take(""):
-            yield
-    except Problem as problem:
-        raise Refused(NO_SEAT, problem.detail) from problem
-
-
-@contextlib.contextmanager
 def _seated(parts: Parts, principal: Principal) -> Generator[None]:
+    if not parts.words.take(principal.name, SIGN_IN_COSTS):
+        raise Refused(NO_SEAT, f"`{principal.name}` signs in too often, or says too much: come back in a second")
     try:
         with parts.consoles.take(principal.name):
             yield

@@ -6,7 +6,7 @@ import asyncio
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, cast
 
-from app.api.seats import Seats
+from app.api.seats import Doorstep, Ration, Seats
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -32,6 +32,9 @@ EACH_WAITS: Final = 256
 MAX_CONSOLES: Final = 128
 EACH_CONSOLES: Final = 32
 MAX_UNGREETED: Final = 64  # sockets that nobody has signed in on yet
+# What one person's consoles may say together in a second, as many as they may be.
+EACH_WORDS: Final = 4_000
+WORDS_WITHIN_S: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,9 +62,8 @@ class Parts:
     consoles: Seats = field(
         default_factory=lambda: Seats(code="too_many_streams", limit=MAX_CONSOLES, each=EACH_CONSOLES)
     )
-    ungreeted: Seats = field(
-        default_factory=lambda: Seats(code="too_many_streams", limit=MAX_UNGREETED, each=MAX_UNGREETED)
-    )
+    ungreeted: Doorstep = field(default_factory=lambda: Doorstep(code="too_many_streams", limit=MAX_UNGREETED))
+    words: Ration = field(default_factory=lambda: Ration(most=EACH_WORDS, within_s=WORDS_WITHIN_S))
     checks: Mapping[str, Callable[[], str | None]] = field(default_factory=dict[str, "Callable[[], str | None]"])
 
 

@@ -32,6 +32,7 @@ from app.api.problems import MEDIA_TYPE, Problem
 from app.audit.store import AuditStore
 from app.clock import monotonic_s, wall_s
 from app.governance.bundle import load
+from app.main import Handshakes
 from app.protocol import (
     Estop,
     Hello,
@@ -311,7 +312,7 @@ async def open_house(folder: Path, profile: str) -> AsyncIterator[House]:
         )
         server = Door(
             uvicorn.Config(
-                app, port=0, log_level="warning", ws="websockets-sansio", ws_per_message_deflate=False, http="httptools"
+                app, port=0, log_level="warning", ws=Handshakes, ws_per_message_deflate=False, http="httptools"
             )
         )
         serving = asyncio.create_task(server.serve())
