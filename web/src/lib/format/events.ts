@@ -252,17 +252,28 @@ export interface Entry {
   event: LogEvent;
   line: Line;
   times: number;
+  /** The cell it was in; null where that is not said. */
+  cell: string | null;
+}
+
+/** Where something happened: as the event says, or as its session does, or because a cell said it itself. */
+export function cellOf(event: LogEvent, { cells, invocations }: { cells: Record<string, unknown>; invocations: Record<string, { cell: string | null }> }): string | null {
+  const said = str(event.body['cell']);
+  if (said !== '') return said;
+  const session = event.invocation === null ? undefined : invocations[event.invocation];
+  return session?.cell ?? (event.actor in cells ? event.actor : null);
 }
 
 /** Returns the newest events first, those that say the same in a row as one: a hand on the controls says much. */
-export function entriesOf(events: readonly LogEvent[], most: number): Entry[] {
+export function entriesOf(events: readonly LogEvent[], most: number, where: (event: LogEvent) => string | null = () => null): Entry[] {
   const entries: Entry[] = [];
   for (const event of events.toReversed()) {
     const line = eventLine(event);
+    const cell = where(event);
     const above = entries.at(-1);
-    if (above !== undefined && sameLine(above, event, line)) above.times += 1;
+    if (above !== undefined && above.cell === cell && sameLine(above, event, line)) above.times += 1;
     else if (entries.length === most) break;
-    else entries.push({ event, line, times: 1 });
+    else entries.push({ event, line, times: 1, cell });
   }
   return entries;
 }

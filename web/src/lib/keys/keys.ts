@@ -3,7 +3,7 @@ export interface Shortcut {
   key: string;
   /** What it does, for the list that `?` opens. */
   says: string;
-  /** Returning false leaves the key to whatever has the focus. */
+  /** Returning false leaves the key to an older registration, and then to whatever has the focus. */
   run: () => unknown;
 }
 
@@ -40,7 +40,7 @@ export class Keys {
   private readonly shortcuts: Shortcut[] = [];
   private stop: () => void = () => undefined;
 
-  /** What the newest registration of a key says counts; returns how to take it back. */
+  /** The newest registration of a key that takes it counts; returns how to take it back. */
   on(key: string, says: string, run: () => unknown): () => void {
     const shortcut = { key, says, run };
     this.shortcuts.push(shortcut);
@@ -66,8 +66,7 @@ export class Keys {
     }
     if (!mayBeShortcut(event, typing)) return false;
     const wanted = event.key.length === 1 ? event.key.toLowerCase() : event.key;
-    const shortcut = this.shortcuts.findLast((known) => known.key === wanted);
-    return shortcut !== undefined && shortcut.run() !== false;
+    return this.shortcuts.findLast((known) => known.key === wanted && known.run() !== false) !== undefined;
   }
 
   /** Listens before anything else on the page does. */
