@@ -1,10 +1,13 @@
 /** Two short tones for a new question, three falling ones for something worse. No sound before the first click or key. */
 let context: AudioContext | null = null;
 
-/** Browsers let sound begin with a gesture only. */
+/** Browsers let sound begin with a gesture only; a finger that has just come down, or Escape, is none yet. */
 export function wakeSound(): void {
+  const gestures = (navigator as { userActivation?: { hasBeenActive: boolean } }).userActivation;
+  if (gestures?.hasBeenActive === false) return;
   context ??= new AudioContext();
-  if (context.state === 'suspended') void context.resume();
+  // A browser that still refuses is asked again with the next gesture; what is said is on screen and read aloud anyway.
+  if (context.state === 'suspended') context.resume().catch(() => undefined);
 }
 
 export function playTones(frequencies: readonly number[]): void {

@@ -1,0 +1,119 @@
+"""Whom the console still knows, and what it lets each do: a token withdrawn, a role that may look, one that may not.
+
+The sound that calls a person is theirs to switch off, by key as well.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import orjson
+import pytest
+from playwright.sync_api import expect
+
+from app.api.auth import PRINCIPALS_FILE, issue_token
+from app.governance.model import Role
+from tests.conftest import ServerProcess, until
+from tests.console.conftest import PHONE, Floor, People, stop
+
+pytestmark = [pytest.mark.browser, pytest.mark.process]
+ANSWERS = re.compile("^(Approve|Deny|I have seen it|Let it go on|End it)")
+CONTROLS = re.compile("^(Pause|Resume|Roll back|Take over|Take the controls|Drive from here|Revoke|Reset)")
+
+
+@pytest.fixture
+def guest(server: ServerProcess) -> Iterator[str]:
+    """The token of an operator who is known for as long as the test wants."""
+    listed = server.data / PRINCIPALS_FILE
+    before = listed.read_bytes()
+    server.tokens["guest"] = issue_token(server.data, name="guest", role=Role.OPERATOR)
+    until(lambda: server.get("/v1/cells", key="guest") if knows(server, "guest") else None, what="a guest who is known")
+    yield "guest"
+    listed.write_bytes(before)
+    until(lambda: not knows(server, "guest"), what="a guest who is forgotten")
+
+
+def knows(server: ServerProcess, key: str) -> bool:
+    with server.client(key) as client:
+        return client.get("/v1/cells").is_success
+
+
+def withdraw(server: ServerProcess, name: str) -> None:
+    listed = server.data / PRINCIPALS_FILE
+    rows = [row for row in orjson.loads(listed.read_bytes())["principals"] if row["name"] != name]
+    listed.write_bytes(orjson.dumps({"principals": rows}))
+
+
+def test_a_token_that_is_withdrawn_ends_the_console_and_what_it_showed(
+    server: ServerProcess, people: People, floor: Floor, guest: str
+) -> None:
+    floor.ask()
+    person, other = people.sit(server, guest), people.sit(server)
+    expect(person.page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
+    withdraw(server, "guest")
+    expect(person.alert("The token is not valid any more.")).to_be_visible()
+    expect(person.page.get_by_label("Token")).to_be_empty()
+    expect(person.page.get_by_role("article")).to_have_count(0)
+    expect(stop(person)).to_have_count(0)
+    assert person.page.evaluate("sessionStorage.getItem('reins.token')") is None
+    expect(other.page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
+    expect(other.page.get_by_text(re.compile(r"^\d+ Hz$"))).to_be_visible()
+
+
+@pytest.mark.parametrize("size", [None, PHONE], ids=["desk", "phone"])
+def test_who_may_only_look_is_offered_nothing_but_the_stop(
+    server: ServerProcess, people: People, floor: Floor, size: dict[str, int] | None
+) -> None:
+    floor.ask()
+    person = people.sit(server, "auditor", size=size)
+    expect(person.page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
+    expect(person.page.get_by_text("Operators answer; you may look.")).to_be_visible()
+    person.press("t")
+    expect(person.region("Drive by hand")).to_contain_text("Operators take the controls; you may look.")
+    for words in (ANSWERS, CONTROLS):
+        expect(person.button(words)).to_have_count(0)
+    expect(stop(person)).to_be_enabled()
+    if size == PHONE:
+        expect(person.button("Drive")).to_be_disabled()
+
+
+def test_an_agent_is_told_that_the_console_is_not_for_its_role(server: ServerProcess, people: People) -> None:
+    person = people.open(f"{server.url}/#token={server.tokens['agent']}")
+    expect(person.alert("This role or address may not use the console.")).to_be_visible()
+    expect(stop(person)).to_have_count(0)
+
+
+def test_the_sound_is_switched_by_key_said_aloud_and_kept(server: ServerProcess, people: People) -> None:
+    person = people.sit(server)
+    button = person.region("Waiting for you").get_by_role("button", name="sound", exact=True)
+    expect(button).to_have_attribute("aria-pressed", "true")
+    person.press("m")
+    expect(person.page.get_by_role("status").filter(has_text="Sound for new questions is off.")).to_be_attached()
+    person.page.reload()
+    expect(button).to_have_attribute("aria-pressed", "false")
+    button.press("Enter")
+    expect(person.page.get_by_role("status").filter(has_text="Sound for new questions is on.")).to_be_attached()
+
+
+def test_keys_alone_let_the_sound_begin(server: ServerProcess, people: People) -> None:
+    made = "window.made = 0; class Heard extends AudioContext { constructor() { super(); window.made += 1; } }"
+    person = people.open(
+        f"{server.url}/#token={server.tokens['operator']}", init=f"{made} window.AudioContext = Heard;"
+    )
+    person.page.get_by_text(re.compile(r"^\d+ Hz$")).wait_for()
+    assert person.page.evaluate("window.made") == 0
+    person.press("m")  # a shortcut, which nothing behind it hears
+    person.press("m")
+    person.page.wait_for_function("window.made === 1")
+
+
+def test_the_phones_menu_is_left_by_escape_and_gives_the_focus_back(server: ServerProcess, people: People) -> None:
+    person = people.sit(server, size=PHONE)
+    person.button("Menu").click()
+    pages = person.page.get_by_role("navigation", name="Pages and settings")
+    pages.get_by_role("link", name="Audit").focus()
+    person.press("Escape")
+    expect(pages).to_have_count(0)
+    expect(person.button("Menu")).to_be_focused()
+    expect(person.button("Menu")).to_have_attribute("aria-expanded", "false")
