@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 import tempfile
 from pathlib import Path
@@ -13,7 +14,7 @@ from rich.markup import escape
 from app.cli_policies import Policies, finding, load_policy
 from app.clock import monotonic_s
 from app.config import DEFAULT_PROFILE, find_policies
-from app.governance.bundle import load_files, read_cases, read_properties
+from app.governance.bundle import TESTS_FOLDER, load_files, read_cases, read_properties
 from app.governance.cases import run as run_cases
 from app.governance.errors import PolicyErrors
 from app.terminal import FINDING, MISUSE, err, out, say, say_error
@@ -45,7 +46,7 @@ def new(  # its options
     ] = None,
     policies: Policies = None,
 ) -> None:
-    """Make a policy directory from a template: the one in use and a profile more, proved before it is written.
+    """Make a policy directory from a template: the one in use and a profile more, proved and with its cases.
 
     [bold]reins policy new --list[/]
 
@@ -162,6 +163,7 @@ def _asked(question: Question, *, ask: bool) -> Answer:
 def _made(policy: PolicySet, folder: Path, template: Template, answers: Mapping[str, Answer]) -> dict[str, str]:
     """Return the whole new policy, checked and proved. Ends the command where anything is wrong with it."""
     from app.authoring.drafting import drafted
+    from app.authoring.holding import hold
     from app.proofs.prove import prove
 
     try:
@@ -185,7 +187,20 @@ def _made(policy: PolicySet, folder: Path, template: Template, answers: Mapping[
         )
         raise typer.Exit(FINDING)
     say(report.summary())
-    return {**files, PROPERTIES: changed[PROPERTIES], **tests}
+    with err.status("finding cases that hold it …"):
+        held = hold(files, str(answers["profile"]))
+    say(f"{held.count} cases hold the profile: of {held.noticed + len(held.missed)} changes they notice {held.noticed}")
+    for mutant in held.missed:
+        say(f"  none notices {mutant}")
+    return {**files, PROPERTIES: changed[PROPERTIES], **tests, _free(tests, str(answers["profile"])): held.text}
+
+
+def _free(tests: Mapping[str, str], profile: str) -> str:
+    """Return a file for the profile's cases that is not taken by cases of something else."""
+    file, taken = f"{TESTS_FOLDER}/{profile}.yaml", itertools.count(2)
+    while file in tests:
+        file = f"{TESTS_FOLDER}/{profile}-{next(taken)}.yaml"
+    return file
 
 
 def _write(directory: Path, files: Mapping[str, str]) -> None:
@@ -211,5 +226,6 @@ def _say_next(directory: Path, folder: Path, profile: str, template: Template, a
     say("next:")
     say(f"  read {directory / 'profiles' / f'{profile}.yaml'}, and replace what your risk assessment says otherwise")
     say(f"  reins policy explain grasp_object --profile {profile} --policies {directory}")
-    say(f"  reins policy test {directory} --mutation      lists the cases that would hold its numbers in place")
+    say(f"  read the profile's cases in {directory / TESTS_FOLDER}: they say what comes of it, not what should")
+    say(f"  reins policy test {directory} --mutation      says whether they still hold its numbers in place")
     say(f'  reins policy propose {directory} --why "…"    brings it to a running server; two engineers activate it')

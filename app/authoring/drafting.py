@@ -6,7 +6,7 @@
 | `capabilities/*.yaml` | name the new profile in `env_profile`, with the standing they have in the model |
 | `properties.yaml` | promises what the draft is for, so that a later change cannot quietly undo it |
 
-Everything else, cases included, is the copied policy's.
+Everything else is the copied policy's. The profile's own cases are found when it is whole (`holding`).
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from enum import StrEnum
-from itertools import islice
+from itertools import chain, islice, zip_longest
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import yaml
@@ -108,6 +108,10 @@ class Trial:
             for found in cases.read(policy, case_files)
         ]
 
+    def hold(self, profile: str, case: CaseShape) -> None:
+        """Take one case more, which holds of the policy as it stands."""
+        self._cases.insert(0, _Ready(profile, case, cases.asking(self.bench.policy, profile, case)))
+
     def outcome(self, mutant: Mutant) -> Outcome:
         """Return what becomes of a mutant."""
         try:
@@ -143,11 +147,12 @@ class Trial:
         both = (self.bench.policy, policy)
         names, profiles = both[0].capabilities, both[0].profiles
         pairs = [(name, profile) for name in names for profile in profiles if concerns(mutant, name, profile)]
-        for name, profile in pairs:
-            for example in islice(Examples(both, self.bench.known.vocabulary, name, profile), EXAMPLES // len(pairs)):
-                found = _telling(example, both)
-                if found is not None:
-                    return _written(f"holds {mutant.key}", example, found)
+        share = EXAMPLES // len(pairs) if pairs else 0
+        tried = [islice(Examples(both, self.bench.known.vocabulary, *pair), share) for pair in pairs]
+        for example in chain.from_iterable(zip_longest(*tried)):  # every pair's plainest before any pair's varied ones
+            found = _telling(example, both) if example is not None else None
+            if found is not None:
+                return _written(f"holds {mutant.key}", example, found)
         return ""
 
 
