@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias
 
@@ -27,8 +28,8 @@ class AnswerError(ValueError):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Question:
-    """One thing a template needs to know.
+class Question(ABC):
+    """One thing a template needs to know; each kind says what may be answered, and reads it.
 
     Attributes:
         key: The name it is answered by.
@@ -45,13 +46,13 @@ class Question:
     source: str = ""
 
     @property
+    @abstractmethod
     def valid(self) -> str:
         """Say what may be answered."""
-        raise NotImplementedError
 
+    @abstractmethod
     def read(self, said: str) -> Answer:
         """Return the answer that was typed. Raises `AnswerError`."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,7 +9,7 @@ import pytest
 
 from app.authoring.collaboration import REGIONS, Distances, contact_speed_mps, lasting_force_n
 from app.authoring.drafting import Sections, drafted
-from app.authoring.questions import AnswerError, Choice, Number, Words, YesNo
+from app.authoring.questions import AnswerError, Choice, Number, Question, Words, YesNo
 from app.authoring.templates import TEMPLATES, common
 from app.governance import bundle
 from app.governance.bundle_yaml import parse
@@ -200,3 +200,8 @@ def test_an_answer_that_cannot_be_is_told_what_would_be_valid(question, said, va
     with pytest.raises(AnswerError, match=valid) as caught:
         question.read(said)
     assert caught.value.key == "q"
+
+
+def test_a_kind_of_question_that_does_not_read_its_answers_cannot_be_asked():
+    with pytest.raises(TypeError, match="abstract"):
+        Question(key="q", asks="", why="")  # type: ignore[abstract]
