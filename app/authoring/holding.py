@@ -10,6 +10,7 @@ test` decides them, and what came of one is what its case expects:
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, cast
 
@@ -45,7 +46,8 @@ _LAUNCHED: Final = frozenset({"allowed", "awaiting_approval"})
 _NAME: Final = 200
 
 
-class Held(NamedTuple):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Held:
     """Cases of a profile.
 
     Attributes:
@@ -91,7 +93,12 @@ def hold(files: Mapping[str, str], profile: str) -> Held:
         f"{KINDS['cases'].modeline()}\n# Cases for profiles/{profile}.yaml. What they expect is what came of them when "
         "the profile was made:\n# read them, and change the profile where one says what it should not.\n"
     )
-    return Held(head + _written({"profile": profile, "cases": found}), len(found), noticed, tuple(missed))
+    return Held(
+        text=head + _written({"profile": profile, "cases": found}),
+        count=len(found),
+        noticed=noticed,
+        missed=tuple(missed),
+    )
 
 
 def searched(bench: Workbench, profile: str) -> Iterator[Case]:
@@ -128,8 +135,7 @@ class _Plain(yaml.SafeDumper):
 
 
 def _written(content: Mapping[str, Any]) -> str:
-    how = {"sort_keys": False, "default_flow_style": None, "width": 10_000, "allow_unicode": True}
-    return yaml.dump(content, Dumper=_Plain, **how)
+    return yaml.dump(content, Dumper=_Plain, sort_keys=False, default_flow_style=None, width=10_000, allow_unicode=True)
 
 
 # What bounds and rules do --------------------------------------------------------------------------------------------

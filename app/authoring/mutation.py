@@ -150,8 +150,8 @@ class Trial:
         share = EXAMPLES // len(pairs) if pairs else 0
         tried = [islice(Examples(both, self.bench.known.vocabulary, *pair), share) for pair in pairs]
         for example in chain.from_iterable(zip_longest(*tried)):  # every pair's plainest before any pair's varied ones
-            found = _telling(example, both) if example is not None else None
-            if found is not None:
+            found = None if example is None else _telling(example, both)
+            if example is not None and found is not None:
                 return _written(f"holds {mutant.key}", example, found)
         return ""
 
