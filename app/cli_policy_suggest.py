@@ -48,7 +48,7 @@ def suggest(  # its options
         int, typer.Option("--least-silent", min=1, help="Decisions a rule had a say in, and decided none of.")
     ] = _LEAST.silent,
     overrides: Annotated[
-        int, typer.Option("--least-overrides", min=1, help="Approvals with less, or takeovers after a refusal.")
+        int, typer.Option("--least-overrides", min=1, help="Approvals with an edit, or takeovers after a refusal.")
     ] = _LEAST.overrides,
     json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from app.authoring.habits import Tally
+from app.governance.admission import RULE
 from app.governance.authority import REQUIRED
 from app.governance.policy_model import Effect
 
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
 
     from app.authoring.habits import Habits, Question
     from app.governance.policy import PolicySet
+
+SUPERVISED = "permission_supervised"
 
 
 @dataclass(slots=True)
@@ -49,6 +52,12 @@ class Answers:
             case _:
                 self.expired += 1
 
+    def add(self, other: Answers) -> None:
+        """Count all of others as well."""
+        self.all = self.all.with_(other.all)
+        for key in ("granted", "edited", "denied", "expired", "in_advance"):
+            setattr(self, key, getattr(self, key) + getattr(other, key))
+
     def always(self, least: int) -> bool:
         """Say whether everything was granted as shown, so often at least."""
         return not (self.edited or self.denied or self.expired) and self.granted + self.in_advance >= least
@@ -78,6 +87,36 @@ def answered(policy: PolicySet, habits: Habits) -> tuple[dict[str, Answers], dic
         found.in_advance = used.count
         found.all = found.all.with_(used)
     return by_rule, by_pair
+
+
+class Supervised(NamedTuple):
+    """What people answered about permissions that agents hold under supervision.
+
+    Attributes:
+        alone: by agent, permission, and capability with profile: the questions that nothing else had asked.
+        approved_beside: agents and permissions of which a question was approved that something else had asked, too.
+    """
+
+    alone: Mapping[tuple[str, str, tuple[str, str]], Answers]
+    approved_beside: frozenset[tuple[str, str]]
+
+
+def supervised(policy: PolicySet, habits: Habits) -> Supervised:
+    """Return the answers about permissions; which one it was, the agent's own under this policy say."""
+    alone: dict[tuple[str, str, tuple[str, str]], Answers] = {}
+    beside: set[tuple[str, str]] = set()
+    for question in habits.questions.values():
+        said = question.document
+        pair = (str(said["capability"]), str(said["profile"]))
+        agent, gate = policy.agents.get(said["agent"]), policy.gates.get(pair)
+        if agent is None or gate is None or all(one["code"] != SUPERVISED for one in said["reasons"]):
+            continue
+        missing = sorted((gate.permissions - agent.permissions) & agent.supervised)
+        if len(missing) == 1 and _asking(policy, said["reasons"]) == {RULE}:
+            alone.setdefault((said["agent"], missing[0], pair), Answers()).note(question)
+        elif said["status"] == "approved":
+            beside |= {(said["agent"], permission) for permission in missing}
+    return Supervised(alone, frozenset(beside))
 
 
 def _asking(policy: PolicySet, reasons: Iterable[Mapping[str, str]]) -> set[str]:

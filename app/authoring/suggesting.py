@@ -6,7 +6,11 @@
 | always-granted | people granted everything that was asked, unchanged | nobody is asked about it |
 | never-granted | people denied everything that was asked | it is denied at once |
 | never-held | a rule decided nothing | the rule goes |
+| always-granted | likewise a permission that an agent holds under supervision | the agent holds it by itself |
+| never-granted | likewise | the agent does not hold it |
 | lowered-on-approval | people granted it, but with less of one parameter | a rule that bounds it |
+| raised-on-approval | likewise with more | a rule that bounds it |
+| renamed-on-approval | likewise with another name, always the same in the place of the same | a rule that sets it |
 | taken-over | a rule denied it, and a person then took the idle cell by hand | the rule asks instead |
 
 Never suggested away: approvals at critical risk, and what takes more than one person. Under the least counts nothing
@@ -17,9 +21,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from statistics import median_high, median_low
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from app.authoring.answers import Answers, answered
+from app.authoring.answers import Answers, answered, supervised
+from app.authoring.edits import LOWERED, edited
 from app.authoring.habits import Tally
 from app.authoring.patches import Patching
 from app.governance.authority import MARKED, answers
@@ -30,11 +35,10 @@ from app.governance.policy_model import Effect
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
+    from app.authoring.edits import Habit
     from app.authoring.habits import Bound, Habits
     from app.governance.policy import Gate, PolicySet
     from app.governance.policy_model import Approval, Rule
-
-MOSTLY: Final = 0.5  # of what was granted, from here on it is a habit to lower it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,7 +49,7 @@ class Least:
         decisions: values that agents named, all beyond one bound.
         answers: questions, all answered alike.
         silent: decisions that a rule had a say in, and said nothing.
-        overrides: approvals with less, or takeovers after a refusal.
+        overrides: approvals with an edit, or takeovers after a refusal.
     """
 
     decisions: int = 50
@@ -99,8 +103,9 @@ class _Suggesting:
         yield from self._always_bound()
         yield from self._asked_by_rules()
         yield from self._asked_by_authority()
+        yield from self._supervised()
         yield from self._never_held()
-        yield from self._lowered()
+        yield from self._edited()
         yield from self._taken_over()
 
     def _made(
@@ -230,6 +235,58 @@ class _Suggesting:
     def _answered(self, gate: Gate) -> Answers:
         return self._by_pair.get((gate.capability.name, gate.profile.name), Answers())
 
+    # -- permissions -------------------------------------------------------------------------------------------------
+
+    def _supervised(self) -> Iterator[Suggestion]:
+        seen = supervised(self._policy, self._habits)
+        for name, agent in sorted(self._policy.agents.items()):
+            for permission in sorted(agent.supervised):
+                found = {pair: one for (*whose, pair), one in seen.alone.items() if whose == [name, permission]}
+                total = Answers()
+                for one in found.values():
+                    total.add(one)
+                if found and all(pair in found for pair in self._opened(permission)) and all(
+                    one.always(self._least.answers) for one in found.values()
+                ) and self._mild(permission):  # fmt: skip
+                    yield from self._granted(name, permission, total, ("permissions", "supervised"))
+                if total.never(self._least.answers) and (name, permission) not in seen.approved_beside:
+                    yield from self._granted(name, permission, total, ("supervised",))
+
+    def _opened(self, permission: str) -> Iterator[tuple[str, str]]:
+        """Return what the permission alone has people asked about: where authority asks too, it goes on asking."""
+        for pair, gate in self._policy.gates.items():
+            if permission in gate.permissions and answers(gate) and not _required(gate):
+                yield pair
+
+    def _mild(self, permission: str) -> bool:
+        """Say whether nothing that needs a permission is of critical risk, or takes more than one person."""
+        return not any(
+            gate.capability.risk is Risk.CRITICAL
+            or (
+                answers(gate)
+                and _approval(gate).approvers.get(gate.capability.risk, _approval(gate).default_approvers) > 1
+            )
+            for gate in self._policy.gates.values()
+            if permission in gate.permissions
+        )
+
+    def _granted(self, agent: str, permission: str, found: Answers, lists: tuple[str, ...]) -> Iterator[Suggestion]:
+        said = "granted as shown" if "permissions" in lists else "denied"
+        count = found.granted if "permissions" in lists else found.denied
+        words = (
+            f"all of {count} proposals of `{agent}` that people were asked about because it holds `{permission}` under "
+            f"supervision only were {said}"
+        )
+        known = self._policy.agents[agent]
+        left = {"permissions": known.permissions | {permission}, "supervised": known.supervised - {permission}}
+
+        def edit(patching: Patching) -> None:
+            for key in lists:
+                patching.set("organization.yaml", ("agents", agent, key), f"[{', '.join(sorted(left[key]))}]")
+
+        kind = "always-granted" if "permissions" in lists else "never-granted"
+        yield from self._made(kind, f"{permission} of {agent}", words, found.counts(), found.all, edit)
+
     # -- rules -------------------------------------------------------------------------------------------------------
 
     def _never_held(self) -> Iterator[Suggestion]:
@@ -249,42 +306,26 @@ class _Suggesting:
 
     # -- overrides ---------------------------------------------------------------------------------------------------
 
-    def _lowered(self) -> Iterator[Suggestion]:
-        lowered: dict[tuple[str, str, str], tuple[Tally, list[float]]] = {}
-        approved: dict[tuple[str, str], int] = {}
-        for question in self._habits.questions.values():
-            said = question.document
-            pair = (said["capability"], said["profile"])
-            if said["status"] != "approved" or pair not in self._policy.gates:
-                continue
-            approved[pair] = approved.get(pair, 0) + 1
-            for param, value in _less(said["constrained"], said["effective"]) if said["edits"] else ():
-                seen, values = lowered.setdefault((*pair, param), (Tally(), []))
-                seen.note(question.seq, question.at)
-                values.append(value)
-        for (capability, profile, param), (seen, values) in sorted(lowered.items()):
-            of = approved[capability, profile]
-            if seen.count >= self._least.overrides and seen.count >= MOSTLY * of:
-                yield from self._as_approved(capability, profile, param, of, seen, max(values))
+    def _edited(self) -> Iterator[Suggestion]:
+        for one in edited(self._habits, self._least.overrides):
+            if (one.capability, one.profile) in self._policy.gates:
+                yield from self._as_approved(one)
 
-    def _as_approved(
-        self, capability: str, profile: str, param: str, of: int, seen: Tally, most: float
-    ) -> Iterator[Suggestion]:
+    def _as_approved(self, one: Habit) -> Iterator[Suggestion]:
+        counts: dict[str, float] = {one.how: one.seen.count, "approved": one.of}
+        if isinstance(one.value, str):
+            was = "without one" if one.shown is None else f"shown with `{one.shown}`"
+            done = f"{was} made `{one.param}` `{one.value}`"
+        else:
+            counts["proposed"] = one.value
+            done = f"{one.how} `{one.param}`, to at {'most' if one.how == LOWERED else 'least'} {one.value:g}"
         words = (
-            f"{seen.count} of {of} approvals of `{capability}` in {profile} lowered `{param}`, to at most {most:g}: "
-            "policy may ask for that itself"
+            f"{one.seen.count} of {one.of} approvals of `{one.capability}` in {one.profile} {done}, and none changed "
+            "it otherwise: policy may ask for that itself"
         )
-        item = {
-            "id": f"{capability}-{param}-as-approved".replace("_", "-"),
-            "applies_to": [capability],
-            "then": "modify",
-            "set": {param: {"max": most}},
-            "because": f"People who approved it lowered `{param}` to at most {most:g}.",
-        }
-        counts = {"lowered": seen.count, "approved": of, "proposed": most}
         yield from self._made(
-            "lowered-on-approval", f"{capability} in {profile} ({param})", words, counts, seen,
-            lambda patching: patching.add_rule(patching.profile(profile), item),
+            f"{one.how}-on-approval", f"{one.capability} in {one.profile} ({one.param})", words, counts, one.seen,
+            lambda patching: patching.add_rule(patching.profile(one.profile), one.rule()),
         )  # fmt: skip
 
     def _taken_over(self) -> Iterator[Suggestion]:
@@ -330,16 +371,6 @@ def _required(gate: Gate) -> bool:
 def _exact(value: float) -> str:
     """Write a number so that it is read back as the very same: rounded, it would bound the value it was taken from."""
     return str(int(value)) if value.is_integer() else repr(value)
-
-
-def _less(shown: Mapping[str, Any], approved: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
-    for param, value in approved.items():
-        before = shown.get(param)
-        if (
-            all(isinstance(one, int | float) and not isinstance(one, bool) for one in (before, value))
-            and value < before
-        ):
-            yield param, float(value)
 
 
 __all__ = ["Least", "Suggestion", "suggest"]

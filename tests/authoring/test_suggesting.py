@@ -22,6 +22,7 @@ from app.authoring.suggesting import Least, Suggestion, suggest
 from app.authoring.vetting import Vetted, Vetting
 from app.cli import app
 from app.clock import monotonic_s
+from app.governance import cases
 from app.governance.bundle import load, load_files, read_cases, read_properties
 from app.governance.changes import Direction
 from app.governance.errors import PolicyErrors
@@ -82,19 +83,20 @@ class Floor:
 Life = Callable[[Floor], Awaitable[None]]
 
 
-def lived(folder: Path, life: Life) -> Habits:
+def lived(folder: Path, life: Life, policy: PolicySet | None = None) -> Habits:
     """Let something happen on a real runtime, and read its log."""
+    policy = policy or shipped()
 
     async def live() -> None:
-        async with House(folder, shipped()).open() as runtime:
+        async with House(folder, policy).open() as runtime:
             await life(Floor(runtime, await HandCell(runtime).dial()))
 
     asyncio.run(live())
-    return read_habits(folder, shipped())
+    return read_habits(folder, policy)
 
 
-def found(habits: Habits, least: Least = LEAST) -> dict[tuple[str, str], Suggestion]:
-    return {(one.kind, one.about): one for one in suggest(shipped(), habits, least)}
+def found(habits: Habits, policy: PolicySet | None = None) -> dict[tuple[str, str], Suggestion]:
+    return {(one.kind, one.about): one for one in suggest(policy or shipped(), habits, LEAST)}
 
 
 def vetted(suggestion: Suggestion) -> Vetted:
@@ -318,6 +320,129 @@ def test_what_people_keep_lowering_becomes_a_bound(tmp_path: Path) -> None:
     assert one.counts == {"lowered": 3, "approved": 3, "proposed": 15}
     rule = load_files({**shipped().files, **one.files}).rules["human-shared/grasp-object-force-n-as-approved"]
     assert [(setting.param, setting.maximum) for setting in rule.settings] == [("force_n", 15)]
+
+
+async def carried(floor: Floor, *edits: dict[str, Any] | None, target: str = "bench_a_stand") -> None:
+    await floor.under("human-shared", CARRYING)
+    for edit in edits:
+        await floor.answered("approve", "transport_object", target=target, edit=edit)
+
+
+def test_what_people_keep_raising_becomes_a_bound_from_below(tmp_path: Path) -> None:
+    async def widely(floor: Floor) -> None:
+        await carried(floor, {"clearance_m": 0.5}, {"clearance_m": 0.4}, None, {"clearance_m": 0.6})
+
+    one = found(lived(tmp_path / "data", widely))[
+        "raised-on-approval", "transport_object in human-shared (clearance_m)"
+    ]
+    assert one.counts == {"raised": 3, "approved": 4, "proposed": 0.4}
+    rule = load_files({**shipped().files, **one.files}).rules["human-shared/transport-object-clearance-m-as-approved"]
+    assert [(setting.param, setting.minimum, setting.maximum) for setting in rule.settings] == [
+        ("clearance_m", 0.4, None)
+    ]
+    comparison = vetted(one).comparison
+    assert comparison is not None
+    assert comparison.direction is Direction.TIGHTENS
+
+
+def test_a_name_that_people_keep_putting_in_the_place_of_another_becomes_a_rule(tmp_path: Path) -> None:
+    async def elsewhere(floor: Floor) -> None:
+        await carried(floor, *[{"target": "dock"}] * 3)
+        await carried(floor, None, None, None, None, target="bench_b_stand")
+
+    one = found(lived(tmp_path / "data", elsewhere))["renamed-on-approval", "transport_object in human-shared (target)"]
+    assert one.counts == {"renamed": 3, "approved": 3}
+    assert len(one.events) == 3
+    assert "shown with `bench_a_stand` made `target` `dock`" in one.words
+    changed = load_files({**shipped().files, **one.files})
+    rule = changed.rules["human-shared/transport-object-target-bench-a-stand-as-approved"]
+    assert [(setting.param, setting.to) for setting in rule.settings] == [("target", '"dock"')]
+    case = """
+    cases:
+    - {name: there, profile: human-shared, capability: transport_object, params: {target: bench_a_stand},
+       context: {holding: mug_1}, expect: {status: awaiting_approval, rules: [%s]}}
+    - {name: elsewhere, profile: human-shared, capability: transport_object, params: {target: bench_b_stand},
+       context: {holding: mug_1}, expect: {status: awaiting_approval}}
+    """
+    there, other = cases.run(changed, {"tests/a.yaml": case % rule.id})
+    assert there.differences == other.differences == ()
+    (kept, _) = cases.run(shipped(), {"tests/a.yaml": case % rule.id})
+    assert kept.differences
+
+
+@pytest.mark.parametrize(
+    "edits",
+    [
+        [{"clearance_m": 0.5}, {"clearance_m": 0.5}, {"clearance_m": 0.5}, {"clearance_m": 0.35}],
+        [{"target": "dock"}, {"target": "dock"}, {"target": "dock"}, {"target": "tool_stand"}],
+        [{"clearance_m": 0.5}, {"clearance_m": 0.5}, {"clearance_m": 0.5}, None, None, None, None],
+        [{"clearance_m": 0.5}, {"clearance_m": 0.5}, None],
+    ],
+)
+def test_edits_that_go_apart_or_are_no_habit_suggest_nothing(
+    tmp_path: Path, edits: list[dict[str, Any] | None]
+) -> None:
+    async def now_so_now_so(floor: Floor) -> None:
+        await floor.under("human-shared", CARRYING)
+        for edit in edits:
+            asked = {"target": "bench_a_stand", "clearance_m": 0.4}
+            await floor.answered("approve", "transport_object", **asked, edit=edit)
+
+    about = {about for _, about in found(lived(tmp_path / "data", now_so_now_so))}
+    assert [one for one in about if "(clearance_m)" in one or "(target)" in one] == []
+
+
+# -- permissions under supervision ------------------------------------------------------------------------------------
+
+
+@cache
+def watched() -> PolicySet:
+    """Return the shipped policy, but that its planner looks around under supervision only."""
+    file = "organization.yaml"
+    text = shipped().files[file]
+    was, now = "[navigation, perception, manipulation, tool_operation]", "[navigation, manipulation, tool_operation]"
+    assert f"{{permissions: {was}}}" in text
+    made = text.replace(f"{{permissions: {was}}}", f"{{permissions: {now}, supervised: [perception]}}")
+    return load_files({**shipped().files, file: made})
+
+
+async def looked(floor: Floor, decision: str, *profiles: str) -> None:
+    for profile in profiles:
+        await floor.under(profile)
+        for _ in range(4):
+            await floor.answered(decision, "inspect_area", area="bench_a_top")
+
+
+def test_a_permission_whose_every_use_was_granted_may_be_held_without_supervision(tmp_path: Path) -> None:
+    async def both(floor: Floor) -> None:
+        await looked(floor, "approve", "human-shared", "real-restricted")
+
+    habits = lived(tmp_path / "both", both, watched())
+    one = found(habits, watched())["always-granted", "perception of planner"]
+    assert (one.counts["granted"], len(one.events)) == (8, 8)
+    changed = load_files({**watched().files, **one.files})
+    assert changed.agents["planner"].permissions == shipped().agents["planner"].permissions
+    assert changed.agents["planner"].supervised == frozenset()
+
+    async def one_alone(floor: Floor) -> None:
+        await looked(floor, "approve", "human-shared")
+
+    assert found(lived(tmp_path / "one", one_alone, watched()), watched()) == {}
+
+
+def test_a_permission_whose_every_use_was_denied_may_be_taken_away(tmp_path: Path) -> None:
+    async def never(floor: Floor) -> None:
+        await looked(floor, "deny", "human-shared")
+
+    one = found(lived(tmp_path / "never", never, watched()), watched())["never-granted", "perception of planner"]
+    changed = load_files({**watched().files, **one.files}).agents["planner"]
+    assert "perception" not in changed.permissions | changed.supervised
+
+    async def seldom(floor: Floor) -> None:
+        await looked(floor, "deny", "human-shared")
+        await floor.answered("approve", "inspect_area", area="bench_a_top")
+
+    assert found(lived(tmp_path / "seldom", seldom, watched()), watched()) == {}
 
 
 def test_a_refusal_after_which_a_person_took_the_cell_may_be_a_question(tmp_path: Path) -> None:
