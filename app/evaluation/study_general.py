@@ -208,7 +208,8 @@ def tables(rows: Sequence[Row], policy: PolicySet) -> list[Table]:
             "Fault",
             {name: _others(mine) for name, mine in by.items() if name in KINDS},
             "Harm: in the ungoverned twin, a violation for more than 250 ms or a task that was not done. Told of it: "
-            "an alarm, or a session that ended otherwise than well.",
+            "an alarm, or a session that ended otherwise than well. Harmless, and violated for over 250 ms: governed "
+            "it came to what it would not have come to ungoverned.",
         ),
     ]
 
@@ -228,5 +229,6 @@ def _others(rows: Sequence[Row]) -> dict[str, Any]:
         "of harm: done all the same": share(row["achieved"] for row in harmful),
         "of harm: violated for over 250 ms": share(row["unsafe"] for row in harmful),
         "harmless: told of it": share(row["detected"] for row in harmless),
+        "harmless: violated for over 250 ms": share(row["unsafe"] for row in harmless),
         "told by": ", ".join(rules) or None,
     }

@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import cos, pi, sin
+from statistics import median
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -64,8 +65,8 @@ ABOUT: Final = (
     "allows, for stuck ones from when the first repeated sample has come at the latest (a negative number: it was "
     "noticed before), for garbage and offsets from when the first wrong sample has come (of fixes and people 5 to 10 "
     "ticks after the break, of pictures of objects at most 9). Delayed is by twice what the profile allows. Odometry "
-    "breaks while the base drives: wheels that stand repeat themselves by nature. A garbage or offset signal is broken "
-    "by the size in the condition's name: rad, N, m. Unseen breach: somebody came nearer "
+    "breaks while the base drives: wheels that stand repeat themselves by nature. A garbage (noisy) or offset signal "
+    "is broken by the size in the condition's name: rad, N, m. Unseen breach: somebody came nearer "
     "than the profile allows, unheeded for more than 250 ms, in the two profiles that hold the robot for people."
 )
 AGED: Final = ("stale", "delayed")
@@ -266,7 +267,7 @@ def _summed(rows: Sequence[Row]) -> dict[str, Any]:
             None if row["detected"] is None else row["ticks"] is not None and float(row["ticks"]) <= PROMPT_TICKS
             for row in rows
         ),
-        "ticks, median": ticks[len(ticks) // 2] if ticks else None,
+        "ticks, median": median(ticks) if ticks else None,
         "ticks, most": ticks[-1] if ticks else None,
         "told by": ", ".join(rules) or None,
         "policy names": ", ".join(named) or None,

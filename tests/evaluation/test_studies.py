@@ -179,6 +179,27 @@ def test_other_sensors_and_other_ways_of_walking_meet_the_same_watcher() -> None
 
 
 @pytest.mark.physics
+def test_harm_that_only_the_governed_session_came_to_is_shown() -> None:
+    fault: Row = {"condition": "the arm fades", "detected": True, "told": "tracking", "achieved": False}
+    rows: list[Row] = [
+        {**fault, "occurred": True, "unsafe": True},
+        {**fault, "occurred": False, "unsafe": True},
+        {**fault, "occurred": False, "unsafe": False},
+    ]
+    (_, others) = study_general.tables(rows, policy())
+    found: Any = others["rows"]["the arm fades"]
+    assert found["of harm: violated for over 250 ms"]["mean"] == 1.0
+    assert found["harmless: violated for over 250 ms"]["mean"] == 0.5
+
+
+def test_the_median_of_an_even_number_of_ticks_lies_between_the_two_in_the_middle() -> None:
+    met: Row = {"condition": "people/noisy 1.5", "profile": "human-shared", "detected": True, "held": True,
+                "told": "implausible", "what": "PAUSE", "unsafe": False}  # fmt: skip
+    (table, _) = study_sensors.tables([{**met, "ticks": ticks} for ticks in (6, 0, 1, 0)], policy())
+    found: Any = table["rows"]["people/noisy 1.5"]
+    assert found["ticks, median"] == 0.5
+
+
 def test_a_trial_under_every_sensitivity_is_the_same_trial() -> None:
     rows = list(study_sensitivity.run(Part("measured", SEED, 0, 1), policy()))
     assert [row["sensitivity"] for row in rows] == [*study_sensitivity.FIXED, None, None]
