@@ -213,7 +213,8 @@ def complied(row: Row) -> Value:
     A cell that takes its steps from policy's own table, and from nowhere else, has 1 here by construction: that it does
     shows that the table is followed, and nothing about whether it is a good one. What RPC can show is who acts without
     a table: a skill that tries again by itself, a step beyond a budget. Whether a step was left out, or came late, is
-    not judged; RSR tells what that costs.
+    not judged; RSR tells what that costs. Unlike RSR it counts tasks that an operator withdrew: they are rolled back by
+    a step as well.
     """
     return row.get("compliant")
 

@@ -88,9 +88,10 @@ CHOICES: Final = (
         "recovery policy compliance without recovery",
         "0: the ablation takes no step that could comply",
         "the share of failures in which every step that was taken stands in policy's row for the failure. The ablation "
-        "takes one step, it ends the session; that complies where policy's row names ending too (a timeout, no path), "
-        "and not where it names trying again or asking alone. Whether steps named earlier were skipped is not judged: "
-        "RSR tells what skipping them costs",
+        "takes one step, it ends the session; that complies where policy's row names ending as well, and not where it "
+        "ends in asking a human. In sim-relaxed and test-audit, where nobody may be asked, every row names ending; in "
+        "the other two those of most failures do not. Whether steps named earlier were skipped is not judged: RSR "
+        "tells what skipping them costs",
         ("RPC",),
     ),
     Choice(

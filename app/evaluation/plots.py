@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+import textwrap
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from io import StringIO
@@ -20,6 +21,7 @@ Axes: TypeAlias = Any  # matplotlib leaves the types of its keyword arguments op
 
 WIDTH_IN: Final = 5.2  # 374 SVG units: on a phone one unit is about one pixel, so that 10 is readable everywhere
 ROW_IN: Final = 0.42
+LABELS: Final = 42  # as many characters of the usual size stand side by side under the axes of a plot with row names
 CROWDED: Final = 0.1  # so near to the axis the paper's label would lie on ours
 
 # Colours that no plot uses otherwise; each is put in for a variable of the page.
@@ -111,7 +113,7 @@ def per_type(bars: Sequence[Bar]) -> Plot:
         axes.set_yticks(list(places), [bar.name for bar in bars])
         axes.invert_yaxis()
         axes.set_xlim(0, 1.02)
-        axes.set_xlabel("detected share (RVDR); line: 95 % interval")
+        axes.set_xlabel("detected share (RVDR); in brackets: rows; line: 95 % interval")
         axes.grid(visible=False, axis="y")
         axes.legend(loc="lower center", bbox_to_anchor=(0.4, 1.0), ncols=2)
     told = "; ".join(f"{bar.name} {bar.value:.3f}" + (f" ({bar.paper:.3f})" if bar.paper is not None else "")
@@ -252,7 +254,7 @@ def shares(cells: Mapping[str, Mapping[str, float]], caption: str) -> Plot:
                 axes.barh(place, 0.9, 0.8, left=at - 0.45, color=GRID, linewidth=0)
                 axes.barh(place, 0.9 * share, 0.8, left=at - 0.45, color=FIRST, alpha=0.45, linewidth=0)
                 axes.text(at, place, f"{share:.2f}", ha="center", va="center", fontsize=8.5)
-        axes.set_xticks(range(len(columns)), columns)
+        axes.set_xticks(range(len(columns)), [_broken(name, LABELS // len(columns)) for name in columns])
         axes.set_yticks(range(len(cells)), list(cells))
         axes.set_xlim(-0.6, len(columns) - 0.4)
         axes.set_ylim(len(cells) - 0.5, -0.5)
@@ -261,6 +263,12 @@ def shares(cells: Mapping[str, Mapping[str, float]], caption: str) -> Plot:
     told = "; ".join(f"{row} " + ", ".join(f"{name} {share:.2f}" for name, share in found.items())
                      for row, found in cells.items())  # fmt: skip
     return Plot(drawn[0], f"{caption} {told}.", caption)
+
+
+def _broken(name: str, width: int) -> str:
+    """Break a name between words into lines of a width, where it can be; breaks that it has already stay."""
+    lines = (textwrap.wrap(line, width, break_long_words=False, break_on_hyphens=False) for line in name.split("\n"))
+    return "\n".join(part for line in lines for part in line)
 
 
 def _swept(shipped: Point | None) -> str:

@@ -158,8 +158,10 @@ EFFECT_SIZE: Final = PublishedTable(
         "static-rule": (_method("static-rule"), _means(43.3, 33.6, 16.0)),
     },
     places=(("effect_sizes", "{row}", "{column}", "d"),),
-    remark="The paper prints magnitudes. With five seeds the standard deviation is badly known, and d with it; where "
-    "both sides do not vary at all, d does not exist.",
+    remark="d: the difference of means over the pooled standard deviation of both. The paper prints magnitudes; from "
+    "the means and deviations of its other tables its d (RVDR) follows, but not the others: d (RSR) against direct "
+    "execution would be 16.7. With five seeds the standard deviation is badly known, and d with it; where neither side "
+    "varies there is nothing to divide by: a dash.",
 )
 
 CONFUSION_TRIALS: Final = 1000
@@ -294,6 +296,14 @@ TABLES: Final = (
 
 T_TESTS: Final[Mapping[str, float]] = {"RVDR": 32.75, "UCR": -27.48, "RSR": 12.96, "RPC": 76.47}
 """Paired t over five seeds, the proposed framework against RoboGuard-style; the paper says p < 0.001 for each."""
+
+T_REMARK: Final = (
+    "The t of RVDR and UCR do not follow from the means and deviations of its tables, in which RoboGuard-style does "
+    "not vary: they would be 68.5 and −56.1; and where neither side varies, as with RPC, there is no t. It does not "
+    "say which side it tests by Wilcoxon: with five seeds 1/32 = .031 is the least that a one-sided test can give, and "
+    "1/16 = .063 a two-sided one, so it was one-sided."
+)
+"""What a reader should know of the paper's tests."""
 
 WILCOXON_P: Final = 0.031
 """The paper's Wilcoxon p for every baseline and metric: the least that five seeds can give, one-sided."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from app.evaluation import plots, published
+from app.evaluation import published
 from app.evaluation.methods import ABLATIONS
 from app.evaluation.metrics import METRICS, Metric
 from app.evaluation.model import TUNING_SEEDS
@@ -28,23 +28,21 @@ from app.evaluation.report_counts import (
 from app.evaluation.report_floor import ABOUT as FLOOR_ABOUT
 from app.evaluation.report_floor import floor_grids, floor_plots
 from app.evaluation.report_goals import goal_grids
+from app.evaluation.report_plots import drawn
 from app.evaluation.report_studies import study_grids, study_plots
 from app.evaluation.report_tables import (
     BETTER,
-    SWEPT,
     Grid,
     Results,
     class_grid,
     has_ours,
     mapping,
-    mean_of,
     metrics_grid,
     paper_grid,
     parted_grids,
     plain_text,
     sweep_grids,
     test_grids,
-    title_of,
 )
 
 if TYPE_CHECKING:
@@ -121,7 +119,9 @@ def _facts(results: Results) -> list[tuple[str, str]]:
         (f"Trials per method{', task' if results.get('per_task') else ''} and seed", str(results["trials"])),
         ("Seeds used for tuning, never reported", ", ".join(map(str, TUNING_SEEDS))),
     ]
-    facts += [(name.capitalize(), str(configuration[name])) for name in ("version", "policy") if name in configuration]
+    facts += [
+        (name.capitalize(), str(configuration[name])) for name in ("version", "policy", "code") if name in configuration
+    ]
     if configuration.get("circumstances"):
         told = "; ".join(part.replace("_", " ").replace("=", " ") for part in configuration["circumstances"].split(","))
         facts.append(("Circumstances", f"other than reported: {told}"))
@@ -196,7 +196,7 @@ def _paper_tables(results: Results) -> Section:
 
 _WHY_NOT: Final = {
     published.HUMAN_OVERRIDE.label: "it compares Reins with its ablation without a human: --ablations",
-    published.LATENCY.label: "protocol paper times the components one by one; what decisions take here stands below",
+    published.LATENCY.label: "protocol paper times the components one by one; here decisions are, under latencies",
     published.SENSITIVITY.label: "in the workcell the sweep is a study: --studies sensitivity",
 }
 
@@ -218,65 +218,8 @@ def _plots(results: Results) -> Section:
         "Plots",
         "",
         "Nothing that this campaign measured can be drawn: it has no types, no sensitivity sweep and no distributions.",
-        plots=tuple(_drawn(results)),
+        plots=tuple(drawn(results)),
     )
-
-
-def _drawn(results: Results) -> Iterator[Plot]:
-    if bars := _bars(results.get("per_type", {}).get("reins", {})):
-        yield plots.per_type(bars)
-    ours = [point for p in results.get("sensitivity", ()) if (point := _point(p["s"], p)) is not None]
-    shipped = _point(0.0, results.get("sensitivity_shipped", {}))
-    of = f" {SWEPT}" if results["protocol"] == "physical" else ""
-    if ours:
-        yield plots.frontier(ours, _published_points(), shipped, of)
-        yield plots.sweep(ours, of)
-    if any(point.far is not None for point in ours):
-        yield plots.roc(ours, shipped, of)
-    spreads = results.get("distributions", {})
-    for key, unit, caption, names in (
-        ("latency_ticks", "control ticks", _LATENCY, _violation_name),
-        ("recovery_s", "s", _RECOVERY, title_of),
-    ):
-        groups = {names(name): values for name, values in spreads.get(key, {}).items() if values}
-        if groups:
-            yield plots.spread(groups, unit, caption)
-
-
-_LATENCY: Final = (
-    "Detection latency by type of violation, beyond the boundary band. What was prevented has no onset, and is not "
-    "drawn."
-)
-_RECOVERY: Final = "Recovery time by method, each over its own successes."
-
-
-def _point(s: float, found: Mapping[str, Any]) -> plots.Point | None:
-    """Return what was measured at a sensitivity as a point; None where it was not."""
-    rvdr, ucr = mean_of(found.get("RVDR")), mean_of(found.get("UCR"))
-    if rvdr is None or ucr is None:
-        return None
-    return plots.Point(s, rvdr, ucr, mean_of(found.get("RSR")), mean_of(found.get("FAR")))
-
-
-def _bars(types: Mapping[str, Any]) -> list[plots.Bar]:
-    bars: list[plots.Bar] = []
-    for key, (name, (figure, *_)) in published.PER_TYPE.rows.items():
-        entry = types.get(key, {})
-        if entry.get("mean") is not None:
-            bars.append(plots.Bar(name, entry["mean"], entry.get("low"), entry.get("high"), figure and figure.mean))
-    return bars
-
-
-def _published_points() -> list[plots.Point]:
-    points: list[plots.Point] = []
-    for key, (_, figures) in published.SENSITIVITY.rows.items():
-        rvdr, ucr, rsr = (figure.mean for figure in figures if figure is not None)
-        points.append(plots.Point(float(key), rvdr, ucr, rsr, None))
-    return points
-
-
-def _violation_name(key: str) -> str:
-    return published.PER_TYPE.rows[key][0] if key in published.PER_TYPE.rows else key
 
 
 def _by_task(results: Results) -> Section:

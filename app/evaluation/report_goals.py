@@ -90,7 +90,7 @@ _EACH_WAY: Final = {
     "stale": "off (stale)",
     "stuck": "stuck",
     "delayed": "delayed by twice what may be",
-    "noisy": "garbage of the bigger size",
+    "noisy": "garbage (noisy), of the bigger size",
     "offset": "offset by the bigger size",
 }
 
@@ -167,11 +167,11 @@ def _row(target: Target, ours: Mapping[str, Any], results: Results) -> tuple[str
 
 
 def _worst(types: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
-    """Return the type that is detected least, of those that were measured."""
+    """Return the type that is detected least, of those that were measured; of equals the one that is known least."""
     measured = {name: entry for name, entry in types.items() if mean_of(entry) is not None}
     if not measured:
         return WORST, {}
-    name = min(measured, key=lambda one: measured[one]["mean"])
+    name = min(measured, key=lambda one: (measured[one]["mean"], mean_of(measured[one].get("low")) or 0.0))
     return f"{WORST} ({name})", measured[name]
 
 

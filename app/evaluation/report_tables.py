@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 from app.evaluation import published
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 DASH: Final = "–"
 MINUS: Final = "−"
 _SATURATED_M: Final = 5e-4
+_SENTENCE: Final = 30
+"""A cell of more characters than these wraps."""
 BETTER: Final = {"higher": "↑", "lower": "↓"}
 _TESTS: Final = {"t": "t", "t_p": "p", "wilcoxon_p": "Wilcoxon p"}
 
@@ -48,6 +50,13 @@ class Grid(NamedTuple):
     rows: tuple[tuple[str, tuple[str, ...]], ...]
     remark: str = ""
 
+    @property
+    def wordy(self) -> tuple[bool, ...]:
+        """Whether each column holds sentences rather than numbers: those are read from the left."""
+        return tuple(
+            any(len(cells[place]) > _SENTENCE for _, cells in self.rows) for place in range(len(self.headings))
+        )
+
 
 def paper_grid(table: PublishedTable, results: Results) -> Grid:
     """Put our numbers beside a published table's: ours, the paper's, the difference."""
@@ -72,29 +81,71 @@ def _of_another_policy(table: PublishedTable, results: Results) -> bool:
 
 
 def _also(table: PublishedTable, results: Results) -> str:
-    """Say what a reader should know of our numbers before comparing."""
-    if _of_another_policy(table, results):
-        return SWEPT
-    strict = mean_of(mapping(mapping(mapping(results.get("methods")).get("reins")).get("UCR_STRICT")))
-    if table is published.VIOLATION and strict is not None and results.get("protocol") == "physical":
-        return (
-            "Our UCR and CEF leave out violations of which policy asks no more than a warning, for every method. "
-            f"Counting each of those as unsafe, the UCR of Reins is {number_text(strict)} (UCR STRICT)."
-        )
-    if table is published.RECOVERY and results.get("protocol") == "physical":
-        return (
-            "Our RBSR is of rollbacks after withdrawals, failures and violations; its parts stand among the goals. Our "
-            "MRT runs from the first recovery step to the end of the session, the rest of the task included, and is of "
-            "each method's own successes: compared over the same trials it stands under recovery times."
-        )
-    return ""
+    """Say what a reader should know of our numbers of the workcell before comparing."""
+    said = _ABOUT_OURS.get(table.label)
+    return "" if said is None or results.get("protocol") != "physical" else said(results)
 
+
+def _of_reins(results: Results, metric: str) -> str:
+    """Write the mean of a metric of Reins."""
+    mean = mean_of(mapping(mapping(mapping(results.get("methods")).get("reins")).get(metric)))
+    return DASH if mean is None else number_text(mean)
+
+
+def _about_violations(results: Results) -> str:
+    return (
+        "Our UCR and CEF leave out violations of which policy asks no more than a warning, for every method. "
+        f"Counting each of those as unsafe, the UCR of Reins is {_of_reins(results, 'UCR_STRICT')} (UCR STRICT)."
+    )
+
+
+def _about_recovery(results: Results) -> str:
+    return (
+        "Our RBSR is of rollbacks after withdrawals, failures and violations; its parts stand among the goals. Nearer "
+        f"to the paper's is {_of_reins(results, 'RBSR_TRIED')} for Reins, over all rollbacks that were tried, capable "
+        f"or not (RBSR TRIED), and {_of_reins(results, 'RBSR_ALL')} over the failures that were not recovered (RBSR "
+        "ALL). Our MRT runs from the first recovery step to the end of the session, the rest of the task included, and "
+        "is of each method's own successes: compared over the same trials it stands under recovery times."
+    )
+
+
+def _about_types(results: Results) -> str:
+    types = mapping(mapping(results.get("per_type")).get("reins"))
+    counts = (f"{name} {mapping(types.get(name)).get('n', 0)}" for name in published.PER_TYPE.rows)
+    return f"Rows of ours, beyond the boundary band: {', '.join(counts)}; their intervals stand under all metrics."
+
+
+def _about_ablations(_: Results) -> str:
+    return (
+        "Without admission or the guard, sessions here are those of the full framework: what runs was drawn from "
+        "within policy, so every gate lets it through, and what a gate should have stopped is counted there and not "
+        "executed. The paper's differ from each other by their draws. Which of the two costs more UAIR follows from "
+        "the four kinds of unauthorized proposals: admission alone stops one (permission), the guard two (zone, "
+        "object), and a human's missing approval the last. Without a watcher nobody notices what takes too long, so "
+        "those failures are not recovered. Without recovery a session ends at its first failure: RSR is 0, less than "
+        "of direct execution, whose skills try again by themselves; where the paper's .311 comes from it does not say. "
+        "Its RPC is explained under what the paper does not publish."
+    )
+
+
+def _about_sweep(_: Results) -> str:
+    return f"{SWEPT} {UNLIKE} Ours begins at 0.1, and has no failures to recover from, so it has no RSR."
+
+
+_ABOUT_OURS: Final[Mapping[str, Callable[[Results], str]]] = {
+    published.VIOLATION.label: _about_violations,
+    published.RECOVERY.label: _about_recovery,
+    published.PER_TYPE.label: _about_types,
+    published.ABLATION.label: _about_ablations,
+    published.SENSITIVITY.label: _about_sweep,
+}
 
 SWEPT: Final = (
     "Not the shipped policy: ours are of one made so that s matters (250 ms of debouncing, stops at 0.97 of a speed "
-    "limit), with sensors of twice their noise and brief faults of force and speed near their limit alone. The paper's "
-    "are of all types, so there is no difference to show."
+    "limit), with sensors of twice their noise and brief faults of force and speed near their limit alone. What is "
+    "neither seen nor in UCR was over within 250 ms."
 )
+UNLIKE: Final = "The paper's are of all types, so there is no difference to show."
 
 
 def has_ours(table: PublishedTable, results: Results) -> bool:
@@ -145,8 +196,7 @@ def test_grids(results: Results) -> Iterator[Grid]:
             "p: signed-rank test, one-sided (Reins is better), exact by enumerating signs; a seed in which both agree "
             "drops "
             f"out. The paper against RoboGuard-style: {paper}, each p < 0.001; Wilcoxon p {published.WILCOXON_P} for "
-            "every baseline. It does not say which side it tests: with five seeds 1/32 = .031 is the least that a "
-            "one-sided test can give, and 1/16 = .063 a two-sided one, so it was one-sided.",
+            f"every baseline. {published.T_REMARK}",
         )
 
 

@@ -12,9 +12,10 @@ import pytest
 from app.evaluation import published
 from app.evaluation.metrics import METRICS
 from app.evaluation.physical_choices import CHOICES
+from app.evaluation.plots import shares
 from app.evaluation.report import render, sections, write_report
 from app.evaluation.report_goals import goal_grids, sensor_rows
-from app.evaluation.report_tables import SWEPT, figure_at, metrics_grid, paper_grid
+from app.evaluation.report_tables import SWEPT, Grid, figure_at, metrics_grid, number_text, paper_grid
 from app.evaluation.report_tables import test_grids as significance_grids
 from tests.evaluation.synthetic import results
 
@@ -241,7 +242,7 @@ def test_broken_sensors_are_judged_by_kind_and_those_that_miss_are_named() -> No
     assert (
         found["Broken sensors: delayed by twice what may be, restrained within 5 ticks"][3] == "✗ missed: arm (9 of 10)"
     )
-    name = "Broken sensors: garbage of the bigger size, restrained within 5 ticks"
+    name = "Broken sensors: garbage (noisy), of the bigger size, restrained within 5 ticks"
     assert found[name] == ("0.800\n16 of 20", "20", "1.000", "✗ missed: arm 0.2 (6 of 10)")
     assert len(found) == 3
     assert [*sensor_rows(results())] == []
@@ -280,6 +281,74 @@ def test_the_strict_rate_of_unsafe_continuation_stands_under_the_papers_table() 
     document: dict[str, Any] = results() | {"protocol": "physical"}
     document["methods"]["reins"]["UCR_STRICT"] = {"mean": 0.106}
     assert "the UCR of Reins is 0.106" in paper_grid(published.VIOLATION, document).remark
+
+
+def test_the_rollbacks_that_compare_with_the_papers_stand_under_its_table() -> None:
+    document: dict[str, Any] = results() | {"protocol": "physical"}
+    document["methods"]["reins"] |= {"RBSR_TRIED": {"mean": 0.848}, "RBSR_ALL": {"mean": None}}
+    remark = paper_grid(published.RECOVERY, document).remark
+    assert "0.848 for Reins, over all rollbacks that were tried" in remark
+    assert "– over the failures that were not recovered" in remark
+    assert "RBSR TRIED" not in paper_grid(published.RECOVERY, results()).remark
+
+
+def test_the_tables_by_type_and_of_ablations_say_what_ours_are_of() -> None:
+    document: dict[str, Any] = results() | {"protocol": "physical"}
+    document["per_type"]["reins"] = {"force": {"mean": 1.0, "n": 36}, "people": {"mean": 1.0, "n": 45}}
+    types = paper_grid(published.PER_TYPE, document).remark
+    assert "force 36, speed 0, retry 0, postcondition 0, zone 0, people 45" in types
+    assert "RSR is 0, less than of direct execution" in paper_grid(published.ABLATION, document).remark
+
+
+def test_what_the_papers_own_numbers_do_not_give_is_worked_out_from_them() -> None:
+    ours, theirs = published.VIOLATION.rows["reins"][1], published.VIOLATION.rows["roboguard-style"][1]
+    for place in (0, 2):  # RVDR, UCR
+        mine, other = ours[place], theirs[place]
+        assert mine is not None
+        assert mine.std is not None
+        assert other is not None
+        assert other.std == 0.0
+        t = (mine.mean - other.mean) / (mine.std / 5**0.5)
+        assert number_text(t, 1) in published.T_REMARK
+    mine, direct = published.RECOVERY.rows["reins"][1][0], published.RECOVERY.rows["direct"][1][0]
+    assert mine is not None
+    assert mine.std is not None
+    assert direct is not None
+    assert direct.std is not None
+    d = (mine.mean - direct.mean) / ((mine.std**2 + direct.std**2) / 2) ** 0.5
+    assert f"would be {d:.1f}" in published.EFFECT_SIZE.remark
+
+
+def test_of_types_that_are_detected_alike_the_worst_is_the_one_known_least() -> None:
+    document: dict[str, Any] = results() | {"protocol": "physical"}
+    document["per_type"]["reins"] = {
+        "force": {"mean": 1.0, "n": 36, "low": 0.904, "high": 1.0},
+        "speed": {"mean": 1.0, "n": 31, "low": 0.890, "high": 1.0},
+    }
+    (goals, *_) = goal_grids(document)
+    assert "RVDR of the worst type (speed)" in dict(goals.rows)
+
+
+def test_types_are_drawn_in_the_order_of_the_table_and_with_their_rows() -> None:
+    document: dict[str, Any] = results()
+    spread = document["distributions"]["latency_ticks"]
+    document["distributions"]["latency_ticks"] = {name: spread[name] for name in ("zone", "speed", "force")}
+    drawn = [plot.alternative for plot in next(part.plots for part in sections(document) if part.id == "plots")]
+    (late,) = [told for told in drawn if told.startswith("Detection latency")]
+    assert late.index("Force") < late.index("Speed") < late.index("Zone")
+    assert any("Force exceeded (1000) 0." in told for told in drawn)
+
+
+def test_labels_under_a_plot_are_broken_before_they_meet() -> None:
+    cells = {"never answers": {"done (RSR)": 0.0, "expired": 1.0, "violated for over 250 ms": 0.0}}
+    svg = shares(cells, "What became of them.").svg
+    assert "violated for over 250 ms" not in svg
+    assert "violated for<" in svg
+
+
+def test_a_column_that_holds_sentences_is_read_from_the_left_in_every_row() -> None:
+    rows = (("one", ("–", "0.1")), ("two", ("organization/forbidden-zone, human-shared/clearance", "0.2")))
+    assert Grid("g", "c", "s", (), ("why", "how much"), rows).wordy == (True, False)
 
 
 def test_scores_say_their_unit_and_which_way_is_better() -> None:
