@@ -113,13 +113,15 @@ def per_type(bars: Sequence[Bar]) -> Plot:
         axes.set_yticks(list(places), [bar.name for bar in bars])
         axes.invert_yaxis()
         axes.set_xlim(0, 1.02)
-        axes.set_xlabel("detected share (RVDR); in brackets: rows; line: 95 % interval")
+        axes.set_xlabel("detected share (RVDR); line: 95 % interval")
         axes.grid(visible=False, axis="y")
         axes.legend(loc="lower center", bbox_to_anchor=(0.4, 1.0), ncols=2)
     told = "; ".join(f"{bar.name} {bar.value:.3f}" + (f" ({bar.paper:.3f})" if bar.paper is not None else "")
                      for bar in bars)  # fmt: skip
     return Plot(
-        drawn[0], f"Detected share by type, the paper's in brackets: {told}.", "Detection by type of violation."
+        drawn[0],
+        f"Detected share by type, the paper's in brackets: {told}.",
+        "Detection by type of violation, beyond the boundary band; in brackets how many.",
     )
 
 
