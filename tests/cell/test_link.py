@@ -239,16 +239,18 @@ async def test_sends_reports_in_order_and_again_after_a_reconnect(tmp_path: Path
         await until(lambda: cell.script.of(State))
         for seq in (1, 2, 3):
             cell.outbox.event(event(seq))
-        await until(lambda: len(cell.script.of(UpEvent)) == 3)
+        await until(lambda: len(cell.script.of(UpEvent)) >= 3)
         await cell.script.say(Ack(seq=1))
         await until(lambda: len(cell.outbox.events) == 2, "the first is forgotten")
         cell.script.acknowledged = 1
+        sent = len(cell.script.of(UpEvent))  # more than three where the link was lost on the way, as on a busy machine
         await cell.script.sockets[-1].close()
-        await until(lambda: len(cell.script.of(UpEvent)) == 5)
-        assert [one.seq for one in cell.script.of(UpEvent) if isinstance(one, UpEvent)] == [1, 2, 3, 2, 3]
-        second = cell.script.of(Hello)[1]
-        assert isinstance(second, Hello)
-        assert (second.policy_digest, second.last_seq) == (DIGEST, 3)
+        await until(lambda: len(cell.script.of(UpEvent)) >= sent + 2)
+        reports = [one.seq for one in cell.script.of(UpEvent) if isinstance(one, UpEvent)]
+        assert (reports[:3], reports[sent : sent + 2]) == ([1, 2, 3], [2, 3])
+        newest = cell.script.of(Hello)[-1]
+        assert isinstance(newest, Hello)
+        assert (newest.policy_digest, newest.last_seq) == (DIGEST, 3)
 
 
 @pytest.mark.anyio

@@ -21,7 +21,7 @@ from tests.evaluation.physical_world import bench, ran, trial
 from tests.governance.policy_world import shipped
 
 SEED = TUNING_SEEDS[3]
-COUNT = 3
+COUNT = 2
 SEEN = 1.0
 LOST = 0.25
 
