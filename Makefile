@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help setup console demo run test check bench evaluate pictures format lock clean \
-  test-rules test-evaluation test-runtime test-processes test-console
+  test-rules test-evaluation test-runtime test-restarts test-processes test-console
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
@@ -42,12 +42,13 @@ run: $(STAMP) console  ## a server with one simulated cell and a demo agent; kee
 
 test: $(STAMP) console  ## the whole test suite; what decides and what proves covered to the last branch
 	@$(MAKE) --no-print-directory -j3 test-rules test-evaluation test-runtime
-	@$(MAKE) --no-print-directory -j2 test-processes test-console
+	@$(MAKE) --no-print-directory -j3 test-restarts test-processes test-console
 
 # For two cores. What computes, or waits within one process, comes first, in three lanes as none computes all the time;
-# what starts servers, cells and browsers waits more than it computes and comes after it, in two. Whatever no lane names
-# runs with the processes.
+# what starts servers, cells and browsers waits more than it computes and comes after it, in three as well. Whatever no
+# lane names runs with the processes.
 COMPUTES := tests/evaluation tests/runtime tests/api tests/agent tests/authoring tests/sim tests/cell tests/proofs
+RESTARTS := tests/test_crash.py tests/test_takeover.py tests/test_activation.py
 test-rules: $(STAMP)
 	@$(BIN)/coverage run -m pytest $(MEASURED)
 	@$(BIN)/coverage report
@@ -59,11 +60,15 @@ test-evaluation: $(STAMP)
 test-runtime: $(STAMP)
 	@$(BIN)/python -m pytest -p no:cacheprovider tests/runtime tests/api tests/agent tests/authoring tests/proofs
 
-test-processes: $(STAMP)
-	@$(BIN)/python -m pytest -p no:cacheprovider $(MEASURED:%=--ignore=%) $(COMPUTES:%=--ignore=%) --ignore=tests/console
+test-restarts: $(STAMP)
+	@$(BIN)/python -m pytest -p no:cacheprovider $(RESTARTS)
+
+test-processes: $(STAMP) console
+	@$(BIN)/python -m pytest -p no:cacheprovider $(MEASURED:%=--ignore=%) $(COMPUTES:%=--ignore=%) $(RESTARTS:%=--ignore=%) \
+	  --ignore=tests/console
+	@$(BIN)/python web/build.py test
 
 test-console: $(STAMP) console
-	@$(BIN)/python web/build.py test
 	@$(BIN)/python -m pytest tests/console
 
 $(TYPINGS): $(STAMP)
@@ -83,9 +88,8 @@ bench: $(STAMP) console  ## print every figure the project promises
 	@for bench in benchmarks/bench_*.py; do echo; echo "== $$bench"; $(BIN)/python $$bench || exit 1; done
 	@echo; echo "== the heap of a console's page, 35 minutes"; $(BIN)/python benchmarks/bench_browser.py --only heap --minutes 30
 
-# On two idle cores about 86 minutes in all: the paper's protocol 2 to 5, 5 seeds × 200 physical trials under eleven
-# methods about 30, their studies about 17 (measured per trial; generalisation is the longest with 7), 120 whole
-# tasks 6 (5 to 7 s of a core for each, all methods together), the long run 30.
+# In minutes of one core, of which there should be two: the paper's protocol 4 to 10, 5 seeds × 200 physical trials under
+# eleven methods with all studies 36, 120 whole tasks 8, the long run 33. About 45 minutes in all.
 evaluate: $(STAMP)  ## measure all methods against each other; reports into evaluation/, figures into the README
 	@$(BIN)/reins evaluate --protocol paper --readme README.md
 	@$(BIN)/reins evaluate --protocol physical --methods all --trials 200 --studies all --readme README.md
