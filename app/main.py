@@ -206,7 +206,8 @@ async def _serve(settings: Settings, policies: PolicySet, listener: socket.socke
         await asyncio.wait({serving, opened}, return_when=asyncio.FIRST_COMPLETED)
         try:
             write_private(layout.server, orjson.dumps({"url": url, "pid": os.getpid()}))
-            introduce(settings, house["fleet"], house["versions"], policies.digest, url)
+            proved = (await house["versions"].load(house["versions"].in_force.digest)).proved
+            introduce(settings, house["fleet"], house["versions"], policies.digest, url, proved=bool(proved))
             children.start()
             await _told_to_stop(serving, children.misused)
         finally:
@@ -287,7 +288,7 @@ def address(listener: socket.socket) -> str:
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
-def introduce(settings: Settings, fleet: Fleet, versions: Versions, directory: str, url: str) -> None:
+def introduce(settings: Settings, fleet: Fleet, versions: Versions, directory: str, url: str, *, proved: bool) -> None:
     """Print where the server is, what holds there, and how to come in."""
     tokens = settings.layout.tokens
     say(f"reins {__version__} serves {url}")
@@ -297,6 +298,8 @@ def introduce(settings: Settings, fleet: Fleet, versions: Versions, directory: s
             say(f"           not for {cell.id}: it stays in {cell.profile}, which it was put into")
     say(f"  policy   {versions.in_force.digest}")
     say(f"           {versions.reason}")
+    if not proved:
+        say("           not proved here: `reins policy propose` of the same directory has it proved, and says so")
     if versions.in_force.digest != directory:
         say(f"           not in force: {directory}, the directory's (`reins policy activate`, or --take-policies)")
     say(f"  data     {settings.layout.root}")

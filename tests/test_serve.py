@@ -32,6 +32,10 @@ def test_says_how_to_come_in_and_keeps_secrets_to_its_owner(server: ServerProces
         assert (server.data / name).stat().st_mode & 0o077 == 0
 
 
+def test_a_start_says_that_nobody_proved_its_directory_here(server: ServerProcess) -> None:
+    assert "not proved here: `reins policy propose`" in server.log.read_text()
+
+
 def test_the_cells_token_is_in_no_command_line(server: ServerProcess) -> None:
     token = (server.data / "cell.token").read_text().strip()
     pid = server.cell_pid()

@@ -11,7 +11,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import orjson
 
@@ -27,7 +27,21 @@ ACTIVE: Final = "active"
 FORMER: Final = "former"
 REQUEST: Final = "request"
 DIRECTORY: Final = "directory"
+SETTING: Final = "policy_active"
 KEPT_ACTIVATIONS: Final = 100  # of one version; the log holds all of them
+
+
+class InForce(NamedTuple):
+    """What is in force, and why: `source` is `directory` or `request`."""
+
+    digest: str
+    source: str
+    why: str
+
+    def row(self, at: str) -> RowWrite:
+        """Return the row that says so to the next start."""
+        values = {"name": SETTING, "value": orjson.dumps(self._asdict()), "updated_at": at}
+        return RowWrite(table="settings", values=values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,7 +130,7 @@ class Version:
         )
 
     def event(self, op: str, actor: str, **more: Any) -> EventDraft:  # noqa: ANN401  # what else is to be recorded
-        """Return the event of something that was said of it: `proposed`, `awaiting_second`, `offered`."""
+        """Return the event of something that was said of it: `proposed`, `awaiting_second`, `offered`, `proved`."""
         body = {"op": op, "policy_version": self.digest, "status": self.status, "why": self.why, **more}
         return EventDraft(kind=EventKind.POLICY_VERSION, actor=actor, body=body)
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import OrderedDict
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import orjson
 
@@ -38,6 +38,8 @@ from app.runtime.version import (
     DIRECTORY,
     FORMER,
     REQUEST,
+    SETTING,
+    InForce,
     Version,
     files_row,
     read_version,
@@ -54,7 +56,6 @@ if TYPE_CHECKING:
     from app.runtime.register import Register
     from app.runtime.succession import Succession
 
-SETTING: Final = "policy_active"
 KEPT_COMPILED: Final = 4  # beside those that are needed: a candidate is compiled once for its checks and its activation
 CASES: Final = f"{bundle.TESTS_FOLDER}/"
 
@@ -72,14 +73,6 @@ def _demand_versions(active: PolicySet, candidate: PolicySet) -> None:
     """Refuse a candidate with a capability whose version does not say what changed. Raises `PolicyErrors`."""
     if problems := outgrown(active, candidate):
         raise PolicyErrors(problems)
-
-
-class InForce(NamedTuple):
-    """What is in force, and why: `source` is `directory` or `request`."""
-
-    digest: str
-    source: str
-    why: str
 
 
 class Versions:
@@ -194,9 +187,8 @@ class Versions:
         found = await self._examine(candidate, await self._basis(active))
         policy = found.policy
         self._remember(policy)
-        row = await self._register.store.row("policies", id=policy.digest)
-        if row is not None:
-            return read_version(row["document"]).public(), False
+        if await self._register.store.row("policies", id=policy.digest) is not None:
+            return (await self._proved_since(candidate, found, principal)).public(), False
         _demand_versions(active, policy)
         comparison = self._note(active, found)  # of a known one, with the promises that are kept with it, another time
         now = self._register.now()
@@ -224,6 +216,17 @@ class Versions:
         )
         await self._register.append([said], [version.row(), files_row(policy.digest, policy.files, now)])
         return version.public(), True
+
+    async def _proved_since(self, candidate: Candidate, found: Examined, principal: Principal) -> Version:
+        """Return a known version, recorded as proved if a start brought it unproved and it is brought as it is."""
+        async with self._changing:
+            version = await self.load(found.policy.digest)
+            if version.proved or version.promises != candidate.promises:
+                return version
+            proved = version.evolve(self._register.now(), proved=found.proved, cases=found.cases)
+            said = proved.event("proved", principal.name, proved=found.proved, promises=proved.promises)
+            await self._register.append([said], [proved.row()])
+            return proved
 
     # -- putting in force --------------------------------------------------------------------------------------------
 
@@ -294,10 +297,10 @@ class Versions:
             "comparison": found.brief(),
         }
         said = EventDraft(kind=EventKind.POLICY_ACTIVATED, actor=principal.name, body=body)
-        kept = _setting(InForce(candidate.digest, REQUEST, why), now)
+        entering = InForce(candidate.digest, REQUEST, why)
         await self._succession.prepare(self.compiled)
-        await self._register.append([said], [left.row(), entered.row(), kept])
-        self.in_force, self.reason = InForce(candidate.digest, REQUEST, why), f"an engineer put it in force: {why}"
+        await self._register.append([said], [left.row(), entered.row(), entering.row(now)])
+        self.in_force, self.reason = entering, f"an engineer put it in force: {why}"
         self._kernel.enforce(candidate)
         done = self._succession.at_once()
         self._remember(former)
@@ -343,7 +346,7 @@ class Versions:
             "former": None if before is None else before.digest,
         }
         drafts.append(EventDraft(kind=EventKind.POLICY_ACTIVATED, actor=SERVER, body=body))
-        return drafts, [*rows, _setting(self.in_force, now)]
+        return drafts, [*rows, self.in_force.row(now)]
 
     async def _before(self) -> InForce | None:
         for row in await self._register.store.rows("settings", {"name": SETTING}):
@@ -390,8 +393,3 @@ def _why_directory(before: InForce | None, directory: PolicySet) -> str:
     if before.digest != directory.digest:
         return "the directory holds another version than when the server ended"
     return "it was in force when the server ended, and the directory holds the same"
-
-
-def _setting(found: InForce, at: str) -> RowWrite:
-    values = {"name": SETTING, "value": orjson.dumps(found._asdict()), "updated_at": at}
-    return RowWrite(table="settings", values=values)

@@ -141,6 +141,22 @@ async def test_what_a_start_offered_is_proved_before_it_comes_into_force(house: 
         assert (await runtime.versions.load(first["digest"])).proved
 
 
+async def test_what_a_start_brought_is_proved_when_it_is_brought_again(house: House) -> None:
+    async with house.open() as runtime:
+        digest, promises = runtime.kernel.policy.digest, runtime.versions._promises
+        assert (await runtime.versions.load(digest)).proved == ""
+        mine = dict(runtime.kernel.policy.files)
+        other = {**mine, bundle.PROPERTIES: "properties: []\n"}
+        assert other[bundle.PROPERTIES] != promises
+        assert (await runtime.versions.propose(other, ENGINEER, "with other promises"))[0]["proved"] == ""
+        same = mine if promises is None else {**mine, bundle.PROPERTIES: promises}
+        found, new = await runtime.versions.propose(same, ENGINEER, "to have it proved")
+        assert (found["status"], found["proved"], new) == ("active", "that its cases hold", False)
+        assert (await runtime.versions.load(digest)).proved == "that its cases hold"
+        again = await runtime.versions.propose(same, ENGINEER_2, "once more")
+        assert again == (found, False)
+
+
 async def test_what_cannot_be_examined_is_not_kept(house: House) -> None:
     async def examine(candidate: Candidate, against: Candidate | None) -> Examined:
         if candidate.prove:
