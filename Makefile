@@ -52,13 +52,13 @@ RESTARTS := tests/test_crash.py tests/test_takeover.py tests/test_activation.py
 test-rules: $(STAMP)
 	@$(BIN)/coverage run -m pytest $(MEASURED)
 	@$(BIN)/coverage report
-	@$(BIN)/python -m pytest -p no:cacheprovider tests/sim tests/cell
+	@$(BIN)/python -m pytest -p no:cacheprovider tests/proofs
 
 test-evaluation: $(STAMP)
 	@$(BIN)/python -m pytest -p no:cacheprovider tests/evaluation
 
 test-runtime: $(STAMP)
-	@$(BIN)/python -m pytest -p no:cacheprovider tests/runtime tests/api tests/agent tests/authoring tests/proofs
+	@$(BIN)/python -m pytest -p no:cacheprovider tests/runtime tests/api tests/agent tests/authoring tests/sim tests/cell
 
 test-restarts: $(STAMP)
 	@$(BIN)/python -m pytest -p no:cacheprovider $(RESTARTS)
