@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help setup console demo run test check bench evaluate pictures format lock clean \
-  test-rules test-evaluation test-runtime test-restarts test-processes test-console
+  test-rules test-evaluation test-runtime test-processes test-console
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
@@ -42,13 +42,12 @@ run: $(STAMP) console  ## a server with one simulated cell and a demo agent; kee
 
 test: $(STAMP) console  ## the whole test suite; what decides and what proves covered to the last branch
 	@$(MAKE) --no-print-directory -j3 test-rules test-evaluation test-runtime
-	@$(MAKE) --no-print-directory -j3 test-restarts test-processes test-console
+	@$(MAKE) --no-print-directory -j2 test-processes test-console
 
 # For two cores. What computes, or waits within one process, comes first, in three lanes as none computes all the time;
-# what starts servers, cells and browsers waits more than it computes and comes after it, in three as well. Whatever no
-# lane names runs with the processes.
+# what starts servers, cells and browsers waits more than it computes and comes after it, in two: with a third, links
+# lapse that nobody cut. Whatever no lane names runs with the processes.
 COMPUTES := tests/evaluation tests/runtime tests/api tests/agent tests/authoring tests/sim tests/cell tests/proofs
-RESTARTS := tests/test_crash.py tests/test_takeover.py tests/test_activation.py
 test-rules: $(STAMP)
 	@$(BIN)/coverage run -m pytest $(MEASURED)
 	@$(BIN)/coverage report
@@ -60,15 +59,11 @@ test-evaluation: $(STAMP)
 test-runtime: $(STAMP)
 	@$(BIN)/python -m pytest -p no:cacheprovider tests/runtime tests/api tests/agent tests/authoring tests/sim tests/cell
 
-test-restarts: $(STAMP)
-	@$(BIN)/python -m pytest -p no:cacheprovider $(RESTARTS)
-
-test-processes: $(STAMP) console
-	@$(BIN)/python -m pytest -p no:cacheprovider $(MEASURED:%=--ignore=%) $(COMPUTES:%=--ignore=%) $(RESTARTS:%=--ignore=%) \
-	  --ignore=tests/console
-	@$(BIN)/python web/build.py test
+test-processes: $(STAMP)
+	@$(BIN)/python -m pytest -p no:cacheprovider $(MEASURED:%=--ignore=%) $(COMPUTES:%=--ignore=%) --ignore=tests/console
 
 test-console: $(STAMP) console
+	@$(BIN)/python web/build.py test
 	@$(BIN)/python -m pytest tests/console
 
 $(TYPINGS): $(STAMP)

@@ -1,10 +1,11 @@
 import { Box3, DirectionalLight, Group, HemisphereLight, Scene as World, Vector3, WebGLRenderer } from 'three';
 import type { SceneInfo } from '../state/console.svelte';
 import type { PoseFrame } from '../socket/frame';
-import { buildBodies, dispose, isPerson, place, type Bodies } from './build';
+import { buildBodies, dispose, isPerson, place as put, type Bodies } from './build';
 import { CameraRig, type View } from './camera';
 import { buildGround } from './ground';
 import { Labels, type Label } from './labels';
+import { moved } from './motion';
 import { Overlay } from './overlay';
 import { readPalette, type Palette } from './palette';
 
@@ -16,6 +17,7 @@ const OUTSIDE_M = 1.5;
 const NAMED_FURNITURE = /^(.*)_body$/;
 const HEAD_M = 0.28;
 const BESIDE_M = 0.62;
+const NEEDED = 'protective_separation_m';
 
 /** What is wrong at this moment, for highlighting. */
 export interface Trouble {
@@ -108,13 +110,19 @@ export class CellView {
   apply(frame: PoseFrame): void {
     const info = this.info;
     if (info === null || frame.poses.length !== info.bodies.length * 7) return;
+    // A cell that stands is most of a shift: drawing it again and again would only cost power.
+    if (!moved(this.last, frame, [info.gauges.indexOf(NEEDED)])) return;
+    this.place(frame, info);
+  }
+
+  private place(frame: PoseFrame, info: SceneInfo): void {
     this.last = frame;
     info.bodies.forEach((name, k) => {
       const body = this.bodies.byName.get(name);
       if (body === undefined) return;
       const seen = isHere(info, frame.poses, k * 7);
       body.visible = seen;
-      if (seen) place(body, frame.poses, k * 7);
+      if (seen) put(body, frame.poses, k * 7);
       if (name === 'base') this.robot.copy(body.position);
     });
     this.drawSeparation(frame, info);
@@ -164,7 +172,7 @@ export class CellView {
     this.bodies = buildBodies(this.info.scene, this.info.bodies, this.palette);
     this.ground = buildGround(this.info.scene, this.palette, this.trouble.zones);
     this.world.add(this.ground, this.bodies.root);
-    if (this.last !== null) this.apply(this.last);
+    if (this.last !== null) this.place(this.last, this.info);
     this.dirty = true;
   }
 
@@ -173,7 +181,7 @@ export class CellView {
       const value = frame.gauges[info.gauges.indexOf(name)];
       return value === undefined || !Number.isFinite(value) ? null : value;
     };
-    const needed = gauge('protective_separation_m');
+    const needed = gauge(NEEDED);
     const people = this.people();
     this.overlay.separation(this.robot, needed, this.trouble.separation);
     const nearest = people.sort((a, b) => a.distanceTo(this.robot) - b.distanceTo(this.robot))[0] ?? null;
