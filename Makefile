@@ -4,8 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
 # What runs under coverage. The comparison with other implementations is slow there, and adds nothing.
-MEASURED := $(filter-out tests/governance/test_expression_properties.py,\
-  $(wildcard tests/governance/test_*.py tests/audit/test_*.py))
+COMPARED := tests/governance/test_expression_properties.py
+MEASURED := $(filter-out $(COMPARED),$(wildcard tests/governance/test_*.py tests/audit/test_*.py))
 TYPINGS := typings/mujoco/__init__.pyi
 
 # Hundreds of processes start in the tests; where nothing may be kept, each compiles every module anew.
@@ -54,13 +54,14 @@ test-rules: $(STAMP)
 	@$(BIN)/python -m pytest -p no:cacheprovider tests/proofs
 
 test-evaluation: $(STAMP)
-	@$(BIN)/python -m pytest -p no:cacheprovider tests/evaluation
+	@$(BIN)/python -m pytest -p no:cacheprovider tests/evaluation $(COMPARED)
 
 test-runtime: $(STAMP)
 	@$(BIN)/python -m pytest -p no:cacheprovider tests/runtime tests/api tests/agent tests/authoring tests/sim tests/cell
 
 test-processes: $(STAMP)
-	@$(BIN)/python -m pytest -p no:cacheprovider $(MEASURED:%=--ignore=%) $(COMPUTES:%=--ignore=%) --ignore=tests/console
+	@$(BIN)/python -m pytest -p no:cacheprovider $(MEASURED:%=--ignore=%) $(COMPARED:%=--ignore=%) \
+	  $(COMPUTES:%=--ignore=%) --ignore=tests/console
 
 test-console: $(STAMP) console
 	@$(BIN)/python web/build.py test
