@@ -71,6 +71,16 @@ class ServerProcess:
         assert answer.status_code == 201, answer.text
         return answer.json()
 
+    def launch(self, capability: str, cell: str = "workcell-1", **params: Any) -> dict[str, Any]:
+        """Propose, and again where it is deferred, as an agent does: on a busy machine links may lapse a moment."""
+
+        def made() -> dict[str, Any] | None:
+            body = {"capability": capability, "params": params, "cell": cell}
+            answer = self.post("/v1/invocations", body, key="agent").json()
+            return None if answer["status"] == "deferred" else answer
+
+        return until(made, what=f"`{capability}` is decided")
+
     def await_status(self, invocation: str, *statuses: str, within_s: float = 60.0) -> dict[str, Any]:
         """Follow an invocation by long poll until its status is one of those, or it is final."""
         deadline = monotonic_s() + within_s

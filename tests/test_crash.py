@@ -88,13 +88,13 @@ def test_a_server_and_a_cell_that_died_together_leave_one_fault(servers: Servers
 def test_no_restart_of_a_cell_brings_its_reports_into_the_log_again(servers: Servers) -> None:
     server = servers.start(None, "--pace", "0")
     for target in ("dock", "bench_a_stand"):
-        server.await_status(server.propose("navigate_to", target=target)["id"], "completed")
+        server.await_status(server.launch("navigate_to", target=target)["id"], "completed")
         pid = server.cell_pid()
         assert pid is not None
         os.kill(pid, signal.SIGKILL)
         until(lambda pid=pid: server.cell_pid() not in {None, pid}, what="another process is the cell")
         until(lambda: server.cell()["online"], what="the cell is back")
-    server.await_status(server.propose("navigate_to", target="dock")["id"], "completed")
+    server.await_status(server.launch("navigate_to", target="dock")["id"], "completed")
     events = server.get("/v1/audit/events?limit=1000")["items"]
     numbers = [event["body"]["cell_seq"] for event in events if "cell_seq" in event["body"]]
     assert numbers == list(range(1, len(numbers) + 1))

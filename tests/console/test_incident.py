@@ -75,8 +75,7 @@ def server(built: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Se
             lambda: all(cell["online"] for cell in cells_of(found)) and len(cells_of(found)) == 2,
             what="two cells online",
         )
-        body = {"capability": "navigate_to", "params": {"target": "tool_stand"}, "cell": "workcell-2"}
-        drive = found.post("/v1/invocations", body, key="agent").json()
+        drive = found.launch("navigate_to", "workcell-2", target="tool_stand")
         assert found.await_status(drive["id"], "completed", "failed")["outcome"] == "succeeded"
         yield found
     finally:
