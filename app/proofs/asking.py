@@ -65,8 +65,7 @@ class Asking:
                 self._known.add(fact.get_id())
                 self._kept.append(fact)
                 self._solver.add(fact)
-        self._solver.set("timeout", left_ms)
-        self._solver.set("rlimit", self._budget.effort)
+        self._solver.set(timeout=left_ms, rlimit=self._budget.effort)
         self.asked += 1
         answer = self._solver.check(*(term(part) for part in parts if part is not True))
         if answer == z3.sat:

@@ -13,6 +13,10 @@ if TYPE_CHECKING:
 
 Formula: TypeAlias = "bool | z3.BoolRef"
 
+# Z3's Python asserts the sort of every argument of every term, a quarter of the time that proofs take. What is encoded
+# here was typed when it was loaded, and Z3 itself refuses terms whose sorts do not fit.
+z3.z3.Z3_DEBUG = False
+
 
 def both(*parts: Formula) -> Formula:
     """Return the conjunction."""
