@@ -154,6 +154,8 @@ async def test_a_quiet_stream_says_that_it_is_there(house: House, monkeypatch: p
         async for event in events_of(answer):
             if not event:
                 break
+        else:
+            pytest.fail("the stream ended without having said that it is there")
 
 
 async def record(house: House, invocation: str, rows: int) -> Path:
