@@ -18,6 +18,8 @@ from typing import Annotated, Literal, TypeAlias
 import orjson
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, TypeAdapter, ValidationError
 
+from app.governance.control import GOING_ON
+
 LEASE_MS = 300
 BEAT_MS = 75
 STATE_MS = 100
@@ -74,6 +76,11 @@ class Human(Message):
         "let_go", "end_takeover", "escalate",
     ]  # fmt: skip
     actor: str
+
+    @property
+    def restrains(self) -> bool:
+        """Say whether it only holds or ends: it overtakes what waits, and what it overtook may not undo it."""
+        return self.op not in GOING_ON
 
 
 Triple: TypeAlias = tuple[float, float, float]

@@ -253,7 +253,11 @@ class Link:
         self._inbox.put(Welcomed(profile=first.profile))
 
     async def _listen(self, socket: ClientConnection, orders: asyncio.Queue[Down]) -> NoReturn:
-        """Renew the lease with every frame. What restrains goes straight to the loop; the rest waits its turn."""
+        """Renew the lease with every frame. What restrains goes straight to the loop; the rest waits its turn.
+
+        A restraint is said once more behind what it overtook: a session that was launched but not begun would never
+        hear of its stop, and what lets a session go on, or leaves a latched stop, would have the last word.
+        """
         while True:
             frame = await socket.recv()
             self._lease.heard()
@@ -266,8 +270,12 @@ class Link:
                 case Watch():
                     self._watched += message.on
                     self._outbox.watched = self._watched if message.on else 0
-                case Estop() | Human() | Jog():
+                case Jog():
                     self._inbox.put(message)
+                case Estop() | Human(restrains=True):
+                    self._inbox.put(message)
+                    if not orders.empty():
+                        orders.put_nowait(message)
                 case _:
                     orders.put_nowait(message)
 
@@ -278,7 +286,7 @@ class Link:
             match message:
                 case Policy():
                     await self._take_policy(message)
-                case Launch() | Reset() | SetProfile():
+                case Launch() | Human() | Estop() | Reset() | SetProfile():
                     self._inbox.put(message)
                 case _:
                     raise LinkRefused(f"the server said `{message.type}` in between; valid: once, first")

@@ -25,7 +25,7 @@ from app.cell.run import Doing, End, Run, Unprepared
 from app.cell.series import Series
 from app.cell.substrate import SubstrateError
 from app.governance.continuing import CHANGED
-from app.governance.control import TAKEOVER
+from app.governance.control import GOING_ON, TAKEOVER
 from app.governance.intervention import Responses
 from app.governance.model import EventKind, Mode, Outcome, Status
 from app.governance.permit import PermitError, SignedAuthorization, verify
@@ -298,7 +298,7 @@ class Runner:
     def _obey(self, session: Session, op: str) -> str | None:
         if isinstance(session.run.next, End):
             return "ending"
-        if self.holding and op in _GOING_ON:
+        if self.holding and op in GOING_ON:
             return "holding"
         deed = _OPS.get(op)
         if deed is None:
@@ -417,7 +417,6 @@ _OPS: Final = {
     "let_go": Session.let_go,
     "end_takeover": Session.end_takeover,
 }
-_GOING_ON: Final = frozenset({"resume", "rollback", "confirm", "resolve_continue"})
 
 
 def close_left_open(journal: Journal, record: telling.Recorder) -> None:

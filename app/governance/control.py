@@ -34,6 +34,9 @@ from app.governance.errors import GovernanceError
 TAKEOVER: Final = "takeover"
 """The capability that a human drives under; policy holds its limits like any other's."""
 
+GOING_ON: Final = frozenset({"resume", "rollback", "confirm", "resolve_continue"})
+"""The words on which a session moves; every other one only holds or ends it."""
+
 LAPSE_S: Final = 3.0
 """A lease whose holder was not heard for so long is over; a hidden browser window still speaks once a second."""
 

@@ -221,22 +221,22 @@ class Answer:
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to go on")
         if reasons := self._questions.kept_back(self._invocation):
             raise Conflict("resume_refused", "the policy in force does not let it go on; valid: deny", reasons=reasons)
-        now = self._register.now()
+        since, now = cell.restraints, self._register.now()
         approval = {"by": self._principal.name, "at": now, "digest": self._escalation.digest}
         closed = self._escalation.evolve(now, status=APPROVED, approvals=(approval,))
         if lapsed(self._invocation):
-            return await self._go_on_anew(cell, closed)
+            return await self._go_on_anew(cell, closed, since)
         await self._commit_session("approve", closed)
         self._fleet.order(
-            cell, Human(invocation=self._invocation.id, op="resolve_continue", actor=self._principal.name)
+            cell, Human(invocation=self._invocation.id, op="resolve_continue", actor=self._principal.name), since=since
         )
         return closed
 
-    async def _go_on_anew(self, cell: Cell, closed: Escalation) -> Escalation:
+    async def _go_on_anew(self, cell: Cell, closed: Escalation, since: int) -> Escalation:
         """Let a session go on that a human drove and left: what it does is decided again, and bound anew."""
         kernel, present = self._kernel, self._invocation
         judgement, approvals = await readmitted(kernel, self._register, cell, present, self._principal)
-        async with kernel.launch(present, judgement, approvals, anew=True) as launch:
+        async with kernel.launch(present, judgement, approvals, anew=True, since=since) as launch:
             terms = replace(launch.invocation.terms, undone_by=None)  # it goes on: its end is the agent's as well
             version = present.evolve(closed.updated_at, escalation=closed.reference(), terms=terms)
             drafts = [self._event("approve", closed), *judgement.recheck_events(present), *launch.events]

@@ -110,6 +110,10 @@ class Cell:
     ended_at_s: float = 0.0
     stated: asyncio.Event = field(default_factory=asyncio.Event)
     owed: dict[tuple[str, str], Message] = field(default_factory=dict[tuple[str, str], "Message"])
+    restraints: int = 0  # words that hold or end its session, so far
+    restrained: dict[tuple[str, str], tuple[int, Message]] = field(
+        default_factory=dict[tuple[str, str], "tuple[int, Message]"]
+    )  # those to the present session, each with its number
     unreconciled: Reunion | None = None
     control: Control | None = None  # who drives it by hand
     control_at: str = ""  # since when, by the wall clock

@@ -160,8 +160,9 @@ class Controls:
             )
         if not self.fleet.attached(cell):
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to {op}")
+        since = cell.restraints
         await self._record(op, present, principal)
-        self.fleet.order(cell, _message(op, present, principal))
+        self.fleet.order(cell, _message(op, present, principal), since=since)
         return (await self.register.load(invocation_id)).public()
 
     async def _record(self, op: str, present: Invocation, principal: Principal) -> None:
@@ -258,7 +259,7 @@ class Controls:
         await self.fleet.keep(cell, [cell_word("reset", cell, principal)], estop=False)
         if cell.stops == before:
             cell.latched = False
-            self.fleet.order(cell, Reset(actor=principal.name))
+            self.fleet.order(cell, Reset(actor=principal.name), since=cell.restraints)
             await self.fleet.unlatched(cell)
         return self.fleet.document(cell)
 
@@ -308,7 +309,7 @@ class Controls:
             self.desk.grants.drop(cell.id, "profile_changed", principal.name)
             await self.desk.grants.record_ends()
         if self.fleet.attached(cell):
-            self.fleet.order(cell, SetProfile(profile=profile))
+            self.fleet.order(cell, SetProfile(profile=profile), since=cell.restraints)
         await self.desk.decide_again()  # what was asked was shown under the former profile
         return self.fleet.document(cell)
 

@@ -221,6 +221,7 @@ class Fleet:
             return
         cell.claim = None
         cell.owed = {key: message for key, message in cell.owed.items() if key[1] != invocation}
+        cell.restrained.clear()
         if ended:
             cell.ended = invocation
             cell.ended_at_s = monotonic_s()
@@ -261,6 +262,9 @@ class Fleet:
         there = attachment is not None and attachment.welcomed
         match message:
             case Human():
+                cell.restraints += 1
+                if message.invocation == cell.claim:
+                    cell.restrained[message.op, message.invocation] = cell.restraints, message
                 if not there or cell.ends(message):
                     cell.owed[message.op, message.invocation] = message
             case Estop():
@@ -269,8 +273,16 @@ class Fleet:
             attachment.post(message, urgent=True)
         return there
 
-    def order(self, cell: Cell, message: Message) -> None:
-        """Send something that was recorded.
+    def order(self, cell: Cell, message: Message, *, since: int) -> None:
+        """Send something that was recorded, and behind it every restraint that was said while it was.
+
+        Recording takes time, and a restraint does not wait for it: whoever pauses what somebody else is resuming right
+        now must have the last word.
+
+        Args:
+            cell: whom to.
+            message: what.
+            since: the cell's `restraints` when it was decided.
 
         Raises:
             Conflict: `cell_offline`, the cell is not there; nothing is kept for later.
@@ -279,6 +291,9 @@ class Fleet:
         if attachment is None or not attachment.welcomed:
             raise Conflict("cell_offline", f"the cell `{cell.id}` is not attached")
         attachment.post(message)
+        for number, restraint in cell.restrained.values():
+            if number > since:
+                attachment.post(restraint)
 
     def jog(self, cell: Cell, command: Jog) -> bool:
         """Pass a jog command on; only the newest one waits, and one that is not sent at once is never kept.

@@ -66,6 +66,7 @@ class Handbacks:
             raise Conflict("nothing_to_resume", "nothing ran before; valid: `rollback`, `end`")
         if then == "end":
             return await self._end(cell, present, principal)
+        since = cell.restraints
         if not await self._newer(cell) and then == "resume":  # a rollback is the cell's own to judge
             raise Conflict(
                 "facts_stale",
@@ -76,9 +77,9 @@ class Handbacks:
         cell.control = returning(control)
         try:
             if then == "resume":
-                await self._resume(cell, present.id, principal)
+                await self._resume(cell, present.id, principal, since)
             else:
-                await self._roll_back(cell, present.id, principal)
+                await self._roll_back(cell, present.id, principal, since)
         except BaseException:
             _keep(cell, control)
             raise
@@ -101,7 +102,7 @@ class Handbacks:
         await self.register.say(self._word("release", present, principal, document, then="end"))
         return await self._returned(present.id, "end")
 
-    async def _resume(self, cell: Cell, invocation: str, principal: Principal) -> None:
+    async def _resume(self, cell: Cell, invocation: str, principal: Principal, since: int) -> None:
         entry = self.register.entry(invocation)
         if entry is None:
             raise Conflict("wrong_status", f"`{invocation}` has ended")
@@ -109,14 +110,14 @@ class Handbacks:
             present = entry.newest
             judgement, approvals = await readmitted(self.kernel, self.register, cell, present, principal)
             document = cell.control_document() or {}
-            async with self.kernel.launch(present, judgement, approvals, anew=True) as launch:
+            async with self.kernel.launch(present, judgement, approvals, anew=True, since=since) as launch:
                 word = self._word("release", present, principal, document, then="resume")
                 terms = replace(launch.invocation.terms, undone_by=None)  # it goes on: its end is the agent's as well
                 version = self._given_back(cell, present, "resume", terms=terms)
                 recheck = judgement.recheck_events(present)
                 await self.register.append([word, *recheck, *launch.events], launch.rows, [version])
 
-    async def _roll_back(self, cell: Cell, invocation: str, principal: Principal) -> None:
+    async def _roll_back(self, cell: Cell, invocation: str, principal: Principal, since: int) -> None:
         entry = self.register.entry(invocation)
         if entry is None:
             raise Conflict("wrong_status", f"`{invocation}` has ended")
@@ -125,7 +126,7 @@ class Handbacks:
             word = self._word("release", present, principal, document, then="rollback")
             terms = replace(present.terms, undone_by=principal.name)
             await self.register.append([word], versions=[self._given_back(cell, present, "rollback", terms=terms)])
-            self.fleet.order(cell, Human(invocation=invocation, op="rollback", actor=principal.name))
+            self.fleet.order(cell, Human(invocation=invocation, op="rollback", actor=principal.name), since=since)
 
     def _given_back(self, cell: Cell, present: Invocation, then: str, **changes: Any) -> Invocation:  # noqa: ANN401
         facts = cell.state.facts if cell.fresh and cell.state is not None else None

@@ -326,17 +326,30 @@ class Kernel:
 
     @asynccontextmanager
     async def launch(
-        self, invocation: Invocation, judgement: Judgement, approvals: tuple[str, ...] = (), *, anew: bool = False
+        self,
+        invocation: Invocation,
+        judgement: Judgement,
+        approvals: tuple[str, ...] = (),
+        *,
+        anew: bool = False,
+        since: int | None = None,
     ) -> AsyncGenerator[Launching]:
         """Claim the cell, mint, let the caller make it durable inside, and only then send it.
 
         Nothing is awaited between the decision and the claim, so one cell cannot be promised twice. If the inside
         raises, the claim is given back and nothing was sent. A cell that is gone by then never gets it: the session
-        is resolved when the cell is back, or has been away too long. `anew` is for a session that has the cell already
-        and keeps it, whatever becomes of this: it changes hands.
+        is resolved when the cell is back, or has been away too long.
+
+        Args:
+            invocation: what is launched.
+            judgement: what was decided on it.
+            approvals: who approved it.
+            anew: it is a session that has the cell already and keeps it, whatever becomes of this: it changes hands.
+            since: the cell's `restraints` when whoever wants this began; by itself, now.
         """
         cell = self._fleet.cell(invocation.cell or "")
         self._fleet.claim(cell, invocation.id)
+        since = cell.restraints if since is None else since
         try:
             authorization = self._authorization(invocation, judgement, approvals)
             signed = mint(authorization, self._key)
@@ -353,6 +366,7 @@ class Kernel:
                 Launch(
                     body=base64.b64encode(signed.body).decode(), signature=base64.b64encode(signed.signature).decode()
                 ),
+                since=since,
             )
 
     def _launching(self, invocation: Invocation, authorization: Authorization, body: str) -> Launching:

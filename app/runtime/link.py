@@ -1,8 +1,9 @@
 """One cell's link as the server holds it: what goes out, in order and without waiting; what comes in, checked.
 
-Sending never waits: `post` puts a frame into the outlet and returns, a task of its own drains it into the socket. A
-restraint (pause, stop, emergency stop) goes to the front. A socket that does not drain closes the link, and then the
-cell holds by itself (lease).
+Sending never waits: `post` puts a message into the outlet and returns, a task of its own drains it into the socket. A
+restraint (pause, stop, emergency stop) goes to the front, and is said once more in its place if it overtook something
+that lets the robot move: what was ordered before it must not have the last word. A socket that does not drain closes
+the link, and then the cell holds by itself (lease).
 
 Reports (`UpEvent`) are numbered. Those already in the log are dropped, a gap is refused, the rest is recorded in
 batches and acknowledged only then. When the record cannot be written the link stays, because a stop must get through:
@@ -23,9 +24,12 @@ from app.protocol import (
     Ack,
     Beat,
     Hello,
+    Human,
+    Launch,
     Path,
     Policy,
     ProtocolError,
+    Reset,
     Scene,
     Sighting,
     State,
@@ -54,7 +58,7 @@ NORMAL_CLOSURE: Final = 1000
 PROTOCOL_VIOLATION: Final = 1002
 INTERNAL_ERROR: Final = 1011
 TRY_LATER: Final = 1013
-BEAT: Final = encode(Beat())
+LETS_MOVE: Final = (Launch, Human, Reset)
 
 
 class Link(Protocol):
@@ -129,8 +133,8 @@ class Attachment:
         self.closed = False
         self._hub = hub
         self._link = link
-        self._outlet: deque[str] = deque()
-        self._jog: str | None = None
+        self._outlet: deque[Message] = deque()
+        self._jog: Message | None = None
         self._reports: deque[UpEvent] = deque()
         self._next_seq = 0
         self._outgoing = asyncio.Event()
@@ -155,29 +159,27 @@ class Attachment:
 
     def post(self, message: Message, *, urgent: bool = False) -> None:
         """Send a message without waiting; an urgent one overtakes what waits."""
-        self._put(encode(message), urgent=urgent)
+        if self.closed:
+            return
+        again = urgent and any(isinstance(waiting, LETS_MOVE) for waiting in self._outlet)
+        if urgent:
+            self._outlet.appendleft(message)
+        if again or not urgent:
+            self._outlet.append(message)
+        self._outgoing.set()
+        if len(self._outlet) > MAX_WAITING_FRAMES:
+            self.shut(TRY_LATER, "frames pile up: the cell does not read")
 
     def jog(self, command: Message) -> None:
         """Send a jog command once nothing else waits, in the place of an older one that waits still."""
         if not self.closed:
-            self._jog = encode(command)
+            self._jog = command
             self._outgoing.set()
 
     def beat(self) -> None:
         """Keep the lease alive, unless frames wait already: those say the same."""
         if not self._outlet:
-            self._put(BEAT, urgent=False)
-
-    def _put(self, frame: str, *, urgent: bool) -> None:
-        if self.closed:
-            return
-        if urgent:
-            self._outlet.appendleft(frame)
-        else:
-            self._outlet.append(frame)
-        self._outgoing.set()
-        if len(self._outlet) > MAX_WAITING_FRAMES:
-            self.shut(TRY_LATER, "frames pile up: the cell does not read")
+            self.post(Beat())
 
     async def _drain(self) -> None:
         while True:
@@ -185,13 +187,13 @@ class Attachment:
             self._outgoing.clear()
             while self._outlet or self._jog is not None:
                 try:
-                    await self._link.send(self._next())
+                    await self._link.send(encode(self._next()))
                 except Exception as error:  # whatever the socket raises, it is gone
                     self.shut(NORMAL_CLOSURE, f"sending failed: {type(error).__name__}")
                     return
 
-    def _next(self) -> str:
-        """Return the next frame: a restraint stands first in the outlet, and no jog command goes before it."""
+    def _next(self) -> Message:
+        """Return the next message: a restraint stands first in the outlet, and no jog command goes before it."""
         if self._outlet or self._jog is None:
             return self._outlet.popleft()
         jog, self._jog = self._jog, None

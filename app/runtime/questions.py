@@ -171,9 +171,10 @@ class Questions:
             self.fleet.restrain(cell, rest)
             await recording
             return
+        since = cell.restraints
         try:
             await recording
-            self.fleet.order(cell, Human(invocation=invocation.id, op="rollback", actor=actor))
+            self.fleet.order(cell, Human(invocation=invocation.id, op="rollback", actor=actor), since=since)
         except RecordUnavailable:
             self.fleet.restrain(cell, rest)
             raise

@@ -30,6 +30,8 @@ from app.protocol import (
     Human,
     Launch,
     Policy,
+    Reset,
+    SetProfile,
     State,
     Unrecorded,
     Up,
@@ -217,7 +219,7 @@ async def test_passes_orders_to_the_runner_as_they_came(tmp_path: Path) -> None:
         stop = Human(invocation="inv_1", op="stop", actor="operator")
         for message in (launch, stop, Estop(actor="planner")):
             await cell.script.say(message)
-        await until(lambda: len(cell.orders(Launch | Human | Estop)) == 3)  # type: ignore[arg-type]
+        await until(lambda: cell.orders(Launch) and cell.orders(Human) and cell.orders(Estop))
         assert launch in cell.runner.orders
         assert stop in cell.runner.orders
 
@@ -231,6 +233,36 @@ async def test_a_launch_does_not_overtake_the_policy_it_needs(tmp_path: Path) ->
         await until(lambda: cell.orders(Launch))
         kinds = [type(order) for order in cell.runner.orders if isinstance(order, NewPolicy | Launch)]
         assert kinds == [NewPolicy, Launch]
+
+
+def human(op: str) -> Human:
+    return Human.model_validate({"invocation": "inv_1", "op": op, "actor": "operator"})
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize(
+    ("waiting", "restraint"),
+    [
+        (Launch(body="e30=", signature="c2ln"), human("stop")),
+        (Launch(body="e30=", signature="c2ln"), human("let_go")),
+        (Reset(actor="operator"), Estop(actor="planner")),
+        (human("resume"), human("pause")),
+    ],
+)
+async def test_a_restraint_overtakes_what_waits_and_has_the_last_word_all_the_same(
+    tmp_path: Path, waiting: Launch | Reset | Human, restraint: Human | Estop
+) -> None:
+    async with rig(tmp_path) as cell:
+        await until(lambda: cell.script.of(State))
+        for message in (Policy(digest=DIGEST, files=FILES), waiting, restraint):
+            await cell.script.say(message)
+        await cell.script.say(SetProfile(profile="last"))
+        await until(lambda: cell.orders(SetProfile))
+        said = [order for order in cell.runner.orders if order in (waiting, restraint)]
+        assert said[-2:] == [waiting, restraint]
+        assert said.count(waiting) == 1
+        first, built = cell.runner.orders.index(restraint), cell.runner.orders.index(cell.orders(NewPolicy)[0])
+        assert first < built, "it does not wait for a policy to compile"
 
 
 @pytest.mark.anyio

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
@@ -16,7 +17,7 @@ from app.runtime import sessions as sessions_module
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
 
-from .conftest import AGENT, AT_BENCH, AUDITOR, CELL, OPERATOR, HandCell, House, navigate, until
+from .conftest import AGENT, AT_BENCH, AUDITOR, CELL, OPERATOR, OPERATOR_2, HandCell, House, navigate, until
 
 pytestmark = pytest.mark.anyio
 
@@ -620,6 +621,87 @@ async def test_a_stop_that_was_lost_with_its_link_is_said_again_until_the_sessio
     idle = await HandCell(runtime, seq=back.seq).dial()
     await idle.expect("beat")
     assert idle.ops() == []
+
+
+@dataclass
+class SlowCell(HandCell):
+    """A cell whose socket takes nothing while its gate is shut."""
+
+    gate: asyncio.Event = field(default_factory=asyncio.Event)
+    stuck: int = 0
+
+    async def send(self, frame: str) -> None:
+        self.stuck += 1
+        await self.gate.wait()
+        self.stuck -= 1
+        await super().send(frame)
+
+
+async def test_a_stop_overtakes_a_reset_that_waits_and_has_the_last_word(runtime: Runtime) -> None:
+    cell = SlowCell(runtime)
+    cell.gate.set()
+    await cell.dial()
+    await cell.state()
+    await runtime.governor.estop(CELL, OPERATOR)
+    await cell.expect("estop")
+    await cell.state(latched=True)
+    cell.gate.clear()
+    await until(lambda: cell.stuck == 1)  # a beat: what comes now waits behind it
+    resetting = asyncio.create_task(runtime.governor.reset(CELL, OPERATOR))
+    await until(lambda: not runtime.fleet.cell(CELL).latched)
+    await runtime.governor.estop(CELL, OPERATOR)
+    cell.gate.set()
+    await resetting
+    await cell.expect("estop", 3)
+    assert [word.type for word in cell.heard if word.type in {"estop", "reset"}] == ["estop", "estop", "reset", "estop"]
+    assert runtime.fleet.cell(CELL).latched
+
+
+class Late:
+    """Holds what records back just when it is in, until it is let go."""
+
+    def __init__(self, runtime: Runtime, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.recorded, self.go = asyncio.Event(), asyncio.Event()
+        self._append = runtime.register.append
+        monkeypatch.setattr(runtime.register, "append", self.append)
+
+    async def append(self, *arguments: Any, **named: Any) -> Any:
+        done = await self._append(*arguments, **named)
+        if not self.recorded.is_set():
+            self.recorded.set()
+            await self.go.wait()
+        return done
+
+
+async def test_a_stop_has_the_last_word_on_a_launch_that_is_being_recorded(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    late = Late(runtime, monkeypatch)
+    proposing = asyncio.create_task(runtime.governor.propose(AGENT, navigate()))
+    await late.recorded.wait()
+    (name,) = [entry.id for entry in runtime.register.live()]
+    await runtime.governor.stop(name, OPERATOR)
+    late.go.set()
+    await proposing
+    await cell.expect("human", 2)
+    assert [word.type for word in cell.heard if word.type in {"human", "launch"}] == ["human", "launch", "human"]
+
+
+@pytest.mark.parametrize("loosening", ["resume", "rollback"])
+async def test_a_pause_has_the_last_word_on_what_lets_a_session_go_on_while_it_is_recorded(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch, loosening: str
+) -> None:
+    name = await running(runtime, cell)
+    await cell.report("status", name, status="paused")
+    late = Late(runtime, monkeypatch)
+    word = {"resume": runtime.governor.resume, "rollback": runtime.governor.rollback}[loosening]
+    going_on = asyncio.create_task(word(name, OPERATOR))
+    await late.recorded.wait()
+    await runtime.governor.pause(name, OPERATOR_2)
+    assert cell.ops() == ["pause"], "it waits for no record"
+    late.go.set()
+    await going_on
+    await until(lambda: cell.ops() == ["pause", loosening, "pause"])
 
 
 async def test_an_emptied_journal_counts_from_the_start(runtime: Runtime, cell: HandCell) -> None:
