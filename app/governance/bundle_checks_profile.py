@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, cast
 
+from app.governance.model import Strategy
 from app.governance.policy_model import FAILURES, LIMIT_UNITS, NAMED_THRESHOLDS, SENSORS, SIGNAL_UNITS
+from app.governance.recovery import NEW_ATTEMPTS
 from app.governance.vocabulary import always_there, properties
 
 if TYPE_CHECKING:
@@ -111,12 +113,26 @@ def _recovery(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Itera
         for at, name in enumerate(row.applies_to or ()):
             yield from reader.unknown((*path, "applies_to", at), "capability", name, known.named)
         yield from _recovered(reader, path, row, shape, known)
-        for step in row.budget:
-            if step not in row.do:
-                yield reader.problem((*path, "budget", step), f"`{step}` is no step of this row", row.do)
+        yield from _budget(reader, path, row, shape)
         yield from _steps(reader, path, row, shape)
     if not any(row.on == "any" and row.applies_to is None and row.risks is None for row in shape.recovery):
         yield reader.problem(("recovery",), "failures are left uncovered: the table needs a last row", ["on: any"])
+
+
+def _budget(reader: Reader, path: Path, row: shapes.RecoveryShape, shape: shapes.ProfileShape) -> Iterator[PolicyError]:
+    """A row's budget is for its own steps, and no more than the whole session has: the rest could never be used up."""
+    for step, count in row.budget.items():
+        if step not in row.do:
+            yield reader.problem((*path, "budget", step), f"`{step}` is no step of this row", row.do)
+            continue
+        if Strategy(step.upper()) in NEW_ATTEMPTS:
+            most = shape.retry_budget
+            why = f"`retry_budget` leaves a session `{most}` new attempts in all"
+        else:
+            most, why = (1, "a session is rolled back once") if step == "rollback" else (count, "")
+        if count > most:
+            message = f"a dead budget: `{step}` is `{count}`, and {why}"
+            yield reader.problem((*path, "budget", step), message, [f"up to {most}"])
 
 
 def _recovered(
