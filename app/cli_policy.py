@@ -18,6 +18,7 @@ from app.governance.bundle import load, read_cases, read_properties
 from app.governance.cases import read as read_tests
 from app.governance.errors import PolicyErrors
 from app.governance.evolution import outgrown
+from app.governance.stated import read as read_promises
 from app.terminal import FINDING, err, say
 
 if TYPE_CHECKING:
@@ -71,7 +72,9 @@ def check(  # its options
         cases = read_tests(policy, read_cases(folder))
         if against is not None and (problems := outgrown(load_policy(find_policies(against)), policy)):
             raise PolicyErrors(problems)  # noqa: TRY301  # they are written like all others
-        report = _prove(policy, read_properties(folder), effort, all_s) if proofs else None
+        promised = read_properties(folder)
+        read_promises(policy, promised)  # what cannot be read is refused, whether it is to be proved or not
+        report = _prove(policy, promised, effort, all_s) if proofs else None
     except PolicyErrors as found:
         if form is Form.SARIF:
             _say_sarif([], found.problems)

@@ -33,6 +33,7 @@ from app.children import Children
 from app.config import ConfigError, find_policies
 from app.governance.bundle import load, read_properties
 from app.governance.errors import PolicyErrors
+from app.governance.stated import read as read_promises
 from app.runtime.assembly import Runtime
 from app.runtime.errors import NotFound
 from app.terminal import FINE, MISUSE, err, remark, say, say_error
@@ -141,14 +142,16 @@ def check_world(settings: Settings) -> None:
 
 
 def load_policies(folder: Path) -> PolicySet | None:
-    """Return the compiled policies, or None after printing what is wrong, with file and line."""
+    """Return the compiled policies, or None after printing what is wrong with them or with what they promise."""
     try:
-        return load(folder)
+        policies = load(folder)
+        read_promises(policies, read_properties(folder))
     except PolicyErrors as found:
         say_error(f"the policies in `{folder}` cannot be enforced, so nothing starts")
         for problem in found.problems:
             err.print(f"  {problem}", markup=False)
         return None
+    return policies
 
 
 def listen(host: str, port: int) -> socket.socket:

@@ -114,6 +114,15 @@ def test_a_broken_policy_does_not_start_and_says_where(tmp_path: Path) -> None:
     assert f"profiles/human-shared.yaml:{place + 1}" in checked.stderr
 
 
+def test_promises_that_cannot_be_read_do_not_start_and_say_where(tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(POLICIES, tmp_path / "policies"))
+    (folder / "properties.yaml").write_text("order: []\nproperties: [{id: a, says: So., nevr: [allowed]}]\n")
+    broken = reins("serve", "--port", "0", "--data", str(tmp_path / "data"), "--policies", str(folder))
+    assert broken.returncode == 2
+    assert "properties.yaml:2: properties[0].nevr: unknown key `nevr`" in broken.stderr
+    assert not (tmp_path / "data").exists()
+
+
 def test_a_start_that_is_refused_leaves_nothing_behind(tmp_path: Path, server: ServerProcess) -> None:
     port = server.url.rpartition(":")[2]
     for word in (("--profile", "nowhere"), ("--port", port)):

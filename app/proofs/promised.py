@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, cast
 
+from app.governance.bundle import PROPERTIES
 from app.governance.bundle_yaml import parse
 from app.governance.changes import LOOSENS, SAME, Comparison, Difference, total
-from app.proofs.stated import FILE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -28,7 +28,7 @@ def with_promises(found: Comparison, old: str | None, new: str | None) -> Compar
 
 def _read(text: str | None) -> dict[str, Any]:
     """Return promises by their names; the order of profiles is one of them."""
-    value = None if text is None else parse(FILE, text)[0].value
+    value = None if text is None else parse(PROPERTIES, text)[0].value
     content = cast("dict[str, Any]", value) if isinstance(value, dict) else {}
     stated = {f"properties/{one['id']}": {**one, "says": ""} for one in content.get("properties") or []}
     return stated | ({"properties/order": content["order"]} if content.get("order") else {})

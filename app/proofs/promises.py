@@ -10,6 +10,7 @@ import z3
 
 from app.governance.admission import ACCEPT
 from app.governance.authority import answers, need
+from app.governance.bundle import PROPERTIES
 from app.governance.decision import decide
 from app.governance.expression_tree import BOOL
 from app.governance.model import AuthorityMode, Verdict
@@ -19,7 +20,6 @@ from app.proofs.asking import UNDECIDED, Asking
 from app.proofs.findings import Finding, Kind
 from app.proofs.formulas import Formula, both, either, no, some
 from app.proofs.obligations import never
-from app.proofs.stated import FILE
 from app.proofs.values import NotCoveredError
 
 if TYPE_CHECKING:
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
     from app.governance.bundle_promises import PropertyShape
     from app.governance.policy import Gate
+    from app.governance.stated import Property
     from app.proofs.obligations import Court
     from app.proofs.pair import Pair
-    from app.proofs.stated import Property
     from app.proofs.witness import Seen
 
 PROBE: Final = "properties/probe"
@@ -100,7 +100,7 @@ def property_holds(court: Court, promised: Property) -> Iterator[Finding]:
         answer = court.solve(pair.space.ready(), when, broken)
         found = court.judged(Kind.PROPERTY, answer, message, lambda seen: Judge(pair, shape).broken(seen))
     for finding in found:
-        yield replace(finding, file=FILE, line=promised.line, rule=shape.id)
+        yield replace(finding, file=PROPERTIES, line=promised.line, rule=shape.id)
 
 
 def _holds_or_fails(pair: Pair, source: str) -> Formula:

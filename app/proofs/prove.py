@@ -6,7 +6,9 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
+from app.governance.bundle import PROPERTIES
 from app.governance.policy_model import GOVERNANCE
+from app.governance.stated import Stated, read
 from app.governance.vocabulary import Vocabulary
 from app.proofs.asking import Asking, Budget
 from app.proofs.deciding import fates
@@ -16,7 +18,6 @@ from app.proofs.obligations import Court, contradictions, coverage, errors, idem
 from app.proofs.pair import Pair
 from app.proofs.promises import applies, order_holds, property_holds
 from app.proofs.space import Space
-from app.proofs.stated import FILE, Stated, read
 from app.proofs.witness import written
 
 if TYPE_CHECKING:
@@ -96,7 +97,7 @@ def prove(
         PolicyErrors: `properties.yaml` is at fault.
     """
     vocabulary = Vocabulary(policy.capabilities, policy.permissions | {GOVERNANCE})
-    stated = read(policy, vocabulary, properties)
+    stated = read(policy, properties)
     budget = Budget(now, effort, now() + all_s)
     return Prover(policy, stated, vocabulary, budget).run(progress)
 
@@ -219,8 +220,9 @@ class Prover:
                 self.report.idle.append(name)
                 message = f"`{name}` promises something about nothing: no proposal meets its `when`"
                 yield Finding(
-                    kind=Kind.PROPERTY, weight=Weight.NOTE, message=message, file=FILE, line=promised.line, rule=name
-                )
+                    kind=Kind.PROPERTY, weight=Weight.NOTE, message=message,
+                    file=PROPERTIES, line=promised.line, rule=name,
+                )  # fmt: skip
 
     def _notes(self, rule: str, found: list[Fate], file: str, line: int) -> Iterator[Finding]:
         idle = [f"`{fate.capability}` in {fate.profile}" for fate in found if fate.state in ("dead", "shadowed")]
@@ -240,4 +242,4 @@ _SAID: Final[Mapping[str, str]] = {
 _WEIGHTS: Final[Mapping[str, Weight]] = {"undecided": Weight.UNDECIDED, "unconfirmed": Weight.BUG}
 _NOWHERE: Final = "a dead rule: `{rule}` applies to no enabled capability and profile, or sets nothing there"
 
-__all__ = ["ALL_S", "EFFORT", "FILE", "Report", "prove"]
+__all__ = ["ALL_S", "EFFORT", "Report", "prove"]

@@ -107,26 +107,16 @@ def test_proofs_can_be_left_out(folder: Path):
     assert check(folder, "--no-proofs").returncode == 0
 
 
-@pytest.mark.parametrize(
-    ("properties", "said"),
-    [
-        ("order: [human-shared, moon]\n", "there is no profile `moon`"),
-        ("order: [human-shared, human-shared]\n", "`human-shared` stands twice"),
-        ("properties: [{id: a, says: So.}]\n", "`a` promises nothing"),
-        ("properties: [{id: a, says: So., never: [allowed], applies_to: [dance]}]\n", "there is no capability `dance`"),
-        ("properties: [{id: a, says: So., never: [allowed], when: target.weight > 1.0}]\n", "no field `weight`"),
-        ("properties: [{id: a, says: So., always: params.force_n <= 1.0, applies_to: [navigate_to]}]\n", "no field `force_n`"),
-        ("properties: [{id: a, says: So., nevr: [allowed]}]\n", "unknown key `nevr`"),
-        ("properties: [{id: a, says: So., never: [allowed]}, {id: a, says: So., never: [allowed]}]\n", "`a` stands twice"),
-        ("properties: [\n", "not readable as YAML"),
-    ],
-)  # fmt: skip
-def test_properties_that_say_nothing_are_errors(folder: Path, properties: str, said: str):
-    (folder / "properties.yaml").write_text(properties)
-    done = check(folder)
+@pytest.mark.parametrize("flag", ["--proofs", "--no-proofs"])
+def test_what_is_promised_is_read_whether_it_is_proved_or_not(folder: Path, flag: str):
+    promise = "{id: a, says: So., never: [allowed], when: target.weight > 1.0}"
+    (folder / "properties.yaml").write_text(f"properties:\n  - {promise}\n")
+    done = check(folder, flag)
     assert done.returncode == 1
-    assert "properties.yaml:" in done.stderr
-    assert said in done.stderr
+    assert "properties.yaml:2: properties[0].when: column 8: " in done.stderr
+    assert "no field `weight`" in done.stderr
+    log = json.loads(check(folder, "--no-proofs", "--format", "sarif").stdout)
+    assert [one["ruleId"] for one in log["runs"][0]["results"]] == ["load"]
 
 
 def test_without_properties_none_are_proved(folder: Path):

@@ -13,19 +13,23 @@ properties:
     approvers: 2                            # how many people are asked at least
 ```
 
-The file is no part of what decides, and so none of the policy's digest.
+The file is no part of what decides, and so none of the policy's digest; `app.proofs` proves what it says. It is read
+and type-checked without the solver, so that a start, and a check without proofs, know as well whether it says anything.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
+from app.governance.bundle import PROPERTIES
 from app.governance.bundle_fit import fit
 from app.governance.bundle_promises import PropertiesShape
 from app.governance.bundle_yaml import dotted, parse
 from app.governance.errors import ExpressionError, PolicyError, PolicyErrors
 from app.governance.expression_tree import BOOL
+from app.governance.policy_model import GOVERNANCE
+from app.governance.vocabulary import Vocabulary
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -33,9 +37,6 @@ if TYPE_CHECKING:
     from app.governance.bundle_promises import PropertyShape
     from app.governance.bundle_yaml import Document, Path
     from app.governance.policy import PolicySet
-    from app.governance.vocabulary import Vocabulary
-
-FILE: Final = "properties.yaml"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,21 +57,26 @@ class Stated:
     properties: tuple[Property, ...] = ()
 
 
-def read(policy: PolicySet, vocabulary: Vocabulary, text: str | None) -> Stated:
-    """Read what is promised; without a file nothing is.
+def read(policy: PolicySet, text: str | None) -> Stated:
+    """Read what is promised of a policy; without a file nothing is.
+
+    Args:
+        policy: The policy, loaded.
+        text: Text of `properties.yaml`; None where there is none.
 
     Raises:
         PolicyErrors: It is not readable, names what does not exist, or says what cannot be proved of anything.
     """
     if text is None:
         return Stated()
-    document, problems = parse(FILE, text)
+    document, problems = parse(PROPERTIES, text)
     shape, misfits = fit(PropertiesShape, document) if not problems else (None, [])
     problems = [*problems, *misfits]
     if shape is None:
         raise PolicyErrors(problems)
 
     reader = _Reader(document, problems)
+    vocabulary = Vocabulary(policy.capabilities, policy.permissions | {GOVERNANCE})
     found = [_property(reader, policy, vocabulary, index, promised) for index, promised in enumerate(shape.properties)]
     reader.names(("order",), "profile", shape.order, policy.profiles)
     for path, names in ((("order",), shape.order), (("properties",), [promised.id for promised in shape.properties])):
@@ -91,7 +97,7 @@ class _Reader:
 
     def problem(self, path: Path, message: str, valid: Iterable[str] = ()) -> None:
         line, key = self.document.line(path), dotted(path)
-        self.problems.append(PolicyError(file=FILE, line=line, key=key, message=message, valid=sorted(valid)))
+        self.problems.append(PolicyError(file=PROPERTIES, line=line, key=key, message=message, valid=sorted(valid)))
 
     def names(self, path: Path, what: str, names: Iterable[str], known: Iterable[str]) -> None:
         for index, name in enumerate(names):
