@@ -7,6 +7,7 @@ per cell and data directory; a lock sees to that.
 from __future__ import annotations
 
 import asyncio
+import gc
 import os
 import secrets
 import signal
@@ -91,6 +92,10 @@ async def _run(settings: CellSettings) -> int:
             robot_mjcf=robot,
         )
         runner = GovernedCell(substrate, policies, kernel_key=kernel_key, journal=journal, outbox=outbox, wall=wall_s)
+        # The loop lives in this process: a collector that walks all that was built at the start, because a policy is
+        # being compiled beside it, would take five control periods at once.
+        gc.collect()
+        gc.freeze()
         return TickLoop(runner, inbox, outbox, lease, pace=settings.pace)
 
     link = Link(
