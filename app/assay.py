@@ -15,9 +15,10 @@ import orjson
 
 from app.clock import cpu_s
 from app.governance import bundle, cases
-from app.governance.errors import PolicyError, PolicyErrors
+from app.governance.errors import PolicyError, PolicyErrors, Undecided
 from app.governance.parcel import parcels
 from app.proofs.difference import difference
+from app.proofs.findings import Weight
 from app.proofs.promised import with_promises
 from app.proofs.prove import prove
 
@@ -56,7 +57,8 @@ def examined(request: Mapping[str, Any]) -> tuple[dict[str, Any], list[bytes]]:
         passed = _cases(policy, candidate["cases"]) if candidate["prove"] else 0
         proved = _proved(policy, candidate["promises"]) if candidate["prove"] else ""
     except PolicyErrors as found:
-        return {"problems": [_document(problem) for problem in found.problems]}, []
+        said = [_document(problem) for problem in found.problems]
+        return {"problems": said, "undecided": isinstance(found, Undecided)}, []
     found = None
     if against is not None:
         other = bundle.load_files(against["files"])  # what is in force loads, or nothing decides
@@ -80,7 +82,8 @@ def _cases(policy: PolicySet, files: Mapping[str, str]) -> int:
 def _proved(policy: PolicySet, promises: str | None) -> str:
     report = prove(policy, promises, now=cpu_s, all_s=PROOFS_S)
     if report.faults:
-        raise PolicyErrors([_problem(finding) for finding in report.faults])
+        refuted = any(finding.weight is Weight.REFUTED for finding in report.faults)
+        raise (PolicyErrors if refuted else Undecided)([_problem(finding) for finding in report.faults])
     return report.summary()
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 import orjson
 
 from app.governance.changes import Comparison
-from app.governance.errors import PolicyError, PolicyErrors
+from app.governance.errors import PolicyError, PolicyErrors, Undecided
 from app.governance.parcel import unpacked
 from app.runtime.errors import ExaminationFailed
 from app.runtime.examining import Examined
@@ -41,8 +41,7 @@ class Assayer:
         async with self._one:
             told = await asyncio.to_thread(self._run, orjson.dumps(request))
         answer, rest = await asyncio.to_thread(_split, told)
-        if answer["problems"]:
-            raise PolicyErrors([PolicyError(**problem) for problem in answer["problems"]])
+        _refuse(answer)
         policy = await _unpacked(rest, answer["parcels"])
         found = answer["comparison"]
         return Examined(
@@ -81,6 +80,13 @@ class Assayer:
 def _split(told: bytes) -> tuple[dict[str, Any], memoryview]:
     head, _, _ = told.partition(b"\n")
     return cast("dict[str, Any]", orjson.loads(head)), memoryview(told)[len(head) + 1 :]
+
+
+def _refuse(answer: dict[str, Any]) -> None:
+    """Raise what is wrong with what was examined, if anything is."""
+    if answer["problems"]:
+        problems = [PolicyError(**problem) for problem in answer["problems"]]
+        raise (Undecided if answer["undecided"] else PolicyErrors)(problems)
 
 
 async def _unpacked(rest: memoryview, sizes: list[int]) -> PolicySet:

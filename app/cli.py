@@ -64,6 +64,9 @@ def serve(  # noqa: PLR0913  # its options
     take_policies: Annotated[
         bool, typer.Option("--take-policies", help="Put the directory in force, whatever an engineer had put there.")
     ] = False,
+    prove: Annotated[
+        bool, typer.Option(help="Prove what is in force behind the start, unless that was done.", envvar="REINS_PROVE")
+    ] = True,
 ) -> None:
     """Start the server, with simulated cells of its own.
 
@@ -90,6 +93,7 @@ def serve(  # noqa: PLR0913  # its options
         scenario=scenario,
         robot=robot,
         take_policies=take_policies,
+        prove=prove,
     )
     raise typer.Exit(serve_with(settings))
 

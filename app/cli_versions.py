@@ -122,6 +122,9 @@ def propose(
     status, document = door.call("POST", "/v1/policies", {"files": files, "why": why})
     known = "" if status == CREATED else f", known since {document['created_at']}"
     say(f"{document['digest']} is a {document['status']}: {document['rules']} rules, {document['cases']} cases{known}")
+    say(_proofs(document))
+    if status != CREATED and door.call("GET", f"/v1/policies/{document['digest']}/files")[1]["promises"] != promises:
+        say(f"`{PROPERTIES}` is not the one it is kept with: what was proved, and counts, is with that one")
     if document["status"] != "active":
         _print_difference(door.call("GET", f"/v1/policies/{document['digest']}/diff")[1])
 
@@ -161,7 +164,7 @@ def versions(*, data: Data = Path("data"), server: Server = None, token: Token =
             say(f"{'':<21}in force {one['at']}  {', '.join(one['by'])}: {one['why']}")
         if (first := item["awaiting"]) is not None:
             say(f"{'':<21}awaits another engineer's word; {first['by']}: {first['why']}")
-    say(f"in force: {known['active']}; {known['why']}")
+    say(f"in force: {known['active']}; {known['why']}; proofs: {known['verdict']}")
 
 
 def replay(
@@ -203,6 +206,16 @@ def register(app: typer.Typer) -> None:
     """Add the commands to `reins policy`."""
     for command in (propose, activate, rollback, versions, replay):
         app.command()(command)
+
+
+def _proofs(version: Mapping[str, Any]) -> str:
+    """Say what is known of a version's proofs."""
+    if version["proved"]:
+        return str(version["proved"])
+    return {
+        "refuted": "refuted: the start that brought it had it proved, and it did not pass; the record says where",
+        "undecided": "undecided: the start that brought it had it proved, and not everything could be decided",
+    }.get(version["verdict"], "not proved: a start brought it")
 
 
 def _print_difference(found: Mapping[str, Any]) -> None:

@@ -79,7 +79,10 @@ class DataDir:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
-    """What `reins serve` is told. `pace` is simulated seconds per second; 0 runs sessions as fast as they go."""
+    """What `reins serve` is told. `pace` is simulated seconds per second; 0 runs sessions as fast as they go.
+
+    `prove` has what is in force proved behind the start, if nobody did before.
+    """
 
     host: str = "127.0.0.1"
     port: int = 8000
@@ -92,6 +95,7 @@ class Settings:
     scenario: str | None = None
     robot: str | None = None
     take_policies: bool = False
+    prove: bool = True
 
     def __post_init__(self) -> None:
         """Refuse what cannot be meant."""

@@ -35,8 +35,9 @@ from app.governance.bundle import load, read_properties
 from app.governance.errors import PolicyErrors
 from app.governance.stated import read as read_promises
 from app.runtime.assembly import Runtime
-from app.runtime.errors import NotFound
-from app.terminal import FINE, MISUSE, err, remark, say, say_error
+from app.runtime.errors import ExaminationFailed, NotFound
+from app.runtime.version import PROVED, UNKNOWN
+from app.terminal import FINE, MISUSE, complain, err, remark, say, say_error
 
 if TYPE_CHECKING:
     from collections.abc import AsyncGenerator, Generator
@@ -47,9 +48,11 @@ if TYPE_CHECKING:
     from app.config import Settings
     from app.governance.policy import PolicySet
     from app.runtime.fleet import Fleet
+    from app.runtime.proving import Proving
     from app.runtime.versions import Versions
 
 KEY_BYTES: Final = 32
+PROVE_AFTER_S: Final = 5.0  # by then the cells are up: a start leaves the processor to them
 LET_GO_S: Final = 2.0  # for a peer to take the last words and close its end
 LEAVE_S: Final = 1  # for requests under way when the server stops
 HAND_OVER_S: Final = 0.0003  # after so long a thread that waits for the interpreter gets it
@@ -209,16 +212,41 @@ async def _serve(settings: Settings, policies: PolicySet, listener: socket.socke
         await asyncio.wait({serving, opened}, return_when=asyncio.FIRST_COMPLETED)
         try:
             write_private(layout.server, orjson.dumps({"url": url, "pid": os.getpid()}))
-            proved = (await house["versions"].load(house["versions"].in_force.digest)).proved
-            introduce(settings, house["fleet"], house["versions"], policies.digest, url, proved=bool(proved))
+            version = await house["versions"].load(house["versions"].in_force.digest)
+            introduce(settings, house["fleet"], house["versions"], policies.digest, url, verdict=version.verdict)
             children.start()
+            proving = asyncio.create_task(_prove(house["versions"].proving)) if settings.prove else None
             await _told_to_stop(serving, children.misused)
+            if proving is not None:
+                await _ended(proving)
         finally:
             await children.stop()
             layout.server.unlink(missing_ok=True)
             door.should_exit = True
             await serving
     return MISUSE if children.misused.is_set() else FINE
+
+
+async def _prove(proving: Proving) -> None:
+    """Have what is in force proved once the start is over, and say what came of it."""
+    await asyncio.sleep(PROVE_AFTER_S)
+    try:
+        version, problems = await proving.in_force()
+    except (ExaminationFailed, AuditError) as error:
+        complain(f"whether the policy in force is sound is not known: {error}")
+        return
+    if version.proved:
+        remark(f"policy {version.digest}: {version.proved}")
+        return
+    hint = "it goes on deciding; `reins policy check` of the same directory says this too"
+    complain(f"the policy in force is {version.verdict}: {version.digest}", map(str, problems), hint=hint)
+
+
+async def _ended(task: asyncio.Task[None]) -> None:
+    """End a task; what it failed of is raised."""
+    task.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        await task
 
 
 @contextlib.asynccontextmanager
@@ -291,7 +319,13 @@ def address(listener: socket.socket) -> str:
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
-def introduce(settings: Settings, fleet: Fleet, versions: Versions, directory: str, url: str, *, proved: bool) -> None:
+def _next_proof(settings: Settings) -> str:
+    if settings.prove:
+        return "it is proved in the background, and GET /v1/policies says what came of it"
+    return "`reins policy propose` of the same directory has it proved, and says so"
+
+
+def introduce(settings: Settings, fleet: Fleet, versions: Versions, directory: str, url: str, *, verdict: str) -> None:
     """Print where the server is, what holds there, and how to come in."""
     tokens = settings.layout.tokens
     say(f"reins {__version__} serves {url}")
@@ -301,8 +335,9 @@ def introduce(settings: Settings, fleet: Fleet, versions: Versions, directory: s
             say(f"           not for {cell.id}: it stays in {cell.profile}, which it was put into")
     say(f"  policy   {versions.in_force.digest}")
     say(f"           {versions.reason}")
-    if not proved:
-        say("           not proved here: `reins policy propose` of the same directory has it proved, and says so")
+    if verdict != PROVED:
+        doubt = "not proved here" if verdict == UNKNOWN else f"{verdict} when it was proved here"
+        say(f"           {doubt}: {_next_proof(settings)}")
     if versions.in_force.digest != directory:
         say(f"           not in force: {directory}, the directory's (`reins policy activate`, or --take-policies)")
     say(f"  data     {settings.layout.root}")

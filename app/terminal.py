@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from rich.console import Console
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 FINE: Final = 0
 FINDING: Final = 1
@@ -24,6 +27,14 @@ def remark(message: str) -> None:
     """Write a line that nothing depends on: a process that governs does not end because its log's disk is full."""
     with contextlib.suppress(OSError):
         say(message)
+
+
+def complain(message: str, lines: Iterable[str] = (), *, hint: str = "") -> None:
+    """Write what went wrong, and where, with nothing depending on it, as `remark` does."""
+    with contextlib.suppress(OSError):
+        say_error(message, hint=hint)
+        for line in lines:
+            err.print(f"  {line}", markup=False)
 
 
 def say_error(message: str, *, hint: str = "") -> None:

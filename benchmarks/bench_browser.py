@@ -289,6 +289,7 @@ def trend(points: list[tuple[float, float]]) -> tuple[float, float]:
 def served(folder: Path) -> Iterator[Served]:
     port = free_port()
     serve = [sys.executable, "-m", "app.cli", "serve", "--port", str(port), "--data", str(folder), "--cells", "1"]
+    serve += ["--no-prove"]  # measured is serving alone
     server = subprocess.Popen(serve, cwd=ROOT, stdout=subprocess.DEVNULL)
     try:
         wait_until_up(port, "/readyz", server)

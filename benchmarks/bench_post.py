@@ -166,6 +166,7 @@ def bench(rounds: int, seconds: float) -> None:
         ports = free_port(), free_port()
         echo = subprocess.Popen([sys.executable, __file__, "--echo", str(ports[0])], cwd=ROOT)
         serve = [sys.executable, "-m", "app.cli", "serve", "--port", str(ports[1]), "--data", folder, "--cells", "0"]
+        serve += ["--no-prove"]  # measured is serving alone
         server = subprocess.Popen(serve, cwd=ROOT, stdout=subprocess.DEVNULL)
         try:
             wait_until_up(ports[0], "/healthz", echo)

@@ -96,6 +96,13 @@ def test_what_two_engineers_chose_is_in_force_after_a_restart_until_one_goes_bac
     assert (refused.returncode, "slow-base-among-people" in refused.stderr) == (1, True), refused
     promise = "profile.shared_floor\n    always: params.speed_mps <= {}"
     digest = proposed(server, variant(faster, (promise.format("0.3"), promise.format("0.4")), file="properties.yaml"))
+    promises = faster / "properties.yaml"
+    promises.write_text(f"{promises.read_text()}# one more line\n")
+    known = reins(server, "propose", str(faster), "--why", "what was it again")
+    assert (known.returncode, known.stdout.split()[0]) == (0, digest), known
+    assert "known since" in known.stdout
+    assert "\nproved of 48 pairs: no contradiction" in known.stdout
+    assert "`properties.yaml` is not the one it is kept with" in known.stdout
     assert "another engineer's word" in reins(server, "activate", digest[:20], "--why", "faster").stdout
     until(lambda: server.post("/v1/policies", key="engineer_2").status_code == 422, what="the second token counts")
     assert "in force (loosens)" in reins(server, "activate", digest, "--why", "I agree", as_="engineer_2").stdout
@@ -114,4 +121,5 @@ def test_what_two_engineers_chose_is_in_force_after_a_restart_until_one_goes_bac
     assert "in force (both)" in reins(back, "rollback", "--why", "I agree", as_="engineer_2").stdout
     assert back.get("/v1/policies/active")["version"] == first
     until(lambda: back.cell()["policy_version"] == first, what="the cell follows")
-    assert reins(back, "versions").stdout.count("in force 2") == 3
+    listed = reins(back, "versions").stdout
+    assert (listed.count("in force 2"), listed.count("; proofs: proved\n")) == (3, 1)

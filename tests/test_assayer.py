@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from app import assayer
+from app import assay, assayer
 from app.assay import examined
 from app.assayer import Assayer
 from app.governance import bundle
 from app.governance.changes import Direction
 from app.governance.decision import decide
-from app.governance.errors import PolicyErrors
+from app.governance.errors import PolicyErrors, Undecided
 from app.runtime.errors import ExaminationFailed
 from app.runtime.examining import Candidate
 from tests.governance.policy_world import POLICIES, context, files, proposal, shipped
@@ -71,6 +71,21 @@ def test_what_is_not_proved_is_a_fault_with_the_case_that_shows_it() -> None:
     assert "refuted" in problem["message"]
     assert "expect:" in problem["message"]
     assert asked(candidate(weaker, prove=False))["problems"] == []
+
+
+@pytest.mark.parametrize(("left_s", "kind"), [(240.0, PolicyErrors), (0.0, Undecided)])
+def test_says_whether_a_policy_is_refuted_or_only_not_decided(
+    monkeypatch: pytest.MonkeyPatch, left_s: float, kind: type[PolicyErrors]
+) -> None:
+    monkeypatch.setattr(assay, "PROOFS_S", left_s)
+    answer = asked(candidate(edited(ORGANIZATION, "force_n: {max: 20}", "force_n: {max: 25}")))
+    assert answer["undecided"] is (kind is Undecided)
+    with pytest.raises(PolicyErrors) as caught:
+        assayer._refuse(answer)
+    assert type(caught.value) is kind
+    assert {problem.message.partition(":")[0] for problem in caught.value.problems} == {
+        "undecided" if kind is Undecided else "refuted"
+    }
 
 
 def test_a_case_that_does_not_hold_is_a_fault() -> None:

@@ -13,7 +13,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from tests.conftest import ServerProcess, Servers
+from tests.conftest import ServerProcess, Servers, until
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(120)]
 POLICIES = Path(__file__).parents[1] / "policies"
@@ -34,6 +34,28 @@ def test_says_how_to_come_in_and_keeps_secrets_to_its_owner(server: ServerProces
 
 def test_a_start_says_that_nobody_proved_its_directory_here(server: ServerProcess) -> None:
     assert "not proved here: `reins policy propose`" in server.log.read_text()
+
+
+def test_a_start_with_a_policy_that_does_not_pass_its_proofs_serves_and_says_so(
+    servers: Servers, tmp_path: Path
+) -> None:
+    folder = Path(shutil.copytree(POLICIES, tmp_path / "policies"))
+    dead = "  - {id: huge, applies_to: [grasp_object], when: target.mass_kg > 50.0, then: deny, because: So.}\n"
+    rules = folder / "organization.yaml"
+    rules.write_text(rules.read_text().replace("\nrules:\n", f"\nrules:\n{dead}", 1))
+    server = servers.start(None, "--prove", "--policies", str(folder), cells=0)
+    assert "it is proved in the background" in server.log.read_text()
+    until(lambda: server.get("/v1/policies", "engineer")["verdict"] == "refuted", 90, "the verdict")
+    health = server.get("/healthz")
+    assert (health["status"], health["broken"].keys()) == ("degraded", {"policy"})
+    with server.client() as client:
+        assert "policy" not in client.get("/readyz").json()["broken"]
+    (said,) = server.get("/v1/audit/events?kind=policy_version", "auditor")["items"]
+    assert (said["body"]["op"], said["actor"], said["body"]["of"]) == ("refuted", "server", 1)
+    assert "a dead rule: `organization/huge` never holds" in said["body"]["problems"][0]
+    until(lambda: "a dead rule: `organization/huge`" in server.log.read_text(), what="the start's own words")
+    assert "the policy in force is refuted" in server.log.read_text()
+    assert server.stop() == 0
 
 
 def test_the_cells_token_is_in_no_command_line(server: ServerProcess) -> None:

@@ -137,14 +137,17 @@ def create_app(  # noqa: PLR0913  # every part of a server, by name
 
 
 async def healthz(request: Request) -> Response:
-    """Say that the process answers, and whether it and its cells can keep their records.
+    """Say that the process answers, whether it and its cells can keep their records, and whether policy is refuted.
 
-    Without that only what restrains is obeyed: everywhere, or on the cells that `broken` names.
+    Without a record only what restrains is obeyed: everywhere, or on the cells that `broken` names. A policy in force
+    that does not pass its proofs goes on deciding; each decision fails closed by itself.
     """
     parts = parts_of(request)
     await parts.store.look()
     broken = {} if parts.store.healthy else {"store": parts.store.reason}
     broken |= parts.fleet.faults()
+    if (refuted := parts.versions.proving.trouble()) is not None:
+        broken["policy"] = refuted
     return answer({"status": "degraded" if broken else "ok", "version": __version__, "broken": broken})
 
 

@@ -42,7 +42,9 @@ async def versions(request: Request, query: Annotated[PageQuery, Query()]) -> Re
     """List every version of policy: whose it is, why it was brought, and when it was in force; the newest first."""
     known = parts_of(request).versions
     items, following = await known.list(**query.model_dump())
-    return answer({"items": items, "next": following, "active": known.in_force.digest, "why": known.reason})
+    active = await known.load(known.in_force.digest)
+    said = {"active": active.digest, "why": known.reason, "verdict": active.verdict}
+    return answer({"items": items, "next": following, **said})
 
 
 async def version(request: Request, digest: Digest) -> Response:

@@ -13,6 +13,7 @@ MAX_POLICY_BYTES = 4 * 1024 * 1024
 MAX_FILES = 2000
 
 Why = Annotated[Freeform, Field(min_length=1, description="Why; it stays in the record.")]
+Verdict = Literal["proved", "refuted", "undecided", "unknown"]
 FileName = Annotated[str, Field(min_length=1, max_length=MAX_NAME)]
 Text = Annotated[str, Field(max_length=MAX_POLICY_BYTES)]
 
@@ -71,6 +72,7 @@ class VersionDocument(Document):
     rules: int
     cases: int = Field(description="How many cases came with it, all of which it passed.")
     proved: str = Field(description="What was proved of it; empty as long as nothing was.")
+    verdict: Verdict = Field(description="What is known of its proofs; `unknown` where nobody has tried.")
     awaiting: AwaitingDocument | None
     activations: list[ActivationDocument]
     created_at: str
@@ -78,12 +80,13 @@ class VersionDocument(Document):
 
 
 class VersionList(Document):
-    """Versions, the newest first; `active` is the one in force, and `why` says why it is."""
+    """Versions, the newest first; `active` is in force, `why` says why, and `verdict` what its proofs say."""
 
     items: list[VersionDocument]
     next: str | None
     active: str
     why: str
+    verdict: Verdict
 
 
 class DifferenceDocument(Document):

@@ -122,3 +122,7 @@ class PolicyErrors(PolicyError):
         first = self.problems[0]
         super().__init__(file=first.file, line=first.line, key=first.key, message=first.message, valid=first.valid)
         self.args = ("\n".join(map(str, self.problems)),)
+
+
+class Undecided(PolicyErrors):
+    """Nothing is known to be wrong with a policy, and something that should be proved is not decided."""

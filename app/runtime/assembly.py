@@ -109,6 +109,7 @@ class Runtime:
             [EventDraft(kind=EventKind.BOOT, actor="server", body=body), *drafts],
             rows,
         )
+        await self.versions.proving.recall()
         await self.shadow.recall()
         await self.succession.prepare(self.versions.compiled)
         await self.desk.expire_due()

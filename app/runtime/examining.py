@@ -58,6 +58,7 @@ class Examine(Protocol):
 
         Raises:
             PolicyErrors: Everything that is wrong with it, each with its file and line.
+            Undecided: Nothing is, as far as it is known; it names what is not decided.
             ExaminationFailed: It could not be examined.
         """
         ...

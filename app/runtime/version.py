@@ -28,6 +28,10 @@ FORMER: Final = "former"
 REQUEST: Final = "request"
 DIRECTORY: Final = "directory"
 SETTING: Final = "policy_active"
+PROVED: Final = "proved"
+REFUTED: Final = "refuted"
+UNDECIDED: Final = "undecided"
+UNKNOWN: Final = "unknown"
 KEPT_ACTIVATIONS: Final = 100  # of one version; the log holds all of them
 
 
@@ -58,6 +62,7 @@ class Version:
         rules: how many rules it has.
         cases: how many cases it passed.
         proved: what was proved of it, in a sentence; empty where nothing was yet.
+        doubt: why it is not proved, where that was tried: `refuted` or `undecided`; empty otherwise.
         promises: text of its `properties.yaml`; None where it promises nothing.
         awaiting: the first of two engineers' word: `{by, at, why, against}`; None where nobody waits.
         activations: every time it came into force: `{at, by, why, former, direction}`, the newest last.
@@ -74,9 +79,15 @@ class Version:
     created_at: str
     updated_at: str
     proved: str = ""
+    doubt: str = ""
     promises: str | None = None
     awaiting: Mapping[str, Any] | None = None
     activations: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """Return what is known of its proofs: `proved`, `refuted`, `undecided`, or `unknown`."""
+        return PROVED if self.proved else self.doubt or UNKNOWN
 
     def evolve(self, at: str, **changes: Any) -> Version:  # noqa: ANN401  # fields of this class
         """Return the next state."""
@@ -110,6 +121,7 @@ class Version:
             "rules": self.rules,
             "cases": self.cases,
             "proved": self.proved,
+            "verdict": self.verdict,
             "awaiting": None if self.awaiting is None else dict(self.awaiting),
             "activations": [dict(one) for one in self.activations],
             "created_at": self.created_at,
@@ -123,14 +135,14 @@ class Version:
             values={
                 "id": self.digest,
                 "status": self.status,
-                "document": orjson.dumps({**self.public(), "promises": self.promises}),
+                "document": orjson.dumps({**self.public(), "promises": self.promises, "doubt": self.doubt}),
                 "created_at": self.created_at,
                 "updated_at": self.updated_at,
             },
         )
 
     def event(self, op: str, actor: str, **more: Any) -> EventDraft:  # noqa: ANN401  # what else is to be recorded
-        """Return the event of something that was said of it: `proposed`, `awaiting_second`, `offered`, `proved`."""
+        """Return the event of something that was said of it: `proposed`, `awaiting_second`, `offered`, a verdict."""
         body = {"op": op, "policy_version": self.digest, "status": self.status, "why": self.why, **more}
         return EventDraft(kind=EventKind.POLICY_VERSION, actor=actor, body=body)
 
@@ -139,6 +151,7 @@ def read_version(document: bytes) -> Version:
     """Read a stored document back."""
     fields: dict[str, Any] = orjson.loads(document)
     activations = tuple(fields.pop("activations"))
+    fields.pop("verdict", None)  # it follows from the others
     return Version(**fields, activations=activations)
 
 

@@ -30,6 +30,7 @@ from app.governance.model import EventKind
 from app.runtime.drafts import SERVER
 from app.runtime.errors import Conflict, ExaminationFailed, NotFound
 from app.runtime.examining import Candidate
+from app.runtime.proving import Proving
 from app.runtime.uncut import uncut
 from app.runtime.version import (
     ACTIVE,
@@ -91,6 +92,7 @@ class Versions:
         self._examine = examine
         self._promises = promises
         self._changing = asyncio.Lock()  # one change of what is in force at a time
+        self.proving = Proving(register, kernel, examine, self.load, self._changing)
         self._compiled: OrderedDict[str, PolicySet] = OrderedDict()
         self._compared: OrderedDict[tuple[str, str], Comparison] = OrderedDict()
         self.in_force = InForce(kernel.policy.digest, DIRECTORY, "")
@@ -188,7 +190,10 @@ class Versions:
         policy = found.policy
         self._remember(policy)
         if await self._register.store.row("policies", id=policy.digest) is not None:
-            return (await self._proved_since(candidate, found, principal)).public(), False
+            known = await self.proving.proved(
+                policy.digest, candidate.promises, found.proved, actor=principal.name, cases=found.cases
+            )
+            return known.public(), False
         _demand_versions(active, policy)
         comparison = self._note(active, found)  # of a known one, with the promises that are kept with it, another time
         now = self._register.now()
@@ -216,17 +221,6 @@ class Versions:
         )
         await self._register.append([said], [version.row(), files_row(policy.digest, policy.files, now)])
         return version.public(), True
-
-    async def _proved_since(self, candidate: Candidate, found: Examined, principal: Principal) -> Version:
-        """Return a known version, recorded as proved if a start brought it unproved and it is brought as it is."""
-        async with self._changing:
-            version = await self.load(found.policy.digest)
-            if version.proved or version.promises != candidate.promises:
-                return version
-            proved = version.evolve(self._register.now(), proved=found.proved, cases=found.cases)
-            said = proved.event("proved", principal.name, proved=found.proved, promises=proved.promises)
-            await self._register.append([said], [proved.row()])
-            return proved
 
     # -- putting in force --------------------------------------------------------------------------------------------
 
@@ -263,7 +257,7 @@ class Versions:
         if version.proved and known is not None:
             return version, known
         found, comparison = await self._examined(version, candidate, active, prove=not version.proved)
-        return version.evolve(version.updated_at, proved=version.proved or found.proved), comparison
+        return version.evolve(version.updated_at, proved=version.proved or found.proved, doubt=""), comparison
 
     async def _wait_for_second(
         self, version: Version, found: Comparison, principal: Principal, why: str
@@ -377,8 +371,9 @@ class Versions:
         if before is not None and before.digest == version.digest and version.status == ACTIVE:
             if version.promises == self._promises:
                 return []
-            return [version.evolve(now, promises=self._promises, proved="").row()]
-        version = version.evolve(version.updated_at, promises=self._promises)
+            return [version.evolve(now, promises=self._promises, proved="", doubt="").row()]
+        if version.promises != self._promises:  # what was proved was proved with the others
+            version = version.evolve(version.updated_at, promises=self._promises, proved="", doubt="")
         activation = {"by": [SERVER], "why": why, "former": None if before is None else before.digest}
         entered = version.entered(now, {**activation, "direction": None})
         rows = [entered.row(), files_row(version.digest, self._kernel.policy.files, now)]

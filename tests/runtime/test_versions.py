@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from app.governance import bundle
-from app.governance.errors import PolicyError, PolicyErrors
+from app.governance.errors import PolicyError, PolicyErrors, Undecided
 from app.governance.model import Role, Status
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, ExaminationFailed, NotFound
@@ -51,6 +51,11 @@ ASKING = edited(
 async def brought(runtime: Runtime, files: dict[str, str], by: Principal = ENGINEER) -> str:
     document, _ = await runtime.versions.propose(files, by, "because")
     return document["digest"]
+
+
+async def verdicts(runtime: Runtime) -> list[dict[str, Any]]:
+    """Return what the record says that proofs said."""
+    return [said for said in await bodies(runtime, "policy_version") if said["op"] != "proposed"]
 
 
 async def put_in_force(runtime: Runtime, files: dict[str, str]) -> str:
@@ -155,6 +160,88 @@ async def test_what_a_start_brought_is_proved_when_it_is_brought_again(house: Ho
         assert (await runtime.versions.load(digest)).proved == "that its cases hold"
         again = await runtime.versions.propose(same, ENGINEER_2, "once more")
         assert again == (found, False)
+
+
+async def test_what_is_in_force_is_proved_behind_a_start_and_once(house: House) -> None:
+    asked: list[Candidate] = []
+
+    async def examine(candidate: Candidate, against: Candidate | None) -> Examined:
+        asked.append(candidate)
+        return await examine_here(candidate, against)
+
+    house.examine = examine
+    async with house.open() as runtime:
+        digest = runtime.kernel.policy.digest
+        assert (await runtime.versions.load(digest)).verdict == "unknown"
+        found = await runtime.versions.proving.in_force()
+        assert (found.version.verdict, found.version.proved, found.problems) == ("proved", "that its cases hold", ())
+        assert [(one.prove, one.promises) for one in asked] == [(True, found.version.promises)]
+        (said,) = await verdicts(runtime)
+        assert (said["op"], said["policy_version"], said["proved"]) == ("proved", digest, "that its cases hold")
+    async with house.open() as runtime:
+        assert (await runtime.versions.proving.in_force()).version.verdict == "proved"
+        assert len(asked) == 1
+        assert len(await verdicts(runtime)) == 1
+
+
+@pytest.mark.parametrize(("kind", "verdict"), [(PolicyErrors, "refuted"), (Undecided, "undecided")])
+async def test_what_does_not_pass_its_proofs_goes_on_deciding_and_says_so(
+    house: House, kind: type[PolicyErrors], verdict: str
+) -> None:
+    fault = PolicyError(file=SHARED, line=3, key="property", message=f"{verdict}: it does not hold")
+
+    async def examine(candidate: Candidate, against: Candidate | None) -> Examined:
+        raise kind([fault])
+
+    house.examine = examine
+    async with house.open() as runtime:
+        digest = runtime.kernel.policy.digest
+        found = await runtime.versions.proving.in_force()
+        assert (found.version.verdict, found.version.proved, found.problems) == (verdict, "", (fault,))
+        assert (runtime.versions.proving.trouble() is not None) == (verdict == "refuted")
+        (said,) = await verdicts(runtime)
+        assert (said["op"], said["problems"], said["of"]) == (verdict, [str(fault)], 1)
+        assert runtime.kernel.policy.digest == digest
+    house.examine = examine_here
+    async with house.open() as runtime:  # what was found out holds until it is found out otherwise
+        assert (await runtime.versions.load(digest)).verdict == verdict
+        assert (runtime.versions.proving.trouble() is not None) == (verdict == "refuted")
+        assert (await runtime.versions.proving.in_force()).version.verdict == "proved"
+        assert runtime.versions.proving.trouble() is None
+        assert (await runtime.versions.load(digest)).public()["verdict"] == "proved"
+
+
+async def test_what_is_refuted_is_no_trouble_once_another_version_is_in_force(house: House) -> None:
+    async def examine(candidate: Candidate, against: Candidate | None) -> Examined:
+        if candidate.prove and bundle.digest(candidate.files) == bundle.digest(FILES):
+            raise PolicyErrors([PolicyError(file=SHARED, line=3, key="property", message="it does not hold")])
+        return await examine_here(candidate, against)
+
+    house.examine = examine
+    async with house.open() as runtime:
+        await runtime.versions.proving.in_force()
+        assert "`reins policy check`" in (runtime.versions.proving.trouble() or "")
+        await put_in_force(runtime, SLOWER)
+        assert runtime.versions.proving.trouble() is None
+
+
+async def test_a_proof_that_was_begun_is_not_told_of_a_version_with_other_promises(house: House) -> None:
+    async with house.open() as runtime:
+        digest, promises = runtime.kernel.policy.digest, runtime.versions._promises
+        told = await runtime.versions.proving.proved(digest, f"{promises}\n", "something else", actor="server")
+        assert (told.verdict, await verdicts(runtime)) == ("unknown", [])
+
+
+async def test_what_cannot_be_examined_behind_a_start_leaves_the_verdict_open(house: House) -> None:
+    async def examine(candidate: Candidate, against: Candidate | None) -> Examined:
+        raise ExaminationFailed("it ended with `-9`")
+
+    house.examine = examine
+    async with house.open() as runtime:
+        with pytest.raises(ExaminationFailed):
+            await runtime.versions.proving.in_force()
+        assert (await runtime.versions.load(runtime.kernel.policy.digest)).verdict == "unknown"
+        assert await verdicts(runtime) == []
 
 
 async def test_what_cannot_be_examined_is_not_kept(house: House) -> None:

@@ -119,7 +119,7 @@ describe('a candidate', () => {
 
 describe('a version', () => {
   const version = (over: Partial<Version> = {}): Version => ({
-    digest: 'sha256:b', status: 'candidate', source: 'request', by: 'ada', why: 'w', against: 'sha256:a', rules: 1, cases: 2, awaiting: null, activations: [],
+    digest: 'sha256:b', status: 'candidate', source: 'request', by: 'ada', why: 'w', against: 'sha256:a', rules: 1, cases: 2, proved: 'all', verdict: 'proved', awaiting: null, activations: [],
     created_at: '', updated_at: '', ...over,
   });
   const active = version({ digest: 'sha256:a', status: 'active', activations: [{ at: '', by: ['ada'], why: '', former: 'sha256:z', direction: null }] });

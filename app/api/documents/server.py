@@ -41,7 +41,11 @@ class PolicySetDocument(Document):
 
 
 class Health(Document):
-    """The process answers; `degraded` where stops are obeyed but nothing is launched, and `broken` says why."""
+    """The process answers; `degraded` where something is broken, and `broken` says what.
+
+    Without a record (`store`, or a cell's name) stops are obeyed and nothing is launched, there; a `policy` that does
+    not pass its proofs goes on deciding.
+    """
 
     status: Literal["ok", "degraded"]
     version: str

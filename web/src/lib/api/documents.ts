@@ -264,6 +264,9 @@ export interface Version {
   against: string | null;
   rules: number;
   cases: number;
+  /** What was proved of it; empty as long as nothing was. */
+  proved: string;
+  verdict: 'proved' | 'refuted' | 'undecided' | 'unknown';
   awaiting: { by: string; at: string; why: string; against: string } | null;
   activations: { at: string; by: string[]; why: string; former: string | null; direction: Direction | null }[];
   created_at: string;

@@ -234,6 +234,10 @@ const WRITERS: Record<string, Writer> = {
   grant,
   review,
   policy_activated: (body) => line('scale', 'plain', `Policy ${str(body['policy_version']).replace('sha256:', '').slice(0, 7)} in force`),
+  policy_version: (body) => {
+    const version = str(body['policy_version']).replace('sha256:', '').slice(0, 7);
+    return line('scale', body['op'] === 'refuted' ? 'danger' : 'plain', `Policy ${version}: ${words(str(body['op'])).toLowerCase()}`);
+  },
   profile_changed: (body, event) => line('scale', 'human', ` set the profile to ${str(body['profile'])}`, event.actor),
   principal: (body) => line('person', 'quiet', `${str(body['principal'])}: token ${str(body['op'])}`),
   cell,

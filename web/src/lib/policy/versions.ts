@@ -13,6 +13,14 @@ export const STATUS: Record<Version['status'], { text: string; tone: Tone }> = {
   former: { text: 'Was in force', tone: 'quiet' },
 };
 
+/** What is known of a version's proofs. Only what a start brought is anything but proved. */
+export const PROOFS: Record<Version['verdict'], { says: string; tone: Tone }> = {
+  proved: { says: 'Proved', tone: 'ok' },
+  refuted: { says: 'Does not pass its proofs: the record says where', tone: 'danger' },
+  undecided: { says: 'Not everything about it could be proved', tone: 'warn' },
+  unknown: { says: 'Not proved: a start brought it', tone: 'quiet' },
+};
+
 export const DIRECTION: Record<Direction, { text: string; says: string; tone: Tone }> = {
   same: { text: 'No effect', says: 'No decision comes out otherwise.', tone: 'quiet' },
   tightens: { text: 'Tightens', says: 'Nothing is allowed that was not allowed before.', tone: 'plain' },
