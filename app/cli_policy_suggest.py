@@ -146,7 +146,10 @@ def _say_one(one: Vetted) -> None:
         if lines:
             say(f"  {len(lines)} {heading}:" if lines is one.cases else f"  {heading}:")
             say(indent(_some([_cut(line) for line in lines]), "    "))
-    say(made.patch)  # not indented, so that it can be piped
+    if made.unwritten:
+        say(f"  no patch, to be changed by hand: {made.unwritten}")
+    else:
+        say(made.patch)  # not indented, so that it can be piped
 
 
 def _some(lines: Sequence[str]) -> str:

@@ -71,6 +71,7 @@ class Suggestion(NamedTuple):
         last: that of the last.
         files: the changed files, path → text.
         patch: the same as a unified diff.
+        unwritten: why there is no patch; empty where there is one.
     """
 
     kind: str
@@ -82,6 +83,7 @@ class Suggestion(NamedTuple):
     last: str
     files: Mapping[str, str]
     patch: str
+    unwritten: str = ""
 
     def document(self) -> dict[str, Any]:
         """Return it as JSON; the changed files stand in the patch."""
@@ -89,7 +91,7 @@ class Suggestion(NamedTuple):
 
 
 def suggest(policy: PolicySet, habits: Habits, least: Least) -> list[Suggestion]:
-    """Return everything that a log suggests; a change that cannot be written is left out. Pure."""
+    """Return everything that a log suggests; a change that cannot be written says why. Pure."""
     return list(_Suggesting(policy, habits, least).all())
 
 
@@ -115,10 +117,12 @@ class _Suggesting:
         patching = Patching(self._policy)
         try:
             edit(patching)
-        except PolicyErrors:  # written in a way that cannot be changed in place
-            return
+        except PolicyErrors as found:  # written in a way that cannot be changed in place: whoever reads it does that
+            unwritten, changed, patch = str(found.problems[0]), dict[str, str](), ""
+        else:
+            unwritten, changed, patch = "", patching.changed, patching.patch()
         yield Suggestion(
-            kind, about, words, counts, tuple(seen.events), seen.first, seen.last, patching.changed, patching.patch()
+            kind, about, words, counts, tuple(seen.events), seen.first, seen.last, changed, patch, unwritten
         )
 
     # -- bounds ------------------------------------------------------------------------------------------------------
@@ -209,7 +213,7 @@ class _Suggesting:
         def edit(patching: Patching) -> None:
             if risk is not None:
                 left = [one.value for one in Risk if one is not risk and one in _approval(asked[0]).risks]
-                patching.set(patching.profile(profile), ("authority", "approval", "risk"), f"[{', '.join(left)}]")
+                patching.hold(patching.profile(profile), ("authority", "approval", "risk"), left)
             for gate in asked:
                 if gate.capability.env_profile[profile] == MARKED:
                     file = patching.capability(gate.capability.name)
@@ -282,7 +286,7 @@ class _Suggesting:
 
         def edit(patching: Patching) -> None:
             for key in lists:
-                patching.set("organization.yaml", ("agents", agent, key), f"[{', '.join(sorted(left[key]))}]")
+                patching.hold("organization.yaml", ("agents", agent, key), sorted(left[key]))
 
         kind = "always-granted" if "permissions" in lists else "never-granted"
         yield from self._made(kind, f"{permission} of {agent}", words, found.counts(), found.all, edit)

@@ -31,7 +31,7 @@ class Vetted:
         problems: why it would not be loaded.
         cases: the cases that expect otherwise, with what they find.
         refuted: what was proved before and is not any more, promises among it.
-        comparison: what it changes; None where it would not be loaded.
+        comparison: what it changes; None where it would not be loaded, or is not written.
     """
 
     suggestion: Suggestion
@@ -42,8 +42,8 @@ class Vetted:
 
     @property
     def sound(self) -> bool:
-        """Say whether it could be put in force with its cases changed: it loads, and breaks no proof."""
-        return not self.problems and not self.refuted
+        """Say whether it could be put in force with its cases changed: it is written, loads, and breaks no proof."""
+        return not self.suggestion.unwritten and not self.problems and not self.refuted
 
     def document(self) -> dict[str, Any]:
         """Return everything as JSON."""
@@ -75,7 +75,9 @@ class Vetting:
         self._before: frozenset[Place] | None = None
 
     def vet(self, suggestion: Suggestion) -> Vetted:
-        """Say what comes of a suggestion."""
+        """Say what comes of a suggestion; of one that is not written, nothing is known."""
+        if suggestion.unwritten:
+            return Vetted(suggestion=suggestion)
         try:
             changed = load_files({**self._policy.files, **suggestion.files})
             failed = tuple(

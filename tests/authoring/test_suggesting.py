@@ -6,13 +6,14 @@ import asyncio
 import shutil
 import subprocess
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import orjson
 import pytest
+import yaml
 from typer.testing import CliRunner
 
 from app.audit.errors import RecordDamaged
@@ -483,6 +484,74 @@ def test_a_rule_between_brackets_is_left_alone(tmp_path: Path) -> None:
         patching.drop_rule("authority/none")
     with pytest.raises(PolicyErrors, match="one line"):
         patching.set("organization.yaml", ("rules", 0), "x")
+
+
+LISTS = {
+    "on one line": ("a: {b: [x, y]}  # why\n", ["x"], "a: {b: [x]}  # why\n"),
+    "over several lines": ("a:\n  b: [x,\n    y]  # why\nc: 1\n", ["y", "z"], "a:\n  b: [y, z]  # why\nc: 1\n"),
+    "line by line, one less": ("a:\n  b:\n    - x  # one\n    - y\n    # end\n  c: 1\n", ["x"],
+                               "a:\n  b:\n    - x  # one\n    # end\n  c: 1\n"),
+    "line by line, one more": ("a:\n  b:\n  - x\n  # end\n  c: 1\n", ["w", "x"],
+                               "a:\n  b:\n  - x\n  - w\n  # end\n  c: 1\n"),
+    "line by line, another": ("a:\n  b:\n    - x\n    - y", ["x", "z"], "a:\n  b:\n    - x\n    - z\n"),
+    "line by line, none left": ("a:\n  b:  # none\n    - x\n    - y\nc: 1\n", [], "a:\n  b: []  # none\nc: 1\n"),
+    "not there, between brackets": ("a: {c: 1}\n", ["x"], "a: {b: [x], c: 1}\n"),
+    "not there, and nothing else": ("a: {}\n", ["x"], "a: {b: [x]}\n"),
+    "not there, line by line": ("# d\na:\n  c: 1\n", ["x"], "# d\na:\n  b: [x]\n  c: 1\n"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("before", "names", "after"), LISTS.values(), ids=LISTS)
+def test_a_list_of_names_is_changed_however_it_is_written(before: str, names: list[str], after: str) -> None:
+    patching = Patching(replace(shipped(), files={"o.yaml": before}))
+    patching.hold("o.yaml", ("a", "b"), names)
+    assert patching.changed == {"o.yaml": after}
+
+
+@pytest.mark.parametrize("text", ["c: 1\n", "a:\n  b:\n    - x: 1\n", "a:\n  b:\n    - - x\n"])
+def test_what_is_no_list_of_names_is_left_alone(text: str) -> None:
+    with pytest.raises(PolicyErrors, match=r"a\.b: cannot be changed here: it "):
+        Patching(replace(shipped(), files={"o.yaml": text})).hold("o.yaml", ("a", "b"), ["x"])
+
+
+def test_a_permission_is_taken_away_where_each_has_a_line(tmp_path: Path) -> None:
+    file, text = "organization.yaml", watched().files["organization.yaml"]
+    was = "{permissions: [navigation, manipulation, tool_operation], supervised: [perception]}"
+    assert was in text
+    listed = "\n    permissions: [navigation, manipulation, tool_operation]\n    supervised:\n      - perception"
+    policy = load_files({**watched().files, file: text.replace(f" {was}", listed)})
+
+    async def never(floor: Floor) -> None:
+        await looked(floor, "deny", "human-shared")
+
+    (one,) = found(lived(tmp_path / "data", never, policy), policy).values()
+    assert (one.kind, one.about, one.unwritten) == ("never-granted", "perception of planner", "")
+    assert load_files({**policy.files, **one.files}).agents["planner"].supervised == frozenset()
+    assert "-      - perception\n" in one.patch
+
+
+def test_a_change_that_cannot_be_written_is_suggested_without_a_patch(tmp_path: Path) -> None:
+    file, text = "organization.yaml", shipped().files["organization.yaml"]
+    head, _, _ = text.partition("\nrules:\n")
+    rules = orjson.dumps(yaml.safe_load(text)["rules"]).decode()
+    policy = load_files({**shipped().files, file: f"{head}\nrules: {rules}\n"})
+    (one,) = found(lived(tmp_path / "data", unsure, policy), policy).values()
+    assert (one.kind, one.about, one.files, one.patch) == ("always-granted", "organization/low-confidence", {}, "")
+    place = (
+        f"organization.yaml:{head.count(chr(10)) + 2}: rules: cannot be changed here: it is written between brackets"
+    )
+    assert one.unwritten == place
+    said = vetted(one).document()
+    assert (said["sound"], said["comparison"], said["unwritten"]) == (False, None, place)
+    (tmp_path / "policies").mkdir()
+    for name, content in {**policy.files, "properties.yaml": "order: []\n"}.items():
+        file = tmp_path / "policies" / name
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(content)
+    command = ["policy", "suggest", "--data", str(tmp_path / "data"), "--policies", str(tmp_path / "policies")]
+    told = CliRunner().invoke(app, [*command, "--least-answers", "4"])
+    assert told.exit_code == 0
+    assert f"no patch, to be changed by hand: {place}" in told.stdout
 
 
 def test_the_command_prints_patches_that_apply(tmp_path: Path) -> None:
