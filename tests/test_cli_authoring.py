@@ -59,7 +59,7 @@ def test_what_is_not_given_is_asked_for_until_it_can_be_taken(tmp_path: Path) ->
     code, said = new(tmp_path / "candidate", *words, typed=typed)
     assert code == 0, said
     assert "`0.3` is no answer to `tcp_speed_mps`" in said
-    assert "5.6.2" in said
+    assert "ISO 10218-1:2011 (reduced speed control" in said
     limits = bundle.load(tmp_path / "candidate").profiles["hall"].limits
     assert (limits["tcp_speed_mps"].maximum, limits["base_speed_mps"].maximum) == (0.2, 0.1)
 

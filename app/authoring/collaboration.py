@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-WALKING_MPS: Final = 1.6  # where a person's speed is not measured (5.5.4.2.3)
+WALKING_MPS: Final = 1.6  # where a person's speed is not measured (5.5.4)
 TRANSIENT: Final = 2.0  # a short contact may have twice the force of a lasting one (Table A.2)
 
 
 class Distances(NamedTuple):
-    """What the protective separation distance is made of, in s, m and m/s (5.5.4.2.3)."""
+    """What the protective separation distance is made of, in s, m and m/s (5.5.4)."""
 
     human_speed_mps: float
     reaction_s: float
@@ -34,8 +34,8 @@ class Region(NamedTuple):
 
     Attributes:
         force_n: what it bears in a lasting contact, in N (Table A.2).
-        spring_npm: its spring constant, in N/m (Table A.3).
-        mass_kg: its effective mass, in kg (Table A.3).
+        spring_npm: its spring constant, in N/m (Annex A).
+        mass_kg: its effective mass, in kg (Annex A).
     """
 
     force_n: float
@@ -43,7 +43,7 @@ class Region(NamedTuple):
     mass_kg: float
 
 
-# Skull, forehead, face and larynx are left out: contact there is to be prevented, not limited (5.5.5.3).
+# Skull, forehead, face and larynx are left out: contact there is to be prevented, not limited (5.5.5).
 REGIONS: Final[Mapping[str, Region]] = {
     "back-and-shoulders": Region(210, 35_000, 40),
     "chest": Region(140, 25_000, 40),
@@ -63,7 +63,7 @@ def lasting_force_n(regions: Iterable[str]) -> float:
 
 
 def contact_speed_mps(regions: Iterable[str], *, moving_kg: float, load_kg: float) -> float:
-    """Return the speed in m/s at which a free contact reaches its transient force in one of the regions (A.3.4).
+    """Return the speed in m/s at which a free contact reaches its transient force in one of the regions (Annex A).
 
     v = F / sqrt(mu k), with 1/mu = 1/m_H + 1/m_R and m_R = M/2 + m_L.
 

@@ -105,7 +105,7 @@ def _assessed(answers: Answers, key: str, also: str = "") -> Bound:
 # ISO 10218: reduced speed --------------------------------------------------------------------------------------------
 
 REDUCED_MPS: Final = 0.25
-REDUCED: Final = "ISO 10218-1:2011, 5.6.2: at most 250 mm/s at the tool centre point"
+REDUCED: Final = "ISO 10218-1:2011, reduced speed: at most 250 mm/s at the tool centre point"
 
 
 def _reduced(answers: Answers) -> Draft:
@@ -169,7 +169,7 @@ def _contact_speed(answers: Answers) -> float:
 
 def _limited(answers: Answers) -> Draft:
     speed_mps, by = _contact_speed(answers), answers["assessment"]
-    arm = _assessed(answers, "tcp_speed_mps", f"below {speed_mps:.2f} m/s (ISO/TS 15066:2016, A.3.4)")
+    arm = _assessed(answers, "tcp_speed_mps", f"below {speed_mps:.2f} m/s (ISO/TS 15066:2016, Annex A)")
     lasting = f"{PFL}, lasting contact: {', '.join(_touched(answers))}"
     return Draft(
         limits={
@@ -197,9 +197,9 @@ def _limited_warning(answers: Answers) -> str:
 def _caring(answers: Answers) -> Draft:
     return Draft(
         limits={
-            "tcp_speed_mps": _assessed(answers, "tcp_speed_mps", "ISO 13482:2014, 6.4"),
-            "base_speed_mps": _assessed(answers, "base_speed_mps", "ISO 13482:2014, 6.4"),
-            "contact_force_n": _assessed(answers, "contact_force_n", "ISO 13482:2014, 6.7"),
+            "tcp_speed_mps": _assessed(answers, "tcp_speed_mps", "ISO 13482:2014, 6 (speed)"),
+            "base_speed_mps": _assessed(answers, "base_speed_mps", "ISO 13482:2014, 6 (speed)"),
+            "contact_force_n": _assessed(answers, "contact_force_n", "ISO 13482:2014, 6 (force)"),
         },
         sections={"shared_floor": True},
         confidence=_number(answers, "confidence"),
@@ -249,10 +249,10 @@ TEMPLATES: Final[Mapping[str, Template]] = {
         Template(
             name="reduced-speed",
             summary="A profile for work within reach of people at reduced speed.",
-            source="ISO 10218-1:2011, 5.6.2 (reduced speed control) and 5.7.3 (manual reduced speed)",
+            source="ISO 10218-1:2011 (reduced speed control, manual reduced speed)",
             notes=(
-                "The 2025 edition of ISO 10218 keeps the 250 mm/s and numbers its clauses anew.",
-                "The clause is about the tool centre point's speed in the room; the base's speed adds to the arm's.",
+                "There is a 2025 edition of ISO 10218: see which of the two is to be kept where you are.",
+                "Reduced speed is about the tool centre point's speed in the room; the base's speed adds to the arm's.",
             ),
             questions=(
                 Number(key="tcp_speed_mps", asks="How fast may the arm move, in m/s?", most=REDUCED_MPS, default="0.25",
@@ -269,18 +269,18 @@ TEMPLATES: Final[Mapping[str, Template]] = {
             summary="A profile in which the robot keeps a protective distance from people, and pauses below it.",
             source="ISO/TS 15066:2016, 5.5.4; ISO 10218-1:2011, 5.10.4; ISO 13855:2010",
             notes=(
-                "S_p = v_h (T_r + T_s) + v_r T_r + v_r T_s / 2 + C + Z_d + Z_r in every control tick (5.5.4.2.3).",
-                "Measure stopping time with the greatest load, reach and speed (ISO 10218-1:2011, Annex B).",
+                "S_p = v_h (T_r + T_s) + v_r T_r + v_r T_s / 2 + C + Z_d + Z_r in every control tick (5.5.4).",
+                "Measure stopping time with the greatest load, reach and speed as ISO 10218-1:2011 says.",
                 "When the robot goes on after a pause, and how long it waits before it asks, are the model profile's.",
             ),
             questions=(
                 Number(key="human_speed_mps", asks="How fast may a person come closer, in m/s?", least=WALKING_MPS,
-                       default="1.6", source=f"{SSM}.2.3", why="Where a person's speed is not measured, 1.6 m/s are "
+                       default="1.6", source=SSM, why="Where a person's speed is not measured, 1.6 m/s are "
                        "assumed; ISO 13855:2010 has 2.0 m/s for distances up to 0.5 m."),
                 Number(key="reaction_s", asks="From sensing a person to the first braking: how many seconds (T_r)?",
                        why="Measure it: sensors, transfer and control together. No clause fixes it.", source=SSM),
                 Number(key="stopping_s", asks="From first braking to standstill: how many seconds (T_s)?",
-                       why="Measure it as ISO 10218-1:2011, Annex B describes. No clause fixes it.", source=SSM),
+                       why="Measure it as ISO 10218-1:2011 describes. No clause fixes it.", source=SSM),
                 Number(key="intrusion_m", asks="How far may a person reach in unsensed, in m (C)?", above=-1e-9,
                        why="ISO 13855:2010 gives it by the detection capability: 0.85 m where an arm goes unnoticed.",
                        source=SSM),
@@ -296,9 +296,9 @@ TEMPLATES: Final[Mapping[str, Template]] = {
         Template(
             name="force-limited",
             summary="A profile in which the robot may be touched, with force and speed bounded by what may be touched.",
-            source="ISO/TS 15066:2016, 5.5.5, Table A.2 and A.3.4; ISO 10218-1:2011, 5.10.5",
+            source="ISO/TS 15066:2016, 5.5.5 and Annex A; ISO 10218-1:2011, 5.10.5",
             notes=(
-                "Skull, forehead, face and larynx cannot be chosen: contact there is to be prevented (5.5.5.3).",
+                "Skull, forehead, face and larynx cannot be chosen: contact there is to be prevented (5.5.5).",
                 "Annex A is informative; pressure, edges and clamping have to be measured at the application.",
                 "Contact force is the mean over 20 ms here; Table A.2 allows a short contact twice the lasting force.",
             ),
@@ -307,10 +307,11 @@ TEMPLATES: Final[Mapping[str, Template]] = {
                        asks="Which parts of the body may be touched?", source=PFL,
                        why="Your risk assessment says which can be reached; the least of their forces holds."),
                 Number(key="moving_mass_kg", asks="How heavy are the robot's moving parts, in kg (M)?",
-                       why="From the manufacturer; half of it counts in a contact.", source="ISO/TS 15066:2016, A.3.4"),
+                       why="From the manufacturer; half of it counts in a contact.",
+                       source="ISO/TS 15066:2016, Annex A"),
                 Number(key="load_kg", asks="How heavy is tool and load at most, in kg (m_L)?",
                        why="It counts whole in a contact, and becomes the payload limit.",
-                       source="ISO/TS 15066:2016, A.3.4"),
+                       source="ISO/TS 15066:2016, Annex A"),
                 Number(key="grip_force_n", asks="How strongly may the gripper grip, in N?", most=140.0, source=PFL,
                        why="Hand and fingers bear 140 N in lasting contact; how much less, your risk assessment says."),
                 _ARM,
@@ -321,17 +322,18 @@ TEMPLATES: Final[Mapping[str, Template]] = {
         Template(
             name="personal-care",
             summary="A profile for a robot among people who are no trained staff, under supervision of its decisions.",
-            source="ISO 13482:2014, 5.12 (autonomous decisions), 6.3 (space), 6.4 (speed), 6.5 (sensing), 6.7 (force)",
+            source="ISO 13482:2014, 5.12 (autonomous decisions) and 6 (control of space, speed and force, sensing)",
             notes=(
                 "ISO 13482:2014 gives no numbers for speed, force or distance: all of them are your risk assessment's.",
                 "Children and people who cannot step aside are foreseeable there; assess for them.",
             ),
             questions=(
                 _ARM, _BASE,
-                Number(key="contact_force_n", asks="How hard may the robot touch, in N?", source="ISO 13482:2014, 6.7",
+                Number(key="contact_force_n", asks="How hard may the robot touch, in N?",
+                       source="ISO 13482:2014, 6 (force)",
                        why="ISO 13482:2014 gives no number; ISO/TS 15066:2016 has some for adults at work."),
                 Number(key="clearance_m", asks="How far does the base keep from everything, in m?",
-                       source="ISO 13482:2014, 6.3 and 6.5", most=1.0,
+                       source="ISO 13482:2014, 6 (space, sensing)", most=1.0,
                        why="From your sensing and stopping distance. No clause fixes it."),
                 _CONFIDENCE,
             ),
