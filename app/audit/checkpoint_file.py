@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from app.audit.checkpoint import SIGNATURE_MARK
 from app.audit.errors import RecordDamaged
-from app.audit.places import sync_folder
+from app.disk import sync_folder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 from app.audit.checkpoint import KEY_BYTES, NoteInvalid, Signer, Verifier, parse_signer, parse_verifier
 from app.audit.errors import RecordDamaged
+from app.disk import sync_folder
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 FOR_OTHERS = 0o077
-ROOM_BYTES = 64 * 1024  # less than this is no room for the record of a session that comes to its end in order
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,33 +123,3 @@ def write_durably(path: Path, text: str, *, mode: int) -> None:
         os.fsync(file.fileno())
     draft.replace(path)
     sync_folder(path.parent)
-
-
-def sync_folder(folder: Path) -> None:
-    """Make the names in a directory durable.
-
-    Raises:
-        OSError: the directory cannot be synced.
-    """
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def full(folder: Path) -> str | None:
-    """Return why a directory's disk takes no more, as far as it says so without being written to; None: it may.
-
-    One with less than `ROOM_BYTES` free counts as full, one that cannot be looked at as broken.
-    """
-    try:
-        disk = os.statvfs(folder)
-    except OSError as error:
-        return f"the disk of the record cannot be looked at: {error.strerror}"
-    free = disk.f_frsize * (disk.f_bfree if os.geteuid() == 0 else disk.f_bavail)
-    if disk.f_flag & os.ST_RDONLY:
-        return "the disk of the record is read-only"
-    if disk.f_blocks and free < ROOM_BYTES:  # a file system without blocks does not say
-        return f"the disk of the record is full: `{free}` bytes are free; valid: `{ROOM_BYTES}` or more"
-    return None

@@ -19,11 +19,12 @@ from app.audit.event import Event, EventDraft, RowWrite, Submission, prepare_all
 from app.audit.examination import WITHIN_S as EXAMINE_WITHIN_S
 from app.audit.examination import Examination, examine
 from app.audit.ledger import Ledger, Staged, describe
-from app.audit.places import Places, full
+from app.audit.places import Places
 from app.audit.reader import Page, Reader, Row
 from app.audit.rows import check_row
 from app.audit.verification import Verification, verify_log
 from app.clock import monotonic_s, rfc3339, wall_s
+from app.disk import full
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -102,7 +103,7 @@ class AuditStore:
         """
         if self._reason is not None or self._closed:
             return
-        if (why := full(self.places.folder)) is not None:
+        if (why := full(self.places.folder, "record")) is not None:
             self._note_health(why)
         elif not self._writing and monotonic_s() - self._wrote_s >= PROBE_AFTER_S:
             await asyncio.wait({self._write_probe()}, timeout=PROBE_AFTER_S)
@@ -263,7 +264,7 @@ class AuditStore:
         if self._reason is None or self._closed or len(self._waiting) >= MAX_WAITING:
             return
         # Writing the same row again may need no room that the database has not got already.
-        if (why := full(self.places.folder)) is not None:
+        if (why := full(self.places.folder, "record")) is not None:
             self._note_health(why)
             return
         self._write_probe()

@@ -28,7 +28,6 @@ import orjson
 from mcap.writer import CompressionType, Writer
 
 from app.audit.errors import RecordUnavailable
-from app.audit.places import sync_folder
 from app.audit.telemetry_messages import (
     BASE,
     LOG_SCHEMA,
@@ -41,6 +40,7 @@ from app.audit.telemetry_messages import (
     stamp,
     transform_message,
 )
+from app.disk import sync_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -24,6 +24,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple, cast
 
 import orjson
 
+from app.disk import full, sync_folder
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
@@ -32,7 +34,6 @@ if TYPE_CHECKING:
 
 COMPACT_BYTES: Final = 4 * 1024 * 1024
 USED: Final = "used:"
-ROOM_BYTES: Final = 64 * 1024  # less than this is no room for the record of a session that comes to its end in order
 ID_BYTES: Final = 12
 
 
@@ -81,7 +82,7 @@ class Journal:
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o600)
             self._load()
-            _sync_directory(path)
+            sync_folder(path.parent)
             if not self.id:
                 self._name()
         except OSError as error:
@@ -141,20 +142,11 @@ class Journal:
         """Return where a session's record could be written, as far as that can be told without writing it.
 
         Raises:
-            JournalUnavailable: the file is out of use, its disk is read-only or holds less than `ROOM_BYTES` more.
+            JournalUnavailable: the file is out of use, its disk is read-only or has no room (`app.disk`).
         """
         self._check()
-        try:
-            disk = os.fstatvfs(self._file)
-        except OSError as error:
-            raise JournalUnavailable(f"cannot look at the disk of the journal: {error.strerror}") from error
-        free = disk.f_frsize * (disk.f_bfree if os.geteuid() == 0 else disk.f_bavail)
-        if disk.f_flag & os.ST_RDONLY:
-            raise JournalUnavailable("cannot write the journal: its file system is read-only")
-        if disk.f_blocks and free < ROOM_BYTES:  # a file system without blocks does not say
-            raise JournalUnavailable(
-                f"no room for the journal: `{free}` bytes are free on its disk; valid: `{ROOM_BYTES}` or more"
-            )
+        if (why := full(self._file, "journal")) is not None:
+            raise JournalUnavailable(why)
 
     def acknowledge(self, seq: int) -> None:
         """Forget entries up to `seq`: the server's log has them. Compacts the file when it has grown.
@@ -185,7 +177,7 @@ class Journal:
                 _write_all(fresh, b"".join(lines))
                 os.fsync(fresh)
                 draft.replace(self.path)
-                _sync_directory(self.path)
+                sync_folder(self.path.parent)
             except OSError:
                 os.close(fresh)
                 raise
@@ -322,11 +314,3 @@ def _record(line: bytes) -> dict[str, Json] | None:
 def _write_all(file: int, data: bytes) -> None:
     while data:
         data = data[os.write(file, data) :]
-
-
-def _sync_directory(path: Path) -> None:
-    directory = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(directory)
-    finally:
-        os.close(directory)

@@ -10,6 +10,7 @@ import pytest
 
 from app.cell import journal as module
 from app.cell.journal import Entry, Journal, JournalUnavailable
+from app.disk import ROOM_BYTES
 from app.governance.model import Json
 from tests.conftest import until
 
@@ -192,12 +193,12 @@ def test_says_whether_there_is_room_for_the_record_of_a_session(
     journal = Journal(tmp_path / "journal", boot="a")
     journal.require_room()
     disk = os.fstatvfs(0)
-    free = module.ROOM_BYTES // disk.f_frsize - 1
+    free = ROOM_BYTES // disk.f_frsize - 1
     for changed, why in (
         ((*disk[:3], free, free, *disk[5:]), f"`{free * disk.f_frsize}` bytes are free"),
         ((*disk[:8], disk.f_flag | os.ST_RDONLY, *disk[9:]), "read-only"),
     ):
-        monkeypatch.setattr(os, "fstatvfs", lambda _, changed=changed: os.statvfs_result(changed))
+        monkeypatch.setattr(os, "statvfs", lambda _, changed=changed: os.statvfs_result(changed))
         with pytest.raises(JournalUnavailable, match=why):
             journal.require_room()
 

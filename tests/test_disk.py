@@ -1,0 +1,34 @@
+"""A disk says whether it takes more, before anything is written to it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from app.disk import full
+
+
+def test_says_of_a_disk_whether_it_takes_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert full(tmp_path, "record") is None
+    assert "No such file" in (full(tmp_path / "gone", "record") or "")
+    disk = os.statvfs(tmp_path)
+    for changed, why in (
+        ((*disk[:3], 0, 0, *disk[5:]), "is full: `0` bytes are free"),
+        ((*disk[:8], disk.f_flag | os.ST_RDONLY, *disk[9:]), "is read-only"),
+    ):
+        monkeypatch.setattr(os, "statvfs", lambda _, changed=changed: os.statvfs_result(changed))
+        assert why in (full(tmp_path, "record") or "")
+    monkeypatch.setattr(os, "statvfs", lambda _: os.statvfs_result((*disk[:2], 0, 0, 0, *disk[5:])))
+    assert full(tmp_path, "record") is None  # it does not say
+
+
+def test_an_open_file_names_its_disk_as_a_folder_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    disk = os.statvfs(tmp_path)
+    with (tmp_path / "journal").open("wb") as file:
+        assert full(file.fileno(), "journal") is None
+        monkeypatch.setattr(os, "statvfs", lambda _: os.statvfs_result((*disk[:3], 0, 0, *disk[5:])))
+        assert full(file.fileno(), "journal") == (
+            "the disk of the journal is full: `0` bytes are free; valid: `65536` or more"
+        )
