@@ -48,9 +48,8 @@ class Asking:
     def __init__(self, budget: Budget, facts: Callable[[], Sequence[z3.BoolRef]]) -> None:
         """Take the facts when they are needed: encoding a question may add to them, never take from them."""
         self._budget, self._facts = budget, facts
-        self._solver = z3.Solver()
-        self._known: set[int] = set()
-        self._kept: list[z3.BoolRef] = []  # ids are good only as long as the terms live
+        self._solver = z3.SimpleSolver()
+        self._known: dict[int, z3.BoolRef] = {}  # by identity, which is good only as long as the terms live
         self.asked = 0
 
     def ask(self, *parts: Formula) -> z3.ModelRef | Undecided | None:
@@ -61,9 +60,8 @@ class Asking:
         if not left_ms:
             return UNDECIDED
         for fact in self._facts():
-            if fact.get_id() not in self._known:
-                self._known.add(fact.get_id())
-                self._kept.append(fact)
+            if id(fact) not in self._known:
+                self._known[id(fact)] = fact
                 self._solver.add(fact)
         self._solver.set(timeout=left_ms, rlimit=self._budget.effort)
         self.asked += 1

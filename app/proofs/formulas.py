@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias, cast
 
 import z3
 
@@ -25,7 +25,7 @@ def both(*parts: Formula) -> Formula:
 
 def every(parts: Iterable[Formula]) -> Formula:
     """Return the conjunction of all; of none it is true."""
-    return _joined(parts, z3.And, decisive=False)
+    return _joined(parts, z3.Z3_mk_and, decisive=False)
 
 
 def either(*parts: Formula) -> Formula:
@@ -35,25 +35,33 @@ def either(*parts: Formula) -> Formula:
 
 def some(parts: Iterable[Formula]) -> Formula:
     """Return the disjunction of all; of none it is false."""
-    return _joined(parts, z3.Or, decisive=True)
+    return _joined(parts, z3.Z3_mk_or, decisive=True)
 
 
-def _joined(parts: Iterable[Formula], join: Callable[..., z3.BoolRef], *, decisive: bool) -> Formula:
-    """Join parts, each once; the `decisive` truth value settles the matter, the other one adds nothing."""
+def _joined(parts: Iterable[Formula], join: Callable[..., z3.Ast], *, decisive: bool) -> Formula:
+    """Join parts, each once; the `decisive` truth value settles the matter, the other one adds nothing.
+
+    Millions are joined in a proof, so this asks Z3 itself: its `And` and `Or` look at every argument several times.
+    """
     kept: dict[int, z3.BoolRef] = {}
     for part in parts:
         if part is decisive:
             return decisive
         if not isinstance(part, bool):
-            kept[part.get_id()] = part
-    return join(*kept.values()) if len(kept) > 1 else next(iter(kept.values()), not decisive)
+            # Equal terms are one term to Z3, at one address as long as it lives.
+            kept[cast("z3.Ast", part.ast).value] = part
+    if len(kept) < 2:
+        return next(iter(kept.values()), not decisive)
+    context = next(iter(kept.values())).ctx
+    terms = (z3.Ast * len(kept))(*(part.as_ast() for part in kept.values()))
+    return z3.BoolRef(join(context.ref(), len(kept), terms), context)
 
 
 def no(part: Formula) -> Formula:
     """Return the negation."""
     if isinstance(part, bool):
         return not part
-    return part.arg(0) if z3.is_not(part) else z3.Not(part)
+    return part.arg(0) if z3.is_not(part) else z3.BoolRef(z3.Z3_mk_not(part.ctx.ref(), part.as_ast()), part.ctx)
 
 
 def implies(premise: Formula, conclusion: Formula) -> Formula:

@@ -298,7 +298,9 @@ class Pair:
         self.facts: list[z3.BoolRef] = []
         self.uncovered: dict[str, str] = {}
         self.lost: Formula = False
-        self.reads = {rule.id: self._reads(rule) for rule in self.rules}
+        paths = {rule.id: self._paths(rule) for rule in self.rules}
+        self.paths = frozenset[str]().union(*paths.values())
+        self.reads = {rule: parameters_behind(read, gate.capability) for rule, read in paths.items()}
         limited = {name for name, spec in self.numbers.items() if limit_for(spec, gate.profile.limits) is not None}
         self.changing = limited | {setting.param for rule in self.rules for setting in self.settings(rule)}
         self.interferes = any(read & self.changing for read in self.reads.values())
@@ -317,14 +319,14 @@ class Pair:
         """Return what a rule sets here."""
         return [setting for setting in rule.settings if setting.param in properties(self.gate.capability)]
 
-    def _reads(self, rule: Rule) -> frozenset[str]:
-        """Return the parameters behind what a rule reads."""
+    def _paths(self, rule: Rule) -> set[str]:
+        """Return what a rule reads."""
         read: set[str] = set()
         sources = [(rule.when, BOOL), *((setting.to, STRING) for setting in self.settings(rule))]
         for source, expect in sources:
             if source is not None:
                 read |= references(self.vocabulary.typed(source, self.gate.capability.name, expect)).keys()
-        return parameters_behind(read, self.gate.capability)
+        return read
 
     def holder(self, name: str, spec: Mapping[str, object], params: Record) -> Held:
         """Return what may hold a number, before the rules have been asked."""
@@ -381,13 +383,7 @@ class Pair:
 
     def everything(self) -> list[z3.BoolRef]:
         """Return every fact there is: about the terms, the proposal and its context, and the names given here."""
-        read: set[str] = set()
-        for rule in self.rules:
-            sources = [(rule.when, BOOL), *((setting.to, STRING) for setting in self.settings(rule))]
-            for source, expect in sources:
-                if source is not None:
-                    read |= references(self.vocabulary.typed(source, self.gate.capability.name, expect)).keys()
-        said = [fact for path, fact in self.space.said.items() if path in read]
+        said = [fact for path, fact in self.space.said.items() if path in self.paths]
         facts = [*self.space.theory.facts, *self.space.facts, *said, *self.facts]
         return [term(fact) for fact in facts if fact is not True]
 

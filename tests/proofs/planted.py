@@ -6,6 +6,7 @@ from functools import cache
 
 from app.clock import monotonic_s
 from app.governance import bundle
+from app.governance.policy import PolicySet
 from app.proofs.prove import Report, prove
 from tests.governance.policy_world import POLICIES, files
 
@@ -21,7 +22,10 @@ def promises() -> str:
 
 
 def proved(changed: dict[str, str], properties: str | None = None) -> Report:
-    policy = bundle.load_files({**files(), **changed})
+    return proved_of(bundle.load_files({**files(), **changed}), properties)
+
+
+def proved_of(policy: PolicySet, properties: str | None = None) -> Report:
     return prove(policy, promises() if properties is None else properties, now=monotonic_s, all_s=600.0)
 
 

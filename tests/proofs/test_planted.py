@@ -9,7 +9,7 @@ import pytest
 from app.governance import bundle, cases
 from app.proofs.findings import Kind, Weight
 from tests.governance.policy_world import files
-from tests.proofs.planted import HUMAN, ORGANIZATION, REAL, SIM, edited, promises, proved, with_rules
+from tests.proofs.planted import HUMAN, ORGANIZATION, REAL, SIM, edited, promises, proved, proved_of, with_rules
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,8 @@ PLANTS = [
 
 @pytest.mark.parametrize("plant", PLANTS, ids=lambda plant: plant.name)
 def test_a_planted_fault_is_found(plant: Plant):
-    report = proved(plant.changed, plant.properties)
+    policy = bundle.load_files({**files(), **plant.changed})
+    report = proved_of(policy, plant.properties)
     found = [
         finding
         for finding in report.faults
@@ -176,7 +177,6 @@ def test_a_planted_fault_is_found(plant: Plant):
     assert {finding.kind for finding in report.faults} <= {plant.kind, *plant.also}, [
         (f.kind.value, f.message) for f in report.faults if f.kind not in (plant.kind, *plant.also)
     ]
-    policy = bundle.load_files({**files(), **plant.changed})
     for finding in report.faults:  # what is shown, anybody can run
         for result in cases.run(policy, {"tests/x.yaml": finding.example}) if finding.example else ():
             assert result.differences == ()
