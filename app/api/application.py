@@ -132,7 +132,7 @@ def create_app(  # noqa: PLR0913  # every part of a server, by name
     declare(app.router, "GET /readyz", readyz, Answers(model=documents.Readiness, also={503: documents.Readiness}))
     declare(app.router, "GET /openapi.json", openapi, Answers(model=documents.Anything))
     verify_routes(app.routes)
-    app.state.openapi = orjson.dumps(describe(app, DESCRIPTION))
+    app.state.openapi = None
     return app
 
 
@@ -167,7 +167,14 @@ async def readyz(request: Request) -> Response:
 
 async def openapi(request: Request) -> Response:
     """Return this description."""
-    return Response(request.app.state.openapi, media_type="application/json")
+    return Response(await described(request.app), media_type="application/json")
+
+
+async def described(app: FastAPI) -> bytes:
+    """Return the OpenAPI document; the first who asks has it written, which takes as long as a tenth of a start."""
+    if app.state.openapi is None:
+        app.state.openapi = asyncio.create_task(asyncio.to_thread(lambda: orjson.dumps(describe(app, DESCRIPTION))))
+    return await asyncio.shield(app.state.openapi)
 
 
 @asynccontextmanager

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 from app.audit.errors import RecordDamaged
 from app.audit.places import Places
-from app.audit.reader import MAX_LIMIT, Reader
 from app.clock import parse_rfc3339
 from app.governance import recorded
 from app.governance.bundle import make_gate
@@ -129,6 +128,8 @@ def read_habits(data_dir: Path, policy: PolicySet, *, since: float | None = None
     Raises:
         RecordDamaged: there is no log, it cannot be read, or an event is not what a server writes.
     """
+    from app.audit.reader import MAX_LIMIT, Reader  # the database, which every other command does without
+
     database = Places(data_dir).database
     listening = _Listening(policy)
     with closing(Reader(database)) as reader:

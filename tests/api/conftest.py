@@ -26,7 +26,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
 from app.api import pages
-from app.api.application import create_app
+from app.api.application import create_app, described
 from app.api.auth import CELL_TOKEN_FILE, TOKENS_FILE, open_principals
 from app.api.problems import MEDIA_TYPE, Problem
 from app.audit.store import AuditStore
@@ -325,7 +325,7 @@ async def open_house(folder: Path, profile: str) -> AsyncIterator[House]:
             app=app,
             tokens=orjson.loads((folder / TOKENS_FILE).read_bytes()),
             cell_token=(folder / CELL_TOKEN_FILE).read_text().strip(),
-            described=Described(orjson.loads(app.state.openapi)),
+            described=Described(orjson.loads(await described(app))),
         )
         runtime.feed.close()
         server.should_exit = True
