@@ -12,6 +12,7 @@ from rich import box
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from app.cli_policies import Policies
 from app.config import find_policies
 from app.terminal import FINDING, MISUSE, err, out, say, say_error
 
@@ -26,57 +27,69 @@ _TRIALS: Final = 200
 _SHOWN: Final = ("UAIR", "FRR", "RVDR", "UCR", "CEF", "FAS", "RSR", "RBSR", "MRT", "RPC")
 
 
+# The options of `reins evaluate`, in the order of its help.
+_Protocol = Annotated[
+    str, typer.Option(help="paper: the paper's generator and its watcher of chance. physical: in the workcell.")
+]
+_Methods = Annotated[str, typer.Option(help="Names with commas between them, or all.")]
+_Ablations = Annotated[
+    bool | None, typer.Option(help="Reins with one part left out, five times; default: with --methods all.")
+]
+_Seeds = Annotated[str, typer.Option(help="With commas between them; the default are the paper's.")]
+_Trials = Annotated[
+    int | None, typer.Option(help="For each method, task and seed; default: the protocol's. 0: studies alone.", min=0)
+]
+_Jobs = Annotated[int, typer.Option(help="Processes; 0: one for each core.", min=0)]
+_Folder = Annotated[Path | None, typer.Option("--out", help="The campaign's folder; default: evaluation/<protocol>.")]
+_Tasks = Annotated[
+    str, typer.Option(help="Task types, or fault-NAME, with commas between them, or all; default: the protocol's.")
+]
+_Plugins = Annotated[
+    list[Path] | None, typer.Option(help="A Python file that registers more; may be given several times.")
+]
+_Long = Annotated[bool, typer.Option("--long", help="Reins alone, 1,000 trials for each seed, unless said otherwise.")]
+_Studies = Annotated[
+    str, typer.Option(help="Also run studies beyond the paper: names with commas between them, or all.")
+]
+_Noise = Annotated[
+    float, typer.Option(help="Multiplies every error of every sensor; 1 is as measured. Protocol physical.")
+]
+_Dropout = Annotated[
+    float | None, typer.Option(help="How often the tracker misses a person in a frame, 0 to 1. Protocol physical.")
+]
+_FaultSize = Annotated[
+    float,
+    typer.Option(help="Multiplies how far faults go beyond their limit; 1 is as reported. Protocol physical."),
+]
+_Walks = Annotated[
+    str, typer.Option(help="How people come, usual or other (across, in a curve, halting). Protocol physical.")
+]
+_Fresh = Annotated[bool, typer.Option("--fresh", help="Remove the former campaign from the folder first.")]
+_Readme = Annotated[
+    Path | None, typer.Option(help="Also write the measured figures into this file, between its comments.")
+]
+
+
 def evaluate(  # noqa: PLR0913  # its options
     *,
-    protocol: Annotated[
-        str, typer.Option(help="paper: the paper's generator and its watcher of chance. physical: in the workcell.")
-    ] = "paper",
-    methods: Annotated[str, typer.Option(help="Names with commas between them, or all.")] = "all",
-    ablations: Annotated[
-        bool | None, typer.Option(help="Reins with one part left out, five times; default: with --methods all.")
-    ] = None,
-    seeds: Annotated[str, typer.Option(help="With commas between them; the default are the paper's.")] = "",
-    trials: Annotated[
-        int | None,
-        typer.Option(help="For each method, task and seed; default: the protocol's. 0: studies alone.", min=0),
-    ] = None,
-    jobs: Annotated[int, typer.Option(help="Processes; 0: one for each core.", min=0)] = 0,
-    folder: Annotated[
-        Path | None, typer.Option("--out", help="The campaign's folder; default: evaluation/<protocol>.")
-    ] = None,
-    tasks: Annotated[
-        str, typer.Option(help="Task types, or fault-NAME, with commas between them, or all; default: the protocol's.")
-    ] = "",
-    plugin: Annotated[
-        list[Path] | None, typer.Option(help="A Python file that registers more; may be given several times.")
-    ] = None,
-    policies: Annotated[
-        Path | None,
-        typer.Option(help="Policy directory; default: ./policies, else the shipped one.", envvar="REINS_POLICIES"),
-    ] = None,
-    long: Annotated[
-        bool, typer.Option("--long", help="Reins alone, 1,000 trials for each seed, unless said otherwise.")
-    ] = False,
-    studies: Annotated[
-        str, typer.Option(help="Also run studies beyond the paper: names with commas between them, or all.")
-    ] = "",
-    sensor_noise: Annotated[
-        float, typer.Option(help="Multiplies every error of every sensor; 1 is as measured. Protocol physical.")
-    ] = 1.0,
-    tracker_dropout: Annotated[
-        float | None, typer.Option(help="How often the tracker misses a person in a frame, 0 to 1. Protocol physical.")
-    ] = None,
-    fault_size: Annotated[
-        float,
-        typer.Option(help="Multiplies how far faults go beyond their limit; 1 is as reported. Protocol physical."),
-    ] = 1.0,
-    walks: Annotated[
-        str, typer.Option(help="How people come, usual or other (across, in a curve, halting). Protocol physical.")
-    ] = "usual",
-    fresh: Annotated[bool, typer.Option("--fresh", help="Remove the former campaign from the folder first.")] = False,
-    readme: Annotated[
-        Path | None, typer.Option(help="Also write the measured figures into this file, between its comments.")
-    ] = None,
+    protocol: _Protocol = "paper",
+    methods: _Methods = "all",
+    ablations: _Ablations = None,
+    seeds: _Seeds = "",
+    trials: _Trials = None,
+    jobs: _Jobs = 0,
+    folder: _Folder = None,
+    tasks: _Tasks = "",
+    plugin: _Plugins = None,
+    policies: Policies = None,
+    long: _Long = False,
+    studies: _Studies = "",
+    sensor_noise: _Noise = 1.0,
+    tracker_dropout: _Dropout = None,
+    fault_size: _FaultSize = 1.0,
+    walks: _Walks = "usual",
+    fresh: _Fresh = False,
+    readme: _Readme = None,
 ) -> None:
     """Measure governance methods against each other; every table of the paper next to ours.
 
