@@ -1,13 +1,12 @@
 """One examination of a policy, in a process of its own: `python -m app.assay`, a request in, what was found out.
 
-A server starts it (`app.assayer`), so that loading, proving and comparing never hold up a request. It runs at low
-priority. The request is JSON on standard input; the answer is a line of JSON, with the sizes of the parcels behind it,
-which hold the compiled policy.
+A server starts it (`app.assayer`), so that loading, proving and comparing never hold up a request. It is given low
+priority there. The request is JSON on standard input; the answer is a line of JSON, with the sizes of the parcels
+behind it, which hold the compiled policy.
 """
 
 from __future__ import annotations
 
-import os
 import sys
 from typing import TYPE_CHECKING, Any, Final, cast
 
@@ -28,14 +27,12 @@ if TYPE_CHECKING:
     from app.governance.policy import PolicySet
     from app.proofs.findings import Finding
 
-NICENESS: Final = 15
 PROOFS_S: Final = 240.0  # of processor time: at the lowest priority the clock on the wall says little
 COMPARISON_S: Final = 120.0
 
 
 def main() -> None:
     """Answer the one request."""
-    os.nice(NICENESS)
     request = cast("dict[str, Any]", orjson.loads(sys.stdin.buffer.read()))
     answer, compiled = examined(request)
     sizes = [len(parcel) for parcel in compiled]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import subprocess
 import sys
 from dataclasses import asdict
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from app.governance.policy import PolicySet
     from app.runtime.examining import Candidate
 
+NICENESS: Final = 15
 PATIENCE_S: Final = 1800.0  # it has the lowest priority, and may wait long for its turn
 COMMAND: Final = (sys.executable, "-m", "app.assay")
 
@@ -61,6 +63,7 @@ class Assayer:
         pipe = subprocess.PIPE
         try:
             with subprocess.Popen(COMMAND, stdin=pipe, stdout=pipe, stderr=pipe) as child:  # noqa: S603  # our own words
+                os.setpriority(os.PRIO_PROCESS, child.pid, NICENESS)  # from here: it takes its time to load the solver
                 self._child = child
                 if self._closed:
                     child.kill()

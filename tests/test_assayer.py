@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from dataclasses import asdict
 from typing import Any
 
@@ -130,6 +131,7 @@ async def test_a_server_that_ends_does_not_wait_for_an_examination(monkeypatch: 
     waiting = asyncio.ensure_future(examining(candidate(files()), None))
     while examining._child is None:  # it begins on a thread, which says nothing
         await asyncio.sleep(0.01)
+    assert os.getpriority(os.PRIO_PROCESS, examining._child.pid) == assayer.NICENESS  # from its first moment
     examining.close()
     with pytest.raises(ExaminationFailed, match="ended with"):
         await waiting
