@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final, TypeAlias, cast
 
 import yaml
@@ -57,6 +58,8 @@ for _tag, _pattern, _first in (
 
 _SCALARS: Final = {f"tag:yaml.org,2002:{name}": name for name in ("null", "bool", "int", "float", "str")}
 _MAX_DEPTH: Final = 40
+_KEPT_FILES: Final = 64
+_KEPT_CHARACTERS: Final = 32_768  # of one file: what is kept stays small, whatever anybody offers
 _MAX_DIGITS: Final = 400  # of an integer with leading zeros; longer ones are not even read
 
 
@@ -153,7 +156,33 @@ def _too_deep(text: str) -> int | None:
 
 
 def parse(file: str, text: str) -> tuple[Document, list[PolicyError]]:
-    """Read one file; what is wrong with it comes back as problems beside whatever could be read."""
+    """Read one file; what is wrong with it comes back as problems beside whatever could be read.
+
+    Reading YAML is most of loading a policy, and a candidate differs from what is in force in a file or two: what was
+    read lately is not read again. The values are the caller's own.
+    """
+    if len(text) > _KEPT_CHARACTERS:
+        return _read(file, text)
+    document, problems = _kept(file, text)
+    return replace(document, value=_copied(document.value)), [*problems]
+
+
+@lru_cache(maxsize=_KEPT_FILES)
+def _kept(file: str, text: str) -> tuple[Document, list[PolicyError]]:
+    return _read(file, text)
+
+
+def _copied(value: Json) -> Json:
+    match value:
+        case dict():
+            return {key: _copied(item) for key, item in value.items()}
+        case list():
+            return [_copied(item) for item in value]
+        case _:
+            return value
+
+
+def _read(file: str, text: str) -> tuple[Document, list[PolicyError]]:
     try:
         deep = _too_deep(text)
         node = None if deep is not None else yaml.compose(text, Loader=_Loader)

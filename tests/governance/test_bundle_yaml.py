@@ -74,3 +74,19 @@ def test_an_empty_file_is_empty():
 def test_every_value_knows_its_line_and_what_is_missing_the_line_around_it():
     document, _ = parse("x.yaml", "a: 1\nb:\n  - c: 2\n    d: 3\n")
     assert [document.line(path) for path in (("a",), ("b", 0, "d"), ("b", 0, "e"), ("z",), ())] == [1, 4, 3, 1, 1]
+
+
+@pytest.mark.parametrize("text", ["a: [1, {b: c}]", f"a: [1, {{b: c}}] # {'.' * 40_000}"], ids=["short", "long"])
+def test_what_is_read_again_is_the_same_and_the_readers_own(text):
+    first, _ = parse("x.yaml", text)
+    first.value["a"][1]["b"] = "changed"
+    again, problems = parse("x.yaml", text)
+    assert (again.value, problems) == ({"a": [1, {"b": "c"}]}, [])
+    assert again.lines == first.lines
+    assert parse("y.yaml", text)[0].file == "y.yaml"
+
+
+def test_what_is_wrong_is_said_each_time():
+    _, problems = parse("x.yaml", "a: 1\na: 2")
+    problems.clear()
+    assert [problem.line for problem in parse("x.yaml", "a: 1\na: 2")[1]] == [2]
