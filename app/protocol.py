@@ -23,7 +23,7 @@ from app.governance.control import GOING_ON
 LEASE_MS = 300
 BEAT_MS = 75
 STATE_MS = 100
-VERSION = 6
+VERSION = 7
 
 
 class Message(BaseModel):
@@ -55,11 +55,15 @@ class Policy(Message):
 
 
 class Launch(Message):
-    """A signed authorization: the exact bytes and their signature, both base64."""
+    """A signed authorization: the exact bytes and their signature, both base64.
+
+    One that changes whose hands a session is in (`anew`) begins nothing where that session is over by then.
+    """
 
     type: Literal["launch"] = "launch"
     body: str
     signature: str
+    anew: bool = False
 
 
 class Human(Message):

@@ -125,7 +125,7 @@ class GovernedCell:
         """Do what was ordered; what cannot be done is reported upward by the runner."""
         match order:
             case Launch():
-                self._runner.launch(_signed(order))
+                self._runner.launch(_signed(order), anew=order.anew)
             case Human():
                 self._runner.human(order.invocation, order.op, order.actor)
             case Jog():

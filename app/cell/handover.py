@@ -100,8 +100,11 @@ class Session(Governing):
         self._prepare(Bind(Doing.ATTEMPT, grant.authorization.mode is Mode.CAREFUL), HANDED_BACK)
 
     def let_go(self) -> str | None:
-        """Do as if the human had left: a controlled stop, then the session waits for somebody else's word."""
-        if self.steering is None:
+        """Do as if the human had left: a controlled stop, then the session waits for somebody else's word.
+
+        A way back that is under way ends as well: whoever is let go of may have ordered it before.
+        """
+        if self.steering is None and self._handing is None:
             return "not_taken_over"
         self.escalate("control_lapsed")
         return None
@@ -304,11 +307,11 @@ class Session(Governing):
     def escalate(self, reason: str) -> None:
         """Hold and wait for a human; where the session is nothing but a human's driving, end instead."""
         steering, run = self.steering, self.run
-        if steering is None:
+        if steering is None and self._handing is None:
             super().escalate(reason)
             return
         self._leave()
-        if steering.alone:
+        if steering is not None and steering.alone:
             self.end(End(Outcome.TAKEN_OVER, reason, 1))
             return
         run.failed = TAKEN_OVER
@@ -331,7 +334,11 @@ class Session(Governing):
     def resume(self) -> str | None:
         """Let a paused session go on; where a human has the controls, let them drive again."""
         run = self.run
-        if self.steering is None or run.status is not Status.PAUSED:
+        if (
+            run.status is not Status.PAUSED
+        ):  # one that asks has to be answered: whoever resumes may not know what it asks
+            return "not_paused"
+        if self.steering is None:
             return super().resume()
         run.paused_by.discard("operator")
         self._resume("operator")

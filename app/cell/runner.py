@@ -173,18 +173,19 @@ class Runner:
         """Believe authorizations under this policy, or one of those still held, signed with this key."""
         self._policy_digest, self._former, self._key = policy_digest, former, key
 
-    def launch(self, signed: SignedAuthorization) -> str | None:
+    def launch(self, signed: SignedAuthorization, *, anew: bool = False) -> str | None:
         """Verify a signed authorization and begin its session; return None, or the code of the refusal.
 
         One for the session that runs already changes whose hands it is in: to a human's (`takeover`), or back to its
-        own capability. Every refusal is recorded, and says under which invocation where the signature was good.
+        own capability. One that was meant for that (`anew`) begins no session once that one is over. Every refusal is
+        recorded, and says under which invocation where the signature was good.
         """
         try:
             grant = self._admit(signed)
         except PermitError as error:
             return self._refuse(error.invocation, error.code, error.detail)
         permit = grant.authorization
-        if (why := self._not_now(grant)) is not None:
+        if (why := self._not_now(grant, anew=anew)) is not None:
             return self._refuse(permit.invocation, *why)
         used: dict[str, Json] = {USED + permit.id: permit.expires_at_s, "open": permit.invocation}
         try:
@@ -322,14 +323,14 @@ class Runner:
             former=self._former,
         )
 
-    def _not_now(self, grant: Grant) -> tuple[str, str] | None:
+    def _not_now(self, grant: Grant, *, anew: bool) -> tuple[str, str] | None:
         if self.latched:
             return "estop_latched", "an emergency stop is latched; valid: reset it first"
         if self.holding:
             return "holding", f"the cell holds (`{self.holding}`); valid: wait until the link is back"
         session = self._session
         if session is None:
-            return None
+            return ("no_such_session", "the session that was to change hands is over") if anew else None
         if session.run.id != grant.authorization.invocation:
             return "busy", f"the cell runs `{session.run.id}`"
         return session.why_not(grant)
@@ -404,6 +405,12 @@ def _hold_for_policy(session: Session) -> None:
         session.escalate(CHANGED)
 
 
+def _go_on(session: Session) -> str | None:
+    """Let a held session go on, but not where a phase waits: that takes the word of somebody who was asked about it."""
+    waits = session.run.status is Status.ESCALATED and session.run.escalated_by.startswith("confirm:")
+    return "needs_confirmation" if waits else session.go_on()
+
+
 _OPS: Final = {
     "escalate": _hold_for_policy,
     "pause": Session.pause,
@@ -412,7 +419,7 @@ _OPS: Final = {
     "rollback": Session.roll_back,
     "cancel": Session.cancel,
     "confirm": Session.confirm,
-    "resolve_continue": Session.go_on,
+    "resolve_continue": _go_on,
     "resolve_terminate": Session.terminate,
     "let_go": Session.let_go,
     "end_takeover": Session.end_takeover,

@@ -227,9 +227,9 @@ class Answer:
         if lapsed(self._invocation):
             return await self._go_on_anew(cell, closed, since)
         await self._commit_session("approve", closed)
-        self._fleet.order(
-            cell, Human(invocation=self._invocation.id, op="resolve_continue", actor=self._principal.name), since=since
-        )
+        # Only who was asked about a phase confirms one: the cell may wait for a word that is not known here yet.
+        op = "resolve_continue" if closed.phase is None else "confirm"
+        self._fleet.order(cell, Human(invocation=self._invocation.id, op=op, actor=self._principal.name), since=since)
         return closed
 
     async def _go_on_anew(self, cell: Cell, closed: Escalation, since: int) -> Escalation:

@@ -359,12 +359,14 @@ class Kernel:
                 self._fleet.release(cell.id, invocation.id)
             raise
         if not anew and self.overtaken(invocation, judgement):
-            return  # another policy came into force while this was recorded, and would not let it go on
+            return  # another policy or profile came into force while this was recorded, and does not let it begin
         if self._fleet.attached(cell):
             self._fleet.order(
                 cell,
                 Launch(
-                    body=base64.b64encode(signed.body).decode(), signature=base64.b64encode(signed.signature).decode()
+                    body=base64.b64encode(signed.body).decode(),
+                    signature=base64.b64encode(signed.signature).decode(),
+                    anew=anew,
                 ),
                 since=since,
             )

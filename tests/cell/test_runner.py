@@ -304,6 +304,16 @@ def test_an_operator_s_pause_outlasts_the_person(rig: Rig) -> None:
     assert rig.finish()["outcome"] == "succeeded"
 
 
+def test_a_resume_that_comes_late_does_not_answer_what_is_asked_meanwhile(rig: Rig) -> None:
+    walking_in(rig, from_s=1.0, until_s=6.0)
+    rig.launch()
+    rig.until_status("escalated")
+    rig.until(lambda: rig.cell.observe().time_s > 8.0)
+    assert rig.runner.human("inv-1", "resume", "operator") == "not_paused"
+    rig.ticks(50)
+    assert (rig.runner.status, rig.moving()) == ("escalated", False)
+
+
 # -- violations and recovery -----------------------------------------------------------------------------------------
 
 
@@ -539,6 +549,18 @@ def test_a_phase_that_needs_a_confirmation_does_not_begin_without(rig: Rig) -> N
     assert len(rig.of("escalation")) == 1
 
 
+@pytest.mark.parametrize(("op", "refused"), [("resume", "not_paused"), ("resolve_continue", "needs_confirmation")])
+def test_a_word_about_something_else_does_not_confirm_a_phase_that_waits_meanwhile(
+    rig: Rig, op: str, refused: str
+) -> None:
+    rig.cell.script.releases = True
+    rig.launch(confirm_before=("release",))
+    rig.until_status("escalated")
+    assert rig.runner.human("inv-1", op, "operator") == refused
+    rig.ticks(50)
+    assert (rig.runner.status, rig.moving()) == ("escalated", False)
+
+
 def test_there_is_nothing_to_confirm_where_nothing_waits(rig: Rig) -> None:
     rig.launch()
     rig.ticks(20)
@@ -734,6 +756,30 @@ def test_what_ended_without_a_record_is_said_until_the_record_has_it(rig: Rig, m
     assert rig.runner.view().fault == ""
     assert rig.runner.view().unsaid == {}
     assert rig.last("outcome")["outcome"] == "stopped"
+
+
+@pytest.mark.parametrize("capability", ["takeover", "navigate_to"])
+def test_a_change_of_hands_begins_nothing_once_the_session_is_over(rig: Rig, capability: str) -> None:
+    rig.launch()
+    assert rig.finish()["outcome"] == "succeeded"
+    late = signed(id="auth-2", capability=capability)
+    assert rig.runner.launch(late, anew=True) == "no_such_session"
+    assert rig.last("launch")["refused"] == "no_such_session"
+    assert rig.runner.invocation is None
+
+
+def test_a_human_who_is_let_go_of_while_the_session_is_handed_back_leaves_it_waiting(rig: Rig) -> None:
+    rig.launch()
+    rig.ticks(60)
+    assert rig.runner.launch(signed(id="auth-2", capability="takeover"), anew=True) is None
+    rig.ticks(5)
+    assert rig.runner.human("inv-1", "let_go", "server") is None
+    assert rig.runner.launch(signed(id="auth-3"), anew=True) is None  # ordered before that
+    assert rig.runner.human("inv-1", "let_go", "server") is None
+    rig.ticks(300)
+    assert (rig.runner.status, rig.moving()) == ("escalated", False)
+    assert rig.runner.launch(signed(id="auth-4"), anew=True) is None
+    assert rig.finish()["outcome"] in {"succeeded", "recovered"}
 
 
 def test_a_change_of_hands_that_cannot_be_recorded_does_not_pass_for_the_end_of_what_still_moves(

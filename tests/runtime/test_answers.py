@@ -190,7 +190,7 @@ async def test_a_phase_that_waits_says_which_and_what_follows(confirming: tuple[
     assert deadline_s is not None
     assert deadline_s - runtime.register.now_s() <= 60.0, "the phase's own deadline, not that of every session"
     await answer(runtime, question)
-    await until(lambda: cell.ops() == ["resolve_continue"])
+    await until(lambda: cell.ops() == ["confirm"])
 
 
 async def test_a_denied_phase_is_undone_where_policy_says_so(confirming: tuple[Runtime, HandCell]) -> None:
