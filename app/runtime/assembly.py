@@ -101,6 +101,7 @@ class Runtime:
         await self.register.recall()
         await self.fleet.recall()
         await self.desk.recall()
+        await self.sessions.recall()
         body: dict[str, Any] = {
             "policy_version": self.kernel.policy.digest,
             "unfinished": [known.id for known in self.register.live()],

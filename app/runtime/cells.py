@@ -12,7 +12,6 @@ from pydantic import TypeAdapter, ValidationError
 from app.audit.event import RowWrite
 from app.clock import monotonic_s
 from app.governance.model import WorldFacts
-from app.protocol import Human
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -109,7 +108,10 @@ class Cell:
     ended: str | None = None  # the last session that ended here, and when
     ended_at_s: float = 0.0
     stated: asyncio.Event = field(default_factory=asyncio.Event)
-    owed: dict[tuple[str, str], Message] = field(default_factory=dict[tuple[str, str], "Message"])
+    owed: dict[tuple[str, str], Message] = field(
+        default_factory=dict[tuple[str, str], "Message"]
+    )  # restraints that it may not have heard
+    told: tuple[Line, str] | None = None  # the session that it was told to stop, which nobody believes it to have
     restraints: int = 0  # words that hold or end its session, so far
     restrained: dict[tuple[str, str], tuple[int, Message]] = field(
         default_factory=dict[tuple[str, str], "tuple[int, Message]"]
@@ -135,9 +137,16 @@ class Cell:
             and monotonic_s() - self.state_at_s <= FRESH_S
         )
 
-    def ends(self, message: Message) -> bool:
-        """Say whether a message ends the session this cell has; it is said again at every welcome until then."""
-        return isinstance(message, Human) and message.op in ENDING and message.invocation == self.claim
+    def heard(self, op: str, invocation: str) -> None:
+        """Note that the cell has a restraint: it is not said again, unless it ends a session that is not over yet."""
+        if op not in ENDING:
+            self.owed.pop((op, invocation), None)
+
+    def lifted(self, since: int) -> None:
+        """Note that the session goes on by the word of somebody who knew of the restraints up to that number."""
+        for (op, invocation), (number, _) in self.restrained.items():
+            if number <= since:
+                self.heard(op, invocation)
 
     def ending(self, invocation: str) -> str | None:
         """Return the word by which an invocation's session is coming to its end, if one was said."""

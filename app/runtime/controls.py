@@ -196,12 +196,12 @@ class Controls:
         Raises:
             Conflict: `ending`, `estop_latched`.
         """
-        if cell.ending(present.id):
-            raise _ending(op, cell, present)
         if self.fleet.latched(cell):
             raise Conflict(
                 "estop_latched", f"`{op}` is not possible: an emergency stop ended the session, `{cell.id}` is latched"
             )
+        if cell.ending(present.id):
+            raise _ending(op, cell, present)
 
     async def _restrain(self, op: str, present: Invocation, principal: Principal) -> dict[str, Any]:
         """Send a restraint, then record it, later if need be: it was obeyed, and the answer says so either way."""

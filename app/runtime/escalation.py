@@ -159,11 +159,11 @@ def read_escalation(document: bytes) -> Escalation:
     return Escalation(**fields.pop(PRIVATE, {}), **fields)
 
 
-def bound_digest(invocation: Invocation, effective: Mapping[str, Any]) -> str:
+def bound_digest(invocation: Invocation, effective: Mapping[str, Any], phase: str | None = None) -> str:
     """Return the digest that an approval of these parameters is bound to.
 
     Whose proposal, what, where, how, and under which policy and profile: the same parameters are watched differently
-    under another one.
+    under another one. In mid-execution also which phase waits: who lets a held session go on confirms none.
     """
     return digest(
         {
@@ -174,5 +174,6 @@ def bound_digest(invocation: Invocation, effective: Mapping[str, Any]) -> str:
             "policy": invocation.policy_version,
             "profile": invocation.profile,
             "params": dict(effective),
+            **({} if phase is None else {"phase": phase}),
         }
     )

@@ -19,8 +19,8 @@ import orjson
 from app.audit.errors import RecordUnavailable
 from app.audit.event import RowWrite
 from app.clock import monotonic_s
-from app.governance.model import SESSION, CellFacts
-from app.protocol import BEAT_MS, LEASE_MS, Estop, Human, Policy, ProtocolError, Watch
+from app.governance.model import SESSION, CellFacts, EventKind
+from app.protocol import BEAT_MS, LEASE_MS, Estop, Human, Launch, Policy, ProtocolError, Watch
 from app.runtime.cells import FRESH_S, Cell, Reunion, read_world
 from app.runtime.errors import Conflict, NotFound
 from app.runtime.link import DEAD_S, SILENT_S, TRY_LATER, Attachment
@@ -217,7 +217,11 @@ class Fleet:
     def release(self, cell_id: str | None, invocation: str, *, ended: bool = False) -> None:
         """Let the cell go, if this invocation has it; `ended` where the cell itself said that the session is over."""
         cell = self._cells.get(cell_id or "")
-        if cell is None or cell.claim != invocation:
+        if cell is None:
+            return
+        if cell.control is not None and cell.control.invocation == invocation:
+            cell.control = None
+        if cell.claim != invocation:
             return
         cell.claim = None
         cell.owed = {key: message for key, message in cell.owed.items() if key[1] != invocation}
@@ -256,7 +260,8 @@ class Fleet:
     def restrain(self, cell: Cell, message: Human | Estop) -> bool:
         """Send a restraint at once, ahead of everything. Returns whether the cell is there.
 
-        One that is away is owed it. What ends a session is owed until the session is over: a link may drop with it.
+        One that is away is owed it. What is said to its session is owed until the cell says that it has heard it, what
+        ends the session until that is over: a link may drop with it.
         """
         attachment = cell.attachment
         there = attachment is not None and attachment.welcomed
@@ -265,10 +270,11 @@ class Fleet:
                 cell.restraints += 1
                 if message.invocation == cell.claim:
                     cell.restrained[message.op, message.invocation] = cell.restraints, message
-                if not there or cell.ends(message):
+                if not there or message.invocation == cell.claim:
                     cell.owed[message.op, message.invocation] = message
-            case Estop():
-                pass  # the latch itself is remembered, and sent at every welcome
+            case Estop():  # the latch itself is remembered, and sent at every welcome until it is reset
+                if cell.claim is not None:
+                    cell.owed["stop", cell.claim] = Human(invocation=cell.claim, op="stop", actor=message.actor)
         if attachment is not None and there:
             attachment.post(message, urgent=True)
         return there
@@ -290,6 +296,8 @@ class Fleet:
         attachment = cell.attachment
         if attachment is None or not attachment.welcomed:
             raise Conflict("cell_offline", f"the cell `{cell.id}` is not attached")
+        if isinstance(message, Launch | Human):
+            cell.lifted(since)
         attachment.post(message)
         for number, restraint in cell.restrained.values():
             if number > since:
@@ -366,11 +374,14 @@ class Fleet:
             attachment.post(Estop(actor="server"))
         for message in cell.owed.values():
             attachment.post(message)
-        cell.owed = {key: message for key, message in cell.owed.items() if cell.ends(message)}
-        # Only what is believed now: a session launched on this very link must not be held against its `Hello`.
+        cell.owed = {key: message for key, message in cell.owed.items() if key[1] == cell.claim}
         if self.screens.watched(cell.id):
             attachment.post(Watch(on=True))
-        cell.unreconciled = Reunion(hello=hello, believed=cell.claim)
+        # Only what is believed now: a session launched on this very link must not be held against its `Hello`, not even
+        # one that has the cell already and is being recorded.
+        known = None if cell.claim is None else self._register.newest(cell.claim)
+        believed = None if known is None or known.status not in SESSION else known.id
+        cell.unreconciled = Reunion(hello=hello, believed=believed)
         await self._desk.attached(cell.id, hello)
         await self.caught_up(attachment)
 
@@ -379,6 +390,18 @@ class Fleet:
         fault = None if cell.state is None else cell.state.fault
         if fault is not None and fault.ended and attachment.settled:
             await self._desk.unrecorded(cell.id, fault.ended)
+
+    def _stop_stray(self, cell: Cell, attachment: Line) -> None:
+        """Tell a cell to stop a session that nobody believes it to have: it ended, or is not known here."""
+        held = cell.state.invocation if cell.fresh and cell.state is not None else None
+        if held is None or held == cell.claim or self._register.newest(held) is not None:
+            return
+        just_ended = (
+            held == cell.ended and monotonic_s() - cell.ended_at_s <= FRESH_S
+        )  # its state may be a little older
+        if not just_ended and cell.told != (attachment, held):
+            cell.told = attachment, held
+            self.restrain(cell, Human(invocation=held, op="stop", actor="server"))
 
     async def caught_up(self, attachment: Line) -> None:
         """Compare what the cell holds with what the server believes, as soon as every older report is in."""
@@ -462,6 +485,9 @@ class Fleet:
             taken = {**cell.taken, journal: fresh[-1].seq}
             await self._desk.absorb(cell.id, fresh, cell.progress(taken, self._register.now()))
             cell.taken = taken
+        for event in fresh:
+            if event.kind == EventKind.HUMAN and event.invocation is not None:
+                cell.heard(str(event.body.get("op")), event.invocation)
 
     # -- remembering -------------------------------------------------------------------------------------------------
 
@@ -526,5 +552,5 @@ class Fleet:
             if attachment is not None and attachment.welcomed:
                 await self.caught_up(attachment)
                 await self._unrecorded(cell, attachment)
-            absent_s = None if cell.absent_since_s is None else monotonic_s() - cell.absent_since_s
-            await self._desk.overdue(cell.id, absent_s)
+                self._stop_stray(cell, attachment)
+            await self._desk.overdue(cell.id)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
+from app.audit.errors import RowExists
 from app.audit.event import EventDraft, RowWrite
 from app.governance.model import EventKind, Role, Status
 from app.governance.recorded import KEY as CIRCUMSTANCES
@@ -95,8 +96,11 @@ class Governor(Takeovers, Controls):
         known = await self.store.row("idempotency", agent=principal.name, key=key)
         if known is None:
             slot = {"agent": principal.name, "key": key, "request_digest": request_digest, "status": "done"}
-            return (await self._propose(principal, request, (slot,))).public(), True
-        if known["request_digest"] != request_digest:
+            try:
+                return (await self._propose(principal, request, (slot,))).public(), True
+            except RowExists:  # the first one's client hung up while it was being recorded, and said it again
+                known = await self.store.row("idempotency", agent=principal.name, key=key)
+        if known is None or known["request_digest"] != request_digest:
             raise Conflict("idempotency_mismatch", f"the key `{key}` was used for another request")
         return await self.invocation(str(known["invocation"]), principal), False
 
@@ -126,10 +130,9 @@ class Governor(Takeovers, Controls):
             )
             for slot in slots
         ]
-        if invocation.final:
-            await self.register.append(drafts, rows, [invocation])  # its outcome is the decision, and stands in it
-            return invocation
-        if judgement.need is None and cell is not None:  # at once: nothing else may be decided on the cell's being free
+        if (
+            not invocation.final and judgement.need is None and cell is not None
+        ):  # at once: nothing else may be decided on the cell's being free
             self.fleet.claim(cell, invocation.id)
         try:
             return await self._open(invocation, judgement, drafts, rows)
@@ -140,7 +143,10 @@ class Governor(Takeovers, Controls):
     async def _open(
         self, invocation: Invocation, judgement: Judgement, drafts: Sequence[EventDraft], rows: Sequence[RowWrite]
     ) -> Invocation:
-        """Ask for approval, or launch."""
+        """Ask for approval, or launch, or leave it at the decision."""
+        if invocation.final:
+            await self.register.append(drafts, rows, [invocation])  # its outcome is the decision, and stands in it
+            return invocation
         need = judgement.need
         if need is not None:
             question = self.desk.question(invocation, need, self.kernel.risk(invocation.capability))

@@ -174,10 +174,10 @@ class Handbacks:
         return present
 
     def _reachable(self, cell: Cell, invocation: str) -> None:
-        if word := cell.ending(invocation):
-            raise Conflict("ending", f"the session is coming to its end after `{word}`")
         if self.fleet.latched(cell):
             raise Conflict("estop_latched", f"the cell `{cell.id}` is stopped and latched; valid: reset it first")
+        if word := cell.ending(invocation):
+            raise Conflict("ending", f"the session is coming to its end after `{word}`")
         if not self.fleet.attached(cell):
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: nobody can drive it")
 

@@ -89,6 +89,7 @@ class Terms:
     confirmed: bool = False  # the cell said that it has the session
     version: str | None = None  # of the capability, as the agent asked for it
     undone_by: str | None = None  # who ordered that the session be undone: only people may call that off
+    taking: bool = False  # a human takes the controls, and the cell has not said yet that it has heard of it
 
     def document(self) -> dict[str, Any]:
         """Return the terms as JSON."""
@@ -102,11 +103,12 @@ class Terms:
             "confirmed": self.confirmed,
             "version": self.version,
             "undone_by": self.undone_by,
+            "taking": self.taking,
         }
 
     @classmethod
     def read(cls, document: Mapping[str, Any]) -> Terms:
-        """Read back what `document` wrote; earlier releases did not say who ordered a rollback."""
+        """Read back what `document` wrote; earlier releases did not say who ordered a rollback, or takes over."""
         preference = document["recovery_preference"]
         return cls(
             mode=Mode(document["mode"]),
@@ -118,6 +120,7 @@ class Terms:
             confirmed=document["confirmed"],
             version=document.get("version"),
             undone_by=document.get("undone_by"),
+            taking=document.get("taking", False),
         )
 
 

@@ -97,7 +97,7 @@ class Questions:
             requested=invocation.requested,
             constrained=effective,
             effective=effective,
-            digest=bound_digest(invocation, effective),
+            digest=bound_digest(invocation, effective, fields.get("phase")),
             policy_version=invocation.policy_version,
             status=PENDING,
             approvals=(),

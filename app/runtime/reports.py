@@ -38,8 +38,8 @@ class Reports(Protocol):
         """See to sessions that a cell says are over, and cannot report in its journal."""
         ...
 
-    async def overdue(self, cell: str, absent_s: float | None) -> None:
-        """See to what a cell owes: a session while it is away (for so long), or word of its launch."""
+    async def overdue(self, cell: str) -> None:
+        """See to what a cell owes: a session while it is away, word of its launch, or what became of an answer."""
         ...
 
     def telemetry(self, cell: str, invocation: str, rows: Sequence[tuple[float, ...]]) -> None:

@@ -13,6 +13,7 @@ When server and cell have lost sight of each other:
 | a session | has been away for `absent_s` | `failed`, outcome `fault` (`cell_lost`) |
 | a session | says it is over, its journal being full | over, with that outcome (`journal_unavailable`) |
 | a launch | said nothing of it until its permit ran out | `failed`, outcome `fault` (`launch_unconfirmed`) |
+| a session that was let go on | still waits after `GOES_ON_S` | asked about again (`not_gone_on`) |
 | no such session, or it has ended | holds one | is told to stop it |
 
 A cell that comes back after `absent_s` finds its session ended, and is told to stop: nothing goes on that the server
@@ -27,12 +28,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft
-from app.clock import monotonic_s
+from app.clock import monotonic_s, parse_rfc3339
 from app.governance.control import Phase, refused
 from app.governance.model import SESSION, EventKind, Outcome, Status
 from app.governance.session import final_status
 from app.protocol import Human, ProtocolError
+from app.runtime.cells import ENDING
 from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
+from app.runtime.escalation import DENIED, EXPIRED, ROLLBACK
 from app.runtime.hands import HELD, OPEN
 from app.runtime.kernel import LAUNCH_WITHIN_S
 from app.runtime.story import DONE, RULE, Story
@@ -43,6 +46,7 @@ if TYPE_CHECKING:
 
     from app.audit.event import RowWrite
     from app.protocol import Ended, Hello, Sighting, UpEvent
+    from app.runtime.cells import Cell
     from app.runtime.desk import Desk
     from app.runtime.fleet import Fleet
     from app.runtime.invocation import Invocation
@@ -55,6 +59,7 @@ LAST_ROWS_S: Final = 0.5
 LOST_WITH_CELL: Final = frozenset(
     {"session_lost", "cell_lost", "cell_restarted"}
 )  # how a session ends without its cell
+GOES_ON_S: Final = 2.0  # a session that was answered has long begun by then
 UNCONFIRMED_S: Final = LAUNCH_WITHIN_S + 1.0  # by then the permit has run out
 LIVED_THROUGH: Final = SESSION | {Status.COMPLETED, Status.FAILED}
 REPORTABLE: Final = frozenset({
@@ -120,20 +125,25 @@ class Sessions:
             await self._register.append(story.drafts, [*rows, *(item.row() for item in questions)], story.changed())
             self._desk.hold(*questions)
         for version in story.changed():
-            self._keep_control(version)
+            self._keep_control(story.before(version.id), version)
         for event in events:
             self._telemetry.note(event)
         for version in story.changed():
             if version.final:
                 self._seal_soon(version, cell)
 
-    def _keep_control(self, version: Invocation) -> None:
-        """Keep the lease of a cell's controls in step with what became of the session they were of."""
+    def _keep_control(self, before: Invocation, version: Invocation) -> None:
+        """Keep the lease of a cell's controls in step with what became of the session they were of.
+
+        Only news count: a lease is there before its takeover is recorded, and reports come meanwhile.
+        """
         cell = self._fleet.cell(version.cell or "")
         control = cell.control
         if control is None or control.invocation != version.id:
             return
-        state = None if version.takeover is None else version.takeover["state"]
+        former, state = (None if one.takeover is None else one.takeover["state"] for one in (before, version))
+        if state == former and not version.final:
+            return
         if version.final or state not in OPEN:
             cell.control = None
         elif state == HELD and control.phase is Phase.RETURNING:
@@ -194,6 +204,30 @@ class Sessions:
 
     # -- coming and going --------------------------------------------------------------------------------------------
 
+    async def recall(self) -> None:
+        """Owe cells again what an earlier run said to end their sessions: they may not have heard it."""
+        for known in self._register.live():
+            if known.status in SESSION and known.cell and (word := await self._last_word(known)) is not None:
+                said = {"invocation": known.id, "op": word, "actor": SERVER}
+                self._fleet.restrain(self._fleet.cell(known.cell), Human.model_validate(said))
+
+    async def _last_word(self, known: Invocation) -> str | None:
+        """Return by which word a session was to end, if one was said."""
+        after = 0
+        while events := await self._register.store.events(invocation=known.id, kind=EventKind.HUMAN, after=after):
+            for event in events:
+                body = event.payload()
+                op = "end_takeover" if body.get("then") == "end" else str(body.get("op"))
+                if op in ENDING:
+                    return op
+            after = events[-1].seq
+        answer = known.escalation or {}
+        if known.status is not Status.ESCALATED or answer.get("status") not in (DENIED, EXPIRED):
+            return None
+        question = await self._desk.get(answer["id"])
+        undone = question["on_deny" if answer["status"] == DENIED else "on_timeout"] == ROLLBACK
+        return None if undone else "resolve_terminate"
+
     async def attached(self, cell: str, hello: Hello) -> None:
         """Record that a cell is there."""
         place = self._fleet.cell(cell)
@@ -243,30 +277,49 @@ class Sessions:
                 with suppress(RecordUnavailable):  # tried again at the next round
                     await self._finish(invocation.id, Outcome(end.outcome), "journal_unavailable", message)
 
-    async def overdue(self, cell: str, absent_s: float | None) -> None:
-        """See to a session whose cell is away, and to a launch that nobody confirmed."""
+    async def overdue(self, cell: str) -> None:
+        """See to a session whose cell is away, and to what a cell that is there has not done."""
         await self._register.say_unsaid()
+        place = self._fleet.cell(cell)
         for invocation in self._sessions_of(cell):
             with suppress(RecordUnavailable):  # tried again at the next round
-                await self._overdue(invocation, absent_s)
+                if place.absent_since_s is not None:
+                    await self._missed(invocation, place, monotonic_s() - place.absent_since_s)
+                elif place.attachment is not None and place.attachment.settled:
+                    await self._owing(invocation, place)
 
-    async def _overdue(self, invocation: Invocation, absent_s: float | None) -> None:
-        place = self._fleet.cell(invocation.cell or "")
-        launched_s = invocation.terms.launched_at_s
-        unconfirmed = not invocation.terms.confirmed and launched_s is not None
-        if absent_s is not None and absent_s > self._absent_s:
+    async def _missed(self, invocation: Invocation, place: Cell, absent_s: float) -> None:
+        """See to a session whose cell is away."""
+        if absent_s > self._absent_s:
             await self._fault(invocation.id, "cell_lost", f"the cell has been away for more than {self._absent_s} s")
-        elif absent_s is not None and absent_s > LOST_S and not place.expected:
+        elif absent_s > LOST_S and not place.expected:
             await self._ask(invocation.id, "link_lost", "the link to the cell is lost; the cell holds by itself")
-        elif absent_s is None and unconfirmed and self._register.now_s() > (launched_s or 0.0) + UNCONFIRMED_S:
+
+    async def _owing(self, invocation: Invocation, place: Cell) -> None:
+        """See to a session whose cell is there, and has said nothing that is not in the log."""
+        now_s, launched_s = self._register.now_s(), invocation.terms.launched_at_s
+        if launched_s is not None and not invocation.terms.confirmed and now_s > launched_s + UNCONFIRMED_S:
             self._fleet.restrain(place, Human(invocation=invocation.id, op="stop", actor=SERVER))
             await self._fault(invocation.id, "launch_unconfirmed", "the cell never confirmed the launch")
+        elif (
+            invocation.status is Status.ESCALATED
+            and self._desk.pending_for(invocation.id) is None
+            and place.ending(invocation.id) is None
+            and now_s > parse_rfc3339(invocation.updated_at) + GOES_ON_S
+        ):  # what lets it go on is sent once, and may be lost or refused
+            message = "it was answered, and the session waits all the same"
+            await self._ask(invocation.id, "not_gone_on", message, await self._phase(invocation))
+
+    async def _phase(self, invocation: Invocation) -> str | None:
+        """Return the phase that a session waits for, by the last question about it."""
+        last = invocation.escalation
+        return None if last is None else (await self._desk.get(last["id"]))["phase"]
 
     def _sessions_of(self, cell: str) -> list[Invocation]:
         return [known for known in self._register.live() if known.cell == cell and known.status in SESSION]
 
     @uncut
-    async def _ask(self, name: str, code: str, message: str) -> None:
+    async def _ask(self, name: str, code: str, message: str, phase: str | None = None) -> None:
         """Escalate a session, unless a human has been asked already."""
         entry = self._register.entry(name)
         if entry is None:
@@ -276,7 +329,7 @@ class Sessions:
             if present.status not in SESSION or self._desk.pending_for(name) is not None:
                 return
             now = self._register.now()
-            question = self._desk.session_question(present, [reason(RULE, code, message)])
+            question = self._desk.session_question(present, [reason(RULE, code, message)], phase)
             asked = present.evolve(now, status=Status.ESCALATED, escalation=question.reference())
             await self._desk.commit([escalation_event(question)], question, asked)
 

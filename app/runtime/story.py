@@ -48,6 +48,10 @@ class Story:
         """Return the new versions."""
         return [version for name, version in self._versions.items() if version is not self._before[name]]
 
+    def before(self, name: str) -> Invocation:
+        """Return the version that a batch found."""
+        return self._before[name]
+
     def tell(self, cell: str, event: UpEvent, at: str) -> None:
         """Take one report."""
         name = event.invocation
@@ -87,7 +91,15 @@ class Story:
         return NOTHING
 
     def _in_whose_hands(self, version: Invocation, event: UpEvent, at: str) -> Invocation:
-        """Follow a takeover: what the cell says decides whose hands its session is in."""
+        """Follow a takeover: what the cell says decides whose hands its session is in.
+
+        A session that escalates before the cell has heard of a takeover was let go by somebody else.
+        """
+        taking = version.terms.taking
+        if taking and event.kind == EventKind.ESCALATION:
+            return version
+        if taking and event.kind == EventKind.LAUNCH:
+            version = self._versions[version.id] = version.evolve(at, terms=replace(version.terms, taking=False))
         after = followed(version.takeover, event)
         if after is not version.takeover:
             version = self._versions[version.id] = version.evolve(at, takeover=after)

@@ -5,7 +5,8 @@
    anything is recorded. The cell asks a human then, for the reasons given here.
 3. What waits for approval is decided again: it ends, launches, or is asked anew, bound to the new version. The same
    when a cell is put under another profile, but that launches nothing.
-4. What was decided before and is recorded only now is sent only if the new policy would let it go on as well.
+4. What was decided before and is recorded only now is sent only if the new policy would let it go on as well, and never
+   under another profile than the cell's.
 
 What restrains is not told once: a launch that is still on its way to its cell cannot be held yet, so it is held as soon
 as the cell says that it has it.
@@ -50,6 +51,9 @@ AGAIN_S: Final = 0.2
 RULE: Final = "policy/changed"
 OVERTAKEN: Final = reason(
     RULE, CHANGED, "another policy came into force before this began, and does not let it", "propose again"
+)
+OTHER_PROFILE: Final = reason(
+    RULE, PROFILE_CHANGED, "the cell was put under another profile before this began", "propose again"
 )
 
 
@@ -163,20 +167,31 @@ class Succession:
     # -- what was decided before and recorded after --------------------------------------------------------------------
 
     def overtaken(self, launching: Invocation, judgement: Judgement) -> bool:
-        """Say whether a launch must not be sent, because the policy it was decided under has given way; end it then."""
+        """Say whether a launch must not be sent, because what it was decided under has given way; end it then.
+
+        Another policy may let it go on all the same. Another profile does not: whoever puts a cell under one takes what
+        begins from then on to be under that.
+        """
+        if reasons := self._outlived(launching, judgement):
+            self._abandon_soon(launching.id, reasons)
+        return bool(reasons)
+
+    def _outlived(self, launching: Invocation, judgement: Judgement) -> list[dict[str, str]]:
+        if judgement.profile != self._fleet.profile(self._fleet.cell(launching.cell or "")):
+            return [OTHER_PROFILE]
         if judgement.policy is self._kernel.policy:
-            return False
+            return []
         proposal = launching.proposal(dict(launching.effective or {}))
         context = self._kernel.context(launching.capability, launching.agent, launching)
         found = departure(judgement.policy, self._kernel.policy, proposal, context)
-        if not found:
-            return False
-        task = asyncio.create_task(self._abandon(launching.id, found), name=f"abandon-{launching.id}")
+        return [OVERTAKEN, *reasons_document(found.reasons)] if found else []
+
+    def _abandon_soon(self, name: str, reasons: list[dict[str, str]]) -> None:
+        task = asyncio.create_task(self._abandon(name, reasons), name=f"abandon-{name}")
         self._ending.add(task)
         task.add_done_callback(self._ending.discard)
-        return True
 
-    async def _abandon(self, name: str, found: Departure) -> None:
+    async def _abandon(self, name: str, reasons: list[dict[str, str]]) -> None:
         """End what was recorded as launched and never was; nothing has moved."""
         entry = self._register.entry(name)
         if entry is None:
@@ -185,7 +200,6 @@ class Succession:
             present = entry.newest
             if present.final:
                 return
-            reasons = [OVERTAKEN, *reasons_document(found.reasons)]
             ended = present.evolve(
                 self._register.now(), status=Status.FAILED, outcome=Outcome.FAULT, failure={"reasons": reasons}
             )

@@ -150,17 +150,17 @@ class Takeovers(Handbacks):
             present = entry.newest
             if present.status not in SESSION:
                 raise Conflict("wrong_status", f"`takeover` is not possible while the invocation is `{present.status}`")
+            if cell.control is None or cell.control.invocation != invocation:
+                raise Conflict("takeover_refused", f"the controls of `{cell.id}` were let go of meanwhile")
             params = self._as_in(present)
             proposal = Proposal(capability=TAKEOVER, params=params)
             judgement = self.kernel.judge(proposal, GOVERNANCE, cell, within=present)
             _held_to(judgement)
             driving = replace(present, capability=TAKEOVER, effective=judgement.effective(params))
-            control = cell.control
-            document = cell.control_document() or {}
+            where, document = cell.control.where, cell.control_document() or {}
             async with self.kernel.launch(driving, judgement, anew=True) as launch:
-                where = Where.REMOTE if control is None else control.where
-                now = self.register.now()
-                version = present.evolve(now, takeover=taken(where, now))
+                now, terms = self.register.now(), replace(present.terms, taking=True)
+                version = present.evolve(now, takeover=taken(where, now), terms=terms)
                 word = self._word("takeover", present, principal, document, Taking.GRANTED)
                 await self.register.append([word, *launch.events], launch.rows, [version])
 

@@ -112,6 +112,7 @@ async def test_a_hand_that_falls_silent_loses_the_controls_and_a_human_is_asked(
     runtime: Runtime, cell: HandCell, driving: str
 ) -> None:
     lease = await runtime.governor.take_over(driving, OPERATOR)
+    await cell.report("launch", driving, capability="takeover")
     place = runtime.fleet.cell("workcell-1")
     assert place.control is not None
     place.control = replace(place.control, heard_s=monotonic_s() - LAPSE_S - 0.1)
@@ -130,6 +131,7 @@ async def test_what_a_human_left_goes_on_only_under_a_new_authorization(
     runtime: Runtime, cell: HandCell, driving: str
 ) -> None:
     await runtime.governor.take_over(driving, OPERATOR)
+    await cell.report("launch", driving, capability="takeover")
     await cell.report("escalation", driving, reason="control_lapsed", failure="taken_over")
     assert runtime.fleet.cell("workcell-1").control is None
     question = runtime.desk.pending_for(driving)

@@ -1,0 +1,363 @@
+"""What may happen between a check and its effect: nothing that was restrained moves, and no word is lost."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from app.clock import monotonic_s
+from app.governance.control import LAPSE_S
+from app.runtime.assembly import Runtime
+from app.runtime.errors import Conflict
+
+from .conftest import AGENT, CELL, OPERATOR, OPERATOR_2, HandCell, House, navigate, until
+from .test_fleet import Late, SlowCell, running
+
+pytestmark = pytest.mark.anyio
+
+
+class Gate:
+    """Lets nothing into the record until it is opened."""
+
+    def __init__(self, runtime: Runtime, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.reached, self.open = asyncio.Event(), asyncio.Event()
+        self._append = runtime.register.append
+        monkeypatch.setattr(runtime.register, "append", self.append)
+
+    async def append(self, *arguments: Any, **named: Any) -> Any:
+        self.reached.set()
+        await self.open.wait()
+        return await self._append(*arguments, **named)
+
+
+async def slow_cell(runtime: Runtime) -> SlowCell:
+    cell = SlowCell(runtime)
+    cell.gate.set()
+    await cell.dial()
+    await cell.state()
+    return cell
+
+
+async def stuck(cell: SlowCell) -> None:
+    """Let the socket take nothing from here on."""
+    cell.gate.clear()
+    await until(lambda: cell.stuck == 1)  # a beat: what comes now waits behind it
+
+
+async def back(runtime: Runtime, cell: HandCell, status: str | None = None) -> HandCell:
+    """Have the cell come back at once, within its lease."""
+    again = HandCell(runtime, seq=cell.seq, invocation=cell.invocation, status=status or cell.status)
+    return await again.dial()
+
+
+# -- restraints that are lost with their link --------------------------------------------------------------------------
+
+
+async def test_a_pause_that_is_lost_with_its_link_is_said_again(runtime: Runtime) -> None:
+    cell = await slow_cell(runtime)
+    name = await running(runtime, cell)
+    await stuck(cell)
+    assert (await runtime.governor.pause(name, OPERATOR))["recorded"]
+    await cell.hang_up()
+    again = await back(runtime, cell)
+    await until(lambda: again.ops() == ["pause"])
+
+
+async def test_a_pause_that_was_heard_is_not_said_again(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    await runtime.governor.pause(name, OPERATOR)
+    await cell.report("human", name, op="pause", done=True, refused=None)
+    await cell.report("status", name, status="paused")
+    await runtime.governor.resume(name, OPERATOR)
+    await cell.hang_up()
+    again = await back(runtime, cell)
+    await again.expect("beat")
+    assert again.ops() == []
+
+
+async def test_a_pause_that_somebody_lifted_is_not_said_again(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    await cell.report("status", name, status="paused")
+    await runtime.governor.pause(name, OPERATOR)
+    await runtime.governor.resume(name, OPERATOR)
+    await cell.hang_up()
+    again = await back(runtime, cell)
+    await again.expect("beat")
+    assert again.ops() == []
+
+
+async def test_an_emergency_stop_that_is_lost_with_its_link_ends_the_session_even_after_a_reset(
+    runtime: Runtime,
+) -> None:
+    cell = await slow_cell(runtime)
+    await running(runtime, cell)
+    await stuck(cell)
+    await runtime.governor.estop(CELL, OPERATOR)
+    resetting = asyncio.create_task(runtime.governor.reset(CELL, OPERATOR))
+    await until(lambda: not runtime.fleet.cell(CELL).latched)
+    await cell.hang_up()
+    again = await back(runtime, cell)
+    await until(lambda: again.ops() == ["stop"])
+    await again.state()
+    await resetting
+
+
+@pytest.mark.parametrize("op", ["stop", "cancel"])
+async def test_a_stop_to_a_cell_that_is_away_outlives_the_server(house: House, op: str) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        name = await running(first, cell)
+        await cell.hang_up()
+        word = {"stop": first.governor.stop, "cancel": first.governor.cancel}[op]
+        assert (await word(name, OPERATOR))["recorded"]
+    async with house.open() as second:
+        again = await back(second, cell, status="escalated")
+        await until(lambda: again.ops() == [op])
+        question = second.desk.pending_for(name)
+        assert question is not None
+        with pytest.raises(Conflict) as refusal:
+            await second.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+        assert refusal.value.code == "ending"
+
+
+async def test_a_denial_that_ends_a_session_outlives_the_server(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        name = await running(first, cell)
+        await cell.report("escalation", name, reason="separation_m")
+        question = first.desk.pending_for(name)
+        assert question is not None
+        await cell.hang_up()
+        await first.desk.resolve(question.id, OPERATOR, "deny", question.digest)
+    async with house.open() as second:
+        again = await back(second, cell, status="escalated")
+        await until(lambda: again.ops() == ["resolve_terminate"])
+
+
+# -- what a cell holds, and what the server believes -------------------------------------------------------------------
+
+
+async def test_a_session_that_the_server_gave_up_is_told_to_stop_whenever_the_cell_says_it_has_it(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    await cell.state(invocation="inv_gone", status="running")
+    await runtime.fleet.tend_once()
+    await until(lambda: cell.ops() == ["stop"])
+    assert cell.all("human")[0].invocation == "inv_gone"
+
+
+async def test_a_session_whose_end_the_cell_has_just_reported_is_told_nothing(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    await cell.report("outcome", name, outcome="succeeded", code="done")
+    await cell.state()  # a little older than the report
+    await runtime.fleet.tend_once()
+    await cell.expect("beat", 2)
+    assert cell.ops() == []
+
+
+async def test_a_launch_that_was_being_recorded_when_its_cell_came_back_is_not_held_against_it(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate = Gate(runtime, monkeypatch)
+    proposing = asyncio.create_task(runtime.governor.propose(AGENT, navigate()))
+    await gate.reached.wait()
+    cell.closed = (1006, "gone")
+    assert cell.attachment is not None
+    leaving = asyncio.create_task(cell.attachment.detach())
+    await until(lambda: runtime.fleet.cell(CELL).attachment is None)
+    again = HandCell(runtime, seq=cell.seq)
+    dialling = asyncio.create_task(again.dial())
+    await until(lambda: runtime.fleet.attached(runtime.fleet.cell(CELL)))
+    gate.open.set()
+    document, _ = await proposing
+    await asyncio.gather(leaving, dialling)
+    await again.expect("launch")
+    await again.launched(document["id"])
+    assert (await runtime.governor.invocation(document["id"], AGENT))["status"] == "running"
+
+
+async def test_a_launch_whose_confirmation_waits_for_the_record_is_not_given_up(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        document, _ = await runtime.governor.propose(AGENT, navigate())
+        gate = Gate(runtime, monkeypatch)
+        confirmation = cell.event("launch", document["id"])
+        await cell.say(confirmation)
+        await gate.reached.wait()
+        house.wall_s.offset_s = 12.0
+        tending = asyncio.create_task(runtime.fleet.tend_once())
+        await asyncio.wait({tending}, timeout=0.2)
+        gate.open.set()
+        await tending
+        await cell.acknowledged(confirmation.seq)
+        assert (await runtime.governor.invocation(document["id"], AGENT))["status"] == "running"
+        assert cell.ops() == []
+
+
+@pytest.mark.parametrize(("why", "phase"), [("separation_m", None), ("confirm:release", "release")])
+async def test_whoever_lets_a_session_go_on_that_does_not_is_asked_again(
+    house: House, why: str, phase: str | None
+) -> None:
+    async with house.open() as runtime:
+        cell = await slow_cell(runtime)
+        name = await running(runtime, cell)
+        await cell.report("escalation", name, reason=why)
+        question = runtime.desk.pending_for(name)
+        assert question is not None
+        await stuck(cell)
+        await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+        await cell.hang_up()
+        again = await back(runtime, cell, status="escalated")
+        await again.state()
+        await runtime.fleet.tend_once()
+        assert runtime.desk.pending_for(name) is None, "it has just been told, for all anybody knows"
+        house.wall_s.offset_s = 3.0
+        await runtime.fleet.tend_once()
+        asked = runtime.desk.pending_for(name)
+        assert asked is not None
+        assert (asked.reasons[0]["code"], asked.phase) == ("not_gone_on", phase)
+        assert again.ops() == [], "what lets something move is never kept"
+
+
+async def test_a_proposal_that_is_said_again_while_its_first_is_recorded_gets_the_same_answer(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate = Gate(runtime, monkeypatch)
+    first = asyncio.create_task(runtime.governor.propose(AGENT, navigate(), "key-1"))
+    await gate.reached.wait()
+    first.cancel()  # its client hangs up
+    await asyncio.wait({first})
+    again = asyncio.create_task(runtime.governor.propose(AGENT, navigate(), "key-1"))
+    await asyncio.wait({again}, timeout=0.1)
+    gate.open.set()
+    document, new = await again
+    assert (document["status"], new) == ("running", False)
+    assert len(cell.all("launch")) == 1
+
+
+# -- what was decided under something else -----------------------------------------------------------------------------
+
+
+async def test_nothing_launches_under_a_profile_that_gave_way_while_it_was_recorded(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with replace(house, profile="sim-relaxed").open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        late = Late(runtime, monkeypatch)
+        proposing = asyncio.create_task(runtime.governor.propose(AGENT, navigate()))
+        await late.recorded.wait()
+        await runtime.governor.set_profile(CELL, "human-shared", OPERATOR)
+        late.go.set()
+        document, _ = await proposing
+        await runtime.succession.close()
+        ended = await runtime.governor.invocation(document["id"], AGENT)
+        assert not cell.all("launch")
+        assert (ended["status"], ended["failure"]["reasons"][0]["code"]) == ("failed", "profile_changed")
+        assert runtime.fleet.busy(runtime.fleet.cell(CELL)) is None
+
+
+async def test_what_lets_a_held_session_go_on_confirms_no_phase_that_waits_meanwhile(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    name = await running(runtime, cell)
+    await cell.report("escalation", name, reason="separation_m")
+    shown = runtime.desk.pending_for(name)
+    assert shown is not None
+    await cell.report("escalation", name, reason="confirm:release")
+    with pytest.raises(Conflict) as refusal:
+        await runtime.desk.resolve(shown.id, OPERATOR, "approve", shown.digest)
+    assert refusal.value.code == "digest_mismatch"
+    asked = runtime.desk.pending_for(name)
+    assert asked is not None
+    assert asked.phase == "release"
+    await runtime.desk.resolve(asked.id, OPERATOR, "approve", asked.digest)
+    await until(lambda: cell.ops() == ["confirm"])
+
+
+# -- whose hands a session is in ---------------------------------------------------------------------------------------
+
+
+async def test_a_report_that_comes_while_somebody_takes_over_does_not_take_the_controls_from_them(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = await running(runtime, cell)
+    late = Late(runtime, monkeypatch)
+    paused = cell.event("status", name, status="paused")
+    await cell.say(paused)
+    await late.recorded.wait()
+    taking = asyncio.create_task(runtime.governor.take_over(name, OPERATOR))
+    await until(lambda: runtime.fleet.cell(CELL).control is not None)
+    late.go.set()
+    lease = await taking
+    await cell.acknowledged(paused.seq)
+    control = runtime.fleet.cell(CELL).control
+    assert control is not None
+    assert control.lease == lease["lease"]
+
+
+async def test_nobody_takes_over_by_a_lease_that_was_lost_while_they_waited(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = await running(runtime, cell)
+    late = Late(runtime, monkeypatch)
+    await cell.say(cell.event("status", name, status="paused"))
+    await late.recorded.wait()
+    taking = asyncio.create_task(runtime.governor.take_over(name, OPERATOR))
+    await until(lambda: runtime.fleet.cell(CELL).control is not None)
+    runtime.fleet.loosen(runtime.fleet.cell(CELL), "server")
+    late.go.set()
+    with pytest.raises(Conflict) as refusal:
+        await taking
+    assert refusal.value.code == "takeover_refused"
+    assert len(cell.all("launch")) == 1
+    assert (await runtime.governor.invocation(name, AGENT)).get("takeover") is None
+
+
+async def test_the_hand_that_takes_over_from_one_that_fell_silent_does_not_lose_the_controls_by_that(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    name = await running(runtime, cell)
+    await runtime.governor.take_over(name, OPERATOR)
+    await cell.report("launch", name, capability="takeover")
+    await cell.report("status", name, status="running", reason="taken_over")
+    place = runtime.fleet.cell(CELL)
+    assert place.control is not None
+    place.control = replace(place.control, heard_s=monotonic_s() - LAPSE_S - 0.1)
+    lease = await runtime.governor.take_over(name, OPERATOR_2)  # the silent hand is let go by this
+    assert "let_go" in cell.ops()
+    await cell.report("status", name, status="escalated", reason="control_lapsed")
+    await cell.report("escalation", name, reason="control_lapsed", failure="taken_over")
+    await cell.report("launch", name, capability="takeover")
+    await cell.report("status", name, status="running", reason="taken_over")
+    assert place.control is not None
+    assert place.control.lease == lease["lease"]
+    document = await runtime.governor.invocation(name, AGENT)
+    assert (document["status"], document["takeover"]["state"]) == ("running", "held")
+    await cell.report("status", name, status="escalated", reason="control_lapsed")
+    await cell.report("escalation", name, reason="control_lapsed", failure="taken_over")
+    assert place.control is None, "this time it is theirs that lapsed"
+
+
+async def test_nobody_has_the_controls_of_a_session_that_the_server_ended(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    await runtime.governor.take_over(name, OPERATOR)
+    await cell.state(fault={"why": "no room", "ended": [{"invocation": name, "outcome": "stopped", "code": "x"}]})
+    await runtime.fleet.tend_once()
+    assert (await runtime.governor.invocation(name, AGENT))["status"] == "failed"
+    assert runtime.fleet.cell(CELL).control is None
+
+
+async def test_a_session_changes_hands_only_while_its_cell_has_it(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    assert not cell.all("launch")[-1].anew
+    await runtime.governor.take_over(name, OPERATOR)
+    assert (await cell.expect("launch", 2)).anew
