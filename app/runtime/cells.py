@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from app.governance.control import Control
-    from app.protocol import Hello, Message, State
+    from app.protocol import Hello, Human, Message, State
 
 FRESH_S: Final = 1.0  # a state older than this says nothing
 ENDING: Final = frozenset(
@@ -136,6 +136,15 @@ class Cell:
             and self.state is not None
             and monotonic_s() - self.state_at_s <= FRESH_S
         )
+
+    def note(self, restraint: Human, *, there: bool) -> None:
+        """Note a restraint that is being said, to a cell that is there or is not."""
+        key = restraint.op, restraint.invocation
+        self.restraints += 1
+        if restraint.invocation == self.claim:
+            self.restrained[key] = self.restraints, restraint
+        if not there or restraint.invocation == self.claim:
+            self.owed[key] = restraint
 
     def heard(self, op: str, invocation: str) -> None:
         """Note that the cell has a restraint: it is not said again, unless it ends a session that is not over yet."""

@@ -267,14 +267,10 @@ class Fleet:
         there = attachment is not None and attachment.welcomed
         match message:
             case Human():
-                cell.restraints += 1
-                if message.invocation == cell.claim:
-                    cell.restrained[message.op, message.invocation] = cell.restraints, message
-                if not there or message.invocation == cell.claim:
-                    cell.owed[message.op, message.invocation] = message
+                cell.note(message, there=there)
             case Estop():  # the latch itself is remembered, and sent at every welcome until it is reset
                 if cell.claim is not None:
-                    cell.owed["stop", cell.claim] = Human(invocation=cell.claim, op="stop", actor=message.actor)
+                    cell.note(Human(invocation=cell.claim, op="stop", actor=message.actor), there=there)
         if attachment is not None and there:
             attachment.post(message, urgent=True)
         return there

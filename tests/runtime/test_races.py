@@ -105,6 +105,25 @@ async def test_an_emergency_stop_that_is_lost_with_its_link_ends_the_session_eve
     await resetting
 
 
+async def test_what_was_decided_before_an_emergency_stop_is_stopped_even_after_a_reset(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    late = Late(runtime, monkeypatch)
+    proposing = asyncio.create_task(runtime.governor.propose(AGENT, navigate()))
+    await late.recorded.wait()
+    await runtime.governor.estop(CELL, OPERATOR)
+    resetting = asyncio.create_task(runtime.governor.reset(CELL, OPERATOR))
+    await cell.expect("reset")
+    late.go.set()
+    await proposing
+    await cell.expect("human")
+    said = [word.type for word in cell.heard if word.type in {"estop", "reset", "launch", "human"}]
+    assert said == ["estop", "reset", "launch", "human"]
+    assert cell.ops() == ["stop"]
+    await cell.state()
+    await resetting
+
+
 @pytest.mark.parametrize("op", ["stop", "cancel"])
 async def test_a_stop_to_a_cell_that_is_away_outlives_the_server(house: House, op: str) -> None:
     async with house.open() as first:
