@@ -124,12 +124,12 @@ def _explain(policy: PolicySet, gate: Gate, proposal: Proposal, context: Context
     )
     if rejections:
         return _reject(*rejections)
-    for delay_s, reasons in (
-        (RETRY_OFFLINE_S, tuple(_away(context.cell))),
-        (RETRY_BUSY_S, tuple(_busy(context.cell))),
-        (RETRY_UNMET_S, tuple(_not_yet(gate, proposal, context.cell))),
+    for delay_s, found in (
+        (RETRY_OFFLINE_S, _away(context.cell)),
+        (RETRY_BUSY_S, _busy(context.cell)),
+        (RETRY_UNMET_S, _not_yet(gate, proposal, context.cell)),
     ):
-        if reasons:
+        if reasons := tuple(found):  # what is shadowed by a stronger one is not even looked for
             return Admission(outcome=AdmissionOutcome.DEFER, reasons=reasons, retry_after_s=delay_s)
     asked = tuple(_supervised(policy, gate, context))
     return Admission(outcome=AdmissionOutcome.ESCALATE, reasons=asked) if asked else ACCEPT
