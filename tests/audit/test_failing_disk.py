@@ -60,6 +60,7 @@ async def test_health_comes_back_by_itself(store: AuditStore, monkeypatch: pytes
 async def test_whoever_asks_hears_of_a_disk_that_filled_up_since_the_last_write(store: AuditStore) -> None:
     await store.look()
     assert store.healthy
+    await until(lambda: not store._writing)
     limit_pages(store, None)
     store._wrote_s = 0.0  # long ago
     connection = store._ledger._connection
@@ -78,6 +79,7 @@ async def test_a_disk_that_says_it_takes_no_more_is_believed_until_it_does(
 ) -> None:
     """What the database has got already may do for another probe, and for nothing else."""
     await store.look()  # a first probe, which is over before the disk is full
+    await until(lambda: not store._writing)
     monkeypatch.setattr("app.audit.store.PROBE_AFTER_S", 0.01)
     disk = os.statvfs(store.places.folder)
     blocks = ROOM_BYTES // disk.f_frsize - 1
