@@ -26,6 +26,7 @@ from app.api.application import create_app
 from app.api.auth import CELL_TOKEN_FILE, PrincipalsUnreadable, open_principals
 from app.api.console import MAX_FRAME_BYTES
 from app.api.console import PATH as CONSOLE_PATH
+from app.api.exchange import Exchanges
 from app.assayer import Assayer
 from app.audit.errors import AuditError
 from app.audit.store import AuditStore
@@ -286,7 +287,7 @@ def _door(app: Any) -> uvicorn.Config:  # noqa: ANN401  # an ASGI application
     return uvicorn.Config(
         app,
         loop="none",
-        http="httptools",
+        http=Exchanges,
         ws=Handshakes,
         ws_per_message_deflate=False,
         ws_ping_interval=None,  # the link beats by itself

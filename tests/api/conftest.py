@@ -28,6 +28,7 @@ from websockets.exceptions import ConnectionClosed
 from app.api import pages
 from app.api.application import create_app, described
 from app.api.auth import CELL_TOKEN_FILE, TOKENS_FILE, open_principals
+from app.api.exchange import Exchanges
 from app.api.problems import MEDIA_TYPE, Problem
 from app.audit.store import AuditStore
 from app.clock import monotonic_s, wall_s
@@ -312,7 +313,7 @@ async def open_house(folder: Path, profile: str) -> AsyncIterator[House]:
         )
         server = Door(
             uvicorn.Config(
-                app, port=0, log_level="warning", ws=Handshakes, ws_per_message_deflate=False, http="httptools"
+                app, port=0, log_level="warning", ws=Handshakes, ws_per_message_deflate=False, http=Exchanges
             )
         )
         serving = asyncio.create_task(server.serve())
