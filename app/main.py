@@ -19,14 +19,12 @@ import orjson
 import uvicorn
 import uvloop
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from app import __version__
 from app.api.application import create_app
 from app.api.auth import CELL_TOKEN_FILE, PrincipalsUnreadable, open_principals
-from app.api.console import MAX_FRAME_BYTES
-from app.api.console import PATH as CONSOLE_PATH
 from app.api.exchange import Exchanges
+from app.api.sockets import Sockets
 from app.assayer import Assayer
 from app.audit.errors import AuditError
 from app.audit.store import AuditStore
@@ -44,8 +42,6 @@ if TYPE_CHECKING:
     from collections.abc import AsyncGenerator, Generator
     from pathlib import Path
 
-    from uvicorn._types import ASGISendEvent
-
     from app.config import Settings
     from app.governance.policy import PolicySet
     from app.runtime.fleet import Fleet
@@ -54,7 +50,6 @@ if TYPE_CHECKING:
 
 KEY_BYTES: Final = 32
 PROVE_AFTER_S: Final = 5.0  # by then the cells are up: a start leaves the processor to them
-LET_GO_S: Final = 2.0  # for a peer to take the last words and close its end
 LEAVE_S: Final = 1  # for requests under way when the server stops
 HAND_OVER_S: Final = 0.0003  # after so long a thread that waits for the interpreter gets it
 
@@ -76,33 +71,6 @@ class DoorServer(uvicorn.Server):
     def capture_signals(self) -> Generator[None]:
         """Take no signals."""
         yield
-
-
-class Handshakes(WebSocketsSansIOProtocol):
-    """Uvicorn's websockets, held open by no peer, and where ASGI's denial response is an answer as well.
-
-    Uvicorn marks a handshake as answered when it is accepted or closed, not when it is denied, and then complains of
-    every denial that it was left without an answer. It waits for a peer's half of the close for ten seconds, and for
-    good until the peer has read what was written; and it reads long frames from whoever sends them.
-    """
-
-    def __init__(self, *given: Any, **named: Any) -> None:  # noqa: ANN401  # what uvicorn makes it of
-        """Read short frames only: nobody has said yet who they are."""
-        super().__init__(*given, **named)
-        self.conn.max_message_size = MAX_FRAME_BYTES
-
-    def on_task_complete(self, task: asyncio.Task[None]) -> None:
-        """Cut what the application is done with, if the peer does not let go of it."""
-        super().on_task_complete(task)
-        self.loop.call_later(LET_GO_S, self.transport.abort)
-
-    async def send(self, message: ASGISendEvent) -> None:
-        """Send one message. A denial's last part ends the handshake; a cell that is let in may say long things."""
-        if message["type"] == "websocket.accept" and self.scope["path"] != CONSOLE_PATH:
-            self.conn.max_message_size = self.config.ws_max_size
-        await super().send(message)
-        if message["type"] == "websocket.http.response.body" and not message.get("more_body", False):
-            self.handshake_complete = True
 
 
 def serve(settings: Settings) -> int:
@@ -288,7 +256,7 @@ def _door(app: Any) -> uvicorn.Config:  # noqa: ANN401  # an ASGI application
         app,
         loop="none",
         http=Exchanges,
-        ws=Handshakes,
+        ws=Sockets,
         ws_per_message_deflate=False,
         ws_ping_interval=None,  # the link beats by itself
         lifespan="on",

@@ -30,10 +30,10 @@ from app.api.application import create_app, described
 from app.api.auth import CELL_TOKEN_FILE, TOKENS_FILE, open_principals
 from app.api.exchange import Exchanges
 from app.api.problems import MEDIA_TYPE, Problem
+from app.api.sockets import Sockets
 from app.audit.store import AuditStore
 from app.clock import monotonic_s, wall_s
 from app.governance.bundle import load
-from app.main import Handshakes
 from app.protocol import (
     Estop,
     Hello,
@@ -312,9 +312,7 @@ async def open_house(folder: Path, profile: str) -> AsyncIterator[House]:
             principals=principals,
         )
         server = Door(
-            uvicorn.Config(
-                app, port=0, log_level="warning", ws=Handshakes, ws_per_message_deflate=False, http=Exchanges
-            )
+            uvicorn.Config(app, port=0, log_level="warning", ws=Sockets, ws_per_message_deflate=False, http=Exchanges)
         )
         serving = asyncio.create_task(server.serve())
         await eventually(lambda: server.started)

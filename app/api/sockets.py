@@ -1,0 +1,82 @@
+"""Websockets as uvicorn has them, held open by no peer, and what many consoles are shown made into a frame once."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, Any, ClassVar, Final
+
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.frames import Frame, Opcode
+from websockets.protocol import State
+
+from app.api.console import MAX_FRAME_BYTES
+from app.api.console import PATH as CONSOLE_PATH
+
+if TYPE_CHECKING:
+    import asyncio
+
+    from uvicorn._types import ASGISendEvent
+
+LET_GO_S: Final = 2.0  # for a peer to take the last words and close its end
+KEPT_FRAMES: Final = 4  # an update, a beat, and poses or a scene are under way at one time
+
+
+class Frames:
+    """The frames made last: a text of many proposals is long, and every console gets the same."""
+
+    def __init__(self) -> None:
+        """Start without any."""
+        self._made: deque[tuple[str | bytes, bytes]] = deque(maxlen=KEPT_FRAMES)
+
+    def of(self, content: str | bytes) -> bytes:
+        """Return the whole, unmasked frame of a text or of bytes; the very same object is made into one once."""
+        for known, frame in self._made:
+            if known is content:
+                return frame
+        if isinstance(content, str):
+            frame = Frame(Opcode.TEXT, content.encode()).serialize(mask=False)
+        else:
+            frame = Frame(Opcode.BINARY, content).serialize(mask=False)
+        self._made.append((content, frame))
+        return frame
+
+
+class Sockets(WebSocketsSansIOProtocol):
+    """Uvicorn's websockets, held open by no peer, and where ASGI's denial response is an answer as well.
+
+    Uvicorn marks a handshake as answered when it is accepted or closed, not when it is denied, and then complains of
+    every denial that it was left without an answer. It waits for a peer's half of the close for ten seconds, and for
+    good until the peer has read what was written; and it reads long frames from whoever sends them.
+    """
+
+    shown: ClassVar[Frames] = Frames()
+
+    def __init__(self, *given: Any, **named: Any) -> None:  # noqa: ANN401  # what uvicorn makes it of
+        """Read short frames only: nobody has said yet who they are."""
+        super().__init__(*given, **named)
+        self.conn.max_message_size = MAX_FRAME_BYTES
+
+    def on_task_complete(self, task: asyncio.Task[None]) -> None:
+        """Cut what the application is done with, if the peer does not let go of it."""
+        super().on_task_complete(task)
+        self.loop.call_later(LET_GO_S, self.transport.abort)
+
+    async def send(self, message: ASGISendEvent) -> None:
+        """Send one message. A denial's last part ends the handshake; a cell that is let in may say long things."""
+        if message["type"] == "websocket.send" and self.scope["path"] == CONSOLE_PATH:
+            await self._show(message)
+            return
+        if message["type"] == "websocket.accept" and self.scope["path"] != CONSOLE_PATH:
+            self.conn.max_message_size = self.config.ws_max_size
+        await super().send(message)
+        if message["type"] == "websocket.http.response.body" and not message.get("more_body", False):
+            self.handshake_complete = True
+
+    async def _show(self, message: ASGISendEvent) -> None:
+        """Send a console what others are sent too; where that cannot be, it is uvicorn's to say so."""
+        await self.writable.wait()
+        content = message.get("text") or message.get("bytes")
+        if content and self.conn.state is State.OPEN and not self.disconnected and not self.conn.extensions:
+            self.transport.write(self.shown.of(content))
+        else:
+            await super().send(message)
