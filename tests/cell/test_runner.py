@@ -799,10 +799,10 @@ def test_a_change_of_hands_that_cannot_be_recorded_does_not_pass_for_the_end_of_
 def test_an_idle_cell_notices_a_full_disk_before_it_is_asked_for_anything(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    room = os.fstatvfs(0)
+    room = os.statvfs("/")
     full = os.statvfs_result((*room[:3], 0, 0, *room[5:]))
     with monkeypatch.context() as patched:
-        patched.setattr(os, "fstatvfs", lambda _: full)
+        patched.setattr(os, "statvfs", lambda _: full)
         rig.ticks(101)
         assert "`0` bytes are free" in rig.runner.view().fault
         assert rig.runner.launch(signed()) == "journal_unavailable"
