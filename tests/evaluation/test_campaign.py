@@ -42,7 +42,7 @@ REQUEST = Request(
 JOB = Job("a", "reins", "sorting", 1, 0, 2)
 
 
-def campaign(out: Path, request: Request = REQUEST, *, workers: int = 2, fresh: bool = False) -> list[tuple[int, int]]:
+def campaign(out: Path, request: Request = REQUEST, *, workers: int = 1, fresh: bool = False) -> list[tuple[int, int]]:
     seen: list[tuple[int, int]] = []
     run_campaign(request, out, workers=workers, progress=lambda done, total: seen.append((done, total)), fresh=fresh)
     return seen
@@ -119,7 +119,7 @@ def test_a_worker_that_dies_once_is_replaced_and_its_job_given_out_again(
     trigger = tmp_path / "die"
     trigger.touch()
     monkeypatch.setenv("TOY_DIE_ONCE", str(trigger))
-    campaign(tmp_path / "out")
+    campaign(tmp_path / "out", workers=2)
     assert not trigger.exists()
     assert same(reference, tmp_path / "out")
 
@@ -130,7 +130,7 @@ def test_a_job_that_kills_every_worker_ends_the_campaign_by_name(
     with monkeypatch.context() as patch:
         patch.setenv("TOY_DIE", "reins-toy_task-1-5")
         with pytest.raises(JobFailed, match=r"job `reins-toy_task-1-5` failed: .* exit code `-9`"):
-            campaign(tmp_path)
+            campaign(tmp_path, workers=2)
     assert not (tmp_path / "results.json").exists()
     campaign(tmp_path)
     assert same(reference, tmp_path)

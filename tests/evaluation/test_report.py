@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from app.evaluation import published
+from app.evaluation import plots, published
 from app.evaluation.metrics import METRICS
 from app.evaluation.physical_choices import CHOICES
 from app.evaluation.plots import shares
@@ -51,9 +53,36 @@ class Page(HTMLParser):
         return [attributes for name, attributes in self.tags if name == tag]
 
 
+@cache
+def rendered() -> str:
+    return render(results())
+
+
 @pytest.fixture(scope="module")
 def page() -> Page:
-    return Page(render(results()))
+    return Page(rendered())
+
+
+DRAWN: dict[str, plots.Plot] = {}
+
+
+def drawing_once(name: str) -> Callable[..., plots.Plot]:
+    real = getattr(plots, name)
+
+    def draw(*given: Any) -> plots.Plot:
+        key = f"{name}{given}"
+        if key not in DRAWN:
+            DRAWN[key] = real(*given)
+        return DRAWN[key]
+
+    return draw
+
+
+@pytest.fixture
+def drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plot follows from what it is given alone: documents that lack something else share it."""
+    for name in ("per_type", "frontier", "sweep", "roc", "spread"):
+        monkeypatch.setattr(plots, name, drawing_once(name))
 
 
 @pytest.mark.parametrize("table", published.TABLES, ids=lambda table: table.label)
@@ -112,7 +141,7 @@ def test_nothing_comes_from_a_network(page: Page) -> None:
     ]
     assert references
     assert all(value and value.startswith("#") for value in references)
-    assert "url(http" not in render(results())
+    assert "url(http" not in rendered()
 
 
 def test_tables_and_figures_can_be_heard(page: Page) -> None:
@@ -128,7 +157,7 @@ def test_ids_are_unique_and_links_lead_somewhere(page: Page) -> None:
     assert len(ids) == len(set(ids))
     links = {(attributes.get("href") or attributes.get("xlink:href") or "")[1:] for _, attributes in page.tags} - {""}
     assert links <= set(ids)
-    assert set(re.findall(r"url\(#([^)]+)\)", render(results()))) <= set(ids)
+    assert set(re.findall(r"url\(#([^)]+)\)", rendered())) <= set(ids)
 
 
 def test_plots_take_their_colours_from_the_page() -> None:
@@ -144,7 +173,7 @@ def test_a_table_of_which_nothing_was_measured_is_named_with_the_reason_and_not_
     assert "Not shown, because this campaign has no number for it: latency of governance for each action" in page.text
     assert "--studies sensitivity" in page.text
     assert page.text.count("(tab:latency)") == 1
-    assert "Not shown" not in Page(render(results())).text
+    assert "Not shown" not in Page(rendered()).text
 
 
 def test_circumstances_other_than_reported_are_said_first() -> None:
@@ -175,6 +204,7 @@ def test_sections_without_data_say_so() -> None:
 
 
 @pytest.mark.parametrize("key", sorted(results().keys() - {"protocol", "seeds", "trials"}))
+@pytest.mark.usefixtures("drawn_once")
 def test_renders_without_any_one_part(key: str) -> None:
     document = results()
     del document[key]
@@ -182,8 +212,8 @@ def test_renders_without_any_one_part(key: str) -> None:
 
 
 def test_seeds_of_tuning_are_named_and_warned_of() -> None:
-    assert "Seeds used for tuning, never reported" in render(results())
-    assert "these are no results" not in render(results())
+    assert "Seeds used for tuning, never reported" in rendered()
+    assert "these are no results" not in rendered()
     assert "seeds 7 were used for tuning: these are no results" in render({**results(), "seeds": [7, 42]})
 
 
