@@ -51,10 +51,10 @@ COMPUTES := tests/evaluation tests/runtime tests/api tests/agent tests/authoring
 test-rules: $(STAMP)
 	@$(BIN)/coverage run -m pytest $(MEASURED)
 	@$(BIN)/coverage report
-	@$(BIN)/python -m pytest -p no:cacheprovider tests/proofs
+	@$(BIN)/python -m pytest -p no:cacheprovider tests/proofs $(COMPARED)
 
 test-evaluation: $(STAMP)
-	@$(BIN)/python -m pytest -p no:cacheprovider tests/evaluation $(COMPARED)
+	@$(BIN)/python -m pytest -p no:cacheprovider tests/evaluation
 
 test-runtime: $(STAMP)
 	@$(BIN)/python -m pytest -p no:cacheprovider tests/runtime tests/api tests/agent tests/authoring tests/sim tests/cell
