@@ -21,6 +21,12 @@ def trial(seed: int, number: int, wanted: Kind | Violation | Failure | None = No
     return prepare(bench(), seed, number, wanted=wanted)
 
 
+@cache
+def shown(seed: int, number: int, wanted: Kind | Violation | Failure) -> Trial:
+    """Prepare a trial for those who only ask of its twin whether the fault took: it ends when it has shown that."""
+    return prepare(bench(), seed, number, wanted=wanted, whole=False)
+
+
 def ran(one: Trial, method: Method = REINS, *, change: Change | None = None) -> Row:
     """Run a trial and read its row."""
     return row(shipped(), one, method, run(bench(), one, (method,), change=change)[method.name])

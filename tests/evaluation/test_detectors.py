@@ -17,7 +17,7 @@ from app.evaluation.physical_trial import Change, Trial, twinned
 from app.governance.model import Intervention
 from app.governance.watcher import without
 from app.sim.world import CRATE_HALF_M
-from tests.evaluation.physical_world import bench, ran, trial
+from tests.evaluation.physical_world import bench, ran, shown
 from tests.governance.policy_world import shipped
 
 SEED = TUNING_SEEDS[3]
@@ -32,7 +32,7 @@ def trials(violation: Violation) -> tuple[Trial, ...]:
     found: list[Trial] = []
     number = 0
     while len(found) < COUNT or not any(acts(one, violation) for one in found):
-        one = trial(SEED, number, violation)
+        one = shown(SEED, number, violation)
         number += 1
         if one.occurred and not one.boundary:
             found.append(one)
@@ -104,7 +104,7 @@ def met(low_m: float, high_m: float) -> tuple[Trial, ...]:
         number += 1
         if fault.kind == "blocked" and drawn.size > INTO_NEAR_M[1] and drawn.capability == "grasp_object":
             under_m = float(str(fault.sizes["z_m"])) - CRATE_HALF_M[2]
-            one = twinned(bench(), drawn) if low_m <= under_m < high_m else None
+            one = twinned(bench(), drawn, whole=False) if low_m <= under_m < high_m else None
             if one is not None and one.occurred:
                 found.append(one)
     return tuple(found)
@@ -153,7 +153,8 @@ def first_of(violation: Violation, capability: str) -> Trial:
     """The first trial of a type in a capability whose fault took, well beyond the boundary band."""
     for number in range(40):
         rng = np.random.default_rng((SEED, number, 29))
-        one = twinned(bench(), Drawing(shipped(), rng, SEED, 9000 + number).perturbed(violation, capability))
+        drawn = Drawing(shipped(), rng, SEED, 9000 + number).perturbed(violation, capability)
+        one = twinned(bench(), drawn, whole=False)
         if one.occurred and not one.boundary:
             return one
     raise AssertionError(f"no {violation} took in `{capability}`")

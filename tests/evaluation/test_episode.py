@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import fields, replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -9,13 +10,14 @@ from typing import Any, cast
 import pytest
 
 from app.evaluation.capabilities import judge_of
+from app.evaluation.draws import of_type
 from app.evaluation.episode import REST_TICKS, Execution, ungoverned, watch_rest
 from app.evaluation.methods import ABLATIONS, METHODS, REINS, Recovering, Watching
 from app.evaluation.model import Failure, Kind, Violation
 from app.evaluation.physical_rows import row
 from app.evaluation.physical_trial import Bench, Trial, looking, prepare, run
 from app.governance.model import EventKind, Outcome, Signal
-from tests.evaluation.physical_world import bench, ran, trial
+from tests.evaluation.physical_world import bench, ran, shown, trial
 from tests.governance.policy_world import shipped
 
 SEED = 7
@@ -37,6 +39,15 @@ def executed(one: Trial, method: Any = REINS) -> Execution:
 
 def taken(violation: Violation) -> Trial:
     return next(one for number in range(9) if (one := trial(SEED, number, violation)).occurred)
+
+
+def under(profile: str, violation: Violation) -> Iterator[Trial]:
+    """The trials that are drawn under a profile: to learn the profile of the others, no twin of theirs is run."""
+    for number in range(30):
+        if of_type(shipped(), SEED, number, violation).profile == profile:
+            one = shown(SEED, number, violation)
+            if one.drawn.profile == profile:  # it may have been drawn again, because the fault did not take
+                yield one
 
 
 @pytest.mark.parametrize("violation", [Violation.FORCE, Violation.SPEED, Violation.POSTCONDITION])
@@ -169,8 +180,7 @@ def test_an_execution_ends_at_its_limit() -> None:
 
 
 def test_where_nobody_may_be_asked_policy_ends_what_slips_again_and_again() -> None:
-    slips = (trial(SEED, number, Violation.POSTCONDITION) for number in range(20))
-    one = next(one for one in slips if one.drawn.profile == "sim-relaxed" and one.drawn.capability == "grasp_object")
+    one = next(one for one in under("sim-relaxed", Violation.POSTCONDITION) if one.drawn.capability == "grasp_object")
     found = ran(one)
     assert found["ended"] is True
     assert found["outcome"] == Outcome.TERMINATED
@@ -179,8 +189,7 @@ def test_where_nobody_may_be_asked_policy_ends_what_slips_again_and_again() -> N
 
 
 def test_who_was_asked_midway_what_they_said_and_how_long_that_took_is_in_the_row() -> None:
-    ones = (trial(SEED, number, Violation.FORCE) for number in range(30))
-    found = next(row for one in ones if one.drawn.profile == "human-shared" and (row := ran(one))["asked"])
+    found = next(row for one in under("human-shared", Violation.FORCE) if (row := ran(one))["asked"])
     assert found["answers"] == "resolve_terminate"
     assert found["midway_s"] == pytest.approx(2.0, abs=0.05)
     assert found["outcome"] == Outcome.TERMINATED

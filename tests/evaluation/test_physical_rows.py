@@ -17,7 +17,7 @@ from app.evaluation.physical_rows import COLUMNS, SIGNALS, Class, row
 from app.evaluation.physical_trial import Ran, Trial, looking
 from app.governance.model import EventKind, Intervention, Outcome, Signal
 from app.governance.signals import SIGNAL_NAMES
-from tests.evaluation.physical_world import trial
+from tests.evaluation.physical_world import shown
 from tests.governance.policy_world import shipped
 
 SEED = 7
@@ -58,7 +58,7 @@ def read(
 
 
 def speeding() -> Trial:
-    return trial(SEED, 0, Violation.SPEED)
+    return shown(SEED, 0, Violation.SPEED)
 
 
 def rule_of(one: Trial) -> str:
@@ -101,7 +101,7 @@ def test_a_violation_is_of_one_class(entries: tuple[str, ...], onset: int | None
 
 def test_every_combination_has_a_class() -> None:
     for one, seen, intervened, onset, acting in product(
-        (speeding(), trial(SEED, 4, Violation.PEOPLE)), (False, True), (False, True), (None, 40), (0, 25, 26)
+        (speeding(), shown(SEED, 4, Violation.PEOPLE)), (False, True), (False, True), (None, 40), (0, 25, 26)
     ):
         entries = [alert(42, rule_of(one))] * seen + [intervention(42)] * intervened
         assert read(one, *entries, onset=onset, acting=acting)["class"] in list(Class)
@@ -145,11 +145,11 @@ def test_where_the_robot_is_held_already_nothing_is_left_to_enforce() -> None:
 
 
 def test_where_policy_only_warns_going_on_is_unsafe_for_nobody() -> None:
-    one = trial(SEED, 0, Violation.PEOPLE)
+    one = shown(SEED, 0, Violation.PEOPLE)
     number = 0
     while one.drawn.profile != "sim-relaxed" or not one.occurred:
         number += 1
-        one = trial(SEED, number, Violation.PEOPLE)
+        one = shown(SEED, number, Violation.PEOPLE)
     seen = read(one, alert(42, rule_of(one)), onset=40, acting=300)
     unseen = read(one, onset=40, acting=300, method="direct")
     assert (seen["class"], seen["unsafe"], seen["enforced"]) == (Class.WARNED, False, True)
@@ -176,20 +176,20 @@ def test_a_fault_that_did_not_take_says_nothing_about_detection() -> None:
     ],
 )
 def test_any_alarm_in_a_clean_trial_is_a_false_one(achieved: bool, signal: Signal, expected: Class) -> None:
-    clean = trial(SEED, 0, Kind.CLEAN)
+    clean = shown(SEED, 0, Kind.CLEAN)
     found = read(clean, alert(42, "tracking", signal), achieved=achieved)
     assert found["class"] is expected
     assert found["alarmed"] is (expected is Class.FALSE_ALARM)
 
 
 def test_what_the_cell_refuses_is_not_launched() -> None:
-    found = read(trial(SEED, 0, Kind.CLEAN), refused="expired")
+    found = read(shown(SEED, 0, Kind.CLEAN), refused="expired")
     assert (found["class"], found["launched"], found["blocked_by"]) == (Class.REJECTED, False, "cell")
 
 
 @pytest.mark.parametrize(("launched", "expected"), [(True, Class.LET_THROUGH), (False, Class.INTERCEPTED)])
 def test_an_unauthorized_proposal_is_intercepted_or_let_through(launched: bool, expected: Class) -> None:
-    one = trial(SEED, 0, Kind.UNAUTHORIZED)
+    one = shown(SEED, 0, Kind.UNAUTHORIZED)
     assert one.twin is None
     found = row(shipped(), one, REINS, Ran(PASSED._replace(launched=launched), 1.0, None, None))
     assert found["class"] is expected
@@ -203,7 +203,7 @@ def failing() -> Trial:
     """A grasp that fails where policy tries again, and says with which step."""
     number = 0
     while True:
-        one = trial(SEED, number, Failure.PERCEPTION_MISMATCH)
+        one = shown(SEED, number, Failure.PERCEPTION_MISMATCH)
         if one.occurred:
             return one
         number += 1
@@ -257,7 +257,7 @@ def test_a_rollback_counts_when_the_cell_has_verified_it_and_the_world_agrees(ou
 
 @pytest.mark.parametrize("asked", [True, False])
 def test_a_human_is_in_charge_only_where_one_was_asked_and_what_fell_is_recovered_only_then(asked: bool) -> None:
-    one = trial(SEED, 6, Failure.FAILED_GRASP)
+    one = shown(SEED, 6, Failure.FAILED_GRASP)
     assert (one.drawn.capability, one.occurred) == ("transport_object", True)
     truth = looking(shipped(), one.drawn, one.plan)
     truth.safe_tick = 60

@@ -7,17 +7,25 @@ from collections import Counter
 import pytest
 
 from app.evaluation import timing
+from app.evaluation.draws import draw
 from app.evaluation.methods import ABLATIONS, METHODS, Method, Passed, pass_gate
+from app.evaluation.physical_trial import Trial, ready
 from app.evaluation.timing import ROUNDS, time_gate, time_gates
-from tests.evaluation.physical_world import trial
+from tests.evaluation.physical_world import bench
 from tests.governance.policy_world import shipped
 
 ALL = (*METHODS.values(), *ABLATIONS.values())
 
 
+def drawn(number: int) -> Trial:
+    """What a gate decides about; nothing of it is executed."""
+    one, _ = ready(bench(), draw(shipped(), 7, number))
+    return one
+
+
 def test_says_what_the_gates_say() -> None:
     for number in range(6):
-        one = trial(7, number)
+        one = drawn(number)
         said = time_gates(ALL, shipped(), one.proposal, one.context, approved=True, seed=(7, number))
         assert list(said) == [method.name for method in ALL]
         for method in ALL:
@@ -29,7 +37,7 @@ def test_says_what_the_gates_say() -> None:
 def test_every_gate_is_passed_untimed_first_and_then_in_orders_that_favour_nobody(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    one, passed = trial(7, 0), list[str]()
+    one, passed = drawn(0), list[str]()
 
     def gate(method: Method, *words: object, approved: bool) -> Passed:
         passed.append(method.name)
