@@ -7,7 +7,7 @@ from math import dist
 import pytest
 
 from app.governance.model import Site
-from app.sim.soak import Report, count, soak, trial
+from app.sim.soak import Report, Score, count, soak
 from app.sim.trial import run_skill
 from app.sim.workcell import make_workcell
 
@@ -52,7 +52,7 @@ def test_going_back_keeps_to_its_own_limit_on_wheels_too(site: Site) -> None:
 
 
 def test_a_failed_skill_is_counted_with_its_seed_and_reason(site: Site):
-    scores = trial(site, FIRST)
-    broken = [score._replace(ok=False, why="dropped") for score in scores if score.skill == "place_object"]
-    (tally,) = count(broken, 1).tallies
-    assert (tally.succeeded, tally.failures) == (0, (f"seed {FIRST}: dropped",))
+    ran = run_skill(make_workcell(site, cell_id="broken", seed=FIRST), "inspect_area", {"area": "bench_a_top"})
+    scores = [Score("inspect_area", FIRST, True, "", ran), Score("inspect_area", FIRST + 1, False, "dropped", ran)]
+    (tally,) = count(scores, 2).tallies
+    assert (tally.runs, tally.succeeded, tally.failures) == (2, 1, (f"seed {FIRST + 1}: dropped",))
