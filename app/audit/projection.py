@@ -25,6 +25,7 @@ import orjson
 
 from app.governance.control import TAKEOVER
 from app.governance.model import TERMINAL, EventKind, Outcome, Status
+from app.governance.recorded import KEY as CIRCUMSTANCES
 from app.governance.session import final_status
 
 if TYPE_CHECKING:
@@ -142,7 +143,9 @@ def _admission(known: Body, actor: str, body: Body) -> Body:
         return {}
     status = Status(body["status"])
     outcome = status.value if status in TERMINAL else None  # refused, it has no other outcome than that
-    return {"cell": body["cell"], "profile": body["profile"], "status": status.value, "outcome": outcome}
+    said = {"cell": body["cell"], "profile": body["profile"], "status": status.value, "outcome": outcome}
+    decided = body.get(CIRCUMSTANCES)  # what was not admitted was not checked: no policy event names the version then
+    return said if decided is None else {**said, "policy_version": decided["policy_version"]}
 
 
 def _policy(known: Body, actor: str, body: Body) -> Body:

@@ -54,11 +54,13 @@ def test_a_whole_way_from_proposal_to_outcome() -> None:
 
 RUN = (PROPOSAL, ADMISSION, POLICY, AUTHORIZATION)
 REFUSED = ("admission", {**ADMISSION[1], "status": "rejected"})
+UNCHECKED = ("admission", {**REFUSED[1], "context": {"policy_version": "sha256:d"}})
 STATES: list[tuple[tuple[Told, ...], dict[str, Any]]] = [
     ((PROPOSAL,), {"effective": ASKED, "outcome": None}),
     ((PROPOSAL, ADMISSION), {"status": "awaiting_approval", "outcome": None}),
     ((PROPOSAL, REFUSED), {"status": "rejected", "outcome": "rejected"}),
     ((PROPOSAL, ADMISSION, POLICY), {"effective": BOUND, "policy_version": "sha256:a"}),
+    ((PROPOSAL, ADMISSION, POLICY, UNCHECKED), {"effective": BOUND, "policy_version": "sha256:d"}),  # decided again
     ((PROPOSAL, ADMISSION, POLICY, APPROVAL), {"effective": {"speed_mps": 0.1}}),
     (RUN, {"status": "running", "effective": BOUND, "policy_version": "sha256:b"}),
     ((*RUN, REFUSED), {"status": "running", "outcome": None}),  # asked again within the session
