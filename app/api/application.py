@@ -146,6 +146,8 @@ async def healthz(request: Request) -> Response:
     await parts.store.look()
     broken = {} if parts.store.healthy else {"store": parts.store.reason}
     broken |= parts.fleet.faults()
+    if parts.governor.broken:
+        broken["background"] = parts.governor.broken
     if (refuted := parts.versions.proving.trouble()) is not None:
         broken["policy"] = refuted
     return answer({"status": "degraded" if broken else "ok", "version": __version__, "broken": broken})

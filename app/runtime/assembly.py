@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Any
 
 from app.audit.event import EventDraft
@@ -85,10 +85,22 @@ class Runtime:
         )
 
         self.governor.shadowed = self.shadow.observe
+        self._tasks: list[asyncio.Task[None]] = []
 
     def _release(self, invocation: Invocation) -> None:
         ended = invocation.outcome is not Outcome.FAULT  # a fault is the server's word; the cell may hold it still
         self.fleet.release(invocation.cell, invocation.id, ended=ended)
+
+    def _broke(self, task: asyncio.Task[None]) -> None:
+        """Let a bug in the background end all of it: without beats every cell holds by itself, and health says why."""
+        error = None if task.cancelled() else task.exception()
+        if error is None:
+            return
+        self.governor.broken = f"`{task.get_name()}` broke: {error!r}"
+        for other in self._tasks:
+            other.cancel()
+        message = f"`{task.get_name()}` broke, and all work in the background ends with it"
+        asyncio.get_running_loop().call_exception_handler({"message": message, "exception": error})
 
     async def start(self) -> None:
         """Read back what an earlier run left, close what is overdue, and record that the server is there.
@@ -121,7 +133,7 @@ class Runtime:
     async def running(self) -> AsyncGenerator[Governor]:
         """Start, and keep beats, deadlines and cells tended inside the context."""
         await self.start()
-        tasks = [
+        tasks = self._tasks = [
             asyncio.create_task(self.fleet.beat(), name="beat"),
             asyncio.create_task(self.fleet.tend(), name="tend"),
             asyncio.create_task(self.governor.watch_leases(), name="leases"),
@@ -130,14 +142,14 @@ class Runtime:
             asyncio.create_task(self.desk.grants.watch(), name="grants"),
             asyncio.create_task(self.succession.watch(), name="succession"),
         ]
+        for task in tasks:
+            task.add_done_callback(self._broke)
         try:
             yield self.governor
         finally:
             for task in tasks:
                 task.cancel()
-            for task in tasks:
-                with suppress(asyncio.CancelledError):
-                    await task
+            await asyncio.wait(tasks)
             await self.succession.close()
             self.feed.close()
             self.broadcast.close()

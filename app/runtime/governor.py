@@ -56,6 +56,7 @@ class Governor(Takeovers, Controls):
         self.desk = desk
         self.feed = feed
         self._in_flight: set[tuple[str, str]] = set()
+        self.broken = ""  # what ended the work in the background: no deadline is met any more, and no cell is tended
         self.shadowed: Callable[[Judgement, Invocation], tuple[EventDraft, ...]] = lambda _, __: ()
 
     @property
@@ -271,8 +272,10 @@ class Governor(Takeovers, Controls):
             after = events[-1].seq
 
     def ready(self) -> dict[str, str]:
-        """Return what is in the way of a launch, by part (`store`, `policy`, `cell/…`); empty when nothing is."""
+        """Return what is in the way of a launch, by part (`store`, `policy`, `cell/…`, …); empty when nothing is."""
         broken = self.fleet.problems()
+        if self.broken:
+            broken["background"] = self.broken
         if not self.store.healthy:
             broken["store"] = self.store.reason or "the last write failed"
         if not self.kernel.policy.gates:
