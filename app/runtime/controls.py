@@ -228,8 +228,10 @@ class Controls:
         try:
             await self.fleet.keep(cell, [word], estop=True)
         except RecordUnavailable:
+            cell.latch_unkept = True
             await self.register.say(word)
             return {**self.fleet.document(cell), "recorded": False}
+        cell.latch_unkept = False
         await self.desk.grants.record_ends()
         return {**self.fleet.document(cell), "recorded": True}
 
@@ -255,12 +257,18 @@ class Controls:
         if code is not None and not _confirms(armed, cell, principal, code):
             raise Conflict("not_armed", f"`{code[:64]}` confirms no reset of `{cell.id}`; valid: arm it again")
         self.desk.grants.drop(cell.id, "estop", principal.name)  # none outlives a stop that the cell latched by itself
-        before = cell.stops
-        await self.fleet.keep(cell, [cell_word("reset", cell, principal)], estop=False)
+        before, unkept = cell.stops, cell.latch_unkept
+        cell.latch_unkept = False  # or the latch could follow the word that leaves it into the record
+        try:
+            await self.fleet.keep(cell, [cell_word("reset", cell, principal)], estop=False)
+        except RecordUnavailable:
+            cell.latch_unkept = unkept or cell.latch_unkept
+            raise
         if cell.stops == before:
-            cell.latched = False
-            self.fleet.order(cell, Reset(actor=principal.name), since=cell.restraints)
-            await self.fleet.unlatched(cell)
+            cell.latched = cell.latch_unkept = False
+            if self.fleet.attached(cell):  # else it says itself, when it is back, whether it is latched still
+                self.fleet.order(cell, Reset(actor=principal.name), since=cell.restraints)
+                await self.fleet.unlatched(cell)
         return self.fleet.document(cell)
 
     def arm_reset(self, cell_id: str, principal: Principal) -> dict[str, Any]:

@@ -499,6 +499,16 @@ class Fleet:
         ]
         await self._register.append(drafts, rows)
 
+    async def keep_latches(self) -> None:
+        """Record the stops that were latched while the record could take nothing; what fails now is tried again."""
+        for cell in self.cells():
+            if cell.latch_unkept:
+                cell.latch_unkept = False
+                try:
+                    await self.keep(cell, [], estop=True)
+                except RecordUnavailable:
+                    cell.latch_unkept = cell.latched
+
     async def introduce(self, cell: Cell, drafts: Sequence[EventDraft]) -> None:
         """Record that a cell is there, so that it is known after a restart. Raises `RecordUnavailable`."""
         async with cell.recording:  # or an older count could follow a newer one into the record
@@ -541,6 +551,7 @@ class Fleet:
 
     async def tend_once(self) -> None:
         """Close silent links, and have what is overdue seen to."""
+        await self.keep_latches()
         for cell in self.cells():
             attachment = cell.attachment
             if attachment is not None and attachment.silent_s() > SILENT_S:

@@ -200,6 +200,7 @@ class Sessions:
             await asyncio.wait(self._seals)
         for invocation in self._telemetry.open():
             await self._sealed(invocation)
+        await self._fleet.keep_latches()
         await self._register.say_unsaid()
 
     # -- coming and going --------------------------------------------------------------------------------------------
