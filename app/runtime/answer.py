@@ -229,7 +229,9 @@ class Answer:
         await self._commit_session("approve", closed)
         # Only who was asked about a phase confirms one: the cell may wait for a word that is not known here yet.
         op = "resolve_continue" if closed.phase is None else "confirm"
-        self._fleet.order(cell, Human(invocation=self._invocation.id, op=op, actor=self._principal.name), since=since)
+        if self._fleet.attached(cell):  # else it was answered all the same, and is asked about again
+            word = Human(invocation=self._invocation.id, op=op, actor=self._principal.name)
+            self._fleet.order(cell, word, since=since)
         return closed
 
     async def _go_on_anew(self, cell: Cell, closed: Escalation, since: int) -> Escalation:

@@ -19,6 +19,7 @@ from app.protocol import Estop, Human, Reset, SetProfile
 from app.runtime.cells import Arming
 from app.runtime.drafts import cell_word, human_event, outcome_event
 from app.runtime.errors import Conflict, NotFound
+from app.runtime.handback import take_back
 from app.runtime.invocation import may_see
 from app.runtime.uncut import uncut
 
@@ -158,12 +159,20 @@ class Controls:
             raise Conflict(
                 "control_held", f"`{cell.control.holder}` has the controls; valid: they release it to roll back"
             )
+        return await self._loosen(op, cell, present, principal)
+
+    async def _loosen(self, op: str, cell: Cell, present: Invocation, principal: Principal) -> dict[str, Any]:
+        """Record a word on which a session moves, then send it; nothing is kept for a cell that is away."""
         if not self.fleet.attached(cell):
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to {op}")
         since = cell.restraints
         await self._record(op, present, principal)
-        self.fleet.order(cell, _message(op, present, principal), since=since)
-        return (await self.register.load(invocation_id)).public()
+        try:
+            self.fleet.order(cell, _message(op, present, principal), since=since)
+        except Conflict as error:  # the cell left while this was recorded: nothing comes of it, and the record says so
+            await take_back(self.register, op, present.id, error.code)
+            raise
+        return (await self.register.load(present.id)).public()
 
     async def _record(self, op: str, present: Invocation, principal: Principal) -> None:
         """Record what loosens. Who wants a session undone stands with it: its end is not the agent's from now on."""

@@ -17,6 +17,7 @@ from app.governance.control import TAKEOVER, Control, Phase, Taking, returning
 from app.governance.model import SESSION, EventKind
 from app.protocol import Human
 from app.runtime.cells import FRESH_S
+from app.runtime.drafts import SERVER
 from app.runtime.errors import Conflict, NotFound
 from app.runtime.hands import HELD, RETURNING, given_back
 from app.runtime.invocation import Invocation, may_see
@@ -126,7 +127,11 @@ class Handbacks:
             word = self._word("release", present, principal, document, then="rollback")
             terms = replace(present.terms, undone_by=principal.name)
             await self.register.append([word], versions=[self._given_back(cell, present, "rollback", terms=terms)])
+        try:
             self.fleet.order(cell, Human(invocation=invocation, op="rollback", actor=principal.name), since=since)
+        except Conflict as error:  # the cell left while this was recorded
+            await take_back(self.register, "rollback", invocation, error.code)
+            raise
 
     def _given_back(self, cell: Cell, present: Invocation, then: str, **changes: Any) -> Invocation:  # noqa: ANN401
         facts = cell.state.facts if cell.fresh and cell.state is not None else None
@@ -202,3 +207,17 @@ def _keep(cell: Cell, control: Control) -> None:
     """Let a lease go on that was not handed back after all, if nobody else has the controls by now."""
     if cell.control is not None and cell.control.lease == control.lease:
         cell.control = replace(control, heard_s=monotonic_s())
+
+
+async def take_back(register: Register, op: str, invocation: str, code: str) -> None:
+    """Record of a word that is in the record already that it was never sent; who said it was refused with this code."""
+    body = {"what": "not_sent", "op": op, "code": code}
+    draft = EventDraft(kind=EventKind.CELL, actor=SERVER, invocation=invocation, body=body)
+    entry = register.entry(invocation)
+    if op != "rollback" or entry is None:
+        await register.say(draft)
+        return
+    async with entry.lock:  # nobody undoes it, so its end is the agent's as well
+        present = entry.newest
+        version = present.evolve(register.now(), terms=replace(present.terms, undone_by=None))
+        await register.append([draft], versions=[] if present.final else [version])
