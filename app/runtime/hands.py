@@ -2,7 +2,8 @@
 
 | state | means | the cell says | becomes |
 |---|---|---|---|
-| held | a human has the controls, or is about to | refuses the launch of their driving | gone |
+| held | a human has the controls, or is about to | refuses the launch of that | gone; lapsed, if driven before |
+| held | | is back, and never had that launch | the same |
 | held, returning | | escalates | lapsed |
 | held, returning | | the session's outcome | ended |
 | returning | the human gives the session back | binds it anew, or begins the rollback | returned |
@@ -14,8 +15,10 @@ The agent reads it: codes, numbers and names, never a person's words. `facts` is
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, cast
 
+from app.governance.control import TAKEOVER
 from app.governance.model import EventKind, Status
 
 if TYPE_CHECKING:
@@ -23,10 +26,35 @@ if TYPE_CHECKING:
 
     from app.governance.control import Where
     from app.protocol import UpEvent
+    from app.runtime.invocation import Invocation, Terms
 
 HELD, RETURNING, LAPSED, RETURNED, ENDED = "held", "returning", "lapsed", "returned", "ended"
-HANDED_BACK: Final = frozenset({"handed_back", "ROLLBACK"})  # why a session's status changes when it is given back
+ANEW: Final = "handed_back"
+HANDED_BACK: Final = frozenset({ANEW, "ROLLBACK"})  # why a session's status changes when it is given back
 OPEN: Final = frozenset({HELD, RETURNING})
+
+
+def driven(terms: Terms, event: UpEvent) -> Terms:
+    """Return the terms after a report: the cell has heard of a takeover, a human drives, or the session is its own."""
+    body = event.body
+    match event.kind:
+        case EventKind.LAUNCH if "refused" in body:
+            return replace(terms, taking=False) if terms.taking else terms
+        case EventKind.LAUNCH if body.get("capability") == TAKEOVER:
+            return replace(terms, taking=False, displaced=True)
+        case EventKind.LAUNCH if terms.taking:
+            return replace(terms, taking=False)
+        case EventKind.STATUS if body.get("reason") == ANEW and body.get("status") == Status.RUNNING:
+            return replace(terms, displaced=False)
+        case _:
+            return terms
+
+
+def never_taken(present: Invocation, at: str) -> Invocation:
+    """Return a session after the launch of a human's driving was lost: in the hands that it was in before."""
+    terms, takeover = replace(present.terms, taking=False), present.takeover or {}
+    left = {**takeover, "state": LAPSED} if terms.displaced else None
+    return present.evolve(at, takeover=left, terms=terms)
 
 
 def taken(where: Where, at: str) -> dict[str, Any]:

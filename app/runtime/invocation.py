@@ -90,6 +90,7 @@ class Terms:
     version: str | None = None  # of the capability, as the agent asked for it
     undone_by: str | None = None  # who ordered that the session be undone: only people may call that off
     taking: bool = False  # a human takes the controls, and the cell has not said yet that it has heard of it
+    displaced: bool = False  # a human has driven it: it goes on only under a new authorization
 
     def document(self) -> dict[str, Any]:
         """Return the terms as JSON."""
@@ -104,11 +105,12 @@ class Terms:
             "version": self.version,
             "undone_by": self.undone_by,
             "taking": self.taking,
+            "displaced": self.displaced,
         }
 
     @classmethod
     def read(cls, document: Mapping[str, Any]) -> Terms:
-        """Read back what `document` wrote; earlier releases did not say who ordered a rollback, or takes over."""
+        """Read back what `document` wrote; earlier releases did not say who ordered a rollback, or drives."""
         preference = document["recovery_preference"]
         return cls(
             mode=Mode(document["mode"]),
@@ -121,6 +123,7 @@ class Terms:
             version=document.get("version"),
             undone_by=document.get("undone_by"),
             taking=document.get("taking", False),
+            displaced=document.get("displaced", False),
         )
 
 

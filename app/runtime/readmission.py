@@ -47,4 +47,5 @@ async def _approvals(register: Register, invocation: str) -> tuple[str, ...]:
 
 def lapsed(invocation: Invocation) -> bool:
     """Say whether a human drove this session and left without handing it back."""
-    return invocation.takeover is not None and invocation.takeover["state"] == LAPSED
+    left = invocation.takeover is not None and invocation.takeover["state"] == LAPSED
+    return left or invocation.terms.displaced

@@ -36,7 +36,7 @@ from app.protocol import Human, ProtocolError
 from app.runtime.cells import ENDING
 from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
 from app.runtime.escalation import DENIED, EXPIRED, ROLLBACK
-from app.runtime.hands import HELD, OPEN
+from app.runtime.hands import HELD, OPEN, never_taken
 from app.runtime.kernel import LAUNCH_WITHIN_S
 from app.runtime.story import DONE, RULE, Story
 from app.runtime.uncut import uncut
@@ -263,8 +263,22 @@ class Sessions:
         known = self._register.newest(believed)
         if known is not None and known.takeover is not None and known.takeover["state"] in OPEN:
             self._fleet.restrain(place, Human(invocation=believed, op="let_go", actor=SERVER))
+            await self._never_taken(place, believed)
         if place.lapsed:
             await self._ask(believed, "link_returned", "the cell is back and has held the session meanwhile")
+
+    async def _never_taken(self, place: Cell, name: str) -> None:
+        """Note that the launch of a human's driving was lost with its link, of which the cell has said nothing."""
+        entry = self._register.entry(name)
+        if entry is None:
+            return
+        async with entry.lock:
+            present, control = entry.newest, place.control
+            anew = control is not None and control.invocation == name  # somebody takes it on the new link
+            if present.terms.taking and not anew and not present.final:
+                body = {"what": "never_taken", "cell": place.id}
+                draft = EventDraft(kind=EventKind.CELL, actor=SERVER, invocation=name, body=body)
+                await self._register.append([draft], versions=[never_taken(present, self._register.now())])
 
     async def unrecorded(self, cell: str, ended: Sequence[Ended]) -> None:
         """End the sessions of this cell that it says are over, and cannot report: its journal cannot be written.

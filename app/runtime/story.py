@@ -15,7 +15,7 @@ from app.governance.session import final_status
 from app.runtime.drafts import SERVER, outcome_event, reason
 from app.runtime.escalation import PENDING, WITHDRAWN
 from app.runtime.failures import failure
-from app.runtime.hands import followed
+from app.runtime.hands import LAPSED, driven, followed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -95,12 +95,14 @@ class Story:
 
         A session that escalates before the cell has heard of a takeover was let go by somebody else.
         """
-        taking = version.terms.taking
-        if taking and event.kind == EventKind.ESCALATION:
+        if version.terms.taking and event.kind == EventKind.ESCALATION:
             return version
-        if taking and event.kind == EventKind.LAUNCH:
-            version = self._versions[version.id] = version.evolve(at, terms=replace(version.terms, taking=False))
+        terms = driven(version.terms, event)
+        if terms is not version.terms:
+            version = self._versions[version.id] = version.evolve(at, terms=terms)
         after = followed(version.takeover, event)
+        if after is None and version.takeover is not None and terms.displaced:  # somebody had driven it before
+            after = {**version.takeover, "state": LAPSED}
         if after is not version.takeover:
             version = self._versions[version.id] = version.evolve(at, takeover=after)
         return version

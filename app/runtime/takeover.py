@@ -140,17 +140,18 @@ class Takeovers(Handbacks):
             held = f"`{control.holder}` has the controls of `{cell.id}` ({control.where})"
             raise Conflict("control_held", f"{held}; valid: when they hand back, or from the cell's own station")
         cell.control = control
+        cell.takings += how is Taking.GRANTED
         return before, how
 
     async def _change_hands(self, cell: Cell, invocation: str, principal: Principal) -> None:
-        entry = self.register.entry(invocation)
+        entry, mine = self.register.entry(invocation), cell.takings
         if entry is None:
             raise Conflict("wrong_status", f"`{invocation}` has ended")
         async with entry.lock:
             present = entry.newest
             if present.status not in SESSION:
                 raise Conflict("wrong_status", f"`takeover` is not possible while the invocation is `{present.status}`")
-            if cell.control is None or cell.control.invocation != invocation:
+            if cell.control is None or cell.control.invocation != invocation or cell.takings != mine:
                 raise Conflict("takeover_refused", f"the controls of `{cell.id}` were let go of meanwhile")
             params = self._as_in(present)
             proposal = Proposal(capability=TAKEOVER, params=params)

@@ -8,13 +8,16 @@ from typing import Any
 
 import pytest
 
+from app.audit.errors import RecordUnavailable
 from app.clock import monotonic_s
 from app.governance.control import LAPSE_S
+from app.protocol import BEAT_MS
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
 
-from .conftest import AGENT, CELL, OPERATOR, OPERATOR_2, HandCell, House, navigate, until
+from .conftest import AGENT, CELL, OPERATOR, OPERATOR_2, HandCell, House, grasp, navigate, until
 from .test_fleet import Late, SlowCell, running
+from .test_versions import SLOWER, put_in_force
 
 pytestmark = pytest.mark.anyio
 
@@ -380,3 +383,206 @@ async def test_a_session_changes_hands_only_while_its_cell_has_it(runtime: Runti
     assert not cell.all("launch")[-1].anew
     await runtime.governor.take_over(name, OPERATOR)
     assert (await cell.expect("launch", 2)).anew
+
+
+async def test_a_takeover_whose_launch_is_lost_with_its_link_leaves_the_session_to_itself(runtime: Runtime) -> None:
+    cell = await slow_cell(runtime)
+    name = await running(runtime, cell)
+    await stuck(cell)
+    await runtime.governor.take_over(name, OPERATOR)
+    await cell.hang_up()
+    again = await back(runtime, cell)
+    await until(lambda: "let_go" in again.ops())
+    await again.report("human", name, op="let_go", refused="not_taken_over")
+    assert (await runtime.governor.invocation(name, AGENT)).get("takeover") is None
+    await again.report("escalation", name, reason="separation_m")
+    question = runtime.desk.pending_for(name)
+    assert question is not None
+    await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    await until(lambda: again.ops()[-1] == "resolve_continue")
+
+
+@pytest.mark.parametrize("lost", [True, False])
+async def test_a_session_that_was_driven_once_goes_on_only_anew_whatever_became_of_a_second_takeover(
+    runtime: Runtime, lost: bool
+) -> None:
+    cell = await slow_cell(runtime)
+    name = await running(runtime, cell)
+    await runtime.governor.take_over(name, OPERATOR)
+    await cell.report("launch", name, capability="takeover")
+    await cell.report("escalation", name, reason="control_lapsed", failure="taken_over")
+    runtime.fleet.loosen(runtime.fleet.cell(CELL), "server")
+    if lost:
+        await stuck(cell)
+        await runtime.governor.take_over(name, OPERATOR_2)
+        await cell.hang_up()
+        cell = SlowCell(runtime, seq=cell.seq, invocation=name, status="escalated")
+        cell.gate.set()
+        await cell.dial()
+        await cell.expect("human")
+        await cell.state()
+    else:
+        await runtime.governor.take_over(name, OPERATOR_2)
+        await cell.report("launch", name, refused="holding")
+    document = await runtime.governor.invocation(name, AGENT)
+    assert document["takeover"]["state"] == "lapsed"
+    question = runtime.desk.pending_for(name)
+    assert question is not None
+    before = len(cell.all("launch"))
+    await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    assert (await cell.expect("launch", before + 1)).anew
+    assert "resolve_continue" not in cell.ops()
+
+
+async def test_of_three_who_take_over_only_the_one_who_has_the_controls_launches(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = await running(runtime, cell)
+    late, place = Late(runtime, monkeypatch), runtime.fleet.cell(CELL)
+    await cell.say(cell.event("status", name, status="paused"))
+    await late.recorded.wait()
+    first = asyncio.create_task(runtime.governor.take_over(name, OPERATOR))
+    await until(lambda: place.control is not None)
+    runtime.fleet.loosen(place, "server")
+    second = asyncio.create_task(runtime.governor.take_over(name, OPERATOR_2))
+    await until(lambda: place.control is not None)
+    late.go.set()
+    lease = await second
+    with pytest.raises(Conflict) as refusal:
+        await first
+    assert refusal.value.code == "takeover_refused"
+    assert len(cell.all("launch")) == 2
+    assert place.control is not None
+    assert place.control.lease == lease["lease"]
+
+
+# -- what is answered, and what is in the record -----------------------------------------------------------------------
+
+
+async def test_a_rollback_whose_cell_left_while_it_was_recorded_leaves_the_session_to_its_agent(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = await running(runtime, cell)
+    late = Late(runtime, monkeypatch)
+    undoing = asyncio.create_task(runtime.governor.rollback(name, OPERATOR))
+    await late.recorded.wait()
+    await cell.hang_up()
+    late.go.set()
+    with pytest.raises(Conflict) as refusal:
+        await undoing
+    assert refusal.value.code == "cell_offline"
+    told = [event.payload() for event in await runtime.store.events(invocation=name, kind="cell")]
+    assert {"what": "not_sent", "op": "rollback", "code": "cell_offline"}.items() <= told[-1].items()
+    assert (await runtime.governor.cancel(name, AGENT))["recorded"], "nothing is undone that it could call off"
+
+
+async def test_an_approval_that_was_recorded_is_answered_so_although_its_cell_has_left(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        name = await running(runtime, cell)
+        await cell.report("escalation", name, reason="separation_m")
+        question = runtime.desk.pending_for(name)
+        assert question is not None
+        late = Late(runtime, monkeypatch)
+        answering = asyncio.create_task(runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest))
+        await late.recorded.wait()
+        await cell.hang_up()
+        late.go.set()
+        assert (await answering)["status"] == "approved"
+        again = await back(runtime, cell, status="escalated")
+        await again.state()
+        house.wall_s.offset_s = 3.0
+        await runtime.fleet.tend_once()
+        assert runtime.desk.pending_for(name) is not None
+        assert again.ops() == []
+
+
+async def test_a_reset_that_was_recorded_is_answered_so_although_its_cell_has_left(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await runtime.governor.estop(CELL, OPERATOR)
+    late = Late(runtime, monkeypatch)
+    resetting = asyncio.create_task(runtime.governor.reset(CELL, OPERATOR))
+    await late.recorded.wait()
+    await cell.hang_up()
+    late.go.set()
+    assert not (await resetting)["latched"]
+    again = await HandCell(runtime, seq=cell.seq, latched=True).dial()
+    await again.state()
+    assert runtime.governor.cells()[0]["latched"], "a cell that latched it says so itself"
+
+
+@pytest.mark.parametrize("tended", [True, False])
+async def test_a_stop_that_was_latched_while_the_disk_was_full_outlives_the_server(
+    house: House, monkeypatch: pytest.MonkeyPatch, tended: bool
+) -> None:
+    async def full(*_: object, **__: object) -> list[int]:
+        raise RecordUnavailable("no space left on device")
+
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.hang_up()
+        with monkeypatch.context() as disk:
+            disk.setattr(first.store, "append", full)
+            assert not (await first.governor.estop(CELL, OPERATOR))["recorded"]
+            await first.fleet.tend_once()
+        if tended:
+            await first.fleet.tend_once()
+    async with house.open() as second:
+        assert second.governor.cells()[0]["latched"]
+        back = await HandCell(second).dial()
+        await back.expect("estop")
+
+
+async def test_a_stop_that_was_latched_while_the_disk_was_full_does_not_come_back_after_a_reset(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def full(*_: object, **__: object) -> list[int]:
+        raise RecordUnavailable("no space left on device")
+
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        with monkeypatch.context() as disk:
+            disk.setattr(first.store, "append", full)
+            await first.governor.estop(CELL, OPERATOR)
+            with pytest.raises(RecordUnavailable):
+                await first.governor.reset(CELL, OPERATOR)
+        await cell.state()
+        await first.governor.reset(CELL, OPERATOR)
+        await first.fleet.tend_once()
+    async with house.open() as second:
+        assert not second.governor.cells()[0]["latched"]
+
+
+async def test_what_is_not_admitted_any_more_after_a_change_of_policy_says_so_in_the_log(house: House) -> None:
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        document, _ = await runtime.governor.propose(AGENT, grasp())
+        await runtime.governor.estop(CELL, OPERATOR)
+        await put_in_force(runtime, SLOWER)
+        ended = await runtime.governor.invocation(document["id"], AGENT)
+        assert (ended["status"], ended["policy_version"]) == ("rejected", runtime.kernel.policy.digest)
+    # the house examines what it leaves against the log
+
+
+async def test_a_server_whose_work_in_the_background_breaks_is_not_ready_and_lets_its_cells_hold(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heard: list[dict[str, Any]] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: heard.append(context))
+
+    async def broken() -> None:
+        raise KeyError("a bug")
+
+    monkeypatch.setattr(runtime.fleet, "tend_once", broken)
+    await until(lambda: "background" in runtime.governor.ready())
+    assert runtime.governor.ready()["background"] == "`tend` broke: KeyError('a bug')"
+    assert [context["message"] for context in heard] == ["`tend` broke, and all work in the background ends with it"]
+    beats = len(cell.all("beat"))
+    await asyncio.sleep(3 * BEAT_MS / 1000)
+    assert len(cell.all("beat")) == beats, "the lease of every cell lapses by that"
