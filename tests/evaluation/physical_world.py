@@ -30,3 +30,9 @@ def shown(seed: int, number: int, wanted: Kind | Violation | Failure) -> Trial:
 def ran(one: Trial, method: Method = REINS, *, change: Change | None = None) -> Row:
     """Run a trial and read its row."""
     return row(shipped(), one, method, run(bench(), one, (method,), change=change)[method.name])
+
+
+@cache
+def watched(seed: int, number: int, wanted: Violation | Failure) -> Row:
+    """Read the row of a trial under REINS, executed once for all who look at it."""
+    return ran(shown(seed, number, wanted))

@@ -17,7 +17,7 @@ from app.evaluation.model import Failure, Kind, Violation
 from app.evaluation.physical_rows import row
 from app.evaluation.physical_trial import Bench, Trial, looking, prepare, run
 from app.governance.model import EventKind, Outcome, Signal
-from tests.evaluation.physical_world import bench, ran, shown, trial
+from tests.evaluation.physical_world import bench, ran, shown, trial, watched
 from tests.governance.policy_world import shipped
 
 SEED = 7
@@ -181,7 +181,7 @@ def test_an_execution_ends_at_its_limit() -> None:
 
 def test_where_nobody_may_be_asked_policy_ends_what_slips_again_and_again() -> None:
     one = next(one for one in under("sim-relaxed", Violation.POSTCONDITION) if one.drawn.capability == "grasp_object")
-    found = ran(one)
+    found = watched(SEED, one.drawn.number, Violation.POSTCONDITION)
     assert found["ended"] is True
     assert found["outcome"] == Outcome.TERMINATED
     assert found["attempts"] == 1 + shipped().profiles["sim-relaxed"].retry_budget

@@ -11,7 +11,7 @@ from app.evaluation.floor import ARM_BEST_MPS2, BASE_BEST_MPS2, STANDSTILL_MPS, 
 from app.evaluation.model import Violation
 from app.evaluation.safe_state import ALL, Reached
 from app.evaluation.truth import Truth
-from tests.evaluation.physical_world import ran, shown
+from tests.evaluation.physical_world import watched
 from tests.evaluation.test_truth import HELD, ON, STILL, moving, truth
 
 PARTS = ("told_s", "stopped_s", "back_s")
@@ -123,7 +123,7 @@ def test_who_is_never_held_back_never_gets_safe() -> None:
 
 @pytest.mark.parametrize("violation", Violation)
 def test_nothing_that_is_executed_is_faster_than_its_floor(violation: Violation) -> None:
-    rows = [ran(shown(7, number, violation)) for number in range(4)]
+    rows = [watched(7, number, violation) for number in range(4)]
     timed = [row for row in rows if row["safe_s"] is not None]
     for row in timed:
         safe_s, floor_s, *parts = (float(row[name] or 0.0) for name in ("safe_s", "floor_s", *PARTS))
