@@ -148,9 +148,13 @@ class Cell:
         if not there or restraint.invocation == self.claim:
             self.owed[key] = restraint
 
-    def heard(self, op: str, invocation: str) -> None:
-        """Note that the cell has a restraint: it is not said again, unless it ends a session that is not over yet."""
-        if op not in ENDING:
+    def heard(self, op: str, invocation: str, refused: object = None) -> None:
+        """Note that the cell has a restraint: it is not said again, unless it ends a session that is not over yet.
+
+        What is refused as the end of a takeover that never was ends nothing, unless somebody takes over just then.
+        """
+        taking = self.control is not None and self.control.invocation == invocation
+        if op not in ENDING or (refused == "not_taken_over" and not taking):
             self.owed.pop((op, invocation), None)
 
     def lifted(self, since: int) -> None:

@@ -483,7 +483,7 @@ class Fleet:
             cell.taken = taken
         for event in fresh:
             if event.kind == EventKind.HUMAN and event.invocation is not None:
-                cell.heard(str(event.body.get("op")), event.invocation)
+                cell.heard(str(event.body.get("op")), event.invocation, event.body.get("refused"))
 
     # -- remembering -------------------------------------------------------------------------------------------------
 

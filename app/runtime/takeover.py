@@ -57,12 +57,13 @@ class Takeovers(Handbacks):
         self._allow_takeover(present.profile)
         self._reachable(cell, present.id)
         before, how = self._take(cell, principal, present.id)
+        since = cell.restraints  # what is said from here on has the last word, however long the record takes
         now = self.register.now()
         cell.control_at = cell.control_at if how is Taking.RENEWED else now
         document = cell.control_document() or {}
         try:
             if how is Taking.GRANTED:
-                await self._change_hands(cell, present.id, principal)
+                await self._change_hands(cell, present.id, principal, since)
             else:
                 if how is Taking.PREEMPTED:
                     self._still(cell)
@@ -143,7 +144,7 @@ class Takeovers(Handbacks):
         cell.takings += how is Taking.GRANTED
         return before, how
 
-    async def _change_hands(self, cell: Cell, invocation: str, principal: Principal) -> None:
+    async def _change_hands(self, cell: Cell, invocation: str, principal: Principal, since: int) -> None:
         entry, mine = self.register.entry(invocation), cell.takings
         if entry is None:
             raise Conflict("wrong_status", f"`{invocation}` has ended")
@@ -159,7 +160,7 @@ class Takeovers(Handbacks):
             _held_to(judgement)
             driving = replace(present, capability=TAKEOVER, effective=judgement.effective(params))
             where, document = cell.control.where, cell.control_document() or {}
-            async with self.kernel.launch(driving, judgement, anew=True) as launch:
+            async with self.kernel.launch(driving, judgement, anew=True, since=since) as launch:
                 now, terms = self.register.now(), replace(present.terms, taking=True)
                 version = present.evolve(now, takeover=taken(where, now), terms=terms)
                 word = self._word("takeover", present, principal, document, Taking.GRANTED)

@@ -456,6 +456,51 @@ async def test_of_three_who_take_over_only_the_one_who_has_the_controls_launches
     assert place.control.lease == lease["lease"]
 
 
+@pytest.mark.parametrize("word", ["end_takeover", "pause"])
+async def test_what_is_said_while_a_takeover_waits_for_the_record_has_the_last_word(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch, word: str
+) -> None:
+    name = await running(runtime, cell)
+    late = Late(runtime, monkeypatch)
+    await cell.say(cell.event("alert", name, signal="NORMAL"))
+    await late.recorded.wait()  # whoever changes the session has to wait for that
+    taking = asyncio.create_task(runtime.governor.take_over(name, OPERATOR))
+    await until(lambda: runtime.fleet.cell(CELL).control is not None)
+    saying = {
+        "end_takeover": lambda: runtime.governor.release(name, OPERATOR, "end"),
+        "pause": lambda: runtime.governor.pause(name, OPERATOR_2),
+    }[word]
+    said = asyncio.create_task(saying())
+    await until(lambda: cell.ops() == [word])
+    late.go.set()
+    await taking
+    await until(lambda: cell.ops() == [word, word])
+    told = [message.type for message in cell.heard if message.type in {"launch", "human"}]
+    assert told == ["launch", "human", "launch", "human"]
+    await cell.ended(name, "taken_over")
+    await said
+
+
+async def test_the_end_of_a_takeover_that_never_was_leaves_the_session_to_others(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = await running(runtime, cell)
+    late = Late(runtime, monkeypatch)
+    await cell.say(cell.event("alert", name, signal="NORMAL"))
+    await late.recorded.wait()
+    taking = asyncio.create_task(runtime.governor.take_over(name, OPERATOR))
+    await until(lambda: runtime.fleet.cell(CELL).control is not None)
+    ending = asyncio.create_task(runtime.governor.release(name, OPERATOR, "end"))
+    await until(lambda: cell.ops() == ["end_takeover"])
+    runtime.fleet.loosen(runtime.fleet.cell(CELL), "server")
+    late.go.set()
+    with pytest.raises(Conflict):
+        await taking
+    await ending
+    await cell.report("human", name, op="end_takeover", refused="not_taken_over")
+    assert (await runtime.governor.cancel(name, AGENT))["recorded"]
+
+
 # -- what is answered, and what is in the record -----------------------------------------------------------------------
 
 
