@@ -9,6 +9,7 @@ Prints
 - with `--minutes`, the slope of the page's heap while it streams, after a warm-up in which every bounded list fills
   with what will go through it: a list that changes what it holds is as little flat as one that fills. Short drives
   leave the records of long ones: the warm-up has as many as the console keeps sessions, however long that takes.
+  Beside it stands what grew, the page's own data or what the engine compiled of its functions, from two snapshots.
 
 Chromium draws in software where there is no graphics card, and takes the processor's time from the server it watches.
 
@@ -48,8 +49,11 @@ KEPT_INVOCATIONS = 200  # as the console keeps them: a heap that fills a list ha
 KEPT_EVENTS = 1_000
 LOOK_S = 15.0
 LOOKS = 3
+FAR_S = 60.0  # of the drives that are measured, before they are: what they draw is there then
 FILLED_S = 1_800.0  # a warm-up that has not filled every list by then never will
 UNDER_WAY = frozenset({"running", "paused", "recovering", "escalated"})
+# Kinds of nodes in a heap snapshot that hold what the page keeps; `code` is what V8 made of its functions.
+OWN = ("object", "array", "string", "number", "closure", "concatenated string", "sliced string", "regexp", "symbol")
 FAR = ({"target": "dock"}, {"target": "bench_a_stand"})
 NEAR = tuple({"x_m": 1.6, "y_m": y_m, "yaw_rad": 1.5708} for y_m in (4.5, 4.6))  # bench_a_stand, and a step back
 # Notes, in the page's own time: the first drawn cell, every card, every frame that was applied, every picture.
@@ -237,12 +241,16 @@ def heap(browser: Browser, served: Served, minutes: float, warm_up: float) -> No
         assert served.logged() - logged >= KEPT_EVENTS, "the list of events is not full"
         before = page.evaluate("window.notes.frames")
         with served.driving() as driver:
+            sample(line, page, lambda at_s: driver.done() or at_s > FAR_S, lambda _at, _size: None)
+            made_of = parts(line)
             sample(
                 line,
                 page,
                 lambda at_s: driver.done() or at_s >= minutes * 60.0,
                 lambda at_s, size_b: points.append((at_s / 60.0, size_b / 1000.0)),
             )
+            grown = parts(line)
+        grown.subtract(made_of)
         frames = page.evaluate("window.notes.frames") - before
     slope, error = trend(points)
     first, last = points[0][1], points[-1][1]
@@ -255,6 +263,10 @@ def heap(browser: Browser, served: Served, minutes: float, warm_up: float) -> No
         f"  slope {slope:+.1f} ± {error:.1f} kB a minute (95 %): flat where the interval holds 0 or growth is under 1 %"
     )
     print(f"  growth over 30 minutes at that slope {30 * slope / first:+.2%}")
+    code, own = grown["code"], sum(grown[kind] for kind in OWN)
+    share = own / sum(made_of[kind] for kind in OWN)
+    print(f"  of two snapshots, around it: the page's own data {own / 1000:+.0f} kB ({share:+.2%}),")
+    print(f"  what the engine compiled {code / 1000:+.0f} kB, the rest of the browser {grown['native'] / 1000:+.0f} kB")
 
 
 def counted(outcomes: Counter[str]) -> str:
@@ -268,6 +280,26 @@ def sample(line: CDPSession, page: Page, over: Callable[[float], bool], take: Ca
         take(at_s, min(held(line) for _ in range(LOOKS)))
         page.wait_for_timeout(LOOK_S * 1000)
     return at_s
+
+
+def parts(line: CDPSession) -> Counter[str]:
+    """Return the heap's bytes by kind of node, from a snapshot after a full collection."""
+    told: list[str] = []
+
+    def take(event: dict[str, str]) -> None:
+        told.append(event["chunk"])
+
+    line.on("HeapProfiler.addHeapSnapshotChunk", take)
+    held(line)
+    line.send("HeapProfiler.takeHeapSnapshot", {"reportProgress": False})
+    line.remove_listener("HeapProfiler.addHeapSnapshotChunk", take)
+    snapshot = json.loads("".join(told))
+    fields, kinds = (snapshot["snapshot"]["meta"][name] for name in ("node_fields", "node_types"))
+    kind, size, each = fields.index("type"), fields.index("self_size"), len(fields)
+    sizes: Counter[str] = Counter()
+    for at in range(0, len(snapshot["nodes"]), each):
+        sizes[kinds[0][snapshot["nodes"][at + kind]]] += snapshot["nodes"][at + size]
+    return sizes
 
 
 def held(line: CDPSession) -> int:
