@@ -91,6 +91,7 @@ class Terms:
     undone_by: str | None = None  # who ordered that the session be undone: only people may call that off
     taking: bool = False  # a human takes the controls, and the cell has not said yet that it has heard of it
     displaced: bool = False  # a human has driven it: it goes on only under a new authorization
+    asked_tick: int | None = None  # when the cell last had a human asked
 
     def document(self) -> dict[str, Any]:
         """Return the terms as JSON."""
@@ -106,6 +107,7 @@ class Terms:
             "undone_by": self.undone_by,
             "taking": self.taking,
             "displaced": self.displaced,
+            "asked_tick": self.asked_tick,
         }
 
     @classmethod
@@ -124,6 +126,7 @@ class Terms:
             undone_by=document.get("undone_by"),
             taking=document.get("taking", False),
             displaced=document.get("displaced", False),
+            asked_tick=document.get("asked_tick"),
         )
 
 

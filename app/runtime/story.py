@@ -127,7 +127,13 @@ class Story:
     def _escalated(
         self, version: Invocation, question: Escalation | None, event: UpEvent, at: str
     ) -> Mapping[str, Any]:
-        """Ask a human, or say better why one was asked."""
+        """Ask a human, or say better why one was asked.
+
+        A cell says that a session is escalated, and then why. Who has answered by then is not asked again.
+        """
+        asked_before = version.terms.asked_tick == event.tick and event.kind == EventKind.ESCALATION
+        if question is None and asked_before:
+            return NOTHING
         phase, reasons = _asked(event)
         if event.body.get("reason") == CHANGED:
             reasons = self._desk.departed.get(version.id, reasons)
@@ -139,7 +145,10 @@ class Story:
             asked = question.evolve(at, reasons=reasons)
         self.questions[asked.id] = asked
         if question is None or version.status is not Status.ESCALATED:
-            self._versions[version.id] = version.evolve(at, status=Status.ESCALATED, escalation=asked.reference())
+            terms = replace(version.terms, asked_tick=event.tick)
+            self._versions[version.id] = version.evolve(
+                at, status=Status.ESCALATED, escalation=asked.reference(), terms=terms
+            )
         return {"escalation": asked.public()} if event.kind == EventKind.ESCALATION else NOTHING
 
     def _end(self, version: Invocation, outcome: Outcome, at: str, *codes: str) -> Mapping[str, Any]:

@@ -111,6 +111,7 @@ def test_a_session_taken_over_goes_on_when_it_is_handed_back(
     person = people.sit(server)
     drive = floor.drive(target="dock")
     until(lambda: floor.speed() > 0.05, what="a base that moves")
+    expect(robot(person)).to_contain_text("Running")
     person.press("t")
     person.button("Take the controls").click()
     expect(robot(person)).to_contain_text("Driven by hand")

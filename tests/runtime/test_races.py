@@ -249,6 +249,25 @@ async def test_whoever_lets_a_session_go_on_that_does_not_is_asked_again(
         assert again.ops() == [], "what lets something move is never kept"
 
 
+@pytest.mark.parametrize("decision", ["approve", "deny"])
+async def test_who_answers_before_the_cell_has_said_why_it_asks_is_not_asked_again(
+    runtime: Runtime, cell: HandCell, decision: str
+) -> None:
+    name = await running(runtime, cell)
+    await cell.report("status", name, status="escalated", reason="separation_m")
+    question = runtime.desk.pending_for(name)
+    assert question is not None
+    await runtime.desk.resolve(question.id, OPERATOR, decision, question.digest)
+    await cell.report("escalation", name, reason="separation_m")
+    assert runtime.desk.pending_for(name) is None
+    later = cell.event("escalation", name, reason="zone_margin_m").model_copy(update={"tick": 8})
+    await cell.say(later)
+    await cell.acknowledged(later.seq)
+    again = runtime.desk.pending_for(name)
+    assert again is not None, "what it asks later is another question"
+    assert again.reasons[0]["code"] == "zone_margin_m"
+
+
 async def test_a_proposal_that_is_said_again_while_its_first_is_recorded_gets_the_same_answer(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
