@@ -54,6 +54,7 @@ test-rules: $(STAMP)
 	@$(BIN)/python -m pytest -p no:cacheprovider tests/proofs $(COMPARED)
 
 test-evaluation: $(STAMP)
+	@$(BIN)/python web/build.py test
 	@$(BIN)/python -m pytest -p no:cacheprovider tests/evaluation
 
 test-runtime: $(STAMP)
@@ -64,7 +65,6 @@ test-processes: $(STAMP)
 	  $(COMPUTES:%=--ignore=%) --ignore=tests/console
 
 test-console: $(STAMP) console
-	@$(BIN)/python web/build.py test
 	@$(BIN)/python -m pytest tests/console
 
 $(TYPINGS): $(STAMP)

@@ -25,6 +25,8 @@ from app.clock import monotonic_s
 START_S = 60.0
 END_S = 10.0
 STEP_S = 0.02
+PACE = "10"
+"""Simulated seconds per second: a cell that computes all the time (0) misses its link's lease on a busy machine."""
 # Servers under test speak no TLS. A client that is not given this reads every certificate there is, and a test that
 # looks fifty times a second would do little else.
 NO_TLS = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
@@ -125,7 +127,7 @@ class Servers:
         log = self.folder / f"server-{len(self.started)}.log"
         (data / "server.json").unlink(missing_ok=True)
         words = ["serve", "--port", "0", "--data", str(data), "--cells", str(cells), "--no-prove"]
-        words += flags or ("--pace", "0")
+        words += flags or ("--pace", PACE)
         with log.open("wb") as out:
             process = subprocess.Popen(
                 [sys.executable, "-m", "app.cli", *words],

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.conftest import ServerProcess, Servers
+from tests.conftest import PACE, ServerProcess, Servers
 from tests.test_contract import pending
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(180)]
@@ -26,7 +26,7 @@ def confirming(
     file = folder / "authority.yaml"
     entry = ENTRY % (within_s, on_deny, "terminate")
     file.write_text(file.read_text().replace("confirm_before: []", f"confirm_before: [{entry}]"))
-    return servers.start(None, "--pace", "0", "--policies", str(folder))
+    return servers.start(None, "--pace", PACE, "--policies", str(folder))
 
 
 def held(server: ServerProcess) -> tuple[str, dict[str, Any]]:

@@ -13,6 +13,8 @@ import httpx
 import pytest
 from mcap.reader import make_reader
 
+from tests.conftest import PACE
+
 pytestmark = [pytest.mark.process, pytest.mark.timeout(180)]
 
 ROOT = Path(__file__).parents[1]
@@ -24,7 +26,7 @@ def scenes(path: Path) -> list[dict[str, Any]]:
 
 
 def test_the_demo_shows_every_step_of_algorithm_1(tmp_path: Path):
-    command = [sys.executable, "-m", "app.cli", "demo", "--pace", "0", "--folder", str(tmp_path / "demo")]
+    command = [sys.executable, "-m", "app.cli", "demo", "--pace", PACE, "--folder", str(tmp_path / "demo")]
     ended = subprocess.run(
         command, cwd=ROOT, capture_output=True, text=True, timeout=170, env={**os.environ, "COLUMNS": "160"}
     )

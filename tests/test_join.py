@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from app.config import CELL_TOKEN_VARIABLE
-from tests.conftest import ServerProcess, Servers, until
+from tests.conftest import PACE, ServerProcess, Servers, until
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(120)]
 NAME = "workcell-7"
@@ -28,7 +28,18 @@ class Hand:
 
     def join(self, server: ServerProcess, token: str, *flags: str) -> tuple[subprocess.Popen[bytes], Path]:
         log = self.folder / f"cell-{len(self.started)}.log"
-        words = ["cell", "--server", server.url, "--id", NAME, "--data", str(self.folder / NAME), "--pace", "0", *flags]
+        words = [
+            "cell",
+            "--server",
+            server.url,
+            "--id",
+            NAME,
+            "--data",
+            str(self.folder / NAME),
+            "--pace",
+            PACE,
+            *flags,
+        ]
         with log.open("wb") as out:
             process = subprocess.Popen(
                 [sys.executable, "-m", "app.cli", *words],
