@@ -42,11 +42,13 @@ run: $(STAMP) console  ## a server with one simulated cell and a demo agent; kee
 
 test: $(STAMP) console  ## the whole test suite; what decides and what proves covered to the last branch
 	@$(MAKE) --no-print-directory -j3 test-rules test-evaluation test-runtime
-	@$(MAKE) --no-print-directory -j2 test-processes test-console
+	@$(MAKE) --no-print-directory test-processes
+	@$(MAKE) --no-print-directory test-console
 
 # For two cores. What computes, or waits within one process, comes first, in three lanes as none computes all the time;
-# what starts servers, cells and browsers waits more than it computes and comes after it, in two: with a third, links
-# lapse that nobody cut. Whatever no lane names runs with the processes.
+# what starts servers, cells and browsers comes after it, one lane by itself: leases of 300 ms are real time, and a
+# browser that draws in software beside a server and a cell makes links lapse that nobody cut. Whatever no lane names
+# runs with the processes.
 COMPUTES := tests/evaluation tests/runtime tests/api tests/agent tests/authoring tests/sim tests/cell tests/proofs
 test-rules: $(STAMP)
 	@$(BIN)/coverage run -m pytest $(MEASURED)

@@ -35,7 +35,7 @@ _Methods = Annotated[str, typer.Option(help="Names with commas between them, or 
 _Ablations = Annotated[
     bool | None, typer.Option(help="Reins with one part left out, five times; default: with --methods all.")
 ]
-_Seeds = Annotated[str, typer.Option(help="With commas between them; the default are the paper's.")]
+_Seeds = Annotated[str | None, typer.Option(help="With commas between them; the default are the paper's.")]
 _Trials = Annotated[
     int | None, typer.Option(help="For each method, task and seed; default: the protocol's. 0: studies alone.", min=0)
 ]
@@ -75,7 +75,7 @@ def evaluate(  # noqa: PLR0913  # its options
     protocol: _Protocol = "paper",
     methods: _Methods = "all",
     ablations: _Ablations = None,
-    seeds: _Seeds = "",
+    seeds: _Seeds = None,
     trials: _Trials = None,
     jobs: _Jobs = 0,
     folder: _Folder = None,
@@ -142,7 +142,7 @@ def _request(  # noqa: PLR0913  # the command's options
     protocol: str,
     methods: str,
     ablations: bool,
-    seeds: str,
+    seeds: str | None,
     trials: int | None,
     tasks: str,
     plugins: tuple[Path, ...],
@@ -186,7 +186,7 @@ def _request(  # noqa: PLR0913  # the command's options
     return Request(
         protocol=protocol,
         methods=tuple(dict.fromkeys(find_method(name).name for name in (*named, *(ABLATIONS if ablations else ())))),
-        seeds=_seeds(seeds) if seeds else SEEDS,
+        seeds=SEEDS if seeds is None else _seeds(seeds),
         trials=standard if trials is None else trials,
         policies=policies,
         tasks=find_tasks(protocol, _given("tasks", tasks) if tasks else ()),

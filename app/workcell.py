@@ -94,8 +94,7 @@ async def _run(settings: CellSettings) -> int:
         runner = GovernedCell(substrate, policies, kernel_key=kernel_key, journal=journal, outbox=outbox, wall=wall_s)
         # The loop lives in this process: a collector that walks all that was built at the start, because a policy is
         # being compiled beside it, would take five control periods at once.
-        gc.collect()
-        gc.freeze()
+        gc.freeze()  # without collecting first: that holds up the link's thread as long
         return TickLoop(runner, inbox, outbox, lease, pace=settings.pace)
 
     link = Link(

@@ -46,6 +46,7 @@ def evaluate(*words: str, out: Path) -> tuple[int, str]:
             ["--protocol", "physical", "--walks", "other", "--studies", "all"],
             "circumstances `walks=other` with --studies: studies have circumstances of their own",
         ),
+        (["--protocol", "toy", "--seeds", ""], "--seeds `` names nothing: valid are names"),
         (["--protocol", "toy", "--seeds", ","], "--seeds `,` names nothing: valid are names"),
         (["--protocol", "toy", "--methods", ""], "--methods `` names nothing: valid are names"),
         (["--protocol", "paper", "--studies", "all"], "--studies `all`: protocol `paper` has none"),
