@@ -33,6 +33,7 @@ import tempfile
 import threading
 import time
 import urllib.request
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -46,6 +47,8 @@ CELL = "workcell-1"
 ROOT = Path(__file__).resolve().parents[1]
 CREATED = b"http/1.1 201"
 FELL_BEHIND = 4410
+FRAMES_PER_ACK = 2
+COMPRESSED = 0x40  # in a frame's first byte (RFC 7692)
 BEAT = re.compile(rb'\{"type":(?:"beat","n"|"update","seq":\d+,"beat"):(\d+)')
 
 
@@ -53,15 +56,22 @@ def handshake(port: int) -> bytes:
     key = base64.b64encode(os.urandom(16)).decode()
     return (
         f"GET /v1/console HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-        f"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: {key}\r\nSec-WebSocket-Protocol: reins.console.1\r\n\r\n"
+        f"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: {key}\r\nSec-WebSocket-Protocol: reins.console.1\r\n"
+        f"Sec-WebSocket-Extensions: permessage-deflate\r\n\r\n"  # as browsers do
     ).encode()
 
 
 def text_frame(message: dict[str, object]) -> bytes:
-    payload = json.dumps(message).encode()
+    payload = json.dumps(message, separators=(",", ":")).encode()  # as browsers write it
     assert len(payload) < 65536
     size = bytes([0x80 | len(payload)]) if len(payload) < 126 else b"\xfe" + struct.pack(">H", len(payload))
     return b"\x81" + size + bytes(4) + payload  # masked with zeros
+
+
+def inflate(payload: memoryview) -> bytes:
+    """Return a compressed message whole; it refers to none before it."""
+    reader = zlib.decompressobj(wbits=-15)
+    return reader.decompress(payload) + reader.decompress(b"\x00\x00\xff\xff")
 
 
 @dataclass
@@ -91,12 +101,12 @@ class Reader:
             yield text_frame({"type": "watch", "cells": [CELL]})
         start = 0
         while (found := self._whole(start)) is not None:
-            opcode, body, start = found
-            yield from self._take(opcode, body, start)
+            head, body, start = found
+            yield from self._take(head, body, start)
         del self.buffer[:start]  # once for all that came: a console costs the server's machine little
 
     def _whole(self, start: int) -> tuple[int, int, int] | None:
-        """Return the opcode of the frame that begins there, where its payload begins and where it ends."""
+        """Return the first byte of the frame that begins there, where its payload begins and where it ends."""
         buffer, body = self.buffer, start + 2
         if len(buffer) < body:
             return None
@@ -107,9 +117,10 @@ class Reader:
             if len(buffer) < body:
                 return None
             size = struct.unpack_from(form, buffer, start + 2)[0]
-        return None if len(buffer) < body + size else (buffer[start] & 15, body, body + size)
+        return None if len(buffer) < body + size else (buffer[start], body, body + size)
 
-    def _take(self, opcode: int, body: int, end: int) -> Iterator[bytes]:
+    def _take(self, head: int, body: int, end: int) -> Iterator[bytes]:
+        opcode = head & 15
         if opcode == 8:
             code = struct.unpack_from(">H", self.buffer, body)[0] if end - body >= 2 else 1005
             self.closed = code, self.buffer[body + 2 : end].decode()
@@ -117,16 +128,18 @@ class Reader:
             (cell, number), (at_s,) = (struct.unpack_from(form, self.buffer, body) for form in ("<4xH6xI", "<20xd"))
             self.frames += 1
             self.ages_s.append(time.time() - at_s)
-            yield text_frame({"type": "ack", "cell": cell, "frame": number})
+            if self.frames % FRAMES_PER_ACK == 0:
+                yield text_frame({"type": "ack", "cell": cell, "frame": number})
         else:
-            yield from self._text(body, end)
+            text = memoryview(self.buffer)[body:end]
+            yield from self._text(inflate(text) if head & COMPRESSED else bytes(text))
 
-    def _text(self, body: int, end: int) -> Iterator[bytes]:
-        if beat := BEAT.match(self.buffer, body):
+    def _text(self, text: bytes) -> Iterator[bytes]:
+        if beat := BEAT.match(text):
             yield text_frame({"type": "ack", "beat": int(beat[1])})
-        self.snapshots += self.buffer.startswith(b'{"type":"snapshot"', body)
+        self.snapshots += text.startswith(b'{"type":"snapshot"')
         if self.keep_events:
-            self.seqs.extend(event["seq"] for event in json.loads(self.buffer[body:end]).get("events", []))
+            self.seqs.extend(event["seq"] for event in json.loads(text).get("events", []))
 
 
 class Console(asyncio.Protocol):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import re
 from typing import TYPE_CHECKING, Annotated, Final, Literal, TypeAlias
 from urllib.parse import urlsplit
 
@@ -43,6 +44,9 @@ MAX_FRAME_BYTES: Final = 4 * MAX_FRAME  # as UTF-8; the server reads no more of 
 MOST_FRAMES, WITHIN_S = 2_000, 1.0  # a browser that drives and watches says about sixty a second
 # What is said costs so much of a person's ration: a snapshot, scenes of cells, and little otherwise.
 SIGN_IN_COSTS, WATCH_COSTS, WORD_COSTS = 100, 20, 1
+# Most of what a browser says, in the one way that it writes it; of two equal keys it has room for none.
+_N: Final = "(0|[1-9][0-9]{0,14})"
+_ACK: Final = re.compile(rf'\{{"type":"ack",(?:"cell":{_N},"frame":{_N}|"beat":{_N})\}}')
 NO_MESSAGE, BAD_TOKEN, FORBIDDEN, NO_HELLO, NO_SEAT = 4400, 4401, 4403, 4408, 4429
 
 
@@ -288,6 +292,9 @@ async def _receive(socket: WebSocket) -> Words:
         raise NotAWord("a console speaks in text frames")
     if len(text) > MAX_FRAME:
         raise NotAWord(f"a frame has at most {MAX_FRAME} characters")
+    if (ack := _ACK.fullmatch(text)) is not None:
+        cell, frame, beat = (None if said is None else int(said) for said in ack.groups())
+        return Ack.model_construct(type="ack", cell=cell, frame=frame, beat=beat)
     try:
         parse(text.encode())  # as strictly as a body: of two equal keys none wins
         return _WORDS.validate_json(text)

@@ -1,4 +1,8 @@
-"""Websockets as uvicorn has them, held open by no peer, and what many consoles are shown made into a frame once."""
+"""Websockets as uvicorn has them, held open by no peer, and what many consoles are shown made into a frame once.
+
+Long texts are compressed with that frame (RFC 7692). No message refers to one before it, so the same bytes serve every
+console; a browser reads what is short, and poses, as they are.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.extensions.permessage_deflate import PerMessageDeflate, ServerPerMessageDeflateFactory
 from websockets.frames import Frame, Opcode
 from websockets.protocol import State
 
@@ -16,9 +21,21 @@ if TYPE_CHECKING:
     import asyncio
 
     from uvicorn._types import ASGISendEvent
+    from websockets.http11 import Request
 
 LET_GO_S: Final = 2.0  # for a peer to take the last words and close its end
 KEPT_FRAMES: Final = 4  # an update, a beat, and poses or a scene are under way at one time
+# What is shorter costs less to copy than to compress; compressing what is longer would hold up a stop.
+SHORTEST_DEFLATED, LONGEST_DEFLATED = 2_048, 4 * 1024 * 1024
+WINDOW_BITS: Final = 15
+_QUICKLY: Final = {"level": 1}
+_DEFLATE: Final = PerMessageDeflate(
+    remote_no_context_takeover=True,
+    local_no_context_takeover=True,
+    remote_max_window_bits=WINDOW_BITS,
+    local_max_window_bits=WINDOW_BITS,
+    compress_settings=_QUICKLY,
+)
 
 
 class Frames:
@@ -26,18 +43,22 @@ class Frames:
 
     def __init__(self) -> None:
         """Start without any."""
-        self._made: deque[tuple[str | bytes, bytes]] = deque(maxlen=KEPT_FRAMES)
+        self._made: deque[tuple[str | bytes, bool, bytes]] = deque(maxlen=KEPT_FRAMES)
 
-    def of(self, content: str | bytes) -> bytes:
-        """Return the whole, unmasked frame of a text or of bytes; the very same object is made into one once."""
-        for known, frame in self._made:
-            if known is content:
+    def of(self, content: str | bytes, deflated: bool) -> bytes:
+        """Return the whole, unmasked frame of a text or of bytes; the very same object is made into one once.
+
+        Args:
+            content: what to send.
+            deflated: whether the peer reads compressed messages; only long texts are.
+        """
+        deflated = deflated and isinstance(content, str) and SHORTEST_DEFLATED <= len(content) <= LONGEST_DEFLATED
+        for known, is_deflated, frame in self._made:
+            if known is content and is_deflated is deflated:
                 return frame
-        if isinstance(content, str):
-            frame = Frame(Opcode.TEXT, content.encode()).serialize(mask=False)
-        else:
-            frame = Frame(Opcode.BINARY, content).serialize(mask=False)
-        self._made.append((content, frame))
+        whole = Frame(Opcode.TEXT, content.encode()) if isinstance(content, str) else Frame(Opcode.BINARY, content)
+        frame = whole.serialize(mask=False, extensions=[_DEFLATE] if deflated else [])
+        self._made.append((content, deflated, frame))
         return frame
 
 
@@ -61,6 +82,12 @@ class Sockets(WebSocketsSansIOProtocol):
         super().on_task_complete(task)
         self.loop.call_later(LET_GO_S, self.transport.abort)
 
+    def handle_connect(self, event: Request) -> None:
+        """Offer compression to consoles alone: cells say what is short, or measured."""
+        if event.path.partition("?")[0] == CONSOLE_PATH:
+            self.conn.available_extensions = [ServerPerMessageDeflateFactory(server_no_context_takeover=True)]
+        super().handle_connect(event)
+
     async def send(self, message: ASGISendEvent) -> None:
         """Send one message. A denial's last part ends the handshake; a cell that is let in may say long things."""
         if message["type"] == "websocket.send" and self.scope["path"] == CONSOLE_PATH:
@@ -76,7 +103,14 @@ class Sockets(WebSocketsSansIOProtocol):
         """Send a console what others are sent too; where that cannot be, it is uvicorn's to say so."""
         await self.writable.wait()
         content = message.get("text") or message.get("bytes")
-        if content and self.conn.state is State.OPEN and not self.disconnected and not self.conn.extensions:
-            self.transport.write(self.shown.of(content))
+        if content and self.conn.state is State.OPEN and not self.disconnected:
+            self.transport.write(self.shown.of(content, self._inflates()))
         else:
             await super().send(message)
+
+    def _inflates(self) -> bool:
+        """Say whether the peer reads what was compressed with the window used here; all may be left uncompressed."""
+        return any(
+            isinstance(one, PerMessageDeflate) and one.local_max_window_bits == WINDOW_BITS
+            for one in self.conn.extensions
+        )

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from app.runtime.review import Review
 
 TICK_S: Final = 0.033
+FLOOD_TICK_S: Final = 0.2  # while much ends that nobody saw begin: a line in a log is read no sooner
 GATHER_S: Final = 0.004  # documents become visible right behind their events: let them leave together
 BEAT_S: Final = 0.2
 LONG_UPDATE: Final = 2048  # bytes; a third of what may be under way when a frame of poses leaves
@@ -55,6 +56,7 @@ class Broadcast:
         self._events: deque[Event] = deque(maxlen=KEPT_EVENTS)
         self._fresh: list[Event] = []
         self._invocations: dict[str, Invocation] = {}
+        self._living: set[str] = set()  # invocations that consoles were shown and believe to be under way
         self._newest: OrderedDict[str, Invocation] = OrderedDict()
         self._escalations: dict[str, Escalation] = {}
         self._grants: dict[str, Standing] = {}
@@ -63,7 +65,8 @@ class Broadcast:
         self._consoles: set[Outlet] = set()
         self._joining: dict[Outlet, int | None] = {}
         self._due: asyncio.TimerHandle | None = None
-        self._flushed_s = self._refreshed_s = 0.0
+        self._due_s = self._flushed_s = self._refreshed_s = 0.0
+        self._tick_s = TICK_S
         self._beats = 0
         self.seq = 0
         self.boot = f"boot_{secrets.token_hex(8)}"
@@ -142,7 +145,7 @@ class Broadcast:
         self.seq = events[-1].seq
         if self._consoles:
             self._fresh.extend(events)
-            self._schedule()
+            self._schedule(self._tick_s)
 
     def _shown(self, version: Invocation) -> None:
         newest = self._newest
@@ -151,7 +154,7 @@ class Broadcast:
         newest[version.id] = version
         if self._consoles:
             self._invocations[version.id] = version
-            self._schedule()
+            self._schedule(TICK_S if self._followed(version) else self._tick_s)
 
     def _held(self, version: Escalation) -> None:
         if self._consoles:
@@ -190,10 +193,15 @@ class Broadcast:
 
     # -- telling -----------------------------------------------------------------------------------------------------
 
-    def _schedule(self) -> None:
-        if self._due is None:
-            wait_s = max(GATHER_S, self._flushed_s + TICK_S - monotonic_s())
-            self._due = asyncio.get_running_loop().call_later(wait_s, self._flush)
+    def _schedule(self, tick_s: float = TICK_S) -> None:
+        """Let what is due leave so long after what left last, at the earliest."""
+        due_s = max(monotonic_s() + GATHER_S, self._flushed_s + tick_s)
+        if self._due is not None:
+            if self._due_s <= due_s:
+                return
+            self._due.cancel()
+        self._due_s = due_s
+        self._due = asyncio.get_running_loop().call_later(due_s - monotonic_s(), self._flush)
 
     def _flush(self) -> None:
         self._due = None
@@ -207,12 +215,13 @@ class Broadcast:
     def _update(self) -> bytes | None:
         parts: list[bytes] = []
         if not self._consoles:
+            self._living.clear()
             self._forget()
             return None
         if self._fresh:
             parts.append(b'"events":' + _events(self._fresh))
-        if self._invocations:
-            parts.append(b'"invocations":' + orjson.dumps([one.public() for one in self._invocations.values()]))
+        if invocations := self._changed_invocations():
+            parts.append(b'"invocations":' + orjson.dumps([one.public() for one in invocations]))
         for name, changed in (
             (b"escalations", self._escalations),
             (b"grants", self._grants),
@@ -239,6 +248,19 @@ class Broadcast:
     def _forget(self) -> None:
         self._fresh, self._invocations, self._escalations = [], {}, {}
         self._grants, self._reviews = {}, {}
+
+    def _followed(self, version: Invocation) -> bool:
+        """Say whether consoles know of it or will see it go on: of what ended before they could, events tell."""
+        return not version.final or version.id in self._living
+
+    def _changed_invocations(self) -> list[Invocation]:
+        """Return what consoles follow, and the newest of the others; a flood of those is told less often."""
+        followed = [one for one in self._invocations.values() if self._followed(one)]
+        others = [one for one in self._invocations.values() if not self._followed(one)]
+        self._tick_s = FLOOD_TICK_S if len(others) >= SHOWN_INVOCATIONS else TICK_S
+        self._living.difference_update(one.id for one in followed if one.final)
+        self._living.update(one.id for one in followed if not one.final)
+        return followed + others[-SHOWN_INVOCATIONS:]
 
     def _changed_cells(self) -> list[Mapping[str, Any]]:
         changed: list[Mapping[str, Any]] = []
@@ -268,7 +290,9 @@ class Broadcast:
     def _documents(self) -> bytes:
         cells = [self._fleet.document(cell) for cell in self._fleet.cells()]
         self._cells = {document["id"]: _steady(document) for document in cells}
-        invocations = {**self._newest, **{one.id: one for one in self._register.live()}}
+        living = {one.id: one for one in self._register.live()}
+        self._living.update(living)
+        invocations = {**self._newest, **living}
         documents = {
             "cells": cells,
             "invocations": [one.public() for one in invocations.values()],

@@ -19,7 +19,7 @@ from app.clock import monotonic_s
 MAX_BEHIND_BYTES: Final = 16 * 1024 * 1024
 MAX_SILENT_S: Final = 15.0  # so long a beat may go unacknowledged
 BUDGET_BYTES: Final = 6 * 1024  # under way when a frame leaves: 0.3 s of a 20 kB/s line
-MAX_FRAMES: Final = 3  # of one cell, unacknowledged
+MAX_FRAMES: Final = 4  # of one cell, unacknowledged; a console acknowledges every second one
 MAX_FRAME_AGE_S: Final = 0.3
 FELL_BEHIND: Final = 4410
 Key: TypeAlias = tuple[str | int, int]  # ("beat", n), or (cell, frame)

@@ -19,6 +19,7 @@ from app.api import console as door
 from app.api.auth import PRINCIPALS_FILE
 from app.protocol import pack_poses
 from app.runtime import outlet
+from app.runtime.broadcast import SHOWN_INVOCATIONS
 from tests.api.conftest import CELL, House, eventually
 
 pytestmark = pytest.mark.anyio
@@ -173,6 +174,10 @@ async def test_the_servers_own_page_comes_in(house: House) -> None:
         '{"type": "nothing"}',
         '{"type": "ack"}',
         '{"type": "ack", "beat": 1, "cell": 0, "frame": 2}',
+        '{"type":"ack","beat":1,"cell":0,"frame":2}',
+        '{"type":"ack","beat":01}',
+        '{"type":"ack","beat":-1}',
+        '{"type":"ack","beat":1,"beat":2}',
         '{"type": "watch", "cells": "all"}',
         '{"type": "ping", "at_ms": NaN}',
         '{"type": "jog", "cell": "c", "lease": "l", "n": 1, "base": [0, 0], "tool": [0, 0, 0], "grip": null}',
@@ -238,14 +243,31 @@ async def test_many_events_come_in_few_updates(house: House) -> None:
     async with signed_in(house) as screen:
         await screen.until_type("snapshot")
         before = len(screen.heard)
-        async with house.client() as client:
-            answers = await asyncio.gather(*(client.post("/v1/invocations", json=NOTHING) for _ in range(60)))
-        last = answers[-1].json()["id"]
-        await screen.until(lambda message: any(one["id"] == last for one in message.get("invocations", [])))
+        proposed = {one["id"] for one in await propose(house, 60)}
+        told: set[str] = set()
+
+        def all_told(message: dict[str, Any]) -> bool:
+            told.update(event["invocation"] for event in message.get("events", []))
+            return proposed <= told
+
+        await screen.until(all_told)
         updates = [message for message in screen.heard[before:] if message["type"] == "update"]
-    told = {one["id"] for update in updates for one in update.get("invocations", [])}
-    assert {answer.json()["id"] for answer in answers} <= told
     assert len(updates) < 30
+
+
+async def test_of_a_flood_of_refusals_events_tell_all_and_documents_the_newest(house: House) -> None:
+    async with signed_in(house) as screen, signed_in(house, "operator_2") as other:
+        await screen.until_type("snapshot")
+        await other.until_type("snapshot")
+        proposed = [one["id"] for _ in range(5) for one in await propose(house, 80)]
+        last = (await propose(house))[0]["id"]
+        for one in (screen, other):
+            await one.until(lambda message: any(known["id"] == last for known in message.get("invocations", [])))
+        updates = [message for message in screen.heard if message["type"] == "update"]
+        assert screen.seqs() == list(range(screen.seqs()[0], screen.seqs()[-1] + 1))
+        assert {event["invocation"] for one in updates for event in one.get("events", [])} >= {*proposed, last}
+        assert max(len(one.get("invocations", [])) for one in updates) == SHOWN_INVOCATIONS
+        assert screen.seqs()[-1] == other.seqs()[-1]
 
 
 async def test_a_console_that_comes_back_misses_nothing(house: House) -> None:
@@ -321,6 +343,29 @@ async def test_an_escalation_appears_and_its_answer_too(shared_house: House) -> 
         await screen.until(lambda message: about(message, "denied"))
         async with signed_in(shared_house) as late:
             assert (await late.until_type("snapshot"))["escalations"] == []
+
+
+async def test_the_end_of_what_consoles_follow_is_told_whatever_floods_in_beside_it(shared_house: House) -> None:
+    """One that came with the snapshot, and one that came later, are both told of as over."""
+
+    def tells_end(of: str) -> Callable[[dict[str, Any]], bool]:
+        return lambda message: any(one["id"] == of and one["outcome"] for one in message.get("invocations", []))
+
+    async with shared_house.cell(), shared_house.client() as agent, shared_house.client("operator") as operator:
+        wish = {"capability": "grasp_object", "params": {"object_id": "mug_1"}}
+        await agent.post("/v1/invocations", json=wish)
+        async with signed_in(shared_house) as screen:
+            (early,) = (await screen.until_type("snapshot"))["escalations"]
+            await agent.post("/v1/invocations", json=wish)
+            (late,) = (await screen.until(lambda message: message.get("escalations")))["escalations"]
+            for asked in (early, late):
+                denial = {"decision": "deny", "code": "other", "digest": asked["digest"]}
+                _, answer = await asyncio.gather(
+                    propose(shared_house, 100),
+                    operator.post(f"/v1/escalations/{asked['id']}/resolve", json=denial),
+                )
+                assert answer.status_code == 200, answer.text
+                await screen.until(tells_end(asked["invocation"]))
 
 
 async def test_a_console_whose_token_is_withdrawn_is_shown_out(house: House) -> None:

@@ -15,10 +15,14 @@ export interface LinkListener {
 /** The Worker is silent for this long: it is the link that cannot be vouched for. */
 export const WORKER_SILENT_MS = 600;
 
+/** So many frames make one acknowledgement: half the words, and the server lets twice as many be under way. */
+const FRAMES_PER_ACK = 2;
+
 /** The page's end of the socket Worker. Beats and frames are acknowledged when the page took them, so a busy page gets fewer. */
 export class Link {
   private readonly worker: Worker;
   private heardMs = performance.now();
+  private framesTaken = 0;
   private readonly timer: ReturnType<typeof setInterval>;
 
   constructor(token: string, private readonly listener: LinkListener) {
@@ -52,7 +56,7 @@ export class Link {
         break;
       case 'frame': {
         const frame = readFrame(said.buffer);
-        this.send({ type: 'ack', cell: frame.cell, frame: frame.frame });
+        this.acknowledgeFrame(frame);
         this.listener.frame(frame);
         break;
       }
@@ -62,6 +66,11 @@ export class Link {
       case 'refused':
         this.listener.refused(said.why);
     }
+  }
+
+  private acknowledgeFrame(frame: PoseFrame): void {
+    this.framesTaken += 1;
+    if (this.framesTaken % FRAMES_PER_ACK === 0) this.send({ type: 'ack', cell: frame.cell, frame: frame.frame });
   }
 
   private acknowledge(message: Down): void {
