@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 KEY_BYTES: Final = 32
 PROVE_AFTER_S: Final = 5.0  # by then the cells are up: a start leaves the processor to them
 LEAVE_S: Final = 1  # for requests under way when the server stops
-HAND_OVER_S: Final = 0.0003  # after so long a thread that waits for the interpreter gets it
+HAND_OVER_S: Final = 0.0001  # after so long a thread that waits for the interpreter gets it
 
 
 class DoorServer(uvicorn.Server):
