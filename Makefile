@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help setup console demo run test check bench evaluate pictures format lock clean \
-  test-rules test-evaluation test-runtime test-processes test-console
+  test-rules test-evaluation test-runtime test-served test-processes test-console
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
@@ -41,26 +41,28 @@ run: $(STAMP) console  ## a server with one simulated cell and a demo agent; kee
 	@$(BIN)/reins demo --keep --port 8000
 
 test: $(STAMP) console  ## the whole test suite; what decides and what proves covered to the last branch
-	@$(MAKE) --no-print-directory -j3 test-rules test-evaluation test-runtime
+	@$(MAKE) --no-print-directory -j4 test-served test-rules test-evaluation test-runtime
+
+# For two cores. What starts servers, cells and browsers runs by itself from the beginning to the end, for leases of
+# 300 ms are real time; most of it is waiting. What computes, or waits within one process, fills what is left of the
+# cores in three lanes, and gives way to it. Whatever no lane names runs with the processes.
+COMPUTES := tests/evaluation tests/runtime tests/api tests/agent tests/authoring tests/sim tests/cell tests/proofs
+GIVING_WAY := nice -n 19
+test-served:
 	@$(MAKE) --no-print-directory test-processes
 	@$(MAKE) --no-print-directory test-console
 
-# For two cores. What computes, or waits within one process, comes first, in three lanes as none computes all the time;
-# what starts servers, cells and browsers comes after it, one lane by itself: leases of 300 ms are real time, and a
-# browser that draws in software beside a server and a cell makes links lapse that nobody cut. Whatever no lane names
-# runs with the processes.
-COMPUTES := tests/evaluation tests/runtime tests/api tests/agent tests/authoring tests/sim tests/cell tests/proofs
 test-rules: $(STAMP)
-	@$(BIN)/coverage run -m pytest $(MEASURED)
+	@$(GIVING_WAY) $(BIN)/coverage run -m pytest $(MEASURED)
 	@$(BIN)/coverage report
-	@$(BIN)/python -m pytest -p no:cacheprovider tests/proofs $(COMPARED)
+	@$(GIVING_WAY) $(BIN)/python -m pytest -p no:cacheprovider tests/proofs $(COMPARED)
 
 test-evaluation: $(STAMP)
-	@$(BIN)/python web/build.py test
-	@$(BIN)/python -m pytest -p no:cacheprovider tests/evaluation
+	@$(GIVING_WAY) $(BIN)/python web/build.py test
+	@$(GIVING_WAY) $(BIN)/python -m pytest -p no:cacheprovider tests/evaluation
 
 test-runtime: $(STAMP)
-	@$(BIN)/python -m pytest -p no:cacheprovider tests/runtime tests/api tests/agent tests/authoring tests/sim tests/cell
+	@$(GIVING_WAY) $(BIN)/python -m pytest -p no:cacheprovider tests/runtime tests/api tests/agent tests/authoring tests/sim tests/cell
 
 test-processes: $(STAMP)
 	@$(BIN)/python -m pytest -p no:cacheprovider $(MEASURED:%=--ignore=%) $(COMPARED:%=--ignore=%) \

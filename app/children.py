@@ -1,7 +1,8 @@
 """The cells `reins serve` starts for itself: one process each, watched, started again when it dies, stopped at the end.
 
 A cell that cannot be started as it is told (exit code 2) would end the same way again, so it is given up at once; where
-nothing else was seen of it, the server ends as well, because the same settings are its own.
+nothing else was seen of it, the server ends as well, because the same settings are its own. So is one whose journal is
+damaged (65): no start mends that, and what it holds is for somebody to look at.
 
 A cell outlives its server on purpose: it holds the robot where it is and dials on. So a server that comes back first
 looks whether the cell of that name is still there (its lock is held) and adopts it instead of starting another.
@@ -21,7 +22,7 @@ from typing import TYPE_CHECKING, Final, cast
 
 from app.clock import monotonic_s
 from app.config import CELL_TOKEN_VARIABLE, cell_terms
-from app.terminal import MISUSE
+from app.terminal import DAMAGED, MISUSE
 
 if TYPE_CHECKING:
     from asyncio.subprocess import Process
@@ -167,6 +168,9 @@ class Children:
                 await self._give_up(cell, folder, f"cannot be started as it is told: it ended with `{code}`")
                 continue
             known = True
+            if code == DAMAGED:
+                await self._give_up(cell, folder, f"cannot go on from a damaged journal: it ended with `{code}`")
+                continue
             if _died_often(deaths, self._restarts):
                 await self._give_up(cell, folder, f"ended {len(deaths)} times in a row, the last time with `{code}`")
                 deaths.clear()

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 FINE: Final = 0
 FINDING: Final = 1
 MISUSE: Final = 2
+DAMAGED: Final = 65  # EX_DATAERR of sysexits.h: what it would go on from cannot be read, now or at another start
 
 out = Console(highlight=False, soft_wrap=True)
 err = Console(stderr=True, highlight=False, soft_wrap=True)

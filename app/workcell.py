@@ -23,7 +23,7 @@ import orjson
 import yaml
 
 from app.cell.governed import GovernedCell
-from app.cell.journal import Journal, JournalUnavailable
+from app.cell.journal import Journal, JournalDamaged, JournalUnavailable
 from app.cell.link import Identity, Link
 from app.cell.loop import Lease, Outbox, TickLoop
 from app.cell.pin import KeyPin
@@ -35,7 +35,7 @@ from app.config import ConfigError, cell_terms
 from app.sim.faults import Scenario
 from app.sim.robot import load_robot
 from app.sim.workcell import make_workcell
-from app.terminal import FINDING, FINE, MISUSE, remark, say_error
+from app.terminal import DAMAGED, FINDING, FINE, MISUSE, remark, say_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -64,7 +64,7 @@ def run_cell(settings: CellSettings) -> int:
             return asyncio.run(_run(settings))
     except JournalUnavailable as error:
         say_error(f"{settings.id}: {error}")
-        return FINDING
+        return DAMAGED if isinstance(error, JournalDamaged) else FINDING
     except CellRuns as error:
         say_error(f"{settings.id}: {error}")
     except OSError as error:

@@ -45,6 +45,10 @@ class JournalUnavailable(Exception):
     """
 
 
+class JournalDamaged(JournalUnavailable):
+    """What the journal holds cannot be read, and will not be at another start."""
+
+
 class Entry(NamedTuple):
     """One thing that happened on the cell: the fields of the link's `UpEvent`."""
 
@@ -68,7 +72,8 @@ class Journal:
             boot: Name of this run of the cell's process.
 
         Raises:
-            JournalUnavailable: the file cannot be opened or named, or holds a damaged line that is not the last.
+            JournalDamaged: a line that is not the last is damaged.
+            JournalUnavailable: the file cannot be opened or named.
         """
         self.path = path
         self.boot = boot
@@ -262,7 +267,7 @@ class Journal:
             record = _record(line)
             if record is None:
                 if good + len(line) != len(data):
-                    raise JournalUnavailable(f"journal `{self.path}` is damaged at byte `{good}`, before its last line")
+                    raise JournalDamaged(f"journal `{self.path}` is damaged at byte `{good}`, before its last line")
                 self.torn_bytes = len(line)
                 os.ftruncate(self._file, good)
                 os.fsync(self._file)
