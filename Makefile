@@ -43,9 +43,9 @@ run: $(STAMP) console  ## a server with one simulated cell and a demo agent; kee
 test: $(STAMP) console  ## the whole test suite; what decides and what proves covered to the last branch
 	@$(MAKE) --no-print-directory -j4 test-served test-rules test-evaluation test-runtime
 
-# For two cores. What starts servers, cells and browsers runs by itself from the beginning to the end, for leases of
-# 300 ms are real time; most of it is waiting. What computes, or waits within one process, fills what is left of the
-# cores in three lanes, and gives way to it. Whatever no lane names runs with the processes.
+# For two cores. What starts servers and cells, and then browsers, is one lane from the beginning to the end, and mostly
+# waits; so does what serves within one process. Leases of 300 ms are real time there. What only computes fills the cores
+# and gives way. Whatever no lane names runs with the processes.
 COMPUTES := tests/evaluation tests/runtime tests/api tests/agent tests/authoring tests/sim tests/cell tests/proofs
 GIVING_WAY := nice -n 19
 test-served:
@@ -62,7 +62,8 @@ test-evaluation: $(STAMP)
 	@$(GIVING_WAY) $(BIN)/python -m pytest -p no:cacheprovider tests/evaluation
 
 test-runtime: $(STAMP)
-	@$(GIVING_WAY) $(BIN)/python -m pytest -p no:cacheprovider tests/runtime tests/api tests/agent tests/authoring tests/sim tests/cell
+	@$(BIN)/python -m pytest -p no:cacheprovider tests/runtime tests/api tests/agent tests/cell
+	@$(GIVING_WAY) $(BIN)/python -m pytest -p no:cacheprovider tests/authoring tests/sim
 
 test-processes: $(STAMP)
 	@$(BIN)/python -m pytest -p no:cacheprovider $(MEASURED:%=--ignore=%) $(COMPARED:%=--ignore=%) \

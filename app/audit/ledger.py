@@ -27,7 +27,7 @@ from app.audit.errors import RecordDamaged, RecordUnavailable, RowExists, StoreI
 from app.audit.merkle import Frontier, leaf_hash
 from app.audit.migrate import migrate
 from app.audit.places import Places, create_key, load_key
-from app.audit.rows import DriverText, primary_key, replacement, same_key
+from app.audit.rows import DriverText, execute, primary_key, replacement, same_key
 from app.audit.tables import BEGIN_WRITE, ON_CONNECT, STATE, STORE_GIVEN, checkpoints, events
 
 if TYPE_CHECKING:
@@ -75,6 +75,7 @@ class Ledger:
             opened.callback(self._connection.close)
             migrate(self._connection)
             dialect = self._engine.dialect
+            self._begin = BEGIN_WRITE[dialect.name]
             self._replace = {
                 name: DriverText.of(replacement(table, dialect.name), dialect) for name, table in STATE.items()
             }
@@ -97,9 +98,9 @@ class Ledger:
         """Insert a batch without committing it; what conflicts with rows written once is left out and answered so.
 
         Raises:
-            sqlalchemy.exc.SQLAlchemyError: the database does not take it; call `take_back`.
+            Exception: the database does not take it, in SQLAlchemy's words or its driver's; call `take_back`.
         """
-        self._connection.exec_driver_sql(BEGIN_WRITE[self._engine.dialect.name])
+        execute(self._connection, self._begin)
         if self._suspect:
             self.frontier, self.note = self._restore()
             self._due_outside = self.note
@@ -131,13 +132,13 @@ class Ledger:
         """Make a staged batch durable, in any thread; not before the file outside has caught up with the last one.
 
         Raises:
-            sqlalchemy.exc.SQLAlchemyError, OSError: nothing was acknowledged; call `take_back`.
+            Exception: the driver's, or OSError: nothing was acknowledged; call `take_back`.
         """
         if self._due_outside is not None:
             self._file.missing = self._due_outside if self._due_outside != (self._file.last or "") else None
             self._due_outside = None
         self._file.catch_up()
-        self._connection.exec_driver_sql("COMMIT")
+        execute(self._connection, "COMMIT")
 
     def follow(self, staged: Staged) -> str | None:
         """Write the checkpoint of a committed batch into the file outside, in the thread that committed it.

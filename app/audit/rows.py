@@ -115,12 +115,25 @@ class DriverText(NamedTuple):
             self.run(connection, [dict(zip(fields, row, strict=True)) for row in rows])
 
     def _execute(self, connection: sa.Connection, parameters: Sequence[Any]) -> None:
-        """Hand the rows to the driver itself: on the way there SQLAlchemy would do as much as the driver does."""
+        """Hand the rows to the driver itself, see `execute`."""
         cursor = connection.connection.cursor()
         try:
             cursor.executemany(self.text, parameters)
         finally:
             cursor.close()
+
+
+def execute(connection: sa.Connection, text: str) -> None:
+    """Have the driver itself execute a statement without parameters: SQLAlchemy would do as much on the way there.
+
+    Raises:
+        Exception: the driver's own error.
+    """
+    cursor = connection.connection.cursor()
+    try:
+        cursor.execute(text)
+    finally:
+        cursor.close()
 
 
 def replacement(table: sa.Table, dialect: str) -> sa.Executable:
