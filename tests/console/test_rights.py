@@ -1,4 +1,4 @@
-"""Whom the console still knows, and what it lets each do: a token withdrawn, a role that may look, one that may not.
+"""Whom the console still knows, and what it lets each do: a token that goes, a role that may look, one that may not.
 
 The sound that calls a person is theirs to switch off, by key as well.
 """
@@ -6,16 +6,18 @@ The sound that calls a person is theirs to switch off, by key as well.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import TypeAlias
 
 import orjson
 import pytest
 from playwright.sync_api import expect
 
 from app.api.auth import PRINCIPALS_FILE, issue_token
+from app.clock import rfc3339, wall_s
 from app.governance.model import Role
 from tests.conftest import ServerProcess, until
-from tests.console.conftest import PHONE, Floor, People, stop
+from tests.console.conftest import PHONE, Floor, People, far, insist, stop
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 ANSWERS = re.compile("^(Approve|Deny|I have seen it|Let it go on|End it)")
@@ -45,13 +47,27 @@ def withdraw(server: ServerProcess, name: str) -> None:
     listed.write_bytes(orjson.dumps({"principals": rows}))
 
 
-def test_a_token_that_is_withdrawn_ends_the_console_and_what_it_showed(
-    server: ServerProcess, people: People, floor: Floor, guest: str
+def lapse(server: ServerProcess, name: str) -> None:
+    """Let a person's token expire at this moment."""
+    listed = server.data / PRINCIPALS_FILE
+    rows = orjson.loads(listed.read_bytes())["principals"]
+    now = rfc3339(wall_s())
+    rows = [{**row, "expires_at": now} if row["name"] == name else row for row in rows]
+    listed.write_bytes(orjson.dumps({"principals": rows}))
+
+
+GOING = pytest.mark.parametrize("goes", [withdraw, lapse], ids=["withdrawn", "expired"])
+Going: TypeAlias = Callable[[ServerProcess, str], None]
+
+
+@GOING
+def test_a_token_that_goes_ends_the_console_and_what_it_showed(
+    server: ServerProcess, people: People, floor: Floor, guest: str, goes: Going
 ) -> None:
     floor.ask()
     person, other = people.sit(server, guest), people.sit(server)
     expect(person.page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
-    withdraw(server, "guest")
+    goes(server, "guest")
     expect(person.alert("The token is not valid any more.")).to_be_visible()
     expect(person.page.get_by_label("Token")).to_be_empty()
     expect(person.page.get_by_role("article")).to_have_count(0)
@@ -59,6 +75,34 @@ def test_a_token_that_is_withdrawn_ends_the_console_and_what_it_showed(
     assert person.page.evaluate("sessionStorage.getItem('reins.token')") is None
     expect(other.page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
     expect(other.page.get_by_text(re.compile(r"^\d+ Hz$"))).to_be_visible()
+
+
+@GOING
+def test_a_hand_whose_token_goes_is_off_the_robot_and_the_next_person_finds_nothing_of_it(
+    server: ServerProcess, people: People, floor: Floor, guest: str, goes: Going
+) -> None:
+    person = people.sit(server, guest)
+    person.press("t")
+    person.button("Take the controls").click()
+    began, keyboard = floor.base(), person.page.keyboard
+    insist(
+        person,
+        lambda: keyboard.down("ArrowDown"),
+        lambda: keyboard.up("ArrowDown"),
+        lambda: far(floor.base(), began) > 0.1,
+        "a base driven back",
+    )
+    goes(server, "guest")  # with the key still down
+    expect(person.alert("The token is not valid any more.")).to_be_visible()
+    until(lambda: server.cell()["control"] is None, what="controls that are free")
+    until(lambda: floor.speed() < 0.01, what="a base at rest")
+    keyboard.up("ArrowDown")
+    person.page.get_by_label("Token").fill(server.tokens["operator_2"])
+    person.press("Enter")
+    expect(person.page.locator("header dl.facts")).to_contain_text("Nobody")
+    expect(person.region("Waiting for you")).to_be_visible()
+    expect(person.alert("You have lost the controls.")).to_have_count(0)
+    expect(person.region("Drive by hand")).to_have_count(0)
 
 
 @pytest.mark.parametrize("size", [None, PHONE], ids=["desk", "phone"])

@@ -15,6 +15,12 @@ class Drive {
     this.lease = null;
     sessionStorage.removeItem(KEY);
   }
+
+  /** Whoever sat here has signed out, or was shown out. */
+  leave(): void {
+    this.forget();
+    this.open = false;
+  }
 }
 
 export const drive = new Drive();
