@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from enum import StrEnum
-from typing import Any, Final, NamedTuple, TypeAlias
+from dataclasses import dataclass, fields, is_dataclass
+from enum import Enum, StrEnum
+from typing import Any, Final, NamedTuple, TypeAlias, cast
 
-MAX_SHOWN: Final = 120
+MAX_SHOWN: Final = 240
+NO_ROW: Final = "no row"
+_NOTHING: Final[tuple[object, ...]] = (None, (), frozenset[str](), dict[str, object]())
 
 
 class Direction(StrEnum):
@@ -108,7 +110,7 @@ SAME, TIGHTENS, LOOSENS = Direction.SAME, Direction.TIGHTENS, Direction.LOOSENS
 
 def summed(found: Found, decisions: tuple[Transition, ...] = (), *, proved: bool = False) -> Comparison:
     """Return what parts and decisions come to together: one that loosens is outweighed by nothing."""
-    differences = tuple(Difference(part, _shown(was), _shown(now), way) for part, was, now, way in found)
+    differences = tuple(_difference(*one) for one in found)
     return total(differences, decisions, proved=proved)
 
 
@@ -119,14 +121,75 @@ def total(differences: tuple[Difference, ...], decisions: tuple[Transition, ...]
     return Comparison(direction=direction, differences=differences, decisions=decisions, proved=proved)
 
 
-def _shown(value: object) -> str:
+# In words ------------------------------------------------------------------------------------------------------------
+
+
+def _difference(part: str, was: object, now: object, way: Direction) -> Difference:
+    before, after = _apart(was, now)
+    return Difference(part, _cut(before), _cut(after), way)
+
+
+def _apart(was: object, now: object) -> tuple[str, str]:
+    """Say what two values are, of rows and of what has fields only what is another: that must not be cut away."""
+    if is_dataclass(was) and type(was) is type(now):
+        before, after = _fields(was), _fields(now)
+        names = [name for name in {**before, **after} if before.get(name) != after.get(name)]
+        sides = ({name: found[name] for name in names if name in found} for found in (before, after))
+        one, other = map(_named, sides)
+        return one, other
+    if isinstance(was, tuple) and isinstance(now, tuple):
+        return _rows(cast("tuple[object, ...]", was), cast("tuple[object, ...]", now))
+    return _said(cast("object", was)), _said(now)
+
+
+def _rows(was: tuple[object, ...], now: tuple[object, ...]) -> tuple[str, str]:
+    """Say what stands between the rows that both begin with and those that both end with; of plain values, all."""
+    if not any(is_dataclass(row) for row in (*was, *now)):
+        return _said(was), _said(now)
+    least = min(len(was), len(now))
+    head = next((index for index in range(least) if was[index] != now[index]), least)
+    tail = next((index for index in range(least - head) if was[-1 - index] != now[-1 - index]), least - head)
+    one, other = ("; ".join(map(_said, rows[head : len(rows) - tail])) for rows in (was, now))
+    return one or NO_ROW, other or NO_ROW
+
+
+def _said(value: object) -> str:
+    """Say a value as a policy file would: names without their types, sets in one order, nothing that is left out."""
     match value:
         case None:
             return ""
+        case Enum():
+            return str(value.value)
         case frozenset() | set():
-            text = ", ".join(sorted(map(str, value)))  # pyright: ignore[reportUnknownArgumentType, reportUnknownVariableType]
-        case tuple():
-            text = ", ".join(map(str, value))  # pyright: ignore[reportUnknownArgumentType, reportUnknownVariableType]
+            return ", ".join(sorted(map(_said, cast("frozenset[object]", value))))
+        case tuple() | list():
+            return ", ".join(map(_said, cast("tuple[object, ...]", value)))
+        case Mapping():
+            return _named({_said(name): _inner(held) for name, held in cast("Mapping[object, object]", value).items()})
+        case _ if is_dataclass(value):
+            return _named(_fields(value))
         case _:
-            text = str(value)
+            return str(value)
+
+
+def _inner(value: object) -> str:
+    """Say a value inside another one: what has several parts stands between brackets."""
+    if isinstance(value, frozenset | set | tuple | list):
+        return f"[{_said(cast('tuple[object, ...]', value))}]"
+    several = isinstance(value, Mapping) or is_dataclass(value)
+    text = _said(cast("object", value))
+    return f"{{{text}}}" if several else text
+
+
+def _fields(value: object) -> dict[str, str]:
+    """Return what every field says that says something."""
+    held = {field.name: getattr(value, field.name) for field in fields(cast("Any", value))}
+    return {name: _inner(one) for name, one in held.items() if one not in _NOTHING}
+
+
+def _named(found: Mapping[str, str]) -> str:
+    return ", ".join(f"{name}: {text}" for name, text in found.items())
+
+
+def _cut(text: str) -> str:
     return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 1]}…"

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final, cast
 import z3
 
 from app.governance.authority import answers
+from app.governance.policy_model import Effect
 from app.proofs.asking import Asking, Undecided
 from app.proofs.findings import Finding, Kind, Lines, Weight
 from app.proofs.formulas import Formula, both, either, no, some
@@ -110,7 +111,7 @@ def contradictions(court: Court) -> Iterator[Finding]:
             yield from court.judged(Kind.CONTRADICTION, found, f"contradiction about {court.where}", never)
             return
         fighting = _fighting(court, found)
-        case = court.confirmed(found, lambda seen: "empty_intersection" in {r.code for r in seen.reasons})
+        case = court.confirmed(found, lambda seen: _leaves_nothing(court.policy, seen))
         rules = [rule for rule, _ in fighting]
         if case is None:
             yield court.unconfirmed(Kind.CONTRADICTION, f"contradiction about {court.where}", rules[0] if rules else "")
@@ -121,6 +122,17 @@ def contradictions(court: Court) -> Iterator[Finding]:
         if not fighting:
             return
         apart.append(no(both(*(fires for _, fires in fighting))))
+
+
+def _leaves_nothing(policy: PolicySet, seen: Seen) -> bool:
+    """Say whether modifications leave nothing though nothing else denies: no rule, and none that fails."""
+    empty = False
+    for reason in seen.reasons:
+        rule = policy.rules.get(reason.rule)
+        if reason.code == "rule_error" or reason.rule == GUARD or (rule is not None and rule.then is Effect.DENY):
+            return False
+        empty = empty or reason.code == "empty_intersection"
+    return empty
 
 
 def _fighting(court: Court, model: z3.ModelRef) -> list[tuple[str, Formula]]:

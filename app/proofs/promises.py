@@ -16,7 +16,7 @@ from app.governance.expression_tree import BOOL
 from app.governance.model import AuthorityMode, Verdict
 from app.governance.policy_code import Generator
 from app.governance.policy_model import Effect, Rule
-from app.proofs.asking import UNDECIDED, Asking
+from app.proofs.asking import UNDECIDED, Asking, Undecided
 from app.proofs.findings import Finding, Kind
 from app.proofs.formulas import Formula, both, either, no, some
 from app.proofs.obligations import never
@@ -174,7 +174,8 @@ def order_holds(court: Court, wide: Pair, asking: Asking) -> Iterator[Finding]:
         message = (
             f"`{name}` is approved by {people(wide.gate)} in {other.name}, and by fewer in {one.name}, the stricter"
         )
-        yield from court.judged(Kind.ORDER, court.solve(True), message, lambda _: True)
+        fewer = _asked(asking, strict, *_same_mode(strict, wide), *_unasked(strict, wide))
+        yield from court.judged(Kind.ORDER, fewer, message, lambda seen: _fewer_people(court, seen, other.name))
     weaker = some((
         both(strict.allowed, no(wide.allowed)),
         both(strict.modified, either(wide.escalated, wide.denied)),
@@ -183,16 +184,21 @@ def order_holds(court: Court, wide: Pair, asking: Asking) -> Iterator[Finding]:
     ))  # fmt: skip
     admitted = strict.space.modes.where([mode.value for mode in one.admits])
     foreign = no(strict.space.modes.where([mode.value for mode in other.admits]))
-    doubt = (admitted, either(weaker, both(foreign, no(strict.denied))))
-    answer = asking.ask(*doubt)
-    if isinstance(answer, z3.ModelRef) and strict.space.approximate:
-        plain = asking.ask(*doubt, *strict.space.plain())
-        answer = plain if isinstance(plain, z3.ModelRef) else answer
+    answer = _asked(asking, strict, admitted, either(weaker, both(foreign, no(strict.denied))))
     message = (
         f"{one.name} lets something through about `{name}` that {other.name} does not, or asks fewer people, and is "
         "declared the stricter"
     )
     yield from court.judged(Kind.ORDER, answer, message, lambda seen: _weaker(court, seen, other.name))
+
+
+def _asked(asking: Asking, strict: Pair, *parts: Formula) -> z3.ModelRef | Undecided | None:
+    """Ask; of the solutions, prefer one that neither rounds nor lies on an edge."""
+    answer = asking.ask(*parts)
+    if isinstance(answer, z3.ModelRef) and strict.space.approximate:
+        plain = asking.ask(*parts, *strict.space.plain())
+        return plain if isinstance(plain, z3.ModelRef) else answer
+    return answer
 
 
 _RANKS: Final = ("allow", "modify", "escalate", "deny")
@@ -203,6 +209,27 @@ def _fewer(strict: Pair, wide: Pair) -> Formula:
     counts = {people(wide.gate), *(rule.approvers for rule in wide.rules)}
     asked = both(*(statuses(pair)["awaiting_approval"] for pair in (strict, wide)))
     return both(asked, some(both(at_least(wide, count), no(at_least(strict, count))) for count in counts if count > 1))
+
+
+def _same_mode(strict: Pair, wide: Pair) -> Iterator[Formula]:
+    """Yield that a proposal's mode is one that both profiles admit."""
+    for pair in (strict, wide):
+        yield strict.space.modes.where([mode.value for mode in pair.gate.profile.admits])
+
+
+def _unasked(strict: Pair, wide: Pair) -> tuple[Formula, ...]:
+    """Return where the stricter profile launches, or asks fewer people than authority always asks in the wider one."""
+    mine, theirs = statuses(strict), statuses(wide)
+    enough = both(mine["awaiting_approval"], at_least(strict, people(wide.gate)))
+    return no(mine["denied"]), theirs["awaiting_approval"], no(enough)
+
+
+def _fewer_people(court: Court, seen: Seen, wide: str) -> bool:
+    """Say whether fewer people are really asked about a case than in the wider profile."""
+    context = replace(seen.context, profile=wide)
+    theirs = decide(court.policy, seen.proposal, context)
+    asked, wanted = (0 if found is None else found.approvers for found in (seen.decision.need, theirs.need))
+    return seen.status in LAUNCHED and theirs.status in LAUNCHED and asked < wanted
 
 
 def _weaker(court: Court, seen: Seen, wide: str) -> bool:

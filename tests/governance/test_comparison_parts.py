@@ -9,12 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from app.governance import bundle
 from app.governance.changes import LOOSENS, MAX_SHOWN, SAME, TIGHTENS, Comparison, Direction, Transition, summed
 from app.governance.comparison import compare
 from app.governance.model import AuthorityMode, Risk
 from app.governance.policy import PolicySet
-from app.governance.policy_model import Agent, Confirmation, Denial, Effect, GrantTerms, Rule, Setting
-from tests.governance.policy_world import modify, shipped
+from app.governance.policy_model import Agent, Confirmation, Denial, Effect, Rule, Setting
+from tests.governance.policy_world import files, modify, shipped
 
 HERE = "human-shared"
 RULE = modify("slow", Setting(param="speed_mps", maximum=0.2), when=None)
@@ -236,7 +237,31 @@ def test_shows_values_as_people_read_them_and_no_longer_than_a_line() -> None:
     assert found.document() == said
     (gone,) = compare(PLAIN, authority(grants=None)).differences
     assert gone.after == ""
-    assert GrantTerms.__name__ in gone.before
+    assert gone.before == "up_to_s: 900.0, risks: [high, medium]"
+
+
+SEPARATION = "  reaction_s: 0.1\n"
+ROWS = "  - on: contact\n    do: [ask_human]\n", "  - on: contact\n    do: [retry, ask_human]\n"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "before", "after"),
+    [
+        (SEPARATION, "  reaction_s: 0.09\n", "reaction_s: 0.1", "reaction_s: 0.09"),
+        (*ROWS, "rule: {on: contact, do: [ASK_HUMAN]", "rule: {on: contact, do: [RETRY, ASK_HUMAN]"),
+        (ROWS[0], "", "rule: {on: contact, do: [ASK_HUMAN]", "no row"),
+        ("  - on: contact\n", f"{ROWS[0]}  - on: contact\n", "no row", "rule: {on: contact, do: [ASK_HUMAN]"),
+        ("critical: 2}}", "high: 2, critical: 2}}", "critical: 2", "high: 2, critical: 2"),
+    ],
+)
+def test_of_many_parts_shows_the_one_that_is_another(old: str, new: str, before: str, after: str) -> None:
+    text = files()["profiles/human-shared.yaml"]
+    assert text.count(old) == 1
+    changed = bundle.load_files({**files(), "profiles/human-shared.yaml": text.replace(old, new)})
+    (only,) = compare(bundle.load_files(files()), changed).differences
+    assert only.before.startswith(before)
+    assert only.after.startswith(after)
+    assert max(len(only.before), len(only.after)) < MAX_SHOWN
 
 
 def test_a_decision_that_comes_out_otherwise_counts_like_a_part_and_survives_being_written_down() -> None:

@@ -183,6 +183,24 @@ def test_a_planted_fault_is_found(plant: Plant):
     assert all(finding.line > 0 and finding.file in {*files(), "properties.yaml"} for finding in found)
 
 
+def test_a_contradiction_is_shown_by_a_proposal_that_nothing_else_denies() -> None:
+    condition = "when: '!target.fragile && target.mass_kg > 0.3'"  # the hazardous solvent as well
+    planted = rule(
+        f"id: firm, applies_to: [grasp_object], {condition}, then: modify, set: {{speed_mps: {{min: 0.26}}}}", HUMAN
+    )
+    (found,) = proved(planted).faults
+    assert found.kind is Kind.CONTRADICTION
+    assert "- hazardous" not in found.example
+    assert "- empty_intersection" in found.example
+
+
+def test_that_fewer_people_are_asked_is_shown_by_a_proposal_that_is_launched() -> None:
+    turned = promises().replace("[human-shared, real-restricted", "[real-restricted, human-shared")
+    found = [fault for fault in proved({}, turned).faults if "is approved by 1 in human-shared" in fault.message]
+    assert found
+    assert all("status: allowed" in fault.example for fault in found)
+
+
 SOUND: list[tuple[str, dict[str, str]]] = [
     ("as shipped", {}),
     ("a tighter limit", edited(HUMAN, "tcp_speed_mps: {max: 0.25", "tcp_speed_mps: {max: 0.2")),
