@@ -14,8 +14,9 @@ from websockets.extensions.permessage_deflate import PerMessageDeflate, ServerPe
 from websockets.frames import Frame, Opcode
 from websockets.protocol import State
 
-from app.api.console import MAX_FRAME_BYTES
+from app.api.console import MAX_FRAME_BYTES, MOST_FRAMES
 from app.api.console import PATH as CONSOLE_PATH
+from app.clock import monotonic_s
 
 if TYPE_CHECKING:
     import asyncio
@@ -28,6 +29,10 @@ KEPT_FRAMES: Final = 4  # an update, a beat, and poses or a scene are under way 
 # What is shorter costs less to copy than to compress; compressing what is longer would hold up a stop.
 SHORTEST_DEFLATED, LONGEST_DEFLATED = 2_048, 4 * 1024 * 1024
 WINDOW_BITS: Final = 15
+# Frames that are no message of their own (pings, pongs, later parts of messages) cost nobody a ration of words.
+# Browsers and cells send hardly any, and tens of thousands in one read would hold up everybody's stop.
+MOST_ASIDE, ASIDE_S = 500, 1.0
+PIECE_BYTES: Final = 4_096  # read at a time: so many bytes are at most 700 frames
 _QUICKLY: Final = {"level": 1}
 _DEFLATE: Final = PerMessageDeflate(
     remote_no_context_takeover=True,
@@ -76,6 +81,52 @@ class Sockets(WebSocketsSansIOProtocol):
         """Read short frames only: nobody has said yet who they are."""
         super().__init__(*given, **named)
         self.conn.max_message_size = MAX_FRAME_BYTES
+        self._asides, self._asides_since_s = 0, monotonic_s()
+
+    def data_received(self, data: bytes) -> None:
+        """Read piece by piece, and nothing more of what came from a peer that is shown out."""
+        view = memoryview(data)
+        for start in range(0, len(data), PIECE_BYTES):
+            if self.transport.is_closing():
+                return
+            super().data_received(bytes(view[start : start + PIECE_BYTES]))
+
+    def handle_ping(self) -> None:
+        """Answer a ping, of which there may be few."""
+        if self._few_asides():
+            super().handle_ping()
+
+    def handle_pong(self, event: Frame) -> None:
+        """Take a pong, of which there may be few."""
+        if self._few_asides():
+            super().handle_pong(event)
+
+    def handle_cont(self, event: Frame) -> None:
+        """Take a later part of a message, of which there may be few."""
+        if self._few_asides():
+            super().handle_cont(event)
+
+    def send_receive_event_to_app(self) -> None:
+        """Hand a message on, unless more wait than a console may say, or it comes behind the last word."""
+        crowded = self.conn.max_message_size == MAX_FRAME_BYTES and self.queue.qsize() > MOST_FRAMES
+        if crowded:
+            self.transport.abort()
+        elif not self.close_sent or self._few_asides():
+            super().send_receive_event_to_app()
+
+    def _few_asides(self) -> bool:
+        """Count a frame that is no message of its own; cut off who sends too many, whether signed in or not."""
+        if self.transport.is_closing():
+            return False
+        self._asides += 1
+        if self._asides <= MOST_ASIDE:
+            return True
+        now_s = monotonic_s()
+        within = now_s - self._asides_since_s < ASIDE_S
+        self._asides, self._asides_since_s = 1, now_s
+        if within:
+            self.transport.abort()
+        return not within
 
     def on_task_complete(self, task: asyncio.Task[None]) -> None:
         """Cut what the application is done with, if the peer does not let go of it."""

@@ -7,16 +7,19 @@ import contextlib
 from collections.abc import AsyncGenerator, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import replace
+from urllib.parse import urlsplit
 
 import pytest
 from websockets.exceptions import ConnectionClosed
 
-from app.api.console import MAX_FRAME_BYTES
+from app.api import sockets
+from app.api.console import MAX_FRAME_BYTES, PATH
 from app.api.parts import EACH_CONSOLES, MAX_UNGREETED, Parts
 from app.api.problems import Problem
 from app.api.seats import Doorstep, Ration
+from app.api.sockets import MOST_ASIDE
 from tests.api.conftest import House, eventually
-from tests.api.test_console import Screen, dial, propose, signed_in
+from tests.api.test_console import PATIENCE_S, Screen, dial, propose, signed_in
 
 pytestmark = pytest.mark.anyio
 NO_SEAT, NO_MESSAGE, TOO_BIG = 4429, 4400, 1009
@@ -68,6 +71,65 @@ async def test_a_frame_no_console_says_is_not_read_to_its_end(house: House) -> N
         with contextlib.suppress(ConnectionClosed):  # it may be closed before all of it is sent
             await screen.socket.send("x" * 10 * MAX_FRAME_BYTES)
         assert (await screen.ended())[0] == TOO_BIG
+
+
+def raw(head: int, content: bytes = b"") -> bytes:
+    """Return a frame with this first byte, masked as a client has to, by zeros."""
+    return bytes([head, 0x80 | len(content), 0, 0, 0, 0]) + content
+
+
+async def cut(screen: Screen) -> bool:
+    """Read to the end; say whether it came without a word."""
+    async with asyncio.timeout(PATIENCE_S):
+        return await screen.ended() == (0, "")
+
+
+PING, PONG, BEGIN, PART, TEXT = 0x89, 0x8A, 0x01, 0x00, 0x81
+
+
+@pytest.mark.parametrize("greeted", [True, False])
+@pytest.mark.parametrize(
+    "frames",
+    [raw(PING) * 2 * MOST_ASIDE, raw(PONG) * 2 * MOST_ASIDE, raw(BEGIN) + raw(PART) * 2 * MOST_ASIDE],
+    ids=["pings", "pongs", "parts of a message"],
+)
+async def test_one_who_floods_with_what_is_no_message_is_cut_off(house: House, frames: bytes, greeted: bool) -> None:
+    async with signed_in(house) if greeted else dial(house) as screen:
+        screen.socket.transport.write(frames)
+        assert await cut(screen)
+
+
+async def test_a_few_pings_and_a_message_in_parts_are_taken(house: House) -> None:
+    async with signed_in(house) as screen:
+        parts = [raw(BEGIN, b'{"type": "ping",'), raw(PING), raw(PONG), raw(0x80, b' "at_ms": 1.5}')]
+        screen.socket.transport.write(b"".join(parts))
+        assert (await screen.until_type("pong"))["at_ms"] == 1.5
+
+
+async def test_one_who_says_more_in_one_breath_than_a_console_may_in_a_second_is_cut_off(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sockets, "MOST_FRAMES", 8)
+    async with signed_in(house) as screen:
+        await screen.until_type("snapshot")
+        screen.socket.transport.write(raw(TEXT, b'{"type":"ack","beat":0}') * 50)
+        assert await cut(screen)
+
+
+async def test_one_who_goes_on_after_the_last_word_is_cut_off(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sockets, "LET_GO_S", LONG_S)
+    port = urlsplit(house.url).port
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    ask = f"GET {PATH} HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    writer.write(f"{ask}Sec-WebSocket-Key: {'A' * 22}==\r\nSec-WebSocket-Version: 13\r\n\r\n".encode())
+    async with asyncio.timeout(PATIENCE_S):
+        await reader.readuntil(b"\r\n\r\n")
+        writer.write(raw(TEXT, b"no message"))
+        await reader.readuntil(NO_MESSAGE.to_bytes(2, "big"))
+        writer.write(raw(TEXT, b"nor this") * 2 * MOST_ASIDE)
+        with contextlib.suppress(ConnectionResetError):
+            await reader.read()
+    writer.close()
 
 
 async def test_a_cell_that_is_let_in_says_long_things(house: House) -> None:
