@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from ctypes import c_uint
 from functools import lru_cache
-from typing import TYPE_CHECKING, TypeAlias, cast
+from typing import TYPE_CHECKING, Final, TypeAlias, cast
 
 import z3
 
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
 Formula: TypeAlias = "bool | z3.BoolRef"
+LAST_CHARACTER: Final = 0x2FFFF  # of Z3, as of SMT-LIB
 
 # Z3's Python asserts the sort of every argument of every term, a quarter of the time that proofs take. What is encoded
 # here was typed when it was loaded, and Z3 itself refuses terms whose sorts do not fit.
@@ -93,6 +95,19 @@ def exactly_one(options: list[z3.BoolRef]) -> Formula:
     if len(options) == 1:
         return options[0]
     return both(z3.Or(*options), z3.AtMost(*options, 1))
+
+
+def text(value: str) -> z3.SeqRef:
+    """Return a text, of characters up to `LAST_CHARACTER`, as a term; Z3 would read its backslashes as escapes."""
+    return z3.StringVal(value.replace("\\", r"\u{5c}"))
+
+
+def spelled(value: z3.SeqRef) -> str:
+    """Return what a term that is a text says, by its characters: as a string Z3 hands it out with escapes in it."""
+    length = z3.Z3_get_string_length(value.ctx_ref(), value.as_ast())
+    characters = (c_uint * length)()
+    z3.Z3_get_string_contents(value.ctx_ref(), value.as_ast(), length, characters)
+    return "".join(map(chr, characters))
 
 
 @lru_cache(maxsize=4096)

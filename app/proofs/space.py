@@ -21,7 +21,7 @@ from app.governance.places import names
 from app.governance.policy_model import GOVERNANCE
 from app.governance.vocabulary import always_there, properties, referring
 from app.proofs.encoding import Record, Slot
-from app.proofs.formulas import Formula, both, every, exactly_one, implies, no, rational, some
+from app.proofs.formulas import Formula, both, every, exactly_one, implies, no, rational, some, text
 from app.proofs.ground import Coordinates, Ground
 from app.proofs.schema import Given, admitted, mentioned
 from app.proofs.values import Items, Theory, Value, choice, constant, truth
@@ -222,7 +222,7 @@ class Space:
         if recovery:
             self.facts.append(self.held[GOVERNANCE])
         name = z3.String("agent.name")
-        self.said["agent.name"] = every(name != z3.StringVal(agent) for agent in declared)
+        self.said["agent.name"] = every(name != text(agent) for agent in declared)
         missing = [no(self.holds(permission)) for permission in sorted(self.capability.permissions)]
         backed = [
             some(o for o, agent in self.agents.options if agent in declared and permission in self._under(agent))

@@ -22,7 +22,7 @@ from typing import Final, TypeAlias, cast
 import z3
 
 from app.governance.expression_reach import INT_MAX, INT_MIN
-from app.proofs.formulas import Formula, both, either, every, no, rational, some, term
+from app.proofs.formulas import LAST_CHARACTER, Formula, both, either, every, no, rational, some, term, text
 
 MOST_CASES: Final = 64
 EXACT_INT: Final = 2**53
@@ -113,7 +113,9 @@ def lift(payload: Payload, *, real: bool = False) -> z3.ExprRef:
     if isinstance(payload, bool):
         return term(payload)
     if isinstance(payload, str):
-        return z3.StringVal(payload)
+        if max(map(ord, payload), default=0) > LAST_CHARACTER:
+            raise NotCoveredError("a character beyond what the solver knows")
+        return text(payload)
     if isinstance(payload, (int, float)):
         return rational(payload) if real or isinstance(payload, float) else z3.IntVal(payload)
     raise NotCoveredError("a list inside a list")

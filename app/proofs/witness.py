@@ -25,7 +25,7 @@ from app.governance.cases import asking, run
 from app.governance.decision import decide
 from app.governance.policy_model import GOVERNANCE
 from app.governance.vocabulary import referring
-from app.proofs.formulas import term
+from app.proofs.formulas import spelled, term
 from app.proofs.space import FLAGS, STRANGER, Space
 
 if TYPE_CHECKING:
@@ -153,7 +153,7 @@ def _number(value: z3.ExprRef) -> bool | int | float | str | None:
         near = value.approx(30)
         return _double(Fraction(near.numerator_as_long(), near.denominator_as_long()))
     if isinstance(value, z3.SeqRef) and z3.is_string_value(value):
-        return value.py_value()
+        return spelled(value)
     return None
 
 

@@ -215,6 +215,8 @@ SOUND: list[tuple[str, dict[str, str]]] = [
         HUMAN: files()[HUMAN].replace("modes: [normal, careful]", "modes: [normal]").replace("safer_mode, ", "")}),
     ("an earlier alarm where it is stricter", edited(HUMAN, "above: 0.012", "above: 0.011")),
     ("people are near", rule("id: near, applies_to: [inspect_area], when: world.people_count > 0 && world.people_nearest_m < 0.5, then: deny")),
+    ("a text of any alphabet", rule("id: snow, when: 'has(metadata.intent) && metadata.intent.startsWith(\"größer ☃ 🤖\")', then: escalate")),
+    ("a text with what the solver takes for an escape", rule("id: odd, when: 'has(metadata.intent) && metadata.intent == \"\\\\u{41}\"', then: escalate")),
     ("the same in another owner's words", rule("id: fragile-grip, applies_to: [grasp_object], when: target.fragile, then: modify, set: {force_n: {max: 20}, speed_mps: {max: 0.15}}", REAL)),
 ]  # fmt: skip
 
@@ -222,6 +224,13 @@ SOUND: list[tuple[str, dict[str, str]]] = [
 @pytest.mark.parametrize("changed", [changed for _, changed in SOUND], ids=[name for name, _ in SOUND])
 def test_what_is_sound_passes(changed: dict[str, str]):
     assert [(f.kind.value, f.rule, f.message, f.example) for f in proved(changed).faults] == []
+
+
+def test_a_character_that_the_solver_does_not_know_leaves_a_rule_undecided() -> None:
+    odd = rule("id: odd, when: 'has(metadata.intent) && metadata.intent == \"\U000F0000\"', then: escalate")
+    found = [fault for fault in proved(odd).faults if fault.rule == "organization/odd"]
+    assert found
+    assert {fault.weight for fault in found} == {Weight.UNDECIDED}
 
 
 def test_a_promise_about_nothing_is_named() -> None:
