@@ -100,17 +100,22 @@ def _read(directory: Path, *, tests: bool) -> dict[str, str]:
     problems: list[PolicyError] = []
     for path in sorted(directory.rglob("*")):
         name = path.relative_to(directory).as_posix()
-        if not path.is_file() or path.suffix not in (".yaml", ".yml", ".json"):
-            continue
-        if (PurePosixPath(name).parts[0] == TESTS_FOLDER) is not tests:
+        if not _meant(path) or (PurePosixPath(name).parts[0] == TESTS_FOLDER) is not tests:
             continue
         try:
             files[name] = path.read_bytes().decode()
-        except (OSError, UnicodeDecodeError) as error:
+        except OSError as error:  # a link that leads nowhere, a folder: what was meant to be read there does not decide
+            problems.append(PolicyError(file=name, line=0, key="", message=f"cannot be read: {error.strerror}"))
+        except UnicodeDecodeError as error:
             problems.append(PolicyError(file=name, line=0, key="", message=f"cannot be read as UTF-8 text: {error}"))
     if problems:
         raise PolicyErrors(problems)
     return files
+
+
+def _meant(path: Path) -> bool:
+    """Say whether something is meant to be read; what editors lock a file by is a hidden link that leads nowhere."""
+    return path.suffix in (".yaml", ".yml", ".json") and (path.is_file() or not path.name.startswith("."))
 
 
 def digest(files: Mapping[str, str]) -> str:

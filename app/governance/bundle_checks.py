@@ -94,7 +94,8 @@ def capability(reader: Reader, shape: shapes.CapabilityShape, known: Known) -> I
     for index, name in enumerate(shape.permissions):
         yield from reader.unknown(("permissions", index), "permission", name, known.permissions)
     if not shape.permissions and not shape.recovery:
-        yield reader.problem(("permissions",), "a capability that agents propose needs a permission", known.permissions)
+        message = "a capability that agents propose needs a permission"
+        yield reader.problem(("permissions",), message, sorted(known.permissions))
     if shape.rollback is not None:
         yield from reader.unknown(("rollback",), "recovery capability", shape.rollback, known.recoveries)
     yield from _named_always(reader, known.capabilities[shape.name])

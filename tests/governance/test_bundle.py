@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import shutil
+
 import pytest
 
 from app.governance import bundle
@@ -413,6 +415,17 @@ def test_a_file_that_is_no_text_is_an_error(tmp_path):
     (tmp_path / "site.yaml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(PolicyErrors, match="UTF-8"):
         bundle.load(tmp_path)
+
+
+def test_what_is_named_as_a_policy_file_and_cannot_be_read_is_an_error_and_no_file_less(tmp_path):
+    shutil.copytree(POLICIES, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "profiles" / ".#new.yaml").symlink_to(tmp_path / "nowhere")  # as editors lock what they change
+    assert bundle.load(tmp_path).digest == shipped().digest
+    (tmp_path / "profiles" / "gone.yaml").symlink_to(tmp_path / "nowhere")
+    (tmp_path / "capabilities" / "folder.yaml").mkdir()
+    with pytest.raises(PolicyErrors) as found:
+        bundle.load(tmp_path)
+    assert [problem.file for problem in found.value.problems] == ["capabilities/folder.yaml", "profiles/gone.yaml"]
 
 
 def test_the_same_files_make_the_same_digest_and_another_byte_another():
