@@ -227,7 +227,7 @@ def test_what_is_sound_passes(changed: dict[str, str]):
 
 
 def test_a_character_that_the_solver_does_not_know_leaves_a_rule_undecided() -> None:
-    odd = rule("id: odd, when: 'has(metadata.intent) && metadata.intent == \"\U000F0000\"', then: escalate")
+    odd = rule("id: odd, when: 'has(metadata.intent) && metadata.intent == \"\U000f0000\"', then: escalate")
     found = [fault for fault in proved(odd).faults if fault.rule == "organization/odd"]
     assert found
     assert {fault.weight for fault in found} == {Weight.UNDECIDED}
