@@ -62,8 +62,7 @@ async def test_a_cell_that_cannot_be_started_as_told_is_given_up_at_once(tmp_pat
 async def test_a_cell_that_keeps_dying_is_given_up_until_somebody_starts_it(tmp_path: Path) -> None:
     settings, said = Settings(data=tmp_path), list[str]()
     folder = settings.layout.cell("workcell-1")
-    folder.mkdir(parents=True)
-    (folder / "journal").write_bytes(b"nonsense\nmore\n")
+    (folder / "journal").mkdir(parents=True)  # cannot be opened now, and might be at the next start
     children = Children(settings, "token", lambda cell, word: said.append(f"{cell}: {word}"), restarts=1)
     children.start()
     try:
