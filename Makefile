@@ -46,7 +46,8 @@ test: $(STAMP) console  ## the whole test suite; what decides and what proves co
 # For two cores. What starts servers and cells, and then browsers, is one lane from the beginning to the end, and mostly
 # waits; so does what serves within one process. Leases of 300 ms are real time there. What only computes fills the cores
 # and gives way. Whatever no lane names runs with the processes.
-COMPUTES := tests/evaluation tests/runtime tests/api tests/agent tests/authoring tests/sim tests/cell tests/proofs
+SERVES_NOBODY := tests/authoring tests/sim tests/test_cli.py tests/test_cli_authoring.py tests/test_assayer.py tests/test_disk.py
+COMPUTES := tests/evaluation tests/runtime tests/api tests/agent tests/cell tests/proofs $(SERVES_NOBODY)
 GIVING_WAY := nice -n 19
 test-served:
 	@$(MAKE) --no-print-directory test-processes
@@ -63,7 +64,7 @@ test-evaluation: $(STAMP)
 
 test-runtime: $(STAMP)
 	@$(BIN)/python -m pytest -p no:cacheprovider tests/runtime tests/api tests/agent tests/cell
-	@$(GIVING_WAY) $(BIN)/python -m pytest -p no:cacheprovider tests/authoring tests/sim
+	@$(GIVING_WAY) $(BIN)/python -m pytest -p no:cacheprovider $(SERVES_NOBODY)
 
 test-processes: $(STAMP)
 	@$(BIN)/python -m pytest -p no:cacheprovider $(MEASURED:%=--ignore=%) $(COMPARED:%=--ignore=%) \
