@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import struct
 from typing import Any
 
 import orjson
 import pytest
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
@@ -63,9 +65,27 @@ def paced(servers: Servers) -> ServerProcess:
     return servers.start(None, "--profile", "sim-relaxed", "--pace", "1")
 
 
+def door(server: ServerProcess) -> ClientConnection:
+    url = server.url.replace("http:", "ws:") + "/v1/console"
+    return connect(url, subprotocols=[Subprotocol("reins.console.1")], proxy=None, compression=None)
+
+
+def test_texts_that_are_no_utf_8_end_their_own_socket_alone_and_leave_no_traceback(paced: ServerProcess) -> None:
+    with door(paced) as socket:
+        console = Console(socket)
+        console.say(type="hello", token=paced.tokens["operator"], after=None)
+        for _ in range(20):
+            with door(paced) as other, contextlib.suppress(ConnectionClosed):
+                other.send(b'{"type": "hello \xff"}', text=True)
+                other.recv(PATIENCE_S)
+            assert other.close_code == 1007
+        console.say(type="ping", at_ms=1.5)
+        console.until(lambda: console.newest("pong"), "an answer")
+    assert "Traceback" not in paced.log.read_text()
+
+
 def test_a_drive_is_shown_with_its_poses_limits_and_way(paced: ServerProcess) -> None:
-    url = paced.url.replace("http:", "ws:") + "/v1/console"
-    with connect(url, subprotocols=[Subprotocol("reins.console.1")], proxy=None, compression=None) as socket:
+    with door(paced) as socket:
         console = Console(socket)
         console.say(type="hello", token=paced.tokens["operator"], after=None)
         console.say(type="watch", cells=["workcell-1"])

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.extensions.permessage_deflate import PerMessageDeflate, ServerPerMessageDeflateFactory
-from websockets.frames import Frame, Opcode
+from websockets.frames import CloseCode, Frame, Opcode
 from websockets.protocol import State
 
 from app.api.console import MAX_FRAME_BYTES, MOST_FRAMES
@@ -72,7 +72,8 @@ class Sockets(WebSocketsSansIOProtocol):
 
     Uvicorn marks a handshake as answered when it is accepted or closed, not when it is denied, and then complains of
     every denial that it was left without an answer. It waits for a peer's half of the close for ten seconds, and for
-    good until the peer has read what was written; and it reads long frames from whoever sends them.
+    good until the peer has read what was written; it reads long frames from whoever sends them; and it logs a traceback
+    for every text that is no UTF-8.
     """
 
     shown: ClassVar[Frames] = Frames()
@@ -111,8 +112,21 @@ class Sockets(WebSocketsSansIOProtocol):
         crowded = self.conn.max_message_size == MAX_FRAME_BYTES and self.queue.qsize() > MOST_FRAMES
         if crowded:
             self.transport.abort()
+        elif not self.close_sent and not self._is_text():
+            self.conn.fail(CloseCode.INVALID_DATA, "a text is UTF-8")
+            self.handle_parser_exception()
         elif not self.close_sent or self._few_asides():
             super().send_receive_event_to_app()
+
+    def _is_text(self) -> bool:
+        """Say whether a message that came as text is one."""
+        if self.curr_msg_data_type == "text":
+            self.frames = [b"".join(self.frames)]
+            try:
+                self.frames[0].decode()
+            except UnicodeDecodeError:
+                return False
+        return True
 
     def _few_asides(self) -> bool:
         """Count a frame that is no message of its own; cut off who sends too many, whether signed in or not."""

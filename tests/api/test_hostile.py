@@ -22,7 +22,7 @@ from tests.api.conftest import House, eventually
 from tests.api.test_console import PATIENCE_S, Screen, dial, propose, signed_in
 
 pytestmark = pytest.mark.anyio
-NO_SEAT, NO_MESSAGE, TOO_BIG = 4429, 4400, 1009
+NO_SEAT, NO_MESSAGE, NO_TEXT, TOO_BIG = 4429, 4400, 1007, 1009
 LONG_S = 600.0
 
 
@@ -130,6 +130,48 @@ async def test_one_who_goes_on_after_the_last_word_is_cut_off(house: House, monk
         with contextlib.suppress(ConnectionResetError):
             await reader.read()
     writer.close()
+
+
+@pytest.mark.parametrize("greeted", [True, False])
+@pytest.mark.parametrize(
+    "frames",
+    [
+        raw(TEXT, b'{"type": "\xff\xfe"}'),
+        raw(TEXT, b"\xed\xa0\x80"),  # half a surrogate pair
+        raw(BEGIN, b"\xe2\x82") + raw(0x80, b"("),  # begun in one part, broken in the next
+        raw(TEXT, b"\xff") * 100,
+    ],
+    ids=["no byte of UTF-8", "a surrogate", "in parts", "many"],
+)
+async def test_one_whose_text_is_no_utf_8_is_shown_out_quietly_and_others_are_served(
+    house: House, caplog: pytest.LogCaptureFixture, frames: bytes, greeted: bool
+) -> None:
+    async with signed_in(house) as other, signed_in(house, "auditor") if greeted else dial(house) as screen:
+        await is_served(other)
+        screen.socket.transport.write(frames)
+        assert await screen.ended() == (NO_TEXT, "a text is UTF-8")
+        await is_served(other)
+    assert caplog.messages == []
+
+
+async def test_text_that_is_no_utf_8_and_goodbye_in_one_breath_end_quietly(
+    house: House, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with signed_in(house) as screen:
+        screen.socket.transport.write(raw(TEXT, b"\xff") + raw(0x88, b"\x03\xe8"))
+        async with asyncio.timeout(PATIENCE_S):
+            await screen.ended()
+    assert caplog.messages == []
+
+
+async def test_a_cell_whose_text_is_no_utf_8_is_shown_out_quietly(
+    house: House, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with house.cell() as puppet:
+        puppet.socket.transport.write(raw(TEXT, b"\xff"))
+        await puppet.socket.wait_closed()
+        assert puppet.socket.close_code == NO_TEXT
+    assert caplog.messages == []
 
 
 async def test_a_cell_that_is_let_in_says_long_things(house: House) -> None:
