@@ -32,8 +32,11 @@ expect.set_options(timeout=PATIENCE_MS)
 DESK = {"width": 1440, "height": 900}
 PHONE = {"width": 390, "height": 844}
 NARROWEST = {"width": 320, "height": 640}
+SIDEWAYS = {"width": 844, "height": 390}
+SIDEWAYS_SMALL = {"width": 667, "height": 375}
 THUMB_PX = 48  # what a thumb hits, and how far up from the lower edge it comes easily
 REACH_PX = 140
+ASIDE_PX = 180  # and how far from the right edge, on a phone that is held sideways
 # How a graphics card that is none speaks of itself; nothing of ours.
 DRIVER_TALK = re.compile(r"GL Driver Message|GPU stall due to ReadPixels|software WebGL", re.IGNORECASE)
 
@@ -83,9 +86,9 @@ class People:
 
     def open(self, url: str, *, size: dict[str, int] | None = None, theme: str = "dark", init: str = "") -> Person:
         """Open a page in a browser of its own, `size` big, where the system prefers `theme`; `init` runs first."""
-        narrow = size == PHONE
+        held = size in (PHONE, SIDEWAYS)
         context = self.browser.new_context(
-            viewport=size or DESK, color_scheme=theme, reduced_motion="reduce", has_touch=narrow, is_mobile=narrow
+            viewport=size or DESK, color_scheme=theme, reduced_motion="reduce", has_touch=held, is_mobile=held
         )
         context.set_default_timeout(PATIENCE_MS)
         context.add_init_script(init)
@@ -190,6 +193,9 @@ def box(button: Locator) -> dict[str, float]:
 def out_of_reach(button: Locator) -> list[str]:
     """Say why the stop cannot be pressed with the thumb of the hand that holds the phone."""
     at = box(button)
+    screen = button.page.viewport_size
+    assert screen is not None
+    sideways = screen["width"] > screen["height"]
     on_top = button.evaluate(
         """(stop) => { const {x, y, width, height} = stop.getBoundingClientRect();
         return stop.contains(document.elementFromPoint(x + width / 2, y + height / 2)); }"""
@@ -197,8 +203,9 @@ def out_of_reach(button: Locator) -> list[str]:
     wrong = {
         "covered": not on_top,
         "too small": min(at["height"], at["width"] / 2) < THUMB_PX,
-        "too high up": at["y"] < PHONE["height"] - REACH_PX,
-        "cut off": at["y"] + at["height"] > PHONE["height"],
+        "too high up": at["y"] < screen["height"] - REACH_PX,
+        "too far aside": sideways and at["x"] < screen["width"] - ASIDE_PX,
+        "cut off": at["y"] + at["height"] > screen["height"] or at["x"] + at["width"] > screen["width"],
     }
     return [words for words, so in wrong.items() if so]
 
@@ -231,12 +238,16 @@ def far(here: tuple[float, float], there: tuple[float, float]) -> float:
 
 
 def wider_than_the_screen(page: Page) -> list[str]:
-    """Say where a page has to be scrolled sideways: on a phone, and on 320 px, as WCAG 1.4.10 asks."""
+    """Say where a page has to be scrolled sideways: on a phone, however it is held, and on 320 px (WCAG 1.4.10)."""
+    before = page.viewport_size
+    assert before is not None
     found: list[str] = []
-    for screen in (NARROWEST, PHONE):
+    for screen in (NARROWEST, PHONE, SIDEWAYS, SIDEWAYS_SMALL):
         page.set_viewport_size({"width": screen["width"], "height": screen["height"]})
-        width = page.evaluate("document.documentElement.scrollWidth")
-        found += [f"{width} px on {screen['width']}"] if width > screen["width"] else []
+        for part in ("html", "main"):
+            width, room = page.locator(part).evaluate("(one) => [one.scrollWidth, one.clientWidth]")
+            found += [f"{part}: {width} px in {room} on {screen['width']}"] if width > room else []
+    page.set_viewport_size(before)
     return found
 
 

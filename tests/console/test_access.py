@@ -14,6 +14,8 @@ from tests.console.conftest import (
     DESK,
     PHONE,
     ROOT,
+    SIDEWAYS,
+    SIDEWAYS_SMALL,
     THUMB_PX,
     Floor,
     People,
@@ -52,6 +54,14 @@ def trace(server: ServerProcess, floor: Floor) -> str:
     return asked["id"]
 
 
+def overlap(one: dict[str, float], other: dict[str, float]) -> bool:
+    """Say whether two boxes have a point in common."""
+    return all(
+        one[at] < other[at] + other[long] and other[at] < one[at] + one[long]
+        for at, long in (("x", "width"), ("y", "height"))
+    )
+
+
 def views(person: Person, floor: Floor, trace: str) -> Iterator[str]:
     """Lead a person through everything that can be on screen, one view after the other."""
     page = person.page
@@ -77,7 +87,7 @@ def views(person: Person, floor: Floor, trace: str) -> Iterator[str]:
     yield "Live, with its panels"
 
 
-@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+@pytest.mark.parametrize("size", [DESK, PHONE, SIDEWAYS], ids=["desk", "phone", "sideways"])
 def test_axe_finds_nothing_on_any_page_in_dark_and_light(
     server: ServerProcess, people: People, floor: Floor, axe: str, trace: str, size: dict[str, int]
 ) -> None:
@@ -88,8 +98,9 @@ def test_axe_finds_nothing_on_any_page_in_dark_and_light(
             person.press("n")
             assert person.page.evaluate("document.documentElement.dataset.theme") == theme
             found[f"{name}, {theme}"] = faults(person.page, axe)
-        if size == PHONE:
+        if size != DESK:
             found[f"{name}, stop"] = out_of_reach(stop(person))
+        if size == PHONE:
             found[f"{name}, width"] = wider_than_the_screen(person.page)
     assert {name: what for name, what in found.items() if what} == {}
 
@@ -120,10 +131,39 @@ def test_axe_finds_nothing_where_one_signs_in(server: ServerProcess, people: Peo
         assert faults(person.page, axe) == []
 
 
-def test_on_a_phone_both_answers_are_in_sight_and_the_stop_is_pressed_by_touch(
-    server: ServerProcess, people: People, floor: Floor
+@pytest.mark.parametrize("size", [SIDEWAYS, SIDEWAYS_SMALL], ids=["844", "667"])
+def test_on_a_phone_held_sideways_nothing_is_covered_while_one_is_asked_and_while_one_drives(
+    server: ServerProcess, people: People, floor: Floor, size: dict[str, int]
 ) -> None:
-    person = people.sit(server, size=PHONE)
+    person = people.sit(server, size=size)
+    asked = floor.ask()
+    card = person.page.get_by_role("article", name="Grasp mug_1")
+    for shown in (card.get_by_role("heading"), card.locator(".risk"), card.locator(".clock"), person.button("Menu")):
+        expect(shown).to_be_in_viewport(ratio=1)
+    for part in ("needs approval in", "Grip force", "Reason if denied"):
+        row = card.get_by_text(re.compile(part, re.IGNORECASE)).first
+        row.scroll_into_view_if_needed()
+        for answer in ("^Deny", "^Approve"):
+            expect(person.button(re.compile(answer))).to_be_in_viewport(ratio=1)
+            assert overlap(box(person.button(re.compile(answer))), box(row)) is False
+        assert out_of_reach(stop(person)) == []
+    floor.answer(asked, "deny")
+    expect(card).to_be_hidden()
+    person.button("Drive").click()
+    person.button("Take the controls").click()
+    expect(person.page.get_by_text("Hold to run; let go to stop")).to_be_visible()
+    for part in (*person.region("Drive by hand").get_by_role("button").all(), person.region("The cell in 3D")):
+        expect(part).to_be_in_viewport(ratio=1)
+    assert out_of_reach(stop(person)) == []
+    person.button("End session").click()
+    expect(person.button("Take the controls")).to_be_visible()
+
+
+@pytest.mark.parametrize("size", [PHONE, SIDEWAYS], ids=["upright", "sideways"])
+def test_on_a_phone_both_answers_are_in_sight_and_the_stop_is_pressed_by_touch(
+    server: ServerProcess, people: People, floor: Floor, size: dict[str, int]
+) -> None:
+    person = people.sit(server, size=size)
     floor.ask()
     for answer in ("^Deny", "^Approve"):
         button = person.button(re.compile(answer))

@@ -1,12 +1,12 @@
-/** Whether the screen is a phone's: the stop then lies under the thumb. */
-const query = matchMedia('(max-width: 760px)');
+/** Whether the screen is a phone's, upright or held sideways: the stop then lies under the thumb. Styles ask the same. */
+const query = matchMedia('(max-width: 760px), (max-height: 480px) and (max-width: 1100px)');
 
 class Viewport {
-  narrow = $state(query.matches);
+  phone = $state(query.matches);
 
   constructor() {
     query.addEventListener('change', () => {
-      this.narrow = query.matches;
+      this.phone = query.matches;
     });
   }
 }
