@@ -53,7 +53,7 @@ class RowWrite:
 
 
 class Event(NamedTuple):
-    """A committed event; `body` is the exact bytes that were hashed."""
+    """A committed event, its fields in the order of the table's columns; `body` is the exact bytes that were hashed."""
 
     seq: int
     at: str

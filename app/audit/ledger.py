@@ -1,7 +1,7 @@
 """The one writer of the log, without concurrency: stage a batch, commit it, or take it back.
 
-    stage    on the event loop   BEGIN, give places, insert events, rows and the signed checkpoint
-    commit   in the commit thread   COMMIT
+    stage    on the event loop   give places, sign the checkpoint, make the statements
+    commit   in the commit thread   rows, events and the checkpoint, in one transaction
     follow   in the commit thread   the checkpoint into the file outside, while the callers are answered already
     adopt    on the event loop   only now the tree in memory grows
     take_back                    ROLLBACK; the next stage looks first what the disk really holds
@@ -27,8 +27,8 @@ from app.audit.errors import RecordDamaged, RecordUnavailable, RowExists, StoreI
 from app.audit.merkle import Frontier, leaf_hash
 from app.audit.migrate import migrate
 from app.audit.places import Places, create_key, load_key
-from app.audit.rows import DriverText, execute, primary_key, replacement, same_key
-from app.audit.tables import BEGIN_WRITE, ON_CONNECT, STATE, STORE_GIVEN, checkpoints, events
+from app.audit.rows import Batches, Insertion, Writing, primary_key, replacement, same_key
+from app.audit.tables import ON_CONNECT, STATE, STORE_GIVEN, checkpoints, events
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Mapping, Sequence
@@ -40,10 +40,11 @@ TAIL_EVENTS = 1000  # at least so many events are hashed again at every start
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Staged:
-    """A batch inside an open transaction: what every submission got, and the tree that will hold."""
+    """A batch ready to be written: what every submission gets, the statements, and the tree that will hold."""
 
     answers: tuple[tuple[Event, ...] | RowExists, ...]
     events: tuple[Event, ...]
+    writings: tuple[Writing, ...]
     frontier: Frontier
     note: str
 
@@ -75,12 +76,14 @@ class Ledger:
             opened.callback(self._connection.close)
             migrate(self._connection)
             dialect = self._engine.dialect
-            self._begin = BEGIN_WRITE[dialect.name]
             self._replace = {
-                name: DriverText.of(replacement(table, dialect.name), dialect) for name, table in STATE.items()
+                name: Insertion(replacement(table, dialect.name), table, dialect) for name, table in STATE.items()
             }
-            self._insert_event = DriverText.of(sa.insert(events), dialect)
-            self._insert_checkpoint = DriverText.of(sa.insert(checkpoints), dialect)
+            self._insert_event = Insertion(sa.insert(events), events, dialect)
+            self._insert_checkpoint = Insertion(sa.insert(checkpoints), checkpoints, dialect)
+            self._batches = Batches(
+                self._connection, [*self._replace.values(), self._insert_event, self._insert_checkpoint]
+            )
             self.frontier, self.note = self._restore()
             new = self.frontier.size == 0 and not places.secret_key.exists()
             self.signer = create_key(places) if new else load_key(places)
@@ -95,12 +98,14 @@ class Ledger:
     # -- writing -----------------------------------------------------------------------------------------------------
 
     def stage(self, batch: Sequence[Submission]) -> Staged:
-        """Insert a batch without committing it; what conflicts with rows written once is left out and answered so.
+        """Make a batch ready; what conflicts with rows written once is left out and answered so.
+
+        Nothing else writes here, and no batch is staged before the last one is committed or taken back: what is read
+        here holds until this batch is committed.
 
         Raises:
-            Exception: the database does not take it, in SQLAlchemy's words or its driver's; call `take_back`.
+            Exception: the database cannot be read, in SQLAlchemy's words or its driver's; call `take_back`.
         """
-        execute(self._connection, self._begin)
         if self._suspect:
             self.frontier, self.note = self._restore()
             self._due_outside = self.note
@@ -123,13 +128,21 @@ class Ledger:
             seq += len(mine)
             sealed.extend(mine)
             answers.append(mine)
-        for name, values in rows.items():
-            self._replace[name].run(self._connection, values)
-        frontier, note = self._insert(sealed)
-        return Staged(answers=tuple(answers), events=tuple(sealed), frontier=frontier, note=note)
+        writings = [self._replace[name].of(values) for name, values in rows.items()]
+        frontier, note = self.frontier, self.note
+        if sealed:
+            leaves = [leaf_hash(event.body) for event in sealed]
+            frontier = frontier.extend(leaves)
+            note = self.signer.sign(frontier.size, frontier.root())
+            checkpoint = {"size": frontier.size, "first": sealed[0].seq, "note": note}
+            checkpoint |= {"frontier": frontier.pack(), "leaves": b"".join(leaves)}
+            writings += (self._insert_event.in_order(sealed), self._insert_checkpoint.of([checkpoint]))
+        return Staged(
+            answers=tuple(answers), events=tuple(sealed), writings=tuple(writings), frontier=frontier, note=note
+        )
 
     def commit(self, staged: Staged) -> None:
-        """Make a staged batch durable, in any thread; not before the file outside has caught up with the last one.
+        """Write a staged batch, in any thread; not before the file outside has caught up with the last one.
 
         Raises:
             Exception: the driver's, or OSError: nothing was acknowledged; call `take_back`.
@@ -138,7 +151,7 @@ class Ledger:
             self._file.missing = self._due_outside if self._due_outside != (self._file.last or "") else None
             self._due_outside = None
         self._file.catch_up()
-        execute(self._connection, "COMMIT")
+        self._batches.write(staged.writings)
 
     def follow(self, staged: Staged) -> str | None:
         """Write the checkpoint of a committed batch into the file outside, in the thread that committed it.
@@ -169,19 +182,6 @@ class Ledger:
     def close(self) -> None:
         """Let go of the database, the file and the lock."""
         self._opened.close()
-
-    def _insert(self, sealed: Sequence[Event]) -> tuple[Frontier, str]:
-        if not sealed:
-            return self.frontier, self.note
-        leaves = [leaf_hash(event.body) for event in sealed]
-        frontier = self.frontier.extend(leaves)
-        note = self.signer.sign(frontier.size, frontier.root())
-        self._insert_event.run_rows(self._connection, sealed)
-        checkpoint = {"size": frontier.size, "first": sealed[0].seq, "note": note}
-        self._insert_checkpoint.run(
-            self._connection, [{**checkpoint, "frontier": frontier.pack(), "leaves": b"".join(leaves)}]
-        )
-        return frontier, note
 
     def _conflict(self, rows: Sequence[RowWrite], taken: set[tuple[object, ...]]) -> RowExists | None:
         mine: set[tuple[object, ...]] = set()

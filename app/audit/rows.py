@@ -5,17 +5,20 @@ from __future__ import annotations
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import orjson
 import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 
 from app.audit.errors import RowMalformed
-from app.audit.tables import KEPT_ON_REPLACE, STATE, STORE_GIVEN
+from app.audit.tables import BEGIN_WRITE, KEPT_ON_REPLACE, STATE, STORE_GIVEN
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from app.audit.event import RowWrite
 
+MAX_TOGETHER_BYTES = 64 * 1024 * 1024  # SQLite takes a billion in one parameter
+NUL = "\\u0000"  # ends a text where SQLite reads JSON
 UPSERT = {"sqlite": sqlite.insert, "postgresql": postgresql.insert}
 WORDS: Mapping[type, str] = {str: "text in UTF-8", int: "an integer of 64 bits", bytes: "bytes"}
 
@@ -83,55 +86,130 @@ def same_key(row: RowWrite) -> sa.Select[Any]:
     return sa.select(sa.literal(1)).where(*(column == row.values[column.name] for column in columns))
 
 
-class DriverText(NamedTuple):
-    """A statement as the driver takes it, compiled once: building parameters anew cost more than the insert itself."""
+class Writing(NamedTuple):
+    """Rows of one table, on their way."""
 
-    text: str
-    names: tuple[str, ...]
-    positional: bool
+    table: str
+    text: str  # the statement, and what it takes for each of the rows
+    rows: Sequence[Any]
+    packed: tuple[str, bytes] | None  # all rows as JSON, beside what they hold of bytes; see `Insertion.pack`
 
-    @classmethod
-    def of(cls, statement: Any, dialect: sa.Dialect) -> DriverText:  # noqa: ANN401 - an insert of either dialect
-        """Compile an insertion that takes every column as a parameter."""
+
+class Insertion:
+    """How rows get into one table: compiled once, because SQLAlchemy's way there costs more than the insert itself."""
+
+    def __init__(self, statement: Any, table: sa.Table, dialect: sa.Dialect) -> None:  # noqa: ANN401 - either dialect's
+        """Compile an insertion that takes columns of a table as its parameters."""
         compiled = statement.compile(dialect=dialect)
-        return cls(str(compiled), tuple(compiled.positiontup or ()), bool(compiled.positional))
+        self.table = table.name
+        self._text = str(compiled)
+        self.names: tuple[str, ...] = tuple(compiled.positiontup)
+        self._bytes = tuple(table.c[name].type.python_type is bytes for name in self.names)
 
-    def run(self, connection: sa.Connection, values: Sequence[Mapping[str, Any]]) -> None:
-        """Execute the statement once for each mapping."""
-        if self.positional:
-            pick: Callable[[Mapping[str, Any]], tuple[Any, ...]] = itemgetter(*self.names)  # pyright: ignore[reportUnknownVariableType]
-            self._execute(connection, [pick(row) for row in values])
-        else:
-            self._execute(connection, [dict(row) for row in values])
+    def of(self, rows: Sequence[Mapping[str, Any]]) -> Writing:
+        """Make ready rows that are given by their columns' names."""
+        pick: Callable[[Mapping[str, Any]], tuple[Any, ...]] = itemgetter(*self.names)  # pyright: ignore[reportUnknownVariableType]
+        return self.in_order([pick(row) for row in rows])
 
-    def run_rows(self, connection: sa.Connection, rows: Sequence[tuple[Any, ...]]) -> None:
-        """Execute the statement once for each named tuple, whose fields may stand in the statement's own order."""
-        if not rows:
-            return
-        fields = getattr(rows[0], "_fields", ())
-        if self.positional and fields == self.names:
-            self._execute(connection, rows)
-        else:
-            self.run(connection, [dict(zip(fields, row, strict=True)) for row in rows])
+    def in_order(self, rows: Sequence[tuple[Any, ...]]) -> Writing:
+        """Make ready rows whose values stand in the order of `names`."""
+        return Writing(self.table, self._text, rows, self.pack(rows))
 
-    def _execute(self, connection: sa.Connection, parameters: Sequence[Any]) -> None:
-        """Hand the rows to the driver itself, see `execute`."""
-        cursor = connection.connection.cursor()
+    def pack(self, rows: Sequence[tuple[Any, ...]]) -> tuple[str, bytes] | None:
+        """Return rows as `unpacking` takes them; None where they would not come out as they went in."""
+        pieces = [b"\0"]  # SQLite takes no bytes at all for NULL
+        start = 2  # it counts from 1
+        lists: list[list[Any]] = []
+        for row in rows:
+            fields: list[Any] = []
+            for value, is_bytes in zip(row, self._bytes, strict=True):
+                if not is_bytes:
+                    fields.append(value)
+                elif value is None:
+                    fields += (None, None)
+                else:
+                    fields += (start, len(value))
+                    pieces.append(value)
+                    start += len(value)
+            lists.append(fields)
+        text = orjson.dumps(lists).decode()
+        if start > MAX_TOGETHER_BYTES or NUL in text:
+            return None
+        return text, b"".join(pieces)
+
+    def unpacking(self, text: str, content: str) -> str:
+        """Return the statement that writes what `pack` returned, both parts of it given as SQLite's expressions."""
+        found: list[str] = []
+        place = 0
+        for is_bytes in self._bytes:
+            field = f"value ->> {place}"
+            found.append(f"substr({content}, {field}, value ->> {place + 1})" if is_bytes else field)
+            place += 1 + is_bytes
+        head, _, rest = self._text.partition(f" VALUES ({', '.join('?' * len(self.names))})")
+        # `WHERE true`, so that the ON of a conflict is not taken for a join's.
+        return f"{head} SELECT {', '.join(found)} FROM json_each({text}) WHERE true{rest}"  # noqa: S608
+
+
+class Batches:
+    """Writes rows of several tables in one transaction, in one step of the database where that can be.
+
+    Between any two steps the driver takes the interpreter, and the event loop that had it has to wait until it gets it
+    back: row by row, a batch costs the loop more in waiting than it costs to write. So SQLite gets all of a batch at
+    once, inserted into a view of this connection whose triggers know where it belongs.
+    """
+
+    def __init__(self, connection: sa.Connection, insertions: Sequence[Insertion]) -> None:
+        """Tell the database what belongs where. Raises `sqlalchemy.exc.SQLAlchemyError`."""
+        self._connection = connection
+        self._begin = BEGIN_WRITE[connection.dialect.name]
+        columns: list[str] = []
+        for insertion in insertions:
+            columns += [f"NULL AS {insertion.table}", f"NULL AS {insertion.table}_bytes"]
+        connection.exec_driver_sql(f"CREATE TEMP VIEW batch AS SELECT {', '.join(columns)}")
+        for insertion in insertions:
+            given = f"new.{insertion.table}"
+            connection.exec_driver_sql(
+                f"CREATE TEMP TRIGGER batch_{insertion.table} INSTEAD OF INSERT ON batch WHEN {given} IS NOT NULL"
+                f" BEGIN {insertion.unpacking(given, f'{given}_bytes')}; END"
+            )
+
+    def write(self, writings: Sequence[Writing]) -> None:
+        """Write and commit; each table at most once.
+
+        Raises:
+            Exception: the driver's own error. A transaction may be left open.
+        """
+        parameters: list[str | bytes] = []
+        for writing in writings:
+            if writing.packed is None:
+                self._one_by_one(writings)
+                return
+            parameters += writing.packed
+        if writings:
+            names = ", ".join(f"{writing.table}, {writing.table}_bytes" for writing in writings)
+            given = ", ".join("?" * len(parameters))
+            execute(self._connection, f"INSERT INTO batch ({names}) VALUES ({given})", parameters)  # noqa: S608
+
+    def _one_by_one(self, writings: Sequence[Writing]) -> None:
+        execute(self._connection, self._begin)
+        cursor = self._connection.connection.cursor()
         try:
-            cursor.executemany(self.text, parameters)
+            for writing in writings:
+                cursor.executemany(writing.text, writing.rows)
         finally:
             cursor.close()
+        execute(self._connection, "COMMIT")
 
 
-def execute(connection: sa.Connection, text: str) -> None:
-    """Have the driver itself execute a statement without parameters: SQLAlchemy would do as much on the way there.
+def execute(connection: sa.Connection, text: str, parameters: Sequence[str | bytes] = ()) -> None:
+    """Have the driver itself execute a statement: SQLAlchemy would do as much on the way there.
 
     Raises:
         Exception: the driver's own error.
     """
     cursor = connection.connection.cursor()
     try:
-        cursor.execute(text)
+        cursor.execute(text, parameters)
     finally:
         cursor.close()
 

@@ -1,7 +1,7 @@
 """The durable store on the event loop: group commit, subscribers, health, and reads that do not block it.
 
-Callers await `append`. The first one starts a batch, whoever comes until the loop gets to it joins. The batch is
-inserted on the event loop and committed in one thread of its own; meanwhile the next batch collects. So the batch grows
+Callers await `append`. The first one starts a batch, whoever comes until the loop gets to it joins. The batch is made
+ready on the event loop, inserted and committed in one thread of its own; meanwhile the next batch collects. So it grows
 with the load and nobody waits for a window to pass. Callers are answered when their events are on the disk, subscribers
 right before them; the checkpoint goes into the file outside meanwhile. Only when it stands there is the next batch
 closed, for it could not be committed before: who was answered and asks again is in it, and a slow disk is waited for

@@ -197,6 +197,7 @@ STORE_GIVEN = "created_seq"
 KEPT_ON_REPLACE = frozenset({STORE_GIVEN, "created_at"})
 
 # What a connection of each dialect is told at its start. FULL: a commit is on the disk before it is acknowledged.
+# temp_store: what a statement of many rows may have to undo is kept in memory, not in a file.
 # recursive_triggers: a REPLACE deletes too, and is refused like any deletion (other connections: revision 0002).
 ON_CONNECT: Mapping[str, tuple[str, ...]] = {
     "sqlite": (
@@ -205,6 +206,7 @@ ON_CONNECT: Mapping[str, tuple[str, ...]] = {
         "PRAGMA wal_autocheckpoint=1000",
         "PRAGMA recursive_triggers=ON",
         "PRAGMA busy_timeout=100",
+        "PRAGMA temp_store=MEMORY",
     ),
     "postgresql": ("SET synchronous_commit = on",),
 }

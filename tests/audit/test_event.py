@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from app.audit.errors import EventMalformed
 from app.audit.event import MAX_BODY_BYTES, Event, EventDraft, prepare, prepare_all, read_columns
+from app.audit.tables import events
 from app.governance.model import Reason, Status
 from tests.audit.conftest import TIME, draft
 
@@ -104,3 +105,7 @@ def test_bytes_that_are_no_event_are_not_read_as_one(body: bytes) -> None:
 def test_an_event_is_its_columns() -> None:
     event = prepare(draft(invocation=None), TIME).seal(2)
     assert event == Event(2, TIME, "proposal", None, "planner", event.body)
+
+
+def test_an_events_fields_stand_in_the_order_of_its_columns() -> None:
+    assert Event._fields == tuple(events.c.keys())
