@@ -9,11 +9,12 @@ Prints
 - with `--minutes`, the slope of the page's heap while it streams, after a warm-up in which every bounded list fills
   with what will go through it: a list that changes what it holds is as little flat as one that fills. Short drives
   leave the records of long ones: the warm-up has as many as the console keeps sessions, however long that takes.
-  Beside it stands what grew, the page's own data or what the engine compiled of its functions, from two snapshots.
+  Beside it stands what grew, the page's own data or what the engine compiled of its functions, from two snapshots;
+  with `--settled` the engine compiles nothing later on, and what grows is the page alone.
 
 Chromium draws in software where there is no graphics card, and takes the processor's time from the server it watches.
 
-    python benchmarks/bench_browser.py [--cards 60] [--seconds 20] [--minutes 30] [--warm-up 5] [--only heap]
+    python benchmarks/bench_browser.py [--cards 60] [--seconds 20] [--only heap] [--minutes 30 [--settled]]
 """
 
 from __future__ import annotations
@@ -43,6 +44,15 @@ from playwright.sync_api import Browser, BrowserContext, CDPSession, Page, sync_
 
 PLACES = ("/usr/lib/chromium/chromium", "chromium", "chromium-browser", "google-chrome")
 FLAGS = ("--no-sandbox", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage", "--mute-audio")
+# V8 compiles a function anew, better and larger, once it has been called often: seldom ones after hours. So the heap of
+# a page that keeps nothing grows all the same, until every function has had its turn. With these it has at once.
+SETTLED = (
+    "--always-sparkplug",
+    "--no-maglev",
+    "--no-turbofan",
+    "--no-lazy-feedback-allocation",
+    "--no-flush-bytecode",
+)
 DESK = {"width": 1440, "height": 900}
 PATIENCE_MS = 60_000
 KEPT_INVOCATIONS = 200  # as the console keeps them: a heap that fills a list has not grown
@@ -339,6 +349,7 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=0.0, help="of streaming for the heap's slope; 0 leaves it out")
     parser.add_argument("--warm-up", type=float, default=5.0, metavar="MINUTES")
     parser.add_argument("--only", choices=("heap",))
+    parser.add_argument("--settled", action="store_true", help="have V8 compile every function once, at its first call")
     chosen = parser.parse_args()
     place = next((found for name in PLACES if (found := shutil.which(name))), None)
     if place is None:
@@ -346,7 +357,8 @@ def main() -> int:
         return 1
     subprocess.run([sys.executable, str(ROOT / "web" / "build.py"), "build"], check=True)
     with tempfile.TemporaryDirectory() as folder, served(Path(folder)) as found, sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=place, args=list(FLAGS))
+        flags = [*FLAGS, f"--js-flags={' '.join(SETTLED)}"] if chosen.settled else list(FLAGS)
+        browser = playwright.chromium.launch(executable_path=place, args=flags)
         if chosen.only is None:
             first_load(browser, found, chosen.loads)
             cards(browser, found, chosen.cards)
