@@ -99,8 +99,13 @@ def _axes(height_in: float) -> Generator[tuple[Axes, list[str]]]:
     drawn.append(_inline(buffer.getvalue()))
 
 
-def per_type(bars: Sequence[Bar]) -> Plot:
-    """Draw detection by type of violation, next to the paper's."""
+def per_type(bars: Sequence[Bar], of: str = "") -> Plot:
+    """Draw detection by type of violation, next to the paper's.
+
+    Args:
+        bars: The types.
+        of: Which of the violations are counted, for the caption.
+    """
     with _axes(0.9 + 1.25 * ROW_IN * len(bars)) as (axes, drawn):
         places = range(len(bars))
         axes.barh([place - 0.18 for place in places], [bar.value for bar in bars], 0.34, color=FIRST, label="Reins")
@@ -121,7 +126,7 @@ def per_type(bars: Sequence[Bar]) -> Plot:
     return Plot(
         drawn[0],
         f"Detected share by type, the paper's in brackets: {told}.",
-        "Detection by type of violation, beyond the boundary band; in brackets how many.",
+        f"Detection by type of violation{of}; in brackets how many violations.",
     )
 
 

@@ -126,7 +126,7 @@ RECOVERY: Final = PublishedTable(
     },
     places=(("methods", "{row}", "{column}"),),
     remark="The paper's RBSR counts capabilities without a rollback as failures, and its recovery times are constants "
-    "of its simulation. Ours are over rollback-capable trials, and simulated seconds where a body had to move.",
+    "of its simulation. Our RBSR is over rollback-capable trials.",
 )
 
 PER_TYPE: Final = PublishedTable(

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def drawn(results: Results) -> Iterator[Plot]:
     """Yield what of a campaign can be drawn: types, sweep and distributions."""
     if bars := _bars(results.get("per_type", {}).get("reins", {})):
-        yield plots.per_type(bars)
+        yield plots.per_type(bars, ", beyond the boundary band" if results["protocol"] == "physical" else "")
     ours = [point for p in results.get("sensitivity", ()) if (point := _point(p["s"], p)) is not None]
     shipped = _point(0.0, results.get("sensitivity_shipped", {}))
     of = f" {SWEPT}" if results["protocol"] == "physical" else ""

@@ -81,7 +81,9 @@ def _of_another_policy(table: PublishedTable, results: Results) -> bool:
 
 
 def _also(table: PublishedTable, results: Results) -> str:
-    """Say what a reader should know of our numbers of the workcell before comparing."""
+    """Say what a reader should know of our numbers, of this protocol, before comparing."""
+    if results.get("protocol") == "paper" and table is published.RECOVERY:
+        return "No time passes in this protocol, so it has no MRT of ours."
     said = _ABOUT_OURS.get(table.label)
     return "" if said is None or results.get("protocol") != "physical" else said(results)
 
@@ -103,9 +105,10 @@ def _about_recovery(results: Results) -> str:
     return (
         "Our RBSR is of rollbacks after withdrawals, failures and violations; its parts stand among the goals. Nearer "
         f"to the paper's is {_of_reins(results, 'RBSR_TRIED')} for Reins, over all rollbacks that were tried, capable "
-        f"or not (RBSR TRIED), and {_of_reins(results, 'RBSR_ALL')} over the failures that were not recovered (RBSR "
-        "ALL). Our MRT runs from the first recovery step to the end of the session, the rest of the task included, and "
-        "is of each method's own successes: compared over the same trials it stands under recovery times."
+        f"or not, and {_of_reins(results, 'RBSR_ALL')} over the failures that were not recovered. Our MRT is simulated "
+        "seconds, in which a body had to move; it runs from the first recovery step to the end of the session, the "
+        "rest of the task included, and is of each method's own successes: compared over the same trials it stands "
+        "under recovery times."
     )
 
 

@@ -319,7 +319,7 @@ def test_the_rollbacks_that_compare_with_the_papers_stand_under_its_table() -> N
     remark = paper_grid(published.RECOVERY, document).remark
     assert "0.848 for Reins, over all rollbacks that were tried" in remark
     assert "– over the failures that were not recovered" in remark
-    assert "RBSR TRIED" not in paper_grid(published.RECOVERY, results()).remark
+    assert "rollbacks that were tried" not in paper_grid(published.RECOVERY, results()).remark
 
 
 def test_the_tables_by_type_and_of_ablations_say_what_ours_are_of() -> None:
@@ -407,3 +407,13 @@ def test_another_protocol_has_no_goals() -> None:
 
 def test_a_single_seed_has_no_empty_table_of_tests() -> None:
     assert [*significance_grids({"effect_sizes": {"direct": {}, "static-rule": {}}})] == []
+
+
+def test_a_boundary_band_and_simulated_seconds_are_spoken_of_in_the_workcell_alone() -> None:
+    for protocol, there in (("paper", False), ("physical", True)):
+        document: dict[str, Any] = results() | {"protocol": protocol}
+        (plots,) = [section.plots for section in sections(document) if section.id == "plots"]
+        assert ("beyond the boundary band" in plots[0].caption) is there
+        remark = paper_grid(published.RECOVERY, document).remark
+        assert ("simulated seconds" in remark) is there
+        assert ("No time passes" in remark) is not there
