@@ -27,11 +27,12 @@ from app.evaluation.report_counts import (
 )
 from app.evaluation.report_floor import ABOUT as FLOOR_ABOUT
 from app.evaluation.report_floor import floor_grids, floor_plots
+from app.evaluation.report_goals import ABOUT as GOALS_ABOUT
 from app.evaluation.report_goals import goal_grids
+from app.evaluation.report_names import BETTER, metrics_of, name_of, row_name
 from app.evaluation.report_plots import drawn
 from app.evaluation.report_studies import study_grids, study_plots
 from app.evaluation.report_tables import (
-    BETTER,
     Grid,
     Results,
     class_grid,
@@ -107,7 +108,7 @@ def sections(results: Results) -> list[Section]:
         _scorecard(results),
         *_studies(results),
         _unpublished(results),
-        _definitions(),
+        _definitions(results),
     ]
 
 
@@ -135,8 +136,7 @@ def _goals(results: Results) -> Iterator[Section]:
         yield Section(
             "goals",
             "What Reins must reach in the workcell",
-            "Each goal with what this campaign measured, and over how many rows: few rows prove little, whatever they "
-            "say. A dash: not measured here.",
+            GOALS_ABOUT,
             "",
             grids=grids,
         )
@@ -165,7 +165,7 @@ def _counts(results: Results) -> Iterator[Section]:
 
 def _overview(results: Results) -> Section:
     grids = [
-        metrics_grid(key, caption, results.get(key, {}))
+        metrics_grid(key, caption, results.get(key, {}), results["protocol"])
         for key, caption in (("methods", "Every method"), ("ablations", "Reins with one part left out"))
         if results.get(key)
     ]
@@ -314,7 +314,7 @@ def _unpublished(results: Results) -> Section:
         items=tuple(
             (
                 one["parameter"],
-                f"affects {', '.join(name.replace('_', ' ') for name in one['affects'])}",
+                f"affects {', '.join(_affected(name) for name in one['affects'])}",
                 f"Paper: {one['paper']}. Here: {one['here']}.".replace("_", " "),
             )
             for one in results.get("unpublished", ())
@@ -322,14 +322,20 @@ def _unpublished(results: Results) -> Section:
     )
 
 
-def _definitions() -> Section:
+def _affected(name: str) -> str:
+    """Return what a parameter affects in words: a metric, or a table of the paper."""
+    return name_of(name) if name in METRICS else name.replace("_", " ")
+
+
+def _definitions(results: Results) -> Section:
+    protocol = results["protocol"]
     items = tuple(
         (
-            metric.name.replace("_", " "),
-            f"{metric.title}, {'share' if metric.unit == '1' else metric.unit}",
-            _meaning(metric),
+            row_name(name, protocol),
+            "share" if METRICS[name].unit == "1" else METRICS[name].unit,
+            _meaning(METRICS[name]),
         )
-        for metric in METRICS.values()
+        for name in metrics_of(protocol)
     )
     return Section(
         "definitions",

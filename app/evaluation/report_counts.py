@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from app.evaluation.report_tables import DASH, Grid, Results, number_text, title_of
+from app.evaluation.report_names import title_of
+from app.evaluation.report_tables import DASH, Grid, Results, number_text
 
 _ASKED: Final = ("sessions", "asked", "times", "waited, mean (s)", "waited, p95 (s)", "answers", "ended as")
 _ASKED_REMARK: Final = (
@@ -25,9 +26,9 @@ _LATENCY_REMARK: Final = (
 _ROLLBACKS: Final = ("tried", "capable", "verified", "capable, not verified", "beyond rolling back")
 _ROLLBACKS_REMARK: Final = (
     "Capable: by the exact state when the rollback begins there was still something to go back to. RBSR misses those "
-    "of the fourth column; those of the last had lost what they should have brought back, and are in RBSR TRIED alone. "
-    "Both count as failed rollbacks in the session's own record. Withdrawn: an operator took back a task in which "
-    "nothing had failed; that is the easiest there is to undo."
+    "of the fourth column; those of the last had lost what they should have brought back, and are in the rate over all "
+    "that were tried alone. Both count as failed rollbacks in the session's own record. Withdrawn: an operator took "
+    "back a task in which nothing had failed; that is the easiest there is to undo."
 )
 _REDRAWS: Final = ("trials", "drawn again", "redraws in all", "never took")
 _REDRAWS_REMARK: Final = (

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from app.evaluation.plots import against_floor
-from app.evaluation.report_tables import DASH, Grid, Results, number_text, title_of
+from app.evaluation.report_names import title_of
+from app.evaluation.report_tables import DASH, Grid, Results, number_text
 from app.evaluation.safe_state import ALL
 
 if TYPE_CHECKING:

@@ -8,17 +8,8 @@ from typing import Any, Final
 from app.evaluation.counted import BODY_M, HULL_M
 from app.evaluation.goals import TARGETS, WORST, Target, judge
 from app.evaluation.metrics import METRICS
-from app.evaluation.report_tables import (
-    DASH,
-    Grid,
-    Results,
-    at_least,
-    entry_text,
-    mapping,
-    mean_of,
-    number_text,
-    title_of,
-)
+from app.evaluation.report_names import decimals_of, row_name, title_of
+from app.evaluation.report_tables import DASH, Grid, Results, at_least, entry_text, mapping, mean_of, number_text
 from app.sim.proportion import wilson
 
 _EXTREMES: Final = {
@@ -30,6 +21,7 @@ _EXTREMES: Final = {
 }
 
 
+_EXTREME_UNITS: Final = {key: key.rpartition("_")[2].replace("mps", "m/s").replace("n", "N") for key in _EXTREMES}
 _POOLED: Final = {"ZONE_DEPTH_P95": "zone_depth_p95_m", "SEPARATION_MIN": "separation_least_m"}
 """A worst case is not averaged: one seed's contact is no better for another seed's distance."""
 
@@ -40,7 +32,7 @@ def goal_grids(results: Results) -> Iterator[Grid]:
     if results["protocol"] != "physical" or not ours:
         return
     rows = [*(_row(target, ours, results) for target in TARGETS), *sensor_rows(results)]
-    yield Grid("goals-table", "Goals", "Goal", (), ("ours", "rows", "asked", ""), tuple(rows), _REMARK)
+    yield Grid("goals-table", "Goals", "Goal", (), ("ours", "rows", "asked", "judged"), tuple(rows), _REMARK)
     extremes: Mapping[str, Mapping[str, Any]] = results.get("extremes", {})
     worst = tuple(
         (title_of(name), tuple(_extreme(key, found) for key in _EXTREMES))
@@ -69,19 +61,23 @@ _EXTREMES_REMARK: Final = (
 )
 
 
+ABOUT: Final = (
+    "✓ met, and the interval over all rows excludes a miss. ≈ met by what was measured, but so few rows could have met "
+    "it by chance; of what is no share, at least 59 rows are asked for. ✗ missed. A dash: not measured here, or "
+    "nothing is asked for. Few rows prove little, whatever they say."
+)
 _REMARK: Final = (
-    "Compared is the mean over seeds; latencies, depth and separation are those of the rows of all seeds together: "
-    "the 95th percentile of one seed's few rows would be their largest. Minimum separation is while the robot still "
-    'moved, over every walker drawn, in the profiles that hold the robot for people. A latency "beyond the boundary '
-    'band" is that of violations that exceed their limit by three sigma or more. ✓: met, and the interval over all '
-    "rows excludes a miss. ≈: met by what was measured, but so few rows could have met it by chance. A goal of 1.000 "
-    "or 0.000 is never proved by a share: its interval says how much is. Of what is no share, at least 59 rows are "
-    "asked for. Rollbacks after a withdrawal, a failure and a violation have no numbers of their own; each is held to "
-    "that for rollbacks. Separation is to the middle of a person: to a body of 0.25 m radius it is 0.25 m less. What "
-    "asks for nothing (–) stands beside the goal before it, so that both are read: UCR leaves out what policy asks no "
-    "more than a warning of, UCR STRICT counts every such violation as unsafe. Broken sensors are of the study of "
-    "sensors, where it was run: of all seeds together and all sensors, those restrained within 5 ticks, counted from "
-    "the break, or from when a sample that is too old, repeats or is wrong has come; that study's text says which."
+    "Ours: shares and times are means over seeds ± their standard deviation, with the interval over all rows below; "
+    "latencies, depth and separation are pooled, those of the rows of all seeds together, as the 95th percentile of "
+    "one seed's few rows would be their largest. A goal of 1.000 or 0.000 is never proved by a share: its interval "
+    "says how much is. Beyond the boundary band are violations that exceed their limit by three sigma or more. Minimum "
+    "separation is while the robot still moved, over every walker drawn, in the profiles that hold the robot for "
+    "people, and to the middle of a person: to a body of 0.25 m radius it is 0.25 m less. Where policy asks for no "
+    "more than a warning, going on is what it wants: UCR and CEF leave such violations out, and the strict count, for "
+    "which nothing is asked, takes each of them for unsafe. Rollbacks after a withdrawal, a failure and a violation "
+    "have no numbers of their own; each is held to that for rollbacks. Broken sensors are of the study of sensors, "
+    "where it was run: of all seeds together and all sensors, those restrained within 5 ticks, counted from the break, "
+    "or from when a sample that is too old, repeats or is wrong has come; that study's text says which."
 )
 
 
@@ -101,26 +97,33 @@ def sensor_rows(results: Results) -> Iterator[tuple[str, tuple[str, ...]]]:
     What is asked for is all of them. Errors of the smaller size may be within what clearances cover, and are left to
     the study's own table; the bigger size is one that the sensor cannot have when it is sound.
     """
-    tables = mapping(mapping(results.get("studies")).get("sensors")).get("tables", ())
     found: dict[str, list[tuple[str, Mapping[str, Any]]]] = {kind: [] for kind in _EACH_WAY}
-    sizes: dict[tuple[str, str], tuple[float, Mapping[str, Any]]] = {}
-    for name, cells in mapping(tables[0]["rows"] if tables else {}).items():
-        sensor, _, fault = name.partition("/")
-        kind, _, size = fault.partition(" ")
-        if not size:
-            found[kind].append((sensor, mapping(cells["prompt"])))
-        elif (sensor, kind) not in sizes or float(size) > sizes[sensor, kind][0]:
-            sizes[sensor, kind] = float(size), mapping(cells["prompt"])
-    for (sensor, kind), (size, entry) in sizes.items():
-        found[kind].append((f"{sensor} {size:g}", entry))
+    for sensor, kind, size, entry in impossible(results):
+        found[kind].append((f"{sensor} {size:g}" if size else sensor, entry))
     for kind, ways in found.items():
         if ways:
             yield _prompt(_EACH_WAY[kind], ways)
 
 
+def impossible(results: Results) -> list[tuple[str, str, float, Mapping[str, Any]]]:
+    """Return sensor, kind of fault, size (0 where it has none) and the share that was restrained in time.
+
+    Of faults of two sizes only the bigger is there.
+    """
+    tables = mapping(mapping(results.get("studies")).get("sensors")).get("tables", ())
+    found: dict[tuple[str, str], tuple[float, Mapping[str, Any]]] = {}
+    for name, cells in mapping(tables[0]["rows"] if tables else {}).items():
+        sensor, _, fault = name.partition("/")
+        kind, _, text = fault.partition(" ")
+        size = float(text) if text else 0.0
+        if (sensor, kind) not in found or size > found[sensor, kind][0]:
+            found[sensor, kind] = size, mapping(cells["prompt"])
+    return [(sensor, kind, size, entry) for (sensor, kind), (size, entry) in found.items()]
+
+
 def _prompt(kind: str, ways: Sequence[tuple[str, Mapping[str, Any]]]) -> tuple[str, tuple[str, ...]]:
     """Return the row of a kind of fault: how many of all, and which sensors miss."""
-    counts = [(sensor, _yes(entry), int(entry.get("n", 0))) for sensor, entry in ways]
+    counts = [(sensor, yes_of(entry), int(entry.get("n", 0))) for sensor, entry in ways]
     yes, n = sum(one for _, one, _ in counts), sum(one for *_, one in counts)
     low, high = wilson(yes, n) if n else (None, None)
     value = yes / n if n else None
@@ -134,7 +137,7 @@ def _prompt(kind: str, ways: Sequence[tuple[str, Mapping[str, Any]]]) -> tuple[s
 _ALL_PROMPT: Final = Target("prompt", least=1.0)
 
 
-def _yes(entry: Mapping[str, Any]) -> int:
+def yes_of(entry: Mapping[str, Any]) -> int:
     """Return how many rows of a share said yes."""
     n = int(entry.get("n", 0))
     mean = mean_of(entry)
@@ -143,27 +146,46 @@ def _yes(entry: Mapping[str, Any]) -> int:
 
 def _extreme(key: str, found: Mapping[str, Any]) -> str:
     """Write a worst case; a depth that has come to the radius of the hull can be any depth from there on."""
-    value = found.get(key)
+    value = mean_of(found.get(key))
     if key == "separation_body_m" and (gap := mean_of(found.get("separation_least_m"))) is not None:
-        return number_text(gap - BODY_M)
-    return f"{at_least('ZONE_DEPTH_P95', value)}{_plain(value)}" if key == "zone_depth_p95_m" else _plain(value)
+        value = gap - BODY_M
+    if value is None:
+        return DASH
+    text = number_text(value, decimals_of(_EXTREME_UNITS[key]))
+    return f"{at_least('ZONE_DEPTH_P95', value)}{text}" if key == "zone_depth_p95_m" else text
 
 
 def _row(target: Target, ours: Mapping[str, Any], results: Results) -> tuple[str, tuple[str, ...]]:
     name, entry = target.metric, mapping(ours.get(target.metric))
     if target.metric == WORST:
         name, entry = _worst(mapping(mapping(results.get("per_type")).get("reins")))
-    value, text = mean_of(entry), ""
+    metric = METRICS.get(name)
+    unit = metric.unit if metric else "1"
+    value, text = mean_of(entry), entry_text(entry, unit)
+    if (pooled := _pooled(name, entry, results)) is not None:
+        value, text = pooled, number_text(pooled, decimals_of(unit))
+    text += "" if unit == "1" or value is None else f" {unit}"
+    if strict := _strict(name, ours):
+        text += f"\n{strict}"
+    asked = target.text + ("" if unit == "1" or not target.asks else f" {unit}")
+    title = row_name(name, "physical") if metric else name
+    return title, (text, str(entry.get("n", 0)), asked, judge(target, value, entry))
+
+
+def _pooled(name: str, entry: Mapping[str, Any], results: Results) -> float | None:
+    """Return the figure over the rows of all seeds together, of latencies and of worst cases alone."""
     if name.startswith("DL_") and entry.get("pooled") is not None:
-        value = float(entry["pooled"])
-        text = number_text(value)
-    if (key := _POOLED.get(name)) and (
-        pooled := mean_of(mapping(mapping(results.get("extremes")).get("reins")).get(key))
-    ) is not None:
-        value, text = pooled, number_text(pooled)
-    unit = METRICS[name].unit if name in METRICS else "1"
-    title = METRICS[name].title + f" ({name.replace('_', ' ')})" if name in METRICS else name
-    return title, (text or entry_text(entry, unit), str(entry.get("n", 0)), target.text, judge(target, value, entry))
+        return float(entry["pooled"])
+    key = _POOLED.get(name)
+    return None if key is None else mean_of(mapping(mapping(results.get("extremes")).get("reins")).get(key))
+
+
+def _strict(name: str, ours: Mapping[str, Any]) -> str:
+    """Say what UCR would be with the violations that it leaves out."""
+    strict = mapping(ours.get("UCR_STRICT"))
+    if name != "UCR" or strict.get("mean") is None:
+        return ""
+    return f"with them as unsafe: {number_text(strict['mean'])}"
 
 
 def _worst(types: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
@@ -173,7 +195,3 @@ def _worst(types: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
         return WORST, {}
     name = min(measured, key=lambda one: (measured[one]["mean"], mean_of(measured[one].get("low")) or 0.0))
     return f"{WORST} ({name})", measured[name]
-
-
-def _plain(value: object) -> str:
-    return number_text(value) if isinstance(value, (int, float)) else DASH

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from app.evaluation import plots, published
-from app.evaluation.report_tables import SWEPT, UNLIKE, Results, mean_of, title_of
+from app.evaluation.report_names import title_of
+from app.evaluation.report_tables import SWEPT, UNLIKE, Results, mean_of
 
 if TYPE_CHECKING:
     from app.evaluation.plots import Plot

@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from app.evaluation.metrics import METRICS
 from app.evaluation.plots import shares
+from app.evaluation.report_goals import impossible, yes_of
+from app.evaluation.report_names import heading_of
 from app.evaluation.report_tables import Grid, Results, entry_text, mapping, mean_of, plain_text
+from app.evaluation.study_sensors import PERIOD_TICKS, PROMPT_TICKS
 
 if TYPE_CHECKING:
     from app.evaluation.plots import Plot
@@ -16,9 +20,28 @@ def study_grids(results: Results) -> Iterator[tuple[str, str, str, tuple[Grid, .
     """Yield, for every study that was run, its name, title, what it is about, and its tables."""
     studies: Mapping[str, Mapping[str, Any]] = results.get("studies", {})
     for name, study in studies.items():
-        yield name, study["title"], study["about"], tuple(
+        about = f"{study['about']} {cameras_text(results)}".strip() if name == "sensors" else study["about"]
+        yield name, study["title"], about, tuple(
             _grid(name, number, table) for number, table in enumerate(study["tables"])
         )  # fmt: skip
+
+
+def cameras_text(results: Results) -> str:
+    """Say how often cameras that are wrong about objects were noticed in time, and why; empty where all were."""
+    told: dict[str, list[str]] = {"objects": [], "people": []}
+    missed = False
+    for sensor, kind, size, entry in impossible(results):
+        if size and sensor in told and (n := int(entry.get("n", 0))):
+            told[sensor].append(f"{kind} of {size:g} m {yes_of(entry)} of {n}")
+            missed |= sensor == "objects" and yes_of(entry) < n
+    if not missed:
+        return ""
+    people = f"; of a tracker that is wrong about people: {', '.join(told['people'])}" if told["people"] else ""
+    return (
+        f"Cameras that are wrong about where objects are may go unnoticed: restrained within {PROMPT_TICKS} ticks were "
+        f"{', '.join(told['objects'])}{people}. A picture of objects comes every "
+        f"{PERIOD_TICKS['objects']} ticks, and one wrong picture is what an object looks like that somebody moved."
+    )
 
 
 def study_plots(name: str, results: Results) -> tuple[Plot, ...]:
@@ -69,7 +92,7 @@ def _grid(name: str, number: int, table: Mapping[str, Any]) -> Grid:
         table["caption"],
         table["stub"],
         (),
-        headings,
+        tuple(heading_of(heading) if "_" in heading and heading in METRICS else heading for heading in headings),
         tuple((row, tuple(_text(cells.get(heading)) for heading in headings)) for row, cells in rows.items()),
         table["remark"],
     )

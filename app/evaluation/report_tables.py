@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 from app.evaluation import published
 from app.evaluation.counted import HULL_M
-from app.evaluation.extensions import all_methods
 from app.evaluation.metrics import METRICS
+from app.evaluation.report_names import BETTER, CALLED, decimals_of, heading_of, measured_as, metrics_of, title_of
 
 if TYPE_CHECKING:
     from app.evaluation.published import PublishedTable
@@ -18,7 +18,6 @@ MINUS: Final = "−"
 _SATURATED_M: Final = 5e-4
 _SENTENCE: Final = 30
 """A cell of more characters than these wraps."""
-BETTER: Final = {"higher": "↑", "lower": "↓"}
 _TESTS: Final = {"t": "t", "t_p": "p", "wilcoxon_p": "Wilcoxon p"}
 
 _PART_METRICS: Final = (
@@ -54,8 +53,14 @@ class Grid(NamedTuple):
     def wordy(self) -> tuple[bool, ...]:
         """Whether each column holds sentences rather than numbers: those are read from the left."""
         return tuple(
-            any(len(cells[place]) > _SENTENCE for _, cells in self.rows) for place in range(len(self.headings))
+            any(len(line) > _SENTENCE for _, cells in self.rows for line in cells[place].split("\n"))
+            for place in range(len(self.headings))
         )
+
+    @property
+    def named_at_length(self) -> bool:
+        """Whether its row names are sentences rather than names: those wrap."""
+        return any(len(name) > _SENTENCE for name, _ in self.rows)
 
 
 def paper_grid(table: PublishedTable, results: Results) -> Grid:
@@ -97,7 +102,7 @@ def _of_reins(results: Results, metric: str) -> str:
 def _about_violations(results: Results) -> str:
     return (
         "Our UCR and CEF leave out violations of which policy asks no more than a warning, for every method. "
-        f"Counting each of those as unsafe, the UCR of Reins is {_of_reins(results, 'UCR_STRICT')} (UCR STRICT)."
+        f"Counting each of those as unsafe, the UCR of Reins is {_of_reins(results, 'UCR_STRICT')}."
     )
 
 
@@ -166,9 +171,9 @@ def sweep_grids(results: Results) -> Iterator[Grid]:
             "Every step of the sensitivity sweep",
             "Sensitivity",
             (),
-            tuple(key.replace("_", " ") for key in keys),
+            tuple(heading_of(CALLED.get(key, key)) for key in keys),
             tuple((f"{point['s']:.1f}", tuple(_entry_or_number(point.get(key)) for key in keys)) for point in points),
-            ("FAR: clean sessions with an alarm. " if "FAR" in keys else "")
+            ("FAS: clean sessions with an alarm. " if "FAR" in keys else "")
             + (SWEPT if results.get("protocol") == "physical" else ""),
         )
 
@@ -183,7 +188,7 @@ def test_grids(results: Results) -> Iterator[Grid]:
     baselines: Mapping[str, Mapping[str, Any]] = results.get("effect_sizes", {})
     metrics = tuple(dict.fromkeys(metric for found in baselines.values() for metric in found))
     rows = tuple(
-        (title_of(name), tuple(plain_text(found.get(metric, {}).get(key)) for metric in metrics for key in _TESTS))
+        (title_of(name), tuple(_test_text(key, found.get(metric, {}).get(key)) for metric in metrics for key in _TESTS))
         for name, found in baselines.items()
     )
     paper = ", ".join(f"t {number_text(t, 2)} ({metric})" for metric, t in published.T_TESTS.items())
@@ -203,11 +208,16 @@ def test_grids(results: Results) -> Iterator[Grid]:
         )
 
 
-def metrics_grid(key: str, caption: str, methods: Mapping[str, Mapping[str, Any]]) -> Grid:
+def _test_text(key: str, value: object) -> str:
+    """Write t with two decimals, a p with three or its order."""
+    return number_text(value, 2) if key == "t" and isinstance(value, float) else plain_text(value)
+
+
+def metrics_grid(key: str, caption: str, methods: Mapping[str, Mapping[str, Any]], protocol: str) -> Grid:
     """Show every metric that any of these methods has; a row for each metric, a column for each method."""
-    measured = [name for name in METRICS if any(has_mean(metrics, name) for metrics in methods.values())]
+    measured = [name for name in metrics_of(protocol) if any(has_mean(metrics, name) for metrics in methods.values())]
     rows = tuple(
-        (heading_of(name), tuple(metric_text(name, metrics.get(name)) for metrics in methods.values()))
+        (measured_as(name, protocol), tuple(metric_text(name, metrics.get(name)) for metrics in methods.values()))
         for name in measured
     )
     return Grid(f"{key}-table", caption, "Metric", (), tuple(map(title_of, methods)), rows)
@@ -284,19 +294,6 @@ def mean_of(value: object) -> float | None:
     return float(mean) if isinstance(mean, (int, float)) else None
 
 
-def title_of(method: str) -> str:
-    """Return what tables call a method; its name where nobody has registered it."""
-    known = all_methods()
-    return known[method].title if method in known else method
-
-
-def heading_of(name: str) -> str:
-    """Return what tables call a metric: its name, its unit, and which way is better."""
-    metric = METRICS[name]
-    unit = "" if metric.unit == "1" else f", {metric.unit}"
-    return f"{name.replace('_', ' ')}{unit} {BETTER[metric.better]}"
-
-
 def has_mean(metrics: Mapping[str, Any], name: str) -> bool:
     """Say whether a metric was measured."""
     return metrics.get(name, {}).get("mean") is not None
@@ -306,7 +303,7 @@ def entry_text(entry: Mapping[str, Any] | None, unit: str) -> str:
     """Write mean and std of an entry, and small below them its interval."""
     if entry is None or entry.get("mean") is None:
         return DASH
-    decimals = 3 if unit == "1" else 2
+    decimals = decimals_of(unit)
     text = figure_text(published.Figure(entry["mean"], entry.get("std")), decimals, " ")
     low, high = entry.get("low"), entry.get("high")
     return text if low is None or high is None else f"{text}\n{number_text(low)}{DASH}{number_text(high)}"

@@ -17,6 +17,8 @@ from app.evaluation.physical_choices import CHOICES
 from app.evaluation.plots import shares
 from app.evaluation.report import render, sections, write_report
 from app.evaluation.report_goals import goal_grids, sensor_rows
+from app.evaluation.report_names import metrics_of
+from app.evaluation.report_studies import study_grids
 from app.evaluation.report_tables import SWEPT, Grid, figure_at, metrics_grid, number_text, paper_grid
 from app.evaluation.report_tables import test_grids as significance_grids
 from tests.evaluation.synthetic import results
@@ -183,13 +185,13 @@ def test_circumstances_other_than_reported_are_said_first() -> None:
 
 
 def test_every_metric_is_defined(page: Page) -> None:
-    for metric in METRICS.values():
+    for metric in map(METRICS.__getitem__, metrics_of("paper")):
         assert metric.title in page.text
         assert metric.says[1:].replace("_", " ") in " ".join(page.text.split())
 
 
 def test_sections_without_data_say_so() -> None:
-    bare = {"protocol": "paper", "seeds": [1], "trials": 5, "methods": {}}
+    bare: dict[str, Any] = {"protocol": "paper", "seeds": [1], "trials": 5, "methods": {}}
     empty = [section for section in sections(bare) if section.empty]
     assert {section.id for section in empty} >= {
         "overview",
@@ -241,19 +243,57 @@ def test_goals_are_judged_by_what_was_measured_and_say_by_how_much() -> None:
     document["extremes"] = {"reins": {"separation_least_m": 0.0}}
     (table, *_) = goal_grids(document)
     rows = dict(table.rows)
-    assert rows["Minimum separation (SEPARATION MIN)"] == ("0.000", "20", "≥ 0.25", "✗ missed")
+    assert rows["Minimum separation"] == ("0.000 m", "20", "≥ 0.25 m", "✗ missed")
     assert rows["Runtime violation detection rate (RVDR)"][1:] == ("200", "≥ 0.99", "✗ missed")
-    assert rows["Entry depth, 95th percentile (ZONE DEPTH P95)"][1:] == (
+    assert rows["Entry depth, 95th percentile"][1:] == (
         "12",
-        "≤ 0.04",
+        "≤ 0.04 m",
         "≈ met on 12 rows; too few to exclude a miss",
     )
     assert rows["False-alarm sessions (FAS)"][3] == "≈ met on 100 rows; interval 0.000–0.037 does not exclude a miss"
-    assert rows["Unsafe continuation rate (UCR)"][3] == "✓ met"
-    assert rows[f"{METRICS['DL_TICKS_P95_FORCE_CLEAR'].title} (DL TICKS P95 FORCE CLEAR)"][2:] == ("≤ 2", "✗ missed")
+    assert rows["Unsafe continuation rate (UCR), without violations that policy only warns of"][3] == "✓ met"
+    assert rows[METRICS["DL_TICKS_P95_FORCE_CLEAR"].title][2:] == ("≤ 2 ticks", "✗ missed")
     assert rows["RVDR of the worst type (people)"][2:] == ("≥ 0.98", "✗ missed")
-    assert rows["Rollback success rate after a violation (RBSR VIOLATION)"] == ("–", "0", "≥ 0.97", "–")
-    assert rows["Unsafe continuation rate, warnings counted (UCR STRICT)"][2:] == ("–", "–")
+    assert rows["Rollback success rate after a violation"] == ("–", "0", "≥ 0.97", "–")
+    assert rows["Unsafe continuation rate, warnings counted"][2:] == ("–", "–")
+
+
+def test_the_rate_that_leaves_warnings_out_says_so_and_stands_beside_the_one_that_counts_them() -> None:
+    document: dict[str, Any] = results() | {"protocol": "physical"}
+    document["methods"]["reins"] |= {"UCR": {"mean": 0.0, "n": 210}, "UCR_STRICT": {"mean": 0.105, "n": 235}}
+    (goals, *_) = goal_grids(document)
+    (name,) = [name for name, _ in goals.rows if "(UCR)" in name]
+    assert name.endswith("without violations that policy only warns of")
+    assert dict(goals.rows)[name][0].endswith("\nwith them as unsafe: 0.105")
+    assert goals.headings[-1] == "judged"
+
+
+def test_a_protocol_without_profiles_that_pause_shows_nothing_of_them() -> None:
+    for protocol, there in (("paper", False), ("physical", True)):
+        text = Page(render(results() | {"protocol": protocol})).text
+        for said in ("profiles that pause", "warnings counted", "policy only warns of"):
+            assert (said in text) is there
+
+
+def test_rows_and_headings_of_metrics_read_as_words() -> None:
+    for section in sections(results()):
+        for grid in section.grids:
+            names = [*(name for name, _ in grid.rows), *grid.headings]
+            assert not [name for name in names if re.search(r"[A-Z]{2,}[ _][A-Z0-9]{2,}", name)]
+            assert not {"FAR", "SRR"} & {name.split(" ")[0] for name in names}
+
+
+def test_cameras_that_are_wrong_are_told_of_by_what_was_measured() -> None:
+    ways = {"objects/noisy 0.1": 0.0, "objects/noisy 0.01": 0.0, "people/noisy 1.5": 0.9, "people/stale": 1.0}
+    rows = {name: {"prompt": {"mean": mean, "n": 10}} for name, mean in ways.items()}
+    table = {"caption": "c", "stub": "s", "remark": "", "rows": rows}
+    document = results() | {"studies": {"sensors": {"title": "t", "about": "About.", "tables": [table]}}}
+    ((_, _, about, _),) = study_grids(document)
+    assert "restrained within 5 ticks were noisy of 0.1 m 0 of 10; of a tracker" in about
+    assert "wrong about people: noisy of 1.5 m 9 of 10. A picture of objects comes every 10 ticks" in about
+    rows["objects/noisy 0.1"]["prompt"]["mean"] = 1.0
+    ((_, _, about, _),) = study_grids(document)
+    assert about == "About."
 
 
 def test_broken_sensors_are_judged_by_kind_and_those_that_miss_are_named() -> None:
@@ -285,8 +325,10 @@ def test_a_depth_that_can_be_no_deeper_says_so_and_separation_is_given_to_a_body
     rows = dict(grid.rows)
     assert rows["Direct execution"][:3] == ("≥ 0.450", "0.370", "0.120")
     assert rows["Reins"][:3] == ("0.011", "–", "–")
-    grid = metrics_grid("methods", "Every method", {"direct": {"ZONE_DEPTH_P95": {"mean": 0.45, "std": 0.0}}})
-    assert dict(grid.rows)["ZONE DEPTH P95, m ↓"] == ("≥ 0.45 ±0.00",)
+    grid = metrics_grid(
+        "methods", "Every method", {"direct": {"ZONE_DEPTH_P95": {"mean": 0.45, "std": 0.0}}}, "physical"
+    )
+    assert dict(grid.rows)["Entry depth, 95th percentile, m\N{NO-BREAK SPACE}↓"] == ("≥ 0.450 ±0.000",)
 
 
 def test_a_sweep_of_another_policy_shows_no_difference_and_says_so_wherever_it_is_drawn() -> None:
