@@ -78,13 +78,15 @@ class Bar(NamedTuple):
 
 
 class Point(NamedTuple):
-    """A point of a sensitivity sweep."""
+    """A point of a sensitivity sweep; `violations` and `clean` are over how many of each, None where nobody says."""
 
     sensitivity: float
     rvdr: float
     ucr: float
     rsr: float | None
     far: float | None
+    violations: int | None = None
+    clean: int | None = None
 
 
 @contextmanager
@@ -144,22 +146,26 @@ def frontier(ours: Sequence[Point], paper: Sequence[Point], shipped: Point | Non
             (ours, FIRST, "o", "-", _swept(shipped)),
             (paper, PAPER, "s", "--", "paper"),
         ):
+            mine = colour == FIRST
             axes.plot([p.ucr for p in points], [p.rvdr for p in points], dash, color=colour, marker=marker,
-                      markersize=5, label=name)  # fmt: skip
+                      markersize=5 if mine else 8, markerfacecolor=colour if mine else "none", label=name)  # fmt: skip
             for point in (points[0], points[len(points) // 2], points[-1]) if points else ():
-                if colour == PAPER and point.ucr < CROWDED:
+                if not mine and point.ucr < CROWDED:
                     continue
-                beside = (5, 5) if colour == FIRST else (-28, -11)
+                beside = _beside(points, point) if mine else (-34, -3 if point is points[0] else -13)
                 axes.annotate(f"s={point.sensitivity:g}", (point.ucr, point.rvdr), xytext=beside,
                               textcoords="offset points", fontsize=8.5, color=colour)  # fmt: skip
         _mark(axes, None if shipped is None else (shipped.ucr, shipped.rvdr))
-        _unit(axes, "goes on unsafely (UCR)", "detected (RVDR)")
+        _unit(axes, "share that goes on unsafely (UCR)", "detected share (RVDR)")
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     told = "; ".join(f"s {p.sensitivity:g}: detected {p.rvdr:.3f}, goes on {p.ucr:.3f}" for p in ours)
     if shipped is not None:
         told += f"; the shipped policy: detected {shipped.rvdr:.3f}, goes on {shipped.ucr:.3f}"
-    return Plot(drawn[0], f"Detection against unsafe continuation. {told}.",
-                f"Detection–continuation frontier: up and to the left is better.{of}")  # fmt: skip
+    return Plot(
+        drawn[0],
+        f"Detection against unsafe continuation. {told}.",
+        f"Detection–continuation frontier: up and to the left is better.{_over(ours, shipped)}{of}",
+    )
 
 
 def sweep(ours: Sequence[Point], of: str = "") -> Plot:
@@ -174,13 +180,13 @@ def sweep(ours: Sequence[Point], of: str = "") -> Plot:
         ):
             if None not in values:
                 axes.plot(at, values, dash, color=colour, marker=marker, markersize=5, label=name)
-        _unit(axes, "sensitivity s", "share")
+        _unit(axes, "sensitivity s (no unit)", "share")
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     first, last = ours[0], ours[-1]
     told = (f"From s {first.sensitivity:g} to {last.sensitivity:g}, RVDR goes from {first.rvdr:.3f} to {last.rvdr:.3f} "
             f"and UCR from {first.ucr:.3f} to {last.ucr:.3f}.")  # fmt: skip
     named = "Detection, unsafe continuation and recovery" if recovers else "Detection and unsafe continuation"
-    return Plot(drawn[0], told, f"{named} over sensitivity.{of}")
+    return Plot(drawn[0], told, f"{named} over sensitivity.{_over(ours, None)}{of}")
 
 
 def roc(points: Sequence[Point], shipped: Point | None = None, of: str = "") -> Plot:
@@ -192,19 +198,30 @@ def roc(points: Sequence[Point], shipped: Point | None = None, of: str = "") -> 
         axes.plot([far for far, _, _ in shown], [seen for _, seen, _ in shown], "-", color=FIRST, marker="o",
                   markersize=5, label=_swept(shipped))  # fmt: skip
         for far, seen, sensitivity in (shown[0], shown[-1]):
-            axes.annotate(f"s={sensitivity:g}", (far, seen), xytext=(6, -11), textcoords="offset points", fontsize=8.5)
+            axes.annotate(f"s={sensitivity:g}", (far, seen), xytext=(8, -11), textcoords="offset points", fontsize=8.5)
         if shipped is not None and shipped.far is not None:
             _mark(axes, (shipped.far, shipped.rvdr))
             axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
-        _unit(axes, "clean sessions with an alarm", "detected (RVDR)")
+        _unit(axes, "share of clean sessions with an alarm (FAS)", "detected share (RVDR)")
     told = "; ".join(f"s {s:g}: detected {seen:.3f}, false alarms {far:.3f}" for far, seen, s in shown)
     if shipped is not None and shipped.far is not None:
         told += f"; the shipped policy: detected {shipped.rvdr:.3f}, false alarms {shipped.far:.3f}"
-    return Plot(drawn[0], f"Detection against false alarms. {told}.", f"ROC: detection against false alarms.{of}")
+    return Plot(
+        drawn[0],
+        f"Detection against false alarms. {told}.",
+        f"ROC: detection against false alarms.{_over(points, shipped)}{of}",
+    )
 
 
-def spread(groups: Mapping[str, Sequence[float]], unit: str, caption: str) -> Plot:
-    """Draw how values are spread in each group: median, quartiles, 5th to 95th percentile, and the ends."""
+def spread(groups: Mapping[str, Sequence[float]], unit: str, caption: str, of: str) -> Plot:
+    """Draw how values are spread in each group: median, quartiles, 5th to 95th percentile, and the ends.
+
+    Args:
+        groups: Name → values.
+        unit: What they are in.
+        caption: What they are.
+        of: What each of them is of, for the numbers in brackets.
+    """
     names = [name for name, values in groups.items() if values]
     with _axes(0.75 + ROW_IN * len(names)) as (axes, drawn):
         for place, name in enumerate(names):
@@ -222,8 +239,11 @@ def spread(groups: Mapping[str, Sequence[float]], unit: str, caption: str) -> Pl
         f"{name} median {_percentile(groups[name], 50):.3g}, 95th percentile {_percentile(groups[name], 95):.3g}"
         for name in names
     )
-    return Plot(drawn[0], f"{caption} In {unit}: {told}.",
-                f"{caption} Bar: quartiles; upright: median; line: 5 to 95 %; dots: ends.")  # fmt: skip
+    return Plot(
+        drawn[0],
+        f"{caption} In {unit}: {told}.",
+        f"{caption} In brackets how many {of}. Bar: quartiles; upright: median; line: 5 to 95 %; dots: ends.",
+    )
 
 
 def against_floor(groups: Mapping[str, Sequence[tuple[float, float]]]) -> Plot:
@@ -247,8 +267,11 @@ def against_floor(groups: Mapping[str, Sequence[tuple[float, float]]]) -> Plot:
         axes.set_xlabel("s from onset; mark: median, line: 5 to 95 %")
         axes.grid(visible=False, axis="y")
         axes.legend(loc="lower center", bbox_to_anchor=(0.4, 1.0), ncols=2)
-    return Plot(drawn[0], f"Time to safe state and floor, in s: {'; '.join(told)}.",
-                "Time to safe state against the floor that physics leaves.")  # fmt: skip
+    return Plot(
+        drawn[0],
+        f"Time to safe state and floor, in s: {'; '.join(told)}.",
+        "Time to safe state against the floor that physics leaves; in brackets how many violations.",
+    )
 
 
 def shares(cells: Mapping[str, Mapping[str, float]], caption: str) -> Plot:
@@ -278,6 +301,31 @@ def _broken(name: str, width: int) -> str:
     return "\n".join(part for line in lines for part in line)
 
 
+def _beside(points: Sequence[Point], point: Point) -> tuple[int, int]:
+    """Return where a point's label stands, so that it meets neither the star, nor the paper's line, nor the edge."""
+    if point is points[-1]:
+        return 16, 3
+    if point.ucr > 1 - CROWDED:
+        return -6, 9
+    return (8, -5) if point is points[0] else (8, 3)
+
+
+def _over(points: Sequence[Point], shipped: Point | None) -> str:
+    """Say over how many trials each point is; empty where nobody counted."""
+    told = [_trials(point) for point in points]
+    if not told or None in told:
+        return ""
+    each = str(told[0]) if len(set(told)) == 1 else f"{told[0]} (s={points[0].sensitivity:g}) and others"
+    beside = "" if shipped is None or _trials(shipped) is None else f"; the shipped policy: {_trials(shipped)}"
+    return f" Each point is over {each}{beside}."
+
+
+def _trials(point: Point) -> str | None:
+    if point.violations is None:
+        return None
+    return f"{point.violations} violations" + ("" if point.clean is None else f" and {point.clean} clean sessions")
+
+
 def _swept(shipped: Point | None) -> str:
     return "Reins" if shipped is None else "Reins, study's policy"
 
@@ -285,8 +333,19 @@ def _swept(shipped: Point | None) -> str:
 def _mark(axes: Axes, at: tuple[float, float] | None) -> None:
     """Mark what the shipped policy comes to."""
     if at is not None:
-        axes.plot([at[0]], [at[1]], linestyle="", marker="*", markersize=13, color=SECOND, label="shipped policy",
-                  zorder=5, clip_on=False)  # fmt: skip
+        axes.plot(
+            [at[0]],
+            [at[1]],
+            linestyle="",
+            marker="*",
+            markersize=16,
+            markerfacecolor="none",
+            markeredgecolor=SECOND,
+            markeredgewidth=1.6,
+            label="shipped policy",
+            zorder=5,
+            clip_on=False,
+        )
 
 
 def _unit(axes: Axes, across: str, up: str) -> None:

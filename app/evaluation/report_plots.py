@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from app.evaluation import plots, published
 from app.evaluation.report_names import title_of
-from app.evaluation.report_tables import SWEPT, UNLIKE, Results, mean_of
+from app.evaluation.report_tables import SWEPT, UNLIKE, Results, mapping, mean_of
 
 if TYPE_CHECKING:
     from app.evaluation.plots import Plot
@@ -27,14 +27,14 @@ def drawn(results: Results) -> Iterator[Plot]:
     if any(point.far is not None for point in ours):
         yield plots.roc(ours, shipped, of)
     spreads = results.get("distributions", {})
-    for key, unit, caption, names in (
-        ("latency_ticks", "control ticks", _LATENCY, _violation_name),
-        ("recovery_s", "s", _RECOVERY, title_of),
+    for key, unit, caption, names, counted in (
+        ("latency_ticks", "control ticks of 10 ms from onset", _LATENCY, _violation_name, "detected violations"),
+        ("recovery_s", "s from the first recovery step or the failure", _RECOVERY, title_of, "recovered trials"),
     ):
         found: Mapping[str, Any] = spreads.get(key, {})
         groups = {names(name): values for name, values in _in_order(found).items() if values}
         if groups:
-            yield plots.spread(groups, unit, caption)
+            yield plots.spread(groups, unit, caption, counted)
 
 
 _LATENCY: Final = (
@@ -49,7 +49,13 @@ def _point(s: float, found: Mapping[str, Any]) -> plots.Point | None:
     rvdr, ucr = mean_of(found.get("RVDR")), mean_of(found.get("UCR"))
     if rvdr is None or ucr is None:
         return None
-    return plots.Point(s, rvdr, ucr, mean_of(found.get("RSR")), mean_of(found.get("FAR")))
+    return plots.Point(s, rvdr, ucr, mean_of(found.get("RSR")), mean_of(found.get("FAR")),
+                       _count(found, "RVDR"), _count(found, "FAR"))  # fmt: skip
+
+
+def _count(found: Mapping[str, Any], metric: str) -> int | None:
+    """Return how many rows a metric was counted over; None where a bare number stands for it."""
+    return mapping(found.get(metric)).get("n")
 
 
 def _bars(types: Mapping[str, Any]) -> list[plots.Bar]:

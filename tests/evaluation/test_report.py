@@ -459,3 +459,18 @@ def test_a_boundary_band_and_simulated_seconds_are_spoken_of_in_the_workcell_alo
         remark = paper_grid(published.RECOVERY, document).remark
         assert ("simulated seconds" in remark) is there
         assert ("No time passes" in remark) is not there
+
+
+def test_plots_say_over_how_many_trials_they_are() -> None:
+    document: dict[str, Any] = results()
+    document["sensitivity"] = [
+        {"s": s, "RVDR": {"mean": s, "n": 57}, "UCR": {"mean": 1 - s, "n": 57}, "FAR": {"mean": 0.0, "n": 30}}
+        for s in (0.1, 0.5, 1.0)
+    ]
+    (drawn,) = [section.plots for section in sections(document) if section.id == "plots"]
+    captions = [plot.caption for plot in drawn]
+    assert sum("Each point is over 57 violations and 30 clean sessions." in caption for caption in captions) == 3
+    assert any("In brackets how many detected violations." in caption for caption in captions)
+    document["sensitivity"][0]["RVDR"]["n"] = 56
+    (drawn,) = [section.plots for section in sections(document) if section.id == "plots"]
+    assert "over 56 violations and 30 clean sessions (s=0.1) and others" in drawn[1].caption
