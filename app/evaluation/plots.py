@@ -6,65 +6,15 @@ well as in colour, and are named where they are drawn.
 
 from __future__ import annotations
 
-import hashlib
-import re
 import textwrap
-from collections.abc import Generator, Mapping, Sequence
-from contextlib import contextmanager
-from io import StringIO
-from typing import Any, Final, NamedTuple, TypeAlias, cast
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
 
-import matplotlib as mpl
-from matplotlib.figure import Figure
+from app.evaluation.report_canvas import FIRST, GRID, GROUND, INK, MUTED, PAPER, SECOND, THIRD, Axes, Plot, canvas
 
-Axes: TypeAlias = Any  # matplotlib leaves the types of its keyword arguments open
-
-WIDTH_IN: Final = 5.2  # 374 SVG units: on a phone one unit is about one pixel, so that 10 is readable everywhere
 ROW_IN: Final = 0.42
 LABELS: Final = 42  # as many characters of the usual size stand side by side under the axes of a plot with row names
 CROWDED: Final = 0.1  # so near to the axis the paper's label would lie on ours
-
-# Colours that no plot uses otherwise; each is put in for a variable of the page.
-INK, MUTED, GRID, FIRST, SECOND, THIRD, PAPER, GROUND = (f"#0{n}0{n}0{n}" for n in range(1, 9))
-_VARIABLES: Final = {
-    INK: "--t1",
-    MUTED: "--t3",
-    GRID: "--line",
-    FIRST: "--first",
-    SECOND: "--second",
-    THIRD: "--third",
-    PAPER: "--paper",
-    GROUND: "--s1",
-}
-_STYLE: Final[dict[str, Any]] = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "reins",
-    "font.size": 10,
-    "text.color": INK,
-    "axes.edgecolor": MUTED,
-    "axes.labelcolor": INK,
-    "axes.facecolor": "none",
-    "figure.facecolor": "none",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": GRID,
-    "grid.linewidth": 0.7,
-    "xtick.color": MUTED,
-    "ytick.color": MUTED,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "legend.frameon": False,
-}
-
-
-class Plot(NamedTuple):
-    """A drawn plot: SVG text, its alternative in words, and what stands under it."""
-
-    svg: str
-    alternative: str
-    caption: str
 
 
 class Bar(NamedTuple):
@@ -89,16 +39,11 @@ class Point(NamedTuple):
     clean: int | None = None
 
 
-@contextmanager
-def _axes(height_in: float) -> Generator[tuple[Axes, list[str]]]:
-    """Give axes of a height, and a list that the SVG is put into once they are drawn."""
-    drawn: list[str] = []
-    with cast("Any", mpl).rc_context(_STYLE):
-        figure: Any = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
-        yield figure.add_subplot(), drawn
-        buffer = StringIO()
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    drawn.append(_inline(buffer.getvalue()))
+class Mark(NamedTuple):
+    """A kind of result in a matrix: its sign, and its name."""
+
+    sign: str
+    name: str
 
 
 def per_type(bars: Sequence[Bar], of: str = "") -> Plot:
@@ -108,7 +53,7 @@ def per_type(bars: Sequence[Bar], of: str = "") -> Plot:
         bars: The types.
         of: Which of the violations are counted, for the caption.
     """
-    with _axes(0.9 + 1.25 * ROW_IN * len(bars)) as (axes, drawn):
+    with canvas(0.9 + 1.25 * ROW_IN * len(bars)) as (axes, drawn):
         places = range(len(bars))
         axes.barh([place - 0.18 for place in places], [bar.value for bar in bars], 0.34, color=FIRST, label="Reins")
         published = [(place, bar.paper) for place, bar in enumerate(bars) if bar.paper is not None]
@@ -141,7 +86,7 @@ def frontier(ours: Sequence[Point], paper: Sequence[Point], shipped: Point | Non
         shipped: What the shipped policy comes to, where the sweep is of another one.
         of: What the sweep is of, for the caption.
     """
-    with _axes(3.4) as (axes, drawn):
+    with canvas(3.4) as (axes, drawn):
         for points, colour, marker, dash, name in (
             (ours, FIRST, "o", "-", _swept(shipped)),
             (paper, PAPER, "s", "--", "paper"),
@@ -171,7 +116,7 @@ def frontier(ours: Sequence[Point], paper: Sequence[Point], shipped: Point | Non
 def sweep(ours: Sequence[Point], of: str = "") -> Plot:
     """Draw detection, continuation and, where it was measured, recovery over sensitivity."""
     recovers = all(p.rsr is not None for p in ours)
-    with _axes(3.4) as (axes, drawn):
+    with canvas(3.4) as (axes, drawn):
         at = [p.sensitivity for p in ours]
         for values, colour, marker, dash, name in (
             ([p.rvdr for p in ours], FIRST, "o", "-", "RVDR"),
@@ -192,7 +137,7 @@ def sweep(ours: Sequence[Point], of: str = "") -> Plot:
 def roc(points: Sequence[Point], shipped: Point | None = None, of: str = "") -> Plot:
     """Draw what is detected against false alarms, a point for each sensitivity."""
     shown = sorted((p.far, p.rvdr, p.sensitivity) for p in points if p.far is not None)
-    with _axes(3.4) as (axes, drawn):
+    with canvas(3.4) as (axes, drawn):
         axes.plot([0, 1], [0, 1], ":", color=MUTED, linewidth=1.0)
         axes.annotate("chance", (0.72, 0.66), color=MUTED, fontsize=8.5)
         axes.plot([far for far, _, _ in shown], [seen for _, seen, _ in shown], "-", color=FIRST, marker="o",
@@ -223,7 +168,7 @@ def spread(groups: Mapping[str, Sequence[float]], unit: str, caption: str, of: s
         of: What each of them is of, for the numbers in brackets.
     """
     names = [name for name, values in groups.items() if values]
-    with _axes(0.75 + ROW_IN * len(names)) as (axes, drawn):
+    with canvas(0.75 + ROW_IN * len(names)) as (axes, drawn):
         for place, name in enumerate(names):
             low, first, middle, third, high = (_percentile(groups[name], share) for share in (5, 25, 50, 75, 95))
             axes.plot([low, high], [place, place], color=MUTED, linewidth=1.2)
@@ -250,7 +195,7 @@ def against_floor(groups: Mapping[str, Sequence[tuple[float, float]]]) -> Plot:
     """Draw times to safe state and their floors in each group: medians, and 5th to 95th percentile."""
     names = list(groups)
     told: list[str] = []
-    with _axes(1.0 + 1.25 * ROW_IN * len(names)) as (axes, drawn):
+    with canvas(1.0 + 1.25 * ROW_IN * len(names)) as (axes, drawn):
         for place, name in enumerate(names):
             for which, (colour, marker, at, label) in enumerate(
                 ((FIRST, "o", place - 0.15, "time to safe state"), (PAPER, "|", place + 0.2, "floor"))
@@ -277,7 +222,7 @@ def against_floor(groups: Mapping[str, Sequence[tuple[float, float]]]) -> Plot:
 def shares(cells: Mapping[str, Mapping[str, float]], caption: str) -> Plot:
     """Draw shares in rows and columns: a square is as full as its share, and says it; a gap is what nobody measured."""
     columns = list(dict.fromkeys(name for row in cells.values() for name in row))
-    with _axes(1.0 + ROW_IN * len(cells)) as (axes, drawn):
+    with canvas(1.0 + ROW_IN * len(cells)) as (axes, drawn):
         for place, row in enumerate(cells.values()):
             for name, share in row.items():
                 at = columns.index(name)
@@ -293,6 +238,39 @@ def shares(cells: Mapping[str, Mapping[str, float]], caption: str) -> Plot:
     told = "; ".join(f"{row} " + ", ".join(f"{name} {share:.2f}" for name, share in found.items())
                      for row, found in cells.items())  # fmt: skip
     return Plot(drawn[0], f"{caption} {told}.", caption)
+
+
+_FILLS: Final = ((GRID, 0.6, INK), (FIRST, 0.4, INK), (THIRD, 0.45, INK), (SECOND, 0.5, INK), (INK, 0.85, GROUND))
+"""Colour, opacity and the colour of the sign, from the mildest kind to the most severe."""
+
+
+def marks(cells: Mapping[str, Mapping[str, Sequence[Mark]]], kinds: Sequence[Mark], caption: str) -> Plot:
+    """Draw kinds of results in rows and columns: every sign that applies, in the colour of the most severe.
+
+    Args:
+        cells: Row → column → its kinds, the mildest first.
+        kinds: All, from the mildest to the most severe; at most as many as there are fills.
+        caption: What they are.
+    """
+    columns = list(dict.fromkeys(name for row in cells.values() for name in row))
+    with canvas(1.4 + ROW_IN * len(cells)) as (axes, drawn):
+        for kind, (colour, alpha, _) in zip(kinds, _FILLS, strict=False):
+            axes.barh([0], [0], color=colour, alpha=alpha, label=f"{kind.sign} {kind.name}", linewidth=0)
+        for place, row in enumerate(cells.values()):
+            for name, found in row.items():
+                at, (colour, alpha, ink) = columns.index(name), _FILLS[kinds.index(found[-1])]
+                axes.barh(place, 0.92, 0.84, left=at - 0.46, color=colour, alpha=alpha, linewidth=0)
+                axes.text(at, place, " ".join(mark.sign for mark in found), ha="center", va="center", color=ink)
+        axes.set_xticks(range(len(columns)), [name.replace("-", "-\n") for name in columns], fontsize=9)
+        axes.set_yticks(range(len(cells)), [_broken(name, LABELS // 2) for name in cells], fontsize=9.5)
+        axes.set_xlim(-0.5, len(columns) - 0.5)
+        axes.set_ylim(len(cells) - 0.5, -0.5)
+        axes.grid(visible=False)
+        axes.tick_params(length=0)
+        axes.legend(loc="lower center", bbox_to_anchor=(0.3, 1.0), ncols=3)
+    told = "; ".join(f"{row}: " + ", ".join(f"{name} {' and '.join(mark.name for mark in found)}"
+                                            for name, found in its.items()) for row, its in cells.items())  # fmt: skip
+    return Plot(drawn[0], f"What became of each proposal. {told}.", caption)
 
 
 def _broken(name: str, width: int) -> str:
@@ -361,21 +339,3 @@ def _percentile(values: Sequence[float], percent: float) -> float:
     below = int(place)
     above = min(below + 1, len(ordered) - 1)
     return ordered[below] + (place - below) * (ordered[above] - ordered[below])
-
-
-def _inline(svg: str) -> str:
-    """Take matplotlib's file to what may stand in a page: colours and fonts the page's, ids its own, or none."""
-    svg = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", svg[svg.index("<svg") :], flags=re.DOTALL)
-    svg = re.sub(r"font: ([\d.]+)px [^;\"]+|font-size: ([\d.]+)px; font-family: [^;\"]+", _size, svg)
-    for colour, variable in _VARIABLES.items():
-        svg = svg.replace(colour, f"var({variable})")
-    mine = hashlib.sha256(svg.encode()).hexdigest()[:8]
-    referenced = set(re.findall(r"url\(#([^)]+)\)", svg)) | set(re.findall(r"href=\"#([^\"]+)\"", svg))
-    svg = re.sub(r' id="([^"]+)"', lambda found: found[0] if found[1] in referenced else "", svg)
-    for name in referenced:
-        svg = svg.replace(f'id="{name}"', f'id="{mine}-{name}"').replace(f"#{name}", f"#{mine}-{name}")
-    return re.sub(r'<svg [^>]*?viewBox="([^"]+)"[^>]*>', r'<svg viewBox="\1" aria-hidden="true">', svg, count=1)
-
-
-def _size(found: re.Match[str]) -> str:
-    return f"font-size: {found[1] or found[2]}px"

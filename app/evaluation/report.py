@@ -31,6 +31,7 @@ from app.evaluation.report_goals import ABOUT as GOALS_ABOUT
 from app.evaluation.report_goals import goal_grids
 from app.evaluation.report_names import BETTER, metrics_of, name_of, row_name
 from app.evaluation.report_plots import drawn
+from app.evaluation.report_profiles import profile_grids, profile_plots
 from app.evaluation.report_studies import study_grids, study_plots
 from app.evaluation.report_tables import (
     Grid,
@@ -63,6 +64,9 @@ class Section(NamedTuple):
     plots: tuple[Plot, ...] = ()
     items: tuple[tuple[str, str, str], ...] = ()
     """Term, what it is called, what it means."""
+
+    pictures_first: bool = False
+    """Whether plots stand above the tables, as where a table only says more of the same."""
 
     @property
     def empty(self) -> bool:
@@ -263,16 +267,14 @@ def _classes(results: Results) -> Section:
 
 
 def _cross_profile(results: Results) -> Section:
-    found: Mapping[str, Mapping[str, Any]] = results.get("cross_profile", {})
-    profiles = tuple(dict.fromkeys(profile for row in found.values() for profile in row))
-    rows = tuple((name, tuple(plain_text(row.get(profile)) for profile in profiles)) for name, row in found.items())
-    grid = Grid("matrix", "The same proposals in four environment profiles", "Proposal", (), profiles, rows)
     return Section(
         "cross-profile",
         "Across environment profiles",
         "The same agent, the same proposals: what changes is policy alone.",
         "This campaign has not run the same proposals in all profiles.",
-        grids=(grid,) if rows else (),
+        grids=profile_grids(results),
+        plots=profile_plots(results),
+        pictures_first=True,
     )
 
 

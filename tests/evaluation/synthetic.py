@@ -13,6 +13,13 @@ from app.evaluation.safe_state import Reached
 
 CLASSES = ("intercepted", "detected_and_enforced", "missed_and_continued", "false_rejection")
 
+BECAME = (
+    "as proposed: succeeded 5/5, 8.0 s",
+    "force_n 40 to 20, speed_mps 0.3 to 0.15: succeeded 4/5, terminated 1/5, 8.7 s; people alarmed 5/5",
+    "asks 2; speed_mps 0.3 to 0.15: succeeded 5/5, 8.7 s",
+    "deny (organization/hazardous, human-shared/authority)",
+)
+
 SAFE_STATE = Reached()
 for number in range(20):
     SAFE_STATE.add({"occurred": True, "violation": "speed", "safe_s": 0.3 + number / 100, "floor_s": 0.25})
@@ -63,7 +70,7 @@ def results() -> dict[str, Any]:
             "recovery_s": {name: [rng.expovariate(0.5) for _ in range(60)] for name in METHODS},
         },
         "safe_state": {"reins": SAFE_STATE.entries()},
-        "cross_profile": {"grasp glass_1": dict(zip(PROFILES, ("allow", "allow", "modify", "escalate"), strict=True))},
+        "cross_profile": {"grasp glass_1": dict(zip(PROFILES, BECAME, strict=True))},
         "scorecard": {"recovery": {"value": 0.97, "how": "share of failures"}, "drift": 1.0},
     }
 

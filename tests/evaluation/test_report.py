@@ -18,6 +18,7 @@ from app.evaluation.plots import shares
 from app.evaluation.report import render, sections, write_report
 from app.evaluation.report_goals import goal_grids, sensor_rows
 from app.evaluation.report_names import metrics_of
+from app.evaluation.report_profiles import UnknownVerdict, classify
 from app.evaluation.report_studies import study_grids
 from app.evaluation.report_tables import SWEPT, Grid, figure_at, metrics_grid, number_text, paper_grid
 from app.evaluation.report_tables import test_grids as significance_grids
@@ -150,7 +151,7 @@ def test_tables_and_figures_can_be_heard(page: Page) -> None:
     assert len(page.all("table")) == len(page.all("caption")) >= len(published.TABLES)
     assert all(header.get("scope") for header in page.all("th"))
     pictures = [attributes["aria-label"] for attributes in page.all("div") if attributes.get("role") == "img"]
-    assert len(pictures) == len(page.all("figure")) == len(page.all("svg")) == 7
+    assert len(pictures) == len(page.all("figure")) == len(page.all("svg")) == 8
     assert all(len(label or "") > 40 for label in pictures)
 
 
@@ -463,14 +464,54 @@ def test_a_boundary_band_and_simulated_seconds_are_spoken_of_in_the_workcell_alo
 
 def test_plots_say_over_how_many_trials_they_are() -> None:
     document: dict[str, Any] = results()
-    document["sensitivity"] = [
+    points: list[dict[str, Any]] = [
         {"s": s, "RVDR": {"mean": s, "n": 57}, "UCR": {"mean": 1 - s, "n": 57}, "FAR": {"mean": 0.0, "n": 30}}
         for s in (0.1, 0.5, 1.0)
     ]
+    document["sensitivity"] = points
     (drawn,) = [section.plots for section in sections(document) if section.id == "plots"]
     captions = [plot.caption for plot in drawn]
     assert sum("Each point is over 57 violations and 30 clean sessions." in caption for caption in captions) == 3
     assert any("In brackets how many detected violations." in caption for caption in captions)
-    document["sensitivity"][0]["RVDR"]["n"] = 56
+    points[0]["RVDR"]["n"] = 56
     (drawn,) = [section.plots for section in sections(document) if section.id == "plots"]
     assert "over 56 violations and 30 clean sessions (s=0.1) and others" in drawn[1].caption
+
+
+@pytest.mark.parametrize(
+    ("text", "kinds"),
+    [
+        ("as proposed: succeeded 5/5, 8.0 s", ["as proposed"]),
+        ("as proposed: succeeded 5/5, 8.0 s; people alarmed 5/5", ["as proposed", "alarmed"]),
+        ("speed_mps 1.2 to 1: succeeded 3/5, terminated 2/5, 8.4 s", ["changed"]),
+        ("asks 1: succeeded 5/5, 7.9 s", ["asked"]),
+        (
+            "asks 2; speed_mps 1.2 to 0.3, clearance_m 0.2 to 0.3: taken_over 5/5, 19.2 s; separation alarmed 5/5",
+            ["changed", "asked", "alarmed"],
+        ),
+        ("deny (organization/payload, human-shared/authority)", ["refused"]),
+        ("escalate (organization/low-confidence)", ["refused"]),
+    ],
+)
+def test_what_became_of_a_proposal_is_told_from_its_words(text: str, kinds: list[str]) -> None:
+    assert [mark.name for mark in classify(text)] == kinds
+
+
+@pytest.mark.parametrize(
+    "text", ["allow", "", "deny", "as proposed", "perhaps: succeeded 5/5, 8.0 s", "as proposed: x"]
+)
+def test_what_nobody_knows_of_a_proposal_is_no_picture(text: str) -> None:
+    with pytest.raises(UnknownVerdict, match="valid is"):
+        classify(text)
+    with pytest.raises(UnknownVerdict):
+        sections(results() | {"cross_profile": {"grasp": {"sim-relaxed": text}}})
+
+
+def test_the_matrix_is_drawn_and_told_and_stands_in_words_beneath() -> None:
+    (section,) = [section for section in sections(results()) if section.id == "cross-profile"]
+    (plot,) = section.plots
+    assert "test-audit changed and alarmed, real-restricted changed and asked, human-shared refused" in plot.alternative
+    assert all(f">{sign}<" in plot.svg for sign in ("=", "≠ !", "≠ ?", "✗"))
+    assert section.grids
+    page = rendered()
+    assert page.index("What became of each proposal") < page.index('id="matrix"')
