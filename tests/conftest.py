@@ -123,6 +123,10 @@ class Servers:
     started: list[ServerProcess] = field(default_factory=list)
 
     def start(self, data: Path | None = None, *flags: str, cells: int = 1, wait_cells: bool = True) -> ServerProcess:
+        return self.await_up(self.begin(data, *flags, cells=cells), "/readyz" if wait_cells and cells else "/healthz")
+
+    def begin(self, data: Path | None = None, *flags: str, cells: int = 1) -> ServerProcess:
+        """Start a server, and do not wait for it."""
         data = data or self.folder / f"data-{len(self.started)}"
         log = self.folder / f"server-{len(self.started)}.log"
         (data / "server.json").unlink(missing_ok=True)
@@ -139,8 +143,10 @@ class Servers:
             )
         server = ServerProcess(data, process, log)
         self.started.append(server)
-        path = "/readyz" if wait_cells and cells else "/healthz"
-        until(lambda: self._answers(server, path), START_S, f"the server answers at {path}; see {log}")
+        return server
+
+    def await_up(self, server: ServerProcess, path: str) -> ServerProcess:
+        until(lambda: self._answers(server, path), START_S, f"the server answers at {path}; see {server.log}")
         return server
 
     def _answers(self, server: ServerProcess, path: str) -> bool:
@@ -189,12 +195,46 @@ def servers(tmp_path: Path) -> Iterator[Servers]:
     made.examine()
 
 
+class Ahead:
+    """The servers of modules: the next module's starts while this one's tests run."""
+
+    def __init__(self, request: pytest.FixtureRequest, begin: Callable[[], Servers]) -> None:
+        items = [item for item in request.session.items if isinstance(item, pytest.Function)]
+        self._to_come = len({item.module for item in items if request.fixturename in item.fixturenames})
+        self._begin = begin
+        self._next: Servers | None = None
+
+    @contextlib.contextmanager
+    def take(self) -> Iterator[ServerProcess]:
+        """Have a server for one module; when it has ended, what it left behind is compared with its log."""
+        taken = self._next or self._begin()
+        self._to_come -= 1
+        self._next = self._begin() if self._to_come > 0 else None
+        try:
+            yield taken.await_up(taken.started[0], "/readyz")
+        finally:
+            taken.end()
+        taken.examine()
+
+    def end(self) -> None:
+        if self._next is not None:
+            self._next.end()
+
+
+@pytest.fixture(scope="session")
+def ahead(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ahead]:
+    def begin() -> Servers:
+        made = Servers(tmp_path_factory.mktemp("server"))
+        made.begin()
+        return made
+
+    made = Ahead(request, begin)
+    yield made
+    made.end()
+
+
 @pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
+def server(ahead: Ahead) -> Iterator[ServerProcess]:
     """One server with one cell, shared by a module's tests."""
-    made = Servers(tmp_path_factory.mktemp("server"))
-    try:
-        yield made.start()
-    finally:
-        made.end()
-    made.examine()
+    with ahead.take() as server:
+        yield server

@@ -6,6 +6,7 @@ import asyncio
 import re
 import shutil
 import sqlite3
+import sys
 from contextlib import closing
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from app import __version__
 from app.api.auth import open_principals
 from app.audit.places import Places
 from app.audit.store import AuditStore
-from app.cli import app
+from app.cli import app, main
 from app.config import CellSettings, ConfigError, Settings, find_policies
 from tests.audit.conftest import fill, hide_from_index
 from tests.governance.policy_world import POLICIES
@@ -145,3 +146,24 @@ def test_a_token_stays_out_of_what_is_printed(tmp_path: Path) -> None:
 def test_refuses_a_policy_directory_that_is_none(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="policies"):
         find_policies(tmp_path / "none")
+
+
+@pytest.mark.parametrize(("flag", "cells"), [("--scenario", "1"), ("--robot", "0")])
+@pytest.mark.parametrize("value", ["nope", "/nope.xml", "/nope.yaml"])
+def test_what_no_cell_can_be_started_with_starts_no_server(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    flag: str,
+    cells: str,
+    value: str,
+) -> None:
+    words = ["serve", "--port", "0", "--data", str(tmp_path / "data"), "--cells", cells, flag, value]
+    monkeypatch.setattr(sys, "argv", ["reins", *words])
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    said = capsys.readouterr()
+    assert f"`{value}`" in said.err
+    assert "valid" in said.err
+    assert "serves" not in said.out
+    assert not (tmp_path / "data").exists()

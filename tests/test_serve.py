@@ -108,17 +108,6 @@ def test_leaves_with_its_cells_when_told_to(servers: Servers) -> None:
     assert server.cell_pid() is None
 
 
-@pytest.mark.parametrize(("flag", "cells"), [("--scenario", "1"), ("--robot", "0")])
-def test_what_no_cell_can_be_started_with_starts_no_server(tmp_path: Path, flag: str, cells: str) -> None:
-    for value in ("nope", "/nope.xml", "/nope.yaml"):
-        ended = reins("serve", "--port", "0", "--data", str(tmp_path / "data"), "--cells", cells, flag, value)
-        assert ended.returncode == 2
-        assert f"`{value}`" in ended.stderr
-        assert "valid" in ended.stderr
-        assert "serves" not in ended.stdout
-        assert not (tmp_path / "data").exists()
-
-
 def test_a_broken_policy_does_not_start_and_says_where(tmp_path: Path) -> None:
     folder = tmp_path / "policies"
     shutil.copytree(POLICIES, folder)

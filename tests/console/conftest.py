@@ -20,7 +20,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Locator, Page, Route, expect, sync_playwright
 
-from tests.conftest import ServerProcess, Servers, until
+from tests.conftest import Ahead, ServerProcess, Servers, until
 
 ROOT = Path(__file__).resolve().parents[2]
 PLACES = ("/usr/lib/chromium/chromium", "chromium", "chromium-browser", "google-chrome")
@@ -284,23 +284,34 @@ def people(browser: Browser) -> Iterator[People]:
     assert made.leave() == []
 
 
+@pytest.fixture(scope="session")
+def console_ahead(
+    request: pytest.FixtureRequest, built: None, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Ahead]:
+    def begin() -> Servers:
+        folder = tmp_path_factory.mktemp("console")
+        shutil.copytree(ROOT / "policies", folder / "policies")
+        restricted = folder / "policies" / "profiles" / "real-restricted.yaml"
+        shipped = restricted.read_text()
+        restricted.write_text(shipped.replace("within_s: 300", "within_s: 3"))
+        assert restricted.read_text() != shipped
+        made = Servers(folder)
+        made.begin(None, "--pace", "1", "--policies", str(folder / "policies"))
+        return made
+
+    made = Ahead(request, begin)
+    yield made
+    made.end()
+
+
 @pytest.fixture(scope="module")
-def server(built: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
+def server(console_ahead: Ahead) -> Iterator[ServerProcess]:
     """One server with one cell in real time, where people share the floor; a module's tests have it in turn.
 
     Its policy is the shipped one, but that whoever is asked under `real-restricted` has three seconds to answer.
     """
-    folder = tmp_path_factory.mktemp("console")
-    shutil.copytree(ROOT / "policies", folder / "policies")
-    restricted = folder / "policies" / "profiles" / "real-restricted.yaml"
-    shipped = restricted.read_text()
-    restricted.write_text(shipped.replace("within_s: 300", "within_s: 3"))
-    assert restricted.read_text() != shipped
-    made = Servers(folder)
-    try:
-        yield made.start(None, "--pace", "1", "--policies", str(folder / "policies"))
-    finally:
-        made.end()
+    with console_ahead.take() as server:
+        yield server
 
 
 @pytest.fixture
