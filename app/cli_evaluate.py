@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
@@ -233,6 +234,9 @@ def _run(request: Request, folder: Path, *, workers: int, fresh: bool, readme: P
     try:
         if readme is not None:  # before half an hour of trials, not after it
             check_place(readme, request.protocol)
+        if unwritable := _unwritable(folder):
+            say_error(f"--out `{folder}` cannot be written to: {unwritable}", hint="valid is a folder, there or not")
+            return MISUSE
         results = _measured(request, folder, workers=workers, fresh=fresh)
         write_report(results, folder / "report.html")
         if readme is not None:
@@ -253,6 +257,16 @@ def _run(request: Request, folder: Path, *, workers: int, fresh: bool, readme: P
     out.print(summary(results))
     say(f"{folder}: report.html, results.json, trials.csv, timings.csv")
     return 0
+
+
+def _unwritable(folder: Path) -> str:
+    """Say why no file can be kept in a folder, which is made if it is not there; empty where one can."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=folder):
+            return ""
+    except OSError as error:
+        return (error.strerror or str(error)).lower()
 
 
 def _measured(request: Request, folder: Path, *, workers: int, fresh: bool) -> dict[str, Json]:

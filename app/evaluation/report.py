@@ -125,14 +125,35 @@ def _facts(results: Results) -> list[tuple[str, str]]:
         ("Seeds used for tuning, never reported", ", ".join(map(str, TUNING_SEEDS))),
     ]
     facts += [
-        (name.capitalize(), str(configuration[name])) for name in ("version", "policy", "code") if name in configuration
+        (name.capitalize(), f"{configuration[name]}{_DIGESTS.get(name, '')}")
+        for name in ("version", "policy", "code")
+        if name in configuration
     ]
     if configuration.get("circumstances"):
         told = "; ".join(part.replace("_", " ").replace("=", " ") for part in configuration["circumstances"].split(","))
         facts.append(("Circumstances", f"other than reported: {told}"))
     if shared := sorted(set(results["seeds"]) & set(TUNING_SEEDS)):
         facts.append(("Warning", f"seeds {', '.join(map(str, shared))} were used for tuning: these are no results"))
+    facts.append(("Means and pooled figures", _POOLED))
     return facts
+
+
+_DIGESTS: Final = {
+    "policy": " (digest of the policy that was in force)",
+    "code": " (digest of the Python files that rows may follow from: what only counts rows, shows them or serves is "
+    "left out, so that a report that was mended keeps it)",
+}
+_POOLED: Final = (
+    "What has a ± is a mean over seeds and its standard deviation, and so are the bars of detection by type, the "
+    "points of a sweep, and the ticks in the studies of sensitivity and of what no threshold was set on; effect sizes "
+    "and tests are over the seeds' values. The rest is pooled, over the rows of all seeds together: intervals (Wilson, "
+    "95 %), counts, classes, other medians and percentiles, worst cases, and the shares of studies without a ±."
+)
+
+
+def _command(results: Results, options: str, protocol: str = "") -> str:
+    """Return the command that fills an empty section; a campaign of its own needs a folder of its own."""
+    return f"reins evaluate --protocol {protocol or results['protocol']} {options} --out FOLDER"
 
 
 def _goals(results: Results) -> Iterator[Section]:
@@ -178,7 +199,7 @@ def _overview(results: Results) -> Section:
         "All metrics",
         "Mean and standard deviation over seeds; below, where the metric is a proportion, Wilson's 95 % interval over "
         "all rows. ↑ higher is better, ↓ lower. A dash: no trial could show it.",
-        "No method was measured.",
+        f"No method was measured; {_command(results, '--methods all')} does.",
         grids=tuple(grids),
     )
 
@@ -189,7 +210,8 @@ def _paper_tables(results: Results) -> Section:
         "The paper's tables",
         "Each with our number, the paper's, and the difference (ours less the paper's). ± is the standard deviation "
         "over seeds. A dash: not measured in this campaign, or not printed in the paper." + _left_out(results),
-        "This campaign has no number for any table of the paper.",
+        "This campaign has no number for any table of the paper; "
+        f"{_command(results, '--methods all --ablations')} has.",
         grids=(
             *(paper_grid(table, results) for table in published.TABLES if has_ours(table, results)),
             *sweep_grids(results),
@@ -221,7 +243,8 @@ def _plots(results: Results) -> Section:
         "plots",
         "Plots",
         "",
-        "Nothing that this campaign measured can be drawn: it has no types, no sensitivity sweep and no distributions.",
+        "Nothing that this campaign measured can be drawn: it has no types, no sensitivity sweep and no distributions; "
+        f"{_command(results, '--methods reins')} has some.",
         plots=tuple(drawn(results)),
     )
 
@@ -232,7 +255,7 @@ def _by_task(results: Results) -> Section:
         "By task type",
         "",
         "This campaign's trials are single capabilities; it has no task types. Whole tasks are a campaign of their "
-        "own: --tasks all.",
+        f"own: {_command(results, '--tasks all')}.",
         grids=tuple(parted_grids("task", "Task", "by task type", results.get("per_task", {}))),
     )
 
@@ -258,7 +281,7 @@ def _classes(results: Results) -> Section:
         "classes",
         "What became of every trial",
         "Each trial falls into exactly one class, so that nothing stays unexplained.",
-        "This campaign has not sorted its trials into classes.",
+        f"This campaign has not sorted its trials into classes; {_command(results, '--methods all')} does.",
         grids=grids,
         items=tuple(
             (name.replace("_", " "), "", meaning) for name, meaning in results.get("class_meanings", {}).items()
@@ -271,7 +294,8 @@ def _cross_profile(results: Results) -> Section:
         "cross-profile",
         "Across environment profiles",
         "The same agent, the same proposals: what changes is policy alone.",
-        "This campaign has not run the same proposals in all profiles.",
+        "This campaign has not run the same proposals in all profiles; "
+        f"{_command(results, '--studies profiles --trials 0', 'physical')} does.",
         grids=profile_grids(results),
         plots=profile_plots(results),
         pictures_first=True,
@@ -288,7 +312,7 @@ def _scorecard(results: Results) -> Section:
         "scorecard",
         "Scorecard",
         "The seven dimensions of EmbodiedGovBench (arXiv 2604.11174).",
-        "This campaign has no scorecard.",
+        f"This campaign has no scorecard; {_command(results, '--studies all --trials 0', 'physical')} has.",
         items=items,
     )
 

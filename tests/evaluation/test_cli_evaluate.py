@@ -80,3 +80,13 @@ def test_help_teaches_by_example() -> None:
     text = CliRunner().invoke(app, ["evaluate", "--help"], env={"COLUMNS": "200"}).output
     assert "reins evaluate --protocol physical --long" in text
     assert "--fresh" in text
+
+
+@pytest.mark.parametrize(("place", "why"), [("file", "file exists"), ("file/deep/campaign", "not a directory")])
+def test_a_folder_that_cannot_be_written_is_named_before_anything_is_run(place: str, why: str, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("kept")
+    out = tmp_path / place
+    code, text = evaluate("--protocol", "toy", "--seeds", "1", "--trials", "4", "--jobs", "1", out=out)
+    assert code == 2
+    assert f"--out `{out}` cannot be written to: {why} valid is a folder" in text
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]

@@ -204,6 +204,9 @@ def test_sections_without_data_say_so() -> None:
     }
     text = Page(render(bare)).text
     assert all(section.absent and section.absent in text for section in empty)
+    filled = {section.id for section in empty if "reins evaluate --protocol" in section.absent}
+    assert filled == {section.id for section in empty} - {"unpublished"}
+    assert "reins evaluate --protocol physical --studies profiles --trials 0 --out FOLDER" in text
 
 
 @pytest.mark.parametrize("key", sorted(results().keys() - {"protocol", "seeds", "trials"}))
@@ -515,3 +518,10 @@ def test_the_matrix_is_drawn_and_told_and_stands_in_words_beneath() -> None:
     assert section.grids
     page = rendered()
     assert page.index("What became of each proposal") < page.index('id="matrix"')
+
+
+def test_the_head_says_what_digests_are_of_and_which_figures_are_pooled() -> None:
+    text = Page(render(results() | {"configuration": {"code": "sha256:01", "policy": "sha256:02"}})).text
+    assert "sha256:01 (digest of the Python files that rows may follow from" in text
+    assert "sha256:02 (digest of the policy" in text
+    assert "What has a ± is a mean over seeds" in text
