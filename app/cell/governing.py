@@ -325,8 +325,9 @@ class Governing:
         elif run.status is Status.RECOVERING:
             run.next = None
             if run.hold_after_recovery and then.doing is Doing.ATTEMPT:
-                run.hold_after_recovery, run.failed = False, "link_lost"
-                self.escalate("link")
+                reason, run.hold_after_recovery = run.hold_after_recovery, ""
+                run.failed = "link_lost" if reason == "link" else self._recovered()
+                self.escalate(reason)
             else:
                 self._bind(then)
 
@@ -426,10 +427,11 @@ class Governing:
         return None
 
     def resume(self) -> str | None:
-        """Let a paused (or escalated) session go on; what is still violated pauses it again at once."""
+        """Let a paused session go on; what is still violated pauses it again at once.
+
+        One that asks has to be answered: whoever resumes may not know what it asks.
+        """
         run = self.run
-        if run.status is Status.ESCALATED:
-            return self.go_on()
         if run.status is not Status.PAUSED:
             return "not_paused"
         run.paused_by.clear()

@@ -334,11 +334,7 @@ class Session(Governing):
     def resume(self) -> str | None:
         """Let a paused session go on; where a human has the controls, let them drive again."""
         run = self.run
-        if (
-            run.status is not Status.PAUSED
-        ):  # one that asks has to be answered: whoever resumes may not know what it asks
-            return "not_paused"
-        if self.steering is None:
+        if self.steering is None or run.status is not Status.PAUSED:
             return super().resume()
         run.paused_by.discard("operator")
         self._resume("operator")

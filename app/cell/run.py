@@ -134,7 +134,7 @@ class Run:
     unmet: tuple[str, ...] = ()
     still_ticks: int = 0
     speaking: dict[str, int] = field(default_factory=dict[str, int])
-    hold_after_recovery: bool = False
+    hold_after_recovery: str = ""  # why, where a session waits for a human once its recovery has ended
     bounds: Bounds = field(init=False)
     eased: Bounds | None = None
     ease_again: int = 0

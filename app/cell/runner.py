@@ -248,7 +248,7 @@ class Runner:
         if reason == "shutdown":
             session.end(End(Outcome.STOPPED, "shutdown", 1))
         elif session.run.status is Status.RECOVERING:
-            session.run.hold_after_recovery = True
+            session.run.hold_after_recovery = reason
         else:
             session.escalate(reason)
 
@@ -400,7 +400,7 @@ class Runner:
 def _hold_for_policy(session: Session) -> None:
     """Have a session wait for a human, to which another policy does not leave to go on; a recovery ends first."""
     if session.run.status is Status.RECOVERING:
-        session.run.hold_after_recovery = True
+        session.run.hold_after_recovery = CHANGED
     elif session.run.status is not Status.ESCALATED:
         session.escalate(CHANGED)
 

@@ -6,7 +6,7 @@ import itertools
 import math
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -659,16 +659,27 @@ def test_a_pause_does_not_end_by_itself_while_the_link_is_lost(rig: Rig) -> None
     assert (rig.runner.status, rig.moving()) == ("escalated", False)
 
 
-def test_a_recovery_under_way_is_finished_without_the_link_but_no_new_attempt_begins(rig: Rig) -> None:
+@pytest.mark.parametrize(
+    ("held", "reason", "failure"),
+    [
+        (lambda rig: rig.runner.hold("link"), "link", "link_lost"),
+        (lambda rig: rig.runner.human("inv-1", "escalate", "server"), "policy_changed", "object_lost"),
+    ],
+    ids=["link", "policy"],
+)
+def test_a_recovery_under_way_is_finished_when_the_session_has_to_wait_but_no_new_attempt_begins(
+    rig: Rig, held: Callable[[Rig], object], reason: str, failure: str
+) -> None:
     rig.cell.script.grip_n = 20.0
     rig.cell.lie = lambda seen: seen._replace(
         slip_m=0.02 if rig.cell.runs == {"grasp_object": 1} and seen.time_s > 0.5 else 0.0
     )
     rig.launch()
     rig.until(lambda: "release_and_retract" in rig.cell.runs)
-    rig.runner.hold("link")
+    held(rig)
     rig.until_status("escalated")
     assert [name for name, _, _ in rig.cell.bound] == ["grasp_object", "release_and_retract"]
+    assert (rig.last("escalation")["reason"], rig.last("escalation")["failure"]) == (reason, failure)
     rig.ticks(100)
     assert not rig.moving()
 
