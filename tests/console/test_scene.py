@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+from playwright.sync_api import expect
 
-from tests.conftest import ServerProcess, until
-from tests.console.conftest import PHONE, Floor, People, Person
+from tests.conftest import ServerProcess, Servers, until
+from tests.console.conftest import PHONE, Floor, People, Person, box
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 # The share of the picture that is not its commonest colour, the empty background; names and buttons make little of it.
@@ -21,6 +24,27 @@ DRAWN = """async (encoded) => {
     for (const pixel of pixels) counts.set(pixel, (counts.get(pixel) ?? 0) + 1);
     return 1 - Math.max(...counts.values()) / pixels.length;
 }"""
+# How many of its pixels are as red as what is violated; a person is amber, and a robot grey.
+RED = """async (encoded) => {
+    const bytes = Uint8Array.from(atob(encoded), (letter) => letter.charCodeAt(0));
+    const picture = await createImageBitmap(new Blob([bytes], { type: 'image/png' }));
+    const pen = new OffscreenCanvas(picture.width, picture.height).getContext('2d');
+    pen.drawImage(picture, 0, 0);
+    const { data } = pen.getImageData(0, 0, picture.width, picture.height);
+    let found = 0;
+    for (let k = 0; k < data.length; k += 4) found += data[k] - data[k + 1] > 90 ? 1 : 0;
+    return found;
+}"""
+RING_PX = 300  # the ring around the robot has some thousand
+ABOVE_PX, BELOW_PX = 70, 80  # the words over the picture, and the legend under it, are red as well
+# Somebody walks up to the robot while it drives, and stays there.
+WALKS_UP = """summary: Somebody walks up to the robot while it drives, and stays.
+people:
+  - points: [[7.4, 3.9], [2.7, 3.5]]
+    speed_mps: 1.6
+    start: {capability: navigate_to, phase: drive, run: 1, after_s: 0.2}
+    stay_s: {1: 900.0}
+"""
 LOSE = "(canvas) => canvas.getContext('webgl2').getExtension('WEBGL_lose_context').loseContext()"
 MUCH = 0.2
 
@@ -28,6 +52,37 @@ MUCH = 0.2
 def drawn(person: Person) -> float:
     picture = person.region("The cell in 3D").screenshot()
     return person.page.evaluate(DRAWN, base64.b64encode(picture).decode())
+
+
+def red(person: Person) -> int:
+    around = box(person.region("The cell in 3D"))
+    clip = around | {"y": around["y"] + ABOVE_PX, "height": around["height"] - ABOVE_PX - BELOW_PX}
+    return person.page.evaluate(RED, base64.b64encode(person.page.screenshot(clip=clip)).decode())
+
+
+@pytest.fixture
+def approached(built: None, tmp_path: Path) -> Iterator[ServerProcess]:
+    """A server whose robot holds because somebody stands before it; neither moves."""
+    scenario = tmp_path / "scenario.yaml"
+    scenario.write_text(WALKS_UP)
+    servers = Servers(tmp_path)
+    try:
+        server = servers.start(None, "--pace", "1", "--scenario", str(scenario))
+        server.await_status(server.launch("navigate_to", target="bench_b_stand")["id"], "escalated")
+        yield server
+    finally:
+        servers.end()
+
+
+def test_who_comes_to_a_robot_that_holds_sees_the_violated_distance_in_red(
+    approached: ServerProcess, people: People
+) -> None:
+    person = people.sit(approached)
+    for _ in range(3):  # whether the picture or the first measurement comes first
+        expect(person.region("The cell in 3D")).to_contain_text("to a person. Robot needs")
+        until(lambda: drawn(person) > MUCH, what="a cell that is drawn")
+        until(lambda: red(person) > RING_PX, within_s=10.0, what="a red ring around the robot")
+        person.page.reload()
 
 
 @pytest.mark.parametrize("theme", ["dark", "light"])

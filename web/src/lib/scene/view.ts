@@ -93,6 +93,8 @@ export class CellView {
     const zones = [...trouble.zones].join() !== [...this.trouble.zones].join();
     this.trouble = trouble;
     if (zones) this.rebuild();
+    // A frame in which nothing moved is not drawn: who comes to a robot that holds would see no colour.
+    else if (this.last !== null && this.info !== null) this.drawSeparation(this.last, this.info);
     this.dirty = true;
   }
 
