@@ -34,6 +34,14 @@ PHONE = {"width": 390, "height": 844}
 NARROWEST = {"width": 320, "height": 640}
 SIDEWAYS = {"width": 844, "height": 390}
 SIDEWAYS_SMALL = {"width": 667, "height": 375}
+TWO_FOR_THE_DRIVER = """
+  - id: driver-two-approvers
+    applies_to: [grasp_object]
+    when: params.object_id == "driver_1"
+    then: escalate
+    approvers: 2
+    because: The driver takes two.
+"""
 THUMB_PX = 48  # what a thumb hits, and how far up from the lower edge it comes easily
 REACH_PX = 140
 ASIDE_PX = 180  # and how far from the right edge, on a phone that is held sideways
@@ -295,6 +303,8 @@ def console_ahead(
         shipped = restricted.read_text()
         restricted.write_text(shipped.replace("within_s: 300", "within_s: 3"))
         assert restricted.read_text() != shipped
+        with (folder / "policies" / "organization.yaml").open("a") as rules:
+            rules.write(TWO_FOR_THE_DRIVER)
         made = Servers(folder)
         made.begin(None, "--pace", "1", "--policies", str(folder / "policies"))
         return made
@@ -308,7 +318,8 @@ def console_ahead(
 def server(console_ahead: Ahead) -> Iterator[ServerProcess]:
     """One server with one cell in real time, where people share the floor; a module's tests have it in turn.
 
-    Its policy is the shipped one, but that whoever is asked under `real-restricted` has three seconds to answer.
+    Its policy is the shipped one, but that whoever is asked under `real-restricted` has three seconds to answer, and
+    that grasping the driver takes two people.
     """
     with console_ahead.take() as server:
         yield server

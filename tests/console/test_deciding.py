@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Locator, expect
 
 from tests.conftest import ServerProcess, until
-from tests.console.conftest import Floor, People, Person, at_once
+from tests.console.conftest import Floor, People, Person, at_once, box
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 
@@ -112,3 +112,34 @@ def test_of_two_who_answer_at_once_one_wins_and_the_other_is_told(
     told = [person.page.get_by_text("Somebody has answered this already.") for person in (one, other)]
     until(lambda: any(words.is_visible() for words in told), what="words for the one who came second")
     assert floor.settled(proposed["id"])["status"] in {"running", "denied", "completed"}
+
+
+def test_who_approved_first_of_two_may_still_deny(server: ServerProcess, people: People, floor: Floor) -> None:
+    one, other = people.sit(server), people.sit(server, "operator_2")
+    proposed = floor.ask("driver_1")
+    mine, theirs = one.page.get_by_role("article"), other.page.get_by_role("article")
+    expect(one.button(re.compile("^Approve"))).to_be_enabled()
+    one.button(re.compile("^Approve")).click()
+    expect(mine).to_contain_text("1 of 2 approved: operator")
+    expect(mine).to_contain_text("You approved this. It takes another person; you may still deny it.")
+    expect(one.button(re.compile("^Approve"))).to_be_disabled()
+    expect(theirs).to_contain_text("1 of 2 approved: operator")
+    press_until(one, "d", gone=mine)
+    expect(theirs).to_have_count(0)
+    assert floor.settled(proposed["id"])["status"] == "denied"
+
+
+def test_standing_grants_stand_below_what_waits_and_are_revoked_by_keyboard(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    body = {"capability": "grasp_object", "agent": "planner", "cell": "workcell-1", "scope": "object"}
+    made = server.post("/v1/grants", {**body, "object": "glass_1", "minutes": 1})
+    assert made.is_success, made.text
+    person = people.sit(server)
+    grants = person.page.get_by_role("list", name="Standing grants")
+    expect(grants).to_contain_text("glass_1")
+    calm = box(person.page.get_by_text("Nothing waits for a person."))
+    assert box(grants)["y"] >= calm["y"] + calm["height"]
+    grants.get_by_role("button", name="Revoke the grant for grasp_object").focus()
+    person.press("Enter")
+    expect(grants).to_have_count(0)

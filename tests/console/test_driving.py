@@ -160,6 +160,32 @@ def test_a_key_that_is_held_is_let_go_when_the_window_loses(
     at_rest(floor)
 
 
+def test_a_session_is_taken_over_and_ended_by_keyboard_alone(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    session = floor.drive(target="dock")
+    person.press("t")
+    panel = person.region("Drive by hand")
+    expect(panel).to_be_focused()
+    for button in ("Close", "Take the controls"):
+        person.press("Tab")
+        expect(person.button(button)).to_be_focused()
+    expect(person.button("Take the controls")).to_be_enabled()
+    person.press("Enter")
+    expect(person.page.get_by_text(LET_GO)).to_be_visible()
+    expect(panel).to_be_focused()
+    person.press("h")
+    for button in ("Agent goes on", "Roll back", "End session"):
+        person.press("Tab")
+        expect(person.button(button)).to_be_focused()
+    expect(person.button("End session")).to_be_enabled()
+    person.press("Enter")
+    assert server.await_status(session["id"], "failed", "completed")["outcome"] == "taken_over"
+    expect(person.button("Take the controls")).to_be_visible()
+    expect(panel).to_be_focused()
+
+
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
 def test_whoever_drives_sees_the_robot_above_the_pad(
     server: ServerProcess, people: People, floor: Floor, size: dict[str, int]

@@ -1,5 +1,5 @@
 import { describe, expect, it } from 'vitest';
-import { cellOf, entriesOf } from '../src/lib/format/events';
+import { cellOf, entriesOf, eventLine } from '../src/lib/format/events';
 import { Keys } from '../src/lib/keys/keys';
 import { cell, event, invocation } from './samples';
 
@@ -20,6 +20,14 @@ describe('where something happened', () => {
     const events = [event('cell', { link: 'attached' }, null, 'workcell-1'), event('cell', { link: 'attached' }, null, 'workcell-2')];
     const entries = entriesOf(events, 10, (one) => cellOf(one, DOCS));
     expect(entries.map((entry) => [entry.cell, entry.times])).toEqual([['workcell-2', 1], ['workcell-1', 1]]);
+  });
+});
+
+describe('what a cell says it was told', () => {
+  it('is said in words an operator uses', () => {
+    const said = (op: string): string => eventLine(event('human', { op }, 'inv_1', 'workcell-1')).text.trim();
+    expect(said('confirm')).toBe('goes on, as a person confirmed');
+    expect(said('end_takeover')).toBe('ended the session that was driven by hand');
   });
 });
 

@@ -67,6 +67,12 @@ describe('the stage strip', () => {
     expect(states({ status: 'awaiting_approval' })).toBe('Goal done, Proposal done, Decision asks, Launch open, Watch open, Recover open, Outcome open');
   });
 
+  it('stands at watching while a phase waits to be confirmed, and at recovering while a robot in trouble does', () => {
+    const asks = (phase: string | null): LogEvent[] => [event('escalation', { escalation: { status: 'pending', phase } })];
+    expect(states({ status: 'escalated' }, asks('settle'))).toContain('Watch asks, Recover open');
+    expect(states({ status: 'escalated' }, asks(null))).toContain('Watch done, Recover asks');
+  });
+
   it('stands at watching while it runs, and counts what policy cut', () => {
     expect(states({ status: 'running' })).toContain('Launch done, Watch now, Recover open');
     expect(note('Decision', { status: 'running' })).toBe('2 values cut');

@@ -162,6 +162,8 @@ const ORDERS: Record<string, string> = {
   release: 'handed the controls back',
   jog: 'is driven by hand',
   let_go: 'is at rest again',
+  end_takeover: 'ended the session that was driven by hand',
+  confirm: 'goes on, as a person confirmed',
   control_lapsed: 'ended the lease: its holder fell silent',
 };
 

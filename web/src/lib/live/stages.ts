@@ -68,8 +68,19 @@ function watch(invocation: Invocation, events: readonly LogEvent[]): Stage {
     case 'taken_over':
       return { name: 'Watch', state: 'now', note: 'driven by hand' };
     default:
-      return { name: 'Watch', state: counted === '' ? 'done' : 'bad', note: counted || 'no violation' };
+      return confirming(invocation, events) ? { name: 'Watch', state: 'asks', note: 'waits for you' } : watched(counted);
   }
+}
+
+function watched(counted: string): Stage {
+  return { name: 'Watch', state: counted === '' ? 'done' : 'bad', note: counted || 'no violation' };
+}
+
+/** Whether it waits for a person to confirm a phase, as policy says: there is nothing to recover from then. */
+function confirming(invocation: Invocation, events: readonly LogEvent[]): boolean {
+  if (invocation.status !== 'escalated') return false;
+  const asked = events.filter((event) => event.kind === 'escalation').sort((a, b) => b.seq - a.seq)[0]?.body['escalation'];
+  return typeof asked === 'object' && asked !== null && 'phase' in asked && typeof asked.phase === 'string';
 }
 
 function violationsIn(events: readonly LogEvent[]): string {
@@ -81,6 +92,7 @@ function violationsIn(events: readonly LogEvent[]): string {
 function recover(invocation: Invocation, events: readonly LogEvent[]): Stage {
   const steps = events.filter((event) => event.kind === 'recovery').length;
   const counted = `${steps} step${steps === 1 ? '' : 's'}`;
+  if (confirming(invocation, events)) return { name: 'Recover', state: 'open', note: 'open' };
   if (invocation.status === 'escalated') return { name: 'Recover', state: 'asks', note: 'waits for you' };
   if (invocation.status === 'recovering') return { name: 'Recover', state: 'now', note: counted };
   if (steps > 0) return { name: 'Recover', state: 'done', note: counted };
