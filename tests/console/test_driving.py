@@ -168,6 +168,7 @@ def test_a_session_is_taken_over_and_ended_by_keyboard_alone(
     person.press("t")
     panel = person.region("Drive by hand")
     expect(panel).to_be_focused()
+    expect(panel).to_contain_text("Taking over holds the session")  # not the idle cell, which it was a moment ago
     for button in ("Close", "Take the controls"):
         person.press("Tab")
         expect(person.button(button)).to_be_focused()
