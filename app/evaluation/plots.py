@@ -235,7 +235,7 @@ def shares(cells: Mapping[str, Mapping[str, float]], caption: str) -> Plot:
         axes.set_ylim(len(cells) - 0.5, -0.5)
         axes.grid(visible=False)
         axes.tick_params(length=0)
-    told = "; ".join(f"{row} " + ", ".join(f"{name} {share:.2f}" for name, share in found.items())
+    told = "; ".join(f"{row}: " + ", ".join(f"{' '.join(name.split())} {share:.2f}" for name, share in found.items())
                      for row, found in cells.items())  # fmt: skip
     return Plot(drawn[0], f"{caption} {told}.", caption)
 

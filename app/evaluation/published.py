@@ -126,7 +126,8 @@ RECOVERY: Final = PublishedTable(
     },
     places=(("methods", "{row}", "{column}"),),
     remark="The paper's RBSR counts capabilities without a rollback as failures, and its recovery times are constants "
-    "of its simulation. Our RBSR is over rollback-capable trials.",
+    "of its simulation. Our RBSR is over rollback-capable trials, "
+    "and who never tried a rollback has none: a dash, where the paper has 0.",
 )
 
 PER_TYPE: Final = PublishedTable(

@@ -328,7 +328,8 @@ def _score_text(score: object) -> str:
 
 def _studies(results: Results) -> Iterator[Section]:
     for name, title, about, grids in study_grids(results):
-        yield Section(f"study-{name}", title, about, "Nothing was measured.", grids, study_plots(name, results))
+        yield Section(f"study-{name}", title, about, "Nothing was measured.", grids, study_plots(name, results),
+                      pictures_first=True)  # fmt: skip
 
 
 def _unpublished(results: Results) -> Section:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from app.evaluation.metrics import METRICS
 from app.evaluation.plots import shares
 from app.evaluation.report_goals import impossible, yes_of
 from app.evaluation.report_names import heading_of
-from app.evaluation.report_tables import Grid, Results, entry_text, mapping, mean_of, plain_text
+from app.evaluation.report_tables import Grid, Results, entry_text, mapping, mean_of, number_text, plain_text
 from app.evaluation.study_sensors import PERIOD_TICKS, PROMPT_TICKS
 
 if TYPE_CHECKING:
@@ -26,13 +26,16 @@ def study_grids(results: Results) -> Iterator[tuple[str, str, str, tuple[Grid, .
         )  # fmt: skip
 
 
+_KINDS: Final = {"noisy": "garbage"}
+
+
 def cameras_text(results: Results) -> str:
     """Say how often cameras that are wrong about objects were noticed in time, and why; empty where all were."""
     told: dict[str, list[str]] = {"objects": [], "people": []}
     missed = False
     for sensor, kind, size, entry in impossible(results):
         if size and sensor in told and (n := int(entry.get("n", 0))):
-            told[sensor].append(f"{kind} of {size:g} m {yes_of(entry)} of {n}")
+            told[sensor].append(f"{_KINDS.get(kind, kind)} of {size:g} m {yes_of(entry)} of {n}")
             missed |= sensor == "objects" and yes_of(entry) < n
     if not missed:
         return ""
@@ -49,7 +52,12 @@ def study_plots(name: str, results: Results) -> tuple[Plot, ...]:
     tables: Sequence[Mapping[str, Any]] = results["studies"][name]["tables"]
     match name:
         case "sensors":
-            return tuple(_drawn(_pivot(tables[0]["rows"], "detected"), "Broken sensors: share that was detected."))
+            return tuple(
+                _drawn(
+                    _pivot(tables[0]["rows"], "detected"),
+                    "Broken sensors: share that was detected, in time or later; big is the bigger of two sizes.",
+                )
+            )
         case "supervisors":
             rows: Mapping[str, Mapping[str, Any]] = tables[1]["rows"]
             wanted = ("done (RSR)", "expired", "violated for over 250 ms")
@@ -93,7 +101,7 @@ def _grid(name: str, number: int, table: Mapping[str, Any]) -> Grid:
         table["stub"],
         (),
         tuple(heading_of(heading) if "_" in heading and heading in METRICS else heading for heading in headings),
-        tuple((row, tuple(_text(cells.get(heading)) for heading in headings)) for row, cells in rows.items()),
+        tuple((row, tuple(_text(cells.get(heading), heading) for heading in headings)) for row, cells in rows.items()),
         table["remark"],
     )
 
@@ -104,6 +112,9 @@ def _headings(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     return tuple(heading for heading in named if any(_text(row.get(heading)) != _text(None) for row in rows))
 
 
-def _text(value: object) -> str:
+def _text(value: object, heading: str = "") -> str:
+    """Write a cell; a bare number is no share but ticks or seconds, of which thousandths say nothing."""
     entry = mapping(value)
-    return entry_text(entry, "1") if "mean" in entry else plain_text(value)
+    if "mean" in entry:
+        return entry_text(entry, "1")
+    return number_text(value, 1 if "tick" in heading else 2) if isinstance(value, float) else plain_text(value)

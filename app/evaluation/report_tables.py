@@ -99,6 +99,10 @@ def _of_reins(results: Results, metric: str) -> str:
     return DASH if mean is None else number_text(mean)
 
 
+def _rows_of_reins(results: Results, metric: str) -> int:
+    return mapping(mapping(mapping(results.get("methods")).get("reins")).get(metric)).get("n", 0)
+
+
 def _about_violations(results: Results) -> str:
     return (
         "Our UCR and CEF leave out violations of which policy asks no more than a warning, for every method. "
@@ -110,10 +114,10 @@ def _about_recovery(results: Results) -> str:
     return (
         "Our RBSR is of rollbacks after withdrawals, failures and violations; its parts stand among the goals. Nearer "
         f"to the paper's is {_of_reins(results, 'RBSR_TRIED')} for Reins, over all rollbacks that were tried, capable "
-        f"or not, and {_of_reins(results, 'RBSR_ALL')} over the failures that were not recovered. Our MRT is simulated "
-        "seconds, in which a body had to move; it runs from the first recovery step to the end of the session, the "
-        "rest of the task included, and is of each method's own successes: compared over the same trials it stands "
-        "under recovery times."
+        f"or not, and {_of_reins(results, 'RBSR_ALL')} over the {_rows_of_reins(results, 'RBSR_ALL')} failures that "
+        "were not recovered. Our MRT is simulated seconds, in which a body had to move; it runs from the first "
+        "recovery step to the end of the session, the rest of the task included, and is of each method's own "
+        "successes: compared over the same trials it stands under recovery times."
     )
 
 

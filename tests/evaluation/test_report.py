@@ -293,8 +293,8 @@ def test_cameras_that_are_wrong_are_told_of_by_what_was_measured() -> None:
     table = {"caption": "c", "stub": "s", "remark": "", "rows": rows}
     document = results() | {"studies": {"sensors": {"title": "t", "about": "About.", "tables": [table]}}}
     ((_, _, about, _),) = study_grids(document)
-    assert "restrained within 5 ticks were noisy of 0.1 m 0 of 10; of a tracker" in about
-    assert "wrong about people: noisy of 1.5 m 9 of 10. A picture of objects comes every 10 ticks" in about
+    assert "restrained within 5 ticks were garbage of 0.1 m 0 of 10; of a tracker" in about
+    assert "wrong about people: garbage of 1.5 m 9 of 10. A picture of objects comes every 10 ticks" in about
     rows["objects/noisy 0.1"]["prompt"]["mean"] = 1.0
     ((_, _, about, _),) = study_grids(document)
     assert about == "About."
@@ -361,10 +361,10 @@ def test_the_strict_rate_of_unsafe_continuation_stands_under_the_papers_table() 
 
 def test_the_rollbacks_that_compare_with_the_papers_stand_under_its_table() -> None:
     document: dict[str, Any] = results() | {"protocol": "physical"}
-    document["methods"]["reins"] |= {"RBSR_TRIED": {"mean": 0.848}, "RBSR_ALL": {"mean": None}}
+    document["methods"]["reins"] |= {"RBSR_TRIED": {"mean": 0.848}, "RBSR_ALL": {"mean": None, "n": 0}}
     remark = paper_grid(published.RECOVERY, document).remark
     assert "0.848 for Reins, over all rollbacks that were tried" in remark
-    assert "– over the failures that were not recovered" in remark
+    assert "– over the 0 failures that were not recovered" in remark
     assert "rollbacks that were tried" not in paper_grid(published.RECOVERY, results()).remark
 
 
@@ -525,3 +525,14 @@ def test_the_head_says_what_digests_are_of_and_which_figures_are_pooled() -> Non
     assert "sha256:01 (digest of the Python files that rows may follow from" in text
     assert "sha256:02 (digest of the policy" in text
     assert "What has a ± is a mean over seeds" in text
+
+
+def test_ticks_and_seconds_of_a_study_have_no_thousandths_and_its_picture_stands_first() -> None:
+    share: dict[str, Any] = {"mean": 0.5, "n": 10, "low": 0.2, "high": 0.8}
+    cells = {"detected": share, "prompt": share, "ticks, median": 41.0, "mean s": 9.0734}
+    table = {"caption": "c", "stub": "s", "remark": "", "rows": {"arm/noisy 0.02": cells, "arm/noisy 0.2": cells}}
+    document = results() | {"studies": {"sensors": {"title": "t", "about": "About.", "tables": [table]}}}
+    (section,) = [section for section in sections(document) if section.id == "study-sensors"]
+    assert dict(section.grids[0].rows)["arm/noisy 0.2"][2:] == ("41.0", "9.07")
+    assert section.pictures_first
+    assert "arm: noisy 0.50, noisy big 0.50" in section.plots[0].alternative
