@@ -159,9 +159,10 @@ def _approval(known: Body, actor: str, body: Body) -> Body:
 
 
 def _authorization(known: Body, actor: str, body: Body) -> Body:
-    if _AUTHORIZED in known:  # it changes hands; what it is and does stays
-        return {}
     permit = body["authorization"]
+    if _AUTHORIZED in known:  # it changes hands, or comes back by a decision of its own; what it is and does stays
+        back = permit["capability"] == known["capability"] != TAKEOVER
+        return {"policy_version": permit["policy_digest"]} if back else {}
     return {
         _AUTHORIZED: True,
         "status": Status.RUNNING.value,

@@ -240,7 +240,12 @@ class Answer:
         judgement, approvals = await readmitted(kernel, self._register, cell, present, self._principal)
         async with kernel.launch(present, judgement, approvals, anew=True, since=since) as launch:
             terms = replace(launch.invocation.terms, undone_by=None)  # it goes on: its end is the agent's as well
-            version = present.evolve(closed.updated_at, escalation=closed.reference(), terms=terms)
+            version = present.evolve(
+                closed.updated_at,
+                escalation=closed.reference(),
+                terms=terms,
+                policy_version=judgement.policy.digest,
+            )
             drafts = [self._event("approve", closed), *judgement.recheck_events(present), *launch.events]
             await self._questions.commit(drafts, closed, version, launch.rows)
         return closed

@@ -114,7 +114,8 @@ class Handbacks:
             async with self.kernel.launch(present, judgement, approvals, anew=True, since=since) as launch:
                 word = self._word("release", present, principal, document, then="resume")
                 terms = replace(launch.invocation.terms, undone_by=None)  # it goes on: its end is the agent's as well
-                version = self._given_back(cell, present, "resume", terms=terms)
+                decided = judgement.policy.digest  # it may be another one that is in force by now
+                version = self._given_back(cell, present, "resume", terms=terms, policy_version=decided)
                 recheck = judgement.recheck_events(present)
                 await self.register.append([word, *recheck, *launch.events], launch.rows, [version])
 

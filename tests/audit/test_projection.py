@@ -20,7 +20,13 @@ PROPOSAL = ("proposal", {"capability": "navigate_to", "filled": ASKED})
 ADMISSION = ("admission", {"cell": "workcell-1", "profile": "human-shared", "status": "awaiting_approval"})
 POLICY = ("policy", {"effective": BOUND, "policy_version": "sha256:a"})
 APPROVAL = ("approval", {"escalation": {"effective": {"speed_mps": 0.1}}})
-AUTHORIZATION = ("authorization", {"authorization": {"params": BOUND, "policy_digest": "sha256:b"}})
+
+
+def permitted(capability: str, digest: str, params: dict[str, float]) -> tuple[str, dict[str, Any]]:
+    return "authorization", {"authorization": {"capability": capability, "params": params, "policy_digest": digest}}
+
+
+AUTHORIZATION = permitted("navigate_to", "sha256:b", BOUND)
 ASKING = ("escalation", {"escalation": {"kind": "session", "status": "pending"}})
 STOPPED = ("outcome", {"outcome": "stopped"})
 TAKEN = ("human", {"op": "takeover"})
@@ -66,7 +72,8 @@ STATES: list[tuple[tuple[Told, ...], dict[str, Any]]] = [
     ((*RUN, REFUSED), {"status": "running", "outcome": None}),  # asked again within the session
     ((*RUN, ("policy", {"effective": ASKED, "policy_version": "sha256:c"})), {"effective": BOUND, "policy_version": "sha256:b"}),
     ((*RUN, APPROVAL), {"effective": BOUND}),
-    ((*RUN, ("authorization", {"authorization": {"params": {}, "policy_digest": "x"}})), {"effective": BOUND}),
+    ((*RUN, permitted("takeover", "sha256:c", {})), {"effective": BOUND, "policy_version": "sha256:b"}),
+    ((*RUN, permitted("navigate_to", "sha256:c", {})), {"effective": BOUND, "policy_version": "sha256:c"}),
     ((*RUN, status("paused")), {"status": "paused"}),
     ((*RUN, status("completed")), {"status": "running"}),  # the outcome says it
     ((*RUN, ASKING), {"status": "escalated"}),

@@ -19,6 +19,7 @@ from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
 from app.runtime.invocation import Principal, ProposalRequest
 from tests.runtime.conftest import AGENT, OPERATOR, OPERATOR_2, HandCell, House
+from tests.runtime.test_versions import FASTER, put_in_force
 
 pytestmark = pytest.mark.anyio
 LOCAL = replace(OPERATOR_2, station="workcell-1")
@@ -160,6 +161,18 @@ async def test_handing_back_decides_again_and_waits_for_the_cell(
     assert document["takeover"]["state"] == "returned"
     assert document["takeover"]["facts"]["gripper_empty"] is True
     assert place.control is None
+
+
+async def test_what_goes_on_under_another_policy_names_it(runtime: Runtime, cell: HandCell, driving: str) -> None:
+    decided = (await runtime.governor.invocation(driving, AGENT))["policy_version"]
+    await runtime.governor.take_over(driving, OPERATOR)
+    digest = await put_in_force(runtime, FASTER)
+    back = asyncio.ensure_future(runtime.governor.release(driving, OPERATOR, "resume"))
+    async with stating(cell):
+        await cell.expect("launch", 3)
+    await cell.report("status", driving, status="running", before="recovering", reason="handed_back")
+    assert (permit(cell)["policy_digest"], (await back)["policy_version"]) == (digest, digest)
+    assert decided != digest
 
 
 async def test_what_policy_does_not_let_go_on_stays_in_hand_with_the_reasons(
