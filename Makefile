@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help setup console demo run test check bench evaluate pictures format lock clean \
-  test-rules test-evaluation test-runtime test-served test-processes test-console
+  test-rules test-evaluation test-runtime test-served test-processes test-sessions test-console
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
@@ -41,16 +41,17 @@ run: $(STAMP) console  ## a server with one simulated cell and a demo agent; kee
 	@$(BIN)/reins demo --keep --port 8000
 
 test: $(STAMP) console  ## the whole test suite; what decides and what proves covered to the last branch
-	@$(MAKE) --no-print-directory -j4 test-served test-rules test-evaluation test-runtime
+	@$(MAKE) --no-print-directory -j5 test-served test-rules test-evaluation test-runtime
 
-# For two cores. What starts servers and cells, and then browsers, is one lane from the beginning to the end, and mostly
-# waits; so does what serves within one process. Leases of 300 ms are real time there. What only computes fills the cores
-# and gives way. Whatever no lane names runs with the processes.
+# For two cores. What starts servers and cells mostly waits, in two lanes, and then what starts browsers as well, in one;
+# so does what serves within one process. Leases of 300 ms are real time there. What only computes fills the cores and
+# gives way. Whatever no lane names runs with the processes.
+SESSIONS := $(patsubst %,tests/test_%.py,activation confirmation console contract demo takeover)
 SERVES_NOBODY := tests/authoring tests/sim tests/test_cli.py tests/test_cli_authoring.py tests/test_assayer.py tests/test_disk.py
 COMPUTES := tests/evaluation tests/runtime tests/api tests/agent tests/cell tests/proofs $(SERVES_NOBODY)
 GIVING_WAY := nice -n 19
 test-served:
-	@$(MAKE) --no-print-directory test-processes
+	@$(MAKE) --no-print-directory test-processes test-sessions
 	@$(MAKE) --no-print-directory test-console
 
 test-rules: $(STAMP)
@@ -68,7 +69,10 @@ test-runtime: $(STAMP)
 
 test-processes: $(STAMP)
 	@$(BIN)/python -m pytest -p no:cacheprovider $(MEASURED:%=--ignore=%) $(COMPARED:%=--ignore=%) \
-	  $(COMPUTES:%=--ignore=%) --ignore=tests/console
+	  $(COMPUTES:%=--ignore=%) $(SESSIONS:%=--ignore=%) --ignore=tests/console
+
+test-sessions: $(STAMP)
+	@$(BIN)/python -m pytest -p no:cacheprovider $(SESSIONS)
 
 test-console: $(STAMP) console
 	@$(BIN)/python -m pytest tests/console
