@@ -106,6 +106,19 @@ def test_a_gamepad_drives_while_its_stick_is_held_and_says_zero_when_it_is_let_g
     person.page.evaluate("window.stick.connected = false")  # unplugged with the stick held
     let_go(person)
     at_rest(floor)
+    held = person.page.get_by_text("let go of its sticks first")
+    person.page.evaluate("window.stick.connected = true")  # and plugged in again, with the stick still held
+    expect(held).to_be_visible()
+    let_go(person)
+    person.page.evaluate("window.stick.axes[1] = 0")
+    expect(held).to_be_hidden()
+    stood = floor.base()
+    person.page.evaluate("window.stick.axes[1] = 0.8")
+    until(lambda: far(floor.base(), stood) > 0.05, what="a base that drives again")
+    person.page.evaluate("dispatchEvent(new Event('blur'))")
+    expect(held).to_be_visible()
+    let_go(person)
+    at_rest(floor)
 
 
 def test_the_pad_on_the_screen_drives_while_a_thumb_is_on_it(

@@ -1,5 +1,5 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
-import { gamepadAxes } from '../src/lib/jog/bindings';
+import { gamepadAxes, Sticks } from '../src/lib/jog/bindings';
 import { HoldToRun, type Command, type Speeds } from '../src/lib/jog/hold';
 
 const SPEEDS: Speeds = { base_x: 0.2, base_y: 0.2, base_yaw: 0.4, tool_x: 0.1, tool_y: 0.1, tool_z: 0.1 };
@@ -73,5 +73,23 @@ describe('a gamepad', () => {
     const rest = gamepadAxes({ axes: [0.1, -0.1, 0.05, 0.17], buttons: [] });
     expect(Object.values(rest).every((value) => value === 0)).toBe(true);
     expect(gamepadAxes({ axes: [0, -1, 0, 0], buttons: [] }).base_x).toBeCloseTo(1);
+  });
+
+  const pad = (y: number): { axes: number[]; buttons: [] } => ({ axes: [0, y, 0, 0], buttons: [] });
+
+  it('counts once its sticks have been at rest, and says so until then', () => {
+    const sticks = new Sticks();
+    expect([sticks.read(pad(-1)), sticks.ignored]).toEqual([null, true]);
+    expect([sticks.read(pad(0))?.base_x, sticks.ignored]).toEqual([0, false]);
+    expect([sticks.read(pad(-1))?.base_x, sticks.ignored]).toEqual([1, false]);
+  });
+
+  it('starts nothing by itself after something let go of the robot, however long it is held', () => {
+    const sticks = new Sticks();
+    for (const away of [() => sticks.letGo(), () => void sticks.read(null)]) {
+      sticks.read(pad(0));
+      away();
+      expect([sticks.read(pad(-1)), sticks.read(pad(-1)), sticks.ignored]).toEqual([null, null, true]);
+    }
   });
 });

@@ -1,5 +1,10 @@
 import type { Axis, Grip } from './hold';
 
+interface Pad {
+  axes: readonly number[];
+  buttons: readonly { value: number }[];
+}
+
 /** Physical keys (`KeyboardEvent.code`) while driving; none of them decides a question. */
 export const JOG_KEYS: Record<string, { axis: Axis; deflection: 1 | -1 }> = {
   ArrowUp: { axis: 'base_x', deflection: 1 },
@@ -21,7 +26,7 @@ export const GRIP_KEYS: Record<string, Exclude<Grip, null>> = { BracketLeft: 'op
 const DEAD = 0.18;
 
 /** A gamepad's sticks as deflections: left drives the base, right the tool; triggers lift and lower, bumpers turn. */
-export function gamepadAxes(pad: { axes: readonly number[]; buttons: readonly { value: number }[] }): Record<Axis, number> {
+export function gamepadAxes(pad: Pad): Record<Axis, number> {
   const axis = (k: number): number => {
     const value = pad.axes[k] ?? 0;
     return Math.abs(value) < DEAD ? 0 : (value - Math.sign(value) * DEAD) / (1 - DEAD);
@@ -36,4 +41,29 @@ export function gamepadAxes(pad: { axes: readonly number[]; buttons: readonly { 
     tool_y: 0 - axis(2),
     tool_z: Math.abs(lift) < DEAD ? 0 : lift,
   };
+}
+
+/**
+ * What a gamepad says, once it has been at rest: whatever let go of the robot (the window lost the focus, the link went,
+ * the pad was unplugged), a stick that is still held starts nothing, as a key that is still held does not.
+ */
+export class Sticks {
+  private rested = false;
+  /** Whether something is held that does not count, until it is let go. */
+  ignored = false;
+
+  /** Wants the sticks at rest before they count again. */
+  letGo(): void {
+    this.rested = false;
+  }
+
+  /** Returns the deflections that count; null while none do. */
+  read(pad: Pad | null): Record<Axis, number> | null {
+    if (pad === null) this.letGo();
+    const axes = pad === null ? null : gamepadAxes(pad);
+    const held = axes !== null && Object.values(axes).some((value) => value !== 0);
+    if (axes !== null && !held) this.rested = true;
+    this.ignored = held && !this.rested;
+    return this.rested ? axes : null;
+  }
 }
