@@ -3,7 +3,7 @@ import type { Escalation, Invocation, LogEvent, Risk } from '../src/lib/api/docu
 import { readGauge, type GaugeSpec } from '../src/lib/live/gauges';
 import { History } from '../src/lib/live/history';
 import { handsOn, leaseLapsed, refusalWords } from '../src/lib/live/control';
-import { stagesOf } from '../src/lib/live/stages';
+import { askedOf, stagesOf } from '../src/lib/live/stages';
 import { troubleOf, zonesAt } from '../src/lib/live/trouble';
 import { byUrgency, currentOf } from '../src/lib/live/urgency';
 import { cell, escalation, event, invocation, scene } from './samples';
@@ -65,6 +65,15 @@ describe('the stage strip', () => {
 
   it('stands at the decision while a person is asked', () => {
     expect(states({ status: 'awaiting_approval' })).toBe('Goal done, Proposal done, Decision asks, Launch open, Watch open, Recover open, Outcome open');
+  });
+
+  it('says for whom it waits: for whoever looks, for one more after them, or for a person', () => {
+    const open = escalation({ needed: 2, approvals: [{ by: 'ann', at: '', digest: '' }] });
+    const of = (name: string, role: string): string => askedOf(open, { name, role });
+    expect([of('bob', 'operator'), of('ann', 'operator'), of('eve', 'auditor')]).toEqual(['waits for you', '1 of 2 approved', 'asks a person']);
+    expect(askedOf(null, null)).toBe('waits for you');
+    const notes = stagesOf(invocation({ status: 'awaiting_approval' }), [], 'asks a person').map((stage) => stage.note);
+    expect(notes).toContain('asks a person');
   });
 
   it('stands at watching while a phase waits to be confirmed, and at recovering while a robot in trouble does', () => {

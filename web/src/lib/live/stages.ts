@@ -1,6 +1,7 @@
-import type { Invocation, LogEvent } from '../api/documents';
+import type { Escalation, Invocation, LogEvent } from '../api/documents';
 import { outcomeTone, outcomeWords, type Tone } from '../format/status';
 import { clockTime } from '../format/time';
+import { iApproved } from './urgency';
 
 export const STAGES = ['Goal', 'Proposal', 'Decision', 'Launch', 'Watch', 'Recover', 'Outcome'] as const;
 export type StageName = (typeof STAGES)[number];
@@ -13,8 +14,15 @@ export interface Stage {
   note: string;
 }
 
-/** Where an invocation stands in the seven stages, from its document and its events. */
-export function stagesOf(invocation: Invocation, log: readonly LogEvent[]): Stage[] {
+/** Says of a question for whom it waits, as the person who looks sees it; `escalation` is the one that is open, if any. */
+export function askedOf(escalation: Escalation | null, me: { name: string; role: string } | null): string {
+  if (me !== null && me.role !== 'operator') return 'asks a person';
+  if (escalation === null || !iApproved(escalation, me?.name ?? null)) return 'waits for you';
+  return `${escalation.approvals.length} of ${escalation.needed} approved`;
+}
+
+/** Where an invocation stands in the seven stages, from its document and its events; `asked` says for whom it waits. */
+export function stagesOf(invocation: Invocation, log: readonly LogEvent[], asked = 'waits for you'): Stage[] {
   const events = log.filter((event) => event.invocation === invocation.id);
   const at = (kind: string): LogEvent | undefined => events.find((event) => event.kind === kind);
   const time = (event: LogEvent | undefined): string => (event === undefined ? '' : clockTime(event.at));
@@ -22,10 +30,10 @@ export function stagesOf(invocation: Invocation, log: readonly LogEvent[]): Stag
   return [
     { name: 'Goal', state: 'done', note: proposed },
     proposal(invocation, proposed),
-    decision(invocation),
+    decision(invocation, asked),
     launch(invocation, at('launch'), time(at('launch'))),
-    watch(invocation, events),
-    recover(invocation, events),
+    watch(invocation, events, asked),
+    recover(invocation, events, asked),
     outcome(invocation),
   ];
 }
@@ -42,8 +50,8 @@ function proposal(invocation: Invocation, time: string): Stage {
   return { name: 'Proposal', state: 'done', note: time };
 }
 
-function decision(invocation: Invocation): Stage {
-  if (invocation.status === 'awaiting_approval') return { name: 'Decision', state: 'asks', note: 'waits for you' };
+function decision(invocation: Invocation, asked: string): Stage {
+  if (invocation.status === 'awaiting_approval') return { name: 'Decision', state: 'asks', note: asked };
   if (invocation.status === 'denied') return { name: 'Decision', state: 'bad', note: invocation.outcome === 'expired' ? 'expired' : 'denied' };
   const policy = invocation.policy;
   if (policy === null) return { name: 'Decision', state: 'open', note: 'open' };
@@ -57,7 +65,7 @@ function launch(invocation: Invocation, event: LogEvent | undefined, time: strin
   return { name: 'Launch', state: 'done', note: time || 'launched' };
 }
 
-function watch(invocation: Invocation, events: readonly LogEvent[]): Stage {
+function watch(invocation: Invocation, events: readonly LogEvent[], asked: string): Stage {
   if (!launched(invocation)) return { name: 'Watch', state: 'open', note: 'open' };
   const counted = violationsIn(events);
   switch (invocation.status) {
@@ -68,7 +76,7 @@ function watch(invocation: Invocation, events: readonly LogEvent[]): Stage {
     case 'taken_over':
       return { name: 'Watch', state: 'now', note: 'driven by hand' };
     default:
-      return confirming(invocation, events) ? { name: 'Watch', state: 'asks', note: 'waits for you' } : watched(counted);
+      return confirming(invocation, events) ? { name: 'Watch', state: 'asks', note: asked } : watched(counted);
   }
 }
 
@@ -89,11 +97,11 @@ function violationsIn(events: readonly LogEvent[]): string {
   return count === 1 ? '1 violation' : `${count} violations`;
 }
 
-function recover(invocation: Invocation, events: readonly LogEvent[]): Stage {
+function recover(invocation: Invocation, events: readonly LogEvent[], asked: string): Stage {
   const steps = events.filter((event) => event.kind === 'recovery').length;
   const counted = `${steps} step${steps === 1 ? '' : 's'}`;
   if (confirming(invocation, events)) return { name: 'Recover', state: 'open', note: 'open' };
-  if (invocation.status === 'escalated') return { name: 'Recover', state: 'asks', note: 'waits for you' };
+  if (invocation.status === 'escalated') return { name: 'Recover', state: 'asks', note: asked };
   if (invocation.status === 'recovering') return { name: 'Recover', state: 'now', note: counted };
   if (steps > 0) return { name: 'Recover', state: 'done', note: counted };
   const over = invocation.outcome !== null;
