@@ -23,6 +23,19 @@ describe('where something happened', () => {
   });
 });
 
+describe('a standing grant', () => {
+  const said = (op: string, grant: Record<string, string | Record<string, string> | null>): string => {
+    const line = eventLine(event('grant', { op, grant: { capability: 'grasp_object', object: 'glass_1', task: null, ...grant } }, null, 'ann'));
+    return `${line.strong}${line.text}`;
+  };
+  it('says what it is for, and why it ended', () => {
+    expect(said('given', { ended: null })).toBe('ann opened a standing grant: grasp object glass_1');
+    expect(said('ended', { ended: { code: 'revoked', by: 'bob' } })).toBe('bob revoked a standing grant: grasp object glass_1');
+    expect(said('ended', { ended: { code: 'expired', by: 'server' } })).toBe('Standing grant ran out: grasp object glass_1');
+    expect(said('ended', { object: null, ended: { code: 'another', by: 'server' } })).toBe('Standing grant ended: grasp object');
+  });
+});
+
 describe('what a cell says it was told', () => {
   it('is said in words an operator uses', () => {
     const said = (op: string): string => eventLine(event('human', { op }, 'inv_1', 'workcell-1')).text.trim();

@@ -191,12 +191,23 @@ function status(body: Body): Line {
   return line('dot', 'quiet', why === '' ? text : `${text} (${why})`);
 }
 
+/** Why a standing grant ended by itself. */
+const GRANT_ENDS: Record<string, string> = {
+  expired: 'ran out',
+  estop: 'ended by the emergency stop',
+  policy_changed: 'ended with its policy',
+  profile_changed: 'ended with its profile',
+};
+
 function grant(body: Body, event: LogEvent): Line {
   const given = obj(body['grant']);
-  const what = words(str(given['capability'])).toLowerCase();
+  const of = str(given['object']) || str(given['task']);
+  const what = `${words(str(given['capability'])).toLowerCase()}${of === '' ? '' : ` ${of}`}`;
   const op = str(body['op']);
+  const ended = obj(given['ended']);
+  if (str(ended['code']) === 'revoked') return line('refused', 'human', ` revoked a standing grant: ${what}`, str(ended['by']));
   if (op === 'given') return line('check', 'human', ` opened a standing grant: ${what}`, event.actor);
-  return line('refused', 'quiet', `Standing grant ${op.replaceAll('_', ' ')}: ${what}`);
+  return line('refused', 'quiet', `Standing grant ${GRANT_ENDS[str(ended['code'])] ?? op.replaceAll('_', ' ')}: ${what}`);
 }
 
 function review(body: Body, event: LogEvent): Line {
