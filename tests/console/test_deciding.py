@@ -114,6 +114,40 @@ def test_of_two_who_answer_at_once_one_wins_and_the_other_is_told(
     assert floor.settled(proposed["id"])["status"] in {"running", "denied", "completed"}
 
 
+def stages(person: Person) -> Locator:
+    return person.page.get_by_role("list", name="The seven stages of the session")
+
+
+def test_what_somebody_edits_is_read_again_before_a_key_approves_it(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    asked = floor.ask("driver_1")
+    yes = person.button(re.compile("^Approve"))
+    expect(yes).to_be_enabled()
+    path = f"/v1/escalations/{asked['escalation']['id']}"
+    # A key that is on its way when the edit comes: pressed in the very moment the page shows the other value.
+    person.page.evaluate(
+        """() => { const seen = new MutationObserver(() => {
+            if (!document.querySelector('article')?.textContent.includes('1 of 2 approved')) return;
+            seen.disconnect();
+            dispatchEvent(new KeyboardEvent('keydown', { key: 'a' }));
+            window.pressed = true;
+        }); seen.observe(document.body, { childList: true, subtree: true, characterData: true }); }"""
+    )
+    with server.client("operator_2") as other:
+        edit = {"decision": "approve", "digest": server.get(path)["digest"], "params": {"force_n": 33}}
+        assert other.post(f"{path}/resolve", json=edit).json()["status"] == "pending"
+    told = card(person, "Grasp driver_1").get_by_role("alert")
+    expect(told).to_have_text("What is asked has changed since it came, by operator_2: read it again.")
+    assert person.page.evaluate("window.pressed")
+    expect(yes).to_be_enabled()  # once there was time to read
+    assert [one["by"] for one in server.get(path)["approvals"]] == ["operator_2"]
+    expect(person.page.get_by_role("textbox", name="Grip force you approve, N")).to_have_value("33")
+    press_until(person, "a", gone=card(person, "Grasp driver_1"))
+    assert floor.settled(asked["id"])["effective"]["force_n"] == 33
+
+
 def test_who_approved_first_of_two_may_still_deny(server: ServerProcess, people: People, floor: Floor) -> None:
     one, other = people.sit(server), people.sit(server, "operator_2")
     proposed = floor.ask("driver_1")
@@ -124,6 +158,10 @@ def test_who_approved_first_of_two_may_still_deny(server: ServerProcess, people:
     expect(mine).to_contain_text("You approved this. It takes another person; you may still deny it.")
     expect(one.button(re.compile("^Approve"))).to_be_disabled()
     expect(theirs).to_contain_text("1 of 2 approved: operator")
+    expect(stages(one)).to_contain_text("1 of 2 approved")
+    expect(stages(other)).to_contain_text("waits for you")
+    expect(one.region("Waiting for you").locator(".count")).to_have_text("0")
+    expect(one.button(re.compile("^Deny"))).to_be_focused()
     press_until(one, "d", gone=mine)
     expect(theirs).to_have_count(0)
     assert floor.settled(proposed["id"])["status"] == "denied"
@@ -132,14 +170,37 @@ def test_who_approved_first_of_two_may_still_deny(server: ServerProcess, people:
 def test_standing_grants_stand_below_what_waits_and_are_revoked_by_keyboard(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
-    body = {"capability": "grasp_object", "agent": "planner", "cell": "workcell-1", "scope": "object"}
-    made = server.post("/v1/grants", {**body, "object": "glass_1", "minutes": 1})
-    assert made.is_success, made.text
+    give(server, "glass_1", 1)
+    give(server, "mug_1", 1)
     person = people.sit(server)
     grants = person.page.get_by_role("list", name="Standing grants")
     expect(grants).to_contain_text("glass_1")
     calm = box(person.page.get_by_text("Nothing waits for a person."))
     assert box(grants)["y"] >= calm["y"] + calm["height"]
-    grants.get_by_role("button", name="Revoke the grant for grasp_object").focus()
+    grants.get_by_role("button", name="Revoke the grant for grasp object glass_1").focus()
+    person.press("Enter")
+    left = grants.get_by_role("button")
+    expect(left).to_have_count(1)
+    expect(left).to_have_accessible_name("Revoke the grant for grasp object mug_1")
+    expect(left).to_be_focused()
     person.press("Enter")
     expect(grants).to_have_count(0)
+    expect(person.page.get_by_text("No standing grants.")).to_be_focused()
+    expect(person.region("Events")).to_contain_text("operator revoked a standing grant: grasp object glass_1")
+
+
+def test_a_standing_grant_that_runs_out_goes_while_one_watches(server: ServerProcess, people: People) -> None:
+    person = people.sit(server)
+    give(server, "glass_1", 0.05)
+    grants = person.page.get_by_role("list", name="Standing grants")
+    expect(grants).to_contain_text(re.compile("glass_1, [1-3] s left"))
+    grants.get_by_role("button").focus()
+    expect(grants).to_have_count(0)
+    expect(person.page.get_by_text("No standing grants.")).to_be_focused()
+    expect(person.region("Events")).to_contain_text("Standing grant ran out: grasp object glass_1")
+
+
+def give(server: ServerProcess, thing: str, minutes: float) -> None:
+    body = {"capability": "grasp_object", "agent": "planner", "cell": "workcell-1", "scope": "object"}
+    made = server.post("/v1/grants", {**body, "object": thing, "minutes": minutes})
+    assert made.is_success, made.text

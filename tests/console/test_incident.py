@@ -145,6 +145,23 @@ def test_an_incident_is_worked_off_by_keyboard_the_gravest_first(
     assert denied == ["awaiting_approval", "awaiting_approval", "denied", "awaiting_approval", "denied"]
 
 
+def test_what_waits_for_another_person_makes_room_for_what_waits_for_me(
+    server: ServerProcess, people: People, incident: Incident
+) -> None:
+    person = people.sit(server)
+    incident.begin(person)
+    expect(rows(person)).to_have_count(4)
+    rows(person).filter(has_text=REST[1]).click()
+    expect(cards(person)).to_have_accessible_name(REST[1])
+    yes = person.button(re.compile("^Approve"))
+    expect(yes).to_be_enabled()
+    person.press("a")
+    expect(cards(person)).to_have_accessible_name(REST[0])
+    expect(deny(person)).to_be_focused()
+    expect(person.region("Waiting for you").locator(".count")).to_have_text("4")
+    expect(rows(person).last).to_contain_text("1 of 2 approved by you")
+
+
 def test_in_an_incident_on_a_phone_answers_and_stop_stay_in_reach(
     server: ServerProcess, people: People, incident: Incident
 ) -> None:
