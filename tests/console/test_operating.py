@@ -72,9 +72,12 @@ def test_a_stop_is_pressed_from_anywhere_and_left_in_two_steps(
     person.button("Reset…").click()
     expect(person.button("Keep stopped")).to_be_focused()
     person.press("Enter")
+    expect(person.button("Reset…")).to_be_focused()
     assert server.cell()["latched"] is True
-    person.button("Reset…").click()
-    person.button("Yes, reset the stop").click()
+    person.press("Enter")
+    expect(person.button("Keep stopped")).to_be_focused()
+    person.press("Tab")
+    person.press("Enter")
     expect(robot(person)).to_contain_text("Idle")
     assert server.cell()["latched"] is False
     assert floor.base() == pytest.approx(stood, abs=0.1)  # a drive would have gone on by metres
