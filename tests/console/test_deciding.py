@@ -158,7 +158,7 @@ def test_who_approved_first_of_two_may_still_deny(server: ServerProcess, people:
     expect(mine).to_contain_text("You approved this. It takes another person; you may still deny it.")
     expect(one.button(re.compile("^Approve"))).to_be_disabled()
     expect(theirs).to_contain_text("1 of 2 approved: operator")
-    expect(stages(one)).to_contain_text("1 of 2 approved")
+    expect(stages(one)).to_contain_text("needs 1 more")
     expect(stages(other)).to_contain_text("waits for you")
     expect(one.region("Waiting for you").locator(".count")).to_have_text("0")
     expect(one.button(re.compile("^Deny"))).to_be_focused()

@@ -70,7 +70,7 @@ describe('the stage strip', () => {
   it('says for whom it waits: for whoever looks, for one more after them, or for a person', () => {
     const open = escalation({ needed: 2, approvals: [{ by: 'ann', at: '', digest: '' }] });
     const of = (name: string, role: string): string => askedOf(open, { name, role });
-    expect([of('bob', 'operator'), of('ann', 'operator'), of('eve', 'auditor')]).toEqual(['waits for you', '1 of 2 approved', 'asks a person']);
+    expect([of('bob', 'operator'), of('ann', 'operator'), of('eve', 'auditor')]).toEqual(['waits for you', 'needs 1 more', 'asks a person']);
     expect(askedOf(null, null)).toBe('waits for you');
     const notes = stagesOf(invocation({ status: 'awaiting_approval' }), [], 'asks a person').map((stage) => stage.note);
     expect(notes).toContain('asks a person');

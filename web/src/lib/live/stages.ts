@@ -18,7 +18,7 @@ export interface Stage {
 export function askedOf(escalation: Escalation | null, me: { name: string; role: string } | null): string {
   if (me !== null && me.role !== 'operator') return 'asks a person';
   if (escalation === null || !iApproved(escalation, me?.name ?? null)) return 'waits for you';
-  return `${escalation.approvals.length} of ${escalation.needed} approved`;
+  return `needs ${escalation.needed - escalation.approvals.length} more`; // a column of the strip holds some 14 letters
 }
 
 /** Where an invocation stands in the seven stages, from its document and its events; `asked` says for whom it waits. */
