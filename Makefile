@@ -43,10 +43,11 @@ run: $(STAMP) console  ## a server with one simulated cell and a demo agent; kee
 test: $(STAMP) console  ## the whole test suite; what decides and what proves covered to the last branch
 	@$(MAKE) --no-print-directory -j5 test-served test-rules test-evaluation test-runtime
 
-# For two cores. What starts servers and cells mostly waits, in two lanes, and then what starts browsers as well, in one;
-# so does what serves within one process. Leases of 300 ms are real time there. What only computes fills the cores and
-# gives way. Whatever no lane names runs with the processes.
-SESSIONS := $(patsubst %,tests/test_%.py,activation confirmation console contract demo takeover)
+# For two cores. What starts servers and cells mostly waits, in two lanes, and then what drives or shows a robot as people
+# would, in one; so does what serves within one process. Leases of 300 ms are real time there. What only computes fills
+# the cores and gives way. Whatever no lane names runs with the processes.
+WATCHED := tests/test_demo.py tests/test_takeover.py tests/console
+SESSIONS := $(patsubst %,tests/test_%.py,activation confirmation console contract)
 SERVES_NOBODY := tests/authoring tests/sim tests/test_cli.py tests/test_cli_authoring.py tests/test_assayer.py tests/test_disk.py
 COMPUTES := tests/evaluation tests/runtime tests/api tests/agent tests/cell tests/proofs $(SERVES_NOBODY)
 GIVING_WAY := nice -n 19
@@ -69,13 +70,13 @@ test-runtime: $(STAMP)
 
 test-processes: $(STAMP)
 	@$(BIN)/python -m pytest -p no:cacheprovider $(MEASURED:%=--ignore=%) $(COMPARED:%=--ignore=%) \
-	  $(COMPUTES:%=--ignore=%) $(SESSIONS:%=--ignore=%) --ignore=tests/console
+	  $(COMPUTES:%=--ignore=%) $(SESSIONS:%=--ignore=%) $(WATCHED:%=--ignore=%)
 
 test-sessions: $(STAMP)
 	@$(BIN)/python -m pytest -p no:cacheprovider $(SESSIONS)
 
 test-console: $(STAMP) console
-	@$(BIN)/python -m pytest tests/console
+	@$(BIN)/python -m pytest $(WATCHED)
 
 $(TYPINGS): $(STAMP)
 	@$(BIN)/pybind11-stubgen mujoco --ignore-all-errors -o typings >/dev/null 2>&1
