@@ -21,7 +21,7 @@ from app.governance.signals import FAR_M
 
 if TYPE_CHECKING:
     from app.governance.estimation import BaseEstimate, PersonEstimate
-    from app.governance.model import Command, Frames, Observation, SensorStamps, SkillReport, Vec6
+    from app.governance.model import Command, Frames, Observation, SensorStamps, Sighting, SkillReport, Vec6
     from app.governance.signals import Constants
 
 NEAR_ZONE_M: Final = 1.5
@@ -48,6 +48,8 @@ LONGEST_REACH_M: Final = 3.0
 LATEST_STAMP_S: Final = 0.1
 FASTEST_FINGERS_MPS: Final = 2.5  # they snap shut at 1 m/s when 80 N lose what was between them
 FINGERS_STEP_M: Final = 0.015  # less than that in a tick is not looked at closer
+LOOSE_LEAP_M: Final = 0.12  # five sigma of the cameras at twice their noise, from one picture to the next
+FASTEST_LOOSE_MPS: Final = 1.2  # a hand that moves things out of the way does it slower
 OFF_TRACK_RAD: Final = 0.05  # joints that have leapt are off their command at least by this
 DOUBT_S: Final = 5.0
 """How long a reading that leapt is held against its sensor: it does not come right by staying where it leapt to, so
@@ -420,7 +422,7 @@ def leaps(
     tracking_error_rad: float,
     doubted_until_s: float,
 ) -> float:
-    """Say until when sensors are doubted, because base, joints, fingers or somebody moved as no body can.
+    """Say until when sensors are doubted, because base, joints, fingers, people or things moved as none can.
 
     That is, from one sample to the next. A leap is over at once, and what it leaves behind may look sound: an offset.
     So it is remembered for `DOUBT_S`.
@@ -435,6 +437,8 @@ def leaps(
     if people:
         for person in people:
             leapt = leapt or person.leapt
+    if seen.sightings is not before.sightings:
+        leapt = leapt or scattered(seen.sightings, before.sightings, stamps.objects - before.stamps_s.objects)
     if leapt:
         doubted_until_s = seen.time_s + DOUBT_S
     return doubted_until_s
@@ -531,6 +535,20 @@ def repeated(seen: Frames | None, before: Frames | None, stamps: SensorStamps, o
     if objects_s != objects_old_s:
         frozen = frozen & ~4 if 0.0 < abs(objects - objects_before) < inf else frozen | 4
     return frozen
+
+
+def scattered(sightings: tuple[Sighting, ...], before: tuple[Sighting, ...], gap_s: float) -> bool:
+    """Say whether two loose objects or more went from one picture to the next as nothing moves them, or one is nowhere.
+
+    One alone may have been moved: somebody took it, or it slipped and rolled. Two at once is the camera.
+    """
+    were = {name: (x, y) for name, x, y in before}
+    far_m, leapt = max(LOOSE_LEAP_M, FASTEST_LOOSE_MPS * gap_s), 0
+    for name, x, y in sightings:
+        apart_m = dist((x, y), were.get(name, (x, y)))
+        if not apart_m <= far_m:
+            leapt += 1 if apart_m < inf else 2
+    return leapt > 1
 
 
 def within(values: Vec6, limit: float) -> bool:

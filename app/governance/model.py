@@ -543,6 +543,14 @@ class Frames(NamedTuple):
     objects: float
 
 
+class Sighting(NamedTuple):
+    """A loose object as one raw picture shows it: its name in the site, and where (world frame)."""
+
+    name: str
+    x_m: float
+    y_m: float
+
+
 class Observation(NamedTuple):
     """Ω: what the sensors say in one control tick, never the simulator's truth.
 
@@ -552,6 +560,7 @@ class Observation(NamedTuple):
     `contact_force_n` is the magnitude at the wrist, compensated for gripper and load, averaged over the tick;
     `peak_force_n` its highest substep. `slip_m` is in-hand slip since the grip closed. `frames` is None where samples
     carry no noise, or give nothing to tell one from the next by: then what is frozen while it stands goes unnoticed.
+    `sightings` are of the newest picture, before anything is averaged; empty where the cell has no cameras.
     """
 
     tick: int
@@ -575,6 +584,7 @@ class Observation(NamedTuple):
     people: tuple[PersonTrack, ...]
     stamps_s: SensorStamps
     frames: Frames | None = None
+    sightings: tuple[Sighting, ...] = ()
 
 
 class Command(NamedTuple):

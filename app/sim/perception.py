@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from app.governance.model import CONTROL_PERIOD_S
+from app.governance.model import CONTROL_PERIOD_S, Sighting
 from app.sim.localisation import to_base, to_world, wrapped
 from app.sim.sensors import Noise
 
@@ -68,6 +68,7 @@ class Perception:
         self.inspected: dict[str, float] = {}
         self.crates: list[Point] = []
         self.stamp_s = 0.0
+        self.sightings: tuple[Sighting, ...] = ()  # of the newest picture
         self.frame = 0.0  # what the noise of the newest pictures adds up to (`Frames`)
 
     def reseed(self, seed: int) -> None:
@@ -83,12 +84,15 @@ class Perception:
         self.stamp_s = tick * CONTROL_PERIOD_S
         if self.fault is None or self.fault[0] not in _FROZEN:
             self.frame = float(self._grain.standard_normal())
+        sightings: list[Sighting] = []
         for name in plant.objects:
             glimpse = self.glimpse(plant, name)
             if glimpse is not None:
                 x, y = to_world(pose, glimpse.x_m, glimpse.y_m)
                 now = Seen(x, y, glimpse.z_m, wrapped(glimpse.yaw_rad + pose[2]), glimpse.upright, self.stamp_s)
                 self.memory[name] = _blended(self.memory.get(name), now)
+                sightings.append(Sighting(name, x, y))
+        self.sightings = tuple(sightings)
         for x, y in plant.crates():
             if hypot(x - pose[0], y - pose[1]) < _CRATE_RANGE_M and (x, y) not in self.crates:
                 self.crates.append((x, y))

@@ -398,6 +398,7 @@ class Workcell:
             people=people,
             stamps_s=stamps_s,
             frames=state.frames,
+            sightings=state.perception.sightings,
         )
 
     def _remember(self, command: Command) -> None:

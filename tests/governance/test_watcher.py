@@ -21,6 +21,7 @@ from app.governance.model import (
     Response,
     SensorStamps,
     Separation,
+    Sighting,
     Signal,
     SkillReport,
     WatchPlan,
@@ -496,17 +497,19 @@ def test_a_reading_that_cannot_be_is_implausible(changes: dict[str, object]) -> 
     assert alert.rule == "watch/implausible"
 
 
+SIGHTED = (Sighting("mug_1", 2.5, 2.1), Sighting("can_1", 2.6, 1.9), Sighting("tin_1", 2.9, 2.4))
 LEAPT = {
     "joints": {"joint_rad": tuple(joint + 0.2 for joint in AT)},
     "fingers": {"grip_width_m": 0.1},
     "somebody": {"people": (PersonTrack(1, 0.05, 5.0, 3.5),)},
+    "things": {"sightings": (Sighting("mug_1", 2.7, 2.1), Sighting("can_1", 2.6, 1.7), Sighting("tin_1", 2.9, 2.4))},
 }
 
 
 @pytest.mark.parametrize("what", LEAPT)
 def test_what_leaps_as_no_body_can_is_doubted_for_longer_than_it_takes_to_end_the_session(what: str) -> None:
     """One tick in which it leaps, and then it stays there as if nothing were: an offset."""
-    there = {"people": (PersonTrack(1, 0.0, 5.0, 2.0),)}
+    there = {"people": (PersonTrack(1, 0.0, 5.0, 2.0),), "sightings": SIGHTED}
     stream = [seen(tick, **there) for tick in range(5)]
     lied = dict(LEAPT[what])
     for tick in range(5, 600):
@@ -537,6 +540,34 @@ def test_an_arm_that_is_off_its_track_and_a_sample_that_comes_late_have_not_leap
     moved = seen(20, joint_rad=tuple(joint + 0.2 for joint in AT), grip_width_m=0.1)
     assert first_alert(plan, [*late, moved], command=off) == (None, None)
     assert first_alert(plan, [seen(0), moved._replace(stamps_s=SensorStamps(*(0.01,) * 7))])[0] == 1
+
+
+@pytest.mark.parametrize(
+    ("sighted", "gap_s", "believed"),
+    [
+        ({}, 0.1, True),
+        ({"mug_1": (3.5, 2.1)}, 0.1, True),  # somebody took it: one thing alone may go anywhere
+        ({"mug_1": (2.61, 2.1), "can_1": (2.6, 1.79), "tin_1": (2.79, 2.4)}, 0.1, True),  # noise
+        ({"mug_1": (2.63, 2.1), "can_1": (2.6, 1.77)}, 0.1, False),
+        ({"mug_1": (2.63, 2.1), "can_1": (2.6, 1.77)}, 0.2, True),  # two hands can in so long
+        ({"mug_1": (math.nan, 2.1)}, 0.1, False),
+        ({"mug_1": (2.5, -math.inf)}, 0.1, False),
+    ],
+)
+def test_two_things_that_move_at_once_as_nothing_moves_them_are_the_camera(
+    sighted: dict[str, tuple[float, float]], gap_s: float, believed: bool
+) -> None:
+    stamps = SensorStamps(*(0.2,) * 6, 0.2 - gap_s)
+    stream = [seen(20, stamps_s=stamps, sightings=SIGHTED)]
+    moved = tuple(Sighting(name, *sighted.get(name, (x, y))) for name, x, y in SIGHTED)
+    stream.append(seen(21, stamps_s=SensorStamps(*(0.21,) * 6, 0.2), sightings=moved))
+    tick, _ = first_alert(watching(rule("implausible", threshold=0.5)), stream)
+    assert tick == (None if believed else 1)
+
+
+def test_what_comes_into_view_has_not_leapt() -> None:
+    stream = [seen(0, sightings=()), seen(1, sightings=SIGHTED), seen(2, sightings=SIGHTED[1:]), seen(3)]
+    assert first_alert(watching(rule("implausible", threshold=0.5)), stream) == (None, None)
 
 
 @pytest.mark.parametrize("sensor", ["fix", "people", "objects"])
@@ -594,7 +625,7 @@ def test_a_fixed_distance_is_kept_ahead_of_whoever_comes_on_and_named_as_it_is_f
     assert 3.5 - 2.0 * 0.01 * late == pytest.approx(1.0, abs=0.12)  # who only warns says where somebody is
 
 
-FLOATS = [name for name in Observation._fields if name not in ("tick", "pads_loaded", "fix", "people")]
+FLOATS = [name for name in Observation._fields if name not in ("tick", "pads_loaded", "fix", "people", "sightings")]
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -609,9 +640,15 @@ def test_a_reading_that_is_not_finite_is_never_all_is_well(field: str, bad: floa
 
 
 @pytest.mark.parametrize(
-    "sick", [{"fix": Fix(0.05, math.nan, 2.0, 0.0)}, {"people": (PersonTrack(1, 0.05, math.nan, 0.0),)}]
+    "sick",
+    [
+        {"fix": Fix(0.05, math.nan, 2.0, 0.0)},
+        {"people": (PersonTrack(1, 0.05, math.nan, 0.0),)},
+        {"sightings": (Sighting("mug_1", math.nan, 0.0),)},
+        {"sightings": (Sighting("mug_1", 0.0, math.inf),)},
+    ],
 )
-def test_a_fix_or_a_person_that_is_nowhere_is_never_all_is_well(sick: dict[str, object]) -> None:
+def test_what_is_nowhere_is_never_all_is_well(sick: dict[str, object]) -> None:
     assert first_alert(PLAN, [seen(tick) for tick in range(5)] + [seen(5, **sick)])[0] == 5
 
 
