@@ -10,6 +10,7 @@ from app.evaluation.goals import TARGETS, WORST, Target, judge
 from app.evaluation.metrics import METRICS
 from app.evaluation.report_names import decimals_of, row_name, title_of
 from app.evaluation.report_tables import DASH, Grid, Results, at_least, entry_text, mapping, mean_of, number_text
+from app.evaluation.study_sensors import WITHIN
 from app.sim.proportion import wilson
 
 _EXTREMES: Final = {
@@ -117,7 +118,7 @@ def impossible(results: Results) -> list[tuple[str, str, float, Mapping[str, Any
         kind, _, text = fault.partition(" ")
         size = float(text) if text else 0.0
         if (sensor, kind) not in found or size > found[sensor, kind][0]:
-            found[sensor, kind] = size, mapping(cells["prompt"])
+            found[sensor, kind] = size, mapping(cells[WITHIN])
     return [(sensor, kind, size, entry) for (sensor, kind), (size, entry) in found.items()]
 
 

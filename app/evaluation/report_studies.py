@@ -41,9 +41,9 @@ def cameras_text(results: Results) -> str:
         return ""
     people = f"; of a tracker that is wrong about people: {', '.join(told['people'])}" if told["people"] else ""
     return (
-        f"Cameras that are wrong about where objects are may go unnoticed: restrained within {PROMPT_TICKS} ticks were "
-        f"{', '.join(told['objects'])}{people}. A picture of objects comes every "
-        f"{PERIOD_TICKS['objects']} ticks, and one wrong picture is what an object looks like that somebody moved."
+        f"Cameras that are wrong about where objects are may be noticed late: restrained within {PROMPT_TICKS} ticks "
+        f"were {', '.join(told['objects'])}{people}. A picture of objects comes every {PERIOD_TICKS['objects']} ticks, "
+        "and one in which no two of them are where they cannot be may be true."
     )
 
 

@@ -71,6 +71,7 @@ ABOUT: Final = (
 )
 AGED: Final = ("stale", "delayed")
 PROMPT_TICKS: Final = 5
+WITHIN: Final = f"within {PROMPT_TICKS} ticks"
 SEES_TICKS: Final = 400
 WALKS_AFTER_S: Final = 1.0
 DRIVES_AFTER_S: Final = 3.0
@@ -238,10 +239,10 @@ def tables(rows: Sequence[Row], policy: PolicySet) -> list[Table]:
             "How each broken sensor was met",
             "Sensor, fault",
             {name: _summed(mine) for name, mine in grouped(rows, "condition").items()},
-            f"Prompt: restrained within {PROMPT_TICKS} ticks, counted as above. What is not detected is no alarm at "
+            f"Within {PROMPT_TICKS} ticks: restrained so soon, counted as above. What is not detected is no alarm at "
             "all; it is what another sensor would be needed for, or an error within what the clearances cover. Where "
-            "objects are, only the cameras say, and somebody may have moved them: what is wrong there shows in a grasp "
-            "that does not hold, which is verified by the gripper.",
+            "objects are, only the cameras say: one alone may have been moved by somebody, two that leap at once are "
+            "doubted. A smaller error shows in a grasp that does not hold, which is verified by the gripper.",
         ),
         table(
             "Detected share by environment profile",
@@ -262,8 +263,8 @@ def _summed(rows: Sequence[Row]) -> dict[str, Any]:
     named = list(dict.fromkeys(str(row["what"]) for row in rows if row["what"]))
     return {
         "detected": share(row["detected"] for row in rows),
-        "held": share(row["held"] for row in rows),
-        "prompt": share(
+        "restrained": share(row["held"] for row in rows),
+        WITHIN: share(
             None if row["detected"] is None else row["ticks"] is not None and float(row["ticks"]) <= PROMPT_TICKS
             for row in rows
         ),

@@ -22,6 +22,7 @@ from app.evaluation.report_profiles import UnknownVerdict, classify
 from app.evaluation.report_studies import study_grids
 from app.evaluation.report_tables import SWEPT, Grid, figure_at, metrics_grid, number_text, paper_grid
 from app.evaluation.report_tables import test_grids as significance_grids
+from app.evaluation.study_sensors import WITHIN
 from tests.evaluation.synthetic import results
 
 VOID = {"meta", "link", "br", "hr", "img", "input"}
@@ -289,13 +290,13 @@ def test_rows_and_headings_of_metrics_read_as_words() -> None:
 
 def test_cameras_that_are_wrong_are_told_of_by_what_was_measured() -> None:
     ways = {"objects/noisy 0.1": 0.0, "objects/noisy 0.01": 0.0, "people/noisy 1.5": 0.9, "people/stale": 1.0}
-    rows = {name: {"prompt": {"mean": mean, "n": 10}} for name, mean in ways.items()}
+    rows = {name: {WITHIN: {"mean": mean, "n": 10}} for name, mean in ways.items()}
     table = {"caption": "c", "stub": "s", "remark": "", "rows": rows}
     document = results() | {"studies": {"sensors": {"title": "t", "about": "About.", "tables": [table]}}}
     ((_, _, about, _),) = study_grids(document)
     assert "restrained within 5 ticks were garbage of 0.1 m 0 of 10; of a tracker" in about
     assert "wrong about people: garbage of 1.5 m 9 of 10. A picture of objects comes every 10 ticks" in about
-    rows["objects/noisy 0.1"]["prompt"]["mean"] = 1.0
+    rows["objects/noisy 0.1"][WITHIN]["mean"] = 1.0
     ((_, _, about, _),) = study_grids(document)
     assert about == "About."
 
@@ -309,7 +310,7 @@ def test_broken_sensors_are_judged_by_kind_and_those_that_miss_are_named() -> No
         "fix/noisy 1": (1.0, 10),
         "fix/noisy 0.2": (1.0, 10),
     }
-    table = {"rows": {name: {"prompt": {"mean": mean, "n": n}} for name, (mean, n) in ways.items()}}
+    table = {"rows": {name: {WITHIN: {"mean": mean, "n": n}} for name, (mean, n) in ways.items()}}
     document = results() | {"protocol": "physical", "studies": {"sensors": {"tables": [table]}}}
     found = dict(sensor_rows(document))
     assert found["Broken sensors: off (stale), restrained within 5 ticks"][:3] == ("1.000\n70 of 70", "70", "1.000")
@@ -529,7 +530,7 @@ def test_the_head_says_what_digests_are_of_and_which_figures_are_pooled() -> Non
 
 def test_ticks_and_seconds_of_a_study_have_no_thousandths_and_its_picture_stands_first() -> None:
     share: dict[str, Any] = {"mean": 0.5, "n": 10, "low": 0.2, "high": 0.8}
-    cells = {"detected": share, "prompt": share, "ticks, median": 41.0, "mean s": 9.0734}
+    cells = {"detected": share, WITHIN: share, "ticks, median": 41.0, "mean s": 9.0734}
     table = {"caption": "c", "stub": "s", "remark": "", "rows": {"arm/noisy 0.02": cells, "arm/noisy 0.2": cells}}
     document = results() | {"studies": {"sensors": {"title": "t", "about": "About.", "tables": [table]}}}
     (section,) = [section for section in sections(document) if section.id == "study-sensors"]
