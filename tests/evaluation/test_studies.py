@@ -89,13 +89,15 @@ def test_a_stale_wrist_and_a_stuck_tracker_of_people_are_noticed_at_once_and_a_s
     assert float(stuck["ticks"] or 0) <= study_sensors.PROMPT_TICKS
     assert (off["detected"], off["told"]) == (False, None)
     table = told([stale, stuck, off])["studies"]["sensors"]["tables"][0]["rows"]
-    assert table["wrist/stale"]["prompt"]["mean"] == table["people/stuck"]["prompt"]["mean"] == 1.0
+    within = study_sensors.WITHIN
+    assert table["wrist/stale"][within]["mean"] == table["people/stuck"][within]["mean"] == 1.0
     assert table["wrist/offset 20"]["detected"]["mean"] == 0.0
 
 
 @pytest.mark.physics
-def test_a_leap_of_arm_gripper_or_somebody_is_noticed_at_its_first_sample() -> None:
-    for row in sensors("arm/noisy 0.2", "gripper/offset 0.05", "fix/offset 1", "people/offset 1.5"):
+def test_a_leap_of_arm_gripper_somebody_or_things_is_noticed_at_its_first_sample() -> None:
+    ways = ("arm/noisy 0.2", "gripper/offset 0.05", "fix/offset 1", "people/offset 1.5", "objects/offset 0.1")
+    for row in sensors(*ways):
         assert (row["detected"], row["held"]) == (True, True), row
         assert 0.0 <= float(row["ticks"] or 0) <= study_sensors.PROMPT_TICKS, row
 
