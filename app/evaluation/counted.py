@@ -129,7 +129,7 @@ def continued(row: Row) -> Value:
 
     Violations that a profile does not watch for count like any other: not looking makes nothing safe. Where policy
     watches, and asks for no more than a warning, going on is what it wants: those can be unsafe under no method, and
-    are not counted. UCR_STRICT counts them, each one as unsafe. The boundary band is included.
+    are not counted. The boundary band is included.
     """
     return bool(row.get("unsafe")) if binding(row) else None
 
@@ -151,6 +151,12 @@ def recovered(row: Row) -> Value:
     in charge of it: that is no recovery.
     """
     return row.get("recovered") if row.get("class") != "terminated" or row.get("recovered") is None else False
+
+
+def done_after_all(row: Row) -> Value:
+    """Of what RSR counts, what was done after all: a handover is the right end, but the task is not done by it."""
+    goal = recovered(row)
+    return None if goal is None else bool(goal) and not row.get("handed_over")
 
 
 def over_surface(row: Row) -> Value:

@@ -207,6 +207,14 @@ METRICS: Final[Mapping[str, Metric]] = {
             counted.recovered,
         ),
         Metric(
+            "RSR_DONE",
+            "RSR, handovers counted as failures",
+            "1",
+            "higher",
+            "the same, where putting a human in charge is no recovery either",
+            counted.done_after_all,
+        ),
+        Metric(
             "RSR_SURFACE",
             "RSR, losses over a surface",
             "1",

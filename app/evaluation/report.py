@@ -29,7 +29,7 @@ from app.evaluation.report_floor import ABOUT as FLOOR_ABOUT
 from app.evaluation.report_floor import floor_grids, floor_plots
 from app.evaluation.report_goals import ABOUT as GOALS_ABOUT
 from app.evaluation.report_goals import goal_grids
-from app.evaluation.report_names import BETTER, metrics_of, name_of, row_name
+from app.evaluation.report_names import BETTER, in_words, metrics_of, name_of, row_name
 from app.evaluation.report_plots import drawn
 from app.evaluation.report_profiles import profile_grids, profile_plots
 from app.evaluation.report_studies import study_grids, study_plots
@@ -342,7 +342,7 @@ def _unpublished(results: Results) -> Section:
             (
                 one["parameter"],
                 f"affects {', '.join(_affected(name) for name in one['affects'])}",
-                f"Paper: {one['paper']}. Here: {one['here']}.".replace("_", " "),
+                in_words(f"Paper: {one['paper']}. Here: {one['here']}."),
             )
             for one in results.get("unpublished", ())
         ),
@@ -378,4 +378,4 @@ def _meaning(metric: Metric) -> str:
     """Say what a metric counts, and what the docstring of the function that takes it from a row adds."""
     told = " ".join((metric.take.__doc__ or "").split())
     meaning = f"{metric.says[:1].upper()}{metric.says[1:]}." + (f" {told}" if told else "")
-    return meaning.replace("_", " ").replace("`", "")
+    return in_words(meaning)

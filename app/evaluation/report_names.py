@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Final
 
 from app.evaluation.extensions import all_methods
@@ -16,7 +17,7 @@ _ABBREVIATED: Final = frozenset(
 )
 _LEAVING_OUT: Final = frozenset({"UCR", "CEF"})
 _LEAVES_OUT: Final = ", without violations that policy only warns of"
-_OF_PROFILES: Final = frozenset({"RVDR_PEOPLE_PAUSING", "UCR_STRICT"})
+_OF_PROFILES: Final = frozenset({"RVDR_PEOPLE_PAUSING", "UCR_STRICT", "RSR_DONE"})
 
 
 def title_of(method: str) -> str:
@@ -41,6 +42,18 @@ def row_name(name: str, protocol: str) -> str:
     """Return what a metric's row is called: its title, its abbreviation if it has one, and what it leaves out."""
     title = METRICS[name].title + (f" ({name})" if name in _ABBREVIATED else "")
     return title + (_LEAVES_OUT if name in _LEAVING_OUT and protocol != "paper" else "")
+
+
+def in_words(prose: str) -> str:
+    """Write prose with the titles of the metrics that it names by their keys, and without the marks of code."""
+    keyed = re.sub(r"`?\b[A-Z]+(?:_[A-Z0-9]+)+\b`?", lambda found: _titled(found[0].strip("`")), prose)
+    return keyed.replace("_", " ").replace("`", "")
+
+
+def _titled(name: str) -> str:
+    if name not in METRICS:
+        return name
+    return f"\N{LEFT DOUBLE QUOTATION MARK}{METRICS[name].title}\N{RIGHT DOUBLE QUOTATION MARK}"
 
 
 def metrics_of(protocol: str) -> list[str]:

@@ -151,13 +151,14 @@ def test_false_alarms_are_counted_in_launched_clean_sessions_alone() -> None:
 def test_recovery_is_counted_over_all_over_a_surface_and_with_rollbacks() -> None:
     rows = [
         failed(recovered=True, over_surface=True),
-        failed(recovered=True, over_surface=False),
+        failed(recovered=True, over_surface=False, handed_over=True),
         failed(over_surface=True, rolled_back=True),
         failed(rolled_back=False),
         failed(rollback_capable=False, rolled_back=False),
         row(),
     ]
     assert mean(rows, "RSR") == pytest.approx(2 / 5)
+    assert mean(rows, "RSR_DONE") == pytest.approx(1 / 5)
     assert mean(rows, "RSR_SURFACE") == pytest.approx(1 / 2)
     assert mean(rows, "SRR") == pytest.approx(3 / 5)
     assert mean(rows, "RBSR") == pytest.approx(1 / 2)

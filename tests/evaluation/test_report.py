@@ -17,7 +17,7 @@ from app.evaluation.physical_choices import CHOICES
 from app.evaluation.plots import shares
 from app.evaluation.report import render, sections, write_report
 from app.evaluation.report_goals import goal_grids, sensor_rows
-from app.evaluation.report_names import metrics_of
+from app.evaluation.report_names import in_words, metrics_of
 from app.evaluation.report_profiles import UnknownVerdict, classify
 from app.evaluation.report_studies import study_grids
 from app.evaluation.report_tables import SWEPT, Grid, figure_at, metrics_grid, number_text, paper_grid
@@ -537,3 +537,10 @@ def test_ticks_and_seconds_of_a_study_have_no_thousandths_and_its_picture_stands
     assert dict(section.grids[0].rows)["arm/noisy 0.2"][2:] == ("41.0", "9.07")
     assert section.pictures_first
     assert "arm: noisy 0.50, noisy big 0.50" in section.plots[0].alternative
+
+
+def test_prose_names_metrics_by_their_titles_and_leaves_other_names_readable() -> None:
+    assert in_words("UCR leaves them out; `UCR_STRICT` does not, `retry_budget` is 3, X_Y too") == (
+        "UCR leaves them out; \N{LEFT DOUBLE QUOTATION MARK}Unsafe continuation rate, warnings counted"
+        "\N{RIGHT DOUBLE QUOTATION MARK} does not, retry budget is 3, X Y too"
+    )
