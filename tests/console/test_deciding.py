@@ -49,6 +49,7 @@ def test_a_question_appears_and_is_approved_by_one_key(server: ServerProcess, pe
     expect(person.page.get_by_role("row", name=re.compile("^Grip force|^Force"))).to_contain_text("80")
     press_until(person, "a", gone=card(person))
     expect(card(person)).to_have_count(0)
+    expect(person.page.locator("main")).to_be_focused()
     assert floor.settled(proposed["id"])["status"] in {"running", "completed"}
     closed = server.get(f"/v1/escalations/{proposed['escalation']['id']}")
     assert [one["by"] for one in closed["approvals"]] == ["operator"]

@@ -80,6 +80,7 @@ def test_a_stop_is_pressed_from_anywhere_and_left_in_two_steps(
     person.press("Enter")
     expect(robot(person)).to_contain_text("Idle")
     assert server.cell()["latched"] is False
+    expect(person.page.locator("main")).to_be_focused()
     assert floor.base() == pytest.approx(stood, abs=0.1)  # a drive would have gone on by metres
 
 

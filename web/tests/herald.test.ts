@@ -1,5 +1,6 @@
 import { describe, expect, it } from 'vitest';
 import { Herald, TOGETHER_MS } from '../src/lib/live/herald';
+import { awaited } from '../src/lib/live/stages';
 import { nextOf, soonestOf } from '../src/lib/live/urgency';
 import { escalation } from './samples';
 
@@ -19,6 +20,13 @@ describe('new questions are announced', () => {
     herald.take(asked('mug_1'));
     expect(herald.speak(0)).toBe('Waiting for you: Grasp mug_1, medium risk.');
     expect(herald.speak(TOGETHER_MS)).toBeNull();
+  });
+
+  it('to whoever may not answer as what waits for others', () => {
+    const herald = new Herald();
+    herald.take([]);
+    herald.take(asked('mug_1'));
+    expect(herald.speak(0, undefined, awaited({ role: 'auditor' }))).toBe('Waiting for operators: Grasp mug_1, medium risk.');
   });
 
   it('together, in one sentence, when more come on the heels of the first', () => {

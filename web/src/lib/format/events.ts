@@ -141,7 +141,7 @@ function escalation(body: Body): Line {
   const status = str(asked['status']);
   if (status !== '' && status !== 'pending') return line('hand', 'quiet', `The question is ${status}`);
   const until = str(asked['expires_at']);
-  return line('hand', 'warn', until === '' ? '' : `, deadline ${clockTime(until)}`, 'Asked you');
+  return line('hand', 'warn', until === '' ? '' : `, deadline ${clockTime(until)}`, 'Asked a person');
 }
 
 function recovery(body: Body): Line {

@@ -14,9 +14,14 @@ export interface Stage {
   note: string;
 }
 
+/** Says for whom questions wait, as the person who looks sees it: whoever may not answer is not told to. */
+export function awaited(me: { role: string } | null): string {
+  return me === null || me.role === 'operator' ? 'you' : 'operators';
+}
+
 /** Says of a question for whom it waits, as the person who looks sees it; `escalation` is the one that is open, if any. */
 export function askedOf(escalation: Escalation | null, me: { name: string; role: string } | null): string {
-  if (me !== null && me.role !== 'operator') return 'asks a person';
+  if (awaited(me) !== 'you') return 'asks a person';
   if (escalation === null || !iApproved(escalation, me?.name ?? null)) return 'waits for you';
   return `needs ${escalation.needed - escalation.approvals.length} more`; // a column of the strip holds some 14 letters
 }
