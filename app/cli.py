@@ -42,7 +42,12 @@ Policies = Annotated[
     Path | None,
     typer.Option(help="Policy directory; default: ./policies, else the shipped one.", envvar="REINS_POLICIES"),
 ]
-Pace = Annotated[float, typer.Option(help="Simulated seconds per second; 0: as fast as possible.", envvar="REINS_PACE")]
+Pace = Annotated[
+    float,
+    typer.Option(
+        help="Simulated seconds per second while a session works; 0: as fast as possible.", envvar="REINS_PACE"
+    ),
+]
 Seed = Annotated[int, typer.Option(help="Seed of the simulated world.", envvar="REINS_SEED")]
 Scenario = Annotated[
     str | None,

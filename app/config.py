@@ -79,7 +79,7 @@ class DataDir:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
-    """What `reins serve` is told. `pace` is simulated seconds per second; 0 runs sessions as fast as they go.
+    """What `reins serve` is told. `pace` is simulated seconds per second while a session works, 0 as fast as it goes.
 
     `prove` has what is in force proved behind the start, if nobody did before.
     """

@@ -169,7 +169,11 @@ class Outbox:
 
 
 class TickLoop:
-    """Drives the runner tick by tick. Pace is simulated seconds per second; 0 is as fast as possible while working."""
+    """Drives the runner tick by tick.
+
+    Pace is simulated seconds per second while a session works, and 0 as fast as possible; whatever idles, or is driven
+    by hand, goes at most as fast as the clock.
+    """
 
     def __init__(self, runner: Governed, inbox: Inbox, outbox: Outbox, lease: Lease, *, pace: float) -> None:
         """Take the runner over; nobody else may touch it from here on."""
@@ -223,7 +227,7 @@ class TickLoop:
 
     def _next_due(self, due_s: float) -> float:
         now_s = monotonic_s()
-        pace = self._pace or (0.0 if self._working() else 1.0)
+        pace = self._pace if self._working() else min(self._pace or 1.0, 1.0)  # to hurry through nothing is dear
         if not pace:
             return now_s
         due_s += self._runner.period_s / pace

@@ -165,9 +165,12 @@ def test_pace_zero_does_not_wait_while_a_session_works(start: Callable[..., Benc
     until(lambda: bench.runner.ticks > 1000)
 
 
-@pytest.mark.parametrize("status", [None, "escalated"])
-def test_pace_zero_keeps_real_time_while_nothing_moves(start: Callable[..., Bench], status: str | None) -> None:
-    bench = start(Recorder(period_s=LONG_S, status=status), 0.0)
+@pytest.mark.parametrize("pace", [0.0, 100.0])
+@pytest.mark.parametrize("status", [None, "escalated", "taken_over"])
+def test_a_pace_is_that_of_the_clock_while_nothing_moves_by_itself(
+    start: Callable[..., Bench], status: str | None, pace: float
+) -> None:
+    bench = start(Recorder(period_s=LONG_S, status=status), pace)
     until(lambda: bench.runner.ticks == 1)
     bench.inbox.put(Estop(actor="operator"))
     until(lambda: bench.runner.orders)
