@@ -175,7 +175,7 @@ def order_holds(court: Court, wide: Pair, asking: Asking) -> Iterator[Finding]:
             f"`{name}` is approved by {people(wide.gate)} in {other.name}, and by fewer in {one.name}, the stricter"
         )
         fewer = _asked(asking, strict, *_same_mode(strict, wide), *_unasked(strict, wide))
-        yield from court.judged(Kind.ORDER, fewer, message, lambda seen: _fewer_people(court, seen, other.name))
+        yield from court.judged(Kind.ORDER, fewer, message, lambda seen: _fewer_people(court, seen, wide))
     weaker = some((
         both(strict.allowed, no(wide.allowed)),
         both(strict.modified, either(wide.escalated, wide.denied)),
@@ -224,12 +224,15 @@ def _unasked(strict: Pair, wide: Pair) -> tuple[Formula, ...]:
     return no(mine["denied"]), theirs["awaiting_approval"], no(enough)
 
 
-def _fewer_people(court: Court, seen: Seen, wide: str) -> bool:
-    """Say whether fewer people are really asked about a case than in the wider profile."""
-    context = replace(seen.context, profile=wide)
-    theirs = decide(court.policy, seen.proposal, context)
-    asked, wanted = (0 if found is None else found.approvers for found in (seen.decision.need, theirs.need))
-    return seen.status in LAUNCHED and theirs.status in LAUNCHED and asked < wanted
+def _fewer_people(court: Court, seen: Seen, wide: Pair) -> bool:
+    """Say whether fewer people are really asked about a case than authority always asks in the wider profile.
+
+    What a rule of the wider profile wants beyond that is another matter: while a case is made small it would let the
+    case turn into one that both profiles ask about.
+    """
+    theirs = decide(court.policy, seen.proposal, replace(seen.context, profile=wide.gate.profile.name))
+    asked = 0 if seen.decision.need is None else seen.decision.need.approvers
+    return seen.status in LAUNCHED and theirs.status in LAUNCHED and asked < people(wide.gate)
 
 
 def _weaker(court: Court, seen: Seen, wide: str) -> bool:

@@ -13,13 +13,13 @@ import yaml
 from typer.testing import CliRunner
 
 from app.cli import app
-from app.clock import monotonic_s
 from app.governance import bundle, cases
 from app.governance.changes import Comparison, Direction
 from app.proofs.difference import difference
 from app.proofs.joint import told
 from app.proofs.witness import decided
 from tests.governance.policy_world import POLICIES, files
+from tests.proofs.planted import standing
 from tests.proofs.random_rules import compiled, drawn, proposed
 
 SAME, TIGHTENS, LOOSENS, BOTH = Direction.SAME, Direction.TIGHTENS, Direction.LOOSENS, Direction.BOTH
@@ -44,7 +44,7 @@ def loaded(*edits: Edit) -> Any:
 def compared(*edits: Edit, back: bool = False) -> Comparison:
     policies = [loaded(), loaded(*edits)]
     old, new = reversed(policies) if back else policies
-    return difference(old, new, now=monotonic_s, all_s=600.0)
+    return difference(old, new, now=standing)
 
 
 def changes(found: Comparison) -> set[tuple[str, str, str]]:
@@ -135,7 +135,7 @@ def test_a_confirmation_that_goes_or_answers_silence_otherwise_loosens() -> None
         (one, other, LOOSENS),
         (other, one, LOOSENS),
     ):
-        assert difference(old, new, now=monotonic_s).direction is way
+        assert difference(old, new, now=standing).direction is way
 
 
 def test_what_is_enabled_anew_loosens_and_is_shown() -> None:
@@ -186,7 +186,7 @@ def test_a_lower_limit_that_lets_a_rule_stop_asking_is_both() -> None:
     lower = loaded(
         (ORGANIZATION, "\nrules:\n", f"\nrules:{ask}"), (HUMAN, r"grip_force_n: \{max: 60", "grip_force_n: {max: 50")
     )
-    found = difference(asking, lower, now=monotonic_s, all_s=600.0)
+    found = difference(asking, lower, now=standing)
     assert found.direction is BOTH
     assert ("grasp_object", "human-shared", "fewer approvers") in changes(found)
 
@@ -206,7 +206,7 @@ def test_every_example_holds_as_a_case_of_the_new_policy_and_its_body_is_a_propo
 
 def test_what_cannot_be_decided_is_said_so_and_loosens() -> None:
     edit = (ORGANIZATION, "when: target.hazardous &&", "when: target.hazardous && target.mass_kg >= 0.0 &&")
-    found = difference(loaded(), loaded(edit), now=monotonic_s, all_s=0.0)
+    found = difference(loaded(), loaded(edit), now=standing, all_s=0.0)
     assert found.loosens
     assert {one.decided for one in found.decisions} == {False}
     assert compared(edit).direction is SAME
@@ -242,7 +242,7 @@ def test_random_decisions_show_nothing_that_a_comparison_does_not_say(seed: int)
     for _ in range(10):
         capability, profile, rules = drawn(random)
         policies = [compiled(capability, profile, found) for found in (rules, changed(random, rules, capability))]
-        found = difference(*policies, now=monotonic_s, effort=3_000_000, all_s=600.0)
+        found = difference(*policies, now=standing, effort=3_000_000)
         assert not [one for one in found.decisions if "report it" in one.message]
         for _ in range(40):
             case = proposed(random, capability, profile)

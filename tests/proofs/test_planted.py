@@ -201,6 +201,19 @@ def test_that_fewer_people_are_asked_is_shown_by_a_proposal_that_is_launched() -
     assert all("status: allowed" in fault.example for fault in found)
 
 
+def test_a_case_made_small_still_shows_that_fewer_people_are_asked_by_authority() -> None:
+    turned = promises().replace("[human-shared, real-restricted", "[real-restricted, human-shared")
+    narrow = 'params.tool != "press" || params.speed_mps < 0.1234 || params.speed_mps > 0.1235'
+    asks = rule(f"id: narrow, applies_to: [operate_tool], when: '{narrow}', then: escalate", REAL)
+    found = [
+        fault
+        for fault in proved(asks, turned).faults
+        if "`operate_tool` is approved by 1 in human-shared" in fault.message
+    ]
+    assert found
+    assert all("status: allowed" in fault.example for fault in found)  # a shorter speed asks one, where the other asks two
+
+
 SOUND: list[tuple[str, dict[str, str]]] = [
     ("as shipped", {}),
     ("a tighter limit", edited(HUMAN, "tcp_speed_mps: {max: 0.25", "tcp_speed_mps: {max: 0.2")),
