@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -56,6 +57,12 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.fixture
+def finished(reference: Path, tmp_path: Path) -> Path:
+    """A folder of its own with that campaign in it."""
+    return Path(shutil.copytree(reference, tmp_path / "finished"))
+
+
 def same(one: Path, other: Path) -> bool:
     return all((one / name).read_bytes() == (other / name).read_bytes() for name in ("trials.csv", "results.json"))
 
@@ -94,23 +101,21 @@ def test_clock_readings_stay_out_of_the_trials(reference: Path) -> None:
     assert all(float(row["decision_us"]) > 0 for row in timings)
 
 
-def test_finished_jobs_are_not_run_again(tmp_path: Path, reference: Path) -> None:
-    campaign(tmp_path)
-    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "parts").iterdir()}
+def test_finished_jobs_are_not_run_again(finished: Path, reference: Path) -> None:
+    kept = {path: path.stat().st_mtime_ns for path in (finished / "parts").iterdir()}
     lost = min(kept)
     lost.unlink()
-    seen = campaign(tmp_path)
+    seen = campaign(finished)
     assert seen == [(59, 64), (64, 64)]
     assert {path for path, at in kept.items() if path.stat().st_mtime_ns != at} == {lost}
-    assert same(reference, tmp_path)
+    assert same(reference, finished)
 
 
-def test_a_part_that_is_cut_short_is_run_again(tmp_path: Path, reference: Path) -> None:
-    campaign(tmp_path)
-    part = min((tmp_path / "parts").iterdir())
+def test_a_part_that_is_cut_short_is_run_again(finished: Path, reference: Path) -> None:
+    part = min((finished / "parts").iterdir())
     part.write_bytes(part.read_bytes()[:-20])
-    assert campaign(tmp_path)[0] == (59, 64)
-    assert same(reference, tmp_path)
+    assert campaign(finished)[0] == (59, 64)
+    assert same(reference, finished)
 
 
 def test_a_worker_that_dies_once_is_replaced_and_its_job_given_out_again(

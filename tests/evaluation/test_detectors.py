@@ -17,7 +17,7 @@ from app.evaluation.physical_trial import Change, Trial, twinned
 from app.governance.model import Intervention
 from app.governance.watcher import without
 from app.sim.world import CRATE_HALF_M
-from tests.evaluation.physical_world import bench, ran, shown
+from tests.evaluation.physical_world import bench, ran, shown, watched
 from tests.governance.policy_world import shipped
 
 SEED = TUNING_SEEDS[3]
@@ -51,7 +51,7 @@ def blind(violation: Violation) -> Change:
 
 @cache
 def governed(violation: Violation) -> tuple[Row, ...]:
-    return tuple(ran(one) for one in trials(violation))
+    return tuple(watched(SEED, one.drawn.number, violation) for one in trials(violation))
 
 
 @cache

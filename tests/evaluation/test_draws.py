@@ -32,11 +32,15 @@ def many() -> tuple[Drawn, ...]:
     return tuple(draw(shipped(), SEED, number) for number in range(COUNT))
 
 
-@cache
 def context(start: Start, profile: str) -> Context:
     """Γ of a start; where the objects lie exactly makes no difference to what is authorized."""
+    return _contexts(start)[profile]
+
+
+@cache
+def _contexts(start: Start) -> dict[str, Context]:
     cell = _stage().set(start, 1, Scenario())
-    return context_of(cell, shipped(), profile)
+    return {profile: context_of(cell, shipped(), profile) for profile in PROFILES}
 
 
 @cache

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 from random import Random
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import z3
 
@@ -19,10 +19,13 @@ from app.proofs.witness import decided
 from tests.proofs.random_rules import base, compiled, drawn, proposed, vocabulary
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping, Sequence
 
     from app.proofs.encoding import Slot
     from app.proofs.formulas import Formula
+
+
+TRUE, FALSE = z3.BoolVal(True), z3.BoolVal(False)
 
 
 def compare(seed: int, sets: int, proposals: int) -> tuple[int, int]:
@@ -59,8 +62,9 @@ class Bench:
             PolicyOutcome.ALLOW: pair.allowed,
         }  # fmt: skip
         self.left = pair.first.effective()
-        self.facts = [*pair.everything(), term(pair.space.said["agent.name"])]
-        self.rounding = pair.space.theory.rounding()
+        rounding = pair.space.theory.rounding()
+        everything = (*pair.everything(), term(pair.space.said["agent.name"]))
+        self.facts = [Fact.of(fact, rounding) for fact in everything]
 
     def compare(self, policy, case) -> bool:
         """Compare one case; return whether no answer was left open (near an edge either is)."""
@@ -70,7 +74,7 @@ class Bench:
         world = World(pins(self.pair.space, case, seen.proposal.params))
         for either_way in self.pair.space.ground.open:
             world.put(either_way, z3.BoolVal(False))
-        world.settle(self.facts, self.rounding)
+        world.settle(self.facts)
         if any(world.true(edge) for edge in self.pair.space.ground.edges if edge is not False):
             return False
         assert world.true(self._said(verdict)), (
@@ -101,6 +105,28 @@ class Bench:
         return both(*parts)
 
 
+class Fact(NamedTuple):
+    """A fact, taken apart once: under `premise` (None: always) it says what `name` (None: nothing) stands for.
+
+    `near` is the number that the name is rounded to, where it is rounded.
+    """
+
+    whole: z3.BoolRef
+    premise: z3.BoolRef | None = None
+    name: z3.ExprRef | None = None
+    meaning: z3.ExprRef | None = None
+    near: z3.ExprRef | None = None
+
+    @classmethod
+    def of(cls, whole: z3.BoolRef, rounding: Mapping[int, z3.ExprRef]) -> Fact:
+        """Take a fact apart."""
+        premise, said = whole.children() if z3.is_implies(whole) else (None, whole)
+        if not z3.is_eq(said) or not z3.is_const(said.arg(0)):
+            return cls(whole)
+        name, meaning = said.children()
+        return cls(whole, premise, name, meaning, rounding.get(name.get_id()))
+
+
 class World:
     """One assignment to every variable: the inputs given, the rest by what the facts say of it."""
 
@@ -115,39 +141,36 @@ class World:
         self.known.add(variable.get_id())
 
     def true(self, formula: Formula) -> bool:
-        return formula is True or (
-            formula is not False and z3.is_true(z3.simplify(self.model.eval(formula, model_completion=True)))
-        )
+        return formula is True or (formula is not False and self._value(formula, completed=True).eq(TRUE))
 
-    def settle(self, facts, rounding) -> None:
+    def _value(self, formula: z3.ExprRef, *, completed: bool = False) -> z3.ExprRef:
+        found = self.model.eval(formula, model_completion=completed)
+        return found if found.eq(TRUE) or found.eq(FALSE) else z3.simplify(found)
+
+    def settle(self, facts: Sequence[Fact]) -> None:
         """Let every fact define what it defines, until all hold."""
         waiting = list(facts)
         while waiting:
-            left = [fact for fact in waiting if not self._holds(fact, rounding)]
+            left = [fact for fact in waiting if not self._holds(fact)]
             assert len(left) < len(waiting), left[:3]
             waiting = left
 
-    def _holds(self, fact, rounding) -> bool:
-        found = z3.simplify(self.model.eval(fact))
-        if z3.is_true(found):
+    def _holds(self, fact: Fact) -> bool:
+        found = self._value(fact.whole)
+        if found.eq(TRUE):
             return True
-        assert not z3.is_false(found), fact
-        if z3.is_eq(fact):
-            name, meaning = fact.children()
-            return self._define(name, meaning, rounding)
-        if z3.is_implies(fact) and self.true(fact.arg(0)) and z3.is_eq(fact.arg(1)):
-            return self._define(*fact.arg(1).children(), rounding)
-        return False
-
-    def _define(self, name, meaning, rounding) -> bool:
-        value = z3.simplify(self.model.eval(meaning))
-        if name.get_id() in self.known or not z3.is_const(name) or not _is_value(value):
+        assert not found.eq(FALSE), fact
+        if fact.name is None or fact.name.get_id() in self.known:
             return False
-        self.put(name, value)
-        near = rounding.get(name.get_id())
-        if near is not None:
+        if fact.premise is not None and not self.true(fact.premise):
+            return False
+        value = self._value(fact.meaning)
+        if not _is_value(value):
+            return False
+        self.put(fact.name, value)
+        if fact.near is not None:
             exact = Fraction(value.numerator_as_long(), value.denominator_as_long())
-            self.put(near, rational(exact if abs(exact) >= OVERFLOW else float(exact)))
+            self.put(fact.near, rational(exact if abs(exact) >= OVERFLOW else float(exact)))
         return True
 
 

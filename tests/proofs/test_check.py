@@ -7,21 +7,25 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 import yaml
+from typer.testing import CliRunner
 
+from app.cli import app
 from app.governance import bundle, cases
 from tests.governance.policy_world import POLICIES
+
+if TYPE_CHECKING:
+    from typer.testing import Result
 
 PLANT = "\nrules:\n  - {id: huge, applies_to: [grasp_object], when: target.mass_kg > 50.0, then: deny, because: So.}\n"
 FAILS = "\nrules:\n  - {id: far, applies_to: [navigate_to], when: params.x_m > 7.5, then: escalate, because: So.}\n"
 
 
-def check(folder: Path, *flags: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "app.cli", "policy", "check", str(folder), *flags], capture_output=True, text=True
-    )
+def check(folder: Path, *flags: str) -> Result:
+    return CliRunner().invoke(app, ["policy", "check", str(folder), *flags])
 
 
 @pytest.fixture
@@ -35,7 +39,9 @@ def plant(folder: Path, rules: str) -> None:
 
 
 def test_the_shipped_policy_is_proved():
-    done = check(POLICIES)
+    """As a process, as a user starts it; all others ask the same command in this one."""
+    words = [sys.executable, "-m", "app.cli", "policy", "check", str(POLICIES)]
+    done = subprocess.run(words, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "proved of 48 pairs" in done.stdout
     assert "36 comparisons of profiles" in done.stdout
@@ -47,7 +53,7 @@ def test_a_dead_rule_is_named_with_file_and_line(folder: Path):
     line = (folder / "organization.yaml").read_text()[
         : (folder / "organization.yaml").read_text().index("id: huge")
     ].count("\n") + 1
-    assert done.returncode == 1
+    assert done.exit_code == 1
     assert f"organization.yaml:{line}: refuted: a dead rule: `organization/huge` never holds" in done.stderr
     assert "1 not proved" in done.stdout
 
@@ -55,7 +61,7 @@ def test_a_dead_rule_is_named_with_file_and_line(folder: Path):
 def test_the_example_that_is_printed_runs_as_a_case(folder: Path):
     plant(folder, FAILS)
     done = check(folder)
-    assert done.returncode == 1
+    assert done.exit_code == 1
     shown = done.stderr.partition("    cases:")[2].partition("\norganization.yaml")[0]
     text = "cases:" + "\n".join(line.removeprefix("    ") for line in shown.splitlines())
     (case,) = yaml.safe_load(text)["cases"]
@@ -68,7 +74,7 @@ def test_findings_come_as_sarif(folder: Path):
     plant(folder, FAILS)
     done = check(folder, "--format", "sarif")
     log = json.loads(done.stdout)
-    assert (done.returncode, log["version"]) == (1, "2.1.0")
+    assert (done.exit_code, log["version"]) == (1, "2.1.0")
     results = log["runs"][0]["results"]
     found = [result for result in results if result["level"] == "error"]
     assert {result["ruleId"] for result in found} == {"error"}
@@ -85,26 +91,26 @@ def test_what_cannot_be_loaded_comes_as_sarif_too(folder: Path):
     plant(folder, "\nrules:\n  - {id: odd, when: target.weight > 1.0, then: deny, because: So.}\n")
     done = check(folder, "--format", "sarif")
     (result, *_) = json.loads(done.stdout)["runs"][0]["results"]
-    assert (done.returncode, result["ruleId"], result["level"]) == (1, "load", "error")
+    assert (done.exit_code, result["ruleId"], result["level"]) == (1, "load", "error")
     assert "no field `weight`" in result["message"]["text"]
 
 
 def test_without_effort_nothing_is_proved():
     done = check(POLICIES, "--effort", "1")
-    assert done.returncode == 1
+    assert done.exit_code == 1
     assert "undecided" in done.stderr
     assert "proved of" not in done.stdout
 
 
 def test_a_time_limit_leaves_undecided_what_it_cuts_off():
     done = check(POLICIES, "--time-limit", "0.01")
-    assert done.returncode == 1
+    assert done.exit_code == 1
     assert "undecided" in done.stderr
 
 
 def test_proofs_can_be_left_out(folder: Path):
     plant(folder, PLANT)
-    assert check(folder, "--no-proofs").returncode == 0
+    assert check(folder, "--no-proofs").exit_code == 0
 
 
 @pytest.mark.parametrize("flag", ["--proofs", "--no-proofs"])
@@ -112,7 +118,7 @@ def test_what_is_promised_is_read_whether_it_is_proved_or_not(folder: Path, flag
     promise = "{id: a, says: So., never: [allowed], when: target.weight > 1.0}"
     (folder / "properties.yaml").write_text(f"properties:\n  - {promise}\n")
     done = check(folder, flag)
-    assert done.returncode == 1
+    assert done.exit_code == 1
     assert "properties.yaml:2: properties[0].when: column 8: " in done.stderr
     assert "no field `weight`" in done.stderr
     log = json.loads(check(folder, "--no-proofs", "--format", "sarif").stdout)
@@ -122,7 +128,7 @@ def test_what_is_promised_is_read_whether_it_is_proved_or_not(folder: Path, flag
 def test_without_properties_none_are_proved(folder: Path):
     (folder / "properties.yaml").unlink()
     done = check(folder)
-    assert done.returncode == 0
+    assert done.exit_code == 0
     assert "no properties stated" in done.stdout
 
 

@@ -8,10 +8,10 @@ from app.authoring.equivalence import equivalent
 from app.authoring.mutants import mutants
 from app.authoring.mutation import concerns
 from app.authoring.workbench import Workbench
-from app.clock import monotonic_s
 from app.governance.errors import PolicyErrors
 from app.proofs.difference import difference
 from tests.governance.policy_world import files
+from tests.proofs.planted import standing
 
 EVERY = 3  # of the organization's mutants: its conditions read the site, which is what is folded
 
@@ -28,5 +28,5 @@ def test_the_solver_finds_no_other_decision_where_a_mutant_is_called_equivalent(
         same = equivalent(bench.policy, other, bench.known.vocabulary, partial(concerns, mutant))
         if same:
             called += 1
-            assert difference(bench.policy, other, now=monotonic_s, all_s=60.0).decisions == (), mutant.key
+            assert difference(bench.policy, other, now=standing).decisions == (), mutant.key
     assert called

@@ -211,7 +211,9 @@ def test_a_case_made_small_still_shows_that_fewer_people_are_asked_by_authority(
         if "`operate_tool` is approved by 1 in human-shared" in fault.message
     ]
     assert found
-    assert all("status: allowed" in fault.example for fault in found)  # a shorter speed asks one, where the other asks two
+    assert all(
+        "status: allowed" in fault.example for fault in found
+    )  # a shorter speed asks one, where the other asks two
 
 
 SOUND: list[tuple[str, dict[str, str]]] = [
