@@ -394,7 +394,10 @@ def _refuse_duplicates(raw: bytes) -> None:
                 raise Problem("malformed_json", f"the key `{key[:100]}` is given twice in one object")
             seen.add(key)
 
-    json.loads(raw, object_pairs_hook=unique, parse_int=len, parse_float=len)  # only the keys matter here
+    try:
+        json.loads(raw, object_pairs_hook=unique, parse_int=len, parse_float=len)  # only the keys matter here
+    except RecursionError:  # what nests so deep was given first and hidden by a second member of its name
+        raise Problem("malformed_json", f"the body nests deeper than `{MAX_DEPTH}` levels") from None
 
 
 def _short_texts(raw: bytes) -> bool:

@@ -46,6 +46,8 @@ MALFORMED = {
     "deep lists": b'{"capability": "x", "params": {"a": ' + b"[" * 40 + b"]" * 40 + b"}}",
     "very deep lists": b"[" * 100_000 + b"]" * 100_000,
     "deep objects": b'{"a":' * 500 + b"1" + b"}" * 500,
+    "deep lists behind a duplicate key": b'{"a": ' + b"[" * 1000 + b"]" * 1000 + b', "a": 1}',
+    "deep objects behind a duplicate key": b'{"a": ' + b'{"a":' * 1000 + b"1" + b"}" * 1000 + b', "a": 1}',
 }
 
 
