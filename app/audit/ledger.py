@@ -162,7 +162,7 @@ class Ledger:
             return None
         try:
             self._file.append(staged.note)
-        except OSError as error:
+        except Exception as error:  # the thread it runs in has nobody who would hear of it: health has to say so
             return f"checkpoint file: {describe(error)}"
         return None
 

@@ -156,6 +156,27 @@ async def test_the_next_batch_waits_for_the_checkpoint_of_the_last(
     assert seen == [("commit", 1), ("outside", 1), ("commit", 2), ("outside", 2)]
 
 
+async def test_whatever_keeps_a_checkpoint_from_its_file_shows_in_the_health(
+    store: AuditStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fault of the program's own would end in a thread nobody listens to; the next batch writes what is missing."""
+
+    def broken(descriptor: int, data: bytes) -> int:
+        raise RuntimeError(f"no way to write {len(data)} bytes to {descriptor}")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("app.audit.checkpoint_file.os.write", broken)
+        assert await store.append([draft(n=1)]) == [1]
+        await until(lambda: not store.healthy)
+        assert store.reason is not None
+        assert store.reason.startswith("checkpoint file: no way to write")
+    assert await store.append([draft(n=2)]) == [2]
+    assert store.healthy
+    await store.close()
+    assert verify_file(store.places.folder).ok
+    assert store.places.checkpoints.read_text().count("reins/log") == 4  # an origin and a signature each
+
+
 async def test_a_commit_that_failed_but_reached_the_disk_is_taken_in(
     store: AuditStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
