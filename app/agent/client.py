@@ -45,6 +45,7 @@ from app.agent.conversation import (
     follow,
     header_text,
     invoke,
+    path_of,
     proposal,
     send,
 )
@@ -125,7 +126,7 @@ class ReinsClient:
 
     def follow(self, invocation: str, *, on_update: OnUpdate | None = None) -> Result:
         """Wait for the end of an invocation proposed earlier, say before a restart. Raises as `invoke` does."""
-        first = self.call("GET", f"/v1/invocations/{invocation}")
+        first = self.call("GET", path_of(invocation))
         return conclude(self._run(follow(first, on_update)))
 
     def check(self, capability: str, /, *, mode: str | None = None, cell: str | None = None, **params: Any) -> Document:  # noqa: ANN401
@@ -134,7 +135,7 @@ class ReinsClient:
 
     def trace(self, invocation: str) -> list[Document]:
         """Return τ_t: all events of an invocation in order."""
-        return list(self.call("GET", f"/v1/invocations/{invocation}/trace")["items"])
+        return list(self.call("GET", f"{path_of(invocation)}/trace")["items"])
 
     def capabilities(self) -> list[Document]:
         """Return the registered capabilities as their manifests declare them."""
@@ -214,7 +215,7 @@ class AsyncReinsClient:
 
     async def follow(self, invocation: str, *, on_update: OnUpdate | None = None) -> Result:
         """Wait for the end of an invocation proposed earlier; see `ReinsClient.follow`."""
-        first = await self.call("GET", f"/v1/invocations/{invocation}")
+        first = await self.call("GET", path_of(invocation))
         return conclude(await self._run(follow(first, on_update)))
 
     def check(
@@ -231,7 +232,7 @@ class AsyncReinsClient:
 
     async def trace(self, invocation: str) -> list[Document]:
         """Return τ_t: all events of an invocation in order."""
-        return list((await self.call("GET", f"/v1/invocations/{invocation}/trace"))["items"])
+        return list((await self.call("GET", f"{path_of(invocation)}/trace"))["items"])
 
     async def capabilities(self) -> list[Document]:
         """Return the registered capabilities as their manifests declare them."""

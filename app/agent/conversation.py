@@ -11,6 +11,7 @@ import uuid
 from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias, TypeVar, cast
+from urllib.parse import quote
 
 from app.agent.answers import Document, ExecutionFailed, Problem, Refused, Result, Unreachable, Unsendable, document
 
@@ -174,11 +175,15 @@ def follow(invocation: Document, on_update: OnUpdate | None) -> Talk[Document]:
         told = seen
         if invocation["status"] in _TERMINAL:
             return invocation
-        path = f"/v1/invocations/{invocation['id']}"
         query = {"wait": str(WAIT_S)}
         if invocation.get("updated_at"):
             query["seen"] = str(invocation["updated_at"])
-        invocation = yield from send(Call(method="GET", path=path, query=query))
+        invocation = yield from send(Call(method="GET", path=path_of(invocation["id"]), query=query))
+
+
+def path_of(invocation: str) -> str:
+    """Return the path of an invocation; whatever stands in its name leads nowhere else."""
+    return f"/v1/invocations/{quote(invocation, safe='')}"
 
 
 def conclude(invocation: Document) -> Result:

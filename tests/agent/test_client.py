@@ -1,6 +1,6 @@
 import itertools
 import re
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, quote, urlsplit
 
 import pytest
 
@@ -265,3 +265,19 @@ async def test_the_asynchronous_client_holds_the_same_conversation():
     assert result.outcome == "recovered"
     assert trace == [{"seq": 1, "kind": "proposal"}]
     assert server.turns[0].body["metadata"] == {"confidence": 0.9}
+
+
+@pytest.mark.parametrize("name", ["../cells", "inv_1?wait=0", "inv_1#x", "a b"])
+def test_the_name_of_an_invocation_leads_nowhere_else(name: str):
+    asked: list[str] = []
+
+    def answer(turn: Turn):
+        asked.append(turn.path)
+        return 404, {"code": "invocation_unknown", "detail": "no such invocation"}
+
+    with serve(answer) as server, ReinsClient(server.url, "secret") as client:
+        for ask in (client.follow, client.trace):
+            with pytest.raises(Problem, match="invocation_unknown"):
+                ask(name)
+    asked_for = f"/v1/invocations/{quote(name, safe='')}"
+    assert asked == [asked_for, f"{asked_for}/trace"]
