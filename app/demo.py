@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 import httpx
 import orjson
-import yaml
 
 from app.agent.approver import ScriptedApprover, load_habits, parse_habits
 from app.agent.client import AsyncReinsClient, ReinsError
@@ -76,7 +75,7 @@ def approve(habits_file: Path, url: str, data: Path) -> int:
     try:
         habits = load_habits(habits_file)
         token = _token_of(habits.name, DataDir(root=data).tokens)
-    except (OSError, ValueError, yaml.YAMLError) as error:
+    except (OSError, ValueError) as error:
         say_error(f"no approver: {error}")
         return MISUSE
     try:

@@ -76,8 +76,15 @@ OnAnswer: TypeAlias = Callable[[Document, Answer], None]
 
 
 def load_habits(path: Path) -> Habits:
-    """Read a habits file. Raises `ValueError` naming the key and what would be valid."""
-    return parse_habits(yaml.safe_load(path.read_text(encoding="utf-8")), str(path))
+    """Read a habits file. Raises `OSError`, and `ValueError` naming file, key or line, and what would be valid."""
+    try:
+        raw: object = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except yaml.MarkedYAMLError as error:
+        line = "" if error.problem_mark is None else f":{error.problem_mark.line + 1}"
+        raise ValueError(f"{path}{line}: not readable as YAML: {error.problem}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: not readable as YAML: {error}; valid is UTF-8 without control characters") from error
+    return parse_habits(raw, str(path))
 
 
 def parse_habits(raw: object, source: str = "habits") -> Habits:

@@ -1,9 +1,10 @@
 import asyncio
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
-from app.agent.approver import Answer, ScriptedApprover, decide, parse_habits
+from app.agent.approver import Answer, ScriptedApprover, decide, load_habits, parse_habits
 from app.agent.client import AsyncReinsClient, Problem
 from app.demo import answered, approve
 
@@ -86,6 +87,23 @@ def test_an_approver_nobody_knows_is_refused_with_who_is_known(tmp_path, capfd):
     said = " ".join(capfd.readouterr().err.split())
     assert "`nobody` has no token" in said
     assert "valid as `approver`: operator, operator_2" in said
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"approver: operator\nrules: [1", r"habits\.yaml:2: not readable as YAML: "),
+        (b"approver: operator\n\trules: []", r"habits\.yaml:2: not readable as YAML: "),
+        (b"approver: \xff", r"habits\.yaml: not readable as YAML: "),
+        (b"approver: \x01", r"habits\.yaml: not readable as YAML: "),
+        (b"", r"habits\.yaml is `None`; valid: a mapping"),
+    ],
+)
+def test_a_habits_file_that_cannot_be_read_is_named(tmp_path: Path, content: bytes, message: str):
+    file = tmp_path / "habits.yaml"
+    file.write_bytes(content)
+    with pytest.raises(ValueError, match=message):
+        load_habits(file)
 
 
 def test_habits_that_are_no_mapping_are_refused():
