@@ -11,7 +11,6 @@ of the checks is the order of trust:
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -96,17 +95,6 @@ def canonical(value: object) -> bytes:
         ).encode()
     except TypeError as error:
         raise ValueError(f"not JSON: {error}") from error
-
-
-def params_digest(params: Params) -> str:
-    """Return `sha256:…` over parameters, for approvals to bind to.
-
-    Numbers that are equal have equal digests (`60` and `60.0`), because a browser cannot tell them apart.
-
-    Raises:
-        ValueError: a parameter is not finite or not JSON.
-    """
-    return "sha256:" + hashlib.sha256(canonical(_same_numbers(_plain(params)))).hexdigest()
 
 
 def mint(authorization: Authorization, private_key: Ed25519PrivateKey) -> SignedAuthorization:
