@@ -47,16 +47,14 @@ class Incident:
     def begin(self, person: Person) -> None:
         """Ask the first, and the rest when somebody has it before them: what is open stays open."""
         for cell, capability, params in ASKED:
-            body = {"capability": capability, "params": params, "cell": cell}
-            proposed = self.server.post("/v1/invocations", body, key="agent").json()
+            proposed = self.server.launch(capability, cell, **params)
             assert proposed["status"] == "awaiting_approval", proposed["admission"]
             self.made.append(proposed["id"])
             if len(self.made) == 1:
                 expect(cards(person)).to_have_accessible_name(FIRST)
 
     def drive(self, cell: str, **params: Any) -> None:
-        body = {"capability": "navigate_to", "params": params, "cell": cell}
-        proposed = self.server.post("/v1/invocations", body, key="agent").json()
+        proposed = self.server.launch("navigate_to", cell, **params)
         assert proposed["status"] == "running", proposed["admission"]
         self.made.append(proposed["id"])
 
