@@ -93,7 +93,9 @@ def _token_of(name: str, tokens: Path) -> str:
     document: object = orjson.loads(tokens.read_bytes())
     known = cast("dict[str, str]", document) if isinstance(document, dict) else {}
     if name not in known:
-        raise ValueError(f"`{name}` has no token in `{tokens}`; valid as `approver`: {', '.join(known) or 'none'}")
+        raise ValueError(
+            f"`{name}` has no token in `{tokens}`; valid as `approver`: an operator among {', '.join(known) or 'none'}"
+        )
     return known[name]
 
 

@@ -12,6 +12,7 @@ invocation it had under way.
 from __future__ import annotations
 
 import asyncio
+import os
 import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -393,7 +394,10 @@ class ReferenceAgent:
         """Write the memory whole and swap it in, so that a crash leaves the old one or the new one."""
         scratch = self._path.with_suffix(".new")
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        scratch.write_bytes(orjson.dumps(self.state, option=orjson.OPT_INDENT_2))
+        with scratch.open("wb") as file:
+            file.write(orjson.dumps(self.state, option=orjson.OPT_INDENT_2))
+            file.flush()
+            os.fsync(file.fileno())  # else a power cut may leave the new name with nothing in it
         scratch.replace(self._path)
 
 
