@@ -86,7 +86,7 @@ def test_an_approver_nobody_knows_is_refused_with_who_is_known(tmp_path, capfd):
     assert approve(habits, "http://127.0.0.1:1", tmp_path) == 2
     said = " ".join(capfd.readouterr().err.split())
     assert "`nobody` has no token" in said
-    assert "valid as `approver`: operator, operator_2" in said
+    assert "valid as `approver`: an operator among operator, operator_2" in said
 
 
 @pytest.mark.parametrize(
