@@ -21,6 +21,7 @@ from app.cell.pin import KeyPin, LinkRefused
 from app.governance import bundle
 from app.governance.policy import PolicySet
 from app.protocol import (
+    LEASE_MS,
     Ack,
     Beat,
     Down,
@@ -45,6 +46,7 @@ FILES = bundle.read_files(POLICIES)
 DIGEST = bundle.load(POLICIES).digest
 KEY = "a2V5"
 WITHIN_S = 15.0
+PATIENT_MS = 60_000  # the lease where no lapse is meant: all parts share one process here, and the machine is busy
 
 
 @pytest.fixture
@@ -138,8 +140,18 @@ async def rig(
     server_key: str | None = None,
     last_seq: int = 0,
     ready: threading.Event | None = None,
+    lease_ms: int = PATIENT_MS,
 ) -> AsyncIterator[Rig]:
-    script = script or Script()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("app.cell.loop.LEASE_MS", lease_ms)
+        async with _rigged(folder, script or Script(), server_key, last_seq, ready) as cell:
+            yield cell
+
+
+@asynccontextmanager
+async def _rigged(
+    folder: Path, script: Script, server_key: str | None, last_seq: int, ready: threading.Event | None
+) -> AsyncIterator[Rig]:
     server: Server = await serve(script.converse, "127.0.0.1", 0)
     port = next(iter(server.sockets)).getsockname()[1]
     runner = Recorder(period_s=0.01)
@@ -287,7 +299,7 @@ async def test_sends_reports_in_order_and_again_after_a_reconnect(tmp_path: Path
 
 @pytest.mark.anyio
 async def test_holds_and_dials_again_when_the_server_falls_silent(tmp_path: Path) -> None:
-    async with rig(tmp_path) as cell:
+    async with rig(tmp_path, lease_ms=LEASE_MS) as cell:
         await until(lambda: cell.orders(Welcomed))
         cell.script.beats = False
         await until(lambda: cell.runner.holds == ["link"], "the hold")
@@ -300,7 +312,7 @@ async def test_dials_again_after_a_lapse_that_only_the_loop_noticed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("app.cell.link.MIND_S", 1.0)  # the link looks seldom: a frame comes before it does
-    async with rig(tmp_path) as cell:
+    async with rig(tmp_path, lease_ms=LEASE_MS) as cell:
         await until(lambda: cell.orders(Welcomed))
         cell.script.beats = False
         await until(lambda: cell.runner.holds == ["link"], "the hold")
