@@ -63,12 +63,12 @@ export class CellView {
     this.renderer.setPixelRatio(this.ratio);
     this.host.prepend(this.renderer.domElement);
     this.canvas.addEventListener('webglcontextlost', this.lost);
-    this.rig = new CameraRig(this.renderer.domElement, () => (this.dirty = true));
+    this.rig = new CameraRig(this.renderer.domElement, () => this.draw());
     this.labels = new Labels(layer);
     const sun = new DirectionalLight('#ffffff', 1.7);
     sun.position.set(-3, -6, 9);
     this.world.add(new HemisphereLight('#ffffff', '#8795a5', 1.5), sun, this.overlay.root);
-    this.loop(performance.now());
+    this.draw();
   }
 
   get canvas(): HTMLCanvasElement {
@@ -86,7 +86,7 @@ export class CellView {
   setPath(points: readonly [number, number][]): void {
     this.path = points;
     this.overlay.setPath(points);
-    this.dirty = true;
+    this.draw();
   }
 
   setTrouble(trouble: Trouble): void {
@@ -95,7 +95,7 @@ export class CellView {
     if (zones) this.rebuild();
     // A frame in which nothing moved is not drawn: who comes to a robot that holds would see no colour.
     else if (this.last !== null && this.info !== null) this.drawSeparation(this.last, this.info);
-    this.dirty = true;
+    this.draw();
   }
 
   /** The theme changed: colours are read anew. */
@@ -129,13 +129,13 @@ export class CellView {
     });
     this.drawSeparation(frame, info);
     this.rig.follow(this.robot);
-    this.dirty = true;
+    this.draw();
   }
 
   /** Names the things a session is about; everything else on the benches goes without a name. */
   setSubjects(names: ReadonlySet<string>): void {
     this.subjects = names;
-    this.dirty = true;
+    this.draw();
   }
 
   view(view: View): void {
@@ -175,7 +175,7 @@ export class CellView {
     this.ground = buildGround(this.info.scene, this.palette, this.trouble.zones);
     this.world.add(this.ground, this.bodies.root);
     if (this.last !== null) this.place(this.last, this.info);
-    this.dirty = true;
+    this.draw();
   }
 
   private drawSeparation(frame: PoseFrame, info: SceneInfo): void {
@@ -223,9 +223,27 @@ export class CellView {
     return body.position.clone().setZ(0).add(aside);
   }
 
+  /** Something changed: another picture is due. */
+  private draw(): void {
+    this.dirty = true;
+    this.ask();
+  }
+
+  /** Wants the screen's next turn. Nobody asks while nothing changes: turns that draw nothing would only cost power. */
+  private ask(): void {
+    if (this.request === 0) this.request = requestAnimationFrame(this.loop);
+  }
+
   private readonly loop = (now: number): void => {
-    this.request = requestAnimationFrame(this.loop);
-    if (!this.drawn(now) || !this.dirty) return;
+    this.request = 0;
+    if (this.drawn(now)) {
+      if (!this.dirty) return;
+      this.paint(now);
+    }
+    this.ask(); // at least until the picture is really drawn
+  };
+
+  private paint(now: number): void {
     this.dirty = false;
     const { clientWidth: width, clientHeight: height } = this.host;
     this.renderer.render(this.world, this.rig.camera);
@@ -234,7 +252,7 @@ export class CellView {
     this.fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     this.fencedMs = now;
     gl.flush();
-  };
+  }
 
   /** One picture at a time: another is begun when the last is really drawn, or frames would queue up and age. */
   private drawn(now: number): boolean {
