@@ -42,8 +42,8 @@ from typing import Any
 from bench_post import ROOT, free_port, wait_until_up
 from playwright.sync_api import Browser, BrowserContext, CDPSession, Page, sync_playwright
 
-PLACES = ("/usr/lib/chromium/chromium", "chromium", "chromium-browser", "google-chrome")
-FLAGS = ("--no-sandbox", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage", "--mute-audio")
+from tests.console.conftest import DESK, FLAGS, PLACES
+
 # V8 compiles a function anew, better and larger, once it has been called often: seldom ones after hours. So the heap of
 # a page that keeps nothing grows all the same, until every function has had its turn. With these it has at once.
 SETTLED = (
@@ -53,7 +53,6 @@ SETTLED = (
     "--no-lazy-feedback-allocation",
     "--no-flush-bytecode",
 )
-DESK = {"width": 1440, "height": 900}
 PATIENCE_MS = 60_000
 KEPT_INVOCATIONS = 200  # as the console keeps them: a heap that fills a list has not grown
 KEPT_EVENTS = 1_000

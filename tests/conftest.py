@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import json
 import os
 import signal
@@ -35,6 +36,13 @@ LAPSED = b"link down: nothing heard for"
 
 class LinkLapsed(AssertionError):
     """A test failed while a cell's link lapsed: the machine was too busy for a lease of 300 ms. It runs once more."""
+
+
+def pytest_collection_finish() -> None:
+    """Leave what was imported out of collections of garbage, and have fewer: they took a tenth of the time."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 100)
 
 
 @pytest.hookimpl(wrapper=True)

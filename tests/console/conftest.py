@@ -25,7 +25,30 @@ from tests.conftest import Ahead, ServerProcess, Servers, until
 ROOT = Path(__file__).resolve().parents[2]
 PLACES = ("/usr/lib/chromium/chromium", "chromium", "chromium-browser", "google-chrome")
 # Root may not use the sandbox; SwiftShader draws where there is no graphics card; a container's /dev/shm is small.
-FLAGS = ("--no-sandbox", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage", "--mute-audio")
+# Of two lists of features that are off, Chromium heeds the last: so here is what Playwright turns off, as far as it
+# concerns pages on loopback, and the two popups of an address bar that nobody sees. Every window built both anew, which
+# took as much of the processor as a whole console does.
+OFF = (
+    "AvoidUnnecessaryBeforeUnloadCheckSync",
+    "DestroyProfileOnBrowserClose",
+    "HttpsUpgrades",
+    "HttpsFirstBalancedModeAutoEnable",
+    "LensOverlay",
+    "MediaRouter",
+    "NetworkTimeServiceQuerying",
+    "OptimizationHints",
+    "PaintHolding",
+    "PreconnectToSearch",
+    "WebUIOmniboxAimPopup",
+    "WebUIOmniboxPopup",
+)
+FLAGS = (
+    "--no-sandbox",
+    "--enable-unsafe-swiftshader",
+    "--disable-dev-shm-usage",
+    "--mute-audio",
+    f"--disable-features={','.join(OFF)}",
+)
 PATIENCE_MS = 15_000
 expect.set_options(timeout=PATIENCE_MS)
 
