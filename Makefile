@@ -13,7 +13,8 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help setup console demo run test check bench evaluate pictures format lock clean \
-  test-rules test-evaluation test-runtime test-served test-processes test-sessions test-console
+  test-served test-processes test-sessions test-console test-runtime test-evaluation \
+  test-proofs test-rules test-authoring test-sim test-pages
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
@@ -41,42 +42,55 @@ run: $(STAMP) console  ## a server with one simulated cell and a demo agent; kee
 	@$(BIN)/reins demo --keep --port 8000
 
 test: $(STAMP) console  ## the whole test suite; what decides and what proves covered to the last branch
-	@$(MAKE) --no-print-directory -j5 test-served test-rules test-evaluation test-runtime
+	@$(MAKE) --no-print-directory --keep-going -j4 test-served test-runtime test-evaluation $(COMPUTING)
 
-# For two cores. What starts servers and cells mostly waits, in two lanes, and then what drives or shows a robot as people
-# would, in one; so does what serves within one process. Leases of 300 ms are real time there. What only computes fills
-# the cores and gives way. Whatever no lane names runs with the processes.
+# For two cores, four at a time, the longest first. What starts servers and cells mostly waits, in two lanes, and then what
+# drives or shows a robot as people would, in one; so does what serves within one process. Leases of 300 ms are real time
+# there. What only computes fills the cores and gives way. Whatever nothing here names runs with the processes.
 WATCHED := tests/test_demo.py tests/test_takeover.py tests/console
 SESSIONS := $(patsubst %,tests/test_%.py,activation confirmation console contract)
-SERVES_NOBODY := tests/authoring tests/sim tests/test_cli.py tests/test_cli_authoring.py tests/test_assayer.py tests/test_disk.py
-COMPUTES := tests/evaluation tests/runtime tests/api tests/agent tests/cell tests/proofs $(SERVES_NOBODY)
+AUTHORED := tests/authoring tests/test_cli_authoring.py tests/test_assayer.py
+SIMULATED := tests/sim tests/test_cli.py tests/test_disk.py
+WITHIN := tests/runtime tests/api tests/agent tests/cell
+ELSEWHERE := $(MEASURED) $(COMPARED) tests/evaluation tests/proofs $(WITHIN) $(AUTHORED) $(SIMULATED) $(SESSIONS) $(WATCHED)
+COMPUTING := test-proofs test-rules test-authoring test-sim test-pages
+PYTEST := $(BIN)/python -m pytest -p no:cacheprovider
 GIVING_WAY := nice -n 19
+
 test-served:
 	@$(MAKE) --no-print-directory test-processes test-sessions
 	@$(MAKE) --no-print-directory test-console
 
-test-rules: $(STAMP)
-	@$(GIVING_WAY) $(BIN)/coverage run -m pytest $(MEASURED)
-	@$(BIN)/coverage report
-	@$(GIVING_WAY) $(BIN)/python -m pytest -p no:cacheprovider tests/proofs $(COMPARED)
-
-test-evaluation: $(STAMP)
-	@$(GIVING_WAY) $(BIN)/python web/build.py test
-	@$(GIVING_WAY) $(BIN)/python -m pytest -p no:cacheprovider tests/evaluation
-
-test-runtime: $(STAMP)
-	@$(BIN)/python -m pytest -p no:cacheprovider tests/runtime tests/api tests/agent tests/cell
-	@$(GIVING_WAY) $(BIN)/python -m pytest -p no:cacheprovider $(SERVES_NOBODY)
-
 test-processes: $(STAMP)
-	@$(BIN)/python -m pytest -p no:cacheprovider $(MEASURED:%=--ignore=%) $(COMPARED:%=--ignore=%) \
-	  $(COMPUTES:%=--ignore=%) $(SESSIONS:%=--ignore=%) $(WATCHED:%=--ignore=%)
+	@$(PYTEST) $(ELSEWHERE:%=--ignore=%)
 
 test-sessions: $(STAMP)
-	@$(BIN)/python -m pytest -p no:cacheprovider $(SESSIONS)
+	@$(PYTEST) $(SESSIONS)
 
 test-console: $(STAMP) console
 	@$(BIN)/python -m pytest $(WATCHED)
+
+test-runtime: $(STAMP)
+	@$(PYTEST) $(WITHIN)
+
+test-evaluation: $(STAMP)
+	@$(GIVING_WAY) $(PYTEST) tests/evaluation
+
+test-proofs: $(STAMP)
+	@$(GIVING_WAY) $(PYTEST) tests/proofs $(COMPARED)
+
+test-rules: $(STAMP)
+	@$(GIVING_WAY) $(BIN)/coverage run -m pytest $(MEASURED)
+	@$(BIN)/coverage report
+
+test-authoring: $(STAMP)
+	@$(GIVING_WAY) $(PYTEST) $(AUTHORED)
+
+test-sim: $(STAMP)
+	@$(GIVING_WAY) $(PYTEST) $(SIMULATED)
+
+test-pages: $(STAMP)
+	@$(GIVING_WAY) $(BIN)/python web/build.py test
 
 $(TYPINGS): $(STAMP)
 	@$(BIN)/pybind11-stubgen mujoco --ignore-all-errors -o typings >/dev/null 2>&1
