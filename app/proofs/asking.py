@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from app.proofs.formulas import Formula
 
 LEAST_S: Final = 0.001
+# While there is longer than any question's effort takes, none has a timeout. The solver would start a timer for each of
+# thousands, a tenth of the time that proofs take, and one that goes off late would spoil an answer.
+HURRY_MS: Final = 60_000
+NO_TIMEOUT: Final = 2**32 - 1  # to Z3
 
 
 class Undecided:
@@ -49,6 +53,8 @@ class Asking:
         """Take the facts when they are needed: encoding a question may add to them, never take from them."""
         self._budget, self._facts = budget, facts
         self._solver = z3.SimpleSolver()
+        self._solver.set(rlimit=budget.effort)
+        self._timeout_ms = NO_TIMEOUT
         self._known: dict[int, z3.BoolRef] = {}  # by identity, which is good only as long as the terms live
         self.asked = 0
 
@@ -63,12 +69,17 @@ class Asking:
             if id(fact) not in self._known:
                 self._known[id(fact)] = fact
                 self._solver.add(fact)
-        self._solver.set(timeout=left_ms, rlimit=self._budget.effort)
+        self._limit(left_ms if left_ms < HURRY_MS else NO_TIMEOUT)
         self.asked += 1
         answer = self._solver.check(*(term(part) for part in parts if part is not True))
         if answer == z3.sat:
             return self._solver.model()
         return None if answer == z3.unsat else UNDECIDED
+
+    def _limit(self, timeout_ms: int) -> None:
+        if timeout_ms != self._timeout_ms:
+            self._solver.set(timeout=timeout_ms)
+            self._timeout_ms = timeout_ms
 
 
 __all__ = ["UNDECIDED", "Asking", "Budget", "Undecided"]
