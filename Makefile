@@ -53,7 +53,7 @@ AUTHORED := tests/authoring tests/test_cli_authoring.py tests/test_assayer.py
 SIMULATED := tests/sim tests/test_cli.py tests/test_disk.py
 WITHIN := tests/runtime tests/api tests/agent tests/cell
 ELSEWHERE := $(MEASURED) $(COMPARED) tests/evaluation tests/proofs $(WITHIN) $(AUTHORED) $(SIMULATED) $(SESSIONS) $(WATCHED)
-COMPUTING := test-proofs test-rules test-authoring test-sim test-pages
+COMPUTING := test-proofs test-rules test-sim test-authoring test-pages
 PYTEST := $(BIN)/python -m pytest -p no:cacheprovider
 GIVING_WAY := nice -n 19
 
