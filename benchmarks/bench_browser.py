@@ -80,11 +80,13 @@ NOTES = """
         requestAnimationFrame(look);
     };
     requestAnimationFrame(look);
-    const post = Worker.prototype.postMessage;
-    Worker.prototype.postMessage = function (said, ...rest) {
-        if (said?.message?.type === 'ack' && 'frame' in said.message) notes.frames += 1;
-        return post.call(this, said, ...rest);
-    };
+    const heard = Object.getOwnPropertyDescriptor(Worker.prototype, 'onmessage');
+    Object.defineProperty(Worker.prototype, 'onmessage', { ...heard, set(take) {
+        heard.set.call(this, (event) => {
+            take(event);
+            if (event.data?.is === 'frame') notes.frames += 1;
+        });
+    } });
     const fence = WebGL2RenderingContext.prototype.fenceSync;
     WebGL2RenderingContext.prototype.fenceSync = function (...given) {
         notes.pictures += 1;
