@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from app.proofs.formulas import Formula
 
 LEAST_S: Final = 0.001
-# While there is longer than any question's effort takes, none has a timeout. The solver would start a timer for each of
-# thousands, a tenth of the time that proofs take, and one that goes off late would spoil an answer.
-HURRY_MS: Final = 60_000
+# While there is much longer than a question's effort takes, none has a timeout. The solver would start a timer for each
+# of thousands, a tenth of the time that proofs take, and one that goes off late would spoil an answer.
+HURRY_MS_PER_STEP: Final = 0.003  # a step takes about half a microsecond; a slow machine six times that
 NO_TIMEOUT: Final = 2**32 - 1  # to Z3
 
 
@@ -55,6 +55,7 @@ class Asking:
         self._solver = z3.SimpleSolver()
         self._solver.set(rlimit=budget.effort)
         self._timeout_ms = NO_TIMEOUT
+        self._hurry_ms = HURRY_MS_PER_STEP * budget.effort
         self._known: dict[int, z3.BoolRef] = {}  # by identity, which is good only as long as the terms live
         self.asked = 0
 
@@ -69,7 +70,7 @@ class Asking:
             if id(fact) not in self._known:
                 self._known[id(fact)] = fact
                 self._solver.add(fact)
-        self._limit(left_ms if left_ms < HURRY_MS else NO_TIMEOUT)
+        self._limit(left_ms if left_ms < self._hurry_ms else NO_TIMEOUT)
         self.asked += 1
         answer = self._solver.check(*(term(part) for part in parts if part is not True))
         if answer == z3.sat:
