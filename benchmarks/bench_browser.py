@@ -7,8 +7,9 @@ Prints
 - a proposal that waits for a person: from before it is posted until its card is on the screen (p95 at most 150 ms);
 - poses applied to the 3D view per second (at least 25), and pictures drawn, which hang on the graphics card;
 - with `--minutes`, the slope of the page's heap while it streams, after a warm-up in which every bounded list fills
-  with what will go through it: a list that changes what it holds is as little flat as one that fills. Short drives
-  leave the records of long ones: the warm-up has as many as the console keeps sessions, however long that takes.
+  with what will go through it: a list that changes what it holds is as little flat as one that fills. So the cell
+  drives in the warm-up as it does later, as often as the console keeps sessions, and five times as fast as it would:
+  half an hour has the sessions and events of two and a half, poses come as ever.
   Beside it stands what grew, the page's own data or what the engine compiled of its functions, from two snapshots;
   with `--settled` the engine compiles nothing later on, and what grows is the page alone.
 
@@ -58,13 +59,12 @@ KEPT_INVOCATIONS = 200  # as the console keeps them: a heap that fills a list ha
 KEPT_EVENTS = 1_000
 LOOK_S = 15.0
 LOOKS = 3
-FAR_S = 60.0  # of the drives that are measured, before they are: what they draw is there then
-FILLED_S = 1_800.0  # a warm-up that has not filled every list by then never will
+FILLED_S = 2_400.0  # a warm-up that has not filled every list by then never will
+HASTE = 5.0  # simulated seconds per second, for the heap
 UNDER_WAY = frozenset({"running", "paused", "recovering", "escalated"})
 # Kinds of nodes in a heap snapshot that hold what the page keeps; `code` is what V8 made of its functions.
 OWN = ("object", "array", "string", "number", "closure", "concatenated string", "sliced string", "regexp", "symbol")
 FAR = ({"target": "dock"}, {"target": "bench_a_stand"})
-NEAR = tuple({"x_m": 1.6, "y_m": y_m, "yaw_rad": 1.5708} for y_m in (4.5, 4.6))  # bench_a_stand, and a step back
 # Notes, in the page's own time: the first drawn cell, every card, every frame that was applied, every picture.
 NOTES = """
     window.notes = { drawn: 0, cards: [], frames: 0, pictures: 0 };
@@ -240,19 +240,17 @@ def heap(browser: Browser, served: Served, minutes: float, warm_up: float) -> No
         sign_in(page, served)
         line = context.new_cdp_session(page)
         logged = served.logged()
-        with served.driving(NEAR) as driver:
+        with served.driving() as driver:
 
             def warm(at_s: float) -> bool:
                 full = served.drives["succeeded"] >= KEPT_INVOCATIONS
                 return driver.done() or at_s > FILLED_S or (full and at_s >= warm_up * 60.0)
 
             warmed_s = sample(line, page, warm, lambda _at, _size: None)
-        filled = served.drives.copy()
-        assert filled["succeeded"] >= KEPT_INVOCATIONS, f"the list of sessions is not full: {counted(filled)}"
-        assert served.logged() - logged >= KEPT_EVENTS, "the list of events is not full"
-        before = page.evaluate("window.notes.frames")
-        with served.driving() as driver:
-            sample(line, page, lambda at_s: driver.done() or at_s > FAR_S, lambda _at, _size: None)
+            filled = served.drives.copy()
+            assert filled["succeeded"] >= KEPT_INVOCATIONS, f"the list of sessions is not full: {counted(filled)}"
+            assert served.logged() - logged >= KEPT_EVENTS, "the list of events is not full"
+            before = page.evaluate("window.notes.frames")
             made_of = parts(line)
             sample(
                 line,
@@ -261,14 +259,14 @@ def heap(browser: Browser, served: Served, minutes: float, warm_up: float) -> No
                 lambda at_s, size_b: points.append((at_s / 60.0, size_b / 1000.0)),
             )
             grown = parts(line)
+            frames = page.evaluate("window.notes.frames") - before
         grown.subtract(made_of)
-        frames = page.evaluate("window.notes.frames") - before
     slope, error = trend(points)
     first, last = points[0][1], points[-1][1]
     print(
         f"heap of the page, {minutes:g} minutes of streaming after {warmed_s / 60.0:.1f} of warm-up, {frames} frames:"
     )
-    print(f"  drives in the warm-up: {counted(filled)}; measured: {counted(served.drives)}")
+    print(f"  drives in the warm-up: {counted(filled)}; measured: {counted(served.drives - filled)}")
     print(f"  {first:.0f} kB at first, {last:.0f} kB at last, least {min(size for _, size in points):.0f} kB")
     print(
         f"  slope {slope:+.1f} ± {error:.1f} kB a minute (95 %): flat where the interval holds 0 or growth is under 1 %"
@@ -329,10 +327,10 @@ def trend(points: list[tuple[float, float]]) -> tuple[float, float]:
 
 
 @contextmanager
-def served(folder: Path) -> Iterator[Served]:
+def served(folder: Path, pace: float = 1.0) -> Iterator[Served]:
     port = free_port()
     serve = [sys.executable, "-m", "app.cli", "serve", "--port", str(port), "--data", str(folder), "--cells", "1"]
-    serve += ["--no-prove"]  # measured is serving alone
+    serve += ["--pace", str(pace), "--no-prove"]  # measured is serving alone
     server = subprocess.Popen(serve, cwd=ROOT, stdout=subprocess.DEVNULL)
     try:
         wait_until_up(port, "/readyz", server)
@@ -357,15 +355,17 @@ def main() -> int:
         print("chromium is missing (Debian: apt-get install chromium)", file=sys.stderr)
         return 1
     subprocess.run([sys.executable, str(ROOT / "web" / "build.py"), "build"], check=True)
-    with tempfile.TemporaryDirectory() as folder, served(Path(folder)) as found, sync_playwright() as playwright:
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
         flags = [*FLAGS, f"--js-flags={' '.join(SETTLED)}"] if chosen.settled else list(FLAGS)
         browser = playwright.chromium.launch(executable_path=place, args=flags)
         if chosen.only is None:
-            first_load(browser, found, chosen.loads)
-            cards(browser, found, chosen.cards)
-            poses(browser, found, chosen.seconds)
+            with served(Path(folder, "watched")) as found:
+                first_load(browser, found, chosen.loads)
+                cards(browser, found, chosen.cards)
+                poses(browser, found, chosen.seconds)
         if chosen.minutes > 0:
-            heap(browser, found, chosen.minutes, chosen.warm_up)
+            with served(Path(folder, "streaming"), HASTE) as found:
+                heap(browser, found, chosen.minutes, chosen.warm_up)
         browser.close()
     return 0
 

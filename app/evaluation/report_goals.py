@@ -87,55 +87,58 @@ _EACH_WAY: Final = {
     "stale": "off (stale)",
     "stuck": "stuck",
     "delayed": "delayed by twice what may be",
-    "noisy": "garbage (noisy), of the bigger size",
-    "offset": "offset by the bigger size",
+    "noisy": "garbage (noisy), of the biggest size",
+    "offset": "offset by the biggest size",
 }
+_MAY_BE: Final = "garbage (noisy), of the size below that"
 
 
 def sensor_rows(results: Results) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Show how many sensor faults were restrained within five ticks: by kind, then each impossible one by itself.
 
-    What is asked for is all of them. Errors of the smaller size may be within what clearances cover, and are left to
-    the study's own table; the bigger size is one that the sensor cannot have when it is sound.
+    What is asked for is all of them, where the signal is one that the sensor cannot give when it is sound: of errors
+    of several sizes the biggest. The smallest may be within what clearances cover, and is left to the study's own
+    table. Garbage of a size between the two is told of and not judged: drawn around the truth, its first sample may be
+    possible.
     """
-    found: dict[str, list[tuple[str, Mapping[str, Any]]]] = {kind: [] for kind in _EACH_WAY}
-    for sensor, kind, size, entry in impossible(results):
-        found[kind].append((f"{sensor} {size:g}" if size else sensor, entry))
-    for kind, ways in found.items():
+    found: dict[str, list[tuple[str, Mapping[str, Any]]]] = {name: [] for name in (*_EACH_WAY.values(), _MAY_BE)}
+    for (sensor, kind), sizes in prompt_shares(results).items():
+        for name, (size, entry) in zip((_EACH_WAY[kind], _MAY_BE), reversed(sizes[1:] or sizes), strict=False):
+            found[name].append((f"{sensor} {size:g}" if size else sensor, entry))
+    for name, ways in found.items():
         if ways:
-            yield _prompt(_EACH_WAY[kind], ways)
+            yield _prompt(name, ways, asked=name != _MAY_BE)
 
 
-def impossible(results: Results) -> list[tuple[str, str, float, Mapping[str, Any]]]:
-    """Return sensor, kind of fault, size (0 where it has none) and the share that was restrained in time.
+def prompt_shares(results: Results) -> dict[tuple[str, str], list[tuple[float, Mapping[str, Any]]]]:
+    """Return of every sensor and kind of fault its sizes, ascending, each with the share restrained in time.
 
-    Of faults of two sizes only the bigger is there.
+    The size is 0 where a fault has none.
     """
     tables = mapping(mapping(results.get("studies")).get("sensors")).get("tables", ())
-    found: dict[tuple[str, str], tuple[float, Mapping[str, Any]]] = {}
+    found: dict[tuple[str, str], list[tuple[float, Mapping[str, Any]]]] = {}
     for name, cells in mapping(tables[0]["rows"] if tables else {}).items():
         sensor, _, fault = name.partition("/")
         kind, _, text = fault.partition(" ")
-        size = float(text) if text else 0.0
-        if (sensor, kind) not in found or size > found[sensor, kind][0]:
-            found[sensor, kind] = size, mapping(cells[WITHIN])
-    return [(sensor, kind, size, entry) for (sensor, kind), (size, entry) in found.items()]
+        found.setdefault((sensor, kind), []).append((float(text) if text else 0.0, mapping(cells[WITHIN])))
+    return {way: sorted(sizes, key=lambda one: one[0]) for way, sizes in found.items()}
 
 
-def _prompt(kind: str, ways: Sequence[tuple[str, Mapping[str, Any]]]) -> tuple[str, tuple[str, ...]]:
+def _prompt(kind: str, ways: Sequence[tuple[str, Mapping[str, Any]]], *, asked: bool) -> tuple[str, tuple[str, ...]]:
     """Return the row of a kind of fault: how many of all, and which sensors miss."""
     counts = [(sensor, yes_of(entry), int(entry.get("n", 0))) for sensor, entry in ways]
     yes, n = sum(one for _, one, _ in counts), sum(one for *_, one in counts)
     low, high = wilson(yes, n) if n else (None, None)
     value = yes / n if n else None
-    judged = judge(_ALL_PROMPT, value, {"n": n, "low": low, "high": high})
+    judged = judge(_ALL_PROMPT if asked else _NOT_ASKED, value, {"n": n, "low": low, "high": high})
     missing = ", ".join(f"{sensor} ({one} of {of})" for sensor, one, of in counts if one < of)
     text = DASH if value is None else f"{number_text(value)}\n{yes} of {n}"
-    told = f"{judged}: {missing}" if missing else judged
-    return f"{PROMPT}{kind}, restrained within 5 ticks", (text, str(n), "1.000", told)
+    told = f"{judged if asked else 'not all'}: {missing}" if missing else judged
+    return f"{PROMPT}{kind}, restrained within 5 ticks", (text, str(n), "1.000" if asked else DASH, told)
 
 
 _ALL_PROMPT: Final = Target("prompt", least=1.0)
+_NOT_ASKED: Final = Target("prompt")
 
 
 def yes_of(entry: Mapping[str, Any]) -> int:

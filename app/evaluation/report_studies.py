@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from app.evaluation.metrics import METRICS
 from app.evaluation.plots import shares
-from app.evaluation.report_goals import impossible, yes_of
+from app.evaluation.report_goals import prompt_shares, yes_of
 from app.evaluation.report_names import heading_of
 from app.evaluation.report_tables import Grid, Results, entry_text, mapping, mean_of, number_text, plain_text
 from app.evaluation.study_sensors import PERIOD_TICKS, PROMPT_TICKS
@@ -33,10 +33,11 @@ def cameras_text(results: Results) -> str:
     """Say how often cameras that are wrong about objects were noticed in time, and why; empty where all were."""
     told: dict[str, list[str]] = {"objects": [], "people": []}
     missed = False
-    for sensor, kind, size, entry in impossible(results):
-        if size and sensor in told and (n := int(entry.get("n", 0))):
-            told[sensor].append(f"{_KINDS.get(kind, kind)} of {size:g} m {yes_of(entry)} of {n}")
-            missed |= sensor == "objects" and yes_of(entry) < n
+    for (sensor, kind), sizes in prompt_shares(results).items():
+        for size, entry in sizes[1:] or sizes:
+            if size and sensor in told and (n := int(entry.get("n", 0))):
+                told[sensor].append(f"{_KINDS.get(kind, kind)} of {size:g} m {yes_of(entry)} of {n}")
+                missed |= sensor == "objects" and yes_of(entry) < n
     if not missed:
         return ""
     people = f"; of a tracker that is wrong about people: {', '.join(told['people'])}" if told["people"] else ""
@@ -55,7 +56,7 @@ def study_plots(name: str, results: Results) -> tuple[Plot, ...]:
             return tuple(
                 _drawn(
                     _pivot(tables[0]["rows"], "detected"),
-                    "Broken sensors: share that was detected, in time or later; big is the bigger of two sizes.",
+                    "Broken sensors: share that was detected, in time or later; big and wild are bigger sizes.",
                 )
             )
         case "supervisors":
@@ -77,13 +78,13 @@ def _drawn(cells: Mapping[str, Mapping[str, float]], caption: str) -> Iterator[P
 
 
 def _pivot(rows: Mapping[str, Mapping[str, Any]], key: str) -> dict[str, dict[str, float]]:
-    """Return rows named `sensor/fault size` as sensor → fault → mean; the smaller size of a fault comes first."""
+    """Return rows named `sensor/fault size` as sensor → fault → mean; a fault's sizes follow each other, ascending."""
     cells: dict[str, dict[str, float]] = {}
     for name, found in rows.items():
         sensor, fault = name.split("/")
         kind = fault.split()[0]
         cell = cells.setdefault(sensor, {})
-        kind = f"{kind}\nbig" if kind in cell else kind
+        kind = next(name for name in (kind, f"{kind}\nbig", f"{kind}\nwild") if name not in cell)
         cell.update(_means({kind: found[key]}))
     return cells
 

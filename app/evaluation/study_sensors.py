@@ -3,7 +3,8 @@
 One sensor breaks one to two seconds into a session in which nothing else is wrong: a grasp, or a drive with a load. A
 sensor that is off is `stale`: its last sample under its last stamp. `stuck` repeats its last sample under new stamps,
 `noisy` is garbage of a size, `offset` is wrong by a size, `delayed` comes late by twice what the session's profile
-lets that sensor be (`stale_after_ms`).
+lets that sensor be (`stale_after_ms`). Garbage is drawn around the truth, so that of the two sizes of `SIZES` a sample
+may be one that a sound sensor could give; of `WILD` times the bigger, hardly one is.
 
 Ticks count from the moment the sensor breaks to the first intervention that restrains, except where the fault is one of
 age: a sample may be as old as the profile's `stale_after_ms` says, so there they count from the moment the last one,
@@ -46,7 +47,7 @@ from app.evaluation.study_trials import (
     study_row,
     table,
 )
-from app.governance.model import Outcome
+from app.governance.model import CONTROL_PERIOD_S, Outcome
 from app.sim.faults import Fault, Scenario
 from app.sim.occasions import Trigger
 from app.sim.people import Walk
@@ -66,8 +67,10 @@ ABOUT: Final = (
     "noticed before), for garbage and offsets from when the first wrong sample has come (of fixes and people 5 to 10 "
     "ticks after the break, of pictures of objects at most 9). Delayed is by twice what the profile allows. Odometry "
     "breaks while the base drives: wheels that stand repeat themselves by nature. A garbage (noisy) or offset signal "
-    "is broken by the size in the condition's name: rad, N, m. Unseen breach: somebody came nearer "
-    "than the profile allows, unheeded for more than 250 ms, in the two profiles that hold the robot for people."
+    "is broken by the size in the condition's name: rad, N, m. Garbage is drawn around the truth: of the biggest size "
+    "hardly a sample is one that a sound sensor could give, of the others the first may be. Unseen breach: somebody "
+    "came nearer than the profile allows, unheeded for more than 250 ms, in the two profiles that hold the robot for "
+    "people."
 )
 AGED: Final = ("stale", "delayed")
 PROMPT_TICKS: Final = 5
@@ -87,6 +90,8 @@ SIZES: Final[Mapping[str, tuple[float, float]]] = {
     "people": (0.3, 1.5),
     "objects": (0.01, 0.1),
 }
+WILD: Final = 10.0
+"""Garbage of this times the bigger size is what a broken line gives: values from all over what it can carry."""
 PERIOD_TICKS: Final = {"fix": 5, "people": 5, "objects": 10}
 REPEATS_TICKS: Final = {"fix": 15, "people": 16, "objects": 20}
 """When the first sample that repeats has come at the latest: two periods, and how late the sensor is."""
@@ -111,7 +116,7 @@ class Broken(NamedTuple):
         return f"{self.sensor}/{self.fault}" + (f" {self.size:g}" if self.fault in ("noisy", "offset") else "")
 
 
-WAYS: Final = tuple(
+_SIZED: Final = tuple(
     Broken(sensor, fault, size)
     for sensor, sizes in SIZES.items()
     for fault, size in (
@@ -125,6 +130,8 @@ WAYS: Final = tuple(
     )
     if not (sensor == "objects" and fault == "delayed")  # the cameras' late picture is their stuck one
 )
+WAYS: Final = (*_SIZED, *(Broken(sensor, "noisy", WILD * big) for sensor, (_, big) in SIZES.items()))
+"""Every way; what is added comes last, as a way's place draws its sessions."""
 _BY_NAME: Final = {way.name: way for way in WAYS}
 
 
@@ -139,14 +146,13 @@ def run(part: Part, policy: PolicySet) -> Iterator[Row]:
     bench, way = bench_of(policy), _BY_NAME[part.condition]
     for number in range(part.first, part.first + part.count):
         drawn, onset = _drawn(policy, part.seed, WAYS.index(way), number)
-        walks = onset + WALKS_AFTER_S
-        began = began_s(bench, drawn)
+        breaks = round(100 * (began_s(bench, drawn) + onset))
         size = _size(policy, way, drawn.profile)
-        drawn = replace(drawn, scenario=_scenario(policy, drawn, way._replace(size=size), began, onset, walks))
+        drawn = replace(drawn, scenario=_scenario(policy, drawn, way._replace(size=size), breaks))
         trial = once(bench, drawn)
         until = round(100 * onset)
         done = govern(bench, trial, limit=until + SEES_TICKS)
-        read = _read(done, trial.plan, way, until, _comes(way, began + onset), drawn.profile)
+        read = _read(done, trial.plan, way, until, _comes(way, breaks), drawn.profile)
         yield study_row(NAME, part, number, drawn.profile, **read, capability=drawn.capability)
 
 
@@ -175,21 +181,23 @@ def _size(policy: PolicySet, way: Broken, profile: str) -> float:
     return way.size * policy.profiles[profile].stale_after_ms[way.sensor] / 1000.0
 
 
-def _comes(way: Broken, breaks_s: float) -> int:
-    """Return how many ticks after the break, at a cell time, the first sample that was taken since comes."""
-    return -round(100 * breaks_s) % PERIOD_TICKS.get(way.sensor, 1) + LATENCY_TICKS.get(way.sensor, 0)
+def _comes(way: Broken, breaks: int) -> int:
+    """Return how many ticks after the break, in a tick of the cell, the first sample that was taken since comes."""
+    return -breaks % PERIOD_TICKS.get(way.sensor, 1) + LATENCY_TICKS.get(way.sensor, 0)
 
 
-def _scenario(policy: PolicySet, drawn: Drawn, way: Broken, began: float, onset: float, walks: float) -> Scenario:
-    at = Trigger(time_s=began + onset)
-    fault = Fault(kind="sensor", at=at, sizes={"sensor": way.sensor, "fault": way.fault, "size": way.size})
+def _scenario(policy: PolicySet, drawn: Drawn, way: Broken, breaks: int) -> Scenario:
+    breaks_s = breaks * CONTROL_PERIOD_S  # as the cell counts: a sum of seconds may be a tick late
+    fault = Fault(
+        kind="sensor", at=Trigger(time_s=breaks_s), sizes={"sensor": way.sensor, "fault": way.fault, "size": way.size}
+    )
     people: tuple[Walk, ...] = ()
     if way.sensor == "people":
         stand = policy.site.targets[drawn.start.stand]
         turn = stand.yaw_rad + pi
         come, to = ((stand.x_m + away * cos(turn), stand.y_m + away * sin(turn)) for away in (STANDS_M, 0.6))
         people = (
-            Walk(points=(come, to), speed_mps=1.2, start=Trigger(time_s=0.0), stay_s=((0, began + walks),),
+            Walk(points=(come, to), speed_mps=1.2, start=Trigger(time_s=0.0), stay_s=((0, breaks_s + WALKS_AFTER_S),),
                  leaves=False),
         )  # fmt: skip
     return Scenario(faults=(fault,), people=people)

@@ -317,10 +317,22 @@ def test_broken_sensors_are_judged_by_kind_and_those_that_miss_are_named() -> No
     assert (
         found["Broken sensors: delayed by twice what may be, restrained within 5 ticks"][3] == "✗ missed: arm (9 of 10)"
     )
-    name = "Broken sensors: garbage (noisy), of the bigger size, restrained within 5 ticks"
+    name = "Broken sensors: garbage (noisy), of the biggest size, restrained within 5 ticks"
     assert found[name] == ("0.800\n16 of 20", "20", "1.000", "✗ missed: arm 0.2 (6 of 10)")
     assert len(found) == 3
     assert [*sensor_rows(results())] == []
+
+
+def test_garbage_that_may_begin_possible_is_told_of_and_only_that_of_the_biggest_size_is_judged() -> None:
+    shares = {"people/noisy 1.5": 0.9, "people/noisy 0.3": 0.2, "people/noisy 15": 1.0}
+    table = {"rows": {name: {WITHIN: {"mean": mean, "n": 10}} for name, mean in shares.items()}}
+    document = results() | {"protocol": "physical", "studies": {"sensors": {"tables": [table]}}}
+    (biggest, below) = sensor_rows(document)
+    assert biggest[0].startswith("Broken sensors: garbage (noisy), of the biggest size")
+    assert biggest[1][:3] == ("1.000\n10 of 10", "10", "1.000")
+    assert biggest[1][3].startswith("≈ met on 10 rows")
+    assert below[0].startswith("Broken sensors: garbage (noisy), of the size below that")
+    assert below[1] == ("0.900\n9 of 10", "10", "–", "not all: people 1.5 (9 of 10)")
 
 
 def test_a_depth_that_can_be_no_deeper_says_so_and_separation_is_given_to_a_body_as_well() -> None:
@@ -531,12 +543,17 @@ def test_the_head_says_what_digests_are_of_and_which_figures_are_pooled() -> Non
 def test_ticks_and_seconds_of_a_study_have_no_thousandths_and_its_picture_stands_first() -> None:
     share: dict[str, Any] = {"mean": 0.5, "n": 10, "low": 0.2, "high": 0.8}
     cells = {"detected": share, WITHIN: share, "ticks, median": 41.0, "mean s": 9.0734}
-    table = {"caption": "c", "stub": "s", "remark": "", "rows": {"arm/noisy 0.02": cells, "arm/noisy 0.2": cells}}
+    table = {
+        "caption": "c",
+        "stub": "s",
+        "remark": "",
+        "rows": dict.fromkeys(("arm/noisy 0.02", "arm/noisy 0.2", "arm/noisy 2"), cells),
+    }
     document = results() | {"studies": {"sensors": {"title": "t", "about": "About.", "tables": [table]}}}
     (section,) = [section for section in sections(document) if section.id == "study-sensors"]
     assert dict(section.grids[0].rows)["arm/noisy 0.2"][2:] == ("41.0", "9.07")
     assert section.pictures_first
-    assert "arm: noisy 0.50, noisy big 0.50" in section.plots[0].alternative
+    assert "arm: noisy 0.50, noisy big 0.50, noisy wild 0.50" in section.plots[0].alternative
 
 
 def test_prose_names_metrics_by_their_titles_and_leaves_other_names_readable() -> None:

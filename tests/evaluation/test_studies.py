@@ -103,6 +103,13 @@ def test_a_leap_of_arm_gripper_somebody_or_things_is_noticed_at_its_first_sample
 
 
 @pytest.mark.physics
+def test_values_from_all_over_what_a_sensor_can_carry_are_noticed_at_the_first_of_them() -> None:
+    for row in sensors("wrist/noisy 3000", "people/noisy 15", "objects/noisy 1"):
+        assert (row["detected"], row["held"]) == (True, True), row
+        assert 0.0 <= float(row["ticks"] or 0) <= study_sensors.PROMPT_TICKS, row
+
+
+@pytest.mark.physics
 def test_a_delayed_sensor_is_late_by_twice_what_its_profile_allows() -> None:
     rows = [row for seed in (0, 2, 4) for row in study_sensors.run(Part("gripper/delayed", SEED, seed, 2), policy())]
     assert {row["profile"] for row in rows} == {"sim-relaxed", "real-restricted", "test-audit", "human-shared"}
