@@ -162,7 +162,7 @@ class Plant:
         self._tcp_at, self._tcp_turn = data.site_xpos[tcp], data.site_xmat[tcp]
         self._object_at = {n: data.xpos[body] for n, body in self._object_body.items()}
         self._object_turn = {n: data.xmat[body] for n, body in self._object_body.items()}
-        self._crates_felt = [int(model.sensor(name).adr[0]) for name in CRATES]
+        self._crates_felt = _run_of([int(model.sensor(name).adr[0]) for name in CRATES])
         self._gripper_kg = float(model.body_subtreemass[model.body(robot.GRIPPER).id])
         # Nothing falls asleep by itself: what dozes is decided here, and in the same way after a restore.
         model.tree_sleep_policy[:] = mujoco.mjtSleepPolicy.mjSLEEP_NEVER
@@ -415,7 +415,10 @@ class Plant:
 
         Mean over 20 ms, highest substep; the sum of what is normal to the surfaces.
         """
-        pushed = self._force[:, self._crates_felt].sum(axis=1)
+        felt = self._force[:, self._crates_felt]
+        if not felt.any():  # nearly always, in every tick of an evaluation
+            return 0.0, 0.0
+        pushed = felt.sum(axis=1)
         return float(pushed.mean()), float(pushed[SUBSTEPS:].max())
 
     def tool_angle(self, name: str) -> float:
