@@ -21,7 +21,7 @@ from app.evaluation.methods import ABLATIONS, METHODS
 from app.evaluation.model import SEEDS, TUNING_SEEDS, Failure, Kind, Violation
 from app.evaluation.physical_rows import COLUMNS, MEANINGS, Class
 
-pytestmark = pytest.mark.timeout(300)  # the first test runs the campaign
+pytestmark = pytest.mark.timeout(900)  # the first test runs the campaign
 
 POLICIES = Path("policies").resolve()
 SHOWN = ("direct", "roboguard-style", "reins", *ABLATIONS)

@@ -11,7 +11,7 @@ from app.sim.soak import Report, Score, count, soak
 from app.sim.trial import run_skill
 from app.sim.workcell import make_workcell
 
-pytestmark = [pytest.mark.physics, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.physics, pytest.mark.timeout(900)]
 
 SKILLS = (
     "inspect_area", "grasp_object", "release_and_retract", "retrace", "transport_object", "place_object",
