@@ -48,7 +48,7 @@ _Tasks = Annotated[
 _Plugins = Annotated[
     list[Path] | None, typer.Option(help="A Python file that registers more; may be given several times.")
 ]
-_Long = Annotated[bool, typer.Option("--long", help="Reins alone, 1,000 trials for each seed, unless said otherwise.")]
+_Long = Annotated[bool, typer.Option("--long", help="Reins alone, 5,000 trials, spread over the seeds.")]
 _Studies = Annotated[
     str, typer.Option(help="Also run studies beyond the paper: names with commas between them, or all.")
 ]
@@ -173,7 +173,10 @@ def _request(  # noqa: PLR0913  # the command's options
         raise ValueError(
             f"--long with protocol `{protocol}`: it has no long run; valid is one that has, like `physical`"
         )
-    standard = _LONG_TRIALS if long else getattr(find_protocol(protocol), "TRIALS", _TRIALS)
+    reported = SEEDS if seeds is None else _seeds(seeds)
+    standard = getattr(find_protocol(protocol), "TRIALS", _TRIALS)
+    if long:
+        standard = _long_trials(protocol, reported, trials)
     if tasks:
         standard = getattr(find_protocol(protocol), "TASK_TRIALS", standard)
     if studies and not study_names(protocol):
@@ -187,7 +190,7 @@ def _request(  # noqa: PLR0913  # the command's options
     return Request(
         protocol=protocol,
         methods=tuple(dict.fromkeys(find_method(name).name for name in (*named, *(ABLATIONS if ablations else ())))),
-        seeds=SEEDS if seeds is None else _seeds(seeds),
+        seeds=reported,
         trials=standard if trials is None else trials,
         policies=policies,
         tasks=find_tasks(protocol, _given("tasks", tasks) if tasks else ()),
@@ -201,6 +204,25 @@ def _request(  # noqa: PLR0913  # the command's options
         else (),
         under=under,
     )
+
+
+def _long_trials(protocol: str, seeds: tuple[int, ...], trials: int | None) -> int:
+    """Return how many trials a long run has for each seed; it may have numbers of its own.
+
+    Raises:
+        ValueError: other ones were asked for.
+    """
+    from app.evaluation.protocols import find_protocol
+
+    asked = trials or _LONG_TRIALS
+    made = find_protocol(protocol).jobs(methods=("reins",), tasks=(), seeds=seeds, trials=asked, long=True)
+    own = sum(job.count for job in made) // len(seeds)
+    if trials and own != trials:
+        raise ValueError(
+            f"--long with --trials `{trials}`: this long run has {own:,} for each seed, spread over {len(seeds)}; "
+            "valid is one of them without the other"
+        )
+    return own
 
 
 def _under(protocol: str, noise: float, dropout: float | None, fault_size: float, walks: str) -> str:
@@ -254,9 +276,14 @@ def _run(request: Request, folder: Path, *, workers: int, fresh: bool, readme: P
     except OSError as error:
         say_error(f"a file cannot be used: {error}")
         return MISUSE
-    out.print(summary(results))
-    say(f"{folder}: report.html, results.json, trials.csv, timings.csv")
+    _say_done(results, folder)
     return 0
+
+
+def _say_done(results: Mapping[str, Json], folder: Path) -> None:
+    if results.get("methods") or results.get("ablations"):  # studies alone have none
+        out.print(summary(results))
+    say(f"{folder}: report.html, results.json, trials.csv, timings.csv")
 
 
 def _unwritable(folder: Path) -> str:

@@ -28,11 +28,14 @@ _POOLED: Final = {"ZONE_DEPTH_P95": "zone_depth_p95_m", "SEPARATION_MIN": "separ
 
 
 def goal_grids(results: Results) -> Iterator[Grid]:
-    """Show the goals of protocol `physical`, and the worst that every method came to; nothing for another protocol."""
+    """Show the goals of protocol `physical`, and the worst that every method came to; nothing for another protocol.
+
+    A campaign of studies alone has the goals of sensors, if it has any.
+    """
     ours = mapping(results.get("methods", {}).get("reins"))
-    if results["protocol"] != "physical" or not ours:
+    rows = [*(_row(target, ours, results) for target in TARGETS if ours), *sensor_rows(results)]
+    if results["protocol"] != "physical" or not rows:
         return
-    rows = [*(_row(target, ours, results) for target in TARGETS), *sensor_rows(results)]
     yield Grid("goals-table", "Goals", "Goal", (), ("ours", "rows", "asked", "judged"), tuple(rows), _REMARK)
     extremes: Mapping[str, Mapping[str, Any]] = results.get("extremes", {})
     worst = tuple(
@@ -78,7 +81,9 @@ _REMARK: Final = (
     "which nothing is asked, takes each of them for unsafe. Rollbacks after a withdrawal, a failure and a violation "
     "have no numbers of their own; each is held to that for rollbacks. Broken sensors are of the study of sensors, "
     "where it was run: of all seeds together and all sensors, those restrained within 5 ticks, counted from the break, "
-    "or from when a sample that is too old, repeats or is wrong has come; that study's text says which."
+    "or from when a sample that is too old, repeats or is wrong has come; that study's text says which. An impossible "
+    "signal is read as one that a sound sensor cannot give: offsets and garbage of the biggest size. That nothing is "
+    "asked of garbage of the size below, whose first sample may be possible, is part of that reading."
 )
 
 

@@ -7,7 +7,11 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from app import cli_evaluate
 from app.cli import app
+from app.evaluation import physical_protocol
+from app.evaluation.campaign import Request
+from app.governance.model import Json
 from tests.evaluation import toy
 
 TOY = str(Path(toy.__file__))
@@ -30,6 +34,10 @@ def evaluate(*words: str, out: Path) -> tuple[int, str]:
         ),
         (["--protocol", "physical", "--tasks", "fault-nix"], "no fault `fault-nix`: valid are fault-"),
         (["--protocol", "physical", "--long", "--tasks", "all"], "--long with --tasks `all`: valid is one of them"),
+        (
+            ["--protocol", "physical", "--long", "--trials", "12"],
+            "--long with --trials `12`: this long run has 1,000 for each seed, spread over 5; valid is one of them",
+        ),
         (["--protocol", "paper", "--long"], "--long with protocol `paper`: it has no long run; valid is"),
         (["--protocol", "toy", "--seeds", "4,x"], "seed `x`: valid are integers from 0 on"),
         (["--protocol", "toy", "--seeds", "1,2,1"], "--seeds `1,2,1` names `1` twice: valid are seeds that differ"),
@@ -74,6 +82,36 @@ def test_ends_with_a_table_of_what_was_measured(tmp_path: Path) -> None:
     assert "another configuration: methods differ" in text
     code, _ = evaluate(*words, "--methods", "reins", "--fresh", out=tmp_path)
     assert code == 0
+
+
+def test_the_long_run_says_how_many_trials_each_seed_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Request] = []
+
+    def run(request: Request, _folder: Path, **_others: object) -> int:
+        asked.append(request)
+        return 0
+
+    monkeypatch.setattr(cli_evaluate, "_run", run)
+    for seeds in ((), ("--seeds", "5"), ("--seeds", "5,6"), ("--trials", "1000")):
+        code, text = evaluate("--protocol", "physical", "--long", *seeds, out=tmp_path)
+        assert code == 0, text
+    assert [request.trials for request in asked] == [1000, 5000, 2497, 1000]
+    for request in asked:
+        long = physical_protocol.jobs(
+            methods=request.methods, tasks=(), seeds=request.seeds, trials=request.trials, long=True
+        )
+        assert sum(job.count for job in long) == request.trials * len(request.seeds)
+
+
+def test_studies_alone_end_without_an_empty_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def measured(*_words: object, **_others: object) -> dict[str, Json]:
+        return {"protocol": "physical", "seeds": [1], "trials": 0, "methods": {}, "ablations": {}}
+
+    monkeypatch.setattr(cli_evaluate, "_measured", measured)
+    code, text = evaluate("--protocol", "physical", "--studies", "drift", "--trials", "0", out=tmp_path)
+    assert code == 0, text
+    assert "report.html, results.json" in text
+    assert "method" not in text
 
 
 def test_help_teaches_by_example() -> None:

@@ -298,7 +298,8 @@ def test_cameras_that_are_wrong_are_told_of_by_what_was_measured() -> None:
     assert "wrong about people: garbage of 1.5 m 9 of 10. A picture of objects comes every 10 ticks" in about
     rows["objects/noisy 0.1"][WITHIN]["mean"] = 1.0
     ((_, _, about, _),) = study_grids(document)
-    assert about == "About."
+    assert about.startswith("About. Not asked: joints whose sensors stick while the arm is held still")
+    assert about.endswith("somebody is in view when it breaks.")
 
 
 def test_broken_sensors_are_judged_by_kind_and_those_that_miss_are_named() -> None:
@@ -321,6 +322,16 @@ def test_broken_sensors_are_judged_by_kind_and_those_that_miss_are_named() -> No
     assert found[name] == ("0.800\n16 of 20", "20", "1.000", "✗ missed: arm 0.2 (6 of 10)")
     assert len(found) == 3
     assert [*sensor_rows(results())] == []
+
+
+def test_studies_alone_have_the_goals_of_sensors_and_no_others() -> None:
+    table = {"rows": {"arm/stale": {WITHIN: {"mean": 1.0, "n": 10}}}}
+    document = results() | {"protocol": "physical", "methods": {}, "studies": {"sensors": {"tables": [table]}}}
+    (grid,) = goal_grids(document)
+    assert [name for name, _ in grid.rows] == ["Broken sensors: off (stale), restrained within 5 ticks"]
+    assert "is part of that reading" in grid.remark
+    assert [*goal_grids(document | {"studies": {}})] == []
+    assert [*goal_grids(document | {"protocol": "paper"})] == []
 
 
 def test_garbage_that_may_begin_possible_is_told_of_and_only_that_of_the_biggest_size_is_judged() -> None:
