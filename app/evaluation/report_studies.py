@@ -29,9 +29,9 @@ def study_grids(results: Results) -> Iterator[tuple[str, str, str, tuple[Grid, .
 
 
 _NOT_ASKED: Final = (
-    "Not asked: joints whose sensors stick while the arm is held still, as on a drive once it is folded, are noticed "
-    "when it is told to move, and not before; a tracker that is wrong by a constant before anybody is in view is not "
-    "noticed, since nothing else sees people, and here somebody is in view when it breaks."
+    "Not asked: a tracker that is wrong by a constant before anybody is in view is not noticed, since nothing else "
+    "sees people, and here somebody is in view when it breaks; what sticks while nothing is told to move is noticed "
+    "when something is."
 )
 _KINDS: Final = {"noisy": "garbage"}
 

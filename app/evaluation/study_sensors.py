@@ -1,18 +1,19 @@
 """Broken sensors: every sensor in every way, and whether a signal that lies ever looks like all is well.
 
-One sensor breaks one to two seconds into a session in which nothing else is wrong: a grasp, or a drive with a load. A
-sensor that is off is `stale`: its last sample under its last stamp. `stuck` repeats its last sample under new stamps,
-`noisy` is garbage of a size, `offset` is wrong by a size, `delayed` comes late by twice what the session's profile
-lets that sensor be (`stale_after_ms`). Garbage is drawn around the truth, so that of the two sizes of `SIZES` a sample
-may be one that a sound sensor could give; of `WILD` times the bigger, hardly one is.
+One sensor breaks in a session in which nothing else is wrong: one to two seconds into a grasp, while the arm moves, or
+four to five into the transport of a load, while the base drives and the arm stands. A sensor that is off is `stale`:
+its last sample under its last stamp. `stuck` repeats its last sample under new stamps, `noisy` is garbage of a size,
+`offset` is wrong by a size, `delayed` comes late by twice what the session's profile lets that sensor be
+(`stale_after_ms`). Garbage is drawn around the truth, so that of the two sizes of `SIZES` a sample may be one that a
+sound sensor could give; of `WILD` times the bigger, hardly one is.
 
 Ticks count from the moment the sensor breaks to the first intervention that restrains, except where the fault is one of
-age: a sample may be as old as the profile's `stale_after_ms` says, so there they count from the moment the last one,
-which is taken up to a period after the break, is older. A
-stuck sensor can be told from a sound one when the first sample that repeats has come, so there they count from then.
-Fixes and pictures are taken every so many ticks and come late: garbage and offsets of these count from the tick in
-which the first wrong sample has come, since nothing is wrong on board before. That is 5 to 10 ticks after the break.
-Odometry breaks while the base drives: wheels that stand say the same for ever, and nothing is wrong with that.
+age: a sample may be as old as the profile's `stale_after_ms` says, so there they count from the moment the last one is
+older. Of fix and people that is the first one after the break, of objects the last picture before it. A stuck sensor
+can be told from a sound one when the first sample that repeats has come, so there they count from then. Fixes and
+pictures are taken every so many ticks and come late: garbage and offsets of these count from the tick in which the
+first wrong sample has come, since nothing is wrong on board before. That is 5 to 10 ticks after the break. Odometry
+breaks on drives alone: wheels that stand say the same for ever, and nothing is wrong with that.
 
 For the tracker of people somebody stands 3.4 m behind the robot from the beginning and walks up to it one second after
 the tracker broke: whether that is an unseen breach is what such a fault costs.
@@ -65,8 +66,9 @@ ABOUT: Final = (
     "intervention that restrains; for stale and delayed samples from the moment they are older than the profile "
     "allows, for stuck ones from when the first repeated sample has come at the latest (a negative number: it was "
     "noticed before), for garbage and offsets from when the first wrong sample has come (of fixes and people 5 to 10 "
-    "ticks after the break, of pictures of objects at most 9). Delayed is by twice what the profile allows. Odometry "
-    "breaks while the base drives: wheels that stand repeat themselves by nature. A garbage (noisy) or offset signal "
+    "ticks after the break, of pictures of objects at most 9). Delayed is by twice what the profile allows. Sensors "
+    "break while the arm moves in a grasp, or while it stands and the base drives; odometry on drives alone, as wheels "
+    "that stand repeat themselves by nature. A garbage (noisy) or offset signal "
     "is broken by the size in the condition's name: rad, N, m. Garbage is drawn around the truth: of the biggest size "
     "hardly a sample is one that a sound sensor could give, of the others the first may be. Unseen breach: somebody "
     "came nearer than the profile allows, unheeded for more than 250 ms, in the two profiles that hold the robot for "
@@ -152,7 +154,7 @@ def run(part: Part, policy: PolicySet) -> Iterator[Row]:
         trial = once(bench, drawn)
         until = round(100 * onset)
         done = govern(bench, trial, limit=until + SEES_TICKS)
-        read = _read(done, trial.plan, way, until, _comes(way, breaks), drawn.profile)
+        read = _read(done, trial.plan, way, until, until + _due(trial.plan, way, breaks), drawn.profile)
         yield study_row(NAME, part, number, drawn.profile, **read, capability=drawn.capability)
 
 
@@ -160,10 +162,10 @@ def _drawn(policy: PolicySet, seed: int, place: int, number: int) -> tuple[Drawn
     """Draw the session, and when in it the sensor breaks."""
     rng = np.random.default_rng((seed, place, number, 17))
     setting, turn = SETTINGS[number % len(SETTINGS)], number // len(SETTINGS)
-    driving = WAYS[place].sensor == "odometry"
+    odometry = WAYS[place].sensor == "odometry"
     profile = PROFILES[(place + turn + 2 * (number % len(SETTINGS))) % len(PROFILES)]
     params: dict[str, Json]
-    if setting == "grasping" and not driving:
+    if setting == "grasping" and not odometry:
         capability, start = "grasp_object", Start()
         params = {"object_id": "mug_1", "force_n": 40.0, "speed_mps": 0.2}
     else:
@@ -171,7 +173,7 @@ def _drawn(policy: PolicySet, seed: int, place: int, number: int) -> tuple[Drawn
         params = {"target": "dock", "speed_mps": 0.25}
     made = Drawn(seed=seed, number=1000 * place + number, kind=Kind.CLEAN, capability=capability,
                  profile=profile, params=params, start=start, scenario=Scenario())  # fmt: skip
-    return made, round(float(rng.uniform(1.0, 2.0)) + (DRIVES_AFTER_S if driving else 0.0), 2)
+    return made, round(float(rng.uniform(1.0, 2.0)) + (DRIVES_AFTER_S if start.holding else 0.0), 2)
 
 
 def _size(policy: PolicySet, way: Broken, profile: str) -> float:
@@ -181,9 +183,16 @@ def _size(policy: PolicySet, way: Broken, profile: str) -> float:
     return way.size * policy.profiles[profile].stale_after_ms[way.sensor] / 1000.0
 
 
-def _comes(way: Broken, breaks: int) -> int:
-    """Return how many ticks after the break, in a tick of the cell, the first sample that was taken since comes."""
-    return -breaks % PERIOD_TICKS.get(way.sensor, 1) + LATENCY_TICKS.get(way.sensor, 0)
+def _due(plan: WatchPlan, way: Broken, breaks: int) -> int:
+    """Return how many ticks after the break, in a tick of the cell, the sensor's own samples can tell of it."""
+    if way.fault == "stuck":
+        return REPEATS_TICKS.get(way.sensor, 2)
+    period = PERIOD_TICKS.get(way.sensor, 1)
+    taken = -breaks % period  # the first sample since, which one that ages is left with; cameras take none
+    if way.fault in AGED:
+        allowed = round(plan.stale_after_ms.get(way.sensor, 0) / 10)
+        return taken + allowed - (period if way.sensor == "objects" else 0)
+    return taken + LATENCY_TICKS.get(way.sensor, 0)
 
 
 def _scenario(policy: PolicySet, drawn: Drawn, way: Broken, breaks: int) -> Scenario:
@@ -203,15 +212,8 @@ def _scenario(policy: PolicySet, drawn: Drawn, way: Broken, breaks: int) -> Scen
     return Scenario(faults=(fault,), people=people)
 
 
-def _read(done: Execution, plan: WatchPlan, way: Broken, onset: int, comes: int, profile: str) -> dict[str, Any]:
-    """Read off what was noticed, and what followed; the first wrong sample comes so many ticks after the break."""
-    due = onset
-    if way.fault in AGED:
-        due += round(plan.stale_after_ms.get(way.sensor, 0) / 10) + PERIOD_TICKS.get(way.sensor, 1)
-    elif way.fault == "stuck":
-        due += REPEATS_TICKS.get(way.sensor, 2)
-    else:
-        due += comes
+def _read(done: Execution, plan: WatchPlan, way: Broken, onset: int, due: int, profile: str) -> dict[str, Any]:
+    """Read off what was noticed, and what followed; ticks count from when it was due."""
     told, held = first_alert(done, onset), first_hold(done, onset)
     before = done.ticks <= onset  # it was over before anything broke
     rules = {rule.id: rule for rule in plan.rules}

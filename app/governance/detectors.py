@@ -384,11 +384,15 @@ def stuck_arm(seen: Observation, before: Observation, stamps: SensorStamps, comm
 def stuck_drives(
     seen: Observation, before: Observation, stamps: SensorStamps, command: Command, stuck_base_ticks: int
 ) -> int:
-    """Count ticks of commanded driving in which the drives', the wrist's or a full hand's reading repeated exactly."""
+    """Count ticks of commanded driving in which the drives', arm's, wrist's or a full hand's reading repeated exactly.
+
+    Of the arm, which stands meanwhile, the torques: what holds it on a moving base is never twice the same.
+    """
     if command.base_velocity != RESTING:
         old = before.stamps_s
         repeats = (
             (seen.base_velocity == before.base_velocity and stamps.odometry != old.odometry)
+            or (seen.joint_torque_nm == before.joint_torque_nm and stamps.arm != old.arm)
             or (seen.contact_force_n == before.contact_force_n and stamps.wrist != old.wrist)
             or (seen.pads_loaded and seen.grip_force_n == before.grip_force_n and stamps.gripper != old.gripper)
         )

@@ -313,6 +313,7 @@ DRIVEN, GRASPED = (DRIVE, driving(0.5)), (GRASP, grasping("approach", 0.5))
 LIFTED = (GRASP, grasping("lift", 0.3))
 BROKEN = (
     ("arm", "stuck", 0.0, GRASPED, "implausible"),
+    ("arm", "stuck", 0.0, DRIVEN, "implausible"),
     ("arm", "stale", 0.0, DRIVEN, "stale"),
     ("arm", "delayed", 0.1, GRASPED, "stale"),
     ("arm", "noisy", 0.2, GRASPED, "implausible"),

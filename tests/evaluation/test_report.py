@@ -298,8 +298,8 @@ def test_cameras_that_are_wrong_are_told_of_by_what_was_measured() -> None:
     assert "wrong about people: garbage of 1.5 m 9 of 10. A picture of objects comes every 10 ticks" in about
     rows["objects/noisy 0.1"][WITHIN]["mean"] = 1.0
     ((_, _, about, _),) = study_grids(document)
-    assert about.startswith("About. Not asked: joints whose sensors stick while the arm is held still")
-    assert about.endswith("somebody is in view when it breaks.")
+    assert about.startswith("About. Not asked: a tracker that is wrong by a constant before anybody is in view")
+    assert about.endswith("is noticed when something is.")
 
 
 def test_broken_sensors_are_judged_by_kind_and_those_that_miss_are_named() -> None:
