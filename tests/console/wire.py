@@ -57,10 +57,16 @@ class Wire:
 
     def _end(self) -> None:
         self.server.close()
-        for task in self.tasks:
-            task.cancel()
         self._cut()
-        self.loop.call_later(0.05, self.loop.stop)
+        self.ending = asyncio.ensure_future(self._finish())
+
+    async def _finish(self) -> None:
+        """End what still carries, and let what was aborted close, before the loop stops."""
+        others = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in others:
+            task.cancel()
+        await asyncio.gather(*others, return_exceptions=True)
+        self.loop.call_soon(self.loop.stop)
 
     def _do(self, act: Callable[[], object]) -> None:
         done = threading.Event()
