@@ -107,7 +107,7 @@ check: $(STAMP) $(TYPINGS)  ## format, lint, types, import contracts, policy che
 
 bench: $(STAMP) console  ## print every figure the project promises
 	@for bench in benchmarks/bench_*.py; do echo; echo "== $$bench"; $(BIN)/python $$bench || exit 1; done
-	@echo; echo "== the heap of a console's page, 35 minutes"; $(BIN)/python benchmarks/bench_browser.py --only heap --minutes 30
+	@echo; echo "== the heap of a console's page, 40 to 45 minutes"; $(BIN)/python benchmarks/bench_browser.py --only heap --minutes 30
 
 # In minutes of one core, of which there should be two: the paper's protocol 4 to 10, 5 seeds × 200 physical trials under
 # eleven methods with all studies 36, 120 whole tasks 8, the long run 33. About 45 minutes in all.

@@ -81,9 +81,9 @@ _REMARK: Final = (
     "which nothing is asked, takes each of them for unsafe. Rollbacks after a withdrawal, a failure and a violation "
     "have no numbers of their own; each is held to that for rollbacks. Broken sensors are of the study of sensors, "
     "where it was run: of all seeds together and all sensors, those restrained within 5 ticks, counted from the break, "
-    "or from when a sample that is too old, repeats or is wrong has come; that study's text says which. An impossible "
-    "signal is read as one that a sound sensor cannot give: offsets and garbage of the biggest size. That nothing is "
-    "asked of garbage of the size below, whose first sample may be possible, is part of that reading."
+    "or from when a sample that is too old, repeats or is wrong has come; that study's text says which. Garbage is "
+    "judged at two sizes: of the biggest hardly a sample is one that a sound sensor could give, of the size below the "
+    "first one may be, and then the next one tells."
 )
 
 
@@ -95,24 +95,22 @@ _EACH_WAY: Final = {
     "noisy": "garbage (noisy), of the biggest size",
     "offset": "offset by the biggest size",
 }
-_MAY_BE: Final = "garbage (noisy), of the size below that"
+_BELOW: Final = "garbage (noisy), of the size below that"
 
 
 def sensor_rows(results: Results) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Show how many sensor faults were restrained within five ticks: by kind, then each impossible one by itself.
 
-    What is asked for is all of them, where the signal is one that the sensor cannot give when it is sound: of errors
-    of several sizes the biggest. The smallest may be within what clearances cover, and is left to the study's own
-    table. Garbage of a size between the two is told of and not judged: drawn around the truth, its first sample may be
-    possible.
+    What is asked for is all of them, of all sizes but the smallest: that may be within what clearances cover, and is
+    left to the study's own table.
     """
-    found: dict[str, list[tuple[str, Mapping[str, Any]]]] = {name: [] for name in (*_EACH_WAY.values(), _MAY_BE)}
+    found: dict[str, list[tuple[str, Mapping[str, Any]]]] = {name: [] for name in (*_EACH_WAY.values(), _BELOW)}
     for (sensor, kind), sizes in prompt_shares(results).items():
-        for name, (size, entry) in zip((_EACH_WAY[kind], _MAY_BE), reversed(sizes[1:] or sizes), strict=False):
+        for name, (size, entry) in zip((_EACH_WAY[kind], _BELOW), reversed(sizes[1:] or sizes), strict=False):
             found[name].append((f"{sensor} {size:g}" if size else sensor, entry))
     for name, ways in found.items():
         if ways:
-            yield _prompt(name, ways, asked=name != _MAY_BE)
+            yield _prompt(name, ways)
 
 
 def prompt_shares(results: Results) -> dict[tuple[str, str], list[tuple[float, Mapping[str, Any]]]]:
@@ -129,21 +127,20 @@ def prompt_shares(results: Results) -> dict[tuple[str, str], list[tuple[float, M
     return {way: sorted(sizes, key=lambda one: one[0]) for way, sizes in found.items()}
 
 
-def _prompt(kind: str, ways: Sequence[tuple[str, Mapping[str, Any]]], *, asked: bool) -> tuple[str, tuple[str, ...]]:
+def _prompt(kind: str, ways: Sequence[tuple[str, Mapping[str, Any]]]) -> tuple[str, tuple[str, ...]]:
     """Return the row of a kind of fault: how many of all, and which sensors miss."""
     counts = [(sensor, yes_of(entry), int(entry.get("n", 0))) for sensor, entry in ways]
     yes, n = sum(one for _, one, _ in counts), sum(one for *_, one in counts)
     low, high = wilson(yes, n) if n else (None, None)
     value = yes / n if n else None
-    judged = judge(_ALL_PROMPT if asked else _NOT_ASKED, value, {"n": n, "low": low, "high": high})
+    judged = judge(_ALL_PROMPT, value, {"n": n, "low": low, "high": high})
     missing = ", ".join(f"{sensor} ({one} of {of})" for sensor, one, of in counts if one < of)
     text = DASH if value is None else f"{number_text(value)}\n{yes} of {n}"
-    told = f"{judged if asked else 'not all'}: {missing}" if missing else judged
-    return f"{PROMPT}{kind}, restrained within 5 ticks", (text, str(n), "1.000" if asked else DASH, told)
+    told = f"{judged}: {missing}" if missing else judged
+    return f"{PROMPT}{kind}, restrained within 5 ticks", (text, str(n), "1.000", told)
 
 
 _ALL_PROMPT: Final = Target("prompt", least=1.0)
-_NOT_ASKED: Final = Target("prompt")
 
 
 def yes_of(entry: Mapping[str, Any]) -> int:

@@ -7,7 +7,6 @@ import contextlib
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
 
 CHUNK = 65_536
 
@@ -22,7 +21,7 @@ class Wire:
         self.loop = asyncio.new_event_loop()
         self.flowing = asyncio.Event()
         self.ends: set[asyncio.StreamWriter] = set()
-        self.tasks: set[asyncio.Task[Any]] = set()
+        self.ending: asyncio.Task[None] | None = None  # kept: the loop itself holds no more than a weak reference
 
     def cut(self) -> None:
         """Abort what is open, as a reset would, and refuse what comes."""
@@ -85,9 +84,7 @@ class Wire:
         far_reader, far_writer = await asyncio.open_connection("127.0.0.1", self.target)
         self.ends |= {writer, far_writer}
         ways = [self._way(reader, far_writer), self._way(far_reader, writer)]
-        self.tasks |= (tasks := {asyncio.ensure_future(way) for way in ways})
-        await asyncio.wait(tasks)
-        self.tasks -= tasks
+        await asyncio.wait({asyncio.ensure_future(way) for way in ways})
         self.ends -= {writer, far_writer}
 
     async def _way(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

@@ -329,12 +329,12 @@ def test_studies_alone_have_the_goals_of_sensors_and_no_others() -> None:
     document = results() | {"protocol": "physical", "methods": {}, "studies": {"sensors": {"tables": [table]}}}
     (grid,) = goal_grids(document)
     assert [name for name, _ in grid.rows] == ["Broken sensors: off (stale), restrained within 5 ticks"]
-    assert "is part of that reading" in grid.remark
+    assert "Garbage is judged at two sizes" in grid.remark
     assert [*goal_grids(document | {"studies": {}})] == []
     assert [*goal_grids(document | {"protocol": "paper"})] == []
 
 
-def test_garbage_that_may_begin_possible_is_told_of_and_only_that_of_the_biggest_size_is_judged() -> None:
+def test_garbage_is_judged_at_both_sizes_that_are_no_small_ones() -> None:
     shares = {"people/noisy 1.5": 0.9, "people/noisy 0.3": 0.2, "people/noisy 15": 1.0}
     table = {"rows": {name: {WITHIN: {"mean": mean, "n": 10}} for name, mean in shares.items()}}
     document = results() | {"protocol": "physical", "studies": {"sensors": {"tables": [table]}}}
@@ -343,7 +343,7 @@ def test_garbage_that_may_begin_possible_is_told_of_and_only_that_of_the_biggest
     assert biggest[1][:3] == ("1.000\n10 of 10", "10", "1.000")
     assert biggest[1][3].startswith("≈ met on 10 rows")
     assert below[0].startswith("Broken sensors: garbage (noisy), of the size below that")
-    assert below[1] == ("0.900\n9 of 10", "10", "–", "not all: people 1.5 (9 of 10)")
+    assert below[1] == ("0.900\n9 of 10", "10", "1.000", "✗ missed: people 1.5 (9 of 10)")
 
 
 def test_a_depth_that_can_be_no_deeper_says_so_and_separation_is_given_to_a_body_as_well() -> None:
