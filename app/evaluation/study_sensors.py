@@ -12,7 +12,7 @@ age: a sample may be as old as the profile's `stale_after_ms` says, so there the
 older. Of fix and people that is the first one after the break, of objects the last picture before it. A stuck sensor
 can be told from a sound one when the first sample that repeats has come, so there they count from then. Fixes and
 pictures are taken every so many ticks and come late: garbage and offsets of these count from the tick in which the
-first wrong sample has come, since nothing is wrong on board before. That is 5 to 10 ticks after the break. Odometry
+first wrong sample has come, since nothing is wrong on board before. That is at most 10 ticks after the break. Odometry
 breaks on drives alone: wheels that stand say the same for ever, and nothing is wrong with that.
 
 For the tracker of people somebody stands 3.4 m behind the robot from the beginning and walks up to it one second after
@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import count
 from math import cos, pi, sin
 from statistics import median
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -52,6 +53,7 @@ from app.governance.model import CONTROL_PERIOD_S, Outcome
 from app.sim.faults import Fault, Scenario
 from app.sim.occasions import Trigger
 from app.sim.people import Walk
+from app.sim.perception import pictured
 from app.sim.sensors import FIX_DELAY_TICKS, PEOPLE_DELAY_TICKS
 
 if TYPE_CHECKING:
@@ -66,7 +68,7 @@ ABOUT: Final = (
     "intervention that restrains; for stale and delayed samples from the moment they are older than the profile "
     "allows, for stuck ones from when the first repeated sample has come at the latest (a negative number: it was "
     "noticed before), for garbage and offsets from when the first wrong sample has come (of fixes and people 5 to 10 "
-    "ticks after the break, of pictures of objects at most 9). Delayed is by twice what the profile allows. Sensors "
+    "ticks after the break, of pictures of objects at most 3). Delayed is by twice what the profile allows. Sensors "
     "break while the arm moves in a grasp, or while it stands and the base drives; odometry on drives alone, as wheels "
     "that stand repeat themselves by nature. A garbage (noisy) or offset signal "
     "is broken by the size in the condition's name: rad, N, m. Garbage is drawn around the truth: of the biggest size "
@@ -94,8 +96,9 @@ SIZES: Final[Mapping[str, tuple[float, float]]] = {
 }
 WILD: Final = 10.0
 """Garbage of this times the bigger size is what a broken line gives: values from all over what it can carry."""
-PERIOD_TICKS: Final = {"fix": 5, "people": 5, "objects": 10}
-REPEATS_TICKS: Final = {"fix": 15, "people": 16, "objects": 20}
+PERIOD_TICKS: Final = {"fix": 5, "people": 5, "objects": 4}
+"""How long it is from one sample to the next, at most; of those not named it is a tick."""
+REPEATS_TICKS: Final = {"fix": 15, "people": 16, "objects": 8}
 """When the first sample that repeats has come at the latest: two periods, and how late the sensor is."""
 LATENCY_TICKS: Final = {"fix": FIX_DELAY_TICKS, "people": PEOPLE_DELAY_TICKS}
 LATE: Final = 2.0
@@ -187,11 +190,14 @@ def _due(plan: WatchPlan, way: Broken, breaks: int) -> int:
     """Return how many ticks after the break, in a tick of the cell, the sensor's own samples can tell of it."""
     if way.fault == "stuck":
         return REPEATS_TICKS.get(way.sensor, 2)
+    sees = way.sensor == "objects"
     period = PERIOD_TICKS.get(way.sensor, 1)
-    taken = -breaks % period  # the first sample since, which one that ages is left with; cameras take none
-    if way.fault in AGED:
-        allowed = round(plan.stale_after_ms.get(way.sensor, 0) / 10)
-        return taken + allowed - (period if way.sensor == "objects" else 0)
+    taken = next(n for n in count() if (pictured(breaks + n) if sees else (breaks + n) % period == 0))
+    if (
+        way.fault in AGED
+    ):  # the first sample since the break ages; cameras take none any more, so theirs is the last one
+        aging = -next(n for n in count(1) if pictured(breaks - n)) if sees else taken
+        return aging + round(plan.stale_after_ms.get(way.sensor, 0) / 10)
     return taken + LATENCY_TICKS.get(way.sensor, 0)
 
 

@@ -14,14 +14,14 @@ import math
 from math import cos, dist, hypot, inf, nan, sin, sqrt
 from typing import TYPE_CHECKING, Final
 
-from app.governance.estimation import now, tcp_velocity, track_base, track_people
+from app.governance.estimation import now, scattered, tcp_velocity, track_base, track_people
 from app.governance.fusing import Part, parts
 from app.governance.keepout import CREEP_MPS, LARGEST_BASE_SPEED_MPS, REACTION_S, near_zones, slide, turned
 from app.governance.signals import FAR_M
 
 if TYPE_CHECKING:
     from app.governance.estimation import BaseEstimate, PersonEstimate
-    from app.governance.model import Command, Frames, Observation, SensorStamps, Sighting, SkillReport, Vec6
+    from app.governance.model import Command, Frames, Observation, SensorStamps, SkillReport, Vec6
     from app.governance.signals import Constants
 
 NEAR_ZONE_M: Final = 1.5
@@ -48,8 +48,6 @@ LONGEST_REACH_M: Final = 3.0
 LATEST_STAMP_S: Final = 0.1
 FASTEST_FINGERS_MPS: Final = 2.5  # they snap shut at 1 m/s when 80 N lose what was between them
 FINGERS_STEP_M: Final = 0.015  # less than that in a tick is not looked at closer
-LOOSE_LEAP_M: Final = 0.12  # five sigma of the cameras at twice their noise, from one picture to the next
-FASTEST_LOOSE_MPS: Final = 1.2  # a hand that moves things out of the way does it slower
 OFF_TRACK_RAD: Final = 0.05  # joints that have leapt are off their command at least by this
 DOUBT_S: Final = 5.0
 """How long a reading that leapt is held against its sensor: it does not come right by staying where it leapt to, so
@@ -424,12 +422,13 @@ def leaps(
     people: tuple[PersonEstimate, ...],
     fix_jumped: bool,
     tracking_error_rad: float,
+    scatter_m2: float,
     doubted_until_s: float,
-) -> float:
+) -> tuple[float, float]:
     """Say until when sensors are doubted, because base, joints, fingers, people or things moved as none can.
 
     That is, from one sample to the next. A leap is over at once, and what it leaves behind may look sound: an offset.
-    So it is remembered for `DOUBT_S`.
+    So it is remembered for `DOUBT_S`. Also follows how far pictures of loose objects scatter.
     """
     leapt = fix_jumped
     opened_m = seen.grip_width_m - before.grip_width_m
@@ -442,10 +441,12 @@ def leaps(
         for person in people:
             leapt = leapt or person.leapt
     if seen.sightings is not before.sightings:
-        leapt = leapt or scattered(seen.sightings, before.sightings, stamps.objects - before.stamps_s.objects)
+        gap_s = stamps.objects - before.stamps_s.objects
+        strewn, scatter_m2 = scattered(seen.sightings, before.sightings, gap_s, scatter_m2)
+        leapt = leapt or strewn
     if leapt:
         doubted_until_s = seen.time_s + DOUBT_S
-    return doubted_until_s
+    return scatter_m2, doubted_until_s
 
 
 def implausible(  # noqa: PLR0913, PLR0917  # what a part needs, it names
@@ -541,20 +542,6 @@ def repeated(seen: Frames | None, before: Frames | None, stamps: SensorStamps, o
     return frozen
 
 
-def scattered(sightings: tuple[Sighting, ...], before: tuple[Sighting, ...], gap_s: float) -> bool:
-    """Say whether two loose objects or more went from one picture to the next as nothing moves them, or one is nowhere.
-
-    One alone may have been moved: somebody took it, or it slipped and rolled. Two at once is the camera.
-    """
-    were = {name: (x, y) for name, x, y in before}
-    far_m, leapt = max(LOOSE_LEAP_M, FASTEST_LOOSE_MPS * gap_s), 0
-    for name, x, y in sightings:
-        apart_m = dist((x, y), were.get(name, (x, y)))
-        if not apart_m <= far_m:
-            leapt += 1 if apart_m < inf else 2
-    return leapt > 1
-
-
 def within(values: Vec6, limit: float) -> bool:
     """Say whether every value is known to be within ±limit."""
     return all(-limit <= value <= limit for value in values)
@@ -583,7 +570,7 @@ DETECTORS: Final[tuple[Part, ...]] = parts(
         stuck_arm: ("stuck_ticks",),
         stuck_drives: ("stuck_base_ticks",),
         frozen_samples: ("frozen", "stuck_grip_ticks"),
-        leaps: ("doubted_until_s",),
+        leaps: ("scatter_m2", "doubted_until_s"),
         implausible: ("implausible",),
     }
 )

@@ -1,4 +1,4 @@
-"""Where the base really is, where people really are, and whether a small excess has lasted: the watcher's estimators.
+"""Where base and people really are, how far pictures scatter, whether an excess has lasted: the watcher's estimators.
 
 All of it is arithmetic on named tuples: a step takes a state and returns the next one. No matrices, because the
 filters are small enough to be written out, and a tick has 40 µs for everything.
@@ -10,7 +10,7 @@ import math
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 if TYPE_CHECKING:
-    from app.governance.model import Fix, PersonTrack, Vec3, Vec6
+    from app.governance.model import Fix, PersonTrack, Sighting, Vec3, Vec6
 
 HISTORY: Final = 10
 HISTORY_STEP_S: Final = 0.05
@@ -34,6 +34,13 @@ FORGET_S: Final = 2.0
 LEAP_M: Final = 0.6
 """Who is seen farther than this from where they were expected, beyond what turning on the spot at full speed explains,
 did not walk there: five σ of the tracker at twice its noise."""
+
+LOOSE_SCATTER_M: Final = (0.014, 0.03)
+"""How far loose objects scatter from one picture to the next: at least, and to begin with and at most. That is the one
+that scatters most, in each coordinate, of cameras at their noise and at twice that."""
+SCATTER_GAIN: Final = 0.15
+LOOSE_SIGMAS: Final = 4.0
+FASTEST_LOOSE_MPS: Final = 1.2  # a hand that moves things out of the way does it slower
 
 
 _Moment: TypeAlias = tuple[float, float, float, float]
@@ -194,6 +201,34 @@ def now(person: PersonEstimate, time_s: float) -> tuple[float, float]:
     if age_s > EXTRAPOLATE_S:
         age_s = EXTRAPOLATE_S
     return person.x_m + person.vx_mps * age_s, person.y_m + person.vy_mps * age_s
+
+
+def scattered(
+    sightings: tuple[Sighting, ...], before: tuple[Sighting, ...], gap_s: float, scatter_m2: float
+) -> tuple[bool, float]:
+    """Say whether two loose objects or more went from one picture to the next as nothing moves them, or one is nowhere.
+
+    One alone may have been moved: somebody took it, or it slipped and rolled. Two at once is the camera. What is more
+    than noise is learned from the pictures in which nothing leaps: the mean square of what a coordinate of the object
+    that scatters most changes by, which is the second number. Not of all of them, since of those that the exact camera
+    at the wrist sees the others' noise could not be told.
+    """
+    were = {name: (x, y) for name, x, y in before}
+    far_m = max(LOOSE_SIGMAS * math.sqrt(scatter_m2), FASTEST_LOOSE_MPS * gap_s)
+    leapt, most_m = 0, -1.0
+    for name, x, y in sightings:
+        if name in were:
+            apart_m = math.dist((x, y), were[name])
+            if not apart_m <= far_m:
+                leapt += 1 if apart_m < math.inf else 2
+            most_m = max(most_m, apart_m)
+        elif not math.isfinite(x + y):
+            leapt += 2
+    if most_m >= 0.0 and not leapt:
+        least_m, largest_m = LOOSE_SCATTER_M
+        heard_m2 = min(max(most_m * most_m / 2.0, least_m * least_m), largest_m * largest_m)
+        scatter_m2 += SCATTER_GAIN * (heard_m2 - scatter_m2)
+    return leapt > 1, scatter_m2
 
 
 def tcp_velocity(jacobian: tuple[float, ...], speeds: Vec6) -> tuple[float, float]:

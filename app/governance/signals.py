@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from app.governance.estimation import BaseEstimate, PersonEstimate
+from app.governance.estimation import LOOSE_SCATTER_M, BaseEstimate, PersonEstimate
 from app.governance.keepout import Keepout
 from app.governance.model import Intervention, SensorStamps
 
@@ -68,7 +68,8 @@ class Senses(NamedTuple):
     """What measuring remembers from tick to tick: estimates, timers of the attempt, and the tick before.
 
     `sound` says whether that tick's readings of where base, hand and people are were all finite; until
-    `doubted_until_s` a leap of a reading is held against its sensor.
+    `doubted_until_s` a leap of a reading is held against its sensor. `scatter_m2` is by how much a coordinate of the
+    loose object that scatters most changes from picture to picture, squared.
     """
 
     base: BaseEstimate = BaseEstimate()
@@ -89,6 +90,7 @@ class Senses(NamedTuple):
     closings: int = 0
     reached: float = 0.0
     restarts: int = 0
+    scatter_m2: float = LOOSE_SCATTER_M[1] ** 2
     doubted_until_s: float = 0.0
 
 

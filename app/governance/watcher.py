@@ -111,7 +111,13 @@ class Watcher:
         if before is None:
             return fresh
         kept = before.senses
-        lives_on = Senses(base=kept.base, people=kept.people, before=kept.before, doubted_until_s=kept.doubted_until_s)
+        lives_on = Senses(
+            base=kept.base,
+            people=kept.people,
+            before=kept.before,
+            scatter_m2=kept.scatter_m2,
+            doubted_until_s=kept.doubted_until_s,
+        )
         return fresh._replace(remembered=tuple(lives_on))
 
     def signal_of(self, rule: str) -> str:

@@ -1,8 +1,9 @@
 """What the cameras see of loose objects: a wide one on the mast, and one at the wrist that is exact from close by.
 
 The perception takes the truth from the plant and gives away only what a camera could have seen, with noise; the robot
-keeps what it saw in `Memory`. Poses are measured relative to the base and placed in the world by the robot's own
-localisation.
+keeps what it saw in `memory`. Poses are measured relative to the base and placed in the world by the robot's own
+localisation. Pictures come at 30 Hz and say where objects are; of every third one the robot takes the poses it works
+by.
 """
 
 from __future__ import annotations
@@ -17,10 +18,16 @@ from app.sim.localisation import to_base, to_world, wrapped
 from app.sim.sensors import Noise
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+
     from app.governance.model import Area, Point, Site, Vec3
     from app.sim.plant import Plant
 
-LOOK_PERIOD_TICKS = 10
+    Floats = NDArray[np.float64]
+
+POSES_PERIOD_TICKS, PICTURES = 10, (0, 4, 7)  # of 30 Hz: the ticks of a period in which one has come
 MAST_RANGE_M, MAST_HALF_ANGLE_RAD, MAST_SIGMA_M = 1.6, 1.25, 0.008
 WRIST_SPREAD, WRIST_RANGE_M, WRIST_SIGMA_M, WRIST_BIAS_M = 1.0, 0.7, 0.0015, 0.0006
 UPRIGHT = 0.9
@@ -53,6 +60,11 @@ class Seen(NamedTuple):
     stamp_s: float
 
 
+def pictured(tick: int) -> bool:
+    """Say whether a new picture has come in this tick."""
+    return tick % POSES_PERIOD_TICKS in PICTURES
+
+
 class Perception:
     """Seeded cameras; holds only its own noise and the robot's memory of the world."""
 
@@ -74,49 +86,75 @@ class Perception:
     def reseed(self, seed: int) -> None:
         """Draw noise and bias anew from another seed; what is remembered stays."""
         self._noise, self._grain = Noise((seed, 3)), np.random.default_rng((seed, 5))
+        self._extra = np.random.default_rng((seed, 6))  # for pictures that no pose is taken from
         bias = self._noise_scale * WRIST_BIAS_M * np.random.default_rng((seed, 4)).standard_normal(3)
         self._bias: list[float] = bias.tolist()
 
     def look(self, plant: Plant, tick: int, pose: Vec3) -> None:
-        """Look around: remember every object in view of either camera, and crates in the way."""
+        """Look around: say where every object in view of either camera is, and remember them, and crates in the way.
+
+        Between two pictures that poses are taken from nothing is remembered: that one is for whoever watches.
+        """
         if self.fault is not None and self.fault[0] == "stale":
             return
         self.stamp_s = tick * CONTROL_PERIOD_S
         if self.fault is None or self.fault[0] not in _FROZEN:
             self.frame = float(self._grain.standard_normal())
-        sightings: list[Sighting] = []
-        for name in plant.objects:
-            glimpse = self.glimpse(plant, name)
+        if tick % POSES_PERIOD_TICKS:
+            glimpses = {name: self._between(plant, name) for name in plant.objects}
+        else:
+            glimpses = {name: self.glimpse(plant, name) for name in plant.objects}
+            self._remember(plant, glimpses, pose)
+        self.sightings = tuple(
+            [
+                Sighting(name, *to_world(pose, glimpse.x_m, glimpse.y_m))
+                for name, glimpse in glimpses.items()
+                if glimpse is not None
+            ]
+        )
+
+    def _remember(self, plant: Plant, glimpses: Mapping[str, Glimpse | None], pose: Vec3) -> None:
+        for name, glimpse in glimpses.items():
             if glimpse is not None:
                 x, y = to_world(pose, glimpse.x_m, glimpse.y_m)
                 now = Seen(x, y, glimpse.z_m, wrapped(glimpse.yaw_rad + pose[2]), glimpse.upright, self.stamp_s)
                 self.memory[name] = _blended(self.memory.get(name), now)
-                sightings.append(Sighting(name, x, y))
-        self.sightings = tuple(sightings)
         for x, y in plant.crates():
             if hypot(x - pose[0], y - pose[1]) < _CRATE_RANGE_M and (x, y) not in self.crates:
                 self.crates.append((x, y))
 
     def glimpse(self, plant: Plant, name: str) -> Glimpse | None:
         """Return the object relative to the base as the better camera sees it now, or None out of view."""
-        fresh = self._shoot(plant, name)
+        return self._shown(name, self._shoot(plant, name, self._noise.row), self._noise.row)
+
+    def _between(self, plant: Plant, name: str) -> Glimpse | None:
+        """Return the object as a picture shows it that no pose is taken from."""
+
+        def draw() -> Floats:
+            return self._extra.standard_normal(4)
+
+        return self._shown(name, self._shoot(plant, name, draw), draw)
+
+    def _shown(self, name: str, fresh: Glimpse | None, draw: Callable[[], Floats]) -> Glimpse | None:
+        """Return what the cameras, broken as they may be, make of what they would show."""
+        if fresh is None:
+            return None
         if self.fault is None:
-            if fresh is not None:
-                self._frozen[name] = fresh
+            self._frozen[name] = fresh
             return fresh
         kind, size = self.fault
-        if fresh is None or kind == "stale":
+        if kind == "stale":
             return None
         match kind:
             case "offset":
                 return fresh._replace(x_m=fresh.x_m + size, y_m=fresh.y_m + size)
             case "noisy":
-                n = self._noise.row()
+                n = draw()
                 return fresh._replace(x_m=fresh.x_m + size * float(n[0]), y_m=fresh.y_m + size * float(n[1]))
             case _:  # stuck or delayed: the picture from before
                 return self._frozen.get(name, fresh)
 
-    def _shoot(self, plant: Plant, name: str) -> Glimpse | None:
+    def _shoot(self, plant: Plant, name: str, draw: Callable[[], Floats]) -> Glimpse | None:
         true, yaw, upright = plant.true_object(name)
         if true[2] < MIN_HEIGHT_M:
             return None
@@ -126,7 +164,7 @@ class Perception:
         if sigma is None:
             return None
         bx, by, bz = self._bias
-        nx, ny, nz, turn = (self._noise_scale * self._noise.row()[:4]).tolist()
+        nx, ny, nz, turn = (self._noise_scale * draw()[:4]).tolist()
         return Glimpse(
             x + bx + sigma * nx,
             y + by + sigma * ny,

@@ -28,7 +28,7 @@ from app.sim.kinematics import ArmSolver, Residual, SelfModel, speed_of
 from app.sim.localisation import Localiser, to_base
 from app.sim.occasions import Occasions
 from app.sim.people import People
-from app.sim.perception import LOOK_PERIOD_TICKS, Perception
+from app.sim.perception import Perception, pictured
 from app.sim.plant import Plant
 from app.sim.sensors import AS_MEASURED, PAD_LOADED_N, Quality, Sensors
 from app.sim.skills import RECOVERIES, SKILLS, Run, start
@@ -362,7 +362,7 @@ class Workcell:
         expected = self._self_model.update(joint, velocity, state.residual.accelerations(velocity))
         tcp, jacobian = self._self_model.tcp()
         state.localiser.update(now, odometry[0:3], fix)
-        if state.tick % LOOK_PERIOD_TICKS == 0:
+        if pictured(state.tick):
             state.perception.look(self.plant, state.tick, state.localiser.pose)
         stamps_s = SensorStamps(
             reading.arm[0],

@@ -103,6 +103,13 @@ def test_a_leap_of_arm_gripper_somebody_or_things_is_noticed_at_its_first_sample
 
 
 @pytest.mark.physics
+def test_garbage_of_which_a_picture_may_be_true_is_noticed_by_the_next_picture() -> None:
+    for row in sensors("objects/noisy 0.1", count=2):
+        assert (row["detected"], row["held"]) == (True, True), row
+        assert 0.0 <= float(row["ticks"] or 0) <= study_sensors.PROMPT_TICKS, row
+
+
+@pytest.mark.physics
 def test_values_from_all_over_what_a_sensor_can_carry_are_noticed_at_the_first_of_them() -> None:
     for row in sensors("wrist/noisy 3000", "people/noisy 15", "objects/noisy 1"):
         assert (row["detected"], row["held"]) == (True, True), row

@@ -8,15 +8,17 @@ import pytest
 from app.governance.estimation import (
     FORGET_S,
     HISTORY,
+    LOOSE_SCATTER_M,
     BaseEstimate,
     PersonEstimate,
     cusum,
     now,
     offset,
+    scattered,
     track_base,
     track_people,
 )
-from app.governance.model import Fix, PersonTrack
+from app.governance.model import Fix, PersonTrack, Sighting
 
 PERIOD_S = 0.01
 
@@ -126,3 +128,64 @@ def test_a_sum_never_falls_below_zero_nor_rises_beyond_twice_the_limit() -> None
     assert cusum(0.0, 1.05, 1.0, 0.1) == pytest.approx(0.05)
     assert cusum(0.1, 9.0, 1.0, 0.1) == pytest.approx(0.2)
     assert cusum(0.0, math.nan, 1.0, 0.1) == pytest.approx(0.2)
+
+
+def pictures(
+    sigmas_m: tuple[float, ...], count: int, scatter_m2: float, moving: Sighting | None = None
+) -> tuple[int, float]:
+    """Look `count` times at things that stand; return how often they were called strewn, and the scatter then."""
+    noise = random.Random(7)  # noqa: S311  # repeatable noise, no secret
+    before: tuple[Sighting, ...] = ()
+    strewn = 0
+    for turn in range(count):
+        after = tuple(
+            Sighting(f"mug_{i}", i + noise.gauss(0, sigma), noise.gauss(0, sigma)) for i, sigma in enumerate(sigmas_m)
+        )
+        if moving is not None:
+            after += (moving._replace(x_m=moving.x_m * turn),)
+        said, scatter_m2 = scattered(after, before, 0.033, scatter_m2)
+        strewn += said
+        before = after
+    return strewn, scatter_m2
+
+
+LEAST_M2, MOST_M2 = (bound**2 for bound in LOOSE_SCATTER_M)
+
+
+def test_what_scatters_little_is_doubted_sooner_and_never_below_what_cameras_are_good_for() -> None:
+    strewn, quiet_m2 = pictures((0.0015,) * 3, 400, MOST_M2)
+    assert (strewn, quiet_m2) == (0, pytest.approx(LEAST_M2, rel=1e-3))
+    leap = (Sighting("mug_0", 0.07, 0.0), Sighting("mug_1", 1.07, 0.0))
+    stood = (Sighting("mug_0", 0.0, 0.0), Sighting("mug_1", 1.0, 0.0))
+    assert scattered(leap, stood, 0.033, quiet_m2) == (True, quiet_m2)
+    assert scattered(leap, stood, 0.033, MOST_M2)[0] is False
+
+
+def test_the_noise_of_one_camera_is_not_taken_for_that_of_all() -> None:
+    """Two things the exact camera sees, and two only the wide one does: by the mean of all these would be strewn."""
+    strewn, scatter_m2 = pictures((0.0015, 0.0015, 0.008, 0.008), 20_000, LEAST_M2)
+    assert strewn == 0
+    assert scatter_m2 >= 2 * 0.008**2
+
+
+@pytest.mark.parametrize("sigma_m", [0.008, 0.016])
+def test_cameras_at_their_noise_and_at_twice_that_are_believed(sigma_m: float) -> None:
+    strewn, scatter_m2 = pictures((sigma_m,) * 3, 20_000, MOST_M2)
+    assert strewn <= 1
+    assert 2 * sigma_m**2 < scatter_m2 <= MOST_M2 + 1e-12
+
+
+def test_one_thing_that_is_carried_off_neither_alarms_nor_makes_the_next_leap_pass() -> None:
+    strewn, scatter_m2 = pictures((0.008,) * 3, 400, LEAST_M2, Sighting("can_1", 0.02, 0.0))
+    assert strewn == 0
+    assert scatter_m2 < MOST_M2 / 2
+    garbage = (0.1,) * 3
+    assert pictures(garbage, 2, scatter_m2)[0] == 1
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_thing_that_is_nowhere_is_the_camera_known_or_not_and_teaches_nothing(value: float) -> None:
+    here, nowhere = Sighting("mug_1", 1.0, 1.0), Sighting("mug_1", value, 1.0)
+    assert scattered((nowhere,), (here,), 0.033, LEAST_M2) == (True, LEAST_M2)
+    assert scattered((nowhere,), (), 0.033, LEAST_M2) == (True, LEAST_M2)
+    assert scattered((here,), (nowhere,), 0.033, LEAST_M2) == (True, LEAST_M2)
