@@ -14,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := help
 .PHONY: help setup console demo run test check bench evaluate pictures format lock clean \
   test-served test-processes test-sessions test-console test-runtime test-evaluation \
-  test-proofs test-rules test-authoring test-sim test-pages
+  test-proofs test-rules test-authoring test-sim test-pages check-types check-policy check-console check-code
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
@@ -97,13 +97,22 @@ $(TYPINGS): $(STAMP)
 	@touch $(TYPINGS)
 
 check: $(STAMP) $(TYPINGS)  ## format, lint, types, import contracts, policy check and tests
+	@$(MAKE) --no-print-directory --keep-going -j2 check-types check-policy check-console check-code
+
+check-types:
+	@$(BIN)/basedpyright
+
+check-policy:
+	@$(BIN)/reins policy check
+	@$(BIN)/reins policy test --mutation --least-coverage 100 --least-score 95
+
+check-console:
+	@$(BIN)/python web/build.py check
+
+check-code:
 	@$(BIN)/ruff format --check .
 	@$(BIN)/ruff check .
 	@$(BIN)/lint-imports --no-cache
-	@$(BIN)/basedpyright
-	@$(BIN)/python web/build.py check
-	@$(BIN)/reins policy check
-	@$(BIN)/reins policy test --mutation --least-coverage 100 --least-score 95
 
 bench: $(STAMP) console  ## print every figure the project promises
 	@for bench in benchmarks/bench_*.py; do echo; echo "== $$bench"; $(BIN)/python $$bench || exit 1; done
