@@ -166,7 +166,8 @@ def order_holds(court: Court, wide: Pair, asking: Asking) -> Iterator[Finding]:
     """Yield where the stricter profile (the court's) lets something through that the wider one would not.
 
     Deny > escalate > modify > allow: for no proposal is the stricter profile's verdict the weaker one, and where the
-    wider profile asks for every approval, the stricter one does, and never fewer people.
+    wider profile asks for every approval, the stricter one does, and never fewer people. Only who may be launched is
+    asked about: what does not meet its preconditions is deferred by admission, whatever the guard says.
     """
     strict = court.pair
     name, one, other = strict.gate.capability.name, strict.gate.profile, wide.gate.profile
@@ -174,7 +175,7 @@ def order_holds(court: Court, wide: Pair, asking: Asking) -> Iterator[Finding]:
         message = (
             f"`{name}` is approved by {people(wide.gate)} in {other.name}, and by fewer in {one.name}, the stricter"
         )
-        fewer = _asked(asking, strict, *_same_mode(strict, wide), *_unasked(strict, wide))
+        fewer = _asked(asking, strict, strict.space.ready(), *_same_mode(strict, wide), *_unasked(strict, wide))
         yield from court.judged(Kind.ORDER, fewer, message, lambda seen: _fewer_people(court, seen, wide))
     weaker = some((
         both(strict.allowed, no(wide.allowed)),
