@@ -198,7 +198,7 @@ def _request(  # noqa: PLR0913  # the command's options
         long=long,
         studies=tuple(
             find_study(protocol, name)
-            for name in (study_names(protocol) if studies == "all" else dict.fromkeys(_given("studies", studies)))
+            for name in (study_names(protocol) if studies == "all" else _given("studies", studies))
         )
         if studies
         else (),
@@ -341,10 +341,13 @@ def _words(text: str) -> tuple[str, ...]:
 
 
 def _given(option: str, text: str) -> tuple[str, ...]:
-    """Return the names in an option; nothing but commas is no choice."""
-    if words := _words(text):
-        return words
-    raise ValueError(f"--{option} `{text}` names nothing: valid are names with commas between them")
+    """Return the names in an option; nothing but commas is no choice, and one that is named twice is a slip."""
+    words = _words(text)
+    if not words:
+        raise ValueError(f"--{option} `{text}` names nothing: valid are names with commas between them")
+    if twice := [word for place, word in enumerate(words) if word in words[:place]]:
+        raise ValueError(f"--{option} `{text}` names `{twice[0]}` twice: valid are {option} that differ")
+    return words
 
 
 def _seeds(text: str) -> tuple[int, ...]:

@@ -41,6 +41,12 @@ def evaluate(*words: str, out: Path) -> tuple[int, str]:
         (["--protocol", "paper", "--long"], "--long with protocol `paper`: it has no long run; valid is"),
         (["--protocol", "toy", "--seeds", "4,x"], "seed `x`: valid are integers from 0 on"),
         (["--protocol", "toy", "--seeds", "1,2,1"], "--seeds `1,2,1` names `1` twice: valid are seeds that differ"),
+        (
+            ["--methods", "reins,direct,reins"],
+            "--methods `reins,direct,reins` names `reins` twice: valid are methods that",
+        ),
+        (["--protocol", "physical", "--studies", "drift,drift"], "--studies `drift,drift` names `drift` twice"),
+        (["--protocol", "physical", "--tasks", "sorting, sorting"], "--tasks `sorting, sorting` names `sorting` twice"),
         (["--protocol", "toy", "--seeds", "1,01"], "--seeds `1,01` names `1` twice"),
         (
             ["--protocol", "toy", "--fault-size", "2"],
