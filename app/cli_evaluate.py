@@ -13,7 +13,7 @@ from rich import box
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from app.cli_policies import Policies
+from app.cli_policies import Policies, load_policy
 from app.config import find_policies
 from app.terminal import FINDING, MISUSE, err, out, say, say_error
 
@@ -25,6 +25,7 @@ INTERRUPTED: Final = 130
 DASH: Final = "–"
 _LONG_TRIALS: Final = 1000
 _TRIALS: Final = 200
+_LARGEST_SEED: Final = 2**64 - 1  # what `results.json` can hold
 _SHOWN: Final = ("UAIR", "FRR", "RVDR", "UCR", "CEF", "FAS", "RSR", "RBSR", "MRT", "RPC")
 
 
@@ -38,9 +39,9 @@ _Ablations = Annotated[
 ]
 _Seeds = Annotated[str | None, typer.Option(help="With commas between them; the default are the paper's.")]
 _Trials = Annotated[
-    int | None, typer.Option(help="For each method, task and seed; default: the protocol's. 0: studies alone.", min=0)
+    int | None, typer.Option(help="For each method, task and seed; default: the protocol's. 0: studies alone.")
 ]
-_Jobs = Annotated[int, typer.Option(help="Processes; 0: one for each core.", min=0)]
+_Jobs = Annotated[int, typer.Option(help="Processes; 0: one for each core.")]
 _Folder = Annotated[Path | None, typer.Option("--out", help="The campaign's folder; default: evaluation/<protocol>.")]
 _Tasks = Annotated[
     str, typer.Option(help="Task types, or fault-NAME, with commas between them, or all; default: the protocol's.")
@@ -117,6 +118,8 @@ def evaluate(  # noqa: PLR0913  # its options
     from app.evaluation.extensions import PluginError, UnknownName
 
     try:
+        _check_count("trials", trials)
+        _check_count("jobs", jobs)
         request = _request(
             protocol=protocol,
             methods="reins" if long and methods == "all" else methods,
@@ -134,6 +137,7 @@ def evaluate(  # noqa: PLR0913  # its options
     except (UnknownName, PluginError, ValueError) as error:
         say_error(str(error))
         raise typer.Exit(MISUSE) from error
+    load_policy(request.policies)  # what is wrong with it is said before anything is made
     target = folder or Path("evaluation") / protocol
     raise typer.Exit(_run(request, target, workers=jobs or len(os.sched_getaffinity(0)), fresh=fresh, readme=readme))
 
@@ -364,6 +368,16 @@ def _seed(word: str) -> int:
         seed = int(word)
     except ValueError:
         seed = -1
-    if seed < 0:
-        raise ValueError(f"seed `{word}`: valid are integers from 0 on, with commas between them")
+    if not 0 <= seed <= _LARGEST_SEED:
+        raise ValueError(f"seed `{word}`: valid are integers from 0 on, below 2⁶⁴, with commas between them")
     return seed
+
+
+def _check_count(option: str, count: int | None) -> None:
+    """Refuse a negative number.
+
+    Raises:
+        ValueError: it is one.
+    """
+    if count is not None and count < 0:
+        raise ValueError(f"--{option} `{count}`: valid is 0 or more")

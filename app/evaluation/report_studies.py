@@ -31,7 +31,8 @@ def study_grids(results: Results) -> Iterator[tuple[str, str, str, tuple[Grid, .
 _NOT_ASKED: Final = (
     "Not asked: a tracker that is wrong by a constant before anybody is in view is not noticed, since nothing else "
     "sees people, and here somebody is in view when it breaks; what sticks while nothing is told to move is noticed "
-    "when something is."
+    "when something is; cameras that are wrong while they see only one loose object are not noticed, whatever they "
+    "show, since one alone may have been moved, and here they break at a bench with several."
 )
 _KINDS: Final = {"noisy": "garbage"}
 
@@ -50,8 +51,8 @@ def cameras_text(results: Results) -> str:
     people = f"; of a tracker that is wrong about people: {', '.join(told['people'])}" if told["people"] else ""
     return (
         f"Cameras that are wrong about where objects are may be noticed late: restrained within {PROMPT_TICKS} ticks "
-        f"were {', '.join(told['objects'])}{people}. A picture of objects comes every {PERIOD_TICKS['objects']} ticks, "
-        "and one in which no two of them are where they cannot be may be true."
+        f"were {', '.join(told['objects'])}{people}. From one picture of objects to the next it is at most "
+        f"{PERIOD_TICKS['objects']} ticks, and one in which no two of them are where they cannot be may be true."
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,9 @@ def evaluate(*words: str, out: Path) -> tuple[int, str]:
         ),
         (["--protocol", "physical", "--studies", "drift,drift"], "--studies `drift,drift` names `drift` twice"),
         (["--protocol", "physical", "--tasks", "sorting, sorting"], "--tasks `sorting, sorting` names `sorting` twice"),
+        (["--protocol", "toy", "--seeds", str(2**64)], f"seed `{2**64}`: valid are integers from 0 on, below 2⁶⁴"),
+        (["--protocol", "toy", "--trials", "-1"], "--trials `-1`: valid is 0 or more"),
+        (["--protocol", "toy", "--jobs", "-2"], "--jobs `-2`: valid is 0 or more"),
         (["--protocol", "toy", "--seeds", "1,01"], "--seeds `1,01` names `1` twice"),
         (
             ["--protocol", "toy", "--fault-size", "2"],
@@ -134,3 +138,15 @@ def test_a_folder_that_cannot_be_written_is_named_before_anything_is_run(place: 
     assert code == 2
     assert f"--out `{out}` cannot be written to: {why} valid is a folder" in text
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_policy_that_does_not_load_is_told_of_by_file_before_anything_is_made(tmp_path: Path) -> None:
+    policies, out = tmp_path / "policies", tmp_path / "out"
+    shutil.copytree("policies", policies)
+    (policies / "profiles" / "stray.yaml").write_text("nix: 1\n")
+    words = ["--protocol", "toy", "--seeds", "1", "--trials", "1", "--jobs", "1", "--policies", str(policies)]
+    code, text = evaluate(*words, out=out)
+    assert code == 1
+    assert "profiles/stray.yaml:1" in text
+    assert f"in `{policies}`" in text
+    assert not out.exists()

@@ -295,11 +295,11 @@ def test_cameras_that_are_wrong_are_told_of_by_what_was_measured() -> None:
     document = results() | {"studies": {"sensors": {"title": "t", "about": "About.", "tables": [table]}}}
     ((_, _, about, _),) = study_grids(document)
     assert "restrained within 5 ticks were garbage of 0.1 m 0 of 10; of a tracker" in about
-    assert "wrong about people: garbage of 1.5 m 9 of 10. A picture of objects comes every 4 ticks" in about
+    assert "about people: garbage of 1.5 m 9 of 10. From one picture of objects to the next it is at most 4" in about
     rows["objects/noisy 0.1"][WITHIN]["mean"] = 1.0
     ((_, _, about, _),) = study_grids(document)
     assert about.startswith("About. Not asked: a tracker that is wrong by a constant before anybody is in view")
-    assert about.endswith("is noticed when something is.")
+    assert about.endswith("since one alone may have been moved, and here they break at a bench with several.")
 
 
 def test_broken_sensors_are_judged_by_kind_and_those_that_miss_are_named() -> None:
