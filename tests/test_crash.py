@@ -95,7 +95,8 @@ def recovering(servers: Servers) -> tuple[ServerProcess, str]:
     return server, made["id"]
 
 
-def test_a_recovery_outlives_its_server_and_waits_for_a_human(servers: Servers) -> None:
+@pytest.mark.parametrize("meanwhile", ["the cell recovers", "the cell has recovered"])
+def test_a_recovery_outlives_its_server_and_one_answer_lets_it_go_on(servers: Servers, meanwhile: str) -> None:
     server, invocation = recovering(servers)
     before = server.get("/v1/audit/events?limit=1000")["items"]
     server.kill()
@@ -104,8 +105,15 @@ def test_a_recovery_outlives_its_server_and_waits_for_a_human(servers: Servers) 
     after = {event["seq"]: event for event in again.get("/v1/audit/events?limit=1000")["items"]}
     assert all(after[event["seq"]] == event for event in before)
     assert question["status"] == "pending"
-    assert again.post(f"/v1/invocations/{invocation}/stop").is_success
-    assert again.await_status(invocation, "failed")["outcome"] == "stopped"
+    until(lambda: again.cell()["online"], what="the cell is back")
+    if meanwhile == "the cell has recovered":
+        until(lambda: again.cell()["status"] == "escalated", what=meanwhile)
+    asked = again.get(f"/v1/escalations/{question['id']}")
+    answer = {"decision": "approve", "digest": asked["digest"]}
+    assert again.post(f"/v1/escalations/{asked['id']}/resolve", answer).is_success
+    assert again.await_status(invocation, "completed")["outcome"] == "recovered"
+    questions = [item["id"] for item in again.get("/v1/escalations")["items"] if item["invocation"] == invocation]
+    assert questions == [question["id"]]
     assert verify_file(again.data).ok
 
 

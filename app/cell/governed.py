@@ -20,6 +20,7 @@ from app.cell.display import describe, look, sensed, sitting
 from app.cell.journal import JournalUnavailable
 from app.cell.loop import NewPolicy, Shutdown, Welcomed
 from app.cell.moment import Sight
+from app.cell.run import LINK
 from app.cell.runner import Runner
 from app.cell.sighting import things
 from app.governance.conditions import unmet
@@ -101,7 +102,7 @@ class GovernedCell:
         )
         outbox.scene = describe(substrate)
         outbox.things = things(outbox.scene, policies.site)
-        self._runner.hold("link")
+        self._runner.hold(LINK)
         self._adopt(policies)
 
     @property

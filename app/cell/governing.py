@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
 
 from app.cell import telling
 from app.cell.journal import JournalUnavailable
-from app.cell.run import Bind, Doing, End, Run, not_restored, seen_since
+from app.cell.run import LINK, Bind, Doing, End, Run, not_restored, seen_since
 from app.cell.substrate import SubstrateError
 from app.governance.clamp import clamp, hold
 from app.governance.intervention import NOTHING, Decision, recovering, released
@@ -326,7 +326,7 @@ class Governing:
             run.next = None
             if run.hold_after_recovery and then.doing is Doing.ATTEMPT:
                 reason, run.hold_after_recovery = run.hold_after_recovery, ""
-                run.failed = "link_lost" if reason == "link" else self._recovered()
+                run.failed = "link_lost" if reason == LINK else self._recovered()
                 self.escalate(reason)
             else:
                 self._bind(then)
@@ -456,6 +456,13 @@ class Governing:
             self._prepare(Bind(Doing.ATTEMPT, permit.mode is Mode.CAREFUL), "operator")
         else:
             self._become(Event.CONTINUE_RECOVERY if run.recovering else Event.CONTINUE, "operator")
+        return None
+
+    def go_on_after_recovery(self) -> str | None:
+        """Let a session go on once its recovery has ended: whoever was asked after the link was lost has answered."""
+        run = self.run
+        run.hold_after_recovery = ""
+        self._tell_anyway(telling.status(run.id, run.status, run.status, "operator"))
         return None
 
     def confirm(self) -> str | None:

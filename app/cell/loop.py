@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from queue import Empty
 from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
 
+from app.cell.run import LINK
 from app.clock import monotonic_s
 from app.governance.model import Status
 from app.protocol import LEASE_MS, STATE_MS, Ack, Estop, Human, Jog, Launch, Reset, SetProfile, State
@@ -268,7 +269,7 @@ class TickLoop:
     def _check_lease(self) -> None:
         if not self._held and self._lease.lapsed():
             self._held = True
-            self._runner.hold("link")
+            self._runner.hold(LINK)
 
     def _publish(self) -> None:
         """Make the newest state public ten times a second and on every change."""

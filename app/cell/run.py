@@ -44,6 +44,7 @@ MOVING: Final = (Status.RUNNING, Status.RECOVERING)
 EASED: Final = 0.9
 GIVES_RAD: Final = 0.15  # a push of 600 N bends the arm by less
 GIVES_TICKS: Final = 60
+LINK: Final = "link"  # why a cell holds whose link's lease has lapsed
 _AT_REST: Final = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 EASE_TICKS: Final = 20  # the gripper needs 0.2 s to follow; judged earlier, it would be told too little
 

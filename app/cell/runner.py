@@ -21,7 +21,7 @@ from app.cell import telling
 from app.cell.governing import PlanOf, Ports, Verify
 from app.cell.handover import Session
 from app.cell.journal import USED, Entry, Journal, JournalUnavailable
-from app.cell.run import Doing, End, Run, Unprepared
+from app.cell.run import LINK, Doing, End, Run, Unprepared
 from app.cell.series import Series
 from app.cell.substrate import SubstrateError
 from app.governance.continuing import CHANGED
@@ -248,7 +248,7 @@ class Runner:
         if reason == "shutdown":
             session.end(End(Outcome.STOPPED, "shutdown", 1))
         elif session.run.status is Status.RECOVERING:
-            session.run.hold_after_recovery = reason
+            session.run.hold_after_recovery = session.run.hold_after_recovery or reason
         else:
             session.escalate(reason)
 
@@ -407,7 +407,10 @@ def _hold_for_policy(session: Session) -> None:
 
 def _go_on(session: Session) -> str | None:
     """Let a held session go on, but not where a phase waits: that takes the word of somebody who was asked about it."""
-    waits = session.run.status is Status.ESCALATED and session.run.escalated_by.startswith("confirm:")
+    run = session.run
+    if run.hold_after_recovery == LINK and run.status in {Status.RECOVERING, Status.PAUSED}:
+        return session.go_on_after_recovery()
+    waits = run.status is Status.ESCALATED and run.escalated_by.startswith("confirm:")
     return "needs_confirmation" if waits else session.go_on()
 
 

@@ -684,6 +684,38 @@ def test_a_recovery_under_way_is_finished_when_the_session_has_to_wait_but_no_ne
     assert not rig.moving()
 
 
+def test_who_answers_before_the_recovery_has_ended_is_not_asked_again(rig: Rig) -> None:
+    rig.cell.script.grip_n = 20.0
+    rig.cell.lie = lambda seen: seen._replace(
+        slip_m=0.02 if rig.cell.runs == {"grasp_object": 1} and seen.time_s > 0.5 else 0.0
+    )
+    rig.launch()
+    rig.until(lambda: "release_and_retract" in rig.cell.runs)
+    assert rig.runner.human("inv-1", "resolve_continue", "operator") == "not_escalated"
+    rig.runner.hold("link")
+    assert rig.runner.human("inv-1", "resolve_continue", "operator") == "holding"
+    rig.runner.welcomed()
+    assert rig.runner.human("inv-1", "resolve_continue", "operator") is None
+    assert rig.last("status")["status"] == "recovering"
+    assert rig.finish()["outcome"] == "recovered"
+    assert rig.of("escalation") == []
+
+
+def test_who_answered_for_a_lost_link_has_not_answered_for_another_policy(rig: Rig) -> None:
+    rig.cell.script.grip_n = 20.0
+    rig.cell.lie = lambda seen: seen._replace(
+        slip_m=0.02 if rig.cell.runs == {"grasp_object": 1} and seen.time_s > 0.5 else 0.0
+    )
+    rig.launch()
+    rig.until(lambda: "release_and_retract" in rig.cell.runs)
+    rig.runner.human("inv-1", "escalate", "server")
+    rig.runner.hold("link")
+    rig.runner.welcomed()
+    assert rig.runner.human("inv-1", "resolve_continue", "operator") == "not_escalated"
+    rig.until_status("escalated")
+    assert rig.last("escalation")["reason"] == "policy_changed"
+
+
 def test_a_shutdown_brings_the_session_to_its_end(rig: Rig) -> None:
     rig.launch()
     rig.ticks(60)
