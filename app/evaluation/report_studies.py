@@ -31,8 +31,7 @@ def study_grids(results: Results) -> Iterator[tuple[str, str, str, tuple[Grid, .
 _NOT_ASKED: Final = (
     "Not asked: a tracker that is wrong by a constant before anybody is in view is not noticed, since nothing else "
     "sees people, and here somebody is in view when it breaks; what sticks while nothing is told to move is noticed "
-    "when something is; cameras that are wrong while they see only one loose object are not noticed, whatever they "
-    "show, since one alone may have been moved, and here they break at a bench with several."
+    "when something is."
 )
 _KINDS: Final = {"noisy": "garbage"}
 

@@ -41,6 +41,7 @@ that scatters most, in each coordinate, of cameras at their noise and at twice t
 SCATTER_GAIN: Final = 0.15
 LOOSE_SIGMAS: Final = 4.0
 FASTEST_LOOSE_MPS: Final = 1.2  # a hand that moves things out of the way does it slower
+ALONE: Final = 1.5  # an object alone in view must go so much farther: there is no second one to say so as well
 
 
 _Moment: TypeAlias = tuple[float, float, float, float]
@@ -206,25 +207,29 @@ def now(person: PersonEstimate, time_s: float) -> tuple[float, float]:
 def scattered(
     sightings: tuple[Sighting, ...], before: tuple[Sighting, ...], gap_s: float, scatter_m2: float
 ) -> tuple[bool, float]:
-    """Say whether two loose objects or more went from one picture to the next as nothing moves them, or one is nowhere.
+    """Say whether loose objects went from one picture to the next as nothing moves them, or one is nowhere.
 
-    One alone may have been moved: somebody took it, or it slipped and rolled. Two at once is the camera. What is more
-    than noise is learned from the pictures in which nothing leaps: the mean square of what a coordinate of the object
-    that scatters most changes by, which is the second number. Not of all of them, since of those that the exact camera
-    at the wrist sees the others' noise could not be told.
+    One of several may have been moved: somebody took it, or it slipped and rolled; two at once is the camera. One that
+    is alone in view has to go `ALONE` times as far, which is faster than it is taken or falls. What is more than noise
+    is learned from the pictures in which nothing leaps: the mean square of what a coordinate of the object that
+    scatters most changes by, which is the second number. Not of all of them, since of those that the exact camera at
+    the wrist sees the others' noise could not be told.
     """
     were = {name: (x, y) for name, x, y in before}
     far_m = max(LOOSE_SIGMAS * math.sqrt(scatter_m2), FASTEST_LOOSE_MPS * gap_s)
-    leapt, most_m = 0, -1.0
+    again, leapt, most_m = 0, 0, -1.0
     for name, x, y in sightings:
         if name in were:
+            again += 1
             apart_m = math.dist((x, y), were[name])
             if not apart_m <= far_m:
                 leapt += 1 if apart_m < math.inf else 2
             most_m = max(most_m, apart_m)
         elif not math.isfinite(x + y):
             leapt += 2
-    if most_m >= 0.0 and not leapt:
+    if again == 1 and leapt == 1 and most_m > ALONE * far_m:
+        return True, scatter_m2
+    if again and not leapt:
         least_m, largest_m = LOOSE_SCATTER_M
         heard_m2 = min(max(most_m * most_m / 2.0, least_m * least_m), largest_m * largest_m)
         scatter_m2 += SCATTER_GAIN * (heard_m2 - scatter_m2)

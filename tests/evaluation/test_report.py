@@ -299,7 +299,7 @@ def test_cameras_that_are_wrong_are_told_of_by_what_was_measured() -> None:
     rows["objects/noisy 0.1"][WITHIN]["mean"] = 1.0
     ((_, _, about, _),) = study_grids(document)
     assert about.startswith("About. Not asked: a tracker that is wrong by a constant before anybody is in view")
-    assert about.endswith("since one alone may have been moved, and here they break at a bench with several.")
+    assert about.endswith("what sticks while nothing is told to move is noticed when something is.")
 
 
 def test_broken_sensors_are_judged_by_kind_and_those_that_miss_are_named() -> None:

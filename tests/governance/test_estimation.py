@@ -6,6 +6,7 @@ import random
 import pytest
 
 from app.governance.estimation import (
+    ALONE,
     FORGET_S,
     HISTORY,
     LOOSE_SCATTER_M,
@@ -189,3 +190,24 @@ def test_a_thing_that_is_nowhere_is_the_camera_known_or_not_and_teaches_nothing(
     assert scattered((nowhere,), (here,), 0.033, LEAST_M2) == (True, LEAST_M2)
     assert scattered((nowhere,), (), 0.033, LEAST_M2) == (True, LEAST_M2)
     assert scattered((here,), (nowhere,), 0.033, LEAST_M2) == (True, LEAST_M2)
+
+
+def test_one_thing_alone_may_be_moved_as_far_as_a_hand_moves_it_and_no_farther() -> None:
+    """Beside another that stands, the same leap is somebody who takes it."""
+    far_m = 4.0 * math.sqrt(LEAST_M2)
+    stood = (Sighting("mug_0", 0.0, 0.0),)
+    taken = (Sighting("mug_0", 0.97 * ALONE * far_m, 0.0),)
+    leapt = (Sighting("mug_0", 1.03 * ALONE * far_m, 0.0),)
+    assert scattered(taken, stood, 0.033, LEAST_M2) == (False, LEAST_M2)
+    assert scattered(leapt, stood, 0.033, LEAST_M2) == (True, LEAST_M2)
+    beside = (Sighting("mug_1", 1.0, 0.0),)
+    assert scattered(leapt + beside, stood + beside, 0.033, LEAST_M2) == (False, LEAST_M2)
+    new = (Sighting("can_1", 5.0, 0.0),)
+    assert scattered(leapt + new, stood, 0.033, LEAST_M2) == (True, LEAST_M2)
+    assert scattered(leapt, stood, 0.2, LEAST_M2)[0] is False, "0.2 s explain it"
+
+
+@pytest.mark.parametrize("sigma_m", [0.0015, 0.008, 0.016])
+def test_one_thing_alone_is_believed_whether_it_stands_or_is_carried(sigma_m: float) -> None:
+    assert pictures((sigma_m,), 5_000, MOST_M2)[0] == 0
+    assert pictures((), 400, MOST_M2, Sighting("can_1", 0.02, 0.0)) == (0, pytest.approx(0.02**2 / 2, rel=1e-3))
