@@ -167,8 +167,9 @@ def _settle(worker: Worker, waiting: deque[Job], deaths: dict[str, int], done: C
 
 
 def _serve(work: Work, pipe: connection.Connection) -> None:
-    """Run jobs until the parent is gone. Ctrl-C is the parent's to hear."""
+    """Run jobs until the parent is gone. Ctrl-C is the parent's to hear; when told to end, it tidies up."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _leave)
     try:
         run = work.open()
     except Exception as error:  # whatever it was, the parent says it
@@ -182,6 +183,11 @@ def _serve(work: Work, pipe: connection.Connection) -> None:
                 pipe.send((f"{type(error).__name__}: {error}", traceback.format_exc()))
             else:
                 pipe.send(None)
+
+
+def _leave(_signal: int, _frame: object) -> None:
+    """End as any process does, finalizers and all: a signal's own way out would leave folders of journals behind."""
+    raise SystemExit(0)
 
 
 def _raising(error: Exception) -> Callable[[Job], None]:

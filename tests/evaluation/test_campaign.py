@@ -152,23 +152,27 @@ def test_a_job_that_raises_ends_the_campaign_with_its_trace(tmp_path: Path, monk
 def test_an_interrupted_campaign_goes_on_where_it_was(
     tmp_path: Path, reference: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out, gate = tmp_path / "out", tmp_path / "gate"
+    out, gate, aside = tmp_path / "out", tmp_path / "gate", tmp_path / "aside"
+    aside.mkdir()
     words = ["--protocol", "toy", "--methods", "direct,reins", "--seeds", "3,1", "--trials", "8", "--jobs", "1"]
     words += ["--no-ablations", "--tasks", "sorting,toy_task", "--plugin", str(TOY), "--out", str(out)]
     command = [sys.executable, "-m", "app.cli", "evaluate", *words]
-    environment = {**os.environ, "TOY_GATE": str(gate), "NO_COLOR": "1"}
+    environment = {**os.environ, "TOY_GATE": str(gate), "NO_COLOR": "1", "TMPDIR": str(aside)}
     with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         until(lambda: list(out.glob("parts/*.jsonl")), what="a first part")
+        assert list(aside.glob("reins-evaluation-*/*.journal"))
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=30)
     assert process.returncode == 130, said
     assert b"the same command goes on from there" in said
+    assert not list(aside.iterdir()), "an interrupted campaign leaves folders behind"
     assert not (out / "results.json").exists()
     assert 0 < len(list(out.glob("parts/*.jsonl"))) < 16
     gate.touch()
     ended = subprocess.run(command, env=environment, capture_output=True, timeout=60, text=True)
     assert ended.returncode == 0, ended.stderr
     assert "UAIR" in ended.stdout
+    assert not list(aside.iterdir()), "a campaign leaves folders behind"
     assert same(reference, out)
 
 

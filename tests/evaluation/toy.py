@@ -1,5 +1,7 @@
 """A protocol without physics, as a plugin brings it: a row is a plain function of (method, task, seed, trial).
 
+It writes aside what an execution in the workcell does, in a folder that has to be gone with its process.
+
 What goes wrong on purpose is said by the environment, which reaches every worker:
 TOY_DIE_ONCE names a file that the first worker to see it removes before it kills itself;
 TOY_DIE makes the job of that name kill its worker every time; TOY_RAISE makes it raise;
@@ -18,11 +20,13 @@ from types import SimpleNamespace
 from typing import Any
 
 from app.clock import monotonic_s
+from app.evaluation.episode import Journals
 from app.evaluation.extensions import ExtraFault, Registry, all_tasks, find_method
 from app.evaluation.jobs import Job
 from app.evaluation.methods import REINS, Method
 from app.evaluation.model import Row, Task, Violation
 
+aside = Journals()
 STRETCH = 5
 GATE_S = 60.0
 
@@ -38,6 +42,7 @@ def jobs(*, methods: Sequence[str], tasks: Sequence[str], seeds: Sequence[int], 
 
 
 def run(job: Job, policy: Any) -> Iterator[Row]:
+    aside.open()
     misbehave(job)
     watched = find_method(job.method).watch.value
     for trial in range(job.first, job.first + job.count):
