@@ -57,6 +57,10 @@ PHONE = {"width": 390, "height": 844}
 NARROWEST = {"width": 320, "height": 640}
 SIDEWAYS = {"width": 844, "height": 390}
 SIDEWAYS_SMALL = {"width": 667, "height": 375}
+# A page is laid out anew, its observers see the new size, and the scene is drawn in it: each in a frame of its own.
+THREE_FRAMES = """async () => {
+    for (let frame = 0; frame < 3; frame += 1) await new Promise((done) => requestAnimationFrame(done));
+}"""
 TWO_FOR_THE_DRIVER = """
   - id: driver-two-approvers
     applies_to: [grasp_object]
@@ -275,6 +279,7 @@ def wider_than_the_screen(page: Page) -> list[str]:
     found: list[str] = []
     for screen in (NARROWEST, PHONE, SIDEWAYS, SIDEWAYS_SMALL):
         page.set_viewport_size({"width": screen["width"], "height": screen["height"]})
+        page.evaluate(THREE_FRAMES)
         for part in ("html", "main"):
             width, room = page.locator(part).evaluate("(one) => [one.scrollWidth, one.clientWidth]")
             found += [f"{part}: {width} px in {room} on {screen['width']}"] if width > room else []
