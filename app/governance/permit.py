@@ -174,12 +174,13 @@ def _plain(value: object) -> Json:
     raise TypeError(f"`{type(value).__name__}` has no JSON form")
 
 
-def _same_numbers(value: Json) -> Json:
+def same_numbers(value: Json) -> Json:
+    """Write whole numbers as JSON knows them: `80.0` and `80` are one number, as in RFC 8785 (section 3.2.2.3)."""
     match value:
         case dict():
-            return {key: _same_numbers(item) for key, item in value.items()}
+            return {key: same_numbers(item) for key, item in value.items()}
         case list():
-            return [_same_numbers(item) for item in value]
+            return [same_numbers(item) for item in value]
         case float() if value.is_integer() and abs(value) < _EXACT_INTEGERS:
             return int(value)
         case _:
@@ -189,7 +190,7 @@ def _same_numbers(value: Json) -> Json:
 def _same(left: Params, right: Params) -> bool:
     """Compare parameters as JSON: `true` is not `1`, a NaN equals nothing."""
     try:
-        return canonical(_same_numbers(_plain(left))) == canonical(_same_numbers(_plain(right)))
+        return canonical(same_numbers(_plain(left))) == canonical(same_numbers(_plain(right)))
     except (TypeError, ValueError):
         return False
 

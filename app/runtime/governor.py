@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from app.audit.errors import RowExists
 from app.audit.event import EventDraft, RowWrite
 from app.governance.model import EventKind, Role, Status
+from app.governance.permit import same_numbers
 from app.governance.recorded import KEY as CIRCUMSTANCES
 from app.runtime.controls import Controls
 from app.runtime.drafts import escalation_event
@@ -93,7 +94,7 @@ class Governor(Takeovers, Controls):
     async def _propose_once(
         self, principal: Principal, request: ProposalRequest, key: str
     ) -> tuple[dict[str, Any], bool]:
-        request_digest = digest(request.document())
+        request_digest = digest(same_numbers(request.document()))
         known = await self.store.row("idempotency", agent=principal.name, key=key)
         if known is None:
             slot = {"agent": principal.name, "key": key, "request_digest": request_digest, "status": "done"}

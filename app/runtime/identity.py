@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 from hashlib import sha256
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import orjson
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
 _ALPHABET: Final = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"  # Crockford's: no I, L, O, U
 _PAIRS: Final = tuple(first + second for first in _ALPHABET for second in _ALPHABET)
@@ -49,6 +49,6 @@ class Identities:
         return int.from_bytes(self._drawn.pop())
 
 
-def digest(document: Mapping[str, Any]) -> str:
+def digest(document: object) -> str:
     """Return `sha256:…` over the document's canonical JSON."""
     return "sha256:" + sha256(orjson.dumps(document, option=orjson.OPT_SORT_KEYS)).hexdigest()

@@ -212,6 +212,14 @@ async def test_the_same_key_and_body_give_the_same_invocation(runtime: Runtime, 
     assert len(cell.all("launch")) == 1
 
 
+async def test_the_same_key_and_numbers_give_the_same_invocation(runtime: Runtime, cell: HandCell) -> None:
+    first, _ = await runtime.governor.propose(AGENT, grasp(metadata={"force_n": 80.0}), "key-1")
+    again, created_again = await runtime.governor.propose(AGENT, grasp(metadata={"force_n": 80}), "key-1")
+    assert (again["id"], created_again) == (first["id"], False)
+    with pytest.raises(Conflict):
+        await runtime.governor.propose(AGENT, grasp(metadata={"force_n": 80.5}), "key-1")
+
+
 async def test_the_same_key_with_another_body_is_refused(runtime: Runtime, cell: HandCell) -> None:
     await runtime.governor.propose(AGENT, navigate(), "key-1")
     with pytest.raises(Conflict) as refusal:
