@@ -34,7 +34,7 @@ def verify(
     data: Data = Path("data"),
     key: Annotated[Path | None, typer.Option(help="The log's public key as kept elsewhere; default: log.pub.")] = None,
 ) -> None:
-    """Recompute the whole log from the stored bytes; compare indexes, invocations and telemetry files with it.
+    """Recompute the whole log from the stored bytes; compare indexes, state and telemetry files with it.
 
     [bold]reins audit verify --data data --key log.pub.copy[/]
     """
@@ -55,7 +55,7 @@ def verify(
     for problem in found.telemetry:
         say_error(problem)
     say(f"{log.size} events, root {log.root}: every byte of theirs is as it was signed")
-    say("not compared: what else is kept beside them (escalations, grants, reviews, settings), which nobody signs")
+    say("not compared: what else is kept beside them (settings, uses of grants, idempotency keys), which nobody signs")
     if not found.ok:
         raise typer.Exit(FINDING)
 

@@ -226,6 +226,34 @@ class Reader:
             raise self._damaged(error) from error
         return [(row, found[row["id"]]) for row in rows]
 
+    def beside(
+        self, table: str, *, kinds: Collection[str], since: int, after: str, limit: int
+    ) -> tuple[list[Event], list[Row]]:
+        """Return events of some kinds in order of `seq`, and rows of a state table by id, seen at one moment.
+
+        Args:
+            table: the state table.
+            kinds: only events of these kinds.
+            since: cursor of the events, the last `seq` already seen.
+            after: cursor of the rows, the last id already seen.
+            limit: at most so many of each, 1 to 1000.
+
+        Raises:
+            KeyError: no such table.
+            ValueError: a limit out of bounds.
+            RecordDamaged: the database cannot be read.
+        """
+        state = STATE[table]
+        told = sa.select(*EVENT_COLUMNS).where(events.c.seq > since, events.c.kind.in_(kinds))
+        page = sa.select(state).where(state.c.id > after).order_by(state.c.id).limit(bounded(limit))
+        try:
+            with self._engine.connect() as connection, connection.begin():
+                connection.exec_driver_sql("BEGIN")  # both questions are about the same moment
+                found = [Event(*row) for row in connection.execute(told.order_by(events.c.seq).limit(limit))]
+                return found, [as_dict(state, row) for row in connection.execute(page)]
+        except (SQLAlchemyError, sqlite3.Error) as error:
+            raise self._damaged(error) from error
+
     def without_row(self, limit: int) -> list[str]:
         """Return invocations that the log knows and the table `invocations` does not, the oldest first.
 

@@ -17,7 +17,7 @@ from app.governance.authority import refusal
 from app.governance.model import SESSION, AuthorityMode, EventKind, Outcome, Role, Status
 from app.protocol import Estop, Human, Reset, SetProfile
 from app.runtime.cells import Arming
-from app.runtime.drafts import cell_word, human_event, outcome_event
+from app.runtime.drafts import cell_word, escalation_event, human_event, outcome_event
 from app.runtime.errors import Conflict, NotFound
 from app.runtime.handback import take_back
 from app.runtime.invocation import may_see
@@ -135,7 +135,8 @@ class Controls:
         ended = present.evolve(
             self.register.now(), status=Status.DENIED, outcome=Outcome.CANCELLED, escalation=question.reference()
         )
-        drafts = [human_event("cancel", ended, principal), outcome_event(ended, principal.name)]
+        drafts = [human_event("cancel", ended, principal), escalation_event(question)]
+        drafts.append(outcome_event(ended, principal.name))
         await self.desk.commit(drafts, question, ended)
         return ended.public()
 

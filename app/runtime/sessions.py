@@ -367,7 +367,9 @@ class Sessions:
             changes["failure"] = None if outcome in DONE else {"reasons": [reason(RULE, code, message)]}
             ended = present.evolve(self._register.now(), status=final_status(outcome), outcome=outcome, **changes)
             rows = [] if open_question is None else [open_question.row()]
-            await self._register.append([outcome_event(ended, SERVER, reason(RULE, code, message))], rows, [ended])
+            drafts = [] if open_question is None else [escalation_event(open_question)]
+            drafts.append(outcome_event(ended, SERVER, reason(RULE, code, message)))
+            await self._register.append(drafts, rows, [ended])
             if open_question is not None:
                 self._desk.hold(open_question)
         await self._sealed(name, lost=code in LOST_WITH_CELL)

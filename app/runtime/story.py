@@ -149,7 +149,7 @@ class Story:
             self._versions[version.id] = version.evolve(
                 at, status=Status.ESCALATED, escalation=asked.reference(), terms=terms
             )
-        return {"escalation": asked.public()} if event.kind == EventKind.ESCALATION else NOTHING
+        return {"escalation": asked.public()}
 
     def _end(self, version: Invocation, outcome: Outcome, at: str, *codes: str) -> Mapping[str, Any]:
         question = self._open(version.id)

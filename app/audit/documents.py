@@ -1,0 +1,123 @@
+"""The tables `escalations`, `grants` and `reviews`, compared with the log: what is pending and what is granted.
+
+They are state like `invocations` (`projection`), but simpler: an event that changes one holds the whole document as it
+then is, so the newest event about a document must say what the table says. Where a session goes on or ends by itself,
+the event only says which question is `withdrawn` by that. Not stated, so not compared: how often a grant was used (the
+launches say it), and when a document last changed.
+"""
+
+from __future__ import annotations
+
+from hashlib import blake2b
+from time import sleep
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
+
+import orjson
+
+from app.governance.model import EventKind
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from app.audit.event import Event
+    from app.audit.reader import Reader, Row
+
+PAGE: Final = 200
+KINDS: Final = (
+    EventKind.ESCALATION, EventKind.APPROVAL, EventKind.HUMAN, EventKind.GRANT, EventKind.REVIEW,
+    EventKind.LAUNCH, EventKind.STATUS, EventKind.OUTCOME,
+)  # fmt: skip
+TABLES: Final = {"escalation": "escalations", "grant": "grants", "review": "reviews"}
+"""What an event's body calls the document, and where its newest version is kept."""
+_NOT_STATED: Final = frozenset({"status", "uses", "used_at", "updated_at"})
+_WITHDRAWN: Final = "withdrawn"
+
+
+class _Said(NamedTuple):
+    """What the newest events about a document say; the document itself is read again if need be."""
+
+    seq: int  # of the newest that holds the document
+    digest: bytes  # of the document but for `_NOT_STATED`
+    status: str
+
+
+def document_problems(reader: Reader, *, limit: int, pause_s: float = 0.0) -> list[str]:
+    """Compare every row of the three tables with the log; return the first that differ, or are missing, in words.
+
+    A page of rows and the events up to it are read at one moment, so a writer may go on meanwhile.
+
+    Args:
+        reader: the log's.
+        limit: how many to name at most.
+        pause_s: how long to step aside after every page, so that a server whose process this runs in goes on.
+
+    Raises:
+        RecordDamaged: the database cannot be read.
+    """
+    found: list[str] = []
+    said: dict[str, dict[str, _Said]] = {table: {} for table in TABLES.values()}
+    since = 0
+    for table, newest in said.items():
+        after, seen, more = "", set[str](), True
+        while more:
+            events, rows = reader.beside(table, kinds=KINDS, since=since, after=after, limit=PAGE)
+            since = _follow(events, said, since)
+            if len(events) < PAGE:  # else there are events that these rows already know of
+                found += [wrong for row in rows if (wrong := _wrong(reader, table, row, newest)) is not None]
+                seen.update(row["id"] for row in rows)
+                after, more = (rows[-1]["id"] if rows else after), len(rows) == PAGE
+            if len(found) >= limit:
+                return found[:limit]
+            sleep(pause_s)
+        lost = sorted(name for name in newest.keys() - seen if reader.row(table, id=name) is None)
+        found += [f"`{name}`: the log knows it, the table `{table}` does not" for name in lost]
+    return found[:limit]
+
+
+def _follow(events: Iterable[Event], said: dict[str, dict[str, _Said]], since: int) -> int:
+    for event in events:
+        since = event.seq
+        body: dict[str, Any] = event.payload()
+        for word, table in TABLES.items():
+            if (document := _whole(body.get(word))) is not None:
+                said[table][document["id"]] = _Said(event.seq, _digest(document), document["status"])
+        questions, gone = said["escalations"], body.get(_WITHDRAWN)
+        if isinstance(gone, str) and gone in questions:
+            questions[gone] = questions[gone]._replace(status=_WITHDRAWN)
+    return since
+
+
+def _whole(value: object) -> dict[str, Any] | None:
+    """Return a document; an approval may only name the grant that it gave, and a cell's own words hold none."""
+    match value:
+        case {"id": str(), "status": str()}:
+            return cast("dict[str, Any]", value)
+        case _:
+            return None
+
+
+def _wrong(reader: Reader, table: str, row: Row, newest: dict[str, _Said]) -> str | None:
+    said, name = newest.get(row["id"]), row["id"]
+    if said is None:
+        return f"`{name}`: the table `{table}` knows it, the log does not"
+    try:
+        document = _whole(orjson.loads(row["document"]))
+    except (orjson.JSONDecodeError, TypeError):
+        document = None
+    if document is None or document["id"] != name:
+        return f"`{name}`: what the table `{table}` holds is no document of it"
+    for where, status in (("column", row["status"]), ("document", document["status"])):
+        if status != said.status:
+            return f"`{name}`: the {where} of the table `{table}` says `{status}`, the log makes it `{said.status}`"
+    if _digest(document) == said.digest:
+        return None
+    (event,) = reader.events(after=said.seq - 1, limit=1)
+    stated = next(known for word in TABLES if (known := _whole(event.payload().get(word))) and known["id"] == name)
+    others = sorted(key for key in stated.keys() | document.keys() if stated.get(key) != document.get(key))
+    named = ", ".join(f"`{key}`" for key in others if key not in _NOT_STATED)
+    return f"`{name}`: {named} in the table `{table}` is not what event `{said.seq}` says"
+
+
+def _digest(document: dict[str, Any]) -> bytes:
+    stated = {name: value for name, value in document.items() if name not in _NOT_STATED}
+    return blake2b(orjson.dumps(stated, option=orjson.OPT_SORT_KEYS), digest_size=16).digest()
