@@ -140,7 +140,8 @@ async def healthz(request: Request) -> Response:
     """Say that the process answers, whether it and its cells can keep their records, and whether policy is refuted.
 
     Without a record only what restrains is obeyed: everywhere, or on the cells that `broken` names. A policy in force
-    that does not pass its proofs goes on deciding; each decision fails closed by itself.
+    that does not pass its proofs goes on deciding; each decision fails closed by itself. Grants that only the database
+    knows, and not the log, hold for nothing.
     """
     parts = parts_of(request)
     await parts.store.look()
@@ -148,6 +149,8 @@ async def healthz(request: Request) -> Response:
     broken |= parts.fleet.faults()
     if parts.governor.broken:
         broken["background"] = parts.governor.broken
+    if (unfounded := parts.desk.grants.trouble()) is not None:
+        broken["grants"] = unfounded
     if (refuted := parts.versions.proving.trouble()) is not None:
         broken["policy"] = refuted
     return answer({"status": "degraded" if broken else "ok", "version": __version__, "broken": broken})

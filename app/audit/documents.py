@@ -17,7 +17,7 @@ import orjson
 from app.governance.model import EventKind
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from app.audit.event import Event
     from app.audit.reader import Reader, Row
@@ -33,7 +33,7 @@ _NOT_STATED: Final = frozenset({"status", "uses", "used_at", "updated_at"})
 _WITHDRAWN: Final = "withdrawn"
 
 
-class _Said(NamedTuple):
+class Said(NamedTuple):
     """What the newest events about a document say; the document itself is read again if need be."""
 
     seq: int  # of the newest that holds the document
@@ -55,13 +55,12 @@ def document_problems(reader: Reader, *, limit: int, pause_s: float = 0.0) -> li
         RecordDamaged: the database cannot be read.
     """
     found: list[str] = []
-    said: dict[str, dict[str, _Said]] = {table: {} for table in TABLES.values()}
-    since = 0
+    said, since = nothing_said(), 0
     for table, newest in said.items():
         after, seen, more = "", set[str](), True
         while more:
             events, rows = reader.beside(table, kinds=KINDS, since=since, after=after, limit=PAGE)
-            since = _follow(events, said, since)
+            since = follow(events, said) or since
             if len(events) < PAGE:  # else there are events that these rows already know of
                 found += [wrong for row in rows if (wrong := _wrong(reader, table, row, newest)) is not None]
                 seen.update(row["id"] for row in rows)
@@ -74,17 +73,40 @@ def document_problems(reader: Reader, *, limit: int, pause_s: float = 0.0) -> li
     return found[:limit]
 
 
-def _follow(events: Iterable[Event], said: dict[str, dict[str, _Said]], since: int) -> int:
+def nothing_said() -> dict[str, dict[str, Said]]:
+    """Return what is known of each table's documents before the first event."""
+    return {table: {} for table in TABLES.values()}
+
+
+def follow(events: Iterable[Event], said: dict[str, dict[str, Said]]) -> int:
+    """Take events in order of `seq`; returns the last one's, 0 where there is none."""
+    seq = 0
     for event in events:
-        since = event.seq
+        seq = event.seq
         body: dict[str, Any] = event.payload()
         for word, table in TABLES.items():
             if (document := _whole(body.get(word))) is not None:
-                said[table][document["id"]] = _Said(event.seq, _digest(document), document["status"])
+                said[table][document["id"]] = Said(event.seq, _digest(document), document["status"])
         questions, gone = said["escalations"], body.get(_WITHDRAWN)
         if isinstance(gone, str) and gone in questions:
             questions[gone] = questions[gone]._replace(status=_WITHDRAWN)
-    return since
+    return seq
+
+
+def is_founded(row: Row, newest: Mapping[str, Said]) -> bool:
+    """Say whether a row of one of the tables says what the newest event about its document says."""
+    said, document = newest.get(row["id"]), _document(row)
+    if said is None or document is None:
+        return False
+    return row["status"] == document["status"] == said.status and _digest(document) == said.digest
+
+
+def _document(row: Row) -> dict[str, Any] | None:
+    try:
+        document = _whole(orjson.loads(row["document"]))
+    except (orjson.JSONDecodeError, TypeError):
+        return None
+    return document if document is not None and document["id"] == row["id"] else None
 
 
 def _whole(value: object) -> dict[str, Any] | None:
@@ -96,21 +118,17 @@ def _whole(value: object) -> dict[str, Any] | None:
             return None
 
 
-def _wrong(reader: Reader, table: str, row: Row, newest: dict[str, _Said]) -> str | None:
-    said, name = newest.get(row["id"]), row["id"]
+def _wrong(reader: Reader, table: str, row: Row, newest: Mapping[str, Said]) -> str | None:
+    if is_founded(row, newest):
+        return None
+    said, document, name = newest.get(row["id"]), _document(row), row["id"]
     if said is None:
         return f"`{name}`: the table `{table}` knows it, the log does not"
-    try:
-        document = _whole(orjson.loads(row["document"]))
-    except (orjson.JSONDecodeError, TypeError):
-        document = None
-    if document is None or document["id"] != name:
+    if document is None:
         return f"`{name}`: what the table `{table}` holds is no document of it"
     for where, status in (("column", row["status"]), ("document", document["status"])):
         if status != said.status:
             return f"`{name}`: the {where} of the table `{table}` says `{status}`, the log makes it `{said.status}`"
-    if _digest(document) == said.digest:
-        return None
     (event,) = reader.events(after=said.seq - 1, limit=1)
     stated = next(known for word in TABLES if (known := _whole(event.payload().get(word))) and known["id"] == name)
     others = sorted(key for key in stated.keys() | document.keys() if stated.get(key) != document.get(key))

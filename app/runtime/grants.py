@@ -10,18 +10,20 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Any, Final
 
+from app.audit.documents import follow, is_founded, nothing_said
 from app.audit.errors import RecordUnavailable
 from app.clock import parse_rfc3339, rfc3339
 from app.governance.authority import grantable
-from app.governance.model import Grant, GrantScope, Reason
+from app.governance.model import EventKind, Grant, GrantScope, Reason
 from app.runtime.drafts import SERVER, grant_event
 from app.runtime.errors import Conflict, Forbidden, InvalidParams, NotFound
 from app.runtime.grant import ACTIVE, Standing, read_standing
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
+    from app.audit.documents import Said
     from app.audit.event import RowWrite
     from app.runtime.cells import Cell
     from app.runtime.escalation import Escalation
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
     from app.runtime.register import Register
 
 POLL_S: Final = 0.25
+PAGE: Final = 500
 MOST_GRANTS: Final = 64  # more of them nobody keeps in view
 
 
@@ -50,6 +53,7 @@ class Grants:
         self._active: dict[str, Standing] = {}
         self._unrecorded: list[Standing] = []
         self._recording = asyncio.Lock()
+        self.unfounded: frozenset[str] = frozenset()  # active by their rows, which is not what the log says
         self.on_changed: Callable[[Standing], None] = lambda _: None
         kernel.standing = self.standing
 
@@ -68,9 +72,18 @@ class Grants:
     ) -> tuple[list[dict[str, Any]], str | None]:
         """Return grants, newest first, and the cursor behind them. Raises `ValueError` on a bad limit or cursor."""
         page = await self._register.store.page("grants", {"status": status}, limit=limit, cursor=cursor)
-        found = [read_standing(row["document"]) for row in page.items]
+        found = [read_standing(row["document"]) for row in page.items if row["id"] not in self.unfounded]
         unsaid = {one.id: one for one in self._unrecorded}
         return [unsaid.get(one.id, one).public() for one in found], page.next
+
+    def trouble(self) -> str | None:
+        """Say which grants hold for nothing, because only their rows know them."""
+        if not self.unfounded:
+            return None
+        named = ", ".join(f"`{name}`" for name in sorted(self.unfounded))
+        return (
+            f"{named}: not what the log says was given, so it holds for nothing; valid: look with `reins audit verify`"
+        )
 
     # -- giving ------------------------------------------------------------------------------------------------------
 
@@ -192,7 +205,7 @@ class Grants:
         present = self._active.get(grant_id)
         if present is None:
             row = await self._register.store.row("grants", id=grant_id)
-            if row is None:
+            if row is None or grant_id in self.unfounded:
                 raise NotFound("grant", grant_id)
             ended = read_standing(row["document"]).ended or {"code": "ended"}
             raise Conflict("grant_ended", f"the grant `{grant_id}` has ended already (`{ended['code']}`)")
@@ -254,12 +267,25 @@ class Grants:
             await asyncio.sleep(POLL_S)
 
     async def recall(self) -> None:
-        """Read back the grants that stood when the server ended, and end what is over since."""
+        """Read back the grants that stood when the server ended, and end what is over since.
+
+        Nobody signs a row, and a grant stands in for a person's word. So only what the log says was given stands; the
+        rest is `unfounded`, and holds for nothing.
+        """
         rows = await self._register.store.rows("grants", {"status": ACTIVE})
-        for standing in sorted((read_standing(row["document"]) for row in rows), key=lambda one: one.id):
-            self._active[standing.id] = standing
+        given: Mapping[str, Said] = await self._given() if rows else {}
+        self.unfounded = frozenset(row["id"] for row in rows if not is_founded(row, given))
+        standing = (read_standing(row["document"]) for row in rows if row["id"] not in self.unfounded)
+        for one in sorted(standing, key=lambda one: one.id):
+            self._active[one.id] = one
         self.look()
         await self.record_ends()
+
+    async def _given(self) -> Mapping[str, Said]:
+        said, after = nothing_said(), 0
+        while page := await self._register.store.events(kind=EventKind.GRANT, after=after, limit=PAGE):
+            after = follow(page, said)
+        return said["grants"]
 
 
 def _known(field: str, name: str, names: Sequence[str] | Any) -> None:  # noqa: ANN401  # a mapping by name will do

@@ -144,3 +144,13 @@ async def test_says_what_is_broken_while_nothing_could_launch(house: House) -> N
     assert (away.status_code, away.json()["ready"]) == (503, False)
     assert away.json()["broken"]
     assert (there.status_code, there.json()) == (200, {"ready": True, "broken": {}})
+
+
+async def test_says_which_grants_hold_for_nothing(house: House) -> None:
+    async with house.client(None) as anyone:
+        before = (await anyone.get("/healthz")).json()
+        house.runtime.desk.grants.unfounded = frozenset({"grant_forged"})
+        after = (await anyone.get("/healthz")).json()
+    assert (before["status"], before["broken"]) == ("ok", {})
+    assert after["status"] == "degraded"
+    assert "`grant_forged`" in after["broken"]["grants"]

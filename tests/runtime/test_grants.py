@@ -5,15 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import orjson
 import pytest
 
 from app.audit.errors import RecordUnavailable
+from app.audit.store import AuditStore
 from app.governance.model import GrantScope, Risk, Role
 from app.governance.policy import PolicySet
 from app.governance.policy_model import GrantTerms
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, Forbidden, InvalidParams, NotFound
-from app.runtime.grant import GrantRequest, Offer
+from app.runtime.grant import GrantRequest, Offer, read_standing
 from app.runtime.grants import MOST_GRANTS
 from app.runtime.invocation import Principal, ProposalRequest
 
@@ -227,6 +229,37 @@ async def test_a_grant_survives_a_restart_and_not_another_policy(house: House, p
     house.policy = replace(policy, digest="sha256:another")
     async with house.open() as runtime:
         assert (await newest(runtime))["ended"]["code"] == "policy_changed"
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"id": "grant_forged"}, {"ended": None, "status": "active"}, {"agent": "somebody"}],
+    ids=["never given", "ended", "for another agent"],
+)
+async def test_a_grant_that_only_its_row_knows_holds_for_nothing(house: House, changes: dict[str, Any]) -> None:
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        given = await grant(runtime, MUGS)
+        if "ended" in changes:
+            await runtime.desk.grants.revoke(given["id"], OPERATOR)
+    forged = {**given, **changes}
+    store = AuditStore.open(house.folder)
+    row = read_standing(orjson.dumps(forged)).row()
+    await store.append([], [row])
+    await store.close()
+    house.sound = False  # what is left is not what the log says
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        assert forged["id"] not in [one.id for one in runtime.desk.grants.active()]
+        listed, _ = await runtime.desk.grants.list()
+        assert forged["id"] not in [one["id"] for one in listed]
+        assert forged["id"] in (runtime.desk.grants.trouble() or "")
+        with pytest.raises(NotFound):
+            await runtime.desk.grants.revoke(forged["id"], OPERATOR)
+        held = "id" in changes  # then what was given in truth holds as before
+        assert await status(runtime) == ("allowed" if held else "awaiting_approval")
 
 
 async def test_an_end_that_cannot_be_recorded_holds_all_the_same(
