@@ -149,6 +149,8 @@ async def healthz(request: Request) -> Response:
     broken |= parts.fleet.faults()
     if parts.governor.broken:
         broken["background"] = parts.governor.broken
+    if (damaged := parts.desk.register.trouble()) is not None:
+        broken["rows"] = damaged
     if (unfounded := parts.desk.grants.trouble()) is not None:
         broken["grants"] = unfounded
     if (refuted := parts.versions.proving.trouble()) is not None:

@@ -93,6 +93,18 @@ def follow(events: Iterable[Event], said: dict[str, dict[str, Said]]) -> int:
     return seq
 
 
+def documents(events: Iterable[Event], word: str) -> list[dict[str, Any]]:
+    """Return the newest version of each document that events call `word`, as a key of `TABLES`."""
+    found: dict[str, dict[str, Any]] = {}
+    for event in events:
+        body: dict[str, Any] = event.payload()
+        if (document := _whole(body.get(word))) is not None:
+            found[document["id"]] = document
+        if word == "escalation" and (gone := body.get(_WITHDRAWN)) in found:
+            found[gone] = {**found[gone], "status": _WITHDRAWN}
+    return list(found.values())
+
+
 def is_founded(row: Row, newest: Mapping[str, Said]) -> bool:
     """Say whether a row of one of the tables says what the newest event about its document says."""
     said, document = newest.get(row["id"]), _document(row)

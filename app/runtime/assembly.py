@@ -118,6 +118,8 @@ class Runtime:
             "policy_version": self.kernel.policy.digest,
             "unfinished": [known.id for known in self.register.live()],
         }
+        if self.register.unfounded:
+            body["unfounded"] = self.register.unfounded
         await self.store.append(
             [EventDraft(kind=EventKind.BOOT, actor="server", body=body), *drafts],
             rows,

@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 from typing import TYPE_CHECKING, Any, Final
 
+from app.audit.documents import follow, is_founded, nothing_said
 from app.audit.errors import RecordUnavailable
 from app.governance.authority import denial
 from app.governance.model import Outcome, Status
@@ -29,12 +30,14 @@ from app.runtime.escalation import (
     read_escalation,
 )
 from app.runtime.questions import Questions
+from app.runtime.recollection import events_of, questions_of
 from app.runtime.reviews import Reviews
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Mapping
 
+    from app.audit.reader import Row
     from app.governance.policy_model import Denial
     from app.runtime.fleet import Fleet
     from app.runtime.grant import Offer, Standing
@@ -300,14 +303,33 @@ class Desk(Questions):
     # -- remembering -------------------------------------------------------------------------------------------------
 
     async def recall(self) -> None:
-        """Read back the questions that were open when the server ended."""
+        """Read back the questions that were open when the server ended, as the log has them.
+
+        An answer is worth what was shown to whoever gave it, so no row can have another question asked. One whose
+        invocation has ended without it is read from its row: it is only there to be withdrawn.
+        """
+        rows: dict[str, Row] = {}
         cursor: str | None = None
         while True:
             page = await self.register.store.page("escalations", {"status": PENDING}, limit=500, cursor=cursor)
-            self.hold(*(read_escalation(row["document"]) for row in page.items))
+            rows |= {row["id"]: row for row in page.items}
             cursor = page.next
             if cursor is None:
                 break
+        for known in self.register.live():
+            events = await events_of(self.register.store, known.id)
+            said = nothing_said()
+            follow(events, said)
+            for question in questions_of(events):
+                self.hold(question)
+                row = rows.pop(question.id, None)
+                if row is None or not is_founded(row, said["escalations"]):
+                    self.register.unfounded[question.id] = "its row is not what was asked"
+        for name, row in rows.items():
+            if self.register.entry(row["invocation"]) is None:
+                self.hold(read_escalation(row["document"]))
+            else:
+                self.register.unfounded[name] = "its row asks what the log does not"
         await self.grants.recall()
         await self.reviews.recall()
 

@@ -16,6 +16,7 @@ from app.clock import rfc3339
 from app.governance.model import TERMINAL, Status
 from app.runtime.errors import NotFound
 from app.runtime.invocation import read_invocation
+from app.runtime.recollection import events_of, invocation_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -46,6 +47,7 @@ class Register:
         self._wall_s = wall_s
         self._live: dict[str, Entry] = {}
         self._unsaid: list[EventDraft] = []  # what the record could not take yet
+        self.unfounded: dict[str, str] = {}  # open by their rows, which say something else than the log: what, by id
         self.on_final: Callable[[Invocation], None] = lambda _: None
         self.on_ending: Callable[[Invocation], tuple[EventDraft, RowWrite, Callable[[], None]] | None] = lambda _: None
         self.on_shown: Callable[[Invocation], None] = lambda _: None
@@ -72,16 +74,26 @@ class Register:
         return self._live.get(invocation)
 
     async def recall(self) -> None:
-        """Read back what an earlier run of the server left unfinished."""
+        """Read back what an earlier run of the server left unfinished, as the log has it."""
         cursor: str | None = None
         while True:
             page = await self.store.page("invocations", {"status": UNFINISHED}, limit=500, cursor=cursor)
             for row in page.items:
-                invocation = read_invocation(row["document"])
-                self._live[invocation.id] = Entry(newest=invocation)
+                invocation, wrong = invocation_of(row, await events_of(self.store, row["id"]))
+                if wrong:
+                    self.unfounded[row["id"]] = wrong
+                if invocation is not None and not invocation.final:
+                    self._live[invocation.id] = Entry(newest=invocation)
             cursor = page.next
             if cursor is None:
                 return
+
+    def trouble(self) -> str | None:
+        """Say which rows, when the server started, were not what the log says."""
+        if not self.unfounded:
+            return None
+        named = "; ".join(f"`{name}`: {what}" for name, what in sorted(self.unfounded.items()))
+        return f"{named}; since this server started the log holds in its place; valid: look with `reins audit verify`"
 
     async def newest_ones(self, limit: int) -> list[Invocation]:
         """Return the invocations proposed last, newest first, final or not."""

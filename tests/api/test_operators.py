@@ -146,11 +146,13 @@ async def test_says_what_is_broken_while_nothing_could_launch(house: House) -> N
     assert (there.status_code, there.json()) == (200, {"ready": True, "broken": {}})
 
 
-async def test_says_which_grants_hold_for_nothing(house: House) -> None:
+async def test_says_which_grants_and_rows_hold_for_nothing(house: House) -> None:
     async with house.client(None) as anyone:
         before = (await anyone.get("/healthz")).json()
         house.runtime.desk.grants.unfounded = frozenset({"grant_forged"})
+        house.runtime.register.unfounded = {"esc_forged": "its row is not what was asked"}
         after = (await anyone.get("/healthz")).json()
     assert (before["status"], before["broken"]) == ("ok", {})
     assert after["status"] == "degraded"
     assert "`grant_forged`" in after["broken"]["grants"]
+    assert "`esc_forged`: its row is not what was asked" in after["broken"]["rows"]

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import sqlite3
+from base64 import b64decode
+from collections.abc import Callable
+from contextlib import closing
+from typing import Any, TypeAlias
+
+import orjson
 import pytest
 
+from app.audit.places import Places
 from app.audit.store import AuditStore
 from app.runtime.errors import Conflict
 
 from .conftest import AGENT, CELL, OPERATOR, HandCell, House, grasp, navigate, until
 
 pytestmark = pytest.mark.anyio
+
+Document: TypeAlias = dict[str, Any]
 
 
 async def test_a_pending_approval_survives_and_can_be_answered(house: House) -> None:
@@ -170,3 +180,66 @@ async def test_a_second_file_of_telemetry_does_not_overwrite_the_first(house: Ho
     async with house.open() as second:
         second.telemetry.write("inv_1", [])
         await until(lambda: len(list(second.store.places.telemetry.iterdir())) == 2)
+
+
+def rewrite(house: House, table: str, name: str, forge: Callable[[Document], object]) -> None:
+    """Change a row's document, and its status with it, as somebody would who has the file."""
+    with closing(sqlite3.connect(Places(house.folder).database)) as database, database:
+        (kept,) = database.execute(f"SELECT document FROM {table} WHERE id = ?", (name,)).fetchone()  # noqa: S608
+        document = orjson.loads(kept)
+        forge(document)
+        values = orjson.dumps(document), document["status"], name
+        database.execute(f"UPDATE {table} SET document = ?, status = ? WHERE id = ?", values)  # noqa: S608
+
+
+FORGED: dict[str, tuple[str, Callable[[Document], object]]] = {
+    "another object": ("escalations", lambda row: row["effective"].update(object_id="driver_1")),
+    "an approval": ("escalations", lambda row: row["approvals"].append({"by": "oskar", "at": row["created_at"]})),
+    "a later deadline": ("escalations", lambda row: row.update(expires_at="2099-01-01T00:00:00.000Z")),
+    "an answer": ("escalations", lambda row: row.update(status="approved")),
+    "another proposal": ("invocations", lambda row: row["effective"].update(object_id="driver_1")),
+    "another capability": ("invocations", lambda row: row.update(capability="place_object")),
+    "another mode": ("invocations", lambda row: row["_"].update(mode="careful")),
+}
+
+
+@pytest.mark.parametrize("forged", FORGED)
+async def test_what_is_asked_after_a_start_is_what_the_log_says_was_asked(house: House, forged: str) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        document, _ = await first.governor.propose(AGENT, grasp())
+        question = await first.desk.get(document["escalation"]["id"])
+    table, forge = FORGED[forged]
+    name = question["id"] if table == "escalations" else document["id"]
+    rewrite(house, table, name, forge)
+    async with house.open() as second:
+        assert name in (second.register.trouble() or "")
+        assert (await second.desk.get(question["id"])) == question
+        cell = await HandCell(second).dial()
+        await cell.state()
+        await second.desk.resolve(question["id"], OPERATOR, "approve", question["digest"])
+        permit = orjson.loads(b64decode((await cell.expect("launch")).body))
+        assert (permit["capability"], permit["params"]) == ("grasp_object", question["effective"])
+        assert permit["mode"] == "normal"
+        assert [word["by"] for word in (await second.desk.get(question["id"]))["approvals"]] == [OPERATOR.name]
+        boot: Document = (await second.store.events(kind="boot"))[-1].payload()
+        assert list(boot["unfounded"]) == [name]
+
+
+async def test_nothing_comes_of_a_row_that_the_log_does_not_know(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        document, _ = await first.governor.propose(AGENT, grasp())
+    asked = document["escalation"]["id"]
+    with closing(sqlite3.connect(Places(house.folder).database)) as database, database:
+        for table, name in (("invocations", document["id"]), ("escalations", asked)):
+            columns = [row[1] for row in database.execute(f"PRAGMA table_info({table})")]
+            copied = ", ".join("'forged'" if column == "id" else column for column in columns)
+            database.execute(f"INSERT INTO {table} SELECT {copied} FROM {table} WHERE id = ?", (name,))  # noqa: S608
+    house.sound = False
+    async with house.open() as second:
+        assert [known.id for known in second.register.live()] == [document["id"]]
+        assert [question.id for question in second.desk.pending()] == [asked]
+        assert list(second.register.unfounded) == ["forged"]

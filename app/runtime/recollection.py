@@ -1,0 +1,82 @@
+"""What an earlier run of the server left open, as the log has it.
+
+Rows are state that nobody signs, and from them follows what is launched, and who still has to be asked. So whatever the
+log states of an open invocation and of its question is taken from the log. A row that says otherwise changes nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final
+
+from app.audit.documents import documents
+from app.audit.projection import FIELDS, differences, rebuild
+from app.governance.model import EventKind, Mode, Outcome, Status, Strategy
+from app.runtime.escalation import PENDING, Escalation
+from app.runtime.invocation import read_invocation
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from app.audit.event import Event
+    from app.audit.reader import Row
+    from app.audit.store import AuditStore
+    from app.runtime.invocation import Invocation, Terms
+
+PAGE: Final = 500
+
+
+async def events_of(store: AuditStore, invocation: str) -> list[Event]:
+    """Return everything that the log says of an invocation, in order."""
+    found: list[Event] = []
+    while page := await store.events(invocation=invocation, after=found[-1].seq if found else 0, limit=PAGE):
+        found += page
+    return found
+
+
+def invocation_of(row: Row, events: Sequence[Event]) -> tuple[Invocation | None, str]:
+    """Return an invocation as the log has it, and in words what its row says otherwise.
+
+    None, where the log knows nothing of it, or nothing that can be followed: then nothing may come of the row.
+    """
+    try:
+        known: dict[str, Any] = rebuild(events)
+    except ValueError as error:
+        return None, str(error)
+    if not known:
+        return None, "the log knows nothing of it"
+    wrong = differences(row, known)
+    stored = read_invocation(row["document"])
+    terms = _terms_of(stored.terms, events)
+    if terms != stored.terms:
+        wrong.append("its terms are not those that were proposed")
+    told = {name: known[name] for name in FIELDS if name in known}
+    told["status"] = Status(told["status"])
+    told["outcome"] = None if told["outcome"] is None else Outcome(told["outcome"])
+    return replace(stored, **told, terms=terms), "; ".join(wrong)
+
+
+def questions_of(events: Sequence[Event]) -> list[Escalation]:
+    """Return the questions about an invocation that the log says are open."""
+    found: list[Escalation] = []
+    for document in documents(events, "escalation"):
+        if document["status"] == PENDING:
+            document.pop("approved", None)
+            found.append(Escalation(**document))
+    return found
+
+
+def _terms_of(stored: Terms, events: Sequence[Event]) -> Terms:
+    """Return the terms with what was proposed as the log has it; the rest of them is the server's own."""
+    proposed: dict[str, Any] | None = next((one.payload() for one in events if one.kind == EventKind.PROPOSAL), None)
+    if proposed is None:  # a human drives, and proposed nothing
+        return stored
+    preference = proposed["recovery_preference"]
+    return replace(
+        stored,
+        mode=Mode(proposed["mode"]),
+        preconditions=tuple(proposed["preconditions"]),
+        recovery_preference=None if preference is None else Strategy(preference),
+        metadata=proposed["metadata"],
+        version=proposed.get("capability_version"),
+    )
