@@ -183,7 +183,8 @@ class _Commands:
         self.told.append(None if runner.session is None else runner.session.run.previous)
         if len(self.told) == self.estop_at:
             runner.estop("supervisor")
-            self.told.append(None)  # power is cut within the call: no command reaches anything from here on
+            if not cell.plant.drives.powered:  # no command reaches anything from here on
+                self.told.append(None)
 
 
 def _override(bench: Bench, part: Part, number: int) -> Iterator[Row]:

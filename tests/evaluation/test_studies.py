@@ -251,6 +251,7 @@ def test_the_scorecard_counts_what_its_measurements_say() -> None:
     assert card["unauthorized invocation"]["value"] == 1.0
     assert card["upgrade safety"]["value"] == 1.0
     assert card["override responsiveness"]["value"] <= 2
+    assert all(row["held"] for row in rows if row["condition"] == "override")  # an order without effect has no ticks
     assert (card["override responsiveness"]["unit"], card["override responsiveness"]["better"]) == (
         "control ticks",
         "lower",
