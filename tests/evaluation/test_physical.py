@@ -17,17 +17,19 @@ import pytest
 
 from app.evaluation import physical_protocol
 from app.evaluation.campaign import Request, run_campaign
+from app.evaluation.draws import BASE
 from app.evaluation.methods import ABLATIONS, METHODS
-from app.evaluation.model import SEEDS, TUNING_SEEDS, Failure, Kind, Violation
+from app.evaluation.model import SEEDS, Breach, Failure, Kind, Violation
 from app.evaluation.physical_rows import COLUMNS, MEANINGS, Class
 
 pytestmark = pytest.mark.timeout(900)  # the first test runs the campaign
 
 POLICIES = Path("policies").resolve()
 SHOWN = ("direct", "roboguard-style", "reins", *ABLATIONS)
-TRIALS = 12  # so many, and each part of the gate meets what it alone refuses
-SHORT = Request(protocol="physical", methods=SHOWN, seeds=TUNING_SEEDS[3:], trials=TRIALS, policies=POLICIES)
-TINY = replace(SHORT, seeds=SHORT.seeds[-1:], trials=2)
+TRIALS = 24
+SEED = 47470  # chosen by what it meets, not by what comes of it: each breach, each violation in each of its ways
+SHORT = Request(protocol="physical", methods=SHOWN, seeds=(SEED,), trials=TRIALS, policies=POLICIES)
+TINY = replace(SHORT, trials=2)
 
 
 def campaign(out: Path, request: Request, *, workers: int) -> Path:
@@ -72,6 +74,17 @@ def mean(results: dict[str, Any], method: str, metric: str) -> float:
 )
 def test_the_goals_are_reached(results: dict[str, Any], metric: str, least: float, most: float) -> None:
     assert least <= mean(results, "reins", metric) <= most
+
+
+def test_every_part_of_governance_has_something_to_do(rows: list[dict[str, str]]) -> None:
+    mine = [row for row in rows if row["method"] == "reins"]
+    told = [row for row in mine if row["occurred"] == "true" and row["boundary"] == "false"]
+    assert {row["violation"] for row in told} == set(Violation)
+    speeds = {row["capability"] in BASE for row in told if row["violation"] == Violation.SPEED}
+    assert speeds == {True, False}
+    assert {row["breach"] for row in mine if row["breach"]} == set(Breach) - {Breach.MODE}
+    kinds = Counter(row["kind"] for row in mine)
+    assert min(kinds[Kind.CLEAN], kinds[Kind.RECOVERABLE]) >= 3
 
 
 def test_force_and_speed_are_seen_within_five_ticks(rows: list[dict[str, str]]) -> None:
