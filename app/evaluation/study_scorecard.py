@@ -183,7 +183,7 @@ class _Commands:
         self.told.append(None if runner.session is None else runner.session.run.previous)
         if len(self.told) == self.estop_at:
             runner.estop("supervisor")
-            if not cell.plant.drives.powered:  # no command reaches anything from here on
+            if not cell.powered:  # no command reaches anything from here on
                 self.told.append(None)
 
 

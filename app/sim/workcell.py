@@ -204,6 +204,11 @@ class Workcell:
         if category < 2:  # category 2 keeps power
             self.plant.cut_power()
 
+    @property
+    def powered(self) -> bool:
+        """Return whether the drives have power."""
+        return self.plant.drives.powered
+
     def reset(self) -> None:
         """Give power back with everything held where it is now."""
         self.plant.give_power()
