@@ -55,7 +55,10 @@ def verify(
     for problem in found.telemetry:
         say_error(problem)
     say(f"{log.size} events, root {log.root}: every byte of theirs is as it was signed")
-    say("not compared: what else is kept beside them (settings, uses of grants, idempotency keys), which nobody signs")
+    say(
+        "not compared: what else is kept beside them, which nobody signs (settings, versions of policy, used permits, "
+        "how far cells have reported, uses of grants, idempotency keys)"
+    )
     if not found.ok:
         raise typer.Exit(FINDING)
 

@@ -317,7 +317,7 @@ class Desk(Questions):
             if cursor is None:
                 break
         for known in self.register.live():
-            events = await events_of(self.register.store, known.id)
+            events = await events_of(self.register.store, invocation=known.id)
             said = nothing_said()
             follow(events, said)
             for question in questions_of(events):

@@ -24,6 +24,7 @@ from app.protocol import BEAT_MS, LEASE_MS, Estop, Human, Launch, Policy, Protoc
 from app.runtime.cells import FRESH_S, Cell, Reunion, read_world
 from app.runtime.errors import Conflict, NotFound
 from app.runtime.link import DEAD_S, SILENT_S, TRY_LATER, Attachment
+from app.runtime.recollection import events_of
 from app.runtime.screens import Screens
 from app.runtime.uncut import uncut
 
@@ -529,9 +530,22 @@ class Fleet:
             name, _, cell_id = row["name"].partition("/")
             if (cell := self._cells.get(cell_id)) is not None:
                 cell.recall(name, orjson.loads(row["value"]))
+        await self._believe_the_log()
         for invocation in self._register.live():
             if invocation.status in SESSION and invocation.cell in self._cells:
                 self._cells[invocation.cell].claim = invocation.id
+
+    async def _believe_the_log(self) -> None:
+        """Put every cell under the profile that was chosen for it last, whatever its row says."""
+        chosen: dict[str, str] = {}
+        for event in await events_of(self._register.store, kind=EventKind.PROFILE_CHANGED):
+            body: dict[str, Any] = event.payload()
+            chosen[body["cell"]] = body["profile"]
+        for cell in self._cells.values():
+            profile = chosen.get(cell.id, self._default_profile)
+            if cell.profile != profile:
+                self._register.unfounded[f"profile/{cell.id}"] = f"its row says `{cell.profile}`"
+                cell.profile = profile
 
     # -- keeping on --------------------------------------------------------------------------------------------------
 

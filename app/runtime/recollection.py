@@ -1,7 +1,8 @@
 """What an earlier run of the server left open, as the log has it.
 
-Rows are state that nobody signs, and from them follows what is launched, and who still has to be asked. So whatever the
-log states of an open invocation and of its question is taken from the log. A row that says otherwise changes nothing.
+Rows are state that nobody signs, and from them follows what is launched, who still has to be asked, and what decides.
+So whatever the log states of an open invocation, of its question, of the policy in force and of a cell's profile is
+taken from the log. A row that says otherwise changes nothing.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ if TYPE_CHECKING:
 PAGE: Final = 500
 
 
-async def events_of(store: AuditStore, invocation: str) -> list[Event]:
-    """Return everything that the log says of an invocation, in order."""
+async def events_of(store: AuditStore, *, invocation: str | None = None, kind: str | None = None) -> list[Event]:
+    """Return everything that the log says of an invocation, or with one kind of event, in order."""
     found: list[Event] = []
-    while page := await store.events(invocation=invocation, after=found[-1].seq if found else 0, limit=PAGE):
+    while page := await store.events(invocation=invocation, kind=kind, after=found[-1].seq if found else 0, limit=PAGE):
         found += page
     return found
 

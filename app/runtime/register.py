@@ -47,7 +47,7 @@ class Register:
         self._wall_s = wall_s
         self._live: dict[str, Entry] = {}
         self._unsaid: list[EventDraft] = []  # what the record could not take yet
-        self.unfounded: dict[str, str] = {}  # open by their rows, which say something else than the log: what, by id
+        self.unfounded: dict[str, str] = {}  # rows that said, at the start, something else than the log: what
         self.on_final: Callable[[Invocation], None] = lambda _: None
         self.on_ending: Callable[[Invocation], tuple[EventDraft, RowWrite, Callable[[], None]] | None] = lambda _: None
         self.on_shown: Callable[[Invocation], None] = lambda _: None
@@ -79,7 +79,7 @@ class Register:
         while True:
             page = await self.store.page("invocations", {"status": UNFINISHED}, limit=500, cursor=cursor)
             for row in page.items:
-                invocation, wrong = invocation_of(row, await events_of(self.store, row["id"]))
+                invocation, wrong = invocation_of(row, await events_of(self.store, invocation=row["id"]))
                 if wrong:
                     self.unfounded[row["id"]] = wrong
                 if invocation is not None and not invocation.final:

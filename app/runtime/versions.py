@@ -31,6 +31,7 @@ from app.runtime.drafts import SERVER
 from app.runtime.errors import Conflict, ExaminationFailed, NotFound
 from app.runtime.examining import Candidate
 from app.runtime.proving import Proving
+from app.runtime.recollection import events_of
 from app.runtime.uncut import uncut
 from app.runtime.version import (
     ACTIVE,
@@ -343,9 +344,17 @@ class Versions:
         return drafts, [*rows, self.in_force.row(now)]
 
     async def _before(self) -> InForce | None:
-        for row in await self._register.store.rows("settings", {"name": SETTING}):
-            return InForce(**orjson.loads(row["value"]))
-        return None
+        """Return what was in force when the server ended: what the log says was activated last."""
+        store = self._register.store
+        rows = await store.rows("settings", {"name": SETTING})
+        kept = InForce(**orjson.loads(rows[0]["value"])) if rows else None
+        said = await events_of(store, kind=EventKind.POLICY_ACTIVATED)
+        body: dict[str, Any] = dict(said[-1].payload()) if said else {}
+        told = InForce(body["policy_version"], body["source"], body["why"]) if said else None
+        if (kept and kept[:2]) == (told and told[:2]):
+            return kept
+        self._register.unfounded[SETTING] = "its row is not the policy that was activated last"
+        return told
 
     async def _known(self, policy: PolicySet, now: str) -> tuple[Version, bool]:
         """Return the version of the directory this server starts with, and whether it was known before."""

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.anyio
 
 
 def question(name: str = "esc_1", status: str = "pending", **changes: Any) -> dict[str, Any]:
-    return {"id": name, "status": status, "needed": 1, "updated_at": TIME, **changes}
+    return {"id": name, "status": status, "needed": 1, "expires_at": None, "updated_at": TIME, **changes}
 
 
 def kept(table: str, said: dict[str, Any], **changes: Any) -> RowWrite:
@@ -74,6 +74,10 @@ async def test_a_session_that_goes_on_withdraws_its_question(store: AuditStore, 
     [
         (kept("escalations", question(needed=0)), "`needed` in the table `escalations` is not what event `1` says"),
         (kept("escalations", question(risk="low")), "`risk` in the table `escalations` is not what event `1` says"),
+        (
+            kept("escalations", question(), expires_at=TIME),
+            "the column `expires_at` of the table `escalations` is not what its document says",
+        ),
         (kept("escalations", question(), status="approved"), "the column of the table `escalations` says `approved`"),
         (
             kept("escalations", question(status="approved"), status="pending"),

@@ -15,7 +15,7 @@ from app.audit.places import Places
 from app.audit.store import AuditStore
 from app.runtime.errors import Conflict
 
-from .conftest import AGENT, CELL, OPERATOR, HandCell, House, grasp, navigate, until
+from .conftest import AGENT, CELL, ENGINEER, OPERATOR, HandCell, House, grasp, navigate, until
 
 pytestmark = pytest.mark.anyio
 
@@ -243,3 +243,20 @@ async def test_nothing_comes_of_a_row_that_the_log_does_not_know(house: House) -
         assert [known.id for known in second.register.live()] == [document["id"]]
         assert [question.id for question in second.desk.pending()] == [asked]
         assert list(second.register.unfounded) == ["forged"]
+
+
+@pytest.mark.parametrize("setting", ["policy_active", f"profile/{CELL}"])
+async def test_no_setting_that_was_changed_beside_the_log_decides(house: House, setting: str) -> None:
+    async with house.open() as first:
+        await HandCell(first).dial()
+        await first.governor.set_profile(CELL, "real-restricted", ENGINEER)
+    forged = orjson.dumps("sim-relaxed" if "/" in setting else {"digest": "sha256:0", "source": "request", "why": "?"})
+    with closing(sqlite3.connect(Places(house.folder).database)) as database, database:
+        values = forged, setting
+        assert database.execute("UPDATE settings SET value = ? WHERE name = ?", values).rowcount == 1
+    async with house.open() as second:
+        assert list(second.register.unfounded) == [setting]
+        assert second.kernel.policy.digest == house.policy.digest
+        assert second.fleet.profile(second.fleet.cell(CELL)) == "real-restricted"
+    async with house.open() as third:
+        assert third.fleet.profile(third.fleet.cell(CELL)) == "real-restricted"
