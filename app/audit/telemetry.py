@@ -237,19 +237,21 @@ class TelemetryWriter:
             self._dropped += count  # the session goes first; the loss is counted and stands in the record
 
     def _work(self, file: BinaryIO, channels: tuple[Channel, ...], start_wall_s: float) -> None:
+        closed = False
         try:
             with file:
                 tape = _Tape(file, channels, start_wall_s)
                 while (work := self._waiting.get()) is not None:
                     work(tape)
+                closed = True
                 tape.finish()
                 file.flush()
                 os.fsync(file.fileno())
                 self._counts = (tape.row_count, tape.event_count)
         except Exception as error:  # kept for `close`, which raises it
             self._error = error
-            while self._waiting.get() is not None:
-                continue
+            while not closed:
+                closed = self._waiting.get() is None
 
 
 class _Tape:
