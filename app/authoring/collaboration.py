@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-WALKING_MPS: Final = 1.6  # where a person's speed is not measured (5.5.4)
 TRANSIENT: Final = 2.0  # a short contact may have twice the force of a lasting one (Table A.2)
 
 

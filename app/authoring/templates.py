@@ -13,8 +13,9 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
-from app.authoring.collaboration import REGIONS, WALKING_MPS, Distances, contact_speed_mps, lasting_force_n
+from app.authoring.collaboration import REGIONS, Distances, contact_speed_mps, lasting_force_n
 from app.authoring.questions import Answers, Choice, Number, Question, Words, YesNo
+from app.governance.policy_model import WALKING_MPS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

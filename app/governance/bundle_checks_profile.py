@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final, cast
 
 from app.governance.model import Strategy
-from app.governance.policy_model import FAILURES, LIMIT_UNITS, NAMED_THRESHOLDS, SENSORS, SIGNAL_UNITS
+from app.governance.policy_model import FAILURES, LIMIT_UNITS, NAMED_THRESHOLDS, SENSORS, SIGNAL_UNITS, WALKING_MPS
 from app.governance.recovery import NEW_ATTEMPTS
 from app.governance.vocabulary import always_there, properties
 
@@ -33,6 +33,9 @@ def profile(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterato
         yield reader.problem(("profile",), f"`{shape.profile}` is reserved: rules of another origin go by that name")
     for name in shape.stale_after_ms:
         yield from reader.unknown(("stale_after_ms", name), "sensor", name, SENSORS)
+    if unlimited := [name for name in SENSORS if name not in shape.stale_after_ms]:
+        message = f"nothing says when {', '.join(f'`{name}`' for name in unlimited)} would count as silent"
+        yield reader.problem(("stale_after_ms",), message, ["an age in milliseconds for each sensor"])
     yield from _watch(reader, shape, known)
     yield from _shared(reader, shape, known)
     yield from _recovery(reader, shape, known)
@@ -60,6 +63,10 @@ def _shared(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterato
     """Where people work on the same floor, the distance to them is watched, whatever the robot is allowed to do."""
     if not shape.shared_floor:
         return
+    if shape.separation is not None and shape.separation.human_speed_mps < WALKING_MPS:
+        path = ("separation", "human_speed_mps")
+        message = f"people who share the floor walk faster than {shape.separation.human_speed_mps:g} m/s (ISO 13855)"
+        yield reader.problem(path, message, [f"{WALKING_MPS:g} or more"])
     watched: set[str] = set()
     for row in shape.watch:
         if row.signal == "separation_m" and row.below is not None:

@@ -59,6 +59,7 @@ FAILURES: Final = frozenset({
 })  # fmt: skip
 
 REFERENCES: Final = ("object", "target", "surface", "area", "corridor", "tool", "action")
+WALKING_MPS: Final = 1.6  # a person's, where no other speed was measured (ISO 13855; ISO/TS 15066, 5.5.4)
 SENSORS: Final = ("arm", "wrist", "gripper", "odometry", "fix", "people", "objects")
 ASKING: Final = frozenset({AuthorityMode.APPROVAL_REQUIRED, AuthorityMode.APPROVAL_ON_ESCALATION})
 

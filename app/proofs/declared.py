@@ -4,8 +4,8 @@ Decisions are compared by proof (`promises.order_holds`). Here is what no decisi
 
 | part | the stricter has |
 |---|---|
-| limits, retry budget, age of sensor data, deadline of an approval | no more |
-| sensitivity | no less |
+| limits, retry budget, age of sensor data, deadline of an approval, deceleration of the base | no more |
+| sensitivity, radius of the base, constants of the protective separation | no less |
 | rollback | one, where the wider one has |
 | `interrupt-enabled` | it, where the wider one has |
 | watching | for every signal that the wider one watches, a rule about as much that comes no later and does as much |
@@ -15,6 +15,7 @@ Thresholds of another kind (a number beside a computed distance) are not compare
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import TYPE_CHECKING, NamedTuple
 
 from app.governance.model import AuthorityMode, Intervention
@@ -38,6 +39,7 @@ def misplaced(strict: Profile, wide: Profile) -> Iterator[Misplaced]:
     """Yield what two profiles declare in the wrong order."""
     yield from _numbers(strict, wide)
     yield from _times(strict, wide)
+    yield from _distances(strict, wide)
     if strict.rollback == "optional" != wide.rollback:
         yield Misplaced(("rollback",), f"`rollback` is optional in {strict.name} and {wide.rollback} in {wide.name}")
     if AuthorityMode.INTERRUPT_ENABLED in wide.authority - strict.authority:
@@ -61,13 +63,30 @@ def _numbers(strict: Profile, wide: Profile) -> Iterator[Misplaced]:
 
 def _times(strict: Profile, wide: Profile) -> Iterator[Misplaced]:
     for name, age_ms in sorted(strict.stale_after_ms.items()):
-        if age_ms > wide.stale_after_ms.get(name, age_ms):
+        if age_ms > wide.stale_after_ms[name]:
             message = _said(f"stale_after_ms.{name}", (strict, wide), age_ms, wide.stale_after_ms[name])
             yield Misplaced(("stale_after_ms", name), message)
     mine, theirs = strict.approval, wide.approval
     if mine is not None and theirs is not None and mine.within_s > theirs.within_s:
         message = _said("within_s", (strict, wide), mine.within_s, theirs.within_s)
         yield Misplaced(("authority", "approval", "within_s"), message)
+
+
+def _distances(strict: Profile, wide: Profile) -> Iterator[Misplaced]:
+    """Yield what has the stricter profile keep less of a distance at the same speeds."""
+    both = strict, wide
+    if strict.base_deceleration_mps2 > wide.base_deceleration_mps2:
+        said = _said("base_deceleration_mps2", both, strict.base_deceleration_mps2, wide.base_deceleration_mps2)
+        yield Misplaced(("motion", "base_deceleration_mps2"), said)
+    if strict.base_radius_m < wide.base_radius_m:
+        said = _said("base_radius_m", both, strict.base_radius_m, wide.base_radius_m)
+        yield Misplaced(("motion", "base_radius_m"), said)
+    if strict.separation is None or wide.separation is None:
+        return
+    for part in fields(strict.separation):
+        mine, theirs = (getattr(one, part.name) for one in (strict.separation, wide.separation))
+        if mine < theirs:
+            yield Misplaced(("separation", part.name), _said(f"separation.{part.name}", both, mine, theirs))
 
 
 def _said(name: str, profiles: tuple[Profile, Profile], strict: float, wide: float) -> str:

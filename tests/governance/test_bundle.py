@@ -146,6 +146,11 @@ BROKEN = [
      "human-shared.yaml:14: limits.grip_force_n.max: a dead limit: `500` is above `140`, the most any parameter it "
      "holds may be; valid: `up to 140`"),
     ("unknown sensor", HUMAN, "stale_after_ms: {arm", "stale_after_ms: {leg", "sensor `leg`"),
+    ("a sensor that never counts as silent", HUMAN, "people: 400, ", "",
+     "nothing says when `people` would count as silent; valid: `an age in milliseconds for each sensor`"),
+    ("people who crawl", HUMAN, "human_speed_mps: 1.6", "human_speed_mps: 1.59",
+     "separation.human_speed_mps: people who share the floor walk faster than 1.59 m/s (ISO 13855); "
+     "valid: `1.6 or more`"),
     ("no list", HUMAN, "modes: [normal, careful]", "modes: normal", "expected a list, found `normal`"),
     ("no mapping", HUMAN, "motion: {base_deceleration_mps2: 1.0, base_radius_m: 0.45}", "motion: [1.0, 0.45]",
      "expected a mapping"),

@@ -23,6 +23,12 @@ WRONG: dict[str, tuple[dict[str, str], tuple[str | int, ...], str]] = {
     "older sensor data": (
         edited(HUMAN, "people: 400", "people: 401"), ("stale_after_ms", "people"),
         "`stale_after_ms.people` is 401 in human-shared and 400 in real-restricted"),
+    "a base that stops sooner": (
+        edited(HUMAN, "base_deceleration_mps2: 1.0", "base_deceleration_mps2: 1.1"), ("motion", "base_deceleration_mps2"),
+        "`base_deceleration_mps2` is 1.1 in human-shared and 1 in real-restricted"),
+    "a smaller base": (
+        edited(HUMAN, "base_radius_m: 0.45", "base_radius_m: 0.44"), ("motion", "base_radius_m"),
+        "`base_radius_m` is 0.44 in human-shared and 0.45 in real-restricted"),
     "no rollback": (
         edited(HUMAN, "rollback: required", "rollback: optional"), ("rollback",),
         "`rollback` is optional in human-shared and required in real-restricted"),
@@ -62,6 +68,15 @@ def test_what_is_declared_in_the_wrong_order_is_named(name: str) -> None:
     profiles = bundle.load_files({**files(), **changed}).profiles
     (found,) = misplaced(profiles["human-shared"], profiles["real-restricted"])
     assert (found.path, found.message) == (path, message)
+
+
+def test_a_shorter_protective_separation_is_named() -> None:
+    wide = bundle.load_files(files()).profiles["human-shared"]
+    strict = bundle.load_files({**files(), **edited(HUMAN, "intrusion_m: 0.2", "intrusion_m: 0.1")}).profiles[wide.name]
+    (found,) = misplaced(strict, wide)
+    assert found.path == ("separation", "intrusion_m")
+    assert found.message == "`separation.intrusion_m` is 0.1 in human-shared and 0.2 in human-shared"
+    assert list(misplaced(wide, strict)) == []
 
 
 RIGHT = {
