@@ -300,9 +300,9 @@ T_TESTS: Final[Mapping[str, float]] = {"RVDR": 32.75, "UCR": -27.48, "RSR": 12.9
 
 T_REMARK: Final = (
     "The t of RVDR and UCR do not follow from the means and deviations of its tables, in which RoboGuard-style does "
-    "not vary: they would be 68.5 and −56.1; and where neither side varies, as with RPC, there is no t. It does not "
-    "say which side it tests by Wilcoxon: with five seeds 1/32 = .031 is the least that a one-sided test can give, and "
-    "1/16 = .063 a two-sided one, so it was one-sided."
+    "not vary: they would be 68.5 and −56.1; and where neither side varies, as with RPC, there is no t. Its "
+    "Wilcoxon test is one-sided, like ours: 1/32 = .031 is the least that five seeds can give, as it says; two-sided "
+    "it would be 1/16 = .063."
 )
 """What a reader should know of the paper's tests."""
 

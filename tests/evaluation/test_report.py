@@ -410,6 +410,8 @@ def test_what_the_papers_own_numbers_do_not_give_is_worked_out_from_them() -> No
         assert other.std == 0.0
         t = (mine.mean - other.mean) / (mine.std / 5**0.5)
         assert number_text(t, 1) in published.T_REMARK
+    assert round(1 / 2**5, 3) == published.WILCOXON_P
+    assert "test is one-sided, like ours" in published.T_REMARK
     mine, direct = published.RECOVERY.rows["reins"][1][0], published.RECOVERY.rows["direct"][1][0]
     assert mine is not None
     assert mine.std is not None
