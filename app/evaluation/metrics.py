@@ -29,7 +29,7 @@ from app.sim.proportion import wilson
 Entry: TypeAlias = "dict[str, Any]"
 """`mean`, `std`, `per_seed` (seed as text → value), `n` (rows counted), `low`, `high`.
 
-What is no share has `pooled` as well: the same over the rows of all seeds together.
+What a tally gives has `pooled` as well: the same over the rows of all seeds together.
 """
 
 Summary: TypeAlias = Callable[[Sequence[float]], float]
@@ -254,10 +254,10 @@ METRICS: Final[Mapping[str, Metric]] = {
         ),
         Metric(
             "RBSR_ALL",
-            "Rollback success rate, all",
+            "Rollback success rate, all failures that were not recovered",
             "1",
             "higher",
-            "failures that did not reach the goal and ended in a verified rollback",
+            "failures that were not recovered, of every capability, that ended in a verified rollback",
             counted.rolled_back_of_all,
         ),
         Metric("MRT", "Mean recovery time", "s", "lower",
@@ -327,7 +327,8 @@ class Tally:
     def _share(self, name: str) -> Entry:
         counts = {seed: count for (mine, seed), count in self._counts.items() if mine == name}
         yes, n = (sum(count[place] for count in counts.values()) for place in (0, 1))
-        return entry({seed: part / of for seed, (part, of) in counts.items()}, n, wilson(yes, n) if n else None)
+        made = entry({seed: part / of for seed, (part, of) in counts.items()}, n, wilson(yes, n) if n else None)
+        return {**made, "pooled": yes / n if n else None}
 
     def _quantity(self, metric: Metric, summary: Summary) -> Entry:
         values = {seed: found for (mine, seed), found in self._values.items() if mine == metric.name}

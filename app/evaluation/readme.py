@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from app.evaluation.goals import TARGETS
 from app.evaluation.metrics import METRICS
 from app.evaluation.published import TABLES, Figure
+from app.evaluation.report_names import leaves_out
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -57,10 +58,13 @@ def _place(begin: str, end: str) -> re.Pattern[str]:
     return re.compile(f"{re.escape(begin)}.*?{re.escape(end)}", re.DOTALL)
 
 
+_OVER: Final = "mean ± standard deviation over seeds, the rest over the rows of all seeds together"
+
+
 def _lines(results: Results) -> Iterator[str]:
     seeds = ", ".join(map(str, results["seeds"]))
     each = "task and seed" if results.get("per_task") else "seed"
-    yield f"Protocol `{results['protocol']}`, seeds {seeds}, {results['trials']} trials for each {each}:"
+    yield f"Protocol `{results['protocol']}`, seeds {seeds}, {results['trials']} trials for each {each}; {_OVER}:"
     yield ""
     goals = results["protocol"] == "physical"
     yield "| metric | paper | Reins |" + (" goal |" if goals else "")
@@ -71,22 +75,28 @@ def _lines(results: Results) -> Iterator[str]:
         entry: Mapping[str, Any] = measured.get(metric) or {}
         if target.readme and entry.get("mean") is not None:
             told = _ours(entry) + (_beside(target, measured) if goals else "")
-            line = f"| {METRICS[metric].title} ({metric}) | {_paper(metric)} | {told} |"
+            title = f"{METRICS[metric].title} ({metric}){leaves_out(metric, results['protocol'])}"
+            line = f"| {title} | {_paper(metric)} | {told} |"
             yield line + (f" {target.text} |" if goals else "")
+
+
+_PRINTED_AS: Final = {"RBSR_ALL": "RBSR", "RBSR": ""}
+"""The paper's RBSR counts what has no rollback as well."""
 
 
 def _paper(metric: str) -> str:
     """Return what the paper prints for its framework; its ablation table says something else, and comes last."""
+    key = _PRINTED_AS.get(metric, metric)
     for table in TABLES:
         for place, column in enumerate(table.columns):
-            if column.key == metric and "reins" in table.rows and (figure := table.rows["reins"][1][place]) is not None:
-                return _text(figure) + (" (over all)" if metric == "RBSR" else "")
+            if column.key == key and "reins" in table.rows and (figure := table.rows["reins"][1][place]) is not None:
+                return _text(figure)
     return "–"
 
 
 def _ours(entry: Mapping[str, Any]) -> str:
     low, high = entry.get("low"), entry.get("high")
-    interval = "" if low is None or high is None else f" ({low:.3f}–{high:.3f})"
+    interval = "" if low is None or high is None else f" ({low:.3f}–{high:.3f}) of {entry['n']:,}"
     return _text(Figure(entry["mean"], entry.get("std"))) + interval
 
 
@@ -96,7 +106,7 @@ def _beside(target: Target, measured: Mapping[str, Any]) -> str:
         (name, measured.get(metric) or {}) for metric, name in target.beside.items()
     ]
     told = [
-        f"{name} –" if entry.get("mean") is None else f"{name} {entry['mean']:.3f} of {entry.get('n', 0)}"
+        f"{name} –" if entry.get("mean") is None else f"{name} {entry['pooled']:.3f} of {entry['n']:,}"
         for name, entry in found
     ]
     return f"; {', '.join(told)}" if any(entry.get("mean") is not None for _, entry in found) else ""

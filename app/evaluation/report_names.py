@@ -15,8 +15,10 @@ CALLED: Final = {"FAR": "FAS"}
 _ABBREVIATED: Final = frozenset(
     {"UAIR", "FRR", "ADL", "RVDR", "CEF", "UCR", "FAS", "RSR", "RBSR", "MRT", "RPC", "TSR", "TUR"}
 )
-_LEAVING_OUT: Final = frozenset({"UCR", "CEF"})
-_LEAVES_OUT: Final = ", without violations that policy only warns of"
+_LEAVES_OUT: Final = {
+    "RVDR": ", beyond the boundary band",
+    **dict.fromkeys(("UCR", "CEF"), ", without violations that policy only warns of"),
+}
 _OF_PROFILES: Final = frozenset({"RVDR_PEOPLE_PAUSING", "UCR_STRICT", "RSR_DONE"})
 
 
@@ -41,7 +43,12 @@ def name_of(name: str) -> str:
 def row_name(name: str, protocol: str) -> str:
     """Return what a metric's row is called: its title, its abbreviation if it has one, and what it leaves out."""
     title = METRICS[name].title + (f" ({name})" if name in _ABBREVIATED else "")
-    return title + (_LEAVES_OUT if name in _LEAVING_OUT and protocol != "paper" else "")
+    return title + leaves_out(name, protocol)
+
+
+def leaves_out(name: str, protocol: str) -> str:
+    """Return what a metric's name says of rows that it leaves out; the paper's protocol has none of them."""
+    return _LEAVES_OUT.get(name, "") if protocol != "paper" else ""
 
 
 def in_words(prose: str) -> str:

@@ -88,7 +88,7 @@ def _of_another_policy(table: PublishedTable, results: Results) -> bool:
 def _also(table: PublishedTable, results: Results) -> str:
     """Say what a reader should know of our numbers, of this protocol, before comparing."""
     if results.get("protocol") == "paper" and table is published.RECOVERY:
-        return "No time passes in this protocol, so it has no MRT of ours."
+        return f"{_nearest(results)}. No time passes in this protocol, so it has no MRT of ours."
     said = _ABOUT_OURS.get(table.label)
     return "" if said is None or results.get("protocol") != "physical" else said(results)
 
@@ -103,8 +103,24 @@ def _rows_of_reins(results: Results, metric: str) -> int:
     return mapping(mapping(mapping(results.get("methods")).get("reins")).get(metric)).get("n", 0)
 
 
+def _pooled_of_reins(results: Results, metric: str) -> str:
+    """Write the share of a metric of Reins, and the rows of all seeds that it is of."""
+    pooled = mapping(mapping(mapping(results.get("methods")).get("reins")).get(metric)).get("pooled")
+    return f"{DASH if pooled is None else number_text(pooled)} of {_rows_of_reins(results, metric):,}"
+
+
+def _nearest(results: Results) -> str:
+    """Say what our rate of rollbacks is over the rows that the paper's is of."""
+    return (
+        "Like the paper's, over all failures that were not recovered, whatever their capability, the RBSR of Reins is "
+        f"{_pooled_of_reins(results, 'RBSR_ALL')}"
+    )
+
+
 def _about_violations(results: Results) -> str:
     return (
+        f"Our RVDR is of the {_rows_of_reins(results, 'RVDR'):,} violations beyond the boundary band; within it, where "
+        f"sensor noise alone decides, Reins detects {_pooled_of_reins(results, 'RVDR_BOUNDARY')}. "
         "Our UCR and CEF leave out violations of which policy asks no more than a warning, for every method. "
         f"Counting each of those as unsafe, the UCR of Reins is {_of_reins(results, 'UCR_STRICT')}."
     )
@@ -112,12 +128,12 @@ def _about_violations(results: Results) -> str:
 
 def _about_recovery(results: Results) -> str:
     return (
-        "Our RBSR is of rollbacks after withdrawals, failures and violations; its parts stand among the goals. Nearer "
-        f"to the paper's is {_of_reins(results, 'RBSR_TRIED')} for Reins, over all rollbacks that were tried, capable "
-        f"or not, and {_of_reins(results, 'RBSR_ALL')} over the {_rows_of_reins(results, 'RBSR_ALL')} failures that "
-        "were not recovered. Our MRT is simulated seconds, in which a body had to move; it runs from the first "
-        "recovery step to the end of the session, the rest of the task included, and is of each method's own "
-        "successes: compared over the same trials it stands under recovery times."
+        "Our RBSR is of rollbacks after withdrawals, failures and violations; its parts stand among the goals. "
+        f"{_nearest(results)}; over all rollbacks that were tried, capable or not, whatever for, it is "
+        f"{_pooled_of_reins(results, 'RBSR_TRIED')}; {_rows_of_reins(results, 'RBSR'):,} were capable. Our MRT is "
+        "simulated seconds, in which a body had to move; it runs from the first recovery step to the end of the "
+        "session, the rest of the task included, and is of each method's own successes: compared over the same trials "
+        "it stands under recovery times."
     )
 
 
@@ -359,7 +375,7 @@ def _cells(
     for column, figure in zip(table.columns, figures, strict=True):
         ours = _ours(table, results, row, column.key)
         difference = DASH
-        if alike and ours is not None and figure is not None:
+        if alike and column.alike and ours is not None and figure is not None:
             difference = _signed(ours.mean - figure.mean, column.decimals)
         yield figure_text(ours, column.decimals), figure_text(figure, column.decimals), difference
 

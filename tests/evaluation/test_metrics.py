@@ -181,7 +181,7 @@ def test_seeds_are_summed_up_one_by_one() -> None:
     assert found["per_seed"] == {"1": 1.0, "2": 0.5}
     assert found["mean"] == 0.75
     assert found["std"] == pytest.approx(0.5 / 2**0.5)
-    assert found["n"] == 4
+    assert (found["n"], found["pooled"]) == (4, 0.75)
     assert (found["low"], found["high"]) == wilson(3, 4)
 
 
