@@ -134,6 +134,8 @@ def evaluate(  # noqa: PLR0913  # its options
             under=_under(protocol, sensor_noise, tracker_dropout, fault_size, walks),
             readme=readme,
         )
+        if readme is not None:
+            _check_reported(request)
     except (UnknownName, PluginError, ValueError) as error:
         say_error(str(error))
         raise typer.Exit(MISUSE) from error
@@ -208,6 +210,34 @@ def _request(  # noqa: PLR0913  # the command's options
         else (),
         under=under,
     )
+
+
+def _check_reported(request: Request) -> None:
+    """Refuse to write into the README what it would quote as the reported figures, and is not.
+
+    Raises:
+        ValueError: the rows of Reins would be others than those that are reported, or there would be none.
+    """
+    from app.evaluation.methods import REINS
+    from app.evaluation.model import SEEDS
+    from app.evaluation.protocols import find_protocol
+
+    trials = getattr(find_protocol(request.protocol), "TRIALS", _TRIALS)
+    seeds, reported = (",".join(map(str, one)) for one in (request.seeds, SEEDS))
+    others = {
+        "--long": request.long,
+        f"--tasks `{','.join(request.tasks)}`": bool(request.tasks),
+        f"--seeds `{seeds}`": seeds != reported,
+        f"--trials `{request.trials}`": request.trials != trials,
+        f"--methods `{','.join(request.methods)}`": REINS.name not in request.methods,
+        f"--policies `{request.policies}`": request.policies != find_policies(None),
+    }
+    if any(others.values()):
+        raise ValueError(
+            f"--readme with {', '.join(name for name, other in others.items() if other)}: the README quotes the "
+            f"reported configuration; valid is method `{REINS.name}`, alone or with others, seeds {reported}, {trials} "
+            "trials and the policy that is in place, without --long and --tasks"
+        )
 
 
 def _long_trials(protocol: str, seeds: tuple[int, ...], trials: int | None) -> int:

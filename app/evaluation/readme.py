@@ -20,19 +20,22 @@ Results = Mapping[str, Any]
 
 
 class ReadmeError(Exception):
-    """A file without a place for the table."""
+    """A file without a place for the table, or results without a figure for it."""
 
 
 def refresh(path: Path, results: Results) -> None:
     """Put the table of a protocol into a file, between `<!-- evaluate:NAME -->` and `<!-- /evaluate:NAME -->`.
 
     Raises:
-        ReadmeError: the file has no such comments.
+        ReadmeError: the file has no such comments, or nothing was measured that its table shows.
         OSError: it cannot be read or written.
     """
     begin, end = _comments(results["protocol"])
     text = check_place(path, results["protocol"])
-    block = "\n".join([begin, *_lines(results), end])
+    rows = [*_rows(results)]
+    if not rows:
+        raise ReadmeError(f"`{path}` stays as it is: valid are results with figures of Reins, these have none")
+    block = "\n".join([begin, *_head(results), *rows, end])
     path.write_text(_place(begin, end).sub(lambda _: block, text, count=1), encoding="utf-8")
 
 
@@ -61,14 +64,22 @@ def _place(begin: str, end: str) -> re.Pattern[str]:
 _OVER: Final = "mean ± standard deviation over seeds, the rest over the rows of all seeds together"
 
 
-def _lines(results: Results) -> Iterator[str]:
+def _head(results: Results) -> Iterator[str]:
     seeds = ", ".join(map(str, results["seeds"]))
     each = "task and seed" if results.get("per_task") else "seed"
     yield f"Protocol `{results['protocol']}`, seeds {seeds}, {results['trials']} trials for each {each}; {_OVER}:"
     yield ""
-    goals = results["protocol"] == "physical"
+    goals = _has_goals(results)
     yield "| metric | paper | Reins |" + (" goal |" if goals else "")
     yield "|---|---|---|" + ("---|" if goals else "")
+
+
+def _has_goals(results: Results) -> bool:
+    return results["protocol"] == "physical"
+
+
+def _rows(results: Results) -> Iterator[str]:
+    goals = _has_goals(results)
     measured: Mapping[str, Any] = results.get("methods", {}).get("reins", {})
     for target in TARGETS:
         metric = target.metric

@@ -130,6 +130,62 @@ def test_help_teaches_by_example() -> None:
     assert "--fresh" in text
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--protocol", "physical", "--seeds", "7"], "--seeds `7`"),
+        (["--protocol", "paper", "--seeds", "42,123,456,789"], "--seeds `42,123,456,789`"),
+        (["--protocol", "paper", "--methods", "direct"], "--methods `direct`"),
+        (["--protocol", "paper", "--trials", "200"], "--trials `200`"),
+        (["--protocol", "physical", "--trials", "0", "--studies", "drift"], "--trials `0`"),
+        (["--protocol", "physical", "--tasks", "sorting", "--trials", "200"], "--tasks `sorting`"),
+        (["--protocol", "physical", "--long", "--trials", "1000"], "--long, --trials `1000`"),
+        (
+            ["--protocol", "physical", "--methods", "reins", "--seeds", "7", "--trials", "0", "--studies", "drift"],
+            "--seeds `7`, --trials `0`",
+        ),
+    ],
+)
+def test_what_is_not_the_reported_configuration_is_kept_out_of_the_readme(
+    words: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cli_evaluate, "_run", never)
+    code, text = evaluate(*words, "--readme", str(tmp_path / "README.md"), out=tmp_path)
+    assert code == 2
+    assert f"--readme with {said}: the README quotes the reported configuration" in text
+
+
+def test_another_policy_is_kept_out_of_the_readme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cli_evaluate, "_run", never)
+    policies = shutil.copytree("policies", tmp_path / "policies")
+    code, text = evaluate("--policies", str(policies), "--readme", str(tmp_path / "README.md"), out=tmp_path)
+    assert code == 2
+    assert f"--readme with --policies `{policies}`" in text
+
+
+def never(*_words: object, **_others: object) -> int:
+    raise AssertionError("nothing may be run")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--protocol", "paper"],
+        ["--protocol", "physical", "--methods", "all", "--trials", "200", "--studies", "all"],
+        ["--protocol", "physical", "--methods", "direct,reins", "--seeds", "42,123,456,789,1024"],
+    ],
+)
+def test_the_reported_configuration_goes_into_the_readme(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def run(*_words: object, **_others: object) -> int:
+        return 0
+
+    monkeypatch.setattr(cli_evaluate, "_run", run)
+    code, text = evaluate(*words, "--readme", str(tmp_path / "README.md"), out=tmp_path)
+    assert code == 0, text
+
+
 @pytest.mark.parametrize(("place", "why"), [("file", "file exists"), ("file/deep/campaign", "not a directory")])
 def test_a_folder_that_cannot_be_written_is_named_before_anything_is_run(place: str, why: str, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("kept")

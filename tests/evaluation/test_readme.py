@@ -73,6 +73,14 @@ def test_the_papers_rate_of_rollbacks_stands_beside_ours_over_all(tmp_path: Path
         assert f"(RBSR_ALL) | 0.533 ± 0.032 | 0.630 ± 0.014 (0.618–0.641) of 6,502 |{goal}\n" in file.read_text("utf-8")
 
 
+def test_results_without_a_figure_leave_the_table_as_it_is(tmp_path: Path) -> None:
+    file = tmp_path / "README.md"
+    file.write_text("<!-- evaluate:physical -->\nkept\n<!-- /evaluate:physical -->\n", encoding="utf-8")
+    with pytest.raises(ReadmeError, match="stays as it is"):
+        refresh(file, RESULTS | {"methods": {"direct": RESULTS["methods"]}})
+    assert "kept" in file.read_text(encoding="utf-8")
+
+
 def test_a_file_without_a_place_stays_as_it_is(tmp_path: Path) -> None:
     file = tmp_path / "README.md"
     file.write_text("<!-- evaluate:paper -->\n<!-- /evaluate:paper -->\n", encoding="utf-8")
