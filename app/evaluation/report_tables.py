@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 from app.evaluation import published
 from app.evaluation.counted import HULL_M
+from app.evaluation.methods import SECOND_PASS
 from app.evaluation.metrics import METRICS
 from app.evaluation.report_names import BETTER, CALLED, decimals_of, heading_of, measured_as, metrics_of, title_of
 
@@ -87,10 +88,8 @@ def _of_another_policy(table: PublishedTable, results: Results) -> bool:
 
 def _also(table: PublishedTable, results: Results) -> str:
     """Say what a reader should know of our numbers, of this protocol, before comparing."""
-    if results.get("protocol") == "paper" and table is published.RECOVERY:
-        return f"{_nearest(results)}. No time passes in this protocol, so it has no MRT of ours."
-    said = _ABOUT_OURS.get(table.label)
-    return "" if said is None or results.get("protocol") != "physical" else said(results)
+    said = _ABOUT_OURS.get(str(results.get("protocol")), {}).get(table.label)
+    return "" if said is None else said(results)
 
 
 def _of_reins(results: Results, metric: str) -> str:
@@ -114,6 +113,32 @@ def _nearest(results: Results) -> str:
     return (
         "Like the paper's, over all failures that were not recovered, whatever their capability, the RBSR of Reins is "
         f"{_pooled_of_reins(results, 'RBSR_ALL')}"
+    )
+
+
+def _about_internal(results: Results) -> str:
+    if not has_mean(mapping(mapping(results.get("methods")).get("capability-internal")), "RVDR"):
+        return ""
+    return (
+        "What a capability notices by itself here, contact force and a lost grip, is two of the six types, which are "
+        "drawn evenly, and is seen with the same odds s as the watcher's, .6 in the mean of the shipped profiles: .2 "
+        "is what that can give. What the paper's .351 is of it does not say."
+    )
+
+
+def _about_untimed(results: Results) -> str:
+    return f"{_nearest(results)}. No time passes in this protocol, so it has no MRT of ours."
+
+
+def _about_second_pass(results: Results) -> str:
+    rate = mean_of(mapping(mapping(mapping(results.get("methods")).get("roboguard-style")).get("FRR")))
+    if rate is None:
+        return ""
+    return (
+        f"RoboGuard-style refuses {number_text(rate)} of the authorized proposals here, by its second pass: that "
+        f"refuses above {SECOND_PASS:g} of a limit, and authorized speeds and forces are drawn at 0.5 to 1 of theirs, "
+        "all of which policy allows. How close to its limits the paper's requests come it does not say; those of "
+        "protocol paper stay below 0.8, where the pass refuses none."
     )
 
 
@@ -160,12 +185,19 @@ def _about_sweep(_: Results) -> str:
     return f"{SWEPT} {UNLIKE} Ours begins at 0.1, and has no failures to recover from, so it has no RSR."
 
 
-_ABOUT_OURS: Final[Mapping[str, Callable[[Results], str]]] = {
-    published.VIOLATION.label: _about_violations,
-    published.RECOVERY.label: _about_recovery,
-    published.PER_TYPE.label: _about_types,
-    published.ABLATION.label: _about_ablations,
-    published.SENSITIVITY.label: _about_sweep,
+_ABOUT_OURS: Final[Mapping[str, Mapping[str, Callable[[Results], str]]]] = {
+    "paper": {
+        published.VIOLATION.label: _about_internal,
+        published.RECOVERY.label: _about_untimed,
+    },
+    "physical": {
+        published.INTERCEPTION.label: _about_second_pass,
+        published.VIOLATION.label: _about_violations,
+        published.RECOVERY.label: _about_recovery,
+        published.PER_TYPE.label: _about_types,
+        published.ABLATION.label: _about_ablations,
+        published.SENSITIVITY.label: _about_sweep,
+    },
 }
 
 SWEPT: Final = (

@@ -398,6 +398,21 @@ def test_the_strict_rate_of_unsafe_continuation_stands_under_the_papers_table() 
     assert "the UCR of Reins is 0.106" in paper_grid(published.VIOLATION, document).remark
 
 
+def test_why_a_baseline_is_other_than_the_papers_stands_under_its_table() -> None:
+    document: dict[str, Any] = results() | {"protocol": "physical"}
+    document["methods"]["roboguard-style"]["FRR"] = {"mean": 0.344}
+    remark = paper_grid(published.INTERCEPTION, document).remark
+    assert "RoboGuard-style refuses 0.344 of the authorized proposals here, by its second pass" in remark
+    assert "above 0.875 of a limit" in remark
+    assert paper_grid(published.INTERCEPTION, results()).remark == ""
+    assert ".2 is what that can give" in paper_grid(published.VIOLATION, results()).remark
+    assert ".2 is what that can give" not in paper_grid(published.VIOLATION, document).remark
+    for protocol in ("paper", "physical"):
+        bare: dict[str, Any] = {"protocol": protocol, "methods": {"reins": {}}}
+        assert not re.search("RoboGuard|by itself", paper_grid(published.INTERCEPTION, bare).remark)
+        assert "by itself" not in paper_grid(published.VIOLATION, bare).remark
+
+
 def test_how_many_violations_are_within_the_boundary_band_stands_under_the_papers_table() -> None:
     document: dict[str, Any] = results() | {"protocol": "physical"}
     document["methods"]["reins"] |= {"RVDR": {"n": 225}, "RVDR_BOUNDARY": {"mean": 0.95, "pooled": 0.9, "n": 10}}
