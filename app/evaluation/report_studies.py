@@ -20,19 +20,21 @@ def study_grids(results: Results) -> Iterator[tuple[str, str, str, tuple[Grid, .
     """Yield, for every study that was run, its name, title, what it is about, and its tables."""
     studies: Mapping[str, Mapping[str, Any]] = results.get("studies", {})
     for name, study in studies.items():
-        about = study["about"]
-        if name == "sensors":
-            about = " ".join(text for text in (about, _NOT_ASKED, cameras_text(results)) if text)
+        cameras = cameras_text(results) if name == "sensors" else ""
+        about = " ".join(text for text in (study["about"], _NOT_ASKED.get(name, ""), cameras) if text)
         yield name, study["title"], about, tuple(
             _grid(name, number, table) for number, table in enumerate(study["tables"])
         )  # fmt: skip
 
 
-_NOT_ASKED: Final = (
-    "Not asked: a tracker that is wrong by a constant before anybody is in view is not noticed, since nothing else "
-    "sees people, and here somebody is in view when it breaks; what sticks while nothing is told to move is noticed "
-    "when something is."
-)
+_NOT_ASKED: Final = {
+    "sensors": "Not asked: a tracker that is wrong by a constant before anybody is in view is not noticed, since "
+    "nothing else sees people, and here somebody is in view when it breaks; what sticks while nothing is told to move "
+    "is noticed when something is.",
+    "supervisors": "Only what is midway is executed. Approvals before a launch are computed: policy says of a proposal "
+    "how many have to approve it and how long it waits, answers are drawn, and from them follow the table's shares; no "
+    "proposal waits at a desk there, and nothing is launched.",
+}
 _KINDS: Final = {"noisy": "garbage"}
 
 

@@ -317,6 +317,14 @@ def test_cameras_that_are_wrong_are_told_of_by_what_was_measured() -> None:
     assert about.endswith("what sticks while nothing is told to move is noticed when something is.")
 
 
+def test_what_is_computed_is_not_said_to_have_been_run() -> None:
+    study: dict[str, Any] = {"title": "t", "about": "About.", "tables": []}
+    studies = dict.fromkeys(("supervisors", "drift"), study)
+    told = {name: about for name, _, about, _ in study_grids(results() | {"studies": studies})}
+    assert told["supervisors"].startswith("About. Only what is midway is executed. Approvals before a launch are comp")
+    assert told["drift"] == "About."
+
+
 def test_broken_sensors_are_judged_by_kind_and_those_that_miss_are_named() -> None:
     ways = {
         "arm/stale": (1.0, 70),
