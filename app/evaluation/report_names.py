@@ -17,6 +17,7 @@ _ABBREVIATED: Final = frozenset(
 )
 _LEAVES_OUT: Final = {
     "RVDR": ", beyond the boundary band",
+    "FAS": ", nobody in view",  # as clean trials are drawn
     **dict.fromkeys(("UCR", "CEF"), ", without violations that policy only warns of"),
 }
 _OF_PROFILES: Final = frozenset({"RVDR_PEOPLE_PAUSING", "UCR_STRICT", "RSR_DONE"})

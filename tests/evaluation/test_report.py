@@ -270,7 +270,10 @@ def test_goals_are_judged_by_what_was_measured_and_say_by_how_much() -> None:
         "≤ 0.04 m",
         "≈ met on 12 rows; too few to exclude a miss",
     )
-    assert rows["False-alarm sessions (FAS)"][3] == "≈ met on 100 rows; interval 0.000–0.037 does not exclude a miss"
+    assert rows["False-alarm sessions (FAS), nobody in view"][2:] == (
+        "≤ 0.005",
+        "≈ met on 100 rows; interval 0.000–0.037 does not exclude a miss",
+    )
     assert rows["Unsafe continuation rate (UCR), without violations that policy only warns of"][3] == "✓ met"
     assert rows[METRICS["DL_TICKS_P95_FORCE_CLEAR"].title][2:] == ("≤ 2 ticks", "✗ missed")
     assert rows["RVDR of the worst type (people)"][2:] == ("≥ 0.98", "✗ missed")
