@@ -1,20 +1,27 @@
-"""Each detector earns its place: with it the violation it is for is seen in time, and taken out it is not."""
+"""Each detector earns its place: with it the violation it is for is seen in time, and taken out it is not.
+
+Once a detector is out, an alert of any other counts, whatever it is about: what is asked is whether anything at all
+would have noticed. Where another does as well, that is a test here too: those detectors are redundant in these trials.
+"""
 
 from __future__ import annotations
 
 from functools import cache
+from math import inf
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from app.evaluation.counted import WARNINGS
 from app.evaluation.draws import INTO_NEAR_M, Drawing, of_type
-from app.evaluation.methods import ABLATIONS, METHODS
+from app.evaluation.methods import ABLATIONS, METHODS, REINS
 from app.evaluation.metrics import measure
 from app.evaluation.model import TUNING_SEEDS, Row, Violation
-from app.evaluation.physical_rows import SIGNALS, Class
-from app.evaluation.physical_trial import Change, Trial, twinned
-from app.governance.model import Intervention
+from app.evaluation.physical_rows import SIGNALS, UNLOOKED, Class, row
+from app.evaluation.physical_trial import Trial, run, twinned
+from app.evaluation.truth import SLACK_TICKS
+from app.governance.model import EventKind, Intervention
 from app.governance.watcher import without
 from app.sim.world import CRATE_HALF_M
 from tests.evaluation.physical_world import bench, ran, shown, watched
@@ -24,6 +31,8 @@ SEED = TUNING_SEEDS[3]
 COUNT = 2
 SEEN = 1.0
 LOST = 0.25
+PROMPT_TICKS = 5  # what the goals ask of force and speed
+IN_TIME_TICKS = SLACK_TICKS  # whoever is told later has acted under it for too long
 
 
 @cache
@@ -45,8 +54,27 @@ def acts(one: Trial, violation: Violation) -> bool:
     return any(rule.response.enter is not Intervention.CONTINUE for rule in rules)
 
 
-def blind(violation: Violation) -> Change:
-    return lambda plan: without(plan, *sorted(SIGNALS[violation]))
+class Watched(NamedTuple):
+    """A trial some of whose detectors may be out: its row, and ticks from the onset to the first alert of any kind."""
+
+    row: Row
+    late: float
+
+    @property
+    def seen(self) -> bool:
+        return self.late <= IN_TIME_TICKS
+
+
+def blind(one: Trial, *taken_out: str) -> Watched:
+    under = run(bench(), one, (REINS,), change=lambda plan: without(plan, *taken_out))[REINS.name]
+    done = under.execution
+    assert done is not None
+    assert one.drawn.violation is not None
+    alarms = [entry.tick for entry in done.of(EventKind.ALERT) if str(entry.body["signal"]) not in UNLOOKED]
+    onset = done.truth.tracks[one.drawn.violation].onset
+    # What never came about was seen in time by whatever alarmed.
+    late = inf if not alarms else -inf if onset is None else alarms[0] - done.entries[0].tick - onset
+    return Watched(row(shipped(), one, REINS, under), late)
 
 
 @cache
@@ -55,8 +83,8 @@ def governed(violation: Violation) -> tuple[Row, ...]:
 
 
 @cache
-def blinded(violation: Violation) -> tuple[Row, ...]:
-    return tuple(ran(one, change=blind(violation)) for one in trials(violation))
+def blinded(violation: Violation) -> tuple[Watched, ...]:
+    return tuple(blind(one, *sorted(SIGNALS[violation])) for one in trials(violation))
 
 
 def mean(rows: tuple[Row, ...], metric: str) -> float:
@@ -67,15 +95,16 @@ def mean(rows: tuple[Row, ...], metric: str) -> float:
 
 
 @pytest.mark.parametrize("violation", list(Violation))
-def test_a_violation_is_seen_and_taken_out_its_detector_it_is_not(violation: Violation) -> None:
-    name = f"RVDR_{violation.name}"
-    assert mean(governed(violation), name) >= SEEN
-    assert mean(blinded(violation), name) <= LOST
+def test_a_violation_is_seen_and_without_its_detectors_nothing_else_alarms_in_time(violation: Violation) -> None:
+    assert mean(governed(violation), f"RVDR_{violation.name}") >= SEEN
+    found = [one.seen for one in blinded(violation)]
+    assert sum(found) / len(found) <= LOST
 
 
 @pytest.mark.parametrize("violation", list(Violation))
 def test_going_on_under_it_becomes_more_frequent_without_the_detector(violation: Violation) -> None:
-    with_it, without_it = mean(governed(violation), "UCR"), mean(blinded(violation), "UCR")
+    with_it = mean(governed(violation), "UCR")
+    without_it = mean(tuple(one.row for one in blinded(violation)), "UCR")
     assert with_it <= LOST
     assert without_it > with_it
 
@@ -110,42 +139,38 @@ def met(low_m: float, high_m: float) -> tuple[Trial, ...]:
     return tuple(found)
 
 
-def seen(one: Trial, *taken_out: str) -> bool:
-    return bool(ran(one, change=lambda plan: without(plan, *taken_out))["detected"])
-
-
 def test_what_meets_the_arm_above_the_wrist_is_seen_by_the_residual_alone() -> None:
     for one in met(1.15, 1.25):
-        assert seen(one, "contact_force_n")
-        assert not seen(one, "residual_nm")
+        assert not blind(one, "contact_force_n").row["unsafe"]
+        pressed_on = blind(one, "residual_nm")
+        assert not pressed_on.seen
+        assert pressed_on.row["unsafe"]
 
 
-def test_what_meets_the_hand_goes_unseen_once_both_detectors_of_contact_are_out() -> None:
+def test_contact_force_is_redundant_to_the_residual_at_the_hand_and_without_both_what_is_left_tells_too_late() -> None:
     for one in met(0.93, 1.05):
-        assert seen(one)
-        assert not seen(one, "contact_force_n", "residual_nm")
-
-
-def test_an_arm_that_presses_on_does_so_only_where_no_detector_of_contact_is_left() -> None:
-    for one in met(1.15, 1.25):
-        assert not ran(one)["unsafe"]
-        assert ran(one, change=lambda plan: without(plan, "contact_force_n", "residual_nm"))["unsafe"]
+        for taken_out in (("contact_force_n",), ("residual_nm",)):
+            backed = blind(one, *taken_out)
+            assert backed.late <= PROMPT_TICKS
+            assert not backed.row["unsafe"]
+        left = blind(one, "contact_force_n", "residual_nm")
+        # The arm falls behind what it is told, and that is noticed as well, once it has lasted.
+        assert left.late > PROMPT_TICKS
+        assert left.row["unsafe"]
 
 
 @pytest.mark.parametrize(
-    ("violation", "capability", "taken_out"),
+    ("violation", "capability", "signal"),
     [
-        (Violation.FORCE, "transport_object", ("grip_force_n",)),
-        (Violation.SPEED, "grasp_object", ("tcp_speed_mps",)),
-        (Violation.SPEED, "navigate_to", ("base_speed_mps",)),
+        (Violation.FORCE, "transport_object", "grip_force_n"),
+        (Violation.SPEED, "grasp_object", "tcp_speed_mps"),
+        (Violation.SPEED, "navigate_to", "base_speed_mps"),
     ],
 )
-def test_each_detector_is_the_only_one_for_what_it_sees(
-    violation: Violation, capability: str, taken_out: tuple[str, ...]
-) -> None:
+def test_each_detector_is_the_only_one_for_what_it_sees(violation: Violation, capability: str, signal: str) -> None:
     one = first_of(violation, capability)
-    assert seen(one)
-    assert not seen(one, *taken_out)
+    assert ran(one)["detected"]
+    assert not blind(one, signal).seen
 
 
 @cache
@@ -160,10 +185,30 @@ def first_of(violation: Violation, capability: str) -> Trial:
     raise AssertionError(f"no {violation} took in `{capability}`")
 
 
-def test_a_slip_is_acted_under_to_the_end_where_neither_slip_nor_loss_is_looked_for() -> None:
+def test_a_lost_grip_and_a_false_claim_are_redundant_to_slip_and_a_lost_grip_stands_in_for_it() -> None:
     one = first_of(Violation.POSTCONDITION, "transport_object")
-    assert not ran(one)["unsafe"]
-    assert ran(one, change=lambda plan: without(plan, "slip_m", "grip_lost"))["unsafe"]
+    by_slip = blind(one, "grip_lost", "postcondition")
+    assert by_slip.row["rule"] == "slip"
+    assert by_slip.late <= PROMPT_TICKS
+    by_loss = blind(one, "slip_m")
+    assert by_loss.row["rule"] == "grip-lost"
+    assert by_slip.late < by_loss.late <= IN_TIME_TICKS
+    assert not by_loss.row["unsafe"]
+
+
+def test_a_slip_is_acted_under_where_neither_slip_nor_loss_is_looked_for_and_only_the_claim_tells() -> None:
+    left = blind(first_of(Violation.POSTCONDITION, "transport_object"), "slip_m", "grip_lost")
+    assert left.row["rule"] == "postcondition"
+    assert not left.seen
+    assert left.row["unsafe"]
+
+
+def test_what_slips_out_slowly_is_told_too_late_by_a_lost_grip_alone() -> None:
+    one = trials(Violation.POSTCONDITION)[0]
+    assert not blind(one, "grip_lost", "postcondition").row["unsafe"]
+    without_slip = blind(one, "slip_m")
+    assert not without_slip.seen
+    assert without_slip.row["unsafe"]
 
 
 def test_the_detectors_of_other_types_do_not_stand_in() -> None:
