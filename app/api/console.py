@@ -168,6 +168,7 @@ class Console:
                 "version": VERSION,
                 "name": self._principal.name,
                 "role": self._principal.role,
+                "station": self._principal.station,
                 "boot": self._parts.broadcast.boot,
                 "at": wall_s(),
             }

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
+import signal
 from collections.abc import Callable
+from contextlib import ExitStack
 from urllib.parse import urlsplit
 
 import pytest
 from playwright.sync_api import Route, expect
+from websockets.sync.client import connect
+from websockets.typing import Subprotocol
 
+from app.api.console import SUBPROTOCOL
+from app.api.parts import EACH_CONSOLES
 from tests.conftest import ServerProcess, Servers, until
 from tests.console.conftest import Floor, People
 from tests.console.wire import Wire, wire_to
@@ -51,6 +59,48 @@ def test_a_link_that_goes_is_told_and_what_came_meanwhile_is_there_when_it_is_ba
         expect(person.page.locator(".live .stale")).to_have_count(0)
         person.button(re.compile("^Deny")).click()
         assert floor.settled(asked["id"])["status"] == "denied"
+
+
+def test_a_cell_that_falls_silent_is_not_shown_as_the_present(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    robot = person.page.locator("header dl.facts > div", has_text="Robot says")
+    floor.drive(target="dock")
+    until(lambda: floor.speed() > 0.05, what="a base that moves")
+    pid = server.cell_pid()
+    assert pid is not None
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        expect(person.alert("workcell-1 is not heard.")).to_contain_text("A stop is kept for it")
+        expect(robot).to_contain_text("Not heard")
+        expect(person.page.locator(".live .session.stale")).to_be_visible()
+        person.press(".")
+        expect(robot).to_contain_text("Not heard, stop sent")
+        expect(person.alert("workcell-1 is not heard.")).to_contain_text("the robot has not confirmed it")
+        expect(person.page.get_by_text("Nothing moves")).to_have_count(0)
+        expect(person.page.locator("header").get_by_role("button", name="stopped")).to_have_count(0)
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    expect(robot).to_contain_text("Stopped, latched")
+    expect(person.alert("workcell-1 is not heard.")).to_have_count(0)
+    expect(person.page.get_by_text("Nothing moves")).to_be_visible()
+
+
+def test_a_stop_needs_no_seat(server: ServerProcess, people: People, floor: Floor) -> None:
+    with ExitStack() as seats:
+        for _ in range(EACH_CONSOLES):
+            screen = seats.enter_context(
+                connect(f"ws{server.url[4:]}/v1/console", subprotocols=[Subprotocol(SUBPROTOCOL)])
+            )
+            screen.send(json.dumps({"type": "hello", "token": server.tokens["operator"], "after": None}))
+            screen.recv()
+        person = people.open(f"{server.url}/#token={server.tokens['operator']}")
+        person.expects(BROKEN)
+        expect(person.alert("Connecting to the server.")).to_contain_text("As many consoles are open")
+        expect(person.page.locator("header").get_by_role("button", name="of workcell-1")).to_be_enabled()
+        person.press(".")
+        until(lambda: server.cell()["latched"], what="the stop")
 
 
 def test_a_server_that_is_killed_and_started_again_finds_the_console_waiting(

@@ -41,7 +41,9 @@ def test_a_stop_is_heard_while_typing(server: ServerProcess, people: People, flo
     expect(robot(person)).to_contain_text("Stopped, latched")
 
 
-def test_a_session_is_paused_and_resumed_by_one_key(server: ServerProcess, people: People, floor: Floor) -> None:
+def test_a_session_is_paused_by_one_key_however_often_and_resumed_by_another(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
     person = people.sit(server)
     drive = floor.drive(target="dock")
     expect(robot(person)).to_contain_text("Running")
@@ -49,12 +51,17 @@ def test_a_session_is_paused_and_resumed_by_one_key(server: ServerProcess, peopl
     until(lambda: floor.speed() > 0.05, what="a base that moves")
     person.press("p")
     expect(robot(person)).to_contain_text("Paused, holding")
+    person.press("p")
+    person.button("Pause").click(force=True)
     server.await_status(drive["id"], "paused")
     until(lambda: floor.speed() < 0.01, what="a base at rest")
     expect(person.region("Events")).to_contain_text("operator paused the session")
-    person.press("p")
+    person.press("r")
     expect(robot(person)).to_contain_text("Running")
     until(lambda: floor.speed() > 0.05, what="a base that moves again")
+    trace = server.get(f"/v1/invocations/{drive['id']}/trace")["items"]
+    said = [event["body"]["op"] for event in trace if event["kind"] == "human"]
+    assert said == ["pause", "pause", "resume", "resume"]  # the server says it, and the cell that it has done it
 
 
 def test_a_stop_is_pressed_from_anywhere_and_left_in_two_steps(

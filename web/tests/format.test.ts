@@ -4,7 +4,7 @@ import { entriesOf, eventLine } from '../src/lib/format/events';
 import { labelOf, unitOf, valueOf } from '../src/lib/format/quantity';
 import { robotSays } from '../src/lib/format/status';
 import { countdown, elapsed, left } from '../src/lib/format/time';
-import { isStop, Keys } from '../src/lib/keys/keys';
+import { isStop, isTyping, Keys, takesLetters } from '../src/lib/keys/keys';
 import { dashes } from '../src/lib/scene/overlay';
 import { hatch } from '../src/lib/scene/ground';
 import { fromSnapshot, merged, NOTHING } from '../src/lib/state/documents';
@@ -51,6 +51,7 @@ describe('words', () => {
   it('put the gravest thing a robot says first', () => {
     expect(robotSays(cell({ latched: true, status: 'running' })).text).toBe('Stopped, latched');
     expect(robotSays(cell({ online: false, status: 'running' })).text).toBe('Not heard');
+    expect(robotSays(cell({ online: false, latched: true })).text).toBe('Not heard, stop sent');
     expect(robotSays(cell({ fault: 'no room for the journal', status: null, busy: null })).text).toBe('Stopped, cannot record');
     expect(robotSays(cell({ fault: 'no room for the journal', status: 'running', busy: 'inv_1' })).text).toBe('Running');
     expect(robotSays(cell({ status: 'paused' })).text).toBe('Paused, holding');
@@ -75,6 +76,16 @@ describe('the keyboard', () => {
     let stops = 0;
     keys.onStop(() => (stops += 1));
     expect([keys.press(key('.'), false), keys.press(key('.', { repeat: true }), false), stops]).toEqual([true, true, 1]);
+  });
+
+  it('stops from a list of choices, whose letters are its own', () => {
+    const keys = new Keys();
+    const ran: string[] = [];
+    keys.onStop(() => ran.push('.'));
+    keys.on('a', 'approve', () => ran.push('a'));
+    const list = { tagName: 'SELECT' };
+    expect([isTyping(list), takesLetters(list), takesLetters({ tagName: 'BUTTON' })]).toEqual([false, true, false]);
+    expect([keys.press(key('a'), isTyping(list), takesLetters(list)), keys.press(key('.'), isTyping(list), takesLetters(list)), ran]).toEqual([false, true, ['.']]);
   });
 
   it('forgets a shortcut whose part of the page is gone', () => {

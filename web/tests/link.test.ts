@@ -72,7 +72,7 @@ describe('the connection', () => {
 
   function welcome(socket: PlayedSocket | undefined): void {
     socket?.open();
-    socket?.say({ type: 'welcome', version: 1, name: 'operator', role: 'operator', boot: 'b', at: 0 });
+    socket?.say({ type: 'welcome', version: 1, name: 'operator', role: 'operator', station: null, boot: 'b', at: 0 });
     socket?.say({ type: 'snapshot', seq: 42 });
   }
 
@@ -86,7 +86,7 @@ describe('the connection', () => {
     vi.advanceTimersByTime(500);
     expect(health.at(-1)?.state).toBe('up');
     vi.advanceTimersByTime(500);
-    expect(health.at(-1)).toEqual({ state: 'down', rttMs: null, framesPerS: 0 });
+    expect(health.at(-1)).toEqual({ state: 'down', rttMs: null, framesPerS: 0, why: '' });
   });
 
   it('leaves a black hole behind, comes back with what it saw last and watches again', () => {

@@ -23,13 +23,19 @@ export function statusWords(status: string): { text: string; tone: Tone } {
 /** What the robot reports of itself, the gravest thing first. */
 export function robotSays(cell: Cell | null): { text: string; tone: Tone } {
   if (cell === null) return { text: 'No cell', tone: 'quiet' };
-  if (cell.latched) return { text: 'Stopped, latched', tone: 'danger' };
-  if (!cell.online) return { text: 'Not heard', tone: 'danger' };
-  if (cell.holding_link) return { text: 'Holding, link lapsed', tone: 'danger' };
-  if (cell.fault != null && cell.status === null) return { text: 'Stopped, cannot record', tone: 'danger' };
+  const grave = graveOf(cell);
+  if (grave !== null) return { text: grave, tone: 'danger' };
   if (cell.control != null) return { text: 'Driven by hand', tone: 'human' };
   if (cell.status === null || cell.busy === null) return { text: 'Idle', tone: 'plain' };
   return statusWords(cell.status);
+}
+
+/** A cell that is not heard has not confirmed anything, a stop least of all. */
+function graveOf(cell: Cell): string | null {
+  if (!cell.online) return cell.latched ? 'Not heard, stop sent' : 'Not heard';
+  if (cell.latched) return 'Stopped, latched';
+  if (cell.holding_link) return 'Holding, link lapsed';
+  return cell.fault != null && cell.status === null ? 'Stopped, cannot record' : null;
 }
 
 const OUTCOMES: Record<string, string> = {

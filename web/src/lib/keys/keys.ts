@@ -20,9 +20,14 @@ interface KeyLike {
 export function isTyping(target: { tagName?: string; type?: string; isContentEditable?: boolean } | null): boolean {
   if (target === null) return false;
   if (target.isContentEditable === true) return true;
-  if (target.tagName === 'TEXTAREA' || target.tagName === 'SELECT') return true;
+  if (target.tagName === 'TEXTAREA') return true;
   const buttons = ['button', 'checkbox', 'radio', 'range', 'submit', 'reset'];
   return target.tagName === 'INPUT' && !buttons.includes(target.type ?? 'text');
+}
+
+/** Whether letters typed into this element are its own: text, or the beginning of a choice in a list. */
+export function takesLetters(target: Parameters<typeof isTyping>[0]): boolean {
+  return target?.tagName === 'SELECT' || isTyping(target);
 }
 
 /** Says whether a key press is the emergency stop: `.` anywhere, with Ctrl or Cmd while typing. */
@@ -32,8 +37,8 @@ export function isStop(event: KeyLike, typing: boolean): boolean {
 }
 
 /** Says whether a key press may be a shortcut at all. */
-export function mayBeShortcut(event: KeyLike, typing: boolean): boolean {
-  return !typing && !event.repeat && !event.ctrlKey && !event.metaKey && !event.altKey && !event.defaultPrevented;
+export function mayBeShortcut(event: KeyLike, letters: boolean): boolean {
+  return !letters && !event.repeat && !event.ctrlKey && !event.metaKey && !event.altKey && !event.defaultPrevented;
 }
 
 export class Keys {
@@ -58,13 +63,13 @@ export class Keys {
     return [...new Map(this.shortcuts.map((shortcut) => [shortcut.key, shortcut])).values()];
   }
 
-  /** Returns true when the key was taken. */
-  press(event: KeyLike, typing: boolean): boolean {
+  /** Returns true when the key was taken. `letters`: they are the focused element's own, although it is no text. */
+  press(event: KeyLike, typing: boolean, letters = typing): boolean {
     if (isStop(event, typing)) {
       if (!event.repeat) this.stop();
       return true;
     }
-    if (!mayBeShortcut(event, typing)) return false;
+    if (!mayBeShortcut(event, letters)) return false;
     const wanted = event.key.length === 1 ? event.key.toLowerCase() : event.key;
     return this.shortcuts.findLast((known) => known.key === wanted && known.run() !== false) !== undefined;
   }
@@ -72,7 +77,8 @@ export class Keys {
   /** Listens before anything else on the page does. */
   attach(target: Window): () => void {
     const listen = (event: KeyboardEvent): void => {
-      if (this.press(event, isTyping(event.target as HTMLElement | null))) {
+      const target = event.target as HTMLElement | null;
+      if (this.press(event, isTyping(target), takesLetters(target))) {
         event.preventDefault();
         event.stopPropagation();
       }

@@ -8,6 +8,8 @@ export interface Health {
   state: LinkState;
   rttMs: number | null;
   framesPerS: number;
+  /** Why the server closed the last socket, in words; empty where it did not say, or another one stands. */
+  why: string;
 }
 
 /** What the connection tells whoever started it. */
@@ -38,6 +40,7 @@ export class Connection {
   private rttMs: number | null = null;
   private frames: number[] = [];
   private lastSeq: number | null = null;
+  private why = '';
   private boot: string | null = null;
   private watched: string[] = [];
   private readonly timer: ReturnType<typeof setInterval>;
@@ -94,6 +97,7 @@ export class Connection {
       this.listener.refused(CLOSED[code] ?? reason);
       return;
     }
+    this.why = CLOSED[code] ?? '';
     this.later();
   }
 
@@ -124,6 +128,7 @@ export class Connection {
 
   private welcomed(boot: string): void {
     this.attempt = 0;
+    this.why = '';
     if (this.boot !== null && this.boot !== boot) this.lastSeq = null;
     this.boot = boot;
     if (this.watched.length > 0) this.send({ type: 'watch', cells: this.watched });
@@ -143,7 +148,7 @@ export class Connection {
     }
     this.frames = this.frames.filter((at) => now - at < 1_000);
     const state = this.state(now);
-    this.listener.health({ state, rttMs: state === 'up' ? this.rttMs : null, framesPerS: this.frames.length });
+    this.listener.health({ state, rttMs: state === 'up' ? this.rttMs : null, framesPerS: this.frames.length, why: this.why });
   }
 
   private state(now: number): LinkState {

@@ -80,7 +80,7 @@ export class Link {
 
   private look(): void {
     if (performance.now() - this.heardMs > WORKER_SILENT_MS) {
-      this.listener.health({ state: 'down', rttMs: null, framesPerS: 0 });
+      this.listener.health({ state: 'down', rttMs: null, framesPerS: 0, why: '' });
     }
   }
 }

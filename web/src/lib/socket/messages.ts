@@ -35,7 +35,7 @@ export interface Scene {
 }
 
 export type Down =
-  | { type: 'welcome'; version: number; name: string; role: string; boot: string; at: string | number }
+  | { type: 'welcome'; version: number; name: string; role: string; station: string | null; boot: string; at: string | number }
   | ({ type: 'snapshot' } & Required<Changes>)
   | ({ type: 'update'; beat?: number } & Changes)
   | { type: 'scene'; cell: string; scene: Scene; bodies: string[]; gauges: string[] }

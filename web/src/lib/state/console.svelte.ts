@@ -21,7 +21,8 @@ export interface Path {
 
 type FrameListener = (frame: PoseFrame) => void;
 
-const OFF: Health = { state: 'connecting', rttMs: null, framesPerS: 0 };
+const OFF: Health = { state: 'connecting', rttMs: null, framesPerS: 0, why: '' };
+const LOOK_MS = 1_000;
 
 /**
  * The signed-in console: what the server said, whether that still holds, and which cell is looked at.
@@ -32,18 +33,21 @@ export class Console {
   readonly api: Api;
   docs = $state.raw<Documents>(NOTHING);
   health = $state.raw<Health>(OFF);
-  me = $state.raw<{ name: string; role: string } | null>(null);
+  me = $state.raw<{ name: string; role: string; station: string | null } | null>(null);
   refused = $state<string | null>(null);
   selected = $state<string | null>(sessionStorage.getItem('reins.cell'));
   scene = $state.raw<SceneInfo | null>(null);
   path = $state.raw<Path | null>(null);
   jogRefused = $state<string | null>(null);
+  /** Cells as asked for by name, while no socket says which there are: the stop needs no seat. */
+  private listed = $state.raw<string[]>([]);
   policy = $state.raw<PolicySet | null>(null);
   capabilities = $state.raw<Record<string, Capability>>({});
   /** Of when what is shown is, server's wall clock in ms. */
   heardAtMs = $state<number | null>(null);
 
   private readonly link: Link;
+  private readonly looking: ReturnType<typeof setInterval>;
   private frameListeners: readonly FrameListener[] = [];
   /** What the server said last; `docs` follows as fast as the page can draw it. */
   private latest: Documents = NOTHING;
@@ -61,11 +65,17 @@ export class Console {
         this.refused = why;
       },
     });
+    this.looking = setInterval(() => void this.list(), LOOK_MS);
   }
 
   /** Whether what is shown may be taken as the present. */
   get live(): boolean {
     return this.health.state === 'up' && this.docs !== NOTHING;
+  }
+
+  /** Whether what is shown of the robot may be taken as the present: the server is heard, and hears the cell. */
+  get heard(): boolean {
+    return this.live && this.cell?.online === true;
   }
 
   get cells(): Cell[] {
@@ -74,6 +84,13 @@ export class Console {
 
   get cell(): Cell | null {
     return (this.selected === null ? undefined : this.docs.cells[this.selected]) ?? this.cells[0] ?? null;
+  }
+
+  /** The cell that a stop is for. */
+  get stoppable(): string | null {
+    const known = this.cell?.id ?? null;
+    if (known !== null) return known;
+    return this.listed.find((id) => id === this.selected) ?? this.listed[0] ?? null;
   }
 
   /** What runs in the selected cell, or else what ran there last; a proposal that policy turned away never ran. */
@@ -104,6 +121,7 @@ export class Console {
   }
 
   end(): void {
+    clearInterval(this.looking);
     this.link.end();
   }
 
@@ -120,7 +138,7 @@ export class Console {
     switch (message.type) {
       case 'welcome':
         clock.sync(message.at);
-        this.me = { name: message.name, role: message.role };
+        this.me = { name: message.name, role: message.role, station: message.station };
         void this.fetchPolicy();
         break;
       case 'snapshot':
@@ -164,6 +182,18 @@ export class Console {
   private watchFirst(): void {
     const cell = this.cell;
     if (cell !== null) this.watch(cell.id);
+  }
+
+  private async list(): Promise<void> {
+    if (this.docs !== NOTHING) {
+      clearInterval(this.looking);
+      return;
+    }
+    try {
+      this.listed = (await this.api.cells()).items.map((cell) => cell.id).sort();
+    } catch {
+      this.listed = []; // asked again in a second; the banner says that nothing is known
+    }
   }
 
   private async fetchPolicy(): Promise<void> {

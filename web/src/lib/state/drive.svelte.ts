@@ -1,19 +1,47 @@
 const KEY = 'reins.lease';
+/** A page that is being left holds its lock for a moment longer. */
+const LEAVING_MS = 500;
 
 /** Whether the panel for driving by hand is open, and the lease that this window took: another one may drive, too. */
 class Drive {
   open = $state(false);
-  lease = $state<string | null>(sessionStorage.getItem(KEY));
+  lease = $state<string | null>(null);
+  private letGo: () => void = () => undefined;
+
+  constructor() {
+    const kept = sessionStorage.getItem(KEY);
+    if (kept === null) return;
+    void this.hold(kept).then((alone) => {
+      if (alone) this.lease ??= kept;
+      else sessionStorage.removeItem(KEY);
+    });
+  }
 
   /** Remembers the lease across a reload of this tab, which is no reason to lose the controls. */
   took(lease: string): void {
+    this.letGo();
     this.lease = lease;
     sessionStorage.setItem(KEY, lease);
+    void this.hold(lease);
   }
 
   forget(): void {
+    this.letGo();
     this.lease = null;
     sessionStorage.removeItem(KEY);
+  }
+
+  /** Says whether this window alone has the lease: one that was duplicated remembers it, too, and has to ask. */
+  private async hold(lease: string): Promise<boolean> {
+    // Where the page came over plain HTTP from elsewhere, browsers have no locks.
+    if (!('locks' in navigator)) return true;
+    return new Promise((resolve) => {
+      const held = (): Promise<void> => {
+        resolve(true);
+        return new Promise((over) => (this.letGo = over));
+      };
+      navigator.locks.request(`${KEY}.${lease}`, { signal: AbortSignal.timeout(LEAVING_MS) }, held).catch(() => resolve(false));
+    });
   }
 
   /** Whoever sat here has signed out, or was shown out. */
