@@ -2,7 +2,7 @@ import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
 import { ApiError, type Answer } from '../src/lib/api/client';
 import type { Escalation, Params, Verdict } from '../src/lib/api/documents';
 import { checkOf, mayApprove, readEdit, rowsOf } from '../src/lib/live/edit';
-import { Decision } from '../src/lib/live/decision.svelte';
+import { ARM_MS, Decision } from '../src/lib/live/decision.svelte';
 import { escalation, invocation } from './samples';
 
 const SCHEMA = { force_n: { minimum: 2, maximum: 140 }, speed_mps: { minimum: 0.02, maximum: 2 } };
@@ -114,6 +114,24 @@ describe('a decision', () => {
     decision.type('speed_mps', '0.1');
     decision.update(escalation({ digest: 'sha256:other' }));
     expect([decision.edited, decision.check.is]).toEqual([false, 'untouched']);
+  });
+
+  it('takes the value policy gives back, and approves that once there was time to read it', async () => {
+    const decision = decide();
+    decision.type('force_n', '70');
+    await vi.advanceTimersByTimeAsync(300);
+    checks[0]?.(verdict({ effective: EFFECTIVE }));
+    await vi.advanceTimersByTimeAsync(0);
+    reply = () => Promise.resolve(escalation());
+    await decision.approve();
+    expect([decision.typed, decision.check]).toEqual([{}, { is: 'given back', to: { force_n: 60 }, read: false }]);
+    await decision.approve();
+    await vi.advanceTimersByTimeAsync(ARM_MS);
+    await decision.approve();
+    expect(sent).toEqual([
+      { decision: 'approve', digest: 'sha256:1', params: { force_n: 70 } },
+      { decision: 'approve', digest: 'sha256:1' },
+    ]);
   });
 
   it('denies with a code, and with a half-typed edit as well', async () => {

@@ -1,5 +1,5 @@
 import { ApiError, type Answer, type Api, type Offer } from '../api/client';
-import type { Escalation, InputSchema } from '../api/documents';
+import type { Escalation, InputSchema, Params } from '../api/documents';
 import { checkEdit, mayApprove, readEdit, rowsOf, type Check, type Typed } from './edit';
 
 const SETTLE_MS = 250;
@@ -71,12 +71,14 @@ export class Decision {
     this.check = { is: 'untouched' };
   }
 
-  approve(): Promise<Escalation | null> {
-    if (!this.ready) return Promise.resolve(null);
+  async approve(): Promise<Escalation | null> {
+    if (!this.ready) return null;
     const answer: Answer = { decision: 'approve', digest: this.asked.digest };
     if (this.edited) answer.params = this.edit.params;
     if (this.offer !== null) answer.grant = this.offer;
-    return this.send(answer);
+    const answered = await this.send(answer);
+    if (answer.params !== undefined && answered?.status === 'pending' && answered.digest === answer.digest) this.giveBack(answer.params, answered.effective);
+    return answered;
   }
 
   deny(): Promise<Escalation | null> {
@@ -90,6 +92,14 @@ export class Decision {
     const turn = (this.turn += 1);
     const check = await checkEdit(this.api, this.asked, this.edit.params, this.context().cell);
     if (turn === this.turn) this.check = check;
+  }
+
+  /** An edit that policy cut to what was asked before is the same question: no other digest says so, and what was typed is done with. */
+  private giveBack(edit: Params, effective: Params): void {
+    this.discard();
+    const to = Object.fromEntries(Object.keys(edit).map((name) => [name, effective[name] ?? null]));
+    this.check = { is: 'given back', to, read: false };
+    this.timer = setTimeout(() => (this.check = { is: 'given back', to, read: true }), ARM_MS);
   }
 
   private async send(answer: Answer): Promise<Escalation | null> {

@@ -63,6 +63,8 @@ export type Check =
   | { is: 'checking' }
   | { is: 'allowed' }
   | { is: 'cut'; to: Params }
+  /** The edit was sent, and policy gave back what was asked before; `read` once there was time to see it. */
+  | { is: 'given back'; to: Params; read: boolean }
   | { is: 'refused'; reasons: Reason[] }
   | { is: 'unchecked'; why: string };
 
@@ -91,5 +93,6 @@ export async function checkEdit(api: Pick<Api, 'check'>, escalation: Escalation,
 
 /** Whether `approve` may be pressed. */
 export function mayApprove(check: Check): boolean {
+  if (check.is === 'given back') return check.read;
   return check.is === 'untouched' || check.is === 'allowed' || check.is === 'cut' || check.is === 'unchecked';
 }
