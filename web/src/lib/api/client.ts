@@ -63,6 +63,8 @@ export interface Answer {
 export interface Offer {
   scope: 'object' | 'task' | 'time';
   minutes: number;
+  /** Which, where the proposal does not name it: what its cell holds. */
+  object?: string;
 }
 
 /** The HTTP contract as calls. Every call raises `ApiError` unless it was answered with success. */
