@@ -51,14 +51,16 @@ describe('the connection', () => {
   let health: Health[];
   let refused: string[];
   let connection: Connection;
+  let listener: Listener;
+  let make: () => WebSocket;
 
   beforeEach(() => {
     vi.useFakeTimers({ now: 0 });
     sockets = [];
     health = [];
     refused = [];
-    const listener: Listener = { message: () => undefined, frame: () => undefined, health: (now) => health.push(now), refused: (why) => refused.push(why) };
-    const make = (): WebSocket => {
+    listener = { message: () => undefined, frame: () => undefined, health: (now) => health.push(now), refused: (why) => refused.push(why) };
+    make = () => {
       const socket = new PlayedSocket();
       sockets.push(socket);
       return socket as unknown as WebSocket;
@@ -157,6 +159,14 @@ describe('the connection', () => {
     sockets[0]?.open();
     sockets[0]?.onclose?.({ code: 4401, reason: '' });
     vi.advanceTimersByTime(10_000);
+    expect([refused, sockets.length]).toEqual([['The token is not valid any more.'], 1]);
+  });
+
+  it('says of a token that no hello has room for what it says of any that is not valid', () => {
+    connection.end();
+    const long = new Connection('ws://here/v1/console', 'x'.repeat(513), listener, make, () => Date.now());
+    vi.advanceTimersByTime(10_000);
+    long.end();
     expect([refused, sockets.length]).toEqual([['The token is not valid any more.'], 1]);
   });
 });

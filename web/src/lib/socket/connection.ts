@@ -1,4 +1,4 @@
-import { CLOSED, FINAL_CODES, SUBPROTOCOL, type Down, type Up } from './messages';
+import { CLOSED, FINAL_CODES, LONGEST_TOKEN, SUBPROTOCOL, type Down, type Up } from './messages';
 import { LATE_MS, retryMs, Watchdog, type LinkState } from './watchdog';
 
 const TICK_MS = 100;
@@ -53,8 +53,9 @@ export class Connection {
     private readonly now: () => number = () => performance.now(),
   ) {
     this.dog = new Watchdog(this.now());
-    this.open();
     this.timer = setInterval(() => this.tick(), TICK_MS);
+    if (token.length > LONGEST_TOKEN) this.closed(4401, '');
+    else this.open();
   }
 
   /** Sends a message if the socket is open; a message that cannot be sent now is dropped, never sent late. */

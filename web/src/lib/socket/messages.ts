@@ -71,5 +71,8 @@ export const CLOSED: Record<number, string> = {
   4429: 'As many consoles are open as the server may have.',
 };
 
+/** The longest token that a `hello` may bring; a longer one is no message to the server, which says nothing of tokens then. */
+export const LONGEST_TOKEN = 512;
+
 /** Close codes after which coming back with the same token is pointless. */
 export const FINAL_CODES: ReadonlySet<number> = new Set([4401, 4403]);
