@@ -55,6 +55,7 @@ expect.set_options(timeout=PATIENCE_MS)
 DESK = {"width": 1440, "height": 900}
 PHONE = {"width": 390, "height": 844}
 NARROWEST = {"width": 320, "height": 640}
+MAGNIFIED = {"width": 320, "height": 256}  # 1280 x 1024 at 400 % (WCAG 1.4.10)
 SIDEWAYS = {"width": 844, "height": 390}
 SIDEWAYS_SMALL = {"width": 667, "height": 375}
 # A page is laid out anew, its observers see the new size, and the scene is drawn in it: each in a frame of its own.
@@ -277,7 +278,7 @@ def wider_than_the_screen(page: Page) -> list[str]:
     before = page.viewport_size
     assert before is not None
     found: list[str] = []
-    for screen in (NARROWEST, PHONE, SIDEWAYS, SIDEWAYS_SMALL):
+    for screen in (NARROWEST, MAGNIFIED, PHONE, SIDEWAYS, SIDEWAYS_SMALL):
         page.set_viewport_size({"width": screen["width"], "height": screen["height"]})
         page.evaluate(THREE_FRAMES)
         for part in ("html", "main"):

@@ -10,7 +10,9 @@ from playwright.sync_api import CDPSession, expect
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import (
     DESK,
+    MAGNIFIED,
     PHONE,
+    THREE_FRAMES,
     Floor,
     People,
     Person,
@@ -262,3 +264,8 @@ def test_on_a_phone_nothing_is_wider_than_the_screen_while_the_cell_is_latched(
     expect(person.button("Keep stopped")).to_be_in_viewport(ratio=1)
     assert wider_than_the_screen(person.page) == []
     assert out_of_reach(stop(person)) == []
+    person.page.set_viewport_size(MAGNIFIED)
+    person.page.evaluate(THREE_FRAMES)
+    expect(stop(person)).to_be_in_viewport(ratio=1)
+    person.button("Keep stopped").scroll_into_view_if_needed()
+    expect(person.button("Keep stopped")).to_be_in_viewport(ratio=1)  # the bar covers nothing that is scrolled to
