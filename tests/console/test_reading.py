@@ -32,7 +32,15 @@ def test_a_question_that_nobody_answers_goes_by_itself(server: ServerProcess, pe
             client.put(f"{CELL}/profile", json={"profile": "human-shared"})
 
 
-def test_a_finished_session_is_scrubbed_with_its_events(server: ServerProcess, people: People, floor: Floor) -> None:
+def test_a_trace_follows_its_session_and_is_scrubbed_with_its_events(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    asked = floor.ask()
+    person.page.evaluate(f"location.hash = '#/audit/{asked['id']}'")
+    expect(person.region("Replay")).to_contain_text("waits for an answer")
+    floor.answer(asked, "deny")
+    expect(person.region("Replay")).to_contain_text("Nothing ran under this proposal")
     x, y = floor.base()
     drive = floor.drive(x_m=x, y_m=y - 0.3, yaw_rad=1.5708)
     ended = server.await_status(drive["id"], "completed", "failed")
@@ -40,7 +48,6 @@ def test_a_finished_session_is_scrubbed_with_its_events(server: ServerProcess, p
     until(
         lambda: server.get(f"/v1/audit/events?invocation={drive['id']}&kind=telemetry")["items"], what="its telemetry"
     )
-    person = people.sit(server)
     person.press("2")
     person.page.get_by_text("Filter").click()
     actor = person.page.get_by_label("Actor")

@@ -18,6 +18,13 @@ export class Player {
     this.atS = atS;
   }
 
+  /** Takes other ends of the same recording; what plays goes on. */
+  grow(fromS: number, toS: number): void {
+    this.fromS = fromS;
+    this.toS = toS;
+    this.seek(this.atS);
+  }
+
   seek(atS: number): void {
     this.atS = Math.min(this.toS, Math.max(this.fromS, atS));
   }
