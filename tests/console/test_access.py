@@ -114,6 +114,9 @@ def test_axe_finds_nothing_on_what_is_greyed_out(
         person = people.sit(server, size=size, at=f"http://127.0.0.1:{wire.port}")
         person.expects(BROKEN)
         expect(person.page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
+        person.page.evaluate("location.hash = '#/policy'")
+        expect(person.page.get_by_role("table").first).to_be_visible()
+        person.page.evaluate("location.hash = '#/live'")
         wire.cut()
         expect(person.alert("Link down.")).to_be_visible()
         expect(person.page.locator(".live .stale").first).to_be_visible()
@@ -121,7 +124,10 @@ def test_axe_finds_nothing_on_what_is_greyed_out(
         for theme in ("light", "dark"):
             person.press("n")
             found[theme] = faults(person.page, axe)
-    assert found == {"light": [], "dark": []}
+        person.page.evaluate("location.hash = '#/policy'")
+        expect(person.page.locator(".policy.stale")).to_be_visible()
+        found["policy"] = faults(person.page, axe)
+    assert found == {"light": [], "dark": [], "policy": []}
 
 
 def test_axe_finds_nothing_where_one_signs_in(server: ServerProcess, people: People, axe: str) -> None:
