@@ -42,6 +42,10 @@ def test_a_stop_is_left_in_two_steps_on_the_fleet_page(server: ServerProcess, pe
     person = people.sit(server, size=PHONE)
     person.page.evaluate("location.hash = '#/fleet'")
     card = person.region("workcell-1")
+    card.get_by_label("Profile").select_option("real-restricted")
+    expect(card.get_by_role("button", name="Keep human-shared")).to_be_focused()
+    person.press("Enter")
+    expect(card.get_by_label("Profile")).to_be_focused()  # what goes gives the focus back
     card.get_by_role("button", name="Emergency stop of workcell-1").tap()
     expect(card.get_by_text("workcell-1 is latched")).to_be_visible()
     with person.page.expect_request("**/v1/cells/workcell-1/reset") as first:
