@@ -78,3 +78,20 @@ def test_a_trace_follows_its_session_and_is_scrubbed_with_its_events(
     with person.page.expect_download() as saved:
         person.button(re.compile("JSON")).click()
     assert drive["id"] in saved.value.suggested_filename
+
+
+def test_an_answer_of_policy_is_marked_once_its_question_has_changed(server: ServerProcess, people: People) -> None:
+    person = people.sit(server)
+    person.press("3")
+    form = person.region("What would happen if…")
+    form.get_by_label("Object (needed)").select_option("mug_1")
+    form.get_by_label(re.compile("^Grip force")).fill("50")
+    person.press("Enter")
+    expect(form).to_contain_text("Policy version")
+    form.get_by_role("button", name="Ask policy").press("Enter")
+    expect(form.get_by_role("button", name="Ask policy")).to_be_focused()
+    expect(form).not_to_contain_text("Ask again")
+    form.get_by_label(re.compile("^Grip force")).fill("60")
+    expect(form).to_contain_text("Asked before something above changed. Ask again.")
+    form.get_by_label(re.compile("^Grip force")).fill("50")
+    expect(form).not_to_contain_text("Ask again")
