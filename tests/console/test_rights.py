@@ -86,6 +86,7 @@ def test_who_may_only_look_is_offered_nothing_but_the_stop(
     expect(person.page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
     expect(person.page.get_by_text("Operators answer; you may look.")).to_be_visible()
     expect(person.region("Waiting for operators")).to_be_visible()
+    person.press("s")  # nothing that an auditor is refused is asked for
     person.press("t")
     expect(person.region("Drive by hand")).to_contain_text("Operators take the controls; you may look.")
     for words in (ANSWERS, CONTROLS):
