@@ -1,5 +1,6 @@
-import { describe, expect, it } from 'vitest';
+import { afterEach, describe, expect, it, vi } from 'vitest';
 import type { LogEvent, Telemetry } from '../src/lib/api/documents';
+import { Player } from '../src/lib/audit/player.svelte';
 import { frameAt } from '../src/lib/audit/replay';
 import { eventAt, hasTelemetry, offset, rowAt, stepTo, timelineOf } from '../src/lib/audit/timeline';
 
@@ -102,5 +103,19 @@ describe('telemetry', () => {
   it('is asked for where the trace holds its digest, and nowhere else', () => {
     expect(hasTelemetry(trace('proposal', 'outcome', 'telemetry'))).toBe(true);
     expect(hasTelemetry(trace('proposal', 'outcome'))).toBe(false);
+  });
+});
+
+describe('a player', () => {
+  afterEach(() => vi.unstubAllGlobals());
+
+  it('stays where it was put while the record grows, and within it', () => {
+    vi.stubGlobal('cancelAnimationFrame', () => undefined);
+    const player = new Player();
+    player.load(0, 10, 4);
+    player.grow(-1, 20);
+    expect([player.fromS, player.atS, player.toS]).toEqual([-1, 4, 20]);
+    player.grow(0, 3);
+    expect(player.atS).toBe(3);
   });
 });
