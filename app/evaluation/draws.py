@@ -5,8 +5,8 @@ clean, half meet one of the six violations, one in four a failure that can be re
 uniformly, then the capability among those in which its fault can occur, then the profile: the paper draws them
 independently, but no zone can be entered by an arm that stands still.
 
-Sizes are drawn in units of the limit and of the sensor's sigma: half of the trials close to the limit (0 to 12 sigma
-beyond it), half well beyond.
+Sizes of grip force and speed are drawn in units of the limit and of the sensor's sigma: half close to the limit (0 to
+12 sigma beyond it), half well beyond. Those of a drift, a walk and something stiff are drawn in metres and m/s.
 """
 
 from __future__ import annotations
