@@ -23,6 +23,7 @@ import orjson
 from app import clock
 from app.api.problems import Problem
 from app.governance.model import Role
+from app.runtime.drafts import SERVER
 from app.runtime.invocation import Principal
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 TOKENS_FILE = "tokens.json"
 CELL_TOKEN_FILE = "cell.token"  # noqa: S105  # a file name
 PRINCIPALS_FILE = "principals.json"
+CELLS_FOLDER = "cells"  # a folder by name for each cell that the server has started
 LOOK_AGAIN_S = 1.0
 CHALLENGE = 'Bearer realm="reins"'
 
@@ -45,6 +47,7 @@ FIRST_PRINCIPALS: tuple[tuple[str, str, Role], ...] = (
     ("auditor", "auditor", Role.AUDITOR),
 )
 CELL_NAME = "cell"
+MACHINES = frozenset({SERVER, CELL_NAME})  # what the record calls those who are nobody
 
 
 class PrincipalsUnreadable(Exception):
@@ -178,18 +181,25 @@ def issue_token(
         station: the cell that its bearer stands at; there they may take the controls from who does not.
 
     Raises:
-        ValueError: an empty name, or one with control characters.
+        ValueError: an empty name, or one with control characters; one that the record uses for a machine, or for
+            somebody of another role.
         PrincipalsUnreadable: the file is not in its form.
         OSError: the directory cannot be read or written.
     """
     if not name or len(name) > 128 or not name.isprintable():
         raise ValueError(f"`{name}` is no principal name: valid are 1 to 128 printable characters")
+    if role is not Role.CELL and (name in MACHINES or (data_dir / CELLS_FOLDER / name).exists()):
+        raise ValueError(f"`{name}` is what the record calls a machine: valid is another name")
     token = _new_token(role)
     expires_at = None if ttl_s is None else clock.rfc3339(clock.wall_s() + ttl_s)
     path = data_dir / PRINCIPALS_FILE
     with _locked(data_dir / (PRINCIPALS_FILE + ".lock")):
         row: dict[str, str | None] = _row(name, role, token, expires_at)
-        rows = [*_rows(path), row if station is None else {**row, "station": station}]
+        known = _rows(path)
+        other = next((one["role"] for one in known if one["name"] == name and one["role"] != role.value), None)
+        if other is not None:
+            raise ValueError(f"`{name}` has the role `{other}` already: valid is that role, or another name")
+        rows = [*known, row if station is None else {**row, "station": station}]
         _write(path, orjson.dumps({"principals": rows}, option=orjson.OPT_INDENT_2) + b"\n")
     return token
 
@@ -234,6 +244,8 @@ def _credential(path: Path, row: object) -> Credential:
             station = cast("dict[str, object]", row).get("station")
             if not isinstance(station, str | None):
                 raise PrincipalsUnreadable(path, f"the entry of `{name}`: `station` is the name of a cell, or absent")
+            if name in MACHINES and role != Role.CELL:
+                raise PrincipalsUnreadable(path, f"the entry of `{name}`: that is what the record calls a machine")
             try:
                 return Credential(
                     principal=Principal(name=name, role=Role(role), station=station),

@@ -131,6 +131,7 @@ def test_what_was_read_last_holds_while_the_file_is_broken(tmp_path: Path, monke
         '{"principals": [{"name": "x", "role": "agent", "sha256": "00", "expires_at": "tomorrow"}]}',
         '{"principals": [{"name": "x", "role": "agent", "sha256": "00"}]}',
         '{"principals": [{"name": "x", "role": "agent", "sha256": "00", "expires_at": 0}]}',
+        '{"principals": [{"name": "server", "role": "operator", "sha256": "00", "expires_at": null}]}',
     ],
 )
 def test_does_not_start_on_principals_it_cannot_read(tmp_path: Path, content: str) -> None:
@@ -144,6 +145,19 @@ def test_refuses_to_issue_a_token_for_no_name(tmp_path: Path, name: str) -> None
     open_principals(tmp_path)
     with pytest.raises(ValueError, match="principal name"):
         issue_token(tmp_path, name=name, role=Role.AGENT)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("server", "a machine"), ("workcell-7", "a machine"), ("operator", "the role `operator` already")],
+)
+def test_refuses_a_token_for_a_name_that_means_somebody_else(tmp_path: Path, name: str, said: str) -> None:
+    open_principals(tmp_path)
+    (tmp_path / "cells" / "workcell-7").mkdir(parents=True)
+    before = (tmp_path / PRINCIPALS_FILE).read_bytes()
+    with pytest.raises(ValueError, match=said):
+        issue_token(tmp_path, name=name, role=Role.AGENT)
+    assert (tmp_path / PRINCIPALS_FILE).read_bytes() == before
 
 
 def test_a_write_that_fails_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
