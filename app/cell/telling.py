@@ -11,7 +11,8 @@ import math
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from app.cell.journal import Entry, Journal, JournalUnavailable
-from app.governance.model import EMPTY, EventKind, Outcome, Signal, Strategy
+from app.governance.model import EMPTY, EventKind, Signal, Strategy
+from app.governance.session import refused_launch
 from app.protocol import ROW, ROWS_PER_BATCH
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
         Intervention,
         Json,
         Observation,
+        Outcome,
         Params,
         Status,
         WatchPlan,
@@ -104,7 +106,8 @@ class Recorder:
             if saying.kind == EventKind.OUTCOME:
                 ends[saying.invocation] = str(saying.body["outcome"]), str(saying.body["code"])
             elif saying.kind == EventKind.LAUNCH and "refused" in saying.body:
-                ends.setdefault(saying.invocation, (Outcome.FAULT.value, str(saying.body["refused"])))
+                code = str(saying.body["refused"])
+                ends.setdefault(saying.invocation, (refused_launch(code).value, code))
         return ends
 
     def catch_up(self) -> None:

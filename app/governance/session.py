@@ -121,6 +121,11 @@ def accepts(status: Status, event: Event) -> bool:
     return event in TABLE.get(status, {})
 
 
+def refused_launch(code: str) -> Outcome:
+    """Return how a session ended that its cell would not begin: where a stop came first, it was stopped."""
+    return Outcome.STOPPED if code == "estop_latched" else Outcome.FAULT
+
+
 def final_status(outcome: Outcome) -> Status:
     """Return the terminal status that an outcome of a session belongs to."""
     return Status.COMPLETED if outcome in (Outcome.SUCCEEDED, Outcome.RECOVERED) else Status.FAILED

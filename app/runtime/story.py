@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from app.audit.event import EventDraft
 from app.governance.continuing import CHANGED
 from app.governance.model import TERMINAL, EventKind, Outcome, Status
-from app.governance.session import final_status
+from app.governance.session import final_status, refused_launch
 from app.runtime.drafts import SERVER, outcome_event, reason
 from app.runtime.escalation import PENDING, WITHDRAWN
 from app.runtime.failures import failure
@@ -78,7 +78,8 @@ class Story:
             case EventKind.LAUNCH if "refused" not in event.body:
                 self._versions[version.id] = version.evolve(at, terms=replace(version.terms, confirmed=True))
             case EventKind.LAUNCH if not version.terms.confirmed:  # nothing moved, and nothing will on this permit
-                return self._end(version, Outcome.FAULT, at, str(event.body["refused"]))
+                code = str(event.body["refused"])
+                return self._end(version, refused_launch(code), at, code)
             case EventKind.STATUS:
                 return self._status(version, Status(str(event.body["status"])), event, at)
             case EventKind.ESCALATION:

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from app.governance.model import SESSION, TERMINAL, Outcome, Status
-from app.governance.session import TABLE, Event, SessionError, accepts, final_status, step
+from app.governance.session import TABLE, Event, SessionError, accepts, final_status, refused_launch, step
 
 R, P, E, V, C, F = (
     Status.RUNNING,
@@ -71,6 +71,11 @@ def test_what_comes_before_launch_is_no_session(status: Status) -> None:
 def test_only_success_and_recovery_complete(outcome: Outcome) -> None:
     expected = C if outcome in (Outcome.SUCCEEDED, Outcome.RECOVERED) else F
     assert final_status(outcome) is expected
+
+
+def test_a_launch_that_a_stop_came_before_was_stopped_and_any_other_that_is_refused_a_fault() -> None:
+    assert refused_launch("estop_latched") is Outcome.STOPPED
+    assert refused_launch("used") is Outcome.FAULT
 
 
 @given(

@@ -263,12 +263,15 @@ async def test_every_outcome_ends_in_its_status(runtime: Runtime, cell: HandCell
     assert runtime.fleet.busy(runtime.fleet.cell(CELL)) is None
 
 
-async def test_a_refused_launch_ends_as_a_fault(runtime: Runtime, cell: HandCell) -> None:
+@pytest.mark.parametrize(("code", "outcome"), [("holding", "fault"), ("estop_latched", "stopped")])
+async def test_a_refused_launch_ends_as_a_fault_or_by_the_stop_that_came_first(
+    runtime: Runtime, cell: HandCell, code: str, outcome: str
+) -> None:
     document, _ = await runtime.governor.propose(AGENT, navigate())
-    await cell.report("launch", document["id"], refused="holding", detail="the cell holds")
+    await cell.report("launch", document["id"], refused=code, detail="the cell says why")
     final = await runtime.governor.invocation(document["id"], AGENT)
-    assert (final["status"], final["outcome"]) == ("failed", "fault")
-    assert await outcome_codes(runtime, document["id"]) == ["holding"]
+    assert (final["status"], final["outcome"]) == ("failed", outcome)
+    assert await outcome_codes(runtime, document["id"]) == [code]
     assert runtime.fleet.cell(CELL).claim is None
 
 
