@@ -246,6 +246,8 @@ async def open_house(settings: Settings, policies: PolicySet) -> AsyncGenerator[
                 "versions": runtime.versions,
                 "shadow": runtime.shadow,
             }
+        if lost := runtime.register.unsaid():
+            complain("the record took no more, so this is not in it:", lost)
     finally:
         examine.close()
         await store.close()

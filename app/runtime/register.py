@@ -144,6 +144,10 @@ class Register:
             return False
         return True
 
+    def unsaid(self) -> list[str]:
+        """Return what happened and is not in the record, one line each."""
+        return [f"{draft.kind} {draft.invocation or ''}".rstrip() for draft in self._unsaid]
+
     async def load(self, invocation: str) -> Invocation:
         """Return the newest durable version, from memory or from the store.
 

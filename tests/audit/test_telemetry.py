@@ -193,11 +193,13 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
         open_writer(tmp_path / "file" / "a.mcap")
 
 
-def test_a_full_disk_is_reported_at_the_end(tmp_path: Path) -> None:
+@pytest.mark.parametrize("rows", [4000, 20], ids=["while it is written", "when it is finished"])
+@pytest.mark.timeout(10)
+def test_a_full_disk_is_reported_at_the_end(tmp_path: Path, rows: int) -> None:
     draft = tmp_path / "a.mcap.partial"
     draft.symlink_to("/dev/full")
     writer = open_writer(tmp_path / "a.mcap")
-    for start in range(0, 4000, 20):
+    for start in range(0, rows, 20):
         writer.write(pack(20, start))
     with pytest.raises(RecordUnavailable, match="No space left"):
         writer.close()

@@ -278,8 +278,10 @@ async def test_a_stop_is_sent_even_when_the_record_fails(
     assert answer["latched"]
     assert answer["recorded"] is False
     await cell.expect("estop")
+    assert runtime.register.unsaid() == [f"human {document['id']}"] * 2
     monkeypatch.undo()
     await runtime.fleet.tend_once()
+    assert runtime.register.unsaid() == []
     said = [event.payload() for event in await runtime.store.events(kind="human")]
     assert [body["op"] for body in said] == ["stop", "estop"], "it is recorded as soon as that is possible"
     assert all(body["said_at"] for body in said)
