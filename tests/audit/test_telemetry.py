@@ -194,7 +194,6 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rows", [4000, 20], ids=["while it is written", "when it is finished"])
-@pytest.mark.timeout(10)
 def test_a_full_disk_is_reported_at_the_end(tmp_path: Path, rows: int) -> None:
     draft = tmp_path / "a.mcap.partial"
     draft.symlink_to("/dev/full")
@@ -204,14 +203,6 @@ def test_a_full_disk_is_reported_at_the_end(tmp_path: Path, rows: int) -> None:
     with pytest.raises(RecordUnavailable, match="No space left"):
         writer.close()
     assert not (tmp_path / "a.mcap").exists()
-
-
-def test_a_disk_that_is_full_only_at_the_end_is_reported_too(tmp_path: Path) -> None:
-    (tmp_path / "a.mcap.partial").symlink_to("/dev/full")
-    writer = open_writer(tmp_path / "a.mcap")
-    writer.write(pack(20, 0))  # so little is written when the file is completed
-    with pytest.raises(RecordUnavailable, match="No space left"):
-        writer.close()
 
 
 def test_rows_beyond_what_may_wait_are_dropped_and_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
