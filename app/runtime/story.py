@@ -13,7 +13,7 @@ from app.governance.continuing import CHANGED
 from app.governance.model import TERMINAL, EventKind, Outcome, Status
 from app.governance.session import final_status, refused_launch
 from app.runtime.drafts import SERVER, outcome_event, reason
-from app.runtime.escalation import PENDING, WITHDRAWN
+from app.runtime.escalation import APPROVED, DENIED, EXPIRED, PENDING, WITHDRAWN
 from app.runtime.failures import failure
 from app.runtime.hands import LAPSED, driven, followed
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 RULE: Final = "runtime/session"
 ITSELF: Final = "cell"  # how a cell names itself as an actor
 CONFIRM: Final = "confirm:"  # how a cell says which phase waits
+LINK: Final = "link"  # how a cell says that it holds because its link had lapsed
 CONFIRM_RULE: Final = "authority/confirm_before"
 NOTHING: Final[Mapping[str, Any]] = {}
 DONE: Final = frozenset({Outcome.SUCCEEDED, Outcome.RECOVERED})
@@ -133,7 +134,7 @@ class Story:
         A cell says that a session is escalated, and then why. Who has answered by then is not asked again.
         """
         asked_before = version.terms.asked_tick == event.tick and event.kind == EventKind.ESCALATION
-        if question is None and asked_before:
+        if question is None and (asked_before or _answered_meanwhile(version, event)):
             return NOTHING
         phase, reasons = _asked(event)
         if event.body.get("reason") == CHANGED:
@@ -177,6 +178,16 @@ class Story:
         if known:
             return known[-1] if known[-1].status == PENDING else None
         return self._desk.pending_for(name)
+
+
+def _answered_meanwhile(version: Invocation, event: UpEvent) -> bool:
+    """Say whether a cell holds for its link, of which somebody knew whose answer is on its way to it.
+
+    The server asks by itself about a session whose link is lost, so the cell may say so only after the answer. Should
+    the session wait all the same, it is asked about again in time (`not_gone_on`).
+    """
+    answered = (version.escalation or NOTHING).get("status") in {APPROVED, DENIED, EXPIRED}
+    return answered and version.status is Status.ESCALATED and event.body.get("reason") == LINK
 
 
 def _asked(event: UpEvent) -> tuple[str | None, list[dict[str, str]]]:

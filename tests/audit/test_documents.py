@@ -9,7 +9,7 @@ from typing import Any
 import orjson
 import pytest
 
-from app.audit.documents import PAGE, document_problems
+from app.audit.documents import PAGE, document_problems, documents
 from app.audit.event import RowWrite
 from app.audit.places import Places
 from app.audit.reader import Reader
@@ -120,3 +120,20 @@ async def test_an_approval_that_names_its_grant_is_no_document_of_it(store: Audi
     await store.append([draft("grant", grant=given)], rows=[kept("grants", given)])
     await store.append([draft("approval", grant="grant_1", review=None, escalation="esc_1", withdrawn="esc_1")])
     assert document_problems(reader, limit=5) == []
+
+
+async def test_reads_the_newest_version_of_each_document_from_the_log(store: AuditStore) -> None:
+    approved, granted = question(status="approved"), question("grant_1", "active")
+    await store.append(
+        [
+            draft("escalation", escalation=question()),
+            draft("escalation", escalation=question("esc_2")),
+            draft("approval", escalation=approved, grant="grant_1"),
+            draft("grant", grant=granted),
+            draft("status", status="running", withdrawn="esc_2"),
+            draft("status", status="running", withdrawn="esc_of_another"),
+        ]
+    )
+    told = await store.events()
+    assert documents(told, "escalation") == [approved, question("esc_2", "withdrawn")]
+    assert documents(told, "grant") == [granted], "a grant's name alone is no document, and nothing withdraws one"

@@ -14,6 +14,7 @@ from app.governance.control import LAPSE_S
 from app.protocol import BEAT_MS
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
+from app.runtime.sessions import LOST_S
 
 from .conftest import AGENT, CELL, OPERATOR, OPERATOR_2, HandCell, House, grasp, navigate, until
 from .test_fleet import Late, SlowCell, running
@@ -266,6 +267,30 @@ async def test_who_answers_before_the_cell_has_said_why_it_asks_is_not_asked_aga
     again = runtime.desk.pending_for(name)
     assert again is not None, "what it asks later is another question"
     assert again.reasons[0]["code"] == "zone_margin_m"
+
+
+@pytest.mark.parametrize("decision", ["approve", "deny"])
+async def test_who_answers_for_a_lost_link_is_not_asked_by_the_cell_as_well(house: House, decision: str) -> None:
+    async with house.open() as runtime:
+        first = await HandCell(runtime).dial()
+        await first.state()
+        name = await running(runtime, first)
+        await first.hang_up()
+        away = runtime.fleet.cell(CELL)
+        assert away.absent_since_s is not None
+        away.absent_since_s -= LOST_S + 0.1
+        await runtime.fleet.tend_once()
+        question = runtime.desk.pending_for(name)
+        assert question is not None
+        assert question.reasons[0]["code"] == "link_lost"
+        cell = await back(runtime, first, status="escalated")
+        await runtime.desk.resolve(question.id, OPERATOR, decision, question.digest)
+        await cell.report("status", name, status="escalated", reason="link")
+        await cell.report("escalation", name, reason="link")
+        assert runtime.desk.pending_for(name) is None
+        await cell.report("status", name, status="running")
+        await cell.report("status", name, status="escalated", reason="link")
+        assert runtime.desk.pending_for(name) is not None, "a link that is lost later is another question"
 
 
 async def test_a_proposal_that_is_said_again_while_its_first_is_recorded_gets_the_same_answer(
