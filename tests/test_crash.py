@@ -275,7 +275,10 @@ def test_a_stop_shows_although_the_cell_cannot_write_it_down(servers: Servers) -
     assert server.post(f"/v1/invocations/{invocation}/stop").status_code == 200
     assert server.await_status(invocation, "failed", within_s=5.0)["outcome"] == "stopped"
     shows_the_fault(server)
-    assert server.cell()["gauges"]["base_speed_mps"] < 0.01
+    until(
+        lambda: server.cell()["gauges"]["base_speed_mps"] < 0.02,
+        what="the base stands still, but for its sensor's noise",
+    )
     make_room()
     is_well_again(server, invocation)
 
