@@ -36,7 +36,7 @@ from app.governance.stated import read as read_promises
 from app.runtime.assembly import Runtime
 from app.runtime.errors import ExaminationFailed, NotFound
 from app.runtime.version import PROVED, UNKNOWN
-from app.terminal import FINE, MISUSE, complain, err, remark, say, say_error
+from app.terminal import FINE, MISUSE, complain, counting, err, remark, say, say_error
 
 if TYPE_CHECKING:
     from collections.abc import AsyncGenerator, Generator
@@ -223,7 +223,9 @@ async def open_house(settings: Settings, policies: PolicySet) -> AsyncGenerator[
     """Open the record and run the governor on it; yields what the application serves, and closes in the other order."""
     layout = settings.layout
     promises = await asyncio.to_thread(read_properties, find_policies(settings.policies))
-    store, examine = AuditStore.open(layout.root), Assayer()
+    with counting("verifying the record") as progress:
+        store = await asyncio.to_thread(AuditStore.open, layout.root, progress=progress)
+    examine = Assayer()
     try:
         runtime = Runtime(
             store,

@@ -139,13 +139,16 @@ def create_app(  # noqa: PLR0913  # every part of a server, by name
 async def healthz(request: Request) -> Response:
     """Say that the process answers, whether it and its cells can keep their records, and whether policy is refuted.
 
-    Without a record only what restrains is obeyed: everywhere, or on the cells that `broken` names. A policy in force
+    Without a record only what restrains is obeyed: everywhere, or on the cells that `broken` names. What the last
+    verification found wrong stands there, and lets nothing launch. A policy in force
     that does not pass its proofs goes on deciding; each decision fails closed by itself. Grants that only the database
     knows, and not the log, hold for nothing.
     """
     parts = parts_of(request)
     await parts.store.look()
     broken = {} if parts.store.healthy else {"store": parts.store.reason}
+    if parts.store.damage is not None:
+        broken["record"] = parts.store.damage
     broken |= parts.fleet.faults()
     if parts.governor.broken:
         broken["background"] = parts.governor.broken

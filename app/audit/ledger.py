@@ -29,13 +29,13 @@ from app.audit.migrate import migrate
 from app.audit.places import Places, create_key, load_key
 from app.audit.rows import Batches, Insertion, Writing, primary_key, replacement, same_key
 from app.audit.tables import ON_CONNECT, STATE, STORE_GIVEN, checkpoints, events
+from app.audit.verification import verify_log
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Mapping, Sequence
 
     from app.audit.event import Event, RowWrite, Submission
-
-TAIL_EVENTS = 1000  # at least so many events are hashed again at every start
+    from app.audit.verification import Progress
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,8 +52,12 @@ class Staged:
 class Ledger:
     """The database with its lock, its key and its checkpoint file, opened for writing."""
 
-    def __init__(self, places: Places) -> None:
-        """Open or create the log, bring its tables up to date, and check its end against its last checkpoints.
+    def __init__(self, places: Places, *, progress: Progress | None = None) -> None:
+        """Open or create the log, bring its tables up to date, and verify all of it: what follows believes it.
+
+        Args:
+            places: the data directory's files.
+            progress: told how many events are verified, and of how many.
 
         Raises:
             RecordUnavailable: the directory or the database cannot be written.
@@ -87,12 +91,13 @@ class Ledger:
             self.frontier, self.note = self._restore()
             new = self.frontier.size == 0 and not places.secret_key.exists()
             self.signer = create_key(places) if new else load_key(places)
-            self._check_tail()
+            self._check_end()
             if self.frontier.size and not places.checkpoints.exists():
                 raise RecordDamaged(places.checkpoints, "the checkpoints outside the database are missing")
             self._file = CheckpointFile(places.checkpoints)
             opened.callback(self._file.close)
             self._check_outside()
+            self._check_all(progress)
             self._opened = opened.pop_all()
 
     # -- writing -----------------------------------------------------------------------------------------------------
@@ -210,8 +215,8 @@ class Ledger:
         except ValueError as error:
             raise RecordDamaged(self.places.database, f"the checkpoint at `{row.size}`: {error}") from error
 
-    def _check_tail(self) -> None:
-        """Hash the last events again, from a checkpoint some way back, up to the signed end."""
+    def _check_end(self) -> None:
+        """Compare where the events end, and what the tree would go on from, with the last signed checkpoint."""
         size = self.frontier.size
         database = self.places.database
         last = self._connection.execute(sa.select(sa.func.max(events.c.seq))).scalar() or 0
@@ -219,24 +224,20 @@ class Ledger:
             raise RecordDamaged(database, f"the last event is `{last}`, the last checkpoint is at `{size}`")
         if not size:
             return
-        back = (
-            sa.select(checkpoints.c.size, checkpoints.c.frontier)
-            .where(checkpoints.c.size <= size - TAIL_EVENTS)
-            .order_by(checkpoints.c.size.desc())
-        )
-        row = self._connection.execute(back.limit(1)).first()
         try:
             signed = self.signer.verifier.open(self.note)
-            start = Frontier() if row is None else Frontier.unpack(row.size, row.frontier)
         except ValueError as error:
             raise RecordDamaged(database, f"its checkpoints: {error}") from error
-        bodies = self._connection.execute(
-            sa.select(events.c.body).where(events.c.seq > start.size).order_by(events.c.seq)
-        ).scalars()
-        tail = start.extend(leaf_hash(body) for body in bodies)
-        heads = {(tail.size, tail.root()), (size, self.frontier.root())}
-        if heads != {(signed.size, signed.root)}:
-            raise RecordDamaged(database, f"the events after `{start.size}` are not those that were signed")
+        if (size, self.frontier.root()) != (signed.size, signed.root):
+            raise RecordDamaged(database, f"what stands beside the checkpoint at `{size}` is not what was signed")
+
+    def _check_all(self, progress: Progress | None) -> None:
+        """Verify the log from its stored bytes, columns included: by them a start asks who decided what."""
+        if not self.frontier.size:
+            return
+        found = verify_log(self.places, self.signer.verifier, progress=progress)
+        if not found.ok:
+            raise RecordDamaged(self.places.database, f"at event `{found.first_bad}`: {found.problem}")
 
     def _check_outside(self) -> None:
         """Compare the end of the checkpoint file with the database, and write the note that a crash kept from it."""

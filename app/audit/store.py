@@ -24,7 +24,7 @@ from app.audit.ledger import Ledger, Staged, describe
 from app.audit.places import Places
 from app.audit.reader import Page, Reader, Row
 from app.audit.rows import check_row
-from app.audit.verification import Verification, verify_log
+from app.audit.verification import Progress, Verification, verify_log
 from app.clock import monotonic_s, rfc3339, wall_s
 from app.disk import full
 
@@ -60,18 +60,24 @@ class AuditStore:
         self._probe: asyncio.TimerHandle | None = None
         self._reason: str | None = None
         self._wrote_s = 0.0
+        self.damage: str | None = None
+        """What the last examination found wrong with the log itself; nothing may move on such a record."""
         self._subscribers: list[Callable[[tuple[Event, ...]], None]] = []
 
     @classmethod
-    def open(cls, data_dir: Path) -> AuditStore:
-        """Open or create the log in a data directory; blocks, so call it at start.
+    def open(cls, data_dir: Path, *, progress: Progress | None = None) -> AuditStore:
+        """Open or create the log in a data directory, and verify all of it; blocks, so call it at start.
+
+        Args:
+            data_dir: the directory.
+            progress: told how many events are verified, and of how many.
 
         Raises:
             RecordUnavailable: the directory or the database cannot be written.
             RecordDamaged: what is stored contradicts its signatures, or parts of it are missing.
             StoreInUse: another process writes here.
         """
-        return cls(Ledger(Places(data_dir)))
+        return cls(Ledger(Places(data_dir), progress=progress))
 
     async def close(self) -> None:
         """Finish what was handed over, then let go of everything."""
@@ -325,9 +331,11 @@ class AuditStore:
 
     async def examine(self) -> Examination:
         """Compare everything that lies in the data directory with the log, in a thread with connections of its own."""
-        return await asyncio.to_thread(
+        found = await asyncio.to_thread(
             examine, self.places, self.verifier, pause_s=VERIFY_PAUSE_S, within_s=EXAMINE_WITHIN_S
         )
+        self.damage = found.log.problem
+        return found
 
     async def _read(self, query: Callable[[], T]) -> T:
         if self._closed:

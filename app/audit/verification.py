@@ -12,10 +12,10 @@ A writer may go on meanwhile: the walk ends where the log ended when it began.
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from time import sleep
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from app.audit.checkpoint import Checkpoint, NoteInvalid, Verifier
 from app.audit.checkpoint_file import read_notes
@@ -27,6 +27,8 @@ from app.audit.reader import MAX_LIMIT, Batch, Extent, Reader
 if TYPE_CHECKING:
     from app.audit.places import Places
 
+Progress: TypeAlias = Callable[[int, int], None]
+"""Told how many events are verified, and of how many."""
 BATCHES_AT_A_TIME = 32
 PAUSE_EVERY = 25
 
@@ -55,15 +57,18 @@ class _Bad(Exception):  # carries a finding to the end of the walk
         super().__init__(problem)
 
 
-def verify_log(places: Places, verifier: Verifier, *, pause_s: float = 0.0) -> Verification:
+def verify_log(
+    places: Places, verifier: Verifier, *, pause_s: float = 0.0, progress: Progress | None = None
+) -> Verification:
     """Verify the log in a data directory; never raises for what is stored there, but reports it.
 
     Args:
         places: the data directory's files.
         verifier: the key that must have signed its checkpoints.
         pause_s: how long to step aside after every 25 events, so that a server whose process this runs in goes on.
+        progress: told after every few batches how far it has come.
     """
-    walk = _Walk(places, verifier, pause_s)
+    walk = _Walk(places, verifier, pause_s, progress)
     try:
         walk.run()
     except _Bad as bad:
@@ -76,9 +81,10 @@ def verify_log(places: Places, verifier: Verifier, *, pause_s: float = 0.0) -> V
 class _Walk:
     """One pass from the first event to the last, holding what is known to be good so far."""
 
-    def __init__(self, places: Places, verifier: Verifier, pause_s: float) -> None:
+    def __init__(self, places: Places, verifier: Verifier, pause_s: float, progress: Progress | None) -> None:
         self.places = places
         self.pause_s = pause_s
+        self.progress = progress
         self.verifier = verifier
         self.frontier = Frontier()
         self.note: str | None = None
@@ -111,6 +117,8 @@ class _Walk:
                     grown = self._grow(reader, batch)
                     self._outside(batch, outside, before.signed)
                     self.frontier, self.note = grown, batch.note
+                if self.progress is not None:
+                    self.progress(self.frontier.size, extent.signed)
         finally:
             reader.close()
         self._end(extent, outside)

@@ -279,6 +279,8 @@ class Governor(Takeovers, Controls):
             broken["background"] = self.broken
         if not self.store.healthy:
             broken["store"] = self.store.reason or "the last write failed"
+        if self.store.damage is not None:
+            broken["record"] = self.store.damage
         if not self.kernel.policy.gates:
             broken["policy"] = "no capability is enabled in any profile"
         return broken

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import orjson
 
+from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft, RowWrite
 from app.clock import monotonic_s
 from app.governance.admission import RETRY_UNMET_S
@@ -346,7 +347,12 @@ class Kernel:
             approvals: who approved it.
             anew: it is a session that has the cell already and keeps it, whatever becomes of this: it changes hands.
             since: the cell's `restraints` when whoever wants this began; by itself, now.
+
+        Raises:
+            RecordUnavailable: the log was found to be damaged; nothing is sent.
         """
+        if (damage := self._register.store.damage) is not None:
+            raise RecordUnavailable(f"the log is damaged, so nothing moves: {damage}")
         cell = self._fleet.cell(invocation.cell or "")
         self._fleet.claim(cell, invocation.id)
         since = cell.restraints if since is None else since

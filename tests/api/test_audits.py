@@ -3,6 +3,7 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import sqlite3
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -83,6 +84,23 @@ async def test_the_checkpoint_is_that_of_the_verified_log(house: House) -> None:
     assert verdict["ok"]
     assert (head["size"], head["root"], head["checkpoint"]) == (verdict["size"], verdict["root"], verdict["checkpoint"])
     assert house.runtime.store.verifier.open(head["checkpoint"]).size == head["size"]
+
+
+async def test_nothing_moves_on_a_log_that_was_found_damaged(house: House) -> None:
+    await refuse(house)
+    drive = {"capability": "navigate_to", "params": {"target": "dock"}}
+    with sqlite3.connect(house.runtime.store.places.database) as database:
+        database.execute("DROP TRIGGER events_refuse_update")
+        database.execute("UPDATE events SET kind = 'cell' WHERE seq = 1")
+    async with house.cell() as cell, house.client("auditor") as auditor, house.client() as agent:
+        verdict = (await auditor.get("/v1/audit/verify")).json()
+        health, ready = await agent.get("/healthz"), await agent.get("/readyz")
+        refused = await agent.post("/v1/invocations", json=drive)
+    assert (verdict["ok"], verdict["first_bad"]) == (False, 1)
+    assert health.json()["broken"]["record"] == ready.json()["broken"]["record"] == verdict["problem"]
+    assert (health.json()["status"], ready.status_code) == ("degraded", 503)
+    assert (refused.status_code, refused.json()["code"]) == (503, "record_unavailable")
+    assert not cell.launches
 
 
 async def test_streams_events_as_they_are_recorded(house: House) -> None:
