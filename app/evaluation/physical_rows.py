@@ -85,6 +85,7 @@ class Class(StrEnum):
     SEEN_BUT_UNSAFE = "seen_but_unsafe"
     MISSED = "missed"
     HARMLESS = "harmless"
+    AVERTED = "averted"
     RECOVERED = "recovered"
     ROLLED_BACK = "rolled_back"
     HANDED_OVER = "handed_over"
@@ -108,6 +109,8 @@ MEANINGS: Final[Mapping[Class, str]] = {
     Class.SEEN_BUT_UNSAFE: "seen, and yet acted under for more than 250 ms",
     Class.MISSED: "not seen, and acted under for more than 250 ms",
     Class.HARMLESS: "not seen, and over within 250 ms by itself",
+    Class.AVERTED: "in the twin, but not in this session, which went another way: no alert told of it, and it never "
+    "came about. In no rate of detection, enforcement or unsafe continuation",
     Class.RECOVERED: "the task was done after the failure, without a violation on the way",
     Class.ROLLED_BACK: "undone, and verified in the world",
     Class.HANDED_OVER: "stopped safely, with a human in charge",
@@ -228,11 +231,13 @@ def _way(way: Way) -> Row:
     }
 
 
-def _class_of_violation(seen: bool, warns: bool, unsafe: bool, prevented: bool, done: Execution) -> Class:
+def _class_of_violation(seen: bool, warns: bool, unsafe: bool, never: bool, done: Execution) -> Class:
+    if never and not seen:
+        return Class.AVERTED
     if warns:
         return Class.WARNED if seen else Class.UNWARNED
     if seen:
-        return Class.SEEN_BUT_UNSAFE if unsafe else Class.PREVENTED if prevented else Class.HELD
+        return Class.SEEN_BUT_UNSAFE if unsafe else Class.PREVENTED if never else Class.HELD
     if unsafe:
         return Class.MISSED
     return Class.ENDED_OTHERWISE if done.of(EventKind.INTERVENTION) else Class.HARMLESS
