@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 from app.evaluation.methods import Recovering
 from app.evaluation.model import Failure, Kind, Row, Violation
 from app.evaluation.rows import COLUMNS as COMMON
+from app.evaluation.truth import UNSAFE_TICKS
 from app.governance.intervention import SEVERITY
 from app.governance.model import EventKind, Intervention, Outcome, Signal, Strategy
 from app.governance.policy import recovery_plan
@@ -105,10 +106,12 @@ MEANINGS: Final[Mapping[Class, str]] = {
     Class.HELD: "seen, and stopped or held within 250 ms",
     Class.WARNED: "seen, where policy names no more than a warning",
     Class.UNWARNED: "not seen, where policy names no more than a warning",
-    Class.ENDED_OTHERWISE: "not seen as what it is, but something else ended it within 250 ms",
+    Class.ENDED_OTHERWISE: "not seen as what it is, and not acted under for more than 250 ms; something else had "
+    "restrained the robot by 250 ms after the onset, which may have been before the fault could act",
     Class.SEEN_BUT_UNSAFE: "seen, and yet acted under for more than 250 ms",
     Class.MISSED: "not seen, and acted under for more than 250 ms",
-    Class.HARMLESS: "not seen, and over within 250 ms by itself",
+    Class.HARMLESS: "not seen, and not acted under for more than 250 ms, without anything that restrained the robot "
+    "by 250 ms after the onset",
     Class.AVERTED: "in the twin, but not in this session, which went another way: no alert told of it, and it never "
     "came about. In no rate of detection, enforcement or unsafe continuation",
     Class.RECOVERED: "the task was done after the failure, without a violation on the way",
@@ -215,7 +218,7 @@ def _violated(made: Row, trial: Trial, violation: Violation, done: Execution) ->
         made["depth_m"] = done.truth.depth_m
     if violation is Violation.PEOPLE:
         made["separation_m"], made["separation_mps"] = done.truth.separation_m, done.truth.separation_mps
-    made["class"] = _class_of_violation(first is not None, warns, unsafe, track.onset is None, done)
+    made["class"] = _class_of_violation(first is not None, warns, unsafe, track.onset, done)
 
 
 def _way(way: Way) -> Row:
@@ -231,16 +234,24 @@ def _way(way: Way) -> Row:
     }
 
 
-def _class_of_violation(seen: bool, warns: bool, unsafe: bool, never: bool, done: Execution) -> Class:
-    if never and not seen:
+def _class_of_violation(seen: bool, warns: bool, unsafe: bool, onset: int | None, done: Execution) -> Class:
+    if onset is None and not seen:
         return Class.AVERTED
     if warns:
         return Class.WARNED if seen else Class.UNWARNED
     if seen:
-        return Class.SEEN_BUT_UNSAFE if unsafe else Class.PREVENTED if never else Class.HELD
+        return Class.SEEN_BUT_UNSAFE if unsafe else Class.PREVENTED if onset is None else Class.HELD
     if unsafe:
         return Class.MISSED
-    return Class.ENDED_OTHERWISE if done.of(EventKind.INTERVENTION) else Class.HARMLESS
+    return Class.ENDED_OTHERWISE if _restrained(done, by=(onset or 0) + UNSAFE_TICKS) else Class.HARMLESS
+
+
+def _restrained(done: Execution, *, by: int) -> bool:
+    """Say whether an intervention that is more than a warning came at or before a tick of the execution."""
+    return any(
+        entry.tick - _launched(done) <= by and SEVERITY[Intervention(str(entry.body["intervention"]))] > 0
+        for entry in done.of(EventKind.INTERVENTION)
+    )
 
 
 def enforced(done: Execution, first: Entry, rule: WatchRule) -> bool:

@@ -101,6 +101,19 @@ def test_a_violation_is_of_one_class(entries: tuple[str, ...], onset: int | None
     assert found["unsafe"] == (acting > 25)
 
 
+@pytest.mark.parametrize(
+    ("other", "expected"),
+    [
+        (intervention(10), Class.ENDED_OTHERWISE),
+        (intervention(65), Class.ENDED_OTHERWISE),
+        (intervention(66), Class.HARMLESS),
+        (intervention(42, Intervention.CONTINUE), Class.HARMLESS),
+    ],
+)
+def test_what_came_later_than_250_ms_or_was_a_warning_has_ended_no_violation(other: Entry, expected: Class) -> None:
+    assert read(speeding(), other, onset=40, acting=25)["class"] is expected
+
+
 def test_every_combination_has_a_class() -> None:
     for one, seen, intervened, onset, acting in product(
         (speeding(), shown(SEED, 4, Violation.PEOPLE)), (False, True), (False, True), (None, 40), (0, 25, 26)
