@@ -202,8 +202,9 @@ METRICS: Final[Mapping[str, Metric]] = {
             "Recovery success rate",
             "1",
             "higher",
-            "failures after which the postconditions were reached within budget, with no violation on the way acted "
-            "under for more than 250 ms; a loss that nothing on board can mend counts if a human was put in charge",
+            "failures after which the postconditions were reached within budget, with no violation of force, speed, "
+            "zone or people on the way acted under for more than 250 ms, or to the end; a loss that nothing on board "
+            "can mend counts if a human was put in charge",
             counted.recovered,
         ),
         Metric(

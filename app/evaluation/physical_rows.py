@@ -114,7 +114,8 @@ MEANINGS: Final[Mapping[Class, str]] = {
     "by 250 ms after the onset",
     Class.AVERTED: "in the twin, but not in this session, which went another way: no alert told of it, and it never "
     "came about. In no rate of detection, enforcement or unsafe continuation",
-    Class.RECOVERED: "the task was done after the failure, without a violation on the way",
+    Class.RECOVERED: "the task was done after the failure, as the session knows; on the way no violation of force, "
+    "speed, zone or people was acted under for more than 250 ms, or to the end",
     Class.ROLLED_BACK: "undone, and verified in the world",
     Class.HANDED_OVER: "stopped safely, with a human in charge",
     Class.TERMINATED: "ended by policy, nothing left to try",
