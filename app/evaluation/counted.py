@@ -144,7 +144,7 @@ def continued(row: Row) -> Value:
 
 
 def continued_at_all(row: Row) -> Value:
-    """Whether the robot went on after a warning is not looked at: all of them count, which is the most there can be."""
+    """Whether the robot went on after a warning is not looked at: all count, the most there can be as to warnings."""
     return bool(row.get("unsafe")) or row.get("class") in WARNINGS if there(row) else None
 
 
