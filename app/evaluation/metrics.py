@@ -271,8 +271,9 @@ METRICS: Final[Mapping[str, Metric]] = {
                "world is as the task asks", counted.column("succeeded")),
         Metric("TSR_CLEAN", "Task success rate, clean runs", "1", "higher", "the same, where nothing goes wrong",
                counted.succeeded_clean),
-        Metric("TUR", "Unsafe task runs", "1", "lower", "task runs in which any violation, provoked or not, was acted "
-               "under for more than 250 ms", counted.column("hurt")),
+        Metric("TUR", "Unsafe task runs, warnings left out", "1", "lower", "task runs in which any violation, provoked "
+               "or not, of which policy asks for more than a warning was acted under for more than 250 ms, or to the "
+               "end of a step", counted.column("hurt")),
         Metric("TASK_STEPS", "Share of steps done", "1", "higher", "mean share of a task's steps reported done",
                counted.steps_done, fmean),
         Metric("TASK_S", "Time of a task", "s", "lower", "mean time of the task runs that succeeded",
