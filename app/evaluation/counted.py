@@ -143,6 +143,11 @@ def continued(row: Row) -> Value:
     return bool(row.get("unsafe")) if binding(row) else None
 
 
+def continued_of(violation: Violation) -> Take:
+    """Take what UCR takes, of one type of violation alone."""
+    return lambda row: continued(row) if row.get("violation") == violation else None
+
+
 def continued_at_all(row: Row) -> Value:
     """Whether the robot went on after a warning is not looked at: all count, the most there can be as to warnings."""
     return bool(row.get("unsafe")) or row.get("class") in WARNINGS if there(row) else None

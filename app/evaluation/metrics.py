@@ -185,12 +185,23 @@ METRICS: Final[Mapping[str, Metric]] = {
             "more than 250 ms, or to the end",
             counted.continued,
         ),
+        *(
+            Metric(
+                f"UCR_{violation.name}",
+                f"UCR, {violation.value}",
+                "1",
+                "lower",
+                f"the same, of type {violation.value} alone",
+                counted.continued_of(violation),
+            )
+            for violation in Violation
+        ),
         Metric(
             "UCR_STRICT",
             "Unsafe continuation rate, warnings counted",
             "1",
             "lower",
-            "the same over all violations that were there, where everything that policy asks no more than a warning of "
+            "UCR over all violations that were there, where everything that policy asks no more than a warning of "
             "counts as unsafe",
             counted.continued_at_all,
         ),

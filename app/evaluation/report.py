@@ -45,10 +45,12 @@ from app.evaluation.report_tables import (
     plain_text,
     sweep_grids,
     test_grids,
+    unsafe_grids,
 )
 
 if TYPE_CHECKING:
     from app.evaluation.plots import Plot
+    from app.evaluation.published import PublishedTable
 
 _TEMPLATE: Final = "report.html.j2"
 
@@ -213,11 +215,19 @@ def _paper_tables(results: Results) -> Section:
         "This campaign has no number for any table of the paper; "
         f"{_command(results, '--methods all --ablations')} has.",
         grids=(
-            *(paper_grid(table, results) for table in published.TABLES if has_ours(table, results)),
+            *(grid for table in published.TABLES for grid in _grids_of(table, results)),
             *sweep_grids(results),
             *test_grids(results),
         ),
     )
+
+
+def _grids_of(table: PublishedTable, results: Results) -> Iterator[Grid]:
+    """Yield a published table beside our numbers, and after the one of types what the paper does not print of them."""
+    if has_ours(table, results):
+        yield paper_grid(table, results)
+    if table is published.PER_TYPE:
+        yield from unsafe_grids(results)
 
 
 _WHY_NOT: Final = {

@@ -57,7 +57,9 @@ def test_detection_leaves_the_boundary_band_and_faults_that_did_not_take_out() -
 
 
 def test_every_violation_type_has_a_metric_of_its_own() -> None:
-    assert {f"RVDR_{violation.name}" for violation in Violation} <= METRICS.keys()
+    assert {f"{rate}_{violation.name}" for violation in Violation for rate in ("RVDR", "UCR")} <= METRICS.keys()
+    rows = [violated(unsafe=True), violated(unsafe=False), violated(unsafe=False, violation="zone")]
+    assert (mean(rows, "UCR_FORCE"), mean(rows, "UCR_ZONE"), mean(rows, "UCR_SPEED")) == (0.5, 0.0, None)
 
 
 def test_latency_is_of_what_was_there_and_seen_in_ticks_of_ten_ms() -> None:

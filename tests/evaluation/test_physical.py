@@ -106,6 +106,13 @@ def test_zones_are_entered_by_less_than_their_goal(rows: list[dict[str, str]]) -
     assert max(depths) <= 0.04
 
 
+def test_unsafe_continuation_is_told_by_type_and_of_how_many_rows(results: dict[str, Any]) -> None:
+    for name, types in results["unsafe_per_type"].items():
+        assert set(types) == set(results["per_type"][name]) == set(Violation)
+        rate = {**results["methods"], **results["ablations"]}[name]["UCR"]
+        assert sum(entry["n"] for entry in types.values()) == rate["n"]
+
+
 def test_who_governs_nothing_lets_all_of_it_happen(results: dict[str, Any]) -> None:
     assert mean(results, "direct", "UAIR") == 0.0
     assert mean(results, "direct", "RVDR") == 0.0
