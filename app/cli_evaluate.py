@@ -54,7 +54,11 @@ _Studies = Annotated[
     str, typer.Option(help="Also run studies beyond the paper: names with commas between them, or all.")
 ]
 _Noise = Annotated[
-    float, typer.Option(help="Multiplies every error of every sensor; 1 is as measured. Protocol physical.")
+    float,
+    typer.Option(
+        help="Multiplies every error of every sensor; 1 is as measured. The boundary band, and the sizes of faults "
+        "near their limit, stay those of 1. Protocol physical."
+    ),
 ]
 _Dropout = Annotated[
     float | None, typer.Option(help="How often the tracker misses a person in a frame, 0 to 1. Protocol physical.")

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from app.evaluation import published
+from app.evaluation.circumstances import NOMINAL
 from app.evaluation.methods import ABLATIONS
 from app.evaluation.metrics import METRICS, Metric
 from app.evaluation.model import TUNING_SEEDS
@@ -133,7 +134,8 @@ def _facts(results: Results) -> list[tuple[str, str]]:
     ]
     if configuration.get("circumstances"):
         told = "; ".join(part.replace("_", " ").replace("=", " ") for part in configuration["circumstances"].split(","))
-        facts.append(("Circumstances", f"other than reported: {told}"))
+        nominal = f". {NOMINAL}" if "noise=" in configuration["circumstances"] else ""
+        facts.append(("Circumstances", f"other than reported: {told}{nominal}"))
     if shared := sorted(set(results["seeds"]) & set(TUNING_SEEDS)):
         facts.append(("Warning", f"seeds {', '.join(map(str, shared))} were used for tuning: these are no results"))
     facts.append(("Means and pooled figures", _POOLED))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from app.evaluation.circumstances import other_way
+from app.evaluation.circumstances import NOMINAL, other_way
 from app.evaluation.draws import MOVING, Drawn, of_type
 from app.evaluation.methods import REINS
 from app.evaluation.metrics import measure
@@ -201,7 +201,7 @@ def tables(rows: Sequence[Row], policy: PolicySet) -> list[Table]:
             "Other sensors, other ways of walking",
             "Condition",
             {name: {**measure(mine, SHOWN), **_latency(mine)} for name, mine in compared.items()},
-            "RVDR and UCR as defined below; FAS: clean sessions with an alarm.",
+            f"RVDR and UCR as defined below; FAS: clean sessions with an alarm. {NOMINAL}.",
         ),
         table(
             "Faults of other kinds",

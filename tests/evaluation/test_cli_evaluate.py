@@ -128,6 +128,7 @@ def test_help_teaches_by_example() -> None:
     text = CliRunner().invoke(app, ["evaluate", "--help"], env={"COLUMNS": "200"}).output
     assert "reins evaluate --protocol physical --long" in text
     assert "--fresh" in text
+    assert "The boundary band" in text
 
 
 @pytest.mark.parametrize(

@@ -191,7 +191,10 @@ def test_a_table_of_which_nothing_was_measured_is_named_with_the_reason_and_not_
 def test_circumstances_other_than_reported_are_said_first() -> None:
     document = results()
     document["configuration"]["circumstances"] = "noise=2.0,fault_size=0.5"
-    assert "other than reported: noise 2.0; fault size 0.5" in Page(render(document)).text
+    assert "other than reported: noise 2.0; fault size 0.5" in (text := Page(render(document)).text)
+    assert "The boundary band, and the sizes of faults near their limit, are in units of the noise as measured" in text
+    document["configuration"]["circumstances"] = "fault_size=0.5"
+    assert "in units of the noise as measured" not in Page(render(document)).text
 
 
 def test_every_metric_is_defined(page: Page) -> None:
