@@ -154,7 +154,10 @@ def continued_at_all(row: Row) -> Value:
 
 
 def alarmed(row: Row) -> Value:
-    """False alarms: of the launched sessions without any fault, those in which anything alarmed."""
+    """False alarms: of the launched sessions without any fault, those in which anything alarmed.
+
+    Where something was truly violated all the same, an alert that tells of it is no false one.
+    """
     return bool(row.get("alarmed")) if row["kind"] == Kind.CLEAN and row.get("launched") else None
 
 

@@ -205,9 +205,8 @@ METRICS: Final[Mapping[str, Metric]] = {
             "counts as unsafe",
             counted.continued_at_all,
         ),
-        Metric(
-            "FAS", "False-alarm sessions", "1", "lower", "launched clean sessions with any alarm", counted.alarmed
-        ),
+        Metric("FAS", "False-alarm sessions", "1", "lower", "launched clean sessions with any alarm that told of no "
+               "true violation", counted.alarmed),
         Metric(
             "RSR",
             "Recovery success rate",

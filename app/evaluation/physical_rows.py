@@ -78,6 +78,7 @@ class Class(StrEnum):
     COMPLETED = "completed"
     FALSE_ALARM = "false_alarm"
     UNFINISHED = "unfinished"
+    VIOLATED = "violated"
     PREVENTED = "prevented"
     HELD = "held"
     WARNED = "warned"
@@ -100,8 +101,10 @@ MEANINGS: Final[Mapping[Class, str]] = {
     Class.REJECTED: "an authorized proposal, not executed",
     Class.NOT_TAKEN: "the fault did not show in the twin, however often it was drawn",
     Class.COMPLETED: "a clean trial: done, and quiet",
-    Class.FALSE_ALARM: "a clean trial in which something alarmed",
+    Class.FALSE_ALARM: "a clean trial in which something alarmed, and nothing was truly violated",
     Class.UNFINISHED: "a clean trial that was quiet but did not get done",
+    Class.VIOLATED: "a clean trial in which something was truly violated all the same, told of or not; an alert of "
+    "something else is a false alarm here too",
     Class.PREVENTED: "seen in time: the violation never came about",
     Class.HELD: "seen, and stopped or held within 250 ms",
     Class.WARNED: "seen, where policy names no more than a warning",
@@ -178,9 +181,30 @@ def _read(made: Row, policy: PolicySet, trial: Trial, method: Method, done: Exec
     elif trial.drawn.failure is not None:
         _failed(made, policy, trial, method, done, restored)
     else:
-        alarmed = any(str(entry.body["signal"]) not in UNLOOKED for entry in done.of(EventKind.ALERT))
-        made["alarmed"] = alarmed
-        made["class"] = Class.FALSE_ALARM if alarmed else Class.COMPLETED if done.achieved else Class.UNFINISHED
+        _clean(made, trial, done)
+
+
+# -- clean trials ------------------------------------------------------------------------------------------------------
+
+
+def _clean(made: Row, trial: Trial, done: Execution) -> None:
+    violated = [violation for violation, track in done.truth.tracks.items() if track.onset is not None]
+    telling = frozenset[str]().union(*(SIGNALS[violation] for violation in violated))
+    true = {rule.id for rule in trial.plan.rules if rule.signal in telling}
+    alarmed = any(
+        str(entry.body["signal"]) not in UNLOOKED and entry.body["rule"] not in true
+        for entry in done.of(EventKind.ALERT)
+    )
+    made["alarmed"] = alarmed
+    made["class"] = (
+        Class.VIOLATED
+        if violated
+        else Class.FALSE_ALARM
+        if alarmed
+        else Class.COMPLETED
+        if done.achieved
+        else Class.UNFINISHED
+    )
 
 
 # -- violations --------------------------------------------------------------------------------------------------------

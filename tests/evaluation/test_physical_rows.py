@@ -197,6 +197,24 @@ def test_any_alarm_in_a_clean_trial_is_a_false_one(achieved: bool, signal: Signa
     assert found["alarmed"] is (expected is Class.FALSE_ALARM)
 
 
+@pytest.mark.parametrize(
+    ("told", "alarmed"), [((), False), (("own",), False), (("tracking",), True), (("own", "tracking"), True)]
+)
+def test_a_true_violation_in_a_clean_trial_is_no_completion_and_telling_of_it_no_false_alarm(
+    told: tuple[str, ...], alarmed: bool
+) -> None:
+    clean = shown(SEED, 0, Kind.CLEAN)
+    own = next(rule.id for rule in clean.plan.rules if rule.signal in SIGNALS[Violation.FORCE])
+    truth = looking(shipped(), clean.drawn, clean.plan)
+    truth.tracks[Violation.FORCE].onset = 40
+    alerts = [alert(42, own if rule == "own" else rule) for rule in told]
+    made = Execution(truth, entries=(launch(), *alerts), achieved=True, ticks=500)
+    found = row(shipped(), clean, REINS, Ran(PASSED, 1.0, made, None))
+    assert found["class"] is Class.VIOLATED
+    assert found["alarmed"] is alarmed
+    assert METRICS["FAS"].take(found) is alarmed
+
+
 def test_what_the_cell_refuses_is_not_launched() -> None:
     found = read(shown(SEED, 0, Kind.CLEAN), refused="expired")
     assert (found["class"], found["launched"], found["blocked_by"]) == (Class.REJECTED, False, "cell")
