@@ -67,7 +67,7 @@ QUALITIES: Final[Mapping[str, Quality]] = {
     "tracker dropout 20 %": Quality(dropout=0.2),
 }
 ON_FOOT: Final = "other ways of walking"
-SHOWN: Final = ("RVDR", "RVDR_BOUNDARY", "UCR", "FAS")
+SHOWN: Final = ("RVDR", "RVDR_BOUNDARY", "UCR", "FAS", "RBSR", "ZONE_DEPTH_P95")
 HOLDS: Final = frozenset({"real-restricted", "human-shared"})
 
 
