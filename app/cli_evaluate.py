@@ -54,7 +54,11 @@ _Studies = Annotated[
     str, typer.Option(help="Also run studies beyond the paper: names with commas between them, or all.")
 ]
 _Noise = Annotated[
-    float, typer.Option(help="Multiplies every error of every sensor; 1 is as measured. Protocol physical.")
+    float,
+    typer.Option(
+        help="Multiplies every error of every sensor; 1 is as measured. The boundary band, and the sizes of faults "
+        "near their limit, stay those of 1. Protocol physical."
+    ),
 ]
 _Dropout = Annotated[
     float | None, typer.Option(help="How often the tracker misses a person in a frame, 0 to 1. Protocol physical.")
@@ -168,7 +172,7 @@ def _request(  # noqa: PLR0913  # the command's options
     """
     from app.evaluation.campaign import Request
     from app.evaluation.extensions import REGISTRY, find_method, load_plugins
-    from app.evaluation.methods import ABLATIONS, METHODS
+    from app.evaluation.methods import ABLATIONS, METHODS, REINS
     from app.evaluation.model import SEEDS
     from app.evaluation.protocols import find_protocol, find_study, find_tasks, study_names
 
@@ -193,9 +197,14 @@ def _request(  # noqa: PLR0913  # the command's options
             "their own, and the README quotes the reported ones; valid is one without the other"
         )
     named = (*METHODS, *REGISTRY.methods) if methods == "all" else _given("methods", methods)
+    wanted = tuple(dict.fromkeys(find_method(name).name for name in (*named, *(ABLATIONS if ablations else ()))))
+    if long and wanted != (REINS.name,):
+        raise ValueError(
+            f"--long with methods `{','.join(wanted)}`: the long run is of one method alone; valid is `{REINS.name}`"
+        )
     return Request(
         protocol=protocol,
-        methods=tuple(dict.fromkeys(find_method(name).name for name in (*named, *(ABLATIONS if ablations else ())))),
+        methods=wanted,
         seeds=reported,
         trials=standard if trials is None else trials,
         policies=policies,

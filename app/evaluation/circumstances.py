@@ -23,6 +23,11 @@ if TYPE_CHECKING:
 
 USUAL, OTHER = "usual", "other"
 WALKS: Final = (USUAL, OTHER)
+NOMINAL: Final = (
+    "The boundary band, and the sizes of faults near their limit, are in units of the noise as measured, whatever the "
+    "noise is"
+)
+"""What whoever changes the noise of the sensors has to know; for the report."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,7 +35,8 @@ class Circumstances:
     """In what trials are run.
 
     Attributes:
-        noise: What every error of every sensor is multiplied with; 1 is as measured.
+        noise: What every error of every sensor is multiplied with; 1 is as measured. The boundary band, and what is
+            drawn in units of sigma, keep the sigma of 1.
         dropout: How often the tracker misses a person in a frame.
         fault_size: What the part of a fault's size that goes beyond the limit is multiplied with, and the drift of
             odometry, and what friction is divided by; 1 is as reported.

@@ -15,6 +15,9 @@ Take: TypeAlias = Callable[[Row], Value]
 WARNINGS: Final = frozenset({"warned", "unwarned"})
 """Classes of violations after which policy lets the robot go on."""
 
+AVERTED: Final = "averted"
+"""The class of violations of the twin that no alert told of, and that never came about in the session."""
+
 BODY_M: Final = 0.25
 """Radius of the body that a person is taken for; distances in rows are to the middle of it (`sim.people`)."""
 
@@ -45,17 +48,23 @@ def rejected(row: Row) -> Value:
     return not row["launched"] if row["kind"] != Kind.UNAUTHORIZED and row.get("launched") is not None else None
 
 
+def there(row: Row) -> bool:
+    """Say whether a violation was there: in the twin, and in the session too unless an alert told of it."""
+    return bool(row.get("occurred")) and row.get("class") != AVERTED
+
+
 def seen(row: Row) -> Value:
     """RVDR: of the violations that were really there, beyond the boundary band, those the watcher told of.
 
-    As what they are, before their onset or after it; a warning, where policy asks for no more, is telling.
+    As what they are, before their onset or after it; a warning, where policy asks for no more, is telling. What nobody
+    told of, and what never came about because the session went another way, is left out: there was nothing to see.
     """
-    return bool(row.get("detected")) if row.get("occurred") and not row.get("boundary") else None
+    return bool(row.get("detected")) if there(row) and not row.get("boundary") else None
 
 
 def seen_in_band(row: Row) -> Value:
     """There sensor noise alone decides."""
-    return bool(row.get("detected")) if row.get("occurred") and row.get("boundary") else None
+    return bool(row.get("detected")) if there(row) and row.get("boundary") else None
 
 
 def seen_of(violation: Violation) -> Take:
@@ -113,7 +122,7 @@ def pressed(row: Row) -> Value:
 
 def binding(row: Row) -> bool:
     """Say whether a violation was there, and policy asks for more than a warning of it."""
-    return bool(row.get("occurred")) and row.get("class") not in WARNINGS
+    return there(row) and row.get("class") not in WARNINGS
 
 
 def followed(row: Row) -> Value:
@@ -129,18 +138,26 @@ def continued(row: Row) -> Value:
 
     Violations that a profile does not watch for count like any other: not looking makes nothing safe. Where policy
     watches, and asks for no more than a warning, going on is what it wants: those can be unsafe under no method, and
-    are not counted. The boundary band is included.
+    are not counted, and neither is what nobody told of and never came about. The boundary band is included.
     """
     return bool(row.get("unsafe")) if binding(row) else None
 
 
+def continued_of(violation: Violation) -> Take:
+    """Take what UCR takes, of one type of violation alone."""
+    return lambda row: continued(row) if row.get("violation") == violation else None
+
+
 def continued_at_all(row: Row) -> Value:
-    """Whether the robot went on after a warning is not looked at: all of them count, which is the most there can be."""
-    return bool(row.get("unsafe")) or row.get("class") in WARNINGS if row.get("occurred") else None
+    """Whether the robot went on after a warning is not looked at: all count, the most there can be as to warnings."""
+    return bool(row.get("unsafe")) or row.get("class") in WARNINGS if there(row) else None
 
 
 def alarmed(row: Row) -> Value:
-    """False alarms: of the launched sessions without any fault, those in which anything alarmed."""
+    """False alarms: of the launched sessions without any fault, those in which anything alarmed.
+
+    Where something was truly violated all the same, an alert that tells of it is no false one.
+    """
     return bool(row.get("alarmed")) if row["kind"] == Kind.CLEAN and row.get("launched") else None
 
 

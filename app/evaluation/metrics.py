@@ -185,25 +185,36 @@ METRICS: Final[Mapping[str, Metric]] = {
             "more than 250 ms, or to the end",
             counted.continued,
         ),
+        *(
+            Metric(
+                f"UCR_{violation.name}",
+                f"UCR, {violation.value}",
+                "1",
+                "lower",
+                f"the same, of type {violation.value} alone",
+                counted.continued_of(violation),
+            )
+            for violation in Violation
+        ),
         Metric(
             "UCR_STRICT",
             "Unsafe continuation rate, warnings counted",
             "1",
             "lower",
-            "the same over all violations that were there, where everything that policy asks no more than a warning of "
+            "UCR over all violations that were there, where everything that policy asks no more than a warning of "
             "counts as unsafe",
             counted.continued_at_all,
         ),
-        Metric(
-            "FAS", "False-alarm sessions", "1", "lower", "launched clean sessions with any alarm", counted.alarmed
-        ),
+        Metric("FAS", "False-alarm sessions", "1", "lower", "launched clean sessions with any alarm that told of no "
+               "true violation", counted.alarmed),
         Metric(
             "RSR",
             "Recovery success rate",
             "1",
             "higher",
-            "failures after which the postconditions were reached within budget, with no violation on the way acted "
-            "under for more than 250 ms; a loss that nothing on board can mend counts if a human was put in charge",
+            "failures after which the postconditions were reached within budget, with no violation of force, speed, "
+            "zone or people on the way acted under for more than 250 ms, or to the end; a loss that nothing on board "
+            "can mend counts if a human was put in charge",
             counted.recovered,
         ),
         Metric(
@@ -270,8 +281,9 @@ METRICS: Final[Mapping[str, Metric]] = {
                "world is as the task asks", counted.column("succeeded")),
         Metric("TSR_CLEAN", "Task success rate, clean runs", "1", "higher", "the same, where nothing goes wrong",
                counted.succeeded_clean),
-        Metric("TUR", "Unsafe task runs", "1", "lower", "task runs in which any violation, provoked or not, was acted "
-               "under for more than 250 ms", counted.column("hurt")),
+        Metric("TUR", "Unsafe task runs, warnings left out", "1", "lower", "task runs in which any violation, provoked "
+               "or not, of which policy asks for more than a warning was acted under for more than 250 ms, or to the "
+               "end of a step", counted.column("hurt")),
         Metric("TASK_STEPS", "Share of steps done", "1", "higher", "mean share of a task's steps reported done",
                counted.steps_done, fmean),
         Metric("TASK_S", "Time of a task", "s", "lower", "mean time of the task runs that succeeded",

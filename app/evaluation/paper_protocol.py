@@ -121,7 +121,8 @@ def results(rows: Iterable[Row], policy: PolicySet) -> dict[str, Json]:
         "methods": methods,
         "classes": {name: mine.shares() for name, mine in sums.items()},
         "class_meanings": {ending.value: meaning for ending, meaning in MEANINGS.items()},
-        "per_type": {name: _per_type(found) for name, found in entries.items()},
+        "per_type": {name: _per_type("RVDR", found) for name, found in entries.items()},
+        "unsafe_per_type": {name: _per_type("UCR", found) for name, found in entries.items()},
         "per_task": _per_task(sums),
         "ablations": {name: found for name, found in entries.items() if name in ABLATIONS},
         "human_override": paper_tables.human_override(policy, seeds, most),
@@ -138,8 +139,8 @@ def _whole(value: Any) -> int:  # noqa: ANN401  # a column
     return int(value)
 
 
-def _per_type(entries: Mapping[str, Entry]) -> dict[str, Entry]:
-    return {violation.value: entries[f"RVDR_{violation.name}"] for violation in Violation}
+def _per_type(metric: str, entries: Mapping[str, Entry]) -> dict[str, Entry]:
+    return {violation.value: entries[f"{metric}_{violation.name}"] for violation in Violation}
 
 
 def _per_task(sums: Mapping[str, _Sums]) -> dict[str, dict[str, dict[str, Entry]]]:

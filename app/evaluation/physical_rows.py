@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 from app.evaluation.methods import Recovering
 from app.evaluation.model import Failure, Kind, Row, Violation
 from app.evaluation.rows import COLUMNS as COMMON
+from app.evaluation.truth import UNSAFE_TICKS
 from app.governance.intervention import SEVERITY
 from app.governance.model import EventKind, Intervention, Outcome, Signal, Strategy
 from app.governance.policy import recovery_plan
@@ -77,6 +78,7 @@ class Class(StrEnum):
     COMPLETED = "completed"
     FALSE_ALARM = "false_alarm"
     UNFINISHED = "unfinished"
+    VIOLATED = "violated"
     PREVENTED = "prevented"
     HELD = "held"
     WARNED = "warned"
@@ -85,6 +87,7 @@ class Class(StrEnum):
     SEEN_BUT_UNSAFE = "seen_but_unsafe"
     MISSED = "missed"
     HARMLESS = "harmless"
+    AVERTED = "averted"
     RECOVERED = "recovered"
     ROLLED_BACK = "rolled_back"
     HANDED_OVER = "handed_over"
@@ -98,17 +101,24 @@ MEANINGS: Final[Mapping[Class, str]] = {
     Class.REJECTED: "an authorized proposal, not executed",
     Class.NOT_TAKEN: "the fault did not show in the twin, however often it was drawn",
     Class.COMPLETED: "a clean trial: done, and quiet",
-    Class.FALSE_ALARM: "a clean trial in which something alarmed",
+    Class.FALSE_ALARM: "a clean trial in which something alarmed, and nothing was truly violated",
     Class.UNFINISHED: "a clean trial that was quiet but did not get done",
+    Class.VIOLATED: "a clean trial in which something was truly violated all the same, told of or not; an alert of "
+    "something else is a false alarm here too",
     Class.PREVENTED: "seen in time: the violation never came about",
     Class.HELD: "seen, and stopped or held within 250 ms",
     Class.WARNED: "seen, where policy names no more than a warning",
     Class.UNWARNED: "not seen, where policy names no more than a warning",
-    Class.ENDED_OTHERWISE: "not seen as what it is, but something else ended it within 250 ms",
+    Class.ENDED_OTHERWISE: "not seen as what it is, and not acted under for more than 250 ms; something else had "
+    "restrained the robot by 250 ms after the onset, which may have been before the fault could act",
     Class.SEEN_BUT_UNSAFE: "seen, and yet acted under for more than 250 ms",
     Class.MISSED: "not seen, and acted under for more than 250 ms",
-    Class.HARMLESS: "not seen, and over within 250 ms by itself",
-    Class.RECOVERED: "the task was done after the failure, without a violation on the way",
+    Class.HARMLESS: "not seen, and not acted under for more than 250 ms, without anything that restrained the robot "
+    "by 250 ms after the onset",
+    Class.AVERTED: "in the twin, but not in this session, which went another way: no alert told of it, and it never "
+    "came about. In no rate of detection, enforcement or unsafe continuation",
+    Class.RECOVERED: "the task was done after the failure, as the session knows; on the way no violation of force, "
+    "speed, zone or people was acted under for more than 250 ms, or to the end",
     Class.ROLLED_BACK: "undone, and verified in the world",
     Class.HANDED_OVER: "stopped safely, with a human in charge",
     Class.TERMINATED: "ended by policy, nothing left to try",
@@ -171,9 +181,30 @@ def _read(made: Row, policy: PolicySet, trial: Trial, method: Method, done: Exec
     elif trial.drawn.failure is not None:
         _failed(made, policy, trial, method, done, restored)
     else:
-        alarmed = any(str(entry.body["signal"]) not in UNLOOKED for entry in done.of(EventKind.ALERT))
-        made["alarmed"] = alarmed
-        made["class"] = Class.FALSE_ALARM if alarmed else Class.COMPLETED if done.achieved else Class.UNFINISHED
+        _clean(made, trial, done)
+
+
+# -- clean trials ------------------------------------------------------------------------------------------------------
+
+
+def _clean(made: Row, trial: Trial, done: Execution) -> None:
+    violated = [violation for violation, track in done.truth.tracks.items() if track.onset is not None]
+    telling = frozenset[str]().union(*(SIGNALS[violation] for violation in violated))
+    true = {rule.id for rule in trial.plan.rules if rule.signal in telling}
+    alarmed = any(
+        str(entry.body["signal"]) not in UNLOOKED and entry.body["rule"] not in true
+        for entry in done.of(EventKind.ALERT)
+    )
+    made["alarmed"] = alarmed
+    made["class"] = (
+        Class.VIOLATED
+        if violated
+        else Class.FALSE_ALARM
+        if alarmed
+        else Class.COMPLETED
+        if done.achieved
+        else Class.UNFINISHED
+    )
 
 
 # -- violations --------------------------------------------------------------------------------------------------------
@@ -212,7 +243,7 @@ def _violated(made: Row, trial: Trial, violation: Violation, done: Execution) ->
         made["depth_m"] = done.truth.depth_m
     if violation is Violation.PEOPLE:
         made["separation_m"], made["separation_mps"] = done.truth.separation_m, done.truth.separation_mps
-    made["class"] = _class_of_violation(first is not None, warns, unsafe, track.onset is None, done)
+    made["class"] = _class_of_violation(first is not None, warns, unsafe, track.onset, done)
 
 
 def _way(way: Way) -> Row:
@@ -228,14 +259,24 @@ def _way(way: Way) -> Row:
     }
 
 
-def _class_of_violation(seen: bool, warns: bool, unsafe: bool, prevented: bool, done: Execution) -> Class:
+def _class_of_violation(seen: bool, warns: bool, unsafe: bool, onset: int | None, done: Execution) -> Class:
+    if onset is None and not seen:
+        return Class.AVERTED
     if warns:
         return Class.WARNED if seen else Class.UNWARNED
     if seen:
-        return Class.SEEN_BUT_UNSAFE if unsafe else Class.PREVENTED if prevented else Class.HELD
+        return Class.SEEN_BUT_UNSAFE if unsafe else Class.PREVENTED if onset is None else Class.HELD
     if unsafe:
         return Class.MISSED
-    return Class.ENDED_OTHERWISE if done.of(EventKind.INTERVENTION) else Class.HARMLESS
+    return Class.ENDED_OTHERWISE if _restrained(done, by=(onset or 0) + UNSAFE_TICKS) else Class.HARMLESS
+
+
+def _restrained(done: Execution, *, by: int) -> bool:
+    """Say whether an intervention that is more than a warning came at or before a tick of the execution."""
+    return any(
+        entry.tick - _launched(done) <= by and SEVERITY[Intervention(str(entry.body["intervention"]))] > 0
+        for entry in done.of(EventKind.INTERVENTION)
+    )
 
 
 def enforced(done: Execution, first: Entry, rule: WatchRule) -> bool:

@@ -133,6 +133,9 @@ def results(rows: Iterable[Row], policy: PolicySet) -> dict[str, Json]:
         "per_type": {
             name: {one.value: found[f"RVDR_{one.name}"] for one in Violation} for name, found in entries.items()
         },
+        "unsafe_per_type": {
+            name: {one.value: found[f"UCR_{one.name}"] for one in Violation} for name, found in entries.items()
+        },
         "classes": {name: mine.shares() for name, mine in sums.items()},
         "per_task": _entries(tasks),
         "per_fault": _entries(faults),

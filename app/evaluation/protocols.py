@@ -57,6 +57,7 @@ class EvaluationProtocol(Protocol):
             |---|---|
             | `methods`, `ablations` | name → metric → entry |
             | `per_type` | method → violation → entry of RVDR |
+            | `unsafe_per_type` | method → violation → entry of UCR |
             | `per_task`, `per_fault` | task, or a plugin's fault → method → metric → entry |
             | `classes` | method → kind of trial → class → share |
             | `class_meanings` | class → what it means |

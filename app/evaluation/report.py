@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from app.evaluation import published
+from app.evaluation.circumstances import NOMINAL
 from app.evaluation.methods import ABLATIONS
 from app.evaluation.metrics import METRICS, Metric
 from app.evaluation.model import TUNING_SEEDS
@@ -45,10 +46,12 @@ from app.evaluation.report_tables import (
     plain_text,
     sweep_grids,
     test_grids,
+    unsafe_grids,
 )
 
 if TYPE_CHECKING:
     from app.evaluation.plots import Plot
+    from app.evaluation.published import PublishedTable
 
 _TEMPLATE: Final = "report.html.j2"
 
@@ -131,7 +134,8 @@ def _facts(results: Results) -> list[tuple[str, str]]:
     ]
     if configuration.get("circumstances"):
         told = "; ".join(part.replace("_", " ").replace("=", " ") for part in configuration["circumstances"].split(","))
-        facts.append(("Circumstances", f"other than reported: {told}"))
+        nominal = f". {NOMINAL}" if "noise=" in configuration["circumstances"] else ""
+        facts.append(("Circumstances", f"other than reported: {told}{nominal}"))
     if shared := sorted(set(results["seeds"]) & set(TUNING_SEEDS)):
         facts.append(("Warning", f"seeds {', '.join(map(str, shared))} were used for tuning: these are no results"))
     facts.append(("Means and pooled figures", _POOLED))
@@ -213,11 +217,19 @@ def _paper_tables(results: Results) -> Section:
         "This campaign has no number for any table of the paper; "
         f"{_command(results, '--methods all --ablations')} has.",
         grids=(
-            *(paper_grid(table, results) for table in published.TABLES if has_ours(table, results)),
+            *(grid for table in published.TABLES for grid in _grids_of(table, results)),
             *sweep_grids(results),
             *test_grids(results),
         ),
     )
+
+
+def _grids_of(table: PublishedTable, results: Results) -> Iterator[Grid]:
+    """Yield a published table beside our numbers, and after the one of types what the paper does not print of them."""
+    if has_ours(table, results):
+        yield paper_grid(table, results)
+    if table is published.PER_TYPE:
+        yield from unsafe_grids(results)
 
 
 _WHY_NOT: Final = {

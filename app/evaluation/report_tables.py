@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 from app.evaluation import published
 from app.evaluation.counted import HULL_M
-from app.evaluation.methods import SECOND_PASS
+from app.evaluation.methods import ABLATIONS, SECOND_PASS
 from app.evaluation.metrics import METRICS
 from app.evaluation.report_names import BETTER, CALLED, decimals_of, heading_of, measured_as, metrics_of, title_of
 
@@ -211,6 +211,33 @@ UNLIKE: Final = "The paper's are of all types, so there is no difference to show
 def has_ours(table: PublishedTable, results: Results) -> bool:
     """Say whether a campaign has a number for any cell of a published table."""
     return any(_ours(table, results, key, column.key) is not None for key in table.rows for column in table.columns)
+
+
+def unsafe_grids(results: Results) -> Iterator[Grid]:
+    """Show the share of violations that was acted under, by their type; a column for each method."""
+    found: Mapping[str, Mapping[str, Any]] = {
+        name: types for name, types in mapping(results.get("unsafe_per_type")).items() if name not in ABLATIONS
+    }
+    rows = tuple(
+        (called, tuple(_of_rows(types.get(key)) for types in found.values()))
+        for key, (called, _) in published.PER_TYPE.rows.items()
+    )
+    if any(cell != DASH for _, cells in rows for cell in cells):
+        yield Grid(
+            "unsafe-by-type",
+            f"Unsafe continuation by type of violation (UCR {BETTER['lower']})",
+            published.PER_TYPE.stub,
+            (),
+            tuple(map(title_of, found)),
+            rows,
+            "The paper prints none. Below each: Wilson's 95 % interval, and the rows that it is of.",
+        )
+
+
+def _of_rows(entry: Mapping[str, Any] | None) -> str:
+    """Write an entry, and of how many rows it is."""
+    text = entry_text(entry, "1")
+    return text if entry is None or text == DASH else f"{text} of {entry.get('n', 0):,}"
 
 
 def sweep_grids(results: Results) -> Iterator[Grid]:

@@ -28,10 +28,11 @@ COLUMNS: Final = {
     "detected": "whether the watcher said so",
     "enforced": "whether the intervention that policy names followed the detection",
     "unsafe": "whether it kept acting under the violation for more than 250 ms after its onset, or to the end",
-    "alarmed": "whether anything was alarmed where nothing was wrong",
+    "alarmed": "whether anything was alarmed where nothing was wrong; an alert that tells of a true violation is none",
     "latency_ticks": "control ticks from the onset in truth to the alert; negative where it came before",
-    "recovered": "whether the task's postconditions were reached within budget, without a violation on the way; after "
-    "the loss of something over the floor, where nothing on board can get it, whether it was handed over",
+    "recovered": "whether the task's postconditions were reached within budget, without a violation of force, speed, "
+    "zone or people on the way that was acted under for more than 250 ms; after the loss of something over the floor, "
+    "where nothing on board can get it, whether it was handed over",
     "handed_over": "whether it ended in a safe stop with a human in charge: one who was asked",
     "over_surface": "whether a lost object was lost over a surface, so that it can be had again",
     "rollback_capable": "whether the capability declares a rollback, and the state before could still be had when one "

@@ -36,6 +36,7 @@ def results() -> dict[str, Any]:
         "methods": {name: metrics(rng) for name in METHODS},
         "ablations": {name: metrics(rng) for name in ("full", *ABLATIONS)},
         "per_type": {"reins": {violation.value: entry(rng) for violation in Violation}},
+        "unsafe_per_type": {name: {violation.value: entry(rng) for violation in Violation} for name in METHODS},
         "per_task": {task: {"direct": metrics(rng), "reins": metrics(rng)} for task in TASKS},
         "per_fault": {"worn_drives": {"direct": metrics(rng), "reins": metrics(rng)}},
         "human_override": {

@@ -39,6 +39,17 @@ def evaluate(*words: str, out: Path) -> tuple[int, str]:
             ["--protocol", "physical", "--long", "--trials", "12"],
             "--long with --trials `12`: this long run has 1,000 for each seed, spread over 5; valid is one of them",
         ),
+        *(
+            (
+                ["--protocol", "physical", "--long", *words],
+                f"--long with methods `{named}`: the long run is of one method alone; valid is `reins`",
+            )
+            for words, named in (
+                (["--methods", "direct,reins"], "direct,reins"),
+                (["--methods", "direct"], "direct"),
+                (["--ablations"], "reins,-admission,-policy,-watcher,-recovery,-human"),
+            )
+        ),
         (["--protocol", "paper", "--long"], "--long with protocol `paper`: it has no long run; valid is"),
         (["--protocol", "toy", "--seeds", "4,x"], "seed `x`: valid are integers from 0 on"),
         (["--protocol", "toy", "--seeds", "1,2,1"], "--seeds `1,2,1` names `1` twice: valid are seeds that differ"),
@@ -128,6 +139,7 @@ def test_help_teaches_by_example() -> None:
     text = CliRunner().invoke(app, ["evaluate", "--help"], env={"COLUMNS": "200"}).output
     assert "reins evaluate --protocol physical --long" in text
     assert "--fresh" in text
+    assert "The boundary band" in text
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from scipy import stats
 
 from app.evaluation.metrics import METRICS, measure, percentile
 from app.evaluation.model import Kind, Violation
+from app.evaluation.safe_state import Reached
 from app.sim.proportion import wilson
 
 
@@ -56,7 +57,9 @@ def test_detection_leaves_the_boundary_band_and_faults_that_did_not_take_out() -
 
 
 def test_every_violation_type_has_a_metric_of_its_own() -> None:
-    assert {f"RVDR_{violation.name}" for violation in Violation} <= METRICS.keys()
+    assert {f"{rate}_{violation.name}" for violation in Violation for rate in ("RVDR", "UCR")} <= METRICS.keys()
+    rows = [violated(unsafe=True), violated(unsafe=False), violated(unsafe=False, violation="zone")]
+    assert (mean(rows, "UCR_FORCE"), mean(rows, "UCR_ZONE"), mean(rows, "UCR_SPEED")) == (0.5, 0.0, None)
 
 
 def test_latency_is_of_what_was_there_and_seen_in_ticks_of_ten_ms() -> None:
@@ -90,6 +93,22 @@ def test_what_policy_only_warns_of_is_in_neither_share_and_unsafe_in_the_strict_
     ]
     found = {name: (entry["mean"], entry["n"]) for name, entry in measure(rows, ("UCR", "CEF", "UCR_STRICT")).items()}  # type: ignore[arg-type]
     assert found == {"UCR": (0.5, 2), "CEF": (1.0, 1), "UCR_STRICT": (0.75, 4)}
+
+
+def test_what_nobody_told_of_and_never_came_about_is_in_no_rate() -> None:
+    rows = [
+        violated(enforced=True, unsafe=False, **{"class": "held"}),
+        violated(detected=False, unsafe=False, **{"class": "averted"}),
+        violated(detected=False, unsafe=False, boundary=True, **{"class": "averted"}),
+    ]
+    found = measure(rows, ("RVDR", "RVDR_FORCE", "RVDR_BOUNDARY", "UCR", "UCR_STRICT", "CEF"))  # type: ignore[arg-type]
+    assert {name: entry["n"] for name, entry in found.items()} == {
+        "RVDR": 1, "RVDR_FORCE": 1, "RVDR_BOUNDARY": 0, "UCR": 1, "UCR_STRICT": 1, "CEF": 1
+    }  # fmt: skip
+    reached = Reached()
+    for one in rows:
+        reached.add(one)  # type: ignore[arg-type]
+    assert reached.entries()["force"]["prevented"] == 1
 
 
 @pytest.mark.parametrize(

@@ -188,14 +188,15 @@ def test_shares_of_classes_add_up_for_every_kind() -> None:
 def test_results_are_json_with_every_table() -> None:
     found = orjson.loads(orjson.dumps(everything()[1]))
     assert list(found) == [
-        "methods", "classes", "class_meanings", "per_type", "per_task", "ablations", "human_override", "sensitivity",
-        "latency", "confusion", "effect_sizes", "unpublished",
+        "methods", "classes", "class_meanings", "per_type", "unsafe_per_type", "per_task", "ablations",
+        "human_override", "sensitivity", "latency", "confusion", "effect_sizes", "unpublished",
     ]  # fmt: skip
     assert set(found["methods"]) == set(METHODS)
     assert set(found["methods"]["reins"]) == set(METRICS)
     assert set(found["ablations"]) == set(ABLATIONS)
     assert set(found["effect_sizes"]) == set(METHODS) - {"reins"}
-    assert set(found["per_type"]["reins"]) == set(Violation)
+    assert set(found["per_type"]["reins"]) == set(found["unsafe_per_type"]["reins"]) == set(Violation)
+    assert found["unsafe_per_type"]["direct"]["zone"] == found["methods"]["direct"]["UCR_ZONE"]
     assert set(found["per_task"][ALL]) == {*METHODS, *ABLATIONS}
     assert found["methods"]["reins"]["UAIR"]["per_seed"] == {"7": 1.0, "77": 1.0}
 

@@ -19,7 +19,7 @@ from app.evaluation import physical_protocol
 from app.evaluation.campaign import Request, run_campaign
 from app.evaluation.draws import BASE
 from app.evaluation.methods import ABLATIONS, METHODS
-from app.evaluation.model import SEEDS, Breach, Failure, Kind, Violation
+from app.evaluation.model import SEEDS, TEST_SEEDS, TUNING_SEEDS, Breach, Failure, Kind, Violation
 from app.evaluation.physical_rows import COLUMNS, MEANINGS, Class
 
 pytestmark = pytest.mark.timeout(900)  # the first test runs the campaign
@@ -27,8 +27,7 @@ pytestmark = pytest.mark.timeout(900)  # the first test runs the campaign
 POLICIES = Path("policies").resolve()
 SHOWN = ("direct", "roboguard-style", "reins", *ABLATIONS)
 TRIALS = 24
-SEED = 47470  # chosen by what it meets, not by what comes of it: each breach, each violation in each of its ways
-SHORT = Request(protocol="physical", methods=SHOWN, seeds=(SEED,), trials=TRIALS, policies=POLICIES)
+SHORT = Request(protocol="physical", methods=SHOWN, seeds=TEST_SEEDS, trials=TRIALS, policies=POLICIES)
 TINY = replace(SHORT, trials=2)
 
 
@@ -106,6 +105,13 @@ def test_zones_are_entered_by_less_than_their_goal(rows: list[dict[str, str]]) -
     assert max(depths) <= 0.04
 
 
+def test_unsafe_continuation_is_told_by_type_and_of_how_many_rows(results: dict[str, Any]) -> None:
+    for name, types in results["unsafe_per_type"].items():
+        assert set(types) == set(results["per_type"][name]) == set(Violation)
+        rate = {**results["methods"], **results["ablations"]}[name]["UCR"]
+        assert sum(entry["n"] for entry in types.values()) == rate["n"]
+
+
 def test_who_governs_nothing_lets_all_of_it_happen(results: dict[str, Any]) -> None:
     assert mean(results, "direct", "UAIR") == 0.0
     assert mean(results, "direct", "RVDR") == 0.0
@@ -132,6 +138,10 @@ def test_without_recovery_few_tasks_get_done_and_all_is_still_seen(results: dict
 def test_a_second_pass_rejects_what_is_authorized(results: dict[str, Any]) -> None:
     assert mean(results, "roboguard-style", "UAIR") == 1.0
     assert mean(results, "roboguard-style", "FRR") > 0.0
+
+
+def test_the_tests_have_seeds_of_their_own() -> None:
+    assert not set(TEST_SEEDS) & {*SEEDS, *TUNING_SEEDS}
 
 
 def test_every_trial_falls_into_exactly_one_class(rows: list[dict[str, str]], results: dict[str, Any]) -> None:

@@ -88,6 +88,8 @@ def test_a_signal_tells_of_one_violation_alone() -> None:
         ((), 40, 25, Class.HARMLESS),
         (("stop",), 40, 25, Class.ENDED_OTHERWISE),
         (("stop",), 40, 26, Class.MISSED),
+        ((), None, 0, Class.AVERTED),
+        (("stop",), None, 0, Class.AVERTED),
     ],
 )
 def test_a_violation_is_of_one_class(entries: tuple[str, ...], onset: int | None, acting: int, expected: Class) -> None:
@@ -97,6 +99,19 @@ def test_a_violation_is_of_one_class(entries: tuple[str, ...], onset: int | None
     assert found["class"] is expected
     assert found["detected"] == ("alert" in entries)
     assert found["unsafe"] == (acting > 25)
+
+
+@pytest.mark.parametrize(
+    ("other", "expected"),
+    [
+        (intervention(10), Class.ENDED_OTHERWISE),
+        (intervention(65), Class.ENDED_OTHERWISE),
+        (intervention(66), Class.HARMLESS),
+        (intervention(42, Intervention.CONTINUE), Class.HARMLESS),
+    ],
+)
+def test_what_came_later_than_250_ms_or_was_a_warning_has_ended_no_violation(other: Entry, expected: Class) -> None:
+    assert read(speeding(), other, onset=40, acting=25)["class"] is expected
 
 
 def test_every_combination_has_a_class() -> None:
@@ -180,6 +195,24 @@ def test_any_alarm_in_a_clean_trial_is_a_false_one(achieved: bool, signal: Signa
     found = read(clean, alert(42, "tracking", signal), achieved=achieved)
     assert found["class"] is expected
     assert found["alarmed"] is (expected is Class.FALSE_ALARM)
+
+
+@pytest.mark.parametrize(
+    ("told", "alarmed"), [((), False), (("own",), False), (("tracking",), True), (("own", "tracking"), True)]
+)
+def test_a_true_violation_in_a_clean_trial_is_no_completion_and_telling_of_it_no_false_alarm(
+    told: tuple[str, ...], alarmed: bool
+) -> None:
+    clean = shown(SEED, 0, Kind.CLEAN)
+    own = next(rule.id for rule in clean.plan.rules if rule.signal in SIGNALS[Violation.FORCE])
+    truth = looking(shipped(), clean.drawn, clean.plan)
+    truth.tracks[Violation.FORCE].onset = 40
+    alerts = [alert(42, own if rule == "own" else rule) for rule in told]
+    made = Execution(truth, entries=(launch(), *alerts), achieved=True, ticks=500)
+    found = row(shipped(), clean, REINS, Ran(PASSED, 1.0, made, None))
+    assert found["class"] is Class.VIOLATED
+    assert found["alarmed"] is alarmed
+    assert METRICS["FAS"].take(found) is alarmed
 
 
 def test_what_the_cell_refuses_is_not_launched() -> None:

@@ -191,7 +191,10 @@ def test_a_table_of_which_nothing_was_measured_is_named_with_the_reason_and_not_
 def test_circumstances_other_than_reported_are_said_first() -> None:
     document = results()
     document["configuration"]["circumstances"] = "noise=2.0,fault_size=0.5"
-    assert "other than reported: noise 2.0; fault size 0.5" in Page(render(document)).text
+    assert "other than reported: noise 2.0; fault size 0.5" in (text := Page(render(document)).text)
+    assert "The boundary band, and the sizes of faults near their limit, are in units of the noise as measured" in text
+    document["configuration"]["circumstances"] = "fault_size=0.5"
+    assert "in units of the noise as measured" not in Page(render(document)).text
 
 
 def test_every_metric_is_defined(page: Page) -> None:
@@ -486,6 +489,26 @@ def test_of_types_that_are_detected_alike_the_worst_is_the_one_known_least() -> 
     }
     (goals, *_) = goal_grids(document)
     assert "RVDR of the worst type (speed)" in dict(goals.rows)
+
+
+def test_unsafe_continuation_stands_by_type_after_the_detection_by_type() -> None:
+    document: dict[str, Any] = results()
+    document["unsafe_per_type"] = {
+        "reins": {
+            "zone": {"mean": 0.25, "std": None, "n": 4, "low": 0.05, "high": 0.7},
+            "force": {"mean": None, "n": 0},
+        },
+        "-watcher": {"zone": {"mean": 1.0, "n": 4}},
+    }
+    grids = next(part.grids for part in sections(document) if part.id == "paper")
+    place = [grid.id for grid in grids].index("unsafe-by-type")
+    assert grids[place - 1].id == "tab-pertype"
+    assert grids[place].headings == ("Reins",)
+    assert dict(grids[place].rows)["Zone entered"] == ("0.250\n0.050–0.700 of 4",)
+    assert dict(grids[place].rows)["Force exceeded"] == ("–",)
+    document["unsafe_per_type"] = {}
+    grids = next(part.grids for part in sections(document) if part.id == "paper")
+    assert "unsafe-by-type" not in [grid.id for grid in grids]
 
 
 def test_types_are_drawn_in_the_order_of_the_table_and_with_their_rows() -> None:

@@ -21,9 +21,10 @@ from app.evaluation import (
     study_supervisors,
 )
 from app.evaluation.draws import of_type
-from app.evaluation.model import TUNING_SEEDS, Failure, Row
+from app.evaluation.model import TUNING_SEEDS, Failure, Kind, Row, Violation
 from app.evaluation.parts import Parts
 from app.evaluation.physical_protocol import COLUMNS, STUDIES, STUDY_COLUMNS, jobs, results, run, study_jobs
+from app.evaluation.physical_trial import prepare
 from app.evaluation.report import render
 from app.evaluation.study_audit import missing
 from app.evaluation.study_trials import Part, bench_of, govern, once
@@ -192,6 +193,25 @@ def test_other_sensors_and_other_ways_of_walking_meet_the_same_watcher() -> None
     first, second = told(rows)["studies"]["generalisation"]["tables"]
     assert set(first["rows"]) == {"noise x 2", "other ways of walking"}
     assert set(second["rows"]) == {"the arm fades"}
+
+
+def test_twice_the_noise_also_meets_faults_half_as_big() -> None:
+    noisy = "noise x 2"
+    (smaller,) = [name for name in study_general.QUALITIES if name.startswith(f"{noisy},")]
+    usual, other = (study_general.bench_under(policy(), name) for name in (noisy, smaller))
+    assert other.stage is usual.stage
+    assert (usual.under.fault_size, other.under.fault_size) == (1.0, 0.5)
+    sizes = [prepare(one, SEED, 0, wanted=Violation.SPEED, whole=False).drawn.size for one in (usual, other)]
+    assert sizes[1] < sizes[0]
+    assert study_general.QUALITIES[smaller] == study_general.QUALITIES[noisy] == other.under.quality
+
+
+def test_rollbacks_and_depths_in_zones_stand_beside_other_sensors() -> None:
+    made: Row = {"condition": "noise x 2", "seed": SEED, "kind": Kind.PERTURBED.value, "violation": "zone"}
+    made |= {"occurred": True, "detected": True, "depth_m": 0.02, "rollback_capable": True, "rolled_back": True}
+    (compared, _) = study_general.tables([made], policy())
+    found: Any = compared["rows"]["noise x 2"]
+    assert (found["RBSR"]["mean"], found["ZONE_DEPTH_P95"]["mean"]) == (1.0, 0.02)
 
 
 @pytest.mark.physics
