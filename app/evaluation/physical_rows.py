@@ -110,7 +110,8 @@ MEANINGS: Final[Mapping[Class, str]] = {
     Class.WARNED: "seen, where policy names no more than a warning",
     Class.UNWARNED: "not seen, where policy names no more than a warning",
     Class.ENDED_OTHERWISE: "not seen as what it is, and not acted under for more than 250 ms; something else had "
-    "restrained the robot by 250 ms after the onset, which may have been before the fault could act",
+    "restrained the robot by 250 ms after the onset, which may have been before the fault could act, or so that it "
+    "never came about",
     Class.SEEN_BUT_UNSAFE: "seen, and yet acted under for more than 250 ms",
     Class.MISSED: "not seen, and acted under for more than 250 ms",
     Class.HARMLESS: "not seen, and not acted under for more than 250 ms, without anything that restrained the robot "
@@ -261,7 +262,7 @@ def _way(way: Way) -> Row:
 
 def _class_of_violation(seen: bool, warns: bool, unsafe: bool, onset: int | None, done: Execution) -> Class:
     if onset is None and not seen:
-        return Class.AVERTED
+        return Class.ENDED_OTHERWISE if _restrained(done, by=None) else Class.AVERTED
     if warns:
         return Class.WARNED if seen else Class.UNWARNED
     if seen:
@@ -271,10 +272,11 @@ def _class_of_violation(seen: bool, warns: bool, unsafe: bool, onset: int | None
     return Class.ENDED_OTHERWISE if _restrained(done, by=(onset or 0) + UNSAFE_TICKS) else Class.HARMLESS
 
 
-def _restrained(done: Execution, *, by: int) -> bool:
-    """Say whether an intervention that is more than a warning came at or before a tick of the execution."""
+def _restrained(done: Execution, *, by: int | None) -> bool:
+    """Say whether an intervention that is more than a warning came, at or before a tick of the execution if one is."""
     return any(
-        entry.tick - _launched(done) <= by and SEVERITY[Intervention(str(entry.body["intervention"]))] > 0
+        (by is None or entry.tick - _launched(done) <= by)
+        and SEVERITY[Intervention(str(entry.body["intervention"]))] > 0
         for entry in done.of(EventKind.INTERVENTION)
     )
 

@@ -77,7 +77,7 @@ _REMARK: Final = (
     "says how much is. Beyond the boundary band are violations that exceed their limit by three sigma or more; those "
     "within it have a row of their own, and are in RVDR neither of all types nor of the worst. Minimum separation "
     "is while the robot still moved, over every walker drawn, in the profiles that hold the robot for people, and to "
-    "the middle of a person: to a body of 0.25 m radius it is 0.25 m less. Where policy asks for no more than a "
+    "the middle of a person: 0.25 m are asked for to a body of 0.25 m radius. Where policy asks for no more than a "
     "warning, going on is what it wants: UCR and CEF leave such violations out, and the strict count, for which "
     "nothing is asked, takes each of them for unsafe. Rollback-capable is what by the exact state could still be "
     "undone; all rollbacks that were tried, and all failures that were not recovered, have rows of their own. "

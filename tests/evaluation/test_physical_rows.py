@@ -89,7 +89,7 @@ def test_a_signal_tells_of_one_violation_alone() -> None:
         (("stop",), 40, 25, Class.ENDED_OTHERWISE),
         (("stop",), 40, 26, Class.MISSED),
         ((), None, 0, Class.AVERTED),
-        (("stop",), None, 0, Class.AVERTED),
+        (("stop",), None, 0, Class.ENDED_OTHERWISE),
     ],
 )
 def test_a_violation_is_of_one_class(entries: tuple[str, ...], onset: int | None, acting: int, expected: Class) -> None:

@@ -262,7 +262,7 @@ def test_goals_are_judged_by_what_was_measured_and_say_by_how_much() -> None:
     document["extremes"] = {"reins": {"separation_least_m": 0.0}}
     (table, *_) = goal_grids(document)
     rows = dict(table.rows)
-    assert rows["Minimum separation"] == ("0.000 m", "20", "≥ 0.25 m", "✗ missed")
+    assert rows["Minimum separation"] == ("0.000 m", "20", "≥ 0.5 m", "✗ missed")
     name = "Runtime violation detection rate (RVDR), beyond the boundary band"
     assert rows[name][1:] == ("200", "≥ 0.99", "✗ missed")
     assert rows["RVDR in the boundary band"][1:] == ("10", "–", "–")
