@@ -140,7 +140,7 @@ def test_does_not_start_on_principals_it_cannot_read(tmp_path: Path, content: st
         open_principals(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["", "x" * 129, "a\nb"])
+@pytest.mark.parametrize("name", ["", "x" * 129, "a\nb", " operator", "operator "])
 def test_refuses_to_issue_a_token_for_no_name(tmp_path: Path, name: str) -> None:
     open_principals(tmp_path)
     with pytest.raises(ValueError, match="principal name"):
@@ -149,7 +149,15 @@ def test_refuses_to_issue_a_token_for_no_name(tmp_path: Path, name: str) -> None
 
 @pytest.mark.parametrize(
     ("name", "said"),
-    [("server", "a machine"), ("workcell-7", "a machine"), ("operator", "the role `operator` already")],
+    [
+        ("server", "a machine"),
+        ("Server", "a machine"),
+        ("workcell-7", "a machine"),
+        ("WorkCell-7", "a machine"),
+        ("operator", "the role `operator` already"),
+        ("Operator", "reads like `operator`"),
+        ("\N{FULLWIDTH LATIN SMALL LETTER O}perator", "reads like `operator`"),
+    ],
 )
 def test_refuses_a_token_for_a_name_that_means_somebody_else(tmp_path: Path, name: str, said: str) -> None:
     open_principals(tmp_path)
@@ -158,6 +166,15 @@ def test_refuses_a_token_for_a_name_that_means_somebody_else(tmp_path: Path, nam
     with pytest.raises(ValueError, match=said):
         issue_token(tmp_path, name=name, role=Role.AGENT)
     assert (tmp_path / PRINCIPALS_FILE).read_bytes() == before
+
+
+def test_nobody_is_named_as_somebody_else_of_the_same_role_reads(tmp_path: Path) -> None:
+    open_principals(tmp_path)
+    issue_token(tmp_path, name="Lena  M", role=Role.OPERATOR)
+    for name in ("lena M", "Lena M"):
+        with pytest.raises(ValueError, match="reads like `Lena  M`"):
+            issue_token(tmp_path, name=name, role=Role.OPERATOR)
+    assert issue_token(tmp_path, name="Lena  M", role=Role.OPERATOR)
 
 
 def test_a_write_that_fails_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
