@@ -63,6 +63,14 @@ def test_a_token_needs_a_data_directory(tmp_path: Path) -> None:
     assert run("token", "issue", "x", "--role", "agent", "--data", str(tmp_path / "none"))[0] == 2
 
 
+def test_no_token_is_issued_beside_a_record_that_cannot_be_read(tmp_path: Path) -> None:
+    open_principals(tmp_path)
+    Places(tmp_path).database.write_bytes(b"no database" * 500)
+    code, said = run("token", "issue", "late", "--role", "agent", "--data", str(tmp_path))
+    assert code == 2
+    assert "no token issued" in said
+
+
 @pytest.mark.parametrize(("seq", "relied_on"), [(5, "events 1 to 3 are good"), (2, "nothing before it is good")])
 def test_says_how_far_an_altered_log_is_good(tmp_path: Path, seq: int, relied_on: str) -> None:
     """Batches of three: what precedes the bad event in its own batch has no checkpoint that holds."""

@@ -23,6 +23,8 @@ import orjson
 
 from app import clock
 from app.api.problems import Problem
+from app.audit.archive import reading
+from app.audit.places import Places
 from app.governance.model import Role
 from app.runtime.drafts import SERVER
 from app.runtime.invocation import Principal
@@ -185,6 +187,7 @@ def issue_token(
         ValueError: an empty name, or one with control characters or blanks around it; one that the record uses for a
             machine, or for somebody of another role; one that reads like another's.
         PrincipalsUnreadable: the file is not in its form.
+        RecordDamaged: the record cannot be read, so that nobody knows which cells there are.
         OSError: the directory cannot be read or written.
     """
     if not name or len(name) > 128 or not name.isprintable() or name != name.strip():
@@ -217,10 +220,13 @@ def _as_read(name: str) -> str:
 
 
 def _machines(data_dir: Path) -> set[str]:
-    """Return whom the record calls by a name and who is nobody."""
+    """Return whom the record calls by a name and who is nobody: cells that were started here, or joined, among them."""
     folder = data_dir / CELLS_FOLDER
     started = [path.name for path in folder.iterdir()] if folder.is_dir() else []
-    return {*MACHINES, *started}
+    if not Places(data_dir).database.exists():  # no server has run yet
+        return {*MACHINES, *started}
+    with reading(data_dir) as reader:
+        return {*MACHINES, *started, *(row["cell"] for row in reader.rows("cell_progress"))}
 
 
 def _refused(code: str, detail: str) -> Problem:
