@@ -102,6 +102,7 @@ class Settings:
         _demand(0 <= self.port <= 65535, "port", self.port, "0 (any free one) to 65535")
         _demand(0 <= self.cells <= MAX_CELLS, "cells", self.cells, f"0 to {MAX_CELLS}")
         check_pace(self.pace)
+        _check_seed(self.seed)
 
     @property
     def layout(self) -> DataDir:
@@ -143,6 +144,7 @@ class CellSettings:
         one = (self.server is None) != (self.server_file is None)
         _demand(one, "server", self.server, "either an address like http://127.0.0.1:8000 or a server file")
         check_pace(self.pace)
+        _check_seed(self.seed)
 
 
 def cell_terms(settings: Settings | CellSettings) -> dict[str, object]:
@@ -159,6 +161,10 @@ def check_pace(pace: float) -> None:
     """Refuse a pace that is no number of simulated seconds per second. Raises `ConfigError`."""
     valid = "0 (as fast as possible), or 0.05 to 100 times real time"
     _demand(math.isfinite(pace) and (pace == 0 or 0.05 <= pace <= 100), "pace", pace, valid)
+
+
+def _check_seed(seed: int) -> None:
+    _demand(seed >= 0, "seed", seed, "0 or more")
 
 
 def find_policies(flag: Path | None) -> Path:

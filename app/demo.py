@@ -16,7 +16,7 @@ import httpx
 import orjson
 
 from app.agent.approver import ScriptedApprover, load_habits, parse_habits
-from app.agent.client import AsyncReinsClient, ReinsError
+from app.agent.client import AsyncReinsClient, ReinsError, Unsendable
 from app.agent.story import fetch
 from app.clock import monotonic_s, rfc3339, wall_s
 from app.config import DEFAULT_PROFILE, DataDir
@@ -74,12 +74,12 @@ def approve(habits_file: Path, url: str, data: Path) -> int:
     """Answer escalations by habit until interrupted; return the exit code."""
     try:
         habits = load_habits(habits_file)
-        token = _token_of(habits.name, DataDir(root=data).tokens)
-    except (OSError, ValueError) as error:
+        client = AsyncReinsClient(url, _token_of(habits.name, DataDir(root=data).tokens))
+    except (OSError, ValueError, Unsendable) as error:
         say_error(f"no approver: {error}")
         return MISUSE
     try:
-        asyncio.run(_approve(url, str(token), habits))
+        asyncio.run(_approve(client, habits))
     except KeyboardInterrupt:
         return FINE
     except ReinsError as error:
@@ -99,8 +99,8 @@ def _token_of(name: str, tokens: Path) -> str:
     return known[name]
 
 
-async def _approve(url: str, token: str, habits: Habits) -> None:
-    async with AsyncReinsClient(url, token) as client:
+async def _approve(client: AsyncReinsClient, habits: Habits) -> None:
+    async with client:
         approver = ScriptedApprover(
             client,
             habits,

@@ -18,7 +18,7 @@ from app.api.auth import open_principals
 from app.audit.places import Places
 from app.audit.store import AuditStore
 from app.cli import app, main
-from app.config import CellSettings, ConfigError, Settings, find_policies
+from app.config import CELL_TOKEN_VARIABLE, CellSettings, ConfigError, Settings, find_policies
 from tests.audit.conftest import fill, hide_from_index
 from tests.governance.policy_world import POLICIES
 
@@ -61,6 +61,14 @@ def test_issues_a_token_that_is_kept_as_a_digest_only(tmp_path: Path) -> None:
 
 def test_a_token_needs_a_data_directory(tmp_path: Path) -> None:
     assert run("token", "issue", "x", "--role", "agent", "--data", str(tmp_path / "none"))[0] == 2
+
+
+def test_no_token_is_issued_beside_a_record_that_cannot_be_read(tmp_path: Path) -> None:
+    open_principals(tmp_path)
+    Places(tmp_path).database.write_bytes(b"no database" * 500)
+    code, said = run("token", "issue", "late", "--role", "agent", "--data", str(tmp_path))
+    assert code == 2
+    assert "no token issued" in said
 
 
 @pytest.mark.parametrize(("seq", "relied_on"), [(5, "events 1 to 3 are good"), (2, "nothing before it is good")])
@@ -124,6 +132,27 @@ def test_the_shipped_policies_check() -> None:
 def test_refuses_a_pace_that_is_none(pace: float) -> None:
     with pytest.raises(ConfigError, match="pace"):
         Settings(pace=pace)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["serve", "--port", "0", "--data", "{}", "--seed", "-1"],
+        ["cell", "--server", "http://127.0.0.1:9", "--data", "{}", "--seed", "-1"],
+        ["serve", "--port", "0", "--data", "{}"],
+    ],
+)
+def test_refuses_a_seed_that_no_world_grows_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str]
+) -> None:
+    monkeypatch.setenv(CELL_TOKEN_VARIABLE, "t")
+    if "--seed" not in words:
+        monkeypatch.setenv("REINS_SEED", "-1")
+    monkeypatch.setattr(sys, "argv", ["reins", *(word.format(tmp_path / "data") for word in words)])
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    assert "`seed` is `-1`; valid: 0 or more" in capsys.readouterr().err
+    assert not (tmp_path / "data").exists()
 
 
 @pytest.mark.parametrize("name", ["", "UPPER", "../up", "a" * 41])

@@ -70,6 +70,17 @@ def _authorization(token: str) -> dict[str, str]:
     return {"Authorization": f"Bearer {header_text('token', token, MAX_TOKEN)}"}
 
 
+def _address(url: str) -> httpx.URL:
+    """Return a server's address. Raises `ValueError` where there is no server to ask."""
+    try:
+        found = httpx.URL(url)
+    except httpx.InvalidURL as error:
+        raise ValueError(f"url `{url}`: {error}; valid is for instance `http://127.0.0.1:8000`") from error
+    if found.scheme not in ("http", "https") or not found.host:
+        raise ValueError(f"url `{url}`: valid is http:// or https:// and a host, for instance `http://127.0.0.1:8000`")
+    return found
+
+
 _NOTHING = Reply(status=0, json=None)
 _TIMEOUT = httpx.Timeout(10.0, read=WAIT_S + 15.0)
 
@@ -78,9 +89,12 @@ class ReinsClient:
     """Synchronous client; a context manager."""
 
     def __init__(self, url: str, token: str, *, defers: int = 20) -> None:
-        """Speak to `url` as the owner of `token`; propose a deferred invocation again up to `defers` times."""
+        """Speak to `url` as the owner of `token`; propose a deferred invocation again up to `defers` times.
+
+        Raises `ValueError` if `url` names no server, `Unsendable` if `token` fits no header.
+        """
         self._defers = defers
-        self._http = httpx.Client(base_url=url, headers=_authorization(token), timeout=_TIMEOUT)
+        self._http = httpx.Client(base_url=_address(url), headers=_authorization(token), timeout=_TIMEOUT)
 
     def __enter__(self) -> Self:
         """Return the client."""
@@ -173,9 +187,12 @@ class AsyncReinsClient:
     """Asynchronous client; an async context manager. Methods and exceptions are those of `ReinsClient`."""
 
     def __init__(self, url: str, token: str, *, defers: int = 20) -> None:
-        """Speak to `url` as the owner of `token`; propose a deferred invocation again up to `defers` times."""
+        """Speak to `url` as the owner of `token`; propose a deferred invocation again up to `defers` times.
+
+        Raises `ValueError` if `url` names no server, `Unsendable` if `token` fits no header.
+        """
         self._defers = defers
-        self._http = httpx.AsyncClient(base_url=url, headers=_authorization(token), timeout=_TIMEOUT)
+        self._http = httpx.AsyncClient(base_url=_address(url), headers=_authorization(token), timeout=_TIMEOUT)
 
     async def __aenter__(self) -> Self:
         """Return the client."""

@@ -230,7 +230,10 @@ class SeatedStream(StreamingResponse):
 
 
 def _last_event_id(request: Request) -> int:
-    text = request.headers["last-event-id"]
+    given = request.headers.getlist("last-event-id")
+    if len(given) > 1:
+        raise Problem("given_twice", f"`Last-Event-ID` is given {len(given)} times: valid is once")
+    text = given[0].strip(" \t")  # blanks around a value are none of it (RFC 9110, 5.5)
     if not (text.isascii() and text.isdigit()) or len(text) > MAX_DIGITS:
         message = f"`{text[:40]}` is no `Last-Event-ID`: valid is the `id` of an event"
         raise Problem("request_invalid", message, errors=[{"field": "Last-Event-ID", "message": message}])

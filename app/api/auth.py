@@ -13,6 +13,7 @@ import fcntl
 import hmac
 import os
 import secrets
+import unicodedata
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -22,6 +23,8 @@ import orjson
 
 from app import clock
 from app.api.problems import Problem
+from app.audit.archive import reading
+from app.audit.places import Places
 from app.governance.model import Role
 from app.runtime.drafts import SERVER
 from app.runtime.invocation import Principal
@@ -181,14 +184,17 @@ def issue_token(
         station: the cell that its bearer stands at; there they may take the controls from who does not.
 
     Raises:
-        ValueError: an empty name, or one with control characters; one that the record uses for a machine, or for
-            somebody of another role.
+        ValueError: an empty name, or one with control characters or blanks around it; one that the record uses for a
+            machine, or for somebody of another role; one that reads like another's.
         PrincipalsUnreadable: the file is not in its form.
+        RecordDamaged: the record cannot be read, so that nobody knows which cells there are.
         OSError: the directory cannot be read or written.
     """
-    if not name or len(name) > 128 or not name.isprintable():
-        raise ValueError(f"`{name}` is no principal name: valid are 1 to 128 printable characters")
-    if role is not Role.CELL and (name in MACHINES or (data_dir / CELLS_FOLDER / name).exists()):
+    if not name or len(name) > 128 or not name.isprintable() or name != name.strip():
+        raise ValueError(
+            f"`{name}` is no principal name: valid are 1 to 128 printable characters, no blank around them"
+        )
+    if role is not Role.CELL and _as_read(name) in map(_as_read, _machines(data_dir)):
         raise ValueError(f"`{name}` is what the record calls a machine: valid is another name")
     token = _new_token(role)
     expires_at = None if ttl_s is None else clock.rfc3339(clock.wall_s() + ttl_s)
@@ -199,9 +205,28 @@ def issue_token(
         other = next((one["role"] for one in known if one["name"] == name and one["role"] != role.value), None)
         if other is not None:
             raise ValueError(f"`{name}` has the role `{other}` already: valid is that role, or another name")
+        names = [one["name"] for one in known]
+        alike = next((one for one in names if _as_read(one) == _as_read(name)), name)
+        if name not in names and alike != name:  # two people who read as one would count as two approvers
+            raise ValueError(f"`{name}` reads like `{alike}`, who is there already: valid is that, or another name")
         rows = [*known, row if station is None else {**row, "station": station}]
         _write(path, orjson.dumps({"principals": rows}, option=orjson.OPT_INDENT_2) + b"\n")
     return token
+
+
+def _as_read(name: str) -> str:
+    """Return what a reader tells names apart by: not by capitals, nor by how wide a blank is or how coded an accent."""
+    return " ".join(unicodedata.normalize("NFKC", name).casefold().split())
+
+
+def _machines(data_dir: Path) -> set[str]:
+    """Return whom the record calls by a name and who is nobody: cells that were started here, or joined, among them."""
+    folder = data_dir / CELLS_FOLDER
+    started = [path.name for path in folder.iterdir()] if folder.is_dir() else []
+    if not Places(data_dir).database.exists():  # no server has run yet
+        return {*MACHINES, *started}
+    with reading(data_dir) as reader:
+        return {*MACHINES, *started, *(row["cell"] for row in reader.rows("cell_progress"))}
 
 
 def _refused(code: str, detail: str) -> Problem:

@@ -17,6 +17,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from app.api.faults import field_errors
 from app.api.problems import Problem
 from app.governance.semver import PIN
+from app.runtime.grant import LEAST_MINUTES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -84,7 +85,7 @@ class ProposalBody(Body):
     )
 
 
-Minutes = Annotated[float, Field(gt=0, le=15, allow_inf_nan=False)]
+Minutes = Annotated[float, Field(ge=LEAST_MINUTES, le=15, allow_inf_nan=False)]
 ScopeName = Literal["object", "task", "time"]
 
 

@@ -18,6 +18,7 @@ from app.audit.verification import Verification, verify_log
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator
+    from io import BufferedWriter
 
     from app.audit.event import Event
 
@@ -79,27 +80,46 @@ def export(data_dir: Path, out: Path, format: Literal["jsonl"] = "jsonl") -> Exp
 
     Raises:
         RecordDamaged: there is no log, or it cannot be read.
-        ValueError: another format.
-        OSError: the files cannot be written.
+        ValueError: another format, or a directory where a file is to be.
+        OSError: the files cannot be written; then neither is there.
     """
     if format != "jsonl":
         raise ValueError(f"`{format}` is no export format: valid is `jsonl`")
     note_path = out.with_name(out.name + ".checkpoint")
-    draft = out.with_name(out.name + ".partial")
+    for path in (out, note_path):
+        if path.is_dir():
+            raise ValueError(f"`{path}` is a directory: valid is the name of a file")
     digest = hashlib.sha256()
     count = 0
-    with reading(data_dir) as reader, draft.open("wb") as file:
+    with reading(data_dir) as reader, _drafted(note_path) as note_file, _drafted(out) as file:
         size, note = reader.head()
         for event in walk(reader, until=size):
             line = event.body + b"\n"
             file.write(line)
             digest.update(line)
             count += 1
-        file.flush()
-        os.fsync(file.fileno())
-    note_path.write_text(note)
-    draft.replace(out)
+        note_file.write(note.encode())
+        for one in (file, note_file):
+            one.flush()
+            os.fsync(one.fileno())
+        Path(note_file.name).replace(note_path)
+        try:
+            Path(file.name).replace(out)
+        except OSError:
+            note_path.unlink()
+            raise
     return Export(events=out, checkpoint=note_path, count=count, sha256=digest.hexdigest())
+
+
+@contextmanager
+def _drafted(path: Path) -> Generator[BufferedWriter]:
+    """Open `….partial` beside a path to fill and rename it; what is not renamed is removed."""
+    draft = path.with_name(path.name + ".partial")
+    with draft.open("wb") as file:
+        try:
+            yield file
+        finally:
+            draft.unlink(missing_ok=True)
 
 
 def database_problems(data_dir: Path, *, within_s: float | None = None) -> list[str] | None:

@@ -22,6 +22,7 @@ policies/
 from __future__ import annotations
 
 import hashlib
+import stat
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any, Final, cast
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
     from app.governance.policy_code import Compiled
     from app.governance.policy_model import Profile, Rule
 
+MOST_BYTES: Final = 1_000_000  # of one file; the longest that is shipped has a fiftieth of it
 TESTS_FOLDER: Final = "tests"
 PROPERTIES: Final = "properties.yaml"
 ORGANIZATION: Final = "organization.yaml"
@@ -70,7 +72,7 @@ def read_files(directory: Path) -> dict[str, str]:
     """Read the policy files of a directory (not its tests, nor its properties), path → text, in order of path.
 
     Raises:
-        PolicyErrors: The directory cannot be read, or a file is not UTF-8.
+        PolicyErrors: The directory cannot be read, or a file is not UTF-8 text of at most `MOST_BYTES`.
     """
     return {name: text for name, text in _read(directory, tests=False).items() if name != PROPERTIES}
 
@@ -79,7 +81,7 @@ def read_properties(directory: Path) -> str | None:
     """Read what a policy directory promises (`properties.yaml`); None where it has no such file.
 
     Raises:
-        PolicyErrors: The directory cannot be read, or a file is not UTF-8.
+        PolicyErrors: The directory cannot be read, or a file is not UTF-8 text of at most `MOST_BYTES`.
     """
     return _read(directory, tests=False).get(PROPERTIES)
 
@@ -88,7 +90,7 @@ def read_cases(directory: Path) -> dict[str, str]:
     """Read the case files of a policy directory, path relative to it → text, in order of path.
 
     Raises:
-        PolicyErrors: The directory cannot be read, or a file is not UTF-8.
+        PolicyErrors: The directory cannot be read, or a file is not UTF-8 text of at most `MOST_BYTES`.
     """
     return _read(directory, tests=True)
 
@@ -103,7 +105,11 @@ def _read(directory: Path, *, tests: bool) -> dict[str, str]:
         if not _meant(path) or (PurePosixPath(name).parts[0] == TESTS_FOLDER) is not tests:
             continue
         try:
-            files[name] = path.read_bytes().decode()
+            if (content := _content(path)) is not None:
+                files[name] = content.decode()
+                continue
+            message = f"cannot be read: valid is a regular file of at most {MOST_BYTES:,} bytes"
+            problems.append(PolicyError(file=name, line=0, key="", message=message))
         except OSError as error:  # a link that leads nowhere, a folder: what was meant to be read there does not decide
             problems.append(PolicyError(file=name, line=0, key="", message=f"cannot be read: {error.strerror}"))
         except UnicodeDecodeError as error:
@@ -111,6 +117,15 @@ def _read(directory: Path, *, tests: bool) -> dict[str, str]:
     if problems:
         raise PolicyErrors(problems)
     return files
+
+
+def _content(path: Path) -> bytes | None:
+    """Return what a file holds; None if it is none, but a pipe or a device that never ends, or holds too much."""
+    if not stat.S_ISREG(path.stat().st_mode):
+        return None
+    with path.open("rb") as file:
+        content = file.read(MOST_BYTES + 1)
+    return content if len(content) <= MOST_BYTES else None
 
 
 def _meant(path: Path) -> bool:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from app.governance.policy import PolicySet
     from app.runtime.invocation import Invocation
 
+LEAST_MINUTES: Final = 0.01  # what is shorter is over before anybody could use it
 ACTIVE: Final = "active"
 ENDED: Final = "ended"
 ENDS: Final = ("revoked", "expired", "estop", "profile_changed", "policy_changed")

@@ -17,7 +17,7 @@ from app.governance.authority import grantable
 from app.governance.model import EventKind, Grant, GrantScope, Reason
 from app.runtime.drafts import SERVER, grant_event
 from app.runtime.errors import Conflict, Forbidden, InvalidParams, NotFound
-from app.runtime.grant import ACTIVE, Standing, read_standing
+from app.runtime.grant import ACTIVE, LEAST_MINUTES, Standing, read_standing
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
@@ -105,7 +105,8 @@ class Grants:
         """Return a grant that policy allows; `hold` it once it is recorded.
 
         Raises:
-            InvalidParams: names there are not, a scope that does not fit, a profile the cell is not under, too long.
+            InvalidParams: names there are not, a scope that does not fit, a profile the cell is not under, too long
+                or too short.
             Forbidden: `own_proposal`, nobody grants themselves anything.
             Conflict: `grant_refused`, with policy's reason.
         """
@@ -116,6 +117,8 @@ class Grants:
         if refused := grantable(policy, request.capability, cell.profile) or self._unfit(cell):
             raise Conflict("grant_refused", f"{refused.message}; valid: {refused.remedy}", reasons=[refused._asdict()])
         most_s = policy.authority.grants.up_to_s if policy.authority.grants else 0.0
+        if request.minutes < LEAST_MINUTES:
+            raise _invalid("minutes", f"`{request.minutes:g}` is too short: valid are at least {LEAST_MINUTES:g}")
         if request.minutes * 60.0 > most_s:
             raise _invalid("minutes", f"`{request.minutes:g}` is too long: valid are at most {most_s / 60.0:g}")
         now = self._register.now()

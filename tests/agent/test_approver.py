@@ -1,4 +1,5 @@
 import asyncio
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -87,6 +88,15 @@ def test_an_approver_nobody_knows_is_refused_with_who_is_known(tmp_path, capfd):
     said = " ".join(capfd.readouterr().err.split())
     assert "`nobody` has no token" in said
     assert "valid as `approver`: an operator among operator, operator_2" in said
+
+
+@pytest.mark.parametrize(("token", "url", "said"), [("t", "nourl", "url `nourl`"), ("\n", "http://x", "token: ")])
+def test_an_approver_who_cannot_ask_anybody_is_refused(tmp_path, capfd, token, url, said):
+    (tmp_path / "tokens.json").write_text(json.dumps({"operator": token}))
+    habits = tmp_path / "habits.yaml"
+    habits.write_text("approver: operator")
+    assert approve(habits, url, tmp_path) == 2
+    assert f"no approver: {said}" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(

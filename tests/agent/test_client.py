@@ -226,6 +226,13 @@ async def test_a_value_that_cannot_be_sent_is_named_and_nothing_is_sent(given, m
 
 
 @pytest.mark.parametrize("client", [ReinsClient, AsyncReinsClient])
+@pytest.mark.parametrize("url", ["nourl", "", "http://", "localhost:8000", "ftp://robot", "http://robot:port"])
+def test_an_address_that_names_no_server_is_refused_at_once(client, url):
+    with pytest.raises(ValueError, match=re.escape(f"url `{url}`: ") + ".*valid is .*`http://127.0.0.1:8000`"):
+        client(url, "t")
+
+
+@pytest.mark.parametrize("client", [ReinsClient, AsyncReinsClient])
 def test_a_token_that_fits_no_header_is_refused_without_repeating_it(client):
     with pytest.raises(Unsendable, match="token: valid are") as caught:
         client("http://127.0.0.1:1", "geheimschlüssel")

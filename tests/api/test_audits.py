@@ -7,6 +7,7 @@ import sqlite3
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import httpx
 import pytest
@@ -133,11 +134,33 @@ async def test_a_stream_resumes_behind_the_last_event_seen(house: House) -> None
     assert seen == list(range(after + 1, last + 1))
 
 
-@pytest.mark.parametrize("last", ["x", "-1", "1" * 19, "1.5"])
+async def test_blanks_around_the_last_event_are_none_of_it(house: House) -> None:
+    (name,) = await refuse(house)
+    address = urlsplit(house.url)
+    reader, writer = await asyncio.open_connection(address.hostname, address.port)
+    bearer = f"Authorization: Bearer {house.tokens['auditor']}"
+    last = house.runtime.store.size - 1
+    writer.write(f"GET /v1/events HTTP/1.1\r\nHost: x\r\n{bearer}\r\nLast-Event-ID: \t {last} \t\r\n\r\n".encode())
+    async with asyncio.timeout(10):
+        assert (await reader.readline()).startswith(b"HTTP/1.1 200")
+        await reader.readuntil(f"id: {last + 1}\n".encode())
+        assert name in (await reader.readuntil(b"\n\n")).decode()
+    writer.close()
+    await writer.wait_closed()
+
+
+@pytest.mark.parametrize("last", ["x", "-1", "1" * 19, "1.5", "", "1 1"])
 async def test_refuses_a_last_event_that_is_none(house: House, last: str) -> None:
     async with house.client("auditor") as auditor:
         answer = await auditor.get("/v1/events", headers={"Last-Event-ID": last})
     assert (answer.status_code, answer.json()["code"]) == (422, "request_invalid")
+
+
+async def test_two_last_events_are_none(house: House) -> None:
+    async with house.client("auditor") as auditor:
+        answer = await auditor.get("/v1/events", headers=[("Last-Event-ID", "0"), ("Last-Event-ID", "1")])
+    assert (answer.status_code, answer.json()["code"]) == (400, "given_twice")
+    assert "`Last-Event-ID`" in answer.json()["detail"]
 
 
 @pytest.mark.parametrize("where", ["Last-Event-ID", "/v1/events", "/v1/audit/events"])

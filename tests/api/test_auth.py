@@ -19,7 +19,9 @@ from app.api.auth import (
     open_principals,
 )
 from app.api.problems import Problem
+from app.audit.errors import RecordDamaged
 from app.governance.model import Role
+from tests.api.conftest import House
 
 
 def bearer(token: str) -> Headers:
@@ -140,7 +142,7 @@ def test_does_not_start_on_principals_it_cannot_read(tmp_path: Path, content: st
         open_principals(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["", "x" * 129, "a\nb"])
+@pytest.mark.parametrize("name", ["", "x" * 129, "a\nb", " operator", "operator "])
 def test_refuses_to_issue_a_token_for_no_name(tmp_path: Path, name: str) -> None:
     open_principals(tmp_path)
     with pytest.raises(ValueError, match="principal name"):
@@ -149,7 +151,15 @@ def test_refuses_to_issue_a_token_for_no_name(tmp_path: Path, name: str) -> None
 
 @pytest.mark.parametrize(
     ("name", "said"),
-    [("server", "a machine"), ("workcell-7", "a machine"), ("operator", "the role `operator` already")],
+    [
+        ("server", "a machine"),
+        ("Server", "a machine"),
+        ("workcell-7", "a machine"),
+        ("WorkCell-7", "a machine"),
+        ("operator", "the role `operator` already"),
+        ("Operator", "reads like `operator`"),
+        ("\N{FULLWIDTH LATIN SMALL LETTER O}perator", "reads like `operator`"),
+    ],
 )
 def test_refuses_a_token_for_a_name_that_means_somebody_else(tmp_path: Path, name: str, said: str) -> None:
     open_principals(tmp_path)
@@ -158,6 +168,34 @@ def test_refuses_a_token_for_a_name_that_means_somebody_else(tmp_path: Path, nam
     with pytest.raises(ValueError, match=said):
         issue_token(tmp_path, name=name, role=Role.AGENT)
     assert (tmp_path / PRINCIPALS_FILE).read_bytes() == before
+
+
+@pytest.mark.anyio
+async def test_refuses_a_token_in_the_name_of_a_cell_that_joined(house: House) -> None:
+    async with house.cell("workcell-9"):
+        pass
+    assert not (house.folder / "cells" / "workcell-9").exists(), "nobody here has started it"
+    for name in ("workcell-9", "Workcell-9"):
+        with pytest.raises(ValueError, match="a machine"):
+            issue_token(house.folder, name=name, role=Role.OPERATOR)
+    assert issue_token(house.folder, name="workcell-9", role=Role.CELL)
+
+
+def test_refuses_a_token_while_nobody_knows_which_cells_there_are(tmp_path: Path) -> None:
+    open_principals(tmp_path)
+    (tmp_path / "reins.db").write_bytes(b"no database" * 500)
+    with pytest.raises(RecordDamaged, match=r"reins\.db"):
+        issue_token(tmp_path, name="late", role=Role.AGENT)
+    assert issue_token(tmp_path, name="cell", role=Role.CELL), "a cell's token is for no name"
+
+
+def test_nobody_is_named_as_somebody_else_of_the_same_role_reads(tmp_path: Path) -> None:
+    open_principals(tmp_path)
+    issue_token(tmp_path, name="Lena  M", role=Role.OPERATOR)
+    for name in ("lena M", "Lena M"):
+        with pytest.raises(ValueError, match="reads like `Lena  M`"):
+            issue_token(tmp_path, name=name, role=Role.OPERATOR)
+    assert issue_token(tmp_path, name="Lena  M", role=Role.OPERATOR)
 
 
 def test_a_write_that_fails_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

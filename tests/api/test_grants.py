@@ -73,6 +73,27 @@ async def test_a_grant_that_fits_nothing_is_refused(shared_house: House, differs
         assert refused.json()["reasons"][0]["code"] == "nothing_to_grant"
 
 
+async def test_a_grant_that_is_over_as_it_begins_is_refused(shared_house: House) -> None:
+    async with shared_house.cell() as cell, shared_house.client("operator") as operator:
+        refused = await operator.post("/v1/grants", json={**GRANT, "minutes": 1e-9})
+        assert (refused.status_code, refused.json()["errors"]) == (
+            422,
+            [{"field": "minutes", "message": "valid is at least 0.01"}],
+        )
+        question = await ask(shared_house)
+        refused = await resolve(operator, question, grant={"scope": "object", "minutes": 1e-9})
+        assert (refused.status_code, refused.json()["errors"]) == (
+            422,
+            [{"field": "grant.minutes", "message": "valid is at least 0.01"}],
+        )
+        answer = await resolve(operator, question, grant={"scope": "object", "minutes": 0.01})
+        assert (answer.status_code, answer.json()["status"]) == (200, "approved")
+        await eventually(lambda: cell.launches)
+        await cell.end("succeeded")
+        await eventually(lambda: shared_house.runtime.register.newest(question["invocation"]) is None)
+        await eventually(lambda: not shared_house.runtime.desk.grants.active())
+
+
 async def test_a_stopped_session_waits_for_one_verdict(house: House) -> None:
     async with house.cell(), house.client() as agent, house.client("operator") as operator:
         document = (await agent.post("/v1/invocations", json=DRIVE)).json()

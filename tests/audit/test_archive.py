@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import sqlite3
 from pathlib import Path
 
@@ -78,6 +79,43 @@ async def test_an_export_can_be_checked_without_this_program(store: AuditStore, 
 
 async def test_an_export_of_an_empty_log_is_empty(store: AuditStore, data: Path, tmp_path: Path) -> None:
     assert export(data, tmp_path / "log.jsonl").count == store.size == 0
+
+
+@pytest.mark.parametrize("taken", ["log.jsonl", "log.jsonl.checkpoint"])
+async def test_an_export_into_a_directory_is_refused_and_leaves_nothing(
+    store: AuditStore, data: Path, tmp_path: Path, taken: str
+) -> None:
+    await fill(store)
+    (tmp_path / "out" / taken).mkdir(parents=True)
+    with pytest.raises(ValueError, match=f"{taken}` is a directory"):
+        export(data, tmp_path / "out" / "log.jsonl")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == [taken]
+
+
+@pytest.mark.parametrize("fails", ["first write", "second write", "second rename"])
+async def test_an_export_that_fails_leaves_nothing(
+    store: AuditStore, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: str
+) -> None:
+    await fill(store)
+    (tmp_path / "out").mkdir()
+    which, what = fails.split()
+    calls = 0
+
+    def full(*given: Path) -> None:
+        nonlocal calls
+        calls += 1
+        if calls == (1 if which == "first" else 2):
+            raise OSError(28, "No space left on device")
+        if what == "rename":
+            given[0].rename(given[1])
+
+    monkeypatch.setattr(*((os, "fsync") if what == "write" else (Path, "replace")), full)
+    with pytest.raises(OSError, match="No space"):
+        export(data, tmp_path / "out" / "log.jsonl")
+    assert list((tmp_path / "out").iterdir()) == []
+    monkeypatch.undo()
+    assert export(data, tmp_path / "out" / "log.jsonl").count == 12
+    assert len(list((tmp_path / "out").iterdir())) == 2
 
 
 async def test_refuses_another_format(store: AuditStore, data: Path, tmp_path: Path) -> None:

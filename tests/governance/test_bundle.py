@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import shutil
 
 import pytest
@@ -431,6 +432,34 @@ def test_what_is_named_as_a_policy_file_and_cannot_be_read_is_an_error_and_no_fi
     with pytest.raises(PolicyErrors) as found:
         bundle.load(tmp_path)
     assert [problem.file for problem in found.value.problems] == ["capabilities/folder.yaml", "profiles/gone.yaml"]
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("what", ["a device", "a pipe", "too long"])
+def test_what_is_no_regular_file_or_too_long_is_an_error_and_is_not_read(tmp_path, what):
+    shutil.copytree(POLICIES, tmp_path, dirs_exist_ok=True)
+    for path in (tmp_path / "profiles" / "new.yaml", tmp_path / "tests" / "new.yaml"):
+        if what == "a device":
+            path.symlink_to("/dev/null")  # as good as one that never ends
+        elif what == "a pipe":
+            os.mkfifo(path)
+        else:
+            path.write_text("#" * (bundle.MOST_BYTES + 1))
+    valid = "cannot be read: valid is a regular file of at most 1,000,000 bytes"
+    for read, file in ((bundle.load, "profiles/new.yaml"), (bundle.read_cases, "tests/new.yaml")):
+        with pytest.raises(PolicyErrors) as found:
+            read(tmp_path)
+        assert [(problem.file, problem.message) for problem in found.value.problems] == [(file, valid)]
+
+
+def test_a_file_may_be_long_and_a_link(tmp_path):
+    shutil.copytree(POLICIES, tmp_path / "policies")
+    site = tmp_path / "policies" / SITE
+    text = site.read_text()
+    (tmp_path / "kept.yaml").write_text(text + "#" * (bundle.MOST_BYTES - len(text.encode())))
+    site.unlink()
+    site.symlink_to(tmp_path / "kept.yaml")
+    assert bundle.load(tmp_path / "policies").site == shipped().site
 
 
 def test_the_same_files_make_the_same_digest_and_another_byte_another():

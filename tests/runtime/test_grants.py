@@ -107,6 +107,7 @@ async def test_no_grant_goes_with_a_denial_or_an_edit(runtime: Runtime, cell: Ha
         ({"scope": GrantScope.OBJECT, "object": "unicorn"}, "no object `unicorn`"),
         ({"profile": "sim-relaxed"}, "valid is `human-shared`"),
         ({"minutes": 15.5}, "valid are at most 15"),
+        ({"minutes": 1e-9}, "`minutes` `1e-09` is too short: valid are at least 0.01"),
     ],
 )
 async def test_a_grant_that_fits_nothing_is_refused_by_name(
