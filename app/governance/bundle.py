@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from app.governance.policy_code import Compiled
     from app.governance.policy_model import Profile, Rule
 
-MOST_BYTES: Final = 1_000_000  # of one file; the longest that is shipped has a fiftieth of it
+MOST_BYTES: Final = 32_000_000  # of one file: a hundred thousand rules; what never ends, or is no policy, is not read
 TESTS_FOLDER: Final = "tests"
 PROPERTIES: Final = "properties.yaml"
 ORGANIZATION: Final = "organization.yaml"

@@ -445,7 +445,7 @@ def test_what_is_no_regular_file_or_too_long_is_an_error_and_is_not_read(tmp_pat
             os.mkfifo(path)
         else:
             path.write_text("#" * (bundle.MOST_BYTES + 1))
-    valid = "cannot be read: valid is a regular file of at most 1,000,000 bytes"
+    valid = "cannot be read: valid is a regular file of at most 32,000,000 bytes"
     for read, file in ((bundle.load, "profiles/new.yaml"), (bundle.read_cases, "tests/new.yaml")):
         with pytest.raises(PolicyErrors) as found:
             read(tmp_path)
