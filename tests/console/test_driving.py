@@ -175,6 +175,32 @@ def test_a_key_that_is_held_is_let_go_when_the_window_loses(
     at_rest(floor)
 
 
+def test_a_key_that_is_held_is_let_go_when_a_modifier_comes_and_its_repeats_start_nothing(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, init=BENCH)
+    take_controls(person)
+    began, keyboard = floor.base(), person.page.keyboard
+    insist(
+        person,
+        lambda: keyboard.down("ArrowDown"),
+        lambda: keyboard.up("ArrowDown"),
+        lambda: far(floor.base(), began) > 0.05,
+        "a base driven back",
+    )
+    keyboard.down("Meta")
+    let_go(person)
+    keyboard.up("Meta")
+    keyboard.down("ArrowDown")  # it was never up, so this is a repeat of it
+    at_rest(floor)
+    let_go(person)
+    keyboard.up("ArrowDown")
+    keyboard.down("ArrowUp")
+    until(lambda: floor.speed() > 0.03, what="a base that drives again")
+    keyboard.up("ArrowUp")
+    at_rest(floor)
+
+
 def test_a_session_is_taken_over_and_ended_by_keyboard_alone(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
