@@ -11,7 +11,8 @@ import pytest
 from playwright.sync_api import Locator, expect
 
 from tests.conftest import ServerProcess, Servers, until
-from tests.console.conftest import PHONE, People, Person, box, out_of_reach, stop, wider_than_the_screen
+from tests.console.conftest import DESK, PHONE, People, Person, box, out_of_reach, stop, wider_than_the_screen
+from tests.console.test_access import AXE, faults
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 FIRST = "Grasp mug_1"
@@ -122,13 +123,35 @@ def test_five_at_once_are_sorted_counted_and_told_in_two_sentences(
     ]
 
 
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_axe_finds_nothing_where_several_wait_in_two_cells(
+    server: ServerProcess, people: People, incident: Incident, size: dict[str, int]
+) -> None:
+    person, axe, found = people.sit(server, size=size), AXE.read_text(), dict[str, list[str]]()
+    incident.begin(person)
+    expect(rows(person)).to_have_count(4)
+    expect(stop(person)).to_contain_text("workcell-1")
+    expect(person.button(f"2 more urgent (open {REST[0]})")).to_be_visible()
+    found["more urgent"] = faults(person.page, axe)
+    person.press("x")
+    person.press("x")
+    person.press("x")
+    expect(cards(person)).to_have_accessible_name(REST[0])
+    expect(person.button(re.compile(rf"^next in .* \(open {FIRST}\)$"))).to_be_visible()
+    found["next"] = faults(person.page, axe)
+    person.page.evaluate("location.hash = '#/fleet'")
+    expect(person.page.get_by_role("heading", name="workcell-2")).to_be_visible()
+    found["fleet"] = faults(person.page, axe)
+    assert {name: what for name, what in found.items() if what} == {}
+
+
 def test_an_incident_is_worked_off_by_keyboard_the_gravest_first(
     server: ServerProcess, people: People, incident: Incident
 ) -> None:
     person = people.sit(server)
     incident.begin(person)
     expect(rows(person)).to_have_count(4)
-    expect(person.button(f"Open the most urgent question: {REST[0]}")).to_contain_text("2 more urgent")
+    expect(person.button(f"2 more urgent (open {REST[0]})")).to_be_visible()
     person.press("x")
     expect(cards(person)).to_have_accessible_name(REST[2])  # the next below; round at the end to the gravest
     person.press("x")
@@ -166,7 +189,7 @@ def test_in_an_incident_on_a_phone_answers_and_stop_stay_in_reach(
     person = people.sit(server, size=PHONE)
     incident.begin(person)
     expect(rows(person)).to_have_count(4)
-    more = person.button(f"Open the most urgent question: {REST[0]}")
+    more = person.button(f"2 more urgent (open {REST[0]})")
     expect(more).to_be_in_viewport(ratio=1)
     more.tap()
     expect(cards(person)).to_have_accessible_name(REST[0])
@@ -176,7 +199,7 @@ def test_in_an_incident_on_a_phone_answers_and_stop_stay_in_reach(
     assert wider_than_the_screen(person.page) == []
     expect(cards(person)).to_contain_text("workcell-2")
     person.button("Show workcell-2").tap()
-    expect(person.button(re.compile("^Emergency stop of workcell-2: "))).to_be_visible()
+    expect(person.button("Emergency stop: stop workcell-2")).to_be_visible()
     deny(person).tap()
     expect(rows(person)).to_have_count(3)
     expect(cards(person)).to_have_accessible_name(REST[1])
