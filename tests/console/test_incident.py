@@ -183,6 +183,32 @@ def test_what_waits_for_another_person_makes_room_for_what_waits_for_me(
     expect(rows(person).last).to_contain_text("1 of 2 approved by you")
 
 
+def test_a_stop_from_the_fleet_page_that_is_not_confirmed_is_told_on_every_page_until_it_is(
+    server: ServerProcess, people: People
+) -> None:
+    person = people.sit(server)
+    person.expects("ERR_FAILED|ERR_INTERNET_DISCONNECTED")
+    said = person.alert("The stop of workcell-2 is not confirmed.")
+    door = "**/v1/cells/workcell-2/estop"
+    person.page.route(door, lambda route: route.abort())
+    person.press("4")
+    card = person.region("workcell-2")
+    card.get_by_role("button", name="Emergency stop of workcell-2").click()
+    expect(said).to_be_visible()
+    expect(card).to_contain_text("STOP AGAIN")
+    expect(card).to_contain_text("Not confirmed.")
+    expect(person.region("workcell-1")).not_to_contain_text("STOP AGAIN")
+    person.press("1")
+    expect(person.region("The cell in 3D")).to_be_visible()
+    expect(said).to_be_visible()
+    expect(stop(person)).to_have_accessible_name("Emergency stop: stop workcell-1")  # which is not what failed
+    person.page.unroute(door)
+    expect(said).to_have_count(0)
+    until(lambda: cells_of(server)[1]["latched"], what="the stop of the other cell")
+    assert not cells_of(server)[0]["latched"]
+    assert server.post("/v1/cells/workcell-2/reset").is_success
+
+
 def test_in_an_incident_on_a_phone_answers_and_stop_stay_in_reach(
     server: ServerProcess, people: People, incident: Incident
 ) -> None:

@@ -116,12 +116,17 @@ def test_a_server_that_is_killed_and_started_again_finds_the_console_waiting(
     killed.kill()
     assert person.page.evaluate(SAYS_SO) <= 1_000
     person.press(".")
-    expect(person.page.locator("header").get_by_role("button", name="stopping")).to_be_visible()
+    expect(person.alert("The stop of workcell-1 is not confirmed.")).to_be_visible(timeout=1_000)
+    expect(person.page.locator("header").get_by_role("button", name="stop again")).to_be_visible()
+    person.press("4")  # whatever page is open
+    expect(person.alert("The stop of workcell-1 is not confirmed.")).to_be_visible()
+    person.press("1")
     started = servers.start(killed.data, "--port", str(urlsplit(killed.url).port), "--pace", "1")
     assert started.url == killed.url
     expect(person.alert("Link down.")).to_have_count(0)
     expect(person.page.locator(".live .stale")).to_have_count(0)
     expect(question).to_be_visible()
+    expect(person.alert("The stop of workcell-1 is not confirmed.")).to_have_count(0)
     expect(person.region("Events")).to_contain_text("Server started")
     until(lambda: started.cell()["latched"] or person.page.wait_for_timeout(20), what="the stop, sent again")
     assert started.get(f"/v1/invocations/{body['id']}")["status"] == "awaiting_approval"
