@@ -229,6 +229,35 @@ def test_a_session_is_taken_over_and_ended_by_keyboard_alone(
 
 
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_whoever_drives_is_told_that_the_session_is_paused_and_resumes_it(
+    server: ServerProcess, people: People, floor: Floor, size: dict[str, int]
+) -> None:
+    person = people.sit(server, size=size)
+    person.expects("status of 409")
+    floor.drive(target="dock")
+    take_controls(person)
+    panel, header = person.region("Drive by hand"), person.page.locator("header").first
+    expect(header).to_contain_text("Driven by hand")
+    person.press("p")
+    expect(header).to_contain_text("Driven by hand, paused")
+    expect(panel).to_contain_text("Paused, nothing moves: somebody paused the session.")
+    expect(panel.get_by_role("button", name="Resume")).to_be_in_viewport(ratio=1)
+    for name in ("Base back, hold to run", "End session"):
+        expect(person.button(name)).to_be_in_viewport(ratio=1)
+    if size == PHONE:
+        assert wider_than_the_screen(person.page) == []
+    panel.get_by_role("button", name="Resume").click()
+    expect(header).not_to_contain_text("paused")
+    expect(panel).not_to_contain_text("nothing moves")
+    problem = {"title": "Conflict", "status": 409, "code": "rollback_unavailable", "detail": "it cannot be undone"}
+    person.page.route("**/rollback", lambda route: route.fulfill(status=409, json=problem))
+    person.press("b")
+    expect(person.alert("It cannot be undone.")).to_be_visible()
+    person.button("Understood").click()
+    expect(person.alert("It cannot be undone.")).to_have_count(0)
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
 def test_whoever_drives_sees_the_robot_above_the_pad(
     server: ServerProcess, people: People, floor: Floor, size: dict[str, int]
 ) -> None:
