@@ -11,7 +11,17 @@ import pytest
 from playwright.sync_api import Locator, expect
 
 from tests.conftest import ServerProcess, Servers, until
-from tests.console.conftest import DESK, PHONE, People, Person, box, out_of_reach, stop, wider_than_the_screen
+from tests.console.conftest import (
+    DESK,
+    PHONE,
+    THREE_FRAMES,
+    People,
+    Person,
+    box,
+    out_of_reach,
+    stop,
+    wider_than_the_screen,
+)
 from tests.console.test_access import AXE, faults
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
@@ -207,6 +217,32 @@ def test_a_stop_from_the_fleet_page_that_is_not_confirmed_is_told_on_every_page_
     until(lambda: cells_of(server)[1]["latched"], what="the stop of the other cell")
     assert not cells_of(server)[0]["latched"]
     assert server.post("/v1/cells/workcell-2/reset").is_success
+
+
+def test_the_trace_of_another_cell_is_drawn_and_the_stop_stays_where_it_is(
+    server: ServerProcess, people: People
+) -> None:
+    ended = next(one["id"] for one in server.get("/v1/invocations")["items"] if one["cell"] == "workcell-2")
+    until(lambda: server.get(f"/v1/audit/events?invocation={ended}&kind=telemetry")["items"], what="its telemetry")
+    person = people.sit(server)
+    person.page.evaluate(f"location.hash = '#/audit/{ended}'")
+    replay = person.region("The robot at this moment, from the record")
+    picture = replay.locator("canvas")
+    expect(picture).to_be_visible()
+    expect(replay.locator(".note")).to_have_count(0)
+    expect(stop(person)).to_be_enabled()  # of the first cell, still
+    moment, shots = person.page.get_by_role("slider", name="Moment of the session"), list[bytes]()
+    for end in ("min", "max"):
+        moment.evaluate(f"(at) => {{ at.value = at.{end}; at.dispatchEvent(new Event('input', {{bubbles: true}})); }}")
+        person.page.evaluate(THREE_FRAMES)
+        shots.append(picture.screenshot())
+    assert shots[0] != shots[1]
+    for name in ("workcell-2", "workcell-1"):  # whichever cell is chosen
+        person.page.get_by_label("Cell", exact=True).select_option(name)
+        expect(replay.locator(".note")).to_have_count(0)
+    person.press("1")
+    expect(person.region("The cell in 3D").locator("canvas")).to_be_visible()
+    expect(person.page.get_by_text(re.compile(r"^[1-9]\d* Hz$"))).to_be_visible()
 
 
 def test_in_an_incident_on_a_phone_answers_and_stop_stay_in_reach(

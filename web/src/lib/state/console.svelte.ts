@@ -36,8 +36,12 @@ export class Console {
   me = $state.raw<{ name: string; role: string; station: string | null } | null>(null);
   refused = $state<string | null>(null);
   selected = $state<string | null>(sessionStorage.getItem('reins.cell'));
-  scene = $state.raw<SceneInfo | null>(null);
-  path = $state.raw<Path | null>(null);
+  /** What the cells that are watched look like: the one that is looked at, and that of an open trace. */
+  scenes = $state.raw<Record<string, SceneInfo>>({});
+  private paths = $state.raw<Record<string, Path>>({});
+  /** Of the cell that is looked at; derived, so that nothing is drawn anew for every document that comes. */
+  readonly scene = $derived.by(() => this.scenes[this.cell?.id ?? ''] ?? null);
+  readonly path = $derived.by(() => this.paths[this.cell?.id ?? ''] ?? null);
   jogRefused = $state<string | null>(null);
   /** Cells as asked for by name, while no socket says which there are: the stop needs no seat. */
   private listed = $state.raw<string[]>([]);
@@ -57,7 +61,7 @@ export class Console {
     this.api = new Api(token);
     this.link = new Link(token, {
       message: (message) => this.take(message),
-      frame: (frame) => this.frameListeners.forEach((listen) => listen(frame)),
+      frame: (frame) => this.show(frame),
       health: (health) => {
         this.health = health;
       },
@@ -106,9 +110,20 @@ export class Console {
   select(cell: string): void {
     this.selected = cell;
     sessionStorage.setItem('reins.cell', cell);
-    this.watch(cell);
+    this.watch();
   }
 
+  /** Watches another cell besides the one that is looked at, for its drawing; returns how to end that. */
+  watchAlso(cell: string): () => void {
+    this.also = cell;
+    this.watch();
+    return () => {
+      this.also = null;
+      this.watch();
+    };
+  }
+
+  /** Hears of every frame of the cell that is looked at. */
   onFrame(listen: FrameListener): () => void {
     this.frameListeners = [...this.frameListeners, listen];
     return () => {
@@ -125,14 +140,28 @@ export class Console {
     this.link.end();
   }
 
-  private watch(cell: string): void {
-    if (this.watching === cell) return;
-    this.watching = cell;
-    this.scene = null;
-    this.path = null;
-    this.link.send({ type: 'watch', cells: [cell] });
+  private also: string | null = null;
+  private watched: string[] = [];
+  /** Which of them have been described since: frames before that bear places in an earlier list. */
+  private described: string[] = [];
+
+  private watch(): void {
+    const first = this.cell?.id ?? null;
+    const wanted = [first, this.also === first ? null : this.also].filter((cell) => cell !== null);
+    if (wanted.join('\n') === this.watched.join('\n')) return;
+    if (this.watched.length > 0) this.link.send({ type: 'watch', cells: [] }); // so that all are described anew
+    this.watched = wanted;
+    this.described = [];
+    this.scenes = of(wanted, this.scenes);
+    this.paths = of(wanted, this.paths);
+    this.link.send({ type: 'watch', cells: wanted });
   }
-  private watching: string | null = null;
+
+  private show(frame: PoseFrame): void {
+    const cell = this.watched[frame.cell];
+    if (cell === undefined || cell !== this.cell?.id || !this.described.includes(cell)) return;
+    this.frameListeners.forEach((listen) => listen(frame));
+  }
 
   private take(message: Down): void {
     switch (message.type) {
@@ -166,22 +195,23 @@ export class Console {
   }
 
   private takeAboutCell(message: Down): void {
-    if (!('cell' in message) || message.cell !== this.watching) return;
+    if (!('cell' in message) || !this.watched.includes(message.cell)) return;
+    const { cell } = message;
     switch (message.type) {
       case 'scene':
-        this.scene = { scene: message.scene, bodies: message.bodies, gauges: message.gauges };
+        this.scenes = { ...this.scenes, [cell]: { scene: message.scene, bodies: message.bodies, gauges: message.gauges } };
+        this.described = [...this.described, cell];
         break;
       case 'path':
-        this.path = { invocation: message.invocation, points: message.points };
+        this.paths = { ...this.paths, [cell]: { invocation: message.invocation, points: message.points } };
         break;
       case 'jogged':
-        this.jogRefused = message.refused;
+        if (cell === this.cell?.id) this.jogRefused = message.refused;
     }
   }
 
   private watchFirst(): void {
-    const cell = this.cell;
-    if (cell !== null) this.watch(cell.id);
+    if (this.cell !== null) this.watch();
   }
 
   private async list(): Promise<void> {
@@ -205,4 +235,8 @@ export class Console {
       setTimeout(() => void this.fetchPolicy(), 2_000); // limits are drawn from it; without it gauges show no limit
     }
   }
+}
+
+function of<T>(names: readonly string[], all: Record<string, T>): Record<string, T> {
+  return Object.fromEntries(Object.entries(all).filter(([name]) => names.includes(name)));
 }
