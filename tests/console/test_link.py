@@ -33,6 +33,17 @@ SAYS_SO = """() => new Promise((resolve, reject) => {
     };
     look();
 })"""
+# The first moment at which what is drawn and measured is grey, and whether the cell was called silent by then.
+GREYS = """() => new Promise((resolve, reject) => {
+    const began = performance.now();
+    const look = () => {
+        const grey = ['.session', '.canvas'].every((part) => document.querySelector(`.live ${part}`).closest('.stale'));
+        if (grey) resolve(document.body.innerText.includes('workcell-1 is not heard.'));
+        else if (performance.now() - began > 10000) reject(new Error('never grey'));
+        else requestAnimationFrame(look);
+    };
+    look();
+})"""
 BROKEN = r"WebSocket connection|ERR_CONNECTION|ERR_EMPTY_RESPONSE|Failed to load resource"
 
 
@@ -72,6 +83,7 @@ def test_a_cell_that_falls_silent_is_not_shown_as_the_present(
     assert pid is not None
     os.kill(pid, signal.SIGSTOP)
     try:
+        assert person.page.evaluate(GREYS) is False  # its pictures stop before the server calls it silent
         expect(person.alert("workcell-1 is not heard.")).to_contain_text("A stop is kept for it")
         expect(robot).to_contain_text("Not heard")
         expect(person.page.locator(".live .session.stale")).to_be_visible()
@@ -85,6 +97,7 @@ def test_a_cell_that_falls_silent_is_not_shown_as_the_present(
     expect(robot).to_contain_text("Stopped, latched")
     expect(person.alert("workcell-1 is not heard.")).to_have_count(0)
     expect(person.page.get_by_text("Nothing moves")).to_be_visible()
+    expect(person.page.locator(".live .stale")).to_have_count(0)
 
 
 def test_a_stop_needs_no_seat(server: ServerProcess, people: People, floor: Floor) -> None:

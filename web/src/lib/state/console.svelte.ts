@@ -7,6 +7,7 @@ import type { Down, Jog, Scene } from '../socket/messages';
 import { clock, serverMs } from './clock.svelte';
 import { fromSnapshot, merged, NOTHING, type Documents } from './documents';
 import { Pace } from './pace';
+import { Quiet } from './quiet';
 
 export interface SceneInfo {
   scene: Scene;
@@ -23,6 +24,7 @@ type FrameListener = (frame: PoseFrame) => void;
 
 const OFF: Health = { state: 'connecting', rttMs: null, framesPerS: 0, why: '' };
 const LOOK_MS = 1_000;
+const QUIET_LOOK_MS = 100;
 
 /**
  * The signed-in console: what the server said, whether that still holds, and which cell is looked at.
@@ -51,6 +53,9 @@ export class Console {
   heardAtMs = $state<number | null>(null);
 
   private readonly link: Link;
+  private readonly quiet = new Quiet();
+  private quietly = $state(false);
+  private readonly attending: ReturnType<typeof setInterval>;
   private readonly looking: ReturnType<typeof setInterval>;
   private frameListeners: readonly FrameListener[] = [];
   /** What the server said last; `docs` follows as fast as the page can draw it. */
@@ -69,6 +74,9 @@ export class Console {
         this.refused = why;
       },
     });
+    this.attending = setInterval(() => {
+      this.quietly = this.quiet.look(performance.now());
+    }, QUIET_LOOK_MS);
     this.looking = setInterval(() => void this.list(), LOOK_MS);
   }
 
@@ -80,6 +88,11 @@ export class Console {
   /** Whether what is shown of the robot may be taken as the present: the server is heard, and hears the cell. */
   get heard(): boolean {
     return this.live && this.cell?.online === true;
+  }
+
+  /** Whether poses and gauges may be taken as the present: they stop before the server calls the cell silent. */
+  get seen(): boolean {
+    return this.heard && !this.quietly;
   }
 
   get cells(): Cell[] {
@@ -137,6 +150,7 @@ export class Console {
 
   end(): void {
     clearInterval(this.looking);
+    clearInterval(this.attending);
     this.link.end();
   }
 
@@ -150,6 +164,7 @@ export class Console {
     const wanted = [first, this.also === first ? null : this.also].filter((cell) => cell !== null);
     if (wanted.join('\n') === this.watched.join('\n')) return;
     if (this.watched.length > 0) this.link.send({ type: 'watch', cells: [] }); // so that all are described anew
+    if (wanted[0] !== this.watched[0]) this.quiet.anew();
     this.watched = wanted;
     this.described = [];
     this.scenes = of(wanted, this.scenes);
@@ -160,6 +175,8 @@ export class Console {
   private show(frame: PoseFrame): void {
     const cell = this.watched[frame.cell];
     if (cell === undefined || cell !== this.cell?.id || !this.described.includes(cell)) return;
+    this.quiet.frame();
+    this.quietly = false;
     this.frameListeners.forEach((listen) => listen(frame));
   }
 
