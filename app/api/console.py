@@ -22,7 +22,7 @@ from app.api.parts import parts_of
 from app.api.problems import Problem
 from app.api.wire import parse
 from app.clock import monotonic_s, wall_s
-from app.governance.model import Wish
+from app.governance.model import Role, Wish
 from app.runtime.outlet import Outlet
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 PATH: Final = "/v1/console"
 SUBPROTOCOL: Final = "reins.console.1"
 VERSION: Final = 1
+NOT_HOLDER: Final = "not_holder"
 HELLO_S: Final = 5.0
 CLOSE_S: Final = 1.0  # for a close frame to get into a socket that may not drain
 STILL_KNOWN_S: Final = 1.0
@@ -154,7 +155,7 @@ class Console:
         self._socket, self._parts = socket, parts
         self._principal, self._token = principal, token
         self._outlet = Outlet()
-        self._jogged: dict[str, tuple[str, str | None]] = {}
+        self._jogged: dict[str, tuple[str, str | None]] = {}  # of cells there are, and of nobody who only looks
 
     async def run(self, after: int | None) -> None:
         """Show and listen until either side ends it.
@@ -230,13 +231,19 @@ class Console:
 
     def _jog(self, word: Jog) -> None:
         """Pass a hold-to-run command on at once, and say what becomes of them whenever that changes."""
+        if self._principal.role is not Role.OPERATOR or not self._parts.fleet.knows(word.cell):
+            self._say_jogged(word, NOT_HOLDER)
+            return
         governor, (vx, vy, wz), (tx, ty, tz) = self._parts.governor, word.base, word.tool
         wish = Wish((vx, vy, wz), (tx, ty, tz), word.grip)
         why = governor.jog(self._principal, word.cell, word.lease, word.n, wish)
         refused = governor.jogged(word.cell) if why is None else why
         if self._jogged.get(word.cell, ()) != (word.lease, refused):
             self._jogged[word.cell] = (word.lease, refused)
-            self._say({"type": "jogged", "cell": word.cell, "n": word.n, "refused": refused})
+            self._say_jogged(word, refused)
+
+    def _say_jogged(self, word: Jog, refused: str | None) -> None:
+        self._say({"type": "jogged", "cell": word.cell, "n": word.n, "refused": refused})
 
     async def _stay_known(self) -> None:
         """End the console when its token is withdrawn or expires."""

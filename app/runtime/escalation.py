@@ -75,6 +75,7 @@ class Escalation:
     policy_version: str | None = None
     former_digests: Sequence[str] = ()
     renewed: str | None = None
+    names_task: bool = False
 
     @property
     def approved(self) -> Mapping[str, Any] | None:
@@ -121,6 +122,7 @@ class Escalation:
             "digest": self.digest,
             "former_digests": list(self.former_digests),
             "renewed": self.renewed,
+            "names_task": self.names_task,
             "policy_version": self.policy_version,
             "status": self.status,
             "approvals": [dict(approval) for approval in self.approvals],

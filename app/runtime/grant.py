@@ -55,9 +55,8 @@ class Offer:
         named = {"object": self.object, "task": self.task}
         if self.scope is GrantScope.OBJECT and self.object is None:
             named["object"] = _handled(policy, invocation)
-        task = invocation.terms.metadata.get("task")
-        if self.scope is GrantScope.TASK and self.task is None and isinstance(task, str):
-            named["task"] = task
+        if self.scope is GrantScope.TASK and self.task is None:
+            named["task"] = invocation.task
         return GrantRequest(
             capability=invocation.capability,
             agent=invocation.agent,

@@ -192,6 +192,12 @@ class Invocation:
             "updated_at": self.updated_at,
         }
 
+    @property
+    def task(self) -> str | None:
+        """Return what the agent calls its task; None where it names none."""
+        task = self.terms.metadata.get("task")
+        return task if isinstance(task, str) else None
+
     def row(self) -> RowWrite:
         """Return the row that holds this version."""
         document = self.public()

@@ -98,6 +98,7 @@ class Questions:
             constrained=effective,
             effective=effective,
             digest=bound_digest(invocation, effective, fields.get("phase")),
+            names_task=invocation.task is not None,
             policy_version=invocation.policy_version,
             status=PENDING,
             approvals=(),

@@ -209,6 +209,31 @@ async def test_a_console_that_floods_the_server_is_shown_out(house: House, monke
         await screen.until_type("snapshot")
 
 
+@pytest.mark.parametrize("key", ["auditor", "engineer", "operator"])
+async def test_a_console_that_names_what_it_does_not_drive_is_answered_and_nothing_of_it_is_kept(
+    house: House, monkeypatch: pytest.MonkeyPatch, key: str
+) -> None:
+    seated: list[Remembering] = []
+
+    class Remembering(door.Console):
+        def __init__(self, *parts: Any) -> None:
+            super().__init__(*parts)
+            seated.append(self)
+
+        def remembers(self) -> int:
+            return len(self._jogged)
+
+    monkeypatch.setattr(door, "Console", Remembering)
+    names = [f"cell-{number}" for number in range(50)] if key == "operator" else [CELL] * 50
+    async with signed_in(house, key) as screen:
+        for number, name in enumerate(names):
+            resting = [0.0, 0.0, 0.0]
+            await screen.say(type="jog", cell=name, lease=f"lea_{number}", n=number, base=resting, tool=resting)
+            told = await screen.until_type("jogged")
+            assert (told["cell"], told["n"], told["refused"]) == (name, number, "not_holder")
+    assert [one.remembers() for one in seated] == [0]
+
+
 async def test_a_token_in_a_bad_frame_is_not_echoed(house: House) -> None:
     async with dial(house) as screen:
         await screen.socket.send('{"type": "hello", "token": {"secret": 1}}')

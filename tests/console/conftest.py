@@ -217,7 +217,7 @@ def at_once(path: str, *people: Person) -> Iterator[None]:
 
 
 def stop(person: Person) -> Locator:
-    return person.button(re.compile("^Emergency stop of workcell-1: "))
+    return person.button(re.compile("^Emergency stop: .* workcell-1$"))
 
 
 def box(button: Locator) -> dict[str, float]:

@@ -110,9 +110,11 @@ def test_axe_finds_nothing_on_what_is_greyed_out(
     server: ServerProcess, people: People, floor: Floor, axe: str, size: dict[str, int]
 ) -> None:
     floor.ask()
+    floor.ask("glass_1")
     with wire_to(urlsplit(server.url).port or 0) as wire:
         person = people.sit(server, size=size, at=f"http://127.0.0.1:{wire.port}")
         person.expects(BROKEN)
+        expect(person.button(re.compile("^(next|lapses) in"))).to_be_visible()
         expect(person.page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
         person.page.evaluate("location.hash = '#/policy'")
         expect(person.page.get_by_role("table").first).to_be_visible()
@@ -120,6 +122,8 @@ def test_axe_finds_nothing_on_what_is_greyed_out(
         wire.cut()
         expect(person.alert("Link down.")).to_be_visible()
         expect(person.page.locator(".live .stale").first).to_be_visible()
+        for part in ("h2", ".count", ".next"):
+            expect(person.page.locator(f".waiting > header > {part}")).to_have_class(re.compile(r"\bstale\b"))
         found: dict[str, list[str]] = {}
         for theme in ("light", "dark"):
             person.press("n")

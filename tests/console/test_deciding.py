@@ -168,6 +168,19 @@ def test_who_approved_first_of_two_may_still_deny(server: ServerProcess, people:
     assert floor.settled(proposed["id"])["status"] == "denied"
 
 
+def test_a_grant_for_the_task_is_offered_only_where_the_proposal_names_one(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    offers = person.page.get_by_label("If approved").locator("option")
+    asked = floor.ask()
+    expect(offers).to_have_text([re.compile(words) for words in ("again", "for mug_1", "at all")])
+    floor.answer(asked, "deny")
+    expect(offers).to_have_count(0)
+    floor.ask(task="tidy up")
+    expect(offers).to_have_text([re.compile(words) for words in ("again", "for mug_1", "for this task", "at all")])
+
+
 def test_standing_grants_stand_below_what_waits_and_are_revoked_by_keyboard(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

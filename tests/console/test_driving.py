@@ -175,6 +175,32 @@ def test_a_key_that_is_held_is_let_go_when_the_window_loses(
     at_rest(floor)
 
 
+def test_a_key_that_is_held_is_let_go_when_a_modifier_comes_and_its_repeats_start_nothing(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, init=BENCH)
+    take_controls(person)
+    began, keyboard = floor.base(), person.page.keyboard
+    insist(
+        person,
+        lambda: keyboard.down("ArrowDown"),
+        lambda: keyboard.up("ArrowDown"),
+        lambda: far(floor.base(), began) > 0.05,
+        "a base driven back",
+    )
+    keyboard.down("Meta")
+    let_go(person)
+    keyboard.up("Meta")
+    keyboard.down("ArrowDown")  # it was never up, so this is a repeat of it
+    at_rest(floor)
+    let_go(person)
+    keyboard.up("ArrowDown")
+    keyboard.down("ArrowUp")
+    until(lambda: floor.speed() > 0.03, what="a base that drives again")
+    keyboard.up("ArrowUp")
+    at_rest(floor)
+
+
 def test_a_session_is_taken_over_and_ended_by_keyboard_alone(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
@@ -200,6 +226,35 @@ def test_a_session_is_taken_over_and_ended_by_keyboard_alone(
     assert server.await_status(session["id"], "failed", "completed")["outcome"] == "taken_over"
     expect(person.button("Take the controls")).to_be_visible()
     expect(panel).to_be_focused()
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_whoever_drives_is_told_that_the_session_is_paused_and_resumes_it(
+    server: ServerProcess, people: People, floor: Floor, size: dict[str, int]
+) -> None:
+    person = people.sit(server, size=size)
+    person.expects("status of 409")
+    floor.drive(target="dock")
+    take_controls(person)
+    panel, header = person.region("Drive by hand"), person.page.locator("header").first
+    expect(header).to_contain_text("Driven by hand")
+    person.press("p")
+    expect(header).to_contain_text("Driven by hand, paused")
+    expect(panel).to_contain_text("Paused, nothing moves: somebody paused the session.")
+    expect(panel.get_by_role("button", name="Resume")).to_be_in_viewport(ratio=1)
+    for name in ("Base back, hold to run", "End session"):
+        expect(person.button(name)).to_be_in_viewport(ratio=1)
+    if size == PHONE:
+        assert wider_than_the_screen(person.page) == []
+    panel.get_by_role("button", name="Resume").click()
+    expect(header).not_to_contain_text("paused")
+    expect(panel).not_to_contain_text("nothing moves")
+    problem = {"title": "Conflict", "status": 409, "code": "rollback_unavailable", "detail": "it cannot be undone"}
+    person.page.route("**/rollback", lambda route: route.fulfill(status=409, json=problem))
+    person.press("b")
+    expect(person.alert("It cannot be undone.")).to_be_visible()
+    person.button("Understood").click()
+    expect(person.alert("It cannot be undone.")).to_have_count(0)
 
 
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])

@@ -11,7 +11,18 @@ import pytest
 from playwright.sync_api import Locator, expect
 
 from tests.conftest import ServerProcess, Servers, until
-from tests.console.conftest import PHONE, People, Person, box, out_of_reach, stop, wider_than_the_screen
+from tests.console.conftest import (
+    DESK,
+    PHONE,
+    THREE_FRAMES,
+    People,
+    Person,
+    box,
+    out_of_reach,
+    stop,
+    wider_than_the_screen,
+)
+from tests.console.test_access import AXE, faults
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 FIRST = "Grasp mug_1"
@@ -122,13 +133,35 @@ def test_five_at_once_are_sorted_counted_and_told_in_two_sentences(
     ]
 
 
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_axe_finds_nothing_where_several_wait_in_two_cells(
+    server: ServerProcess, people: People, incident: Incident, size: dict[str, int]
+) -> None:
+    person, axe, found = people.sit(server, size=size), AXE.read_text(), dict[str, list[str]]()
+    incident.begin(person)
+    expect(rows(person)).to_have_count(4)
+    expect(stop(person)).to_contain_text("workcell-1")
+    expect(person.button(f"2 more urgent (open {REST[0]})")).to_be_visible()
+    found["more urgent"] = faults(person.page, axe)
+    person.press("x")
+    person.press("x")
+    person.press("x")
+    expect(cards(person)).to_have_accessible_name(REST[0])
+    expect(person.button(re.compile(rf"^next in .* \(open {FIRST}\)$"))).to_be_visible()
+    found["next"] = faults(person.page, axe)
+    person.page.evaluate("location.hash = '#/fleet'")
+    expect(person.page.get_by_role("heading", name="workcell-2")).to_be_visible()
+    found["fleet"] = faults(person.page, axe)
+    assert {name: what for name, what in found.items() if what} == {}
+
+
 def test_an_incident_is_worked_off_by_keyboard_the_gravest_first(
     server: ServerProcess, people: People, incident: Incident
 ) -> None:
     person = people.sit(server)
     incident.begin(person)
     expect(rows(person)).to_have_count(4)
-    expect(person.button(f"Open the most urgent question: {REST[0]}")).to_contain_text("2 more urgent")
+    expect(person.button(f"2 more urgent (open {REST[0]})")).to_be_visible()
     person.press("x")
     expect(cards(person)).to_have_accessible_name(REST[2])  # the next below; round at the end to the gravest
     person.press("x")
@@ -160,13 +193,65 @@ def test_what_waits_for_another_person_makes_room_for_what_waits_for_me(
     expect(rows(person).last).to_contain_text("1 of 2 approved by you")
 
 
+def test_a_stop_from_the_fleet_page_that_is_not_confirmed_is_told_on_every_page_until_it_is(
+    server: ServerProcess, people: People
+) -> None:
+    person = people.sit(server)
+    person.expects("ERR_FAILED|ERR_INTERNET_DISCONNECTED")
+    said = person.alert("The stop of workcell-2 is not confirmed.")
+    door = "**/v1/cells/workcell-2/estop"
+    person.page.route(door, lambda route: route.abort())
+    person.press("4")
+    card = person.region("workcell-2")
+    card.get_by_role("button", name="Emergency stop of workcell-2").click()
+    expect(said).to_be_visible()
+    expect(card).to_contain_text("STOP AGAIN")
+    expect(card).to_contain_text("Not confirmed.")
+    expect(person.region("workcell-1")).not_to_contain_text("STOP AGAIN")
+    person.press("1")
+    expect(person.region("The cell in 3D")).to_be_visible()
+    expect(said).to_be_visible()
+    expect(stop(person)).to_have_accessible_name("Emergency stop: stop workcell-1")  # which is not what failed
+    person.page.unroute(door)
+    expect(said).to_have_count(0)
+    until(lambda: cells_of(server)[1]["latched"], what="the stop of the other cell")
+    assert not cells_of(server)[0]["latched"]
+    assert server.post("/v1/cells/workcell-2/reset").is_success
+
+
+def test_the_trace_of_another_cell_is_drawn_and_the_stop_stays_where_it_is(
+    server: ServerProcess, people: People
+) -> None:
+    ended = next(one["id"] for one in server.get("/v1/invocations")["items"] if one["cell"] == "workcell-2")
+    until(lambda: server.get(f"/v1/audit/events?invocation={ended}&kind=telemetry")["items"], what="its telemetry")
+    person = people.sit(server)
+    person.page.evaluate(f"location.hash = '#/audit/{ended}'")
+    replay = person.region("The robot at this moment, from the record")
+    picture = replay.locator("canvas")
+    expect(picture).to_be_visible()
+    expect(replay.locator(".note")).to_have_count(0)
+    expect(stop(person)).to_be_enabled()  # of the first cell, still
+    moment, shots = person.page.get_by_role("slider", name="Moment of the session"), list[bytes]()
+    for end in ("min", "max"):
+        moment.evaluate(f"(at) => {{ at.value = at.{end}; at.dispatchEvent(new Event('input', {{bubbles: true}})); }}")
+        person.page.evaluate(THREE_FRAMES)
+        shots.append(picture.screenshot())
+    assert shots[0] != shots[1]
+    for name in ("workcell-2", "workcell-1"):  # whichever cell is chosen
+        person.page.get_by_label("Cell", exact=True).select_option(name)
+        expect(replay.locator(".note")).to_have_count(0)
+    person.press("1")
+    expect(person.region("The cell in 3D").locator("canvas")).to_be_visible()
+    expect(person.page.get_by_text(re.compile(r"^[1-9]\d* Hz$"))).to_be_visible()
+
+
 def test_in_an_incident_on_a_phone_answers_and_stop_stay_in_reach(
     server: ServerProcess, people: People, incident: Incident
 ) -> None:
     person = people.sit(server, size=PHONE)
     incident.begin(person)
     expect(rows(person)).to_have_count(4)
-    more = person.button(f"Open the most urgent question: {REST[0]}")
+    more = person.button(f"2 more urgent (open {REST[0]})")
     expect(more).to_be_in_viewport(ratio=1)
     more.tap()
     expect(cards(person)).to_have_accessible_name(REST[0])
@@ -176,7 +261,7 @@ def test_in_an_incident_on_a_phone_answers_and_stop_stay_in_reach(
     assert wider_than_the_screen(person.page) == []
     expect(cards(person)).to_contain_text("workcell-2")
     person.button("Show workcell-2").tap()
-    expect(person.button(re.compile("^Emergency stop of workcell-2: "))).to_be_visible()
+    expect(person.button("Emergency stop: stop workcell-2")).to_be_visible()
     deny(person).tap()
     expect(rows(person)).to_have_count(3)
     expect(cards(person)).to_have_accessible_name(REST[1])

@@ -32,6 +32,28 @@ def test_a_question_that_nobody_answers_goes_by_itself(server: ServerProcess, pe
             client.put(f"{CELL}/profile", json={"profile": "human-shared"})
 
 
+def test_a_trace_that_cannot_be_read_again_stays_and_says_why(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    person.expects("ERR_FAILED")
+    asked = floor.ask()
+    person.page.evaluate(f"location.hash = '#/audit/{asked['id']}'")
+    events, said = person.region("Events of the session"), person.alert("This trace could not be read again")
+    expect(events).to_contain_text("Asked a person")
+    person.page.route("**/trace", lambda route: route.abort())
+    place = f"/v1/escalations/{asked['escalation']['id']}/acknowledge"
+    assert server.post(place).is_success
+    expect(said).to_contain_text("The server did not answer.")
+    expect(person.page.get_by_role("heading", name="Grasp mug_1")).to_be_visible()
+    expect(events).to_contain_text("Asked a person")
+    person.page.unroute("**/trace")
+    person.button("Read it again").click()
+    expect(said).to_have_count(0)
+    floor.answer(asked, "deny")
+    expect(person.region("Replay")).to_contain_text("Nothing ran under this proposal")
+
+
 def test_a_trace_follows_its_session_and_is_scrubbed_with_its_events(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

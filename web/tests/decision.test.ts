@@ -55,6 +55,19 @@ describe('what policy says to an edit', () => {
   });
 });
 
+describe('a grant that does not fit', () => {
+  it('is told with its field and the way out', async () => {
+    const problem = { title: '', status: 422, code: 'params_invalid', detail: '`task` goes with the scope `task`', errors: [{ field: 'task', message: 'goes with the scope `task`' }] };
+    const decision = new Decision({ check: vi.fn(), resolve: () => Promise.reject(new ApiError(problem)) }, escalation(), () => ({ schema: {}, cell: null }));
+    decision.offer = { scope: 'task', minutes: 5 };
+    await decision.approve();
+    expect(decision.problem).toBe('What is to be allowed in advance does not fit (“task”): “task” goes with the scope “task”. Choose “ask me again next time” to approve only this.');
+    decision.offer = null;
+    await decision.approve();
+    expect(decision.problem).toBe('“task” goes with the scope “task”.');
+  });
+});
+
 describe('a decision', () => {
   let sent: Answer[];
   let checks: ((verdict: Verdict) => void)[];

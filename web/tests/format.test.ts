@@ -2,6 +2,8 @@ import { describe, expect, it } from 'vitest';
 import { heldIn, titleOf } from '../src/lib/format/capability';
 import { entriesOf, eventLine } from '../src/lib/format/events';
 import { labelOf, unitOf, valueOf } from '../src/lib/format/quantity';
+import type { Cell, Control } from '../src/lib/api/documents';
+import { pausedWords } from '../src/lib/live/control';
 import { robotSays } from '../src/lib/format/status';
 import { countdown, elapsed, left } from '../src/lib/format/time';
 import { isStop, isTyping, Keys, takesLetters } from '../src/lib/keys/keys';
@@ -55,6 +57,17 @@ describe('words', () => {
     expect(robotSays(cell({ fault: 'no room for the journal', status: null, busy: null })).text).toBe('Stopped, cannot record');
     expect(robotSays(cell({ fault: 'no room for the journal', status: 'running', busy: 'inv_1' })).text).toBe('Running');
     expect(robotSays(cell({ status: 'paused' })).text).toBe('Paused, holding');
+  });
+
+  it('say that whoever drives moves nothing while the session is held', () => {
+    const control: Control = { lease: 'lea_1', holder: 'ada', where: 'local', since: '2026-11-22T10:00:00.000Z', invocation: 'inv_1' };
+    const said = ['running', 'paused', 'escalated'].map((status) => robotSays(cell({ status, control })).text);
+    expect(said).toEqual(['Driven by hand', 'Driven by hand, paused', 'Driven by hand, asks you']);
+    const held = (paused_by: string[], violated: string[] = []): Cell => cell({ status: 'paused', control, session: { phase: null, doing: 'takeover', violated, paused_by, waits_for: null } });
+    expect(pausedWords(cell({ control }))).toBe(null);
+    expect(pausedWords(held(['operator', 'watch'], ['separation']))).toEqual({ why: 'somebody paused the session', resumable: true });
+    expect(pausedWords(held(['watch'], ['human-shared/separation', 'zone']))).toEqual({ why: 'a person is too near, a forbidden zone is too near', resumable: false });
+    expect(pausedWords(held(['watch']))?.why).toBe('the watcher stopped it');
   });
 });
 

@@ -1,5 +1,6 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
 import { gamepadAxes, Sticks } from '../src/lib/jog/bindings';
+import { JogKeys, pressesButton, type Key } from '../src/lib/jog/keyboard';
 import { HoldToRun, type Command, type Speeds } from '../src/lib/jog/hold';
 
 const SPEEDS: Speeds = { base_x: 0.2, base_y: 0.2, base_yaw: 0.4, tool_x: 0.1, tool_y: 0.1, tool_z: 0.1 };
@@ -91,5 +92,55 @@ describe('a gamepad', () => {
       away();
       expect([sticks.read(pad(-1)), sticks.read(pad(-1)), sticks.ignored]).toEqual([null, null, true]);
     }
+  });
+});
+
+describe('keys that drive', () => {
+  let said: Command[];
+  let hold: HoldToRun;
+  let jogKeys: JogKeys;
+  const key = (code: string, of: Partial<Key> = {}): Key => ({ key: code, code, repeat: false, ctrlKey: false, metaKey: false, altKey: false, ...of });
+
+  beforeEach(() => {
+    vi.useFakeTimers({ now: 0 });
+    said = [];
+    hold = new HoldToRun((command) => said.push(command), SPEEDS);
+    jogKeys = new JogKeys(hold, () => hold.releaseAll());
+  });
+  afterEach(() => vi.useRealTimers());
+
+  it.each(['Meta', 'OS', 'Control', 'Alt'])('let go of everything when %s comes, and start nothing until they are pressed anew', (name) => {
+    jogKeys.take(key('ArrowUp'), true, false);
+    jogKeys.take(key('BracketLeft'), true, false);
+    jogKeys.take(key(name), true, false); // whose own flag is not up yet in every browser
+    expect([said.at(-1), hold.running]).toEqual([STILL, false]);
+    const count = said.length;
+    jogKeys.take(key('ArrowUp', { repeat: true, metaKey: true }), true, false);
+    jogKeys.take(key(name), false, false);
+    jogKeys.take(key('ArrowUp', { repeat: true }), true, false);
+    vi.advanceTimersByTime(1000);
+    expect([said.length, hold.running]).toEqual([count, false]);
+    jogKeys.take(key('ArrowUp'), true, false);
+    expect(said.at(-1)?.base).toEqual([0.2, 0, 0]);
+  });
+
+  it.each(['metaKey', 'ctrlKey', 'altKey'] as const)('let go of everything when another key says %s, pressed or let go of', (flag) => {
+    for (const down of [true, false]) {
+      jogKeys.take(key('ArrowUp'), true, false);
+      expect(jogKeys.take(key('KeyQ', { [flag]: true }), down, false)).toBe(false);
+      expect([said.at(-1), hold.running]).toEqual([STILL, false]);
+    }
+  });
+
+  it('press no button together with a modifier', () => {
+    expect([pressesButton(key('Enter')), pressesButton(key('Enter', { metaKey: true })), pressesButton(key('Enter', { repeat: true }))]).toEqual([true, false, false]);
+  });
+
+  it('leave letters to what is typed in, and still stop there', () => {
+    expect(jogKeys.take(key('KeyQ'), true, true)).toBe(false);
+    expect(said).toEqual([]);
+    jogKeys.take(key('KeyQ'), true, false);
+    jogKeys.take(key('KeyQ'), false, true);
+    expect(hold.running).toBe(false);
   });
 });

@@ -3,62 +3,97 @@ import { ApiError } from '../src/lib/api/client';
 import type { Cell } from '../src/lib/api/documents';
 import { Stopper } from '../src/lib/state/stopper.svelte';
 
+const ONE = 'workcell-1';
+const OTHER = 'workcell-2';
+
 describe('a stop that is pressed', () => {
   let sent: string[];
   let answer: () => Promise<Cell>;
+  let down: boolean;
   let stopper: Stopper;
 
   beforeEach(() => {
     vi.useFakeTimers({ now: 0 });
     sent = [];
-    answer = () => Promise.reject(new Error('The server did not answer.'));
-    stopper = new Stopper((cell) => {
-      sent.push(cell);
-      return answer();
-    }, () => Date.now());
+    down = false;
+    answer = () => new Promise((_, reject) => setTimeout(() => reject(new Error('The server did not answer.')), 1_500));
+    stopper = new Stopper(
+      (cell) => {
+        sent.push(cell);
+        return answer();
+      },
+      () => down,
+    );
   });
   afterEach(() => {
     vi.useRealTimers();
   });
 
-  it('is said not to be confirmed, and sent on until it is', async () => {
-    void stopper.press('workcell-1');
-    await vi.advanceTimersByTimeAsync(9_000);
-    expect(stopper.phase).toBe('sending');
+  it('is said not to be confirmed after the first attempt, and sent on until it is', async () => {
+    void stopper.press(ONE);
+    await vi.advanceTimersByTimeAsync(1_400);
+    expect([stopper.of(ONE).phase, stopper.unconfirmed]).toEqual(['sending', []]);
+    await vi.advanceTimersByTimeAsync(200);
+    expect([stopper.of(ONE), stopper.unconfirmed]).toEqual([{ phase: 'failed', why: 'The server did not answer.', trying: true }, [ONE]]);
+    await vi.advanceTimersByTimeAsync(60_000);
+    expect(stopper.of(ONE).phase).toBe('failed');
+    answer = () => Promise.resolve({ id: ONE } as Cell);
     await vi.advanceTimersByTimeAsync(2_000);
-    expect([stopper.phase, stopper.trying]).toEqual(['failed', true]);
-    const before = sent.length;
-    answer = () => Promise.resolve({ id: 'workcell-1' } as Cell);
-    await vi.advanceTimersByTimeAsync(1_000);
-    expect([stopper.phase, sent.length]).toEqual(['confirmed', before + 1]);
+    expect([stopper.of(ONE).phase, stopper.unconfirmed]).toEqual(['idle', []]);
+    const count = sent.length;
+    await vi.advanceTimersByTimeAsync(5_000);
+    expect(sent.length).toBe(count);
   });
 
-  it('is sent no more once whoever pressed it knows', async () => {
-    void stopper.press('workcell-1');
-    await vi.advanceTimersByTimeAsync(11_000);
-    stopper.dismiss();
+  it('is said not to be confirmed at once where the link is known to be down', async () => {
+    down = true;
+    void stopper.press(ONE);
+    expect([stopper.of(ONE), sent]).toEqual([{ phase: 'failed', why: 'The link is down.', trying: true }, [ONE]]);
+    answer = () => Promise.resolve({ id: ONE } as Cell);
+    await vi.advanceTimersByTimeAsync(2_000);
+    expect(stopper.of(ONE).phase).toBe('idle');
+  });
+
+  it('goes out at once when it is pressed again between two attempts, and is still called not confirmed', async () => {
+    void stopper.press(ONE);
+    void stopper.press(ONE); // the finger that comes up
+    expect(sent.length).toBe(1);
+    await vi.advanceTimersByTimeAsync(1_600);
+    void stopper.press(ONE);
+    expect([sent.length, stopper.of(ONE).phase]).toEqual([2, 'failed']);
+    await vi.advanceTimersByTimeAsync(300);
+    expect(sent.length).toBe(2);
+  });
+
+  it('is sent no more once whoever pressed it knows, and again when it is pressed anew', async () => {
+    void stopper.press(ONE);
+    await vi.advanceTimersByTimeAsync(2_000);
+    stopper.dismiss(ONE);
     const before = sent.length;
     await vi.advanceTimersByTimeAsync(5_000);
-    expect([stopper.phase, sent.length]).toEqual(['idle', before]);
+    expect([stopper.of(ONE).phase, sent.length]).toEqual(['idle', before]);
+    void stopper.press(ONE);
+    expect([stopper.of(ONE).phase, sent.length]).toEqual(['sending', before + 1]);
   });
 
-  it('is not given up for the stop of another cell', async () => {
-    void stopper.press('workcell-1');
-    await vi.advanceTimersByTimeAsync(1_000);
-    void stopper.press('workcell-2');
-    await vi.advanceTimersByTimeAsync(1_000);
+  it('of one cell is neither given up nor forgotten for that of another', async () => {
+    void stopper.press(ONE);
+    await vi.advanceTimersByTimeAsync(1_600);
+    void stopper.press(OTHER);
+    expect([stopper.of(ONE).phase, stopper.of(OTHER).phase, stopper.unconfirmed]).toEqual(['failed', 'sending', [ONE]]);
+    await vi.advanceTimersByTimeAsync(1_600);
+    expect(stopper.unconfirmed).toEqual([ONE, OTHER]);
+    stopper.dismiss(OTHER);
+    expect(stopper.unconfirmed).toEqual([ONE]);
     sent = [];
-    await vi.advanceTimersByTimeAsync(500);
-    expect(new Set(sent)).toEqual(new Set(['workcell-1', 'workcell-2']));
-    answer = () => Promise.resolve({ id: '' } as Cell);
-    await vi.advanceTimersByTimeAsync(500);
-    expect(stopper.phase).toBe('confirmed');
+    await vi.advanceTimersByTimeAsync(4_000);
+    expect(new Set(sent)).toEqual(new Set([ONE]));
   });
 
   it('is not tried again where the server understood and will not', async () => {
     answer = () => Promise.reject(new ApiError({ code: 'unknown_cell', title: 'No such cell', status: 404, detail: 'there is no such cell' }));
     void stopper.press('workcell-9');
     await vi.advanceTimersByTimeAsync(5_000);
-    expect([stopper.phase, stopper.trying, sent.length]).toEqual(['failed', false, 1]);
+    expect([stopper.of('workcell-9'), sent.length]).toEqual([{ phase: 'failed', why: 'There is no such cell.', trying: false }, 1]);
   });
 });

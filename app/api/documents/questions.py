@@ -28,6 +28,7 @@ EXAMPLE_ESCALATION: dict[str, Any] = {
     "digest": "sha256:51ab…",
     "former_digests": [],
     "renewed": None,
+    "names_task": False,
     "policy_version": EXAMPLE_INVOCATION["policy_version"],
     "status": "pending",
     "approvals": [],
@@ -104,6 +105,11 @@ class EscalationDocument(Document):
     former_digests: list[str] = Field(description="What it was bound to before it was asked anew.")
     renewed: Literal["policy_changed", "profile_changed"] | None = Field(
         description="Why it was asked anew: another policy is in force since, or its cell is under another profile."
+    )
+    names_task: bool = Field(
+        default=False,
+        description="Whether the proposal names its task, so that a grant may be for it. The name is the agent's own, "
+        "and no part of the question.",
     )
     policy_version: str | None
     status: Literal["pending", "approved", "denied", "expired", "withdrawn"]

@@ -82,6 +82,8 @@ export interface Escalation {
   expires_at: string | null;
   created_at?: string;
   acknowledged?: { by: string; since: string }[];
+  /** Whether a grant may be for the proposal's task: one without a name has none. */
+  names_task?: boolean;
   on_deny?: 'deny' | 'terminate' | 'rollback';
   on_timeout?: 'deny' | 'terminate' | 'rollback';
 }

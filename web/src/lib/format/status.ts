@@ -25,9 +25,16 @@ export function robotSays(cell: Cell | null): { text: string; tone: Tone } {
   if (cell === null) return { text: 'No cell', tone: 'quiet' };
   const grave = graveOf(cell);
   if (grave !== null) return { text: grave, tone: 'danger' };
-  if (cell.control != null) return { text: 'Driven by hand', tone: 'human' };
+  if (cell.control != null) return { text: 'Driven by hand', tone: 'human', ...heldIn(cell.status) };
   if (cell.status === null || cell.busy === null) return { text: 'Idle', tone: 'plain' };
   return statusWords(cell.status);
+}
+
+/** Who drives has to know that nothing moves. */
+function heldIn(status: string | null): { text?: string; tone?: Tone } {
+  if (status === 'paused') return { text: 'Driven by hand, paused', tone: STATUS.paused.tone };
+  if (status === 'escalated') return { text: 'Driven by hand, asks you', tone: STATUS.escalated.tone };
+  return {};
 }
 
 /** A cell that is not heard has not confirmed anything, a stop least of all. */

@@ -47,6 +47,14 @@ const WHY: Record<string, string> = {
   stale: 'a sensor is silent',
 };
 
+/** Why nothing moves in a session that is paused, and whether a person may resume it; null where none is. */
+export function pausedWords(cell: Cell | null): { why: string; resumable: boolean } | null {
+  if (cell?.status !== 'paused') return null;
+  const { paused_by = [], violated = [] } = cell.session ?? {};
+  if (paused_by.includes('operator')) return { why: 'somebody paused the session', resumable: true };
+  return { why: violated.map(refusalWords).join(', ') || 'the watcher stopped it', resumable: false };
+}
+
 /** Why a command of somebody who drives is not obeyed, in words; a rule without any is named. */
 export function refusalWords(code: string): string {
   const rule = code.split('/').at(-1) ?? code;

@@ -17,6 +17,9 @@ const WORDS: Record<string, string> = {
   unreachable: 'No answer from the server: it is not known whether this arrived.',
 };
 
+/** How the choice reads that allows nothing in advance. */
+export const ASK_AGAIN = 'ask me again next time';
+
 type Asks = Pick<Api, 'check' | 'resolve'>;
 
 /** One person's answer in the making: what was typed, what policy says to it, and what became of sending it. */
@@ -111,12 +114,18 @@ export class Decision {
       over = answered.status !== 'pending'; // the card goes with the next update; until then it takes no second answer
       return answered;
     } catch (error) {
-      const code = error instanceof ApiError ? error.code : '';
-      const reasons = error instanceof ApiError ? (error.problem.reasons ?? []).map((reason) => reason.message) : [];
-      this.problem = [WORDS[code] ?? String(error instanceof Error ? error.message : error), ...reasons].join(' ');
+      this.problem = error instanceof ApiError ? refusal(error, answer) : String(error instanceof Error ? error.message : error);
       return null;
     } finally {
       if (!over) this.sending = null;
     }
   }
+}
+
+/** Why an answer was not taken, in words; of what was to be allowed in advance also what was wrong with it, and the way out. */
+function refusal(error: ApiError, answer: Answer): string {
+  const { reasons = [], errors = [], status } = error.problem;
+  if (answer.grant === undefined || status !== 422) return [WORDS[error.code] ?? error.message, ...reasons.map((reason) => reason.message)].join(' ');
+  const fields = errors.map(({ field }) => `“${field}”`).join(', ');
+  return `What is to be allowed in advance does not fit${fields === '' ? '' : ` (${fields})`}: ${error.message} Choose “${ASK_AGAIN}” to approve only this.`;
 }

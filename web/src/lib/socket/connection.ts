@@ -1,4 +1,5 @@
 import { CLOSED, FINAL_CODES, LONGEST_TOKEN, SUBPROTOCOL, type Down, type Up } from './messages';
+import { placeOf } from './frame';
 import { LATE_MS, retryMs, Watchdog, type LinkState } from './watchdog';
 
 const TICK_MS = 100;
@@ -111,7 +112,7 @@ export class Connection {
     const now = this.now();
     this.dog.heard(now);
     if (typeof data !== 'string') {
-      this.frames.push(now);
+      if (placeOf(data) === 0) this.frames.push(now); // of the cell that is looked at
       this.listener.frame(data);
       return;
     }

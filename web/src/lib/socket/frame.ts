@@ -15,6 +15,11 @@ const MAGIC = 0x31465052; // "RPF1", little endian
 const HEADER_BYTES = 28;
 const PER_BODY = 7;
 
+/** At which place of the last `watch` a frame's cell stands; null where it is no frame. */
+export function placeOf(buffer: ArrayBuffer): number | null {
+  return buffer.byteLength < HEADER_BYTES ? null : new DataView(buffer).getUint16(4, true);
+}
+
 /** Reads a binary frame. Raises `RangeError` on anything but a whole frame. */
 export function readFrame(buffer: ArrayBuffer): PoseFrame {
   if (buffer.byteLength < HEADER_BYTES) throw new RangeError(`a frame of ${buffer.byteLength} bytes has no header`);

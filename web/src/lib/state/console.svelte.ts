@@ -7,6 +7,7 @@ import type { Down, Jog, Scene } from '../socket/messages';
 import { clock, serverMs } from './clock.svelte';
 import { fromSnapshot, merged, NOTHING, type Documents } from './documents';
 import { Pace } from './pace';
+import { Quiet } from './quiet';
 
 export interface SceneInfo {
   scene: Scene;
@@ -23,6 +24,7 @@ type FrameListener = (frame: PoseFrame) => void;
 
 const OFF: Health = { state: 'connecting', rttMs: null, framesPerS: 0, why: '' };
 const LOOK_MS = 1_000;
+const QUIET_LOOK_MS = 100;
 
 /**
  * The signed-in console: what the server said, whether that still holds, and which cell is looked at.
@@ -36,8 +38,12 @@ export class Console {
   me = $state.raw<{ name: string; role: string; station: string | null } | null>(null);
   refused = $state<string | null>(null);
   selected = $state<string | null>(sessionStorage.getItem('reins.cell'));
-  scene = $state.raw<SceneInfo | null>(null);
-  path = $state.raw<Path | null>(null);
+  /** What the cells that are watched look like: the one that is looked at, and that of an open trace. */
+  scenes = $state.raw<Record<string, SceneInfo>>({});
+  private paths = $state.raw<Record<string, Path>>({});
+  /** Of the cell that is looked at; derived, so that nothing is drawn anew for every document that comes. */
+  readonly scene = $derived.by(() => this.scenes[this.cell?.id ?? ''] ?? null);
+  readonly path = $derived.by(() => this.paths[this.cell?.id ?? ''] ?? null);
   jogRefused = $state<string | null>(null);
   /** Cells as asked for by name, while no socket says which there are: the stop needs no seat. */
   private listed = $state.raw<string[]>([]);
@@ -47,6 +53,9 @@ export class Console {
   heardAtMs = $state<number | null>(null);
 
   private readonly link: Link;
+  private readonly quiet = new Quiet();
+  private quietly = $state(false);
+  private readonly attending: ReturnType<typeof setInterval>;
   private readonly looking: ReturnType<typeof setInterval>;
   private frameListeners: readonly FrameListener[] = [];
   /** What the server said last; `docs` follows as fast as the page can draw it. */
@@ -57,7 +66,7 @@ export class Console {
     this.api = new Api(token);
     this.link = new Link(token, {
       message: (message) => this.take(message),
-      frame: (frame) => this.frameListeners.forEach((listen) => listen(frame)),
+      frame: (frame) => this.show(frame),
       health: (health) => {
         this.health = health;
       },
@@ -65,6 +74,9 @@ export class Console {
         this.refused = why;
       },
     });
+    this.attending = setInterval(() => {
+      this.quietly = this.quiet.look(performance.now());
+    }, QUIET_LOOK_MS);
     this.looking = setInterval(() => void this.list(), LOOK_MS);
   }
 
@@ -76,6 +88,11 @@ export class Console {
   /** Whether what is shown of the robot may be taken as the present: the server is heard, and hears the cell. */
   get heard(): boolean {
     return this.live && this.cell?.online === true;
+  }
+
+  /** Whether poses and gauges may be taken as the present: they stop before the server calls the cell silent. */
+  get seen(): boolean {
+    return this.heard && !this.quietly;
   }
 
   get cells(): Cell[] {
@@ -106,9 +123,20 @@ export class Console {
   select(cell: string): void {
     this.selected = cell;
     sessionStorage.setItem('reins.cell', cell);
-    this.watch(cell);
+    this.watch();
   }
 
+  /** Watches another cell besides the one that is looked at, for its drawing; returns how to end that. */
+  watchAlso(cell: string): () => void {
+    this.also = cell;
+    this.watch();
+    return () => {
+      this.also = null;
+      this.watch();
+    };
+  }
+
+  /** Hears of every frame of the cell that is looked at. */
   onFrame(listen: FrameListener): () => void {
     this.frameListeners = [...this.frameListeners, listen];
     return () => {
@@ -122,17 +150,35 @@ export class Console {
 
   end(): void {
     clearInterval(this.looking);
+    clearInterval(this.attending);
     this.link.end();
   }
 
-  private watch(cell: string): void {
-    if (this.watching === cell) return;
-    this.watching = cell;
-    this.scene = null;
-    this.path = null;
-    this.link.send({ type: 'watch', cells: [cell] });
+  private also: string | null = null;
+  private watched: string[] = [];
+  /** Which of them have been described since: frames before that bear places in an earlier list. */
+  private described: string[] = [];
+
+  private watch(): void {
+    const first = this.cell?.id ?? null;
+    const wanted = [first, this.also === first ? null : this.also].filter((cell) => cell !== null);
+    if (wanted.join('\n') === this.watched.join('\n')) return;
+    if (this.watched.length > 0) this.link.send({ type: 'watch', cells: [] }); // so that all are described anew
+    if (wanted[0] !== this.watched[0]) this.quiet.anew();
+    this.watched = wanted;
+    this.described = [];
+    this.scenes = of(wanted, this.scenes);
+    this.paths = of(wanted, this.paths);
+    this.link.send({ type: 'watch', cells: wanted });
   }
-  private watching: string | null = null;
+
+  private show(frame: PoseFrame): void {
+    const cell = this.watched[frame.cell];
+    if (cell === undefined || cell !== this.cell?.id || !this.described.includes(cell)) return;
+    this.quiet.frame();
+    this.quietly = false;
+    this.frameListeners.forEach((listen) => listen(frame));
+  }
 
   private take(message: Down): void {
     switch (message.type) {
@@ -166,22 +212,23 @@ export class Console {
   }
 
   private takeAboutCell(message: Down): void {
-    if (!('cell' in message) || message.cell !== this.watching) return;
+    if (!('cell' in message) || !this.watched.includes(message.cell)) return;
+    const { cell } = message;
     switch (message.type) {
       case 'scene':
-        this.scene = { scene: message.scene, bodies: message.bodies, gauges: message.gauges };
+        this.scenes = { ...this.scenes, [cell]: { scene: message.scene, bodies: message.bodies, gauges: message.gauges } };
+        this.described = [...this.described, cell];
         break;
       case 'path':
-        this.path = { invocation: message.invocation, points: message.points };
+        this.paths = { ...this.paths, [cell]: { invocation: message.invocation, points: message.points } };
         break;
       case 'jogged':
-        this.jogRefused = message.refused;
+        if (cell === this.cell?.id) this.jogRefused = message.refused;
     }
   }
 
   private watchFirst(): void {
-    const cell = this.cell;
-    if (cell !== null) this.watch(cell.id);
+    if (this.cell !== null) this.watch();
   }
 
   private async list(): Promise<void> {
@@ -205,4 +252,8 @@ export class Console {
       setTimeout(() => void this.fetchPolicy(), 2_000); // limits are drawn from it; without it gauges show no limit
     }
   }
+}
+
+function of<T>(names: readonly string[], all: Record<string, T>): Record<string, T> {
+  return Object.fromEntries(Object.entries(all).filter(([name]) => names.includes(name)));
 }

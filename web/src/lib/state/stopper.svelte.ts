@@ -2,56 +2,82 @@ import { ApiError } from '../api/client';
 import type { Cell } from '../api/documents';
 
 const TRY_AGAIN_MS = 250;
-const SAY_SO_MS = 10_000;
+const LINK_DOWN = 'The link is down.';
 
-export type StopPhase = 'idle' | 'sending' | 'confirmed' | 'failed';
+/** `sending`: for the first time, and nobody knows yet; `failed`: not confirmed, whether or not it is still sent. */
+export type StopPhase = 'idle' | 'sending' | 'failed';
+
+/** What became of the stop of one cell. */
+export interface Stop {
+  phase: StopPhase;
+  why: string;
+  /** Whether one that could not be confirmed is still being sent. */
+  trying: boolean;
+}
+
+const NONE: Stop = { phase: 'idle', why: '', trying: false };
 
 /**
- * Sends the emergency stop until the server confirms it; says plainly when it could not, and goes on trying until it is
- * told that whoever pressed it knows.
+ * Sends the emergency stop of a cell until the server confirms it; says plainly as soon as one attempt has failed, and
+ * goes on trying until it is told that whoever pressed it knows. One of these knows of all cells, whatever page is open.
  */
 export class Stopper {
-  phase = $state<StopPhase>('idle');
-  why = $state('');
-  cell = $state<string | null>(null);
-  /** Whether one that could not be confirmed is still being sent. */
-  trying = $state(false);
+  private stops = $state.raw<Record<string, Stop>>({});
   private presses = 0;
-  /** Of each cell, the press that is being sent; none is given up for another cell's. */
+  /** Of each cell, the press that is being sent, 0 for none; none is given up for another cell's. */
   private newest: Record<string, number> = {};
+  /** Of each cell, the press that waits for the server's answer; 0: none. */
+  private asked: Record<string, number> = {};
 
   constructor(
     private readonly estop: (cell: string) => Promise<Cell>,
-    private readonly now: () => number = () => performance.now(),
+    private readonly linkDown: () => boolean = () => false,
   ) {}
 
+  /** What became of the stop of this cell; idle where none was pressed, and once it is confirmed. */
+  of(cell: string | null): Stop {
+    return (cell === null ? undefined : this.stops[cell]) ?? NONE;
+  }
+
+  /** The cells whose stop is not confirmed. */
+  get unconfirmed(): string[] {
+    return Object.keys(this.stops).filter((cell) => this.of(cell).phase === 'failed').sort();
+  }
+
   async press(cell: string): Promise<void> {
-    if (this.phase === 'sending' && this.cell === cell) return;
-    this.cell = cell;
-    this.phase = 'sending';
+    if (this.newest[cell] && this.newest[cell] === this.asked[cell]) return;
     this.presses += 1;
     const press = this.presses;
     this.newest[cell] = press;
-    const until = this.now() + SAY_SO_MS;
+    this.begun(cell);
     // Until it is pressed again, or whoever pressed it knows that it failed.
     while (this.newest[cell] === press) {
+      this.asked[cell] = press;
       const error = await this.send(cell);
       if (this.newest[cell] !== press) return;
-      if (error === null) {
-        if (this.cell === cell) this.phase = 'confirmed';
-        return;
-      }
-      if (final(error) || this.now() >= until) this.failed(cell, error);
-      if (final(error)) return;
+      this.asked[cell] = 0;
+      if (error !== null) this.say(cell, { phase: 'failed', why: error.message, trying: !final(error) });
+      if (error === null) this.dismiss(cell);
+      if (error === null || final(error)) return;
       await new Promise((resolve) => setTimeout(resolve, TRY_AGAIN_MS));
     }
   }
 
-  private failed(cell: string, error: Error): void {
-    this.cell = cell;
-    this.phase = 'failed';
-    this.why = error.message;
-    this.trying = !final(error);
+  /** Whoever pressed it knows. */
+  dismiss(cell: string): void {
+    this.newest[cell] = 0;
+    this.stops = Object.fromEntries(Object.entries(this.stops).filter(([known]) => known !== cell));
+  }
+
+  /** One that is not confirmed is called so until it is, however often it is pressed. */
+  private begun(cell: string): void {
+    const failed = this.of(cell).phase === 'failed';
+    if (this.linkDown()) this.say(cell, { phase: 'failed', why: LINK_DOWN, trying: true });
+    else this.say(cell, failed ? { ...this.of(cell), trying: true } : { phase: 'sending', why: '', trying: false });
+  }
+
+  private say(cell: string, stop: Stop): void {
+    this.stops = { ...this.stops, [cell]: stop };
   }
 
   private async send(cell: string): Promise<Error | null> {
@@ -61,16 +87,6 @@ export class Stopper {
     } catch (error) {
       return error instanceof Error ? error : new Error(String(error));
     }
-  }
-
-  /** The cell says itself that it is latched, or not any more. */
-  settled(): void {
-    if (this.phase === 'confirmed') this.phase = 'idle';
-  }
-
-  dismiss(): void {
-    this.newest = {};
-    this.phase = 'idle';
   }
 }
 
