@@ -22,7 +22,7 @@ from tests.console.conftest import (
     stop,
     wider_than_the_screen,
 )
-from tests.console.test_access import AXE, faults
+from tests.console.test_access import AXE, faults, overlap
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 FIRST = "Grasp mug_1"
@@ -240,6 +240,10 @@ def test_the_trace_of_another_cell_is_drawn_and_the_stop_stays_where_it_is(
     for name in ("workcell-2", "workcell-1"):  # whichever cell is chosen
         person.page.get_by_label("Cell", exact=True).select_option(name)
         expect(replay.locator(".note")).to_have_count(0)
+    person.page.set_viewport_size(PHONE)
+    person.page.evaluate(THREE_FRAMES)
+    assert not overlap(box(replay.locator(".stamp")), box(replay.locator(".limits")))
+    person.page.set_viewport_size(DESK)
     person.press("1")
     expect(person.region("The cell in 3D").locator("canvas")).to_be_visible()
     expect(person.page.get_by_text(re.compile(r"^[1-9]\d* Hz$"))).to_be_visible()
