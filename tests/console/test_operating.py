@@ -51,6 +51,7 @@ def test_a_session_is_paused_by_one_key_however_often_and_resumed_by_another(
     until(lambda: floor.speed() > 0.05, what="a base that moves")
     person.press("p")
     expect(robot(person)).to_contain_text("Paused, holding")
+    expect(person.button("Pause")).to_be_disabled()  # the record says it a moment after the robot does
     person.press("p")
     person.button("Pause").click(force=True)
     server.await_status(drive["id"], "paused")
