@@ -15,7 +15,7 @@ import pytest
 from app.api import audits
 from app.audit.event import EventDraft
 from app.audit.telemetry import TelemetryWriter, channels
-from tests.api.conftest import House
+from tests.api.conftest import House, open_house
 
 pytestmark = pytest.mark.anyio
 
@@ -85,23 +85,6 @@ async def test_the_checkpoint_is_that_of_the_verified_log(house: House) -> None:
     assert verdict["ok"]
     assert (head["size"], head["root"], head["checkpoint"]) == (verdict["size"], verdict["root"], verdict["checkpoint"])
     assert house.runtime.store.verifier.open(head["checkpoint"]).size == head["size"]
-
-
-async def test_nothing_moves_on_a_log_that_was_found_damaged(house: House) -> None:
-    await refuse(house)
-    drive = {"capability": "navigate_to", "params": {"target": "dock"}}
-    with sqlite3.connect(house.runtime.store.places.database) as database:
-        database.execute("DROP TRIGGER events_refuse_update")
-        database.execute("UPDATE events SET kind = 'cell' WHERE seq = 1")
-    async with house.cell() as cell, house.client("auditor") as auditor, house.client() as agent:
-        verdict = (await auditor.get("/v1/audit/verify")).json()
-        health, ready = await agent.get("/healthz"), await agent.get("/readyz")
-        refused = await agent.post("/v1/invocations", json=drive)
-    assert (verdict["ok"], verdict["first_bad"]) == (False, 1)
-    assert health.json()["broken"]["record"] == ready.json()["broken"]["record"] == verdict["problem"]
-    assert (health.json()["status"], ready.status_code) == ("degraded", 503)
-    assert (refused.status_code, refused.json()["code"]) == (503, "record_unavailable")
-    assert not cell.launches
 
 
 async def test_streams_events_as_they_are_recorded(house: House) -> None:
@@ -267,3 +250,21 @@ async def test_says_where_there_is_no_telemetry(house: House, path: str) -> None
     async with house.client("auditor") as auditor:
         answer = await auditor.get(f"/v1/audit/telemetry/{path}")
     assert (answer.status_code, answer.json()["code"]) == (404, "telemetry_unknown")
+
+
+async def test_nothing_moves_on_a_log_that_was_found_damaged(tmp_path: Path) -> None:
+    drive = {"capability": "navigate_to", "params": {"target": "dock"}}
+    async with open_house(tmp_path / "data", "sim-relaxed") as house, house.cell() as cell:
+        await refuse(house)
+        with sqlite3.connect(house.runtime.store.places.database) as database:
+            database.execute("DROP TRIGGER events_refuse_update")
+            database.execute("UPDATE events SET kind = 'cell' WHERE seq = 1")
+        async with house.client("auditor") as auditor, house.client() as agent:
+            verdict = (await auditor.get("/v1/audit/verify")).json()
+            health, ready = await agent.get("/healthz"), await agent.get("/readyz")
+            refused = await agent.post("/v1/invocations", json=drive)
+        assert (verdict["ok"], verdict["first_bad"]) == (False, 1)
+        assert health.json()["broken"]["record"] == ready.json()["broken"]["record"] == verdict["problem"]
+        assert (health.json()["status"], ready.status_code) == ("degraded", 503)
+        assert (refused.status_code, refused.json()["code"]) == (503, "record_unavailable")
+        assert not cell.launches
