@@ -205,7 +205,7 @@ def test_a_session_is_taken_over_and_ended_by_keyboard_alone(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
     person = people.sit(server)
-    session = floor.drive(target="dock")
+    session = floor.drive_off()
     person.press("t")
     panel = person.region("Drive by hand")
     expect(panel).to_be_focused()
@@ -234,7 +234,7 @@ def test_whoever_drives_is_told_that_the_session_is_paused_and_resumes_it(
 ) -> None:
     person = people.sit(server, size=size)
     person.expects("status of 409")
-    floor.drive(target="dock")
+    floor.drive_off()
     take_controls(person)
     panel, header = person.region("Drive by hand"), person.page.locator("header").first
     expect(header).to_contain_text("Driven by hand")

@@ -77,7 +77,7 @@ def test_a_cell_that_falls_silent_is_not_shown_as_the_present(
 ) -> None:
     person = people.sit(server)
     robot = person.page.locator("header dl.facts > div", has_text="Robot says")
-    floor.drive(target="dock")
+    floor.drive_off()
     until(lambda: floor.speed() > 0.05, what="a base that moves")
     pid = server.cell_pid()
     assert pid is not None

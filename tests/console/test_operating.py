@@ -45,7 +45,7 @@ def test_a_session_is_paused_by_one_key_however_often_and_resumed_by_another(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
     person = people.sit(server)
-    drive = floor.drive(target="dock")
+    drive = floor.drive_off()
     expect(robot(person)).to_contain_text("Running")
     expect(robot(person)).to_contain_text("Agent “planner”")
     until(lambda: floor.speed() > 0.05, what="a base that moves")
@@ -69,7 +69,7 @@ def test_a_stop_is_pressed_from_anywhere_and_left_in_two_steps(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
     person = people.sit(server)
-    drive = floor.drive(target="dock")
+    drive = floor.drive_off()
     until(lambda: floor.speed() > 0.05, what="a base that moves")
     person.press("2")
     expect(person.page).to_have_url(f"{server.url}/#/audit")
@@ -121,7 +121,7 @@ def test_a_session_taken_over_goes_on_when_it_is_handed_back(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
     person = people.sit(server)
-    drive = floor.drive(target="dock")
+    drive = floor.drive_off()
     until(lambda: floor.speed() > 0.05, what="a base that moves")
     expect(robot(person)).to_contain_text("Running")
     person.press("t")

@@ -23,7 +23,7 @@ def test_a_session_is_paused_resumed_and_rolled_back_by_touch(
 ) -> None:
     person = people.sit(server, size=PHONE)
     began = floor.base()
-    drive = floor.drive(target="dock")
+    drive = floor.drive_off()
     until(lambda: far(floor.base(), began) > 0.2, what="a base on its way")
     person.button("Pause").tap()
     expect(says(person)).to_contain_text("Paused, holding")
