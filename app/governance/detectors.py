@@ -28,8 +28,8 @@ NEAR_ZONE_M: Final = 1.5
 HALTING_S: Final = 0.1  # the same, and what the drives take to follow
 LEFT_M: Final = 0.85
 """What has to be left to the middle of a person, as trackers give it, once the robot stands: 0.25 m to a body of 0.25 m
-radius, and what else they come nearer than was foreseen, since how fast somebody goes has to be learned first. Of 106
-walks on seeds for tuning that was 0.28 m at most, of 198 on those for reporting 0.40 m."""
+radius, and what else they come nearer than was foreseen, since how fast somebody goes has to be learned first. Of 63
+walks in real-restricted on seeds for tuning that was 0.28 m at most, of 94 on those for reporting 0.40 m."""
 WALKING_MPS: Final = 0.4
 STUCK_TICKS: Final = 3  # readings carry noise: that two repeat bit by bit is chance, three in a row never are
 HELD_TICKS: Final = 10
