@@ -39,6 +39,7 @@ BENCH = """
 """
 AFTER_THE_LAST_PUSH = "window.jogs.slice(window.jogs.findLastIndex((jog) => jog.base.some(Boolean)) + 1)"
 ZEROS = [0, 0, 0]
+IDLE, HOLDS = "the controls of the idle cell", "Taking over holds the session"
 LET_GO = "Hold to run; let go to stop"
 HELD = "Moving while you hold"
 LEAST_PX = 180  # of the cell, that a robot in it can be seen
@@ -52,8 +53,10 @@ def let_go(person: Person) -> None:
     assert all(jog["base"] == jog["tool"] == ZEROS for jog in last)
 
 
-def take_controls(person: Person) -> None:
+def take_controls(person: Person, what: str = IDLE) -> None:
+    """Take over what the page says that it would take over: it hears of a launch a moment after the cell."""
     person.press("t")
+    expect(person.region("Drive by hand")).to_contain_text(what)
     person.button("Take the controls").click()
     expect(person.page.get_by_text(LET_GO)).to_be_visible()
 
@@ -209,7 +212,7 @@ def test_a_session_is_taken_over_and_ended_by_keyboard_alone(
     person.press("t")
     panel = person.region("Drive by hand")
     expect(panel).to_be_focused()
-    expect(panel).to_contain_text("Taking over holds the session")  # not the idle cell, which it was a moment ago
+    expect(panel).to_contain_text(HOLDS)  # not the idle cell, which it was a moment ago
     for button in ("Close", "Take the controls"):
         person.press("Tab")
         expect(person.button(button)).to_be_focused()
@@ -235,7 +238,7 @@ def test_whoever_drives_is_told_that_the_session_is_paused_and_resumes_it(
     person = people.sit(server, size=size)
     person.expects("status of 409")
     floor.drive_off()
-    take_controls(person)
+    take_controls(person, HOLDS)
     panel, header = person.region("Drive by hand"), person.page.locator("header").first
     expect(header).to_contain_text("Driven by hand")
     person.press("p")
