@@ -149,7 +149,8 @@ def _at(newest: _Moment, history: tuple[_Moment, ...], stamp_s: float) -> Vec3:
 class PersonEstimate(NamedTuple):
     """One person as filtered: position and velocity at `stamp_s`, world frame.
 
-    `leapt` says that the last sample lay farther from where they were expected than anybody can get.
+    `leapt` says that the last sample lay farther from where they were expected than anybody can get; `samples` counts
+    how many have come.
     """
 
     person: int
@@ -159,6 +160,7 @@ class PersonEstimate(NamedTuple):
     vx_mps: float
     vy_mps: float
     leapt: bool = False
+    samples: int = 1
 
 
 def track_people(
@@ -193,7 +195,8 @@ def _track(known: tuple[PersonEstimate, ...], track: PersonTrack) -> PersonEstim
     if speed > FASTEST_PERSON_MPS:
         vx, vy = vx * FASTEST_PERSON_MPS / speed, vy * FASTEST_PERSON_MPS / speed
     leapt = math.hypot(miss_x, miss_y) > LEAP_M + 2.0 * FASTEST_PERSON_MPS * gap_s
-    return PersonEstimate(person, stamp_s, ahead_x + ALPHA * miss_x, ahead_y + ALPHA * miss_y, vx, vy, leapt)
+    x, y = ahead_x + ALPHA * miss_x, ahead_y + ALPHA * miss_y
+    return PersonEstimate(person, stamp_s, x, y, vx, vy, leapt, old.samples + 1)
 
 
 def now(person: PersonEstimate, time_s: float) -> tuple[float, float]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from app.governance.estimation import LOOSE_SCATTER_M, BaseEstimate, PersonEstimate
 from app.governance.keepout import Keepout
 from app.governance.model import Intervention, SensorStamps
+from app.governance.policy_model import WALKING_MPS
 
 if TYPE_CHECKING:
     from app.governance.model import Observation, WatchPlan, WatchRule
@@ -128,7 +129,8 @@ class Constants(NamedTuple):
     """What detectors take from a plan, worked out once. `age_limits_s` goes with `SensorStamps`, ∞ where none is set.
 
     The protective separation S_p = v_h (T_r + T_s) + v_r T_r + v_r T_s / 2 + C + Z_d + Z_r is split into what is fixed
-    (`fixed_gap_m`) and what v_r multiplies (`gap_per_speed_s`). `held_off_m` is the distance that a rule names which
+    (`fixed_gap_m`), what v_r multiplies (`gap_per_speed_s`), and what is to be added where somebody comes faster than
+    v_h (`human_speed_mps`), per speed (`gap_per_human_speed_s`). `held_off_m` is the distance that a rule names which
     holds the robot while somebody is nearer; 0 without one.
     """
 
@@ -139,6 +141,8 @@ class Constants(NamedTuple):
     age_limits_s: tuple[float, ...]
     fixed_gap_m: float
     gap_per_speed_s: float
+    gap_per_human_speed_s: float
+    human_speed_mps: float
     held_off_m: float
 
     @classmethod
@@ -166,6 +170,8 @@ class Constants(NamedTuple):
                 + gap.intrusion_m + gap.position_uncertainty_m + gap.robot_uncertainty_m
             ),
             gap_per_speed_s=0.0 if gap is None else gap.reaction_s + gap.stopping_s / 2.0,
+            gap_per_human_speed_s=0.0 if gap is None else gap.reaction_s + gap.stopping_s,
+            human_speed_mps=WALKING_MPS if gap is None else gap.human_speed_mps,
             held_off_m=max((rule.threshold or 0.0 for rule in plan.rules if holds_off(rule)), default=0.0),
         )  # fmt: skip
 

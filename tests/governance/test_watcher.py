@@ -625,6 +625,49 @@ def test_a_fixed_distance_is_kept_ahead_of_whoever_comes_on_and_named_as_it_is_f
     assert 3.5 - 2.0 * 0.01 * late == pytest.approx(1.0, abs=0.12)  # who only warns says where somebody is
 
 
+def test_who_comes_from_the_side_comes_as_long_as_the_robot_moves() -> None:
+    near = rule("separation_m", above=False, threshold=1.0)
+    plan = watching(replace(near, response=HOLDING_OFF), base_radius_m=0.45, base_deceleration_mps2=1.0)
+
+    def alerted_at_m(speed_mps: float) -> float:
+        """Return how far off somebody was, who walks at 1.5 m/s at right angles to the way of the robot."""
+        stream = [
+            seen(
+                tick,
+                base_velocity=(speed_mps, 1e-6 * (tick % 97), 0.0),
+                tcp_m=(0.0, 0.0, 0.9),
+                people=(PersonTrack(1, 0.05 * (tick // 5), 2.0, 2.45 + 3.5 - 1.5 * 0.05 * (tick // 5)),),
+            )
+            for tick in range(250)
+        ]
+        tick, _ = first_alert(plan, stream)
+        assert tick is not None
+        return 3.5 - 1.5 * 0.01 * tick
+
+    # Half a second of braking, and the 0.1 s until it begins, at 1.5 m/s: 0.9 m, of which 0.15 m may be lost.
+    assert alerted_at_m(0.0) == pytest.approx(1.0, abs=0.08)
+    assert alerted_at_m(0.5) == pytest.approx(1.75, abs=0.08)
+
+
+def test_whoever_has_just_come_into_view_may_come_as_fast_as_people_walk() -> None:
+    near = rule("separation_m", above=False, threshold=1.0)
+    plan = watching(replace(near, response=HOLDING_OFF), base_radius_m=0.45, base_deceleration_mps2=1.0)
+    driving = [one._replace(tcp_m=(0.0, 0.0, 0.9)) for one in walker(0.0, 1.9, 60)]
+    held = [bool(alerts) for alerts in run(plan, driving)[0]]
+    assert held[0]  # 1.6 m/s for 0.6 s would leave less than 0.85 m
+    assert not any(held[30:])  # known by then: somebody who stands
+    standing = [one._replace(base_velocity=(0.0, 0.0, 0.0), joint_speed_radps=STILL) for one in driving]
+    assert first_alert(plan, standing) == (None, None)
+
+
+@pytest.mark.parametrize(("speed_mps", "more_m"), [(1.2, 0.0), (2.0, 0.4 * (0.1 + 0.3))])
+def test_who_comes_faster_than_people_walk_needs_more_separation(speed_mps: float, more_m: float) -> None:
+    plan = watching(rule("separation_m", above=False))
+    stream = [one._replace(base_velocity=(0.0, 0.0, 0.0), joint_speed_radps=STILL) for one in walker(speed_mps, 5, 120)]
+    _, state, _ = run(plan, stream)
+    assert state.signals.protective_separation_m == pytest.approx(expected_gap(0.0) + more_m, abs=0.03)
+
+
 FLOATS = [name for name in Observation._fields if name not in ("tick", "pads_loaded", "fix", "people", "sightings")]
 
 
