@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final
 from app.governance.estimation import now, scattered, tcp_velocity, track_base, track_people
 from app.governance.fusing import Part, parts
 from app.governance.keepout import CREEP_MPS, LARGEST_BASE_SPEED_MPS, REACTION_S, near_zones, slide, turned
+from app.governance.policy_model import WALKING_MPS
 from app.governance.signals import FAR_M
 
 if TYPE_CHECKING:
@@ -30,7 +31,9 @@ LEFT_M: Final = 0.85
 """What has to be left to the middle of a person, as trackers give it, once the robot stands: 0.25 m to a body of 0.25 m
 radius, and what else they come nearer than was foreseen, since how fast somebody goes has to be learned first. Of the
 79 walks in real-restricted on seeds for tuning that was 0.15 m at most."""
-SLOWEST_WALK_MPS: Final = 0.4
+SLOWEST_WALK_MPS: Final = 0.6
+"""Who comes slower is judged by where they are. Of somebody who stands the filter says as much at times (three σ), and
+what somebody covers at that while the robot brakes, 0.4 m, is left over of a distance of 1 m."""
 LEARNED_SAMPLES: Final = 6
 """How often somebody has to be seen before it is known how fast they come; until then they may come as fast as people
 walk. After six samples the filter follows nine tenths of a speed that it has to learn from nothing."""
@@ -181,10 +184,12 @@ def separation(
         vx, vy = turned(base_yaw_rad, seen.base_velocity)
         tx, ty, _ = seen.tcp_m
         jx, jy = tcp_velocity(seen.jacobian, seen.joint_speed_radps)
-        hand_x, hand_y = base_x_m + c * tx - s * ty, base_y_m + s * tx + c * ty
-        hand_vx, hand_vy = vx + c * jx - s * jy, vy + s * jx + c * jy
+        _, _, wz = seen.base_velocity
+        arm_x, arm_y = c * tx - s * ty, s * tx + c * ty
+        hand_x, hand_y = base_x_m + arm_x, base_y_m + arm_y
+        hand_vx, hand_vy = vx + c * jx - s * jy - wz * arm_y, vy + s * jx + c * jy + wz * arm_x
         # Of the whole speed, in whatever direction: who comes from the side comes as long as the robot moves.
-        fastest_mps = max(base_speed_mps, hypot(hand_vx, hand_vy))
+        fastest_mps = max(base_speed_mps, seen.tcp_speed_mps, hypot(hand_vx, hand_vy))
         braking_s = fastest_mps / plan.base_deceleration_mps2 if fastest_mps > CREEP_MPS else 0.0
         for person in people:
             px, py = now(person, seen.time_s)
@@ -202,7 +207,7 @@ def separation(
             if gap_m - needed_m < separation_margin_m:
                 separation_m, protective_separation_m, separation_margin_m = gap_m, needed_m, gap_m - needed_m
             if person.samples < LEARNED_SAMPLES and braking_s > 0.0:  # a robot that stands need not be stopped
-                coming = max(coming, plan.human_speed_mps)
+                coming = max(coming, plan.human_speed_mps, WALKING_MPS)
             ahead_m = at_standstill(gap_m, closing, coming, braking_s) + spare_m
             separation_ahead_m = min(separation_ahead_m, gap_m, ahead_m)
     return separation_m, protective_separation_m, separation_margin_m, separation_ahead_m

@@ -31,6 +31,7 @@ BETA: Final = 0.17
 FASTEST_PERSON_MPS: Final = 2.5
 EXTRAPOLATE_S: Final = 0.3
 FORGET_S: Final = 2.0
+EARLIEST_S: Final = 0.1  # a track that is stamped later than that from now has a clock of its own
 LEAP_M: Final = 0.6
 """Who is seen farther than this from where they were expected, beyond what turning on the spot at full speed explains,
 did not walk there: five σ of the tracker at twice its noise."""
@@ -149,8 +150,8 @@ def _at(newest: _Moment, history: tuple[_Moment, ...], stamp_s: float) -> Vec3:
 class PersonEstimate(NamedTuple):
     """One person as filtered: position and velocity at `stamp_s`, world frame.
 
-    `leapt` says that the last sample lay farther from where they were expected than anybody can get; `samples` counts
-    how many have come.
+    `leapt` says that the last sample lay farther from where they were expected than anybody can get, or in the future;
+    `samples` counts how many have come since they came into view.
     """
 
     person: int
@@ -172,19 +173,21 @@ def track_people(
     """
     if not tracks:
         return tuple([one for one in known if time_s - one.stamp_s <= FORGET_S]) if known else known
-    fresh = [_track(known, track) for track in tracks]
+    fresh = [_track(known, track, time_s) for track in tracks]
     seen = {track.person for track in tracks}
     fresh += [one for one in known if one.person not in seen and time_s - one.stamp_s <= FORGET_S]
     return tuple(fresh)
 
 
-def _track(known: tuple[PersonEstimate, ...], track: PersonTrack) -> PersonEstimate:
+def _track(known: tuple[PersonEstimate, ...], track: PersonTrack, time_s: float) -> PersonEstimate:
     person, stamp_s, x, y = track
+    if early := stamp_s > time_s + EARLIEST_S:  # taken as it stands, it would not be followed again before then
+        stamp_s = time_s
     for old in known:
         if old.person == person:
             break
     else:
-        return PersonEstimate(person, stamp_s, x, y, 0.0, 0.0)
+        return PersonEstimate(person, stamp_s, x, y, 0.0, 0.0, early)
     gap_s = stamp_s - old.stamp_s
     if gap_s <= 0.0:
         return old
@@ -192,11 +195,14 @@ def _track(known: tuple[PersonEstimate, ...], track: PersonTrack) -> PersonEstim
     miss_x, miss_y = x - ahead_x, y - ahead_y
     vx, vy = old.vx_mps + BETA * miss_x / gap_s, old.vy_mps + BETA * miss_y / gap_s
     speed = math.hypot(vx, vy)
+    if not speed < math.inf:  # finite, and too far off to reckon with: begun anew, and doubted
+        return PersonEstimate(person, stamp_s, x, y, 0.0, 0.0, leapt=True)
     if speed > FASTEST_PERSON_MPS:
         vx, vy = vx * FASTEST_PERSON_MPS / speed, vy * FASTEST_PERSON_MPS / speed
-    leapt = math.hypot(miss_x, miss_y) > LEAP_M + 2.0 * FASTEST_PERSON_MPS * gap_s
+    leapt = early or math.hypot(miss_x, miss_y) > LEAP_M + 2.0 * FASTEST_PERSON_MPS * gap_s
     x, y = ahead_x + ALPHA * miss_x, ahead_y + ALPHA * miss_y
-    return PersonEstimate(person, stamp_s, x, y, vx, vy, leapt, old.samples + 1)
+    # Who was out of sight may have turned or started meanwhile: how fast they go is to be learned again.
+    return PersonEstimate(person, stamp_s, x, y, vx, vy, leapt, old.samples + 1 if gap_s <= EXTRAPOLATE_S else 1)
 
 
 def now(person: PersonEstimate, time_s: float) -> tuple[float, float]:

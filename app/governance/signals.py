@@ -19,11 +19,11 @@ FAR_M: Final = 99.0
 class Signals(NamedTuple):
     """All signals of one tick, SI units; the names up to `grip_force_n` are what watch rules use.
 
-    `separation_m` is the distance between the nearest person and the robot (hull of the base, or TCP), and
-    `protective_separation_m` what it has to be. `separation_margin_m` is the smallest difference of the two over all
-    people, `sensor_margin_ms` the largest excess of an age over its limit. `separation_ahead_m` is what a rule with a
-    fixed distance, and a response that holds, is judged by: `separation_m`, or less where somebody comes on so fast
-    that less than `LEFT_M` would be left once the robot stands.
+    `separation_m` is the distance between a person and the robot (hull of the base, or TCP), and
+    `protective_separation_m` what it has to be: of the person for whom the difference is least, which is
+    `separation_margin_m`. `sensor_margin_ms` is the largest excess of an age over its limit. `separation_ahead_m` is
+    what a rule with a fixed distance, and a response that holds, is judged by: how far away the nearest person is, or
+    less where somebody comes on so fast, or may, that less than `LEFT_M` would be left once the robot stands.
     """
 
     contact_force_n: float = 0.0

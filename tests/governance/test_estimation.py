@@ -115,6 +115,33 @@ def test_a_person_out_of_sight_is_kept_for_a_while_and_then_forgotten() -> None:
     assert track_people((), (), 9.0) == ()
 
 
+def test_who_comes_back_into_view_is_to_be_learned_again() -> None:
+    people: tuple[PersonEstimate, ...] = ()
+    for sample in range(10):
+        people = track_people(people, (PersonTrack(1, sample * 0.05, 3.0, 3.0),), sample * 0.05)
+    assert people[0].samples == 10
+    people = track_people(people, (PersonTrack(1, 0.7, 3.0, 3.0),), 0.7)
+    assert people[0].samples == 11  # one picture that lacks them is no absence
+    assert track_people(people, (PersonTrack(1, 1.5, 3.0, 3.0),), 1.5)[0].samples == 1
+
+
+def test_a_track_from_the_future_leaps_and_is_followed_all_the_same() -> None:
+    people = track_people((), (PersonTrack(1, 30.0, 3.0, 3.0),), 0.0)
+    assert people[0].leapt
+    for sample in range(1, 20):
+        people = track_people(people, (PersonTrack(1, sample * 0.05, 3.0 - sample * 0.05, 3.0),), sample * 0.05)
+    assert not people[0].leapt
+    assert people[0].x_m == pytest.approx(2.05, abs=0.02)
+
+
+def test_a_track_that_was_beyond_reckoning_does_not_spoil_the_next() -> None:
+    people = track_people((), (PersonTrack(1, 0.0, 1.7e308, 3.0),), 0.0)
+    for sample in range(1, 20):
+        people = track_people(people, (PersonTrack(1, sample * 0.05, 3.0, 3.0),), sample * 0.05)
+    assert (people[0].x_m, people[0].y_m, people[0].leapt) == (3.0, 3.0, False)
+    assert track_people(people, (PersonTrack(1, 1.0, -1.7e308, 3.0),), 1.0)[0].leapt
+
+
 def test_nobody_is_extrapolated_far_nor_faster_than_people_run() -> None:
     people = track_people((), (PersonTrack(1, 0.0, 0.0, 0.0),), 0.0)
     for sample in range(1, 10):

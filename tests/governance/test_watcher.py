@@ -649,6 +649,16 @@ def test_who_comes_from_the_side_comes_as_long_as_the_robot_moves() -> None:
     assert alerted_at_m(0.5) == pytest.approx(1.75, abs=0.08)
 
 
+def test_a_base_that_turns_moves_the_hand() -> None:
+    plan = watching(rule("separation_m", above=False))
+    person = (PersonTrack(1, 0.0, 2.9, 4.0),)  # beside the hand, which a turn to the left brings nearer
+    hand = {"people": person, "tcp_m": (0.9, 0.0, 0.9), "joint_speed_radps": STILL}
+    _, turning, _ = run(plan, [seen(0, base_velocity=(0.0, 0.0, 1.0), **hand)])
+    _, away, _ = run(plan, [seen(0, base_velocity=(0.0, 0.0, -1.0), **hand)])
+    assert turning.signals.protective_separation_m == pytest.approx(expected_gap(0.9))
+    assert away.signals.protective_separation_m == pytest.approx(expected_gap(0.0))
+
+
 def test_whoever_has_just_come_into_view_may_come_as_fast_as_people_walk() -> None:
     near = rule("separation_m", above=False, threshold=1.0)
     plan = watching(replace(near, response=HOLDING_OFF), base_radius_m=0.45, base_deceleration_mps2=1.0)
