@@ -130,7 +130,7 @@ def _content(path: Path) -> bytes | None:
 
 def _meant(path: Path) -> bool:
     """Say whether something is meant to be read; what editors lock a file by is a hidden link that leads nowhere."""
-    return path.suffix in (".yaml", ".yml", ".json") and (path.is_file() or not path.name.startswith("."))
+    return path.suffix.lower() in (".yaml", ".yml", ".json") and (path.is_file() or not path.name.startswith("."))
 
 
 def digest(files: Mapping[str, str]) -> str:

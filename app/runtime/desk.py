@@ -306,7 +306,7 @@ class Desk(Questions):
         """Read back the questions that were open when the server ended, as the log has them.
 
         An answer is worth what was shown to whoever gave it, so no row can have another question asked. One whose
-        invocation has ended without it is read from its row: it is only there to be withdrawn.
+        invocation has ended without it is read from its row, where the log has it so: it is only there to be withdrawn.
         """
         rows: dict[str, Row] = {}
         cursor: str | None = None
@@ -326,12 +326,18 @@ class Desk(Questions):
                 if row is None or not is_founded(row, said["escalations"]):
                     self.register.unfounded[question.id] = "its row is not what was asked"
         for name, row in rows.items():
-            if self.register.entry(row["invocation"]) is None:
+            if self.register.entry(row["invocation"]) is None and await self._is_asked(row):
                 self.hold(read_escalation(row["document"]))
             else:
                 self.register.unfounded[name] = "its row asks what the log does not"
         await self.grants.recall()
         await self.reviews.recall()
+
+    async def _is_asked(self, row: Row) -> bool:
+        """Say whether the log has the question of a row as the row has it: what is withdrawn is signed."""
+        said = nothing_said()
+        follow(await events_of(self.register.store, invocation=row["invocation"]), said)
+        return is_founded(row, said["escalations"])
 
 
 async def _nothing_waits() -> None:

@@ -57,10 +57,12 @@ def with_edit(
         for param, value in approved.items()
         if param not in known and value != requested.get(param) and value != shown.get(param)
     ]
+    was_edited = any(item["rule"] == EDIT for item in policy["reasons"])
     reasons = [item for item in policy["reasons"] if item["rule"] != EDIT]
     told = {(item["rule"], item["code"]) for item in reasons}
     reasons += [item._asdict() for item in verdict.reasons if (item.rule, item.code) not in told]
-    reasons.append(reason(EDIT, "edited_by_human", "a human changed this before approving it"))
+    if was_edited or approved != shown:  # an edit that policy cuts to what was asked before changes nothing
+        reasons.append(reason(EDIT, "edited_by_human", "a human changed this before approving it"))
     changes = [*kept, *edited]
     outcome = policy["outcome"]
     if outcome in {PolicyOutcome.ALLOW, PolicyOutcome.MODIFY}:

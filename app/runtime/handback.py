@@ -176,7 +176,7 @@ class Handbacks:
         if not may_see(principal, present.agent):
             raise NotFound("invocation", invocation_id)
         if present.status not in SESSION:
-            raise Conflict("wrong_status", f"`takeover` is not possible while the invocation is `{present.status}`")
+            raise Conflict("wrong_status", f"nobody drives an invocation by hand while it is `{present.status}`")
         return present
 
     def _reachable(self, cell: Cell, invocation: str) -> None:

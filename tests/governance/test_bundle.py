@@ -412,6 +412,13 @@ def test_a_file_nothing_would_read_is_an_error():
         bundle.load_files({**files(), "profile/typo.yaml": "{}"})
 
 
+def test_a_file_whose_suffix_is_in_capitals_is_not_passed_over(tmp_path):
+    shutil.copytree(POLICIES, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "profiles" / "Extra.YAML").write_text("{}")
+    with pytest.raises(PolicyErrors, match="nothing would read it"):
+        bundle.load(tmp_path)
+
+
 def test_a_directory_that_is_not_there_is_an_error(tmp_path):
     with pytest.raises(PolicyErrors, match="no such directory"):
         bundle.load(tmp_path / "nowhere")

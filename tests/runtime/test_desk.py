@@ -228,6 +228,15 @@ async def test_the_verdict_tells_what_policy_changed_from_what_the_approver_did(
     assert verdict["reasons"][:-1] == document["policy"]["reasons"]
 
 
+async def test_an_edit_that_policy_cuts_to_what_was_asked_before_is_none(runtime: Runtime, cell: HandCell) -> None:
+    request = ProposalRequest(capability="grasp_object", params={"object_id": "mug_1", "force_n": 80, "speed_mps": 0.5})
+    document, question = await asked(runtime, request)
+    again = await answer(runtime, question, params={"force_n": 120, "speed_mps": 1.0})
+    assert (again["digest"], again["status"]) == (question["digest"], "pending")
+    verdict = (await runtime.governor.invocation(document["id"], AGENT))["policy"]
+    assert "edited_by_human" not in {reason["code"] for reason in verdict["reasons"]}
+
+
 async def test_an_edit_of_what_policy_allowed_makes_it_a_modify(runtime: Runtime, cell: HandCell) -> None:
     params = {"object_id": "mug_1", "force_n": 40, "speed_mps": 0.2}
     document, question = await asked(runtime, ProposalRequest(capability="grasp_object", params=params))

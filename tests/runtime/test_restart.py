@@ -13,6 +13,7 @@ import pytest
 
 from app.audit.places import Places
 from app.audit.store import AuditStore
+from app.runtime.drafts import escalation_event
 from app.runtime.errors import Conflict
 
 from .conftest import AGENT, CELL, ENGINEER, OPERATOR, HandCell, House, grasp, navigate, until
@@ -108,7 +109,7 @@ async def test_a_question_about_what_has_ended_is_withdrawn_at_the_next_start(ho
         assert question is not None
         await cell.ended(document["id"], "stopped")
     store = AuditStore.open(house.folder)
-    await store.append([], [question.row()])  # a question that stays open, whatever the log says of it
+    await store.append([escalation_event(question)], [question.row()])  # one that stays open
     await store.close()
     async with house.open() as second:
         assert (await second.desk.list(status="pending"))[0] == []
@@ -225,6 +226,25 @@ async def test_what_is_asked_after_a_start_is_what_the_log_says_was_asked(house:
         assert [word["by"] for word in (await second.desk.get(question["id"]))["approvals"]] == [OPERATOR.name]
         boot: Document = (await second.store.events(kind="boot"))[-1].payload()
         assert list(boot["unfounded"]) == [name]
+
+
+async def test_a_start_signs_nothing_about_a_question_that_only_its_row_has_open(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        document, _ = await first.governor.propose(AGENT, grasp())
+        asked = document["escalation"]["id"]
+        await first.desk.resolve(asked, OPERATOR, "deny", (await first.desk.get(asked))["digest"])
+        size = len(await first.store.events())
+    rewrite(house, "escalations", asked, lambda row: row.update(status="pending", approvals=[]))
+    with closing(sqlite3.connect(Places(house.folder).database)) as database, database:
+        database.execute("UPDATE escalations SET status = 'pending' WHERE id = ?", (asked,))
+    house.sound = False
+    async with house.open() as second:
+        await second.desk.expire_due()
+        assert list(second.register.unfounded) == [asked]
+        assert second.desk.pending() == []
+        assert "escalation" not in {event.kind for event in (await second.store.events())[size:]}
 
 
 async def test_nothing_comes_of_a_row_that_the_log_does_not_know(house: House) -> None:
