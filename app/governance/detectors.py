@@ -30,7 +30,7 @@ HALTING_S: Final = 0.1  # the same, and what the drives take to follow
 LEFT_M: Final = 0.85
 """What has to be left to the middle of a person, as trackers give it, once the robot stands: 0.25 m to a body of 0.25 m
 radius, and what else they come nearer than was foreseen, since how fast somebody goes has to be learned first. Of the
-79 walks in real-restricted on seeds for tuning that was 0.15 m at most."""
+79 walks in real-restricted on seeds for tuning that was 0.06 m at most."""
 SLOWEST_WALK_MPS: Final = 0.6
 """Who comes slower is judged by where they are. Of somebody who stands the filter says as much at times (three σ), and
 what somebody covers at that while the robot brakes, 0.4 m, is left over of a distance of 1 m."""
