@@ -16,7 +16,7 @@ Name: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=
 Slug: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9]*(-[a-z0-9]+)*$", max_length=64)]
 Version: TypeAlias = Annotated[str, Field(pattern=rf"^{VERSION}$")]
 Text: TypeAlias = Annotated[str, Field(min_length=1, max_length=400)]
-Length: TypeAlias = Annotated[float, Field(gt=0)]
+Length: TypeAlias = Annotated[float, Field(gt=0, le=1000)]  # what a cell holds, or anything in it does, is within that
 Count: TypeAlias = Annotated[int, Field(ge=0, le=100)]
 Millis: TypeAlias = Annotated[int, Field(ge=0, le=3_600_000)]
 XY: TypeAlias = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -85,7 +85,7 @@ class CapabilityShape(Shape):
     risk: RiskName
     rollback: Name | None
     env_profile: dict[Slug, Enabling]
-    timeout_s: Length
+    timeout_s: Annotated[float, Field(gt=0, le=86_400)]
 
 
 # Profiles ------------------------------------------------------------------------------------------------------------
@@ -94,7 +94,7 @@ class CapabilityShape(Shape):
 class LimitShape(Shape):
     """The most a quantity may be."""
 
-    max: Length
+    max: Annotated[float, Field(gt=0)]
     source: Text
 
 

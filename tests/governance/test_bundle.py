@@ -17,6 +17,7 @@ GRASP, HUMAN, RELAXED, ORG, SITE, H = (
 BROKEN = [
     ("unknown key", GRASP, "risk: medium", "risk: medium\nspeed: fast", "unknown key `speed`"),
     ("missing key", GRASP, "risk: medium\n", "", "`risk` is missing"),
+    ("a time without end", GRASP, "timeout_s: 20", "timeout_s: 1.0e+308", "86400"),
     ("wrong type", GRASP, "timeout_s: 20", "timeout_s: soon", "`soon`"),
     ("duplicate key", GRASP, "risk: medium", "risk: medium\nrisk: low", "stands twice"),
     ("not YAML", GRASP, "name: grasp_object", "name: [", "not readable as YAML"),
