@@ -237,8 +237,6 @@ async def test_a_start_signs_nothing_about_a_question_that_only_its_row_has_open
         await first.desk.resolve(asked, OPERATOR, "deny", (await first.desk.get(asked))["digest"])
         size = len(await first.store.events())
     rewrite(house, "escalations", asked, lambda row: row.update(status="pending", approvals=[]))
-    with closing(sqlite3.connect(Places(house.folder).database)) as database, database:
-        database.execute("UPDATE escalations SET status = 'pending' WHERE id = ?", (asked,))
     house.sound = False
     async with house.open() as second:
         await second.desk.expire_due()
