@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING
 import orjson
 from fastapi import FastAPI
 from fastapi.middleware.asyncexitstack import AsyncExitStackMiddleware
+from starlette.exceptions import HTTPException
 from starlette.middleware.exceptions import ExceptionMiddleware
 from starlette.requests import Request
 from starlette.responses import Response
+from starlette.websockets import WebSocket
 
 from app import __version__
 from app.api import agents, audits, console, documents, grants, links, operators, pages, policies, problems, schemas
@@ -126,6 +128,7 @@ def create_app(  # noqa: PLR0913  # every part of a server, by name
     )
     app.state.pages = pages.read_pages(pages.FOLDER)
     problems.install(app)
+    app.router.default = _nowhere
     for room in (agents, operators, grants, policies, schemas, audits, links, console, pages):
         room.register(app.router)
     declare(app.router, "GET /healthz", healthz, Answers(model=documents.Health))
@@ -134,6 +137,14 @@ def create_app(  # noqa: PLR0913  # every part of a server, by name
     verify_routes(app.routes)
     app.state.openapi = None
     return app
+
+
+async def _nowhere(scope: Scope, receive: Receive, send: Send) -> None:
+    """Say that there is nothing here, to a websocket too."""
+    if scope["type"] != "websocket":
+        raise HTTPException(404)
+    answer = problems.as_problem(HTTPException(404)).response(scope["path"])
+    await WebSocket(scope, receive, send).send_denial_response(answer)
 
 
 async def healthz(request: Request) -> Response:
@@ -152,8 +163,9 @@ async def healthz(request: Request) -> Response:
     broken |= parts.fleet.faults()
     if parts.governor.broken:
         broken["background"] = parts.governor.broken
-    if (damaged := parts.desk.register.trouble()) is not None:
-        broken["rows"] = damaged
+    register = parts.desk.register
+    if said := "; ".join(filter(None, (register.trouble(), register.stored.trouble()))):
+        broken["rows"] = said
     if (unfounded := parts.desk.grants.trouble()) is not None:
         broken["grants"] = unfounded
     if (refuted := parts.versions.proving.trouble()) is not None:

@@ -38,7 +38,7 @@ BODIES: tuple[type[BaseModel], ...] = (
     policy_documents.ShadowBody,
 )
 
-ON_EVERY_ROUTE = ("internal", "given_twice")
+ON_EVERY_ROUTE = ("internal", "row_unreadable", "record_damaged", "given_twice")
 ON_GUARDED = ("token_missing", "token_invalid", "token_expired", "role_forbidden")
 ON_BODY = (
     "body_incomplete",

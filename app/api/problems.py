@@ -18,7 +18,7 @@ from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
 from app.api.faults import field_errors
-from app.audit.errors import RecordUnavailable
+from app.audit.errors import RecordDamaged, RecordUnavailable, RowUnreadable
 from app.governance.errors import PolicyErrors
 from app.runtime.errors import CONFLICTS, Conflict, ExaminationFailed, Forbidden, InvalidParams, NotFound
 
@@ -32,6 +32,8 @@ URN = "urn:reins:problem:"
 
 # Every code the server may answer with, its status and what it means. Codes are stable; the words are not.
 CODES: Mapping[str, tuple[int, str]] = {
+    "http_malformed": (400, "what was sent is no HTTP/1.1 request; the connection ends"),
+    "handshake_invalid": (400, "what was sent does not open a websocket; the connection ends"),
     "body_incomplete": (400, "the connection ended within the body"),
     "given_twice": (400, "a header or query parameter that counts once was given more than once"),
     "token_missing": (401, "the request bears no bearer token"),
@@ -61,6 +63,11 @@ CODES: Mapping[str, tuple[int, str]] = {
     "params_invalid": (422, "the parameters do not fit the capability's input schema: `errors` says which"),
     "idempotency_key_invalid": (422, "the header `Idempotency-Key` is not 1 to 255 printable ASCII characters"),
     "internal": (500, "the server failed; its log says why"),
+    "row_unreadable": (
+        500,
+        "what the database holds under this name cannot be read: it was damaged or changed",
+    ),
+    "record_damaged": (500, "the database cannot be read as a log, or as the server's state"),
     "telemetry_damaged": (500, "the telemetry file cannot be read"),
     "too_many_streams": (503, "as many event streams are open as the server, or one caller, may hold"),
     "too_many_waits": (503, "as many long polls are open as the server, or one caller, may hold"),
@@ -189,6 +196,14 @@ def _from_record(error: RecordUnavailable) -> Problem:
     return Problem("record_unavailable", detail, headers={"Retry-After": "5"})
 
 
+def _from_row(error: RowUnreadable) -> Problem:
+    return Problem("row_unreadable", f"{error}; the log has it: look with `reins audit verify`")
+
+
+def _from_damage(_: RecordDamaged) -> Problem:  # its words hold paths of this machine
+    return Problem("record_damaged", "the database cannot be read; valid: look with `reins audit verify`")
+
+
 # The one place where the exceptions of the house become HTTP.
 PROBLEMS: tuple[tuple[type[Exception], Callable[[Any], Problem]], ...] = (
     (Problem, _itself),
@@ -201,6 +216,8 @@ PROBLEMS: tuple[tuple[type[Exception], Callable[[Any], Problem]], ...] = (
     (PolicyErrors, _from_policy),
     (ExaminationFailed, _from_examination),
     (RecordUnavailable, _from_record),
+    (RowUnreadable, _from_row),
+    (RecordDamaged, _from_damage),
 )
 
 

@@ -6,11 +6,13 @@ AuditError
 ├── StoreInUse          another process holds this data directory
 ├── EventMalformed      the draft cannot become canonical bytes; the caller's bug
 ├── RowMalformed        the row does not fit its table; the caller's bug
+├── RowUnreadable       a stored row of state cannot be read as what its table holds
 └── RowExists           a row that may be written once is there already (a used permit, a taken idempotency key)
 """
 
 from __future__ import annotations
 
+from json import JSONDecodeError
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -61,6 +63,19 @@ class EventMalformed(AuditError):
 
 class RowMalformed(AuditError):
     """A row names an unknown table or column, misses a column, or holds a value of another type."""
+
+
+class RowUnreadable(AuditError):
+    """A stored row of state cannot be read as what its table holds: the database was damaged or changed."""
+
+    def __init__(self, table: str, key: str, cause: Exception) -> None:
+        """Name the row and what is wrong with it; what it holds may be anything, and is not shown."""
+        self.table = table
+        self.key = key
+        self.problem = (
+            f"its content is {'no JSON' if isinstance(cause, JSONDecodeError) else 'not what a server writes'}"
+        )
+        super().__init__(f"the row `{key}` of the table `{table}` cannot be read: {self.problem}")
 
 
 class RowExists(AuditError):

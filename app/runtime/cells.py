@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, Protocol, cast
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import orjson
 from pydantic import TypeAdapter, ValidationError
@@ -24,6 +24,7 @@ ENDING: Final = frozenset(
     {"stop", "cancel", "resolve_terminate", "end_takeover"}
 )  # after these a session only comes to rest
 _WORLD: Final = TypeAdapter(WorldFacts)
+_JOURNALS: Final = TypeAdapter(dict[str, int])
 _WORLD_NAMES: Final = frozenset(WorldFacts.__dataclass_fields__)
 
 
@@ -167,17 +168,22 @@ class Cell:
         """Return the word by which an invocation's session is coming to its end, if one was said."""
         return next((op for op, name in self.owed if name == invocation and op in ENDING), None)
 
-    def recall(self, name: str, value: object) -> None:
-        """Take back one of the settings that were kept for this cell."""
-        match name, value:
+    def recall(self, name: str, kept: bytes) -> None:
+        """Take back one of the settings that were kept for this cell.
+
+        Raises:
+            ValueError, TypeError: it is no JSON, or not what is kept under that name.
+        """
+        match name, orjson.loads(kept):
             case "profile", str(profile):
                 self.profile = profile
             case "estop", bool(latched):
                 self.latched = latched
             case "journals", dict():
-                self.taken = {**cast("dict[str, int]", value), **self.taken}
+                self.taken = {**_JOURNALS.validate_json(kept), **self.taken}
             case _:
-                pass
+                message = f"no setting of a cell: `{name}`"
+                raise TypeError(message)
 
     @property
     def expected(self) -> bool:

@@ -12,7 +12,7 @@ import contextlib
 from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.documents import follow, is_founded, nothing_said
-from app.audit.errors import RecordUnavailable
+from app.audit.errors import RecordUnavailable, RowUnreadable
 from app.governance.authority import denial
 from app.governance.model import Outcome, Status
 from app.runtime.answer import RULE, Answer
@@ -66,7 +66,7 @@ class Desk(Questions):
     ) -> tuple[list[dict[str, Any]], str | None]:
         """Return questions, newest first, and the cursor behind them. Raises `ValueError` on a bad limit or cursor."""
         page = await self.register.store.page("escalations", {"status": status}, limit=limit, cursor=cursor)
-        return [read_escalation(row["document"]).public() for row in page.items], page.next
+        return self.register.stored.those_of("escalations", page.items, _shown), page.next
 
     def most_urgent(self, limit: int = 50) -> list[dict[str, Any]]:
         """Return the open questions, the most urgent first: the one that ends first, of two the one of higher risk."""
@@ -78,6 +78,7 @@ class Desk(Questions):
 
         Raises:
             NotFound: there is none.
+            RowUnreadable: it is damaged.
         """
         return (await self._load(escalation_id)).public()
 
@@ -88,7 +89,7 @@ class Desk(Questions):
         row = await self.register.store.row("escalations", id=escalation_id)
         if row is None:
             raise NotFound("escalation", escalation_id)
-        return read_escalation(row["document"])
+        return self.register.stored.read("escalations", row, read_escalation)
 
     # -- answering ---------------------------------------------------------------------------------------------------
 
@@ -277,14 +278,21 @@ class Desk(Questions):
         now = self.register.now()
         closed = stray.evolve(now, status=WITHDRAWN)
         try:
-            ended = await self.register.load(stray.invocation)
-            shown = (ended.escalation or {}).get("id") == stray.id
-            versions = [ended.evolve(now, escalation=closed.reference())] if shown else []
+            versions = await self._without(closed, now)
             await self.register.append([escalation_event(closed)], [closed.row()], versions)
         except RecordUnavailable:
             self.hold(stray)
             raise
         self.hold(closed)
+
+    async def _without(self, closed: Escalation, now: str) -> list[Invocation]:
+        """Return the version of an ended invocation that shows its question closed, if it can be read and shows it."""
+        try:
+            ended = await self.register.load(closed.invocation)
+        except RowUnreadable:
+            return []
+        shown = (ended.escalation or {}).get("id") == closed.id
+        return [ended.evolve(now, escalation=closed.reference())] if shown else []
 
     async def watch_deadlines(self) -> None:
         """Close questions when their time is over, for ever."""
@@ -327,7 +335,7 @@ class Desk(Questions):
                     self.register.unfounded[question.id] = "its row is not what was asked"
         for name, row in rows.items():
             if self.register.entry(row["invocation"]) is None and await self._is_asked(row):
-                self.hold(read_escalation(row["document"]))
+                self.hold(self.register.stored.read("escalations", row, read_escalation))
             else:
                 self.register.unfounded[name] = "its row asks what the log does not"
         await self.grants.recall()
@@ -342,6 +350,10 @@ class Desk(Questions):
 
 async def _nothing_waits() -> None:
     """Decide nothing again: nobody has said yet who does."""
+
+
+def _shown(document: bytes) -> dict[str, Any]:
+    return read_escalation(document).public()
 
 
 def _check_answer(present: Escalation, principal: Principal, digest: str, outdated: str | None) -> None:

@@ -12,11 +12,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import orjson
 
-from app.audit.errors import RecordUnavailable
+from app.audit.errors import RecordUnavailable, RowUnreadable
 from app.audit.event import RowWrite
 from app.clock import monotonic_s
 from app.governance.model import SESSION, CellFacts, EventKind
@@ -529,7 +530,10 @@ class Fleet:
         for row in await self._register.store.rows("settings"):
             name, _, cell_id = row["name"].partition("/")
             if (cell := self._cells.get(cell_id)) is not None:
-                cell.recall(name, orjson.loads(row["value"]))
+                try:
+                    self._register.stored.read("settings", row, partial(cell.recall, name))
+                except RowUnreadable:
+                    cell.latched |= name == "estop"  # whoever knows no better holds
         await self._believe_the_log()
         for invocation in self._register.live():
             if invocation.status in SESSION and invocation.cell in self._cells:

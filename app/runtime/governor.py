@@ -254,7 +254,7 @@ class Governor(Takeovers, Controls):
                 return [], None
             wanted["agent"] = principal.name
         page = await self.store.page("invocations", wanted, limit=limit, cursor=cursor)
-        return [public_document(row["document"]) for row in page.items], page.next
+        return self.register.stored.those_of("invocations", page.items, public_document), page.next
 
     async def trace(self, invocation_id: str, principal: Principal) -> list[dict[str, Any]]:
         """Return τ_t: every event under an invocation, in order, as this principal may see it.

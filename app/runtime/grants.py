@@ -72,7 +72,8 @@ class Grants:
     ) -> tuple[list[dict[str, Any]], str | None]:
         """Return grants, newest first, and the cursor behind them. Raises `ValueError` on a bad limit or cursor."""
         page = await self._register.store.page("grants", {"status": status}, limit=limit, cursor=cursor)
-        found = [read_standing(row["document"]) for row in page.items if row["id"] not in self.unfounded]
+        rows = [row for row in page.items if row["id"] not in self.unfounded]
+        found = self._register.stored.those_of("grants", rows, read_standing)
         unsaid = {one.id: one for one in self._unrecorded}
         return [unsaid.get(one.id, one).public() for one in found], page.next
 
@@ -210,7 +211,7 @@ class Grants:
             row = await self._register.store.row("grants", id=grant_id)
             if row is None or grant_id in self.unfounded:
                 raise NotFound("grant", grant_id)
-            ended = read_standing(row["document"]).ended or {"code": "ended"}
+            ended = self._register.stored.read("grants", row, read_standing).ended or {"code": "ended"}
             raise Conflict("grant_ended", f"the grant `{grant_id}` has ended already (`{ended['code']}`)")
         closed = self._end(present, "revoked", principal.name)
         return {**closed.public(), "recorded": await self.record_ends()}
@@ -278,7 +279,8 @@ class Grants:
         rows = await self._register.store.rows("grants", {"status": ACTIVE})
         given: Mapping[str, Said] = await self._given() if rows else {}
         self.unfounded = frozenset(row["id"] for row in rows if not is_founded(row, given))
-        standing = (read_standing(row["document"]) for row in rows if row["id"] not in self.unfounded)
+        founded = [row for row in rows if row["id"] not in self.unfounded]
+        standing = self._register.stored.those_of("grants", founded, read_standing)
         for one in sorted(standing, key=lambda one: one.id):
             self._active[one.id] = one
         self.look()

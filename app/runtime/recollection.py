@@ -14,7 +14,6 @@ from app.audit.documents import documents
 from app.audit.projection import FIELDS, differences, rebuild
 from app.governance.model import EventKind, Mode, Outcome, Status, Strategy
 from app.runtime.escalation import PENDING, Escalation
-from app.runtime.invocation import read_invocation
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,8 +34,8 @@ async def events_of(store: AuditStore, *, invocation: str | None = None, kind: s
     return found
 
 
-def invocation_of(row: Row, events: Sequence[Event]) -> tuple[Invocation | None, str]:
-    """Return an invocation as the log has it, and in words what its row says otherwise.
+def invocation_of(row: Row, stored: Invocation, events: Sequence[Event]) -> tuple[Invocation | None, str]:
+    """Return an invocation as the log has it, and in words what its row, which was read as `stored`, says otherwise.
 
     None, where the log knows nothing of it, or nothing that can be followed: then nothing may come of the row.
     """
@@ -47,7 +46,6 @@ def invocation_of(row: Row, events: Sequence[Event]) -> tuple[Invocation | None,
     if not known:
         return None, "the log knows nothing of it"
     wrong = differences(row, known)
-    stored = read_invocation(row["document"])
     terms = _terms_of(stored.terms, events)
     if terms != stored.terms:
         wrong.append("its terms are not those that were proposed")

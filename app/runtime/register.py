@@ -11,12 +11,13 @@ import asyncio
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
-from app.audit.errors import RecordUnavailable
+from app.audit.errors import RecordUnavailable, RowUnreadable
 from app.clock import rfc3339
 from app.governance.model import TERMINAL, Status
 from app.runtime.errors import NotFound
 from app.runtime.invocation import read_invocation
 from app.runtime.recollection import events_of, invocation_of
+from app.runtime.stored import Stored
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -44,6 +45,7 @@ class Register:
     def __init__(self, store: AuditStore, wall_s: Callable[[], float]) -> None:
         """Take the store and the wall clock."""
         self.store = store
+        self.stored = Stored()
         self._wall_s = wall_s
         self._live: dict[str, Entry] = {}
         self._unsaid: list[EventDraft] = []  # what the record could not take yet
@@ -79,7 +81,12 @@ class Register:
         while True:
             page = await self.store.page("invocations", {"status": UNFINISHED}, limit=500, cursor=cursor)
             for row in page.items:
-                invocation, wrong = invocation_of(row, await events_of(self.store, invocation=row["id"]))
+                try:
+                    stored = self.stored.read("invocations", row, read_invocation)
+                except RowUnreadable as error:
+                    self.unfounded[row["id"]] = error.problem
+                    continue
+                invocation, wrong = invocation_of(row, stored, await events_of(self.store, invocation=row["id"]))
                 if wrong:
                     self.unfounded[row["id"]] = wrong
                 if invocation is not None and not invocation.final:
@@ -98,7 +105,7 @@ class Register:
     async def newest_ones(self, limit: int) -> list[Invocation]:
         """Return the invocations proposed last, newest first, final or not."""
         page = await self.store.page("invocations", limit=limit)
-        return [read_invocation(row["document"]) for row in page.items]
+        return self.stored.those_of("invocations", page.items, read_invocation)
 
     async def append(
         self, drafts: Sequence[EventDraft], rows: Sequence[RowWrite] = (), versions: Sequence[Invocation] = ()
@@ -153,6 +160,7 @@ class Register:
 
         Raises:
             NotFound: there is none.
+            RowUnreadable: it is damaged.
         """
         entry = self._live.get(invocation)
         if entry is not None:
@@ -160,7 +168,7 @@ class Register:
         row = await self.store.row("invocations", id=invocation)
         if row is None:
             raise NotFound("invocation", invocation)
-        return read_invocation(row["document"])
+        return self.stored.read("invocations", row, read_invocation)
 
     async def wait(self, invocation: str, seconds: float, known_updated_at: str | None) -> Invocation:
         """Return the invocation at its next change, at once if `known_updated_at` is past, or after the time.

@@ -13,6 +13,11 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 
+def read_review(document: bytes) -> Review:
+    """Read a stored document back."""
+    return Review(**orjson.loads(document))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Review:
     """The newest version of one review: what for, and the verdict once there is one."""

@@ -10,15 +10,13 @@ import asyncio
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
-import orjson
-
 from app.audit.event import RowWrite
 from app.governance.authority import refusal, reviewed
 from app.governance.model import AuthorityMode, Reason, Status
 from app.runtime.drafts import SERVER, review_event
 from app.runtime.errors import Conflict, Forbidden, NotFound
 from app.runtime.invocation import reasons_document
-from app.runtime.review import Review
+from app.runtime.review import Review, read_review
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
@@ -123,7 +121,7 @@ class Reviews:
     ) -> tuple[list[dict[str, Any]], str | None]:
         """Return reviews, newest first, and the cursor behind them. Raises `ValueError` on a bad limit or cursor."""
         page = await self._register.store.page("reviews", {"status": status}, limit=limit, cursor=cursor)
-        return [orjson.loads(row["document"]) for row in page.items], page.next
+        return self._register.stored.those_of("reviews", page.items, _shown), page.next
 
     # -- judging -----------------------------------------------------------------------------------------------------
 
@@ -143,7 +141,7 @@ class Reviews:
             row = await self._register.store.row("reviews", id=review_id)
             if row is None:
                 raise NotFound("review", review_id)
-            present = Review(**orjson.loads(row["document"]))
+            present = self._register.stored.read("reviews", row, read_review)
             if present.verdict is not None:
                 by = present.verdict["by"]
                 raise Conflict("already_reviewed", f"`{by}` reviewed `{review_id}` already: `{present.status}`")
@@ -161,6 +159,9 @@ class Reviews:
     async def recall(self) -> None:
         """Read back the newest reviews that waited when the server ended."""
         page = await self._register.store.page("reviews", {"status": WAITING}, limit=SHOWN)
-        for row in reversed(page.items):
-            review = Review(**orjson.loads(row["document"]))
+        for review in self._register.stored.those_of("reviews", page.items[::-1], read_review):
             self._waiting[review.id] = review
+
+
+def _shown(document: bytes) -> dict[str, Any]:
+    return read_review(document).public()

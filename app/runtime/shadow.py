@@ -133,12 +133,13 @@ class Shadow:
 
         Raises:
             NotFound, PolicyErrors: it is not there any more, or is no policy any more.
+            RowUnreadable: its files are damaged.
         """
-        for row in await self._register.store.rows("settings", {"name": SETTING}):
-            kept = orjson.loads(row["value"])
+        rows = await self._register.store.rows("settings", {"name": SETTING})
+        for kept in self._register.stored.those_of("settings", rows, _kept):
             if kept is not None:
-                policy = await self._versions.compiled(kept["digest"])
-                self._begin(policy, kept["by"], kept["why"], self._register.now())
+                digest, by, why = kept
+                self._begin(await self._versions.compiled(digest), by, why, self._register.now())
 
     def document(self, digest: str) -> dict[str, Any]:
         """Return what was found of a candidate; one that is not under shadow has found nothing."""
@@ -238,6 +239,11 @@ def _same(live: Decision, other: Decision) -> bool:
 def _says(decision: Decision) -> str:
     said = "unchecked" if decision.verdict is None else decision.verdict.outcome
     return decision.status + " (" + said + ")"  # of enumerations that are texts; formatting them takes twice as long
+
+
+def _kept(value: bytes) -> tuple[str, str, str] | None:
+    kept: dict[str, str] | None = orjson.loads(value)
+    return None if kept is None else (kept["digest"], kept["by"], kept["why"])
 
 
 def _setting(kept: Mapping[str, str] | None, at: str) -> RowWrite:

@@ -104,24 +104,26 @@ class Versions:
     async def list(self, *, limit: int = 50, cursor: str | None = None) -> tuple[list[dict[str, Any]], str | None]:
         """Return versions, the newest first, and the cursor behind them. Raises `ValueError` on a bad one."""
         page = await self._register.store.page("policies", limit=limit, cursor=cursor)
-        return [read_version(row["document"]).public() for row in page.items], page.next
+        return self._register.stored.those_of("policies", page.items, _shown), page.next
 
     async def load(self, digest: str) -> Version:
         """Return a version.
 
         Raises:
             NotFound: there is none.
+            RowUnreadable: it is damaged.
         """
         row = await self._register.store.row("policies", id=digest)
         if row is None:
             raise NotFound("policy", digest)
-        return read_version(row["document"])
+        return self._register.stored.read("policies", row, read_version)
 
     async def compiled(self, digest: str) -> PolicySet:
         """Return a version ready to decide, from its files if need be.
 
         Raises:
             NotFound: its files are not here.
+            RowUnreadable: they are damaged.
             PolicyErrors: they are no policy any more, or not those of the digest.
             ExaminationFailed: they could not be compiled.
         """
@@ -131,7 +133,8 @@ class Versions:
         row = await self._register.store.row("policy_files", digest=digest)
         if row is None:
             raise NotFound("policy", digest)
-        kept = Candidate(files=orjson.loads(row["files"]), cases={}, promises=None, prove=False)
+        files = self._register.stored.read("policy_files", row, _files)
+        kept = Candidate(files=files, cases={}, promises=None, prove=False)
         policy = (await self._examine(kept, None)).policy
         if policy.digest != digest:
             message = f"what is kept as `{digest}` has the digest `{policy.digest}`"
@@ -347,7 +350,7 @@ class Versions:
         """Return what was in force when the server ended: what the log says was activated last."""
         store = self._register.store
         rows = await store.rows("settings", {"name": SETTING})
-        kept = InForce(**orjson.loads(rows[0]["value"])) if rows else None
+        (kept,) = self._register.stored.those_of("settings", rows, _in_force) or (None,)
         said = await events_of(store, kind=EventKind.POLICY_ACTIVATED)
         body: dict[str, Any] = dict(said[-1].payload()) if said else {}
         told = InForce(body["policy_version"], body["source"], body["why"]) if said else None
@@ -360,7 +363,8 @@ class Versions:
         """Return the version of the directory this server starts with, and whether it was known before."""
         row = await self._register.store.row("policies", id=policy.digest)
         if row is not None:
-            return read_version(row["document"]), True
+            for version in self._register.stored.those_of("policies", [row], read_version):
+                return version, True
         made = Version(
             digest=policy.digest,
             status=CANDIDATE,
@@ -387,8 +391,22 @@ class Versions:
         entered = version.entered(now, {**activation, "direction": None})
         rows = [entered.row(), files_row(version.digest, self._kernel.policy.files, now)]
         if before is not None and before.digest != version.digest:
-            rows.append((await self.load(before.digest)).evolve(now, status=FORMER).row())
+            former = await self._register.store.rows("policies", {"id": before.digest})
+            versions = self._register.stored.those_of("policies", former, read_version)
+            rows += [version.evolve(now, status=FORMER).row() for version in versions]
         return rows
+
+
+def _shown(document: bytes) -> dict[str, Any]:
+    return read_version(document).public()
+
+
+def _in_force(value: bytes) -> InForce:
+    return InForce(**orjson.loads(value))
+
+
+def _files(content: bytes) -> dict[str, str]:
+    return dict(orjson.loads(content))
 
 
 def _why_directory(before: InForce | None, directory: PolicySet) -> str:

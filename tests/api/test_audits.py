@@ -268,3 +268,18 @@ async def test_nothing_moves_on_a_log_that_was_found_damaged(tmp_path: Path) -> 
         assert (health.json()["status"], ready.status_code) == ("degraded", 503)
         assert (refused.status_code, refused.json()["code"]) == (503, "record_unavailable")
         assert not cell.launches
+
+
+async def test_a_damaged_row_is_refused_by_name_and_stands_in_healthz(tmp_path: Path) -> None:
+    async with open_house(tmp_path / "data", "sim-relaxed") as house, house.client() as agent:
+        damaged, sound = await refuse(house, 2)
+        with sqlite3.connect(house.runtime.store.places.database) as database:
+            database.execute("UPDATE invocations SET document = ? WHERE id = ?", (b"\xff{", damaged))
+        refused = await agent.get(f"/v1/invocations/{damaged}")
+        listed = (await agent.get("/v1/invocations")).json()["items"]
+        health = (await agent.get("/healthz")).json()
+    assert (refused.status_code, refused.json()["code"]) == (500, "row_unreadable")
+    assert damaged in refused.json()["detail"]
+    assert [document["id"] for document in listed] == [sound]
+    assert health["status"] == "degraded"
+    assert f"`{damaged}` in the table `invocations`" in health["broken"]["rows"]

@@ -1,0 +1,113 @@
+"""Rows of state that a disk or a hand damaged: a server starts on them, says which, and lets nothing come of them."""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing
+
+import pytest
+
+from app.audit.errors import RowUnreadable
+from app.audit.places import Places
+from app.governance.model import GrantScope
+from app.runtime.grant import GrantRequest
+
+from .conftest import AGENT, CELL, ENGINEER, OPERATOR, HandCell, House, grasp, navigate
+
+pytestmark = pytest.mark.anyio
+
+NONSENSE: dict[str, object] = {
+    "no bytes": "a text",
+    "no JSON": b"\xff\x00{",
+    "no object": b"5",
+    "nothing": b"null",
+    "of another kind": b'{"id": "x"}',
+}
+COMPARED = {"invocations", "escalations", "grants", "reviews"}  # with the log, by a verification
+
+
+def damage(house: House, table: str, content: object, where: str = "true") -> None:
+    """Write something else over what a table holds, as nothing of ours would."""
+    column = {"settings": "value", "policy_files": "files"}.get(table, "document")
+    with closing(sqlite3.connect(Places(house.folder).database)) as database, database:
+        statement = f"UPDATE {table} SET {column} = ? WHERE {where}"  # noqa: S608
+        assert database.execute(statement, (content,)).rowcount > 0
+    house.sound = table not in COMPARED
+
+
+async def lived_in(house: House) -> tuple[str, str, str]:
+    """Leave a refusal, a question and a grant behind; returns their invocations, and the grant."""
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        refused, _ = await first.governor.propose(AGENT, navigate(version="9.0.0"))
+        asked, _ = await first.governor.propose(AGENT, grasp())
+        wanted = GrantRequest(capability="grasp_object", agent=AGENT.name, cell=CELL, scope=GrantScope.TIME, minutes=15)
+        given = await first.desk.grants.give(OPERATOR, wanted)
+    return refused["id"], asked["id"], given["id"]
+
+
+@pytest.mark.parametrize("nonsense", NONSENSE.values(), ids=NONSENSE)
+@pytest.mark.parametrize("table", ["invocations", "escalations", "grants", "policies"])
+async def test_a_start_on_damaged_rows_says_which_and_lets_nothing_come_of_them(
+    house: House, table: str, nonsense: object
+) -> None:
+    _, asked, _ = await lived_in(house)
+    damage(house, table, nonsense)
+    async with house.open() as second:
+        assert second.kernel.policy.digest == house.policy.digest
+        for listed in (
+            second.governor.list(OPERATOR, {}),
+            second.desk.list(),
+            second.desk.grants.list(),
+            second.desk.reviews.list(),
+            second.versions.list(),
+        ):
+            found, _ = await listed
+            assert all(isinstance(document, dict) for document in found)
+        assert isinstance(await second.register.newest_ones(20), list)
+        told = f"{second.register.trouble()} {second.register.stored.trouble()} {second.desk.grants.trouble()}"
+        assert "audit verify" in told
+        assert (second.desk.grants.active() == []) is (table == "grants")
+        # What nobody can read any more is not asked; a question whose own row alone is damaged is, as the log has it.
+        await second.desk.expire_due()
+        assert ([question.invocation for question in second.desk.pending()] == [asked]) is (table != "invocations")
+
+
+async def test_one_damaged_row_stops_only_who_asks_for_it(house: House) -> None:
+    refused, asked, _ = await lived_in(house)
+    damage(house, "invocations", b"{", f"id = '{refused}'")
+    async with house.open() as second:
+        with pytest.raises(RowUnreadable, match=f"`{refused}` of the table `invocations`"):
+            await second.governor.invocation(refused, OPERATOR)
+        found, _ = await second.governor.list(OPERATOR, {})
+        assert [document["id"] for document in found] == [asked]
+        assert f"`{refused}` in the table `invocations`: its content is no JSON" in (
+            second.register.stored.trouble() or ""
+        )
+        cell = await HandCell(second).dial()
+        await cell.state()
+        assert (await second.governor.propose(AGENT, navigate()))[0]["status"] == "running"
+
+
+@pytest.mark.parametrize("nonsense", NONSENSE.values(), ids=NONSENSE)
+async def test_settings_that_are_damaged_decide_nothing(house: House, nonsense: object) -> None:
+    async with house.open() as first:
+        await HandCell(first).dial()
+        await first.governor.set_profile(CELL, "real-restricted", ENGINEER)
+    damage(house, "settings", nonsense)
+    async with house.open() as second:
+        assert second.fleet.profile(second.fleet.cell(CELL)) == "real-restricted"
+        assert second.kernel.policy.digest == house.policy.digest
+        assert f"`profile/{CELL}` in the table `settings`" in (second.register.stored.trouble() or "")
+
+
+async def test_a_stop_whose_row_is_damaged_stays_latched(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        await first.governor.estop(CELL, OPERATOR)
+        await first.governor.reset(CELL, OPERATOR)
+    damage(house, "settings", b"\xff", f"name = 'estop/{CELL}'")
+    async with house.open() as second:
+        assert second.fleet.cell(CELL).latched
