@@ -1,18 +1,31 @@
-"""HTTP exchanges as uvicorn has them, but that an answer known as a whole leaves as one.
+"""HTTP exchanges as uvicorn has them, but that a whole answer leaves as one, and every refusal is a problem.
 
 Uvicorn writes the head of an answer, and then its body. Each write is a system call and a packet, and the second one
 costs as much as deciding on a proposal. So a head waits for what follows it, at most until the event loop comes round:
 streams and answers without a body begin as early as before.
+
+What is no HTTP is refused here, before there is a request that a route could refuse. So is a handshake that the
+websocket's reader would not read to its end; uvicorn leaves such a peer without an answer for good.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, cast
 
-from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
+from websockets.http11 import MAX_LINE_LENGTH, MAX_NUM_HEADERS
+
+from app.api.frame import SECURITY_HEADERS
+from app.api.problems import Problem
 
 if TYPE_CHECKING:
     import asyncio
+
+    from httptools import HttpRequestParser
+    from uvicorn.protocols.http.httptools_impl import RequestResponseCycle
+
+FRAMING = (b"content-length", b"transfer-encoding")  # header fields that say that a body follows
+SPARE_BYTES = 64  # of a line, for what is neither name nor value
 
 
 class Exchanges(HttpToolsProtocol):
@@ -24,6 +37,54 @@ class Exchanges(HttpToolsProtocol):
         super().on_headers_complete()
         if self.cycle is not before:  # else a websocket takes over
             self.cycle.transport = cast("asyncio.Transport", Answer(self.transport, self.loop))
+            if cast("HttpRequestParser", self.parser).should_upgrade():  # what follows is not read as HTTP
+                self.cycle.keep_alive = False
+
+    def handle_websocket_upgrade(self) -> None:
+        """Let a websocket take over, if its reader can read the handshake."""
+        lines = [self.url, *(name + value for name, value in self.headers)]
+        longest = max(map(len, lines))
+        if len(self.headers) > MAX_NUM_HEADERS:
+            found = f"it has {len(self.headers)} header fields; valid: at most {MAX_NUM_HEADERS}"
+        elif longest > MAX_LINE_LENGTH - SPARE_BYTES:
+            found = f"a line of it has over {longest} bytes; valid: at most {MAX_LINE_LENGTH - SPARE_BYTES}"
+        else:
+            super().handle_websocket_upgrade()
+            return
+        self._refuse(Problem("handshake_invalid", f"the websocket's handshake cannot be read: {found}"))
+
+    def send_400_response(self, msg: str) -> None:
+        """Refuse what is no HTTP, and end the connection: nobody knows where in it the next request would begin."""
+        cycle = cast("RequestResponseCycle | None", self.cycle)
+        if cycle is None or cycle.response_complete:
+            self._refuse(Problem("http_malformed", f"{msg} Valid: HTTP/1.1 as RFC 9112 has it"))
+        elif not cycle.more_body:
+            cycle.keep_alive = False  # requests before it were whole, and are still answered
+        elif cycle.response_started:
+            self.transport.close()
+        else:
+            self._refuse(Problem("http_malformed", "the body is not what its header fields say; valid: RFC 9112"))
+
+    def _should_upgrade(self) -> bool:
+        """Say whether a websocket is wished for: by a GET without a body (RFC 6455 §4.1).
+
+        Another request is answered as if it had not wished for it, which is a server's to decide (RFC 9110 §7.8).
+        """
+        if self.scope["method"] != "GET" or self.scope["http_version"] != "1.1" or not super()._should_upgrade():
+            return False
+        return all(value == b"0" and name == b"content-length" for name, value in self.headers if name in FRAMING)
+
+    def _refuse(self, problem: Problem) -> None:
+        answer = problem.response("/")
+        headers = (
+            *self.server_state.default_headers,
+            *answer.raw_headers,
+            *SECURITY_HEADERS,
+            (b"connection", b"close"),
+        )
+        head = b"".join(name + b": " + value + b"\r\n" for name, value in headers)
+        self.transport.write(STATUS_LINE[answer.status_code] + head + b"\r\n" + bytes(answer.body))
+        self.transport.close()
 
 
 class Answer:

@@ -7,15 +7,19 @@ console; a browser reads what is short, and poses, as they are.
 from __future__ import annotations
 
 from collections import deque
+from http.client import INTERNAL_SERVER_ERROR
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.extensions.permessage_deflate import PerMessageDeflate, ServerPerMessageDeflateFactory
 from websockets.frames import CloseCode, Frame, Opcode
+from websockets.http11 import Response
 from websockets.protocol import State
+from websockets.server import ServerProtocol
 
 from app.api.console import MAX_FRAME_BYTES, MOST_FRAMES
 from app.api.console import PATH as CONSOLE_PATH
+from app.api.problems import Problem
 from app.clock import monotonic_s
 
 if TYPE_CHECKING:
@@ -23,6 +27,7 @@ if TYPE_CHECKING:
 
     from uvicorn._types import ASGISendEvent
     from websockets.http11 import Request
+    from websockets.typing import StatusLike
 
 LET_GO_S: Final = 2.0  # for a peer to take the last words and close its end
 KEPT_FRAMES: Final = 4  # an update, a beat, and poses or a scene are under way at one time
@@ -67,6 +72,20 @@ class Frames:
         return frame
 
 
+class Handshakes(ServerProtocol):
+    """The library's reading and writing, but that what it refuses is a problem."""
+
+    def reject(self, status: StatusLike, text: str) -> Response:
+        """Return the refusal of a handshake."""
+        code = "handshake_invalid" if status < INTERNAL_SERVER_ERROR else "internal"
+        answer = Problem(code, text.strip() or "the websocket is refused").response("/")
+        refusal = super().reject(answer.status_code, "")
+        for name in ("Content-Type", "Content-Length"):
+            del refusal.headers[name]
+            refusal.headers[name] = answer.headers[name]
+        return Response(refusal.status_code, refusal.reason_phrase, refusal.headers, bytes(answer.body))
+
+
 class Sockets(WebSocketsSansIOProtocol):
     """Uvicorn's websockets, held open by no peer, and where ASGI's denial response is an answer as well.
 
@@ -81,7 +100,7 @@ class Sockets(WebSocketsSansIOProtocol):
     def __init__(self, *given: Any, **named: Any) -> None:  # noqa: ANN401  # what uvicorn makes it of
         """Read short frames only: nobody has said yet who they are."""
         super().__init__(*given, **named)
-        self.conn.max_message_size = MAX_FRAME_BYTES
+        self.conn = Handshakes(max_size=MAX_FRAME_BYTES, logger=self.logger)
         self._asides, self._asides_since_s = 0, monotonic_s()
 
     def data_received(self, data: bytes) -> None:

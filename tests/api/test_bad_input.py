@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+import asyncio
 import gzip
 import json
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
+from urllib.parse import urlsplit
 
 import pytest
 
+from app.api.console import PATH
 from tests.api.conftest import House
 from tests.api.test_wire import MALFORMED
 
@@ -47,6 +50,54 @@ STRANGE = {
     "unknown zone": b'{"capability": "inspect_area", "params": {"area": "attic"}}',
     "unknown cell": b'{"capability": "navigate_to", "params": {"target": "dock"}, "cell": "nowhere"}',
     "metadata nobody can store": b'{"capability": "x", "metadata": {"n": 99999999999999999999}}',
+}
+
+UPGRADE = {
+    "Connection": "Upgrade",
+    "Upgrade": "websocket",
+    "Sec-WebSocket-Version": "13",
+    "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+}
+
+
+def raw(start: str, fields: Mapping[str, str | None], body: bytes = b"") -> bytes:
+    """Return a request as it goes over the wire; a field that is None is left out."""
+    lines = [start, *(f"{name}: {value}" for name, value in {"Host": "here", **fields}.items() if value is not None)]
+    return "\r\n".join([*lines, "", ""]).encode("latin-1") + body
+
+
+NO_REQUEST = {
+    "no HTTP": b"\x16\x03\x01\x02\x00\x01\r\n\r\n",
+    "HTTP/2": b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
+    "no path": raw("GET /v1/\xe9 HTTP/1.1", {}),
+    "no length": raw("POST /v1/check HTTP/1.1", {"Content-Length": "much"}),
+    "no chunk": raw("POST /v1/check HTTP/1.1", {"Transfer-Encoding": "chunked"}, b"zz\r\n"),
+    "tunnel": raw("CONNECT elsewhere:443 HTTP/1.1", {}),
+}
+CONSOLE = f"GET {PATH} HTTP/1.1"
+NO_HANDSHAKE = {
+    "no key": raw(CONSOLE, {**UPGRADE, "Sec-WebSocket-Key": None}),
+    "a version nobody knows": raw(CONSOLE, {**UPGRADE, "Sec-WebSocket-Version": "9"}),
+    "many fields": raw(CONSOLE, UPGRADE | {f"X-{number}": "y" for number in range(200)}),
+    "a long field": raw(CONSOLE, UPGRADE | {"X": "y" * 10_000}),
+    "a long path": raw(f"GET {PATH}?{'y' * 10_000} HTTP/1.1", UPGRADE),
+}
+# What wishes for a websocket in passing is a request like any other.
+NO_WEBSOCKET = {
+    "with a body": (raw("POST /v1/check HTTP/1.1", UPGRADE | {"Content-Length": "2"}, b"{}"), "token_missing"),
+    "in chunks": (
+        raw("POST /v1/check HTTP/1.1", UPGRADE | {"Transfer-Encoding": "chunked"}, b"2\r\n{}\r\n0\r\n\r\n"),
+        "token_missing",
+    ),
+    "without a body": (raw("POST /v1/check HTTP/1.1", UPGRADE), "token_missing"),
+    "a reader with a body": (raw(CONSOLE, UPGRADE | {"Content-Length": "2"}, b"{}"), "not_found"),
+    "HTTP/1.0": (raw(f"GET {PATH} HTTP/1.0", UPGRADE), "not_found"),
+    "where no websocket is": (raw("GET /v1/nowhere HTTP/1.1", UPGRADE), "not_found"),
+}
+BENEATH = {
+    **{name: (sent, "http_malformed") for name, sent in NO_REQUEST.items()},
+    **{name: (sent, "handshake_invalid") for name, sent in NO_HANDSHAKE.items()},
+    **NO_WEBSOCKET,
 }
 
 
@@ -162,3 +213,17 @@ async def test_a_failure_of_the_server_says_nothing_of_its_inside(
         answer = await agent.get("/v1/cells")
     assert (answer.status_code, answer.json()["code"]) == (500, "internal")
     assert "secret" not in answer.text
+
+
+@pytest.mark.parametrize(("sent", "code"), BENEATH.values(), ids=BENEATH)
+async def test_what_no_route_is_asked_for_is_refused_as_a_problem_too(house: House, sent: bytes, code: str) -> None:
+    reader, writer = await asyncio.open_connection("127.0.0.1", urlsplit(house.url).port)
+    async with asyncio.timeout(10):
+        writer.write(sent)
+        head, _, body = (await reader.read()).partition(b"\r\n\r\n")  # to the end: the connection is closed
+    writer.close()
+    problem = json.loads(body)
+    assert problem["code"] == code
+    assert head.startswith(b"HTTP/1.1 %d " % problem["status"])
+    assert b"application/problem+json" in head
+    assert b"\r\nconnection: close" in head.lower()

@@ -84,7 +84,7 @@ async def test_nothing_is_written_into_a_connection_that_is_gone() -> None:
 
 
 class Site:
-    """A small application: answers at once, or begins a stream and goes on when it is let."""
+    """A small application: answers at once, before it is asked, or begins a stream and goes on when it is let."""
 
     def __init__(self) -> None:
         self.go_on = asyncio.Event()
@@ -94,11 +94,15 @@ class Site:
             for _ in range(2):
                 await send({"type": (await receive())["type"] + ".complete"})
             return
+        if scope["path"] == "/early":
+            await send({"type": "http.response.start", "status": 200, "headers": []})
         body = b""
         while (message := await receive())["type"] == "http.request":
             body += message["body"]
             if not message["more_body"]:
                 break
+        if scope["path"] == "/early":
+            return
         streams = scope["path"] == "/stream"
         headers = [] if streams else [(b"content-length", b"%d" % len(body))]
         await send({"type": "http.response.start", "status": 200, "headers": headers})
@@ -161,3 +165,21 @@ async def test_a_last_answer_is_whole_before_the_connection_ends(method: str) ->
         head, _, body = (await reader.read()).partition(END)
         assert head.startswith(b"HTTP/1.1 200")
         assert body == (b"" if method == "HEAD" else b"body")
+
+
+async def test_what_came_whole_is_answered_before_what_is_no_http_ends_the_connection() -> None:
+    async with served(Site()) as (reader, writer):
+        writer.write(request("POST", "/", b"first") + request("POST", "/", b"second") + b"no request" + END)
+        for body in (b"first", b"second"):
+            assert (await reader.readuntil(END)).startswith(b"HTTP/1.1 200")
+            assert await reader.readexactly(len(body)) == body
+        assert await reader.read() == b""
+
+
+async def test_a_body_that_is_none_does_not_end_a_stream_with_a_second_answer() -> None:
+    site = Site()
+    async with served(site) as (reader, writer):
+        writer.write(b"POST /early HTTP/1.1\r\nHost: here\r\nTransfer-Encoding: chunked" + END)
+        await reader.readuntil(END)
+        writer.write(b"no chunk" + END)
+        assert b"HTTP/1.1" not in await reader.read()
