@@ -48,7 +48,7 @@ test: $(STAMP) console  ## the whole test suite; what decides and what proves co
 # drives or shows a robot as people would, in one; so does what serves within one process. Leases of 300 ms are real time
 # there. What only computes fills the cores and gives way. Whatever nothing here names runs with the processes.
 WATCHED := tests/test_demo.py tests/test_takeover.py tests/console
-SESSIONS := $(patsubst %,tests/test_%.py,activation confirmation console contract)
+SESSIONS := $(patsubst %,tests/test_%.py,activation confirmation console contract crash_recovering)
 AUTHORED := tests/authoring tests/test_cli_authoring.py tests/test_assayer.py
 SIMULATED := tests/sim tests/test_cli.py tests/test_disk.py
 WITHIN := tests/runtime tests/api tests/agent tests/cell

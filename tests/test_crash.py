@@ -85,49 +85,6 @@ def test_a_server_and_a_cell_that_died_together_leave_one_fault(servers: Servers
     assert outcomes(again, invocation) == ["cell_restarted"]
 
 
-def recovering(servers: Servers) -> tuple[ServerProcess, str]:
-    """Have a grip slip, and return the invocation while the cell recovers."""
-    server = servers.start(None, "--pace", "1", "--profile", "sim-relaxed", "--scenario", "fetch_shared")
-    server.await_status(server.launch("navigate_to", target="bench_a_stand")["id"], "completed")
-    server.await_status(server.launch("inspect_area", area="bench_a_top")["id"], "completed")
-    made = server.launch("grasp_object", object_id="mug_1", force_n=40.0, speed_mps=0.2)
-    until(lambda: server.get(f"/v1/invocations/{made['id']}")["status"] == "recovering", what="the cell recovers")
-    return server, made["id"]
-
-
-@pytest.mark.parametrize("meanwhile", ["the cell recovers", "the cell has recovered"])
-def test_a_recovery_outlives_its_server_and_one_answer_lets_it_go_on(servers: Servers, meanwhile: str) -> None:
-    server, invocation = recovering(servers)
-    before = server.get("/v1/audit/events?limit=1000")["items"]
-    server.kill()
-    again = servers.start(server.data, "--pace", "1", wait_cells=False)
-    question = again.await_status(invocation, "escalated")["escalation"]
-    after = {event["seq"]: event for event in again.get("/v1/audit/events?limit=1000")["items"]}
-    assert all(after[event["seq"]] == event for event in before)
-    assert question["status"] == "pending"
-    until(lambda: again.cell()["online"], what="the cell is back")
-    if meanwhile == "the cell has recovered":
-        until(lambda: again.cell()["status"] == "escalated", what=meanwhile)
-    asked = again.get(f"/v1/escalations/{question['id']}")
-    answer = {"decision": "approve", "digest": asked["digest"]}
-    assert again.post(f"/v1/escalations/{asked['id']}/resolve", answer).is_success
-    assert again.await_status(invocation, "completed")["outcome"] == "recovered"
-    questions = [item["id"] for item in again.get("/v1/escalations")["items"] if item["invocation"] == invocation]
-    assert questions == [question["id"]]
-    assert verify_file(again.data).ok
-
-
-def test_a_cell_that_died_while_it_recovered_leaves_a_fault(servers: Servers) -> None:
-    server, invocation = recovering(servers)
-    pid = server.cell_pid()
-    assert pid is not None
-    os.kill(pid, signal.SIGKILL)
-    assert server.await_status(invocation, "failed")["outcome"] == "fault"
-    assert outcomes(server, invocation) == ["cell_restarted"]
-    until(lambda: server.cell()["online"] and server.cell()["busy"] is None, what="the cell is back, idle")
-    assert server.get("/v1/audit/verify")["ok"]
-
-
 def test_no_restart_of_a_cell_brings_its_reports_into_the_log_again(servers: Servers) -> None:
     server = servers.start(None, "--pace", "0")
     for target in ("dock", "bench_a_stand"):
