@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Locator, expect
 
 from tests.conftest import ServerProcess, until
-from tests.console.conftest import Floor, People, Person, at_once, box
+from tests.console.conftest import DESK, PHONE, Floor, People, Person, at_once, box
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 
@@ -113,6 +113,42 @@ def test_of_two_who_answer_at_once_one_wins_and_the_other_is_told(
     told = [person.page.get_by_text("Somebody has answered this already.") for person in (one, other)]
     until(lambda: any(words.is_visible() for words in told), what="words for the one who came second")
     assert floor.settled(proposed["id"])["status"] in {"running", "denied", "completed"}
+
+
+def test_whoever_edits_what_another_answers_is_told_that_the_edit_went_nowhere(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    asked = floor.ask()["escalation"]
+    card(person).get_by_role("textbox", name="Grip force you approve, N").fill("22")
+    expect(card(person)).to_contain_text("Your edit was checked again: allowed.")
+    question = server.get(f"/v1/escalations/{asked['id']}")
+    answer = {"decision": "deny", "digest": question["digest"]}
+    assert server.post(f"/v1/escalations/{asked['id']}/resolve", answer, key="operator_2").is_success
+    expect(person.alert("it is not open any more, and your edit was not sent")).to_be_visible()
+    person.button("Understood").click()
+    expect(person.alert("your edit was not sent")).to_have_count(0)
+
+
+@pytest.mark.parametrize("cover", ["the keys", "the menu of a phone"])
+def test_no_key_answers_what_lies_behind_something_else(
+    server: ServerProcess, people: People, floor: Floor, cover: str
+) -> None:
+    on_phone = cover == "the menu of a phone"
+    person = people.sit(server, size=PHONE if on_phone else DESK)
+    proposed = floor.ask()
+    expect(person.button(re.compile("^Deny"))).to_be_focused()
+    if on_phone:
+        person.button("Menu").click()
+    else:
+        person.press("?")
+        expect(person.page.get_by_role("dialog", name="Keys")).to_be_visible()
+    for key in "adp":
+        person.press(key)
+    assert server.get(f"/v1/invocations/{proposed['id']}")["status"] == "awaiting_approval"
+    person.press("Escape")
+    press_until(person, "d", gone=card(person))
+    assert floor.settled(proposed["id"])["status"] == "denied"
 
 
 def stages(person: Person) -> Locator:

@@ -5,6 +5,8 @@ export interface Shortcut {
   says: string;
   /** Returning false leaves the key to an older registration, and then to whatever has the focus. */
   run: () => unknown;
+  /** Whether it counts while something lies over the page: nothing that cannot be seen is answered. */
+  everywhere: boolean;
 }
 
 interface KeyLike {
@@ -44,10 +46,19 @@ export function mayBeShortcut(event: KeyLike, letters: boolean): boolean {
 export class Keys {
   private readonly shortcuts: Shortcut[] = [];
   private stop: () => void = () => undefined;
+  private covers = 0;
+
+  /** Says that something lies over the page; returns how to take it back. */
+  cover(): () => void {
+    this.covers += 1;
+    return () => {
+      this.covers -= 1;
+    };
+  }
 
   /** The newest registration of a key that takes it counts; returns how to take it back. */
-  on(key: string, says: string, run: () => unknown): () => void {
-    const shortcut = { key, says, run };
+  on(key: string, says: string, run: () => unknown, everywhere = false): () => void {
+    const shortcut = { key, says, run, everywhere };
     this.shortcuts.push(shortcut);
     return () => {
       const at = this.shortcuts.indexOf(shortcut);
@@ -71,7 +82,8 @@ export class Keys {
     }
     if (!mayBeShortcut(event, letters)) return false;
     const wanted = event.key.length === 1 ? event.key.toLowerCase() : event.key;
-    return this.shortcuts.findLast((known) => known.key === wanted && known.run() !== false) !== undefined;
+    const counts = (known: Shortcut): boolean => known.key === wanted && (this.covers === 0 || known.everywhere);
+    return this.shortcuts.findLast((known) => counts(known) && known.run() !== false) !== undefined;
   }
 
   /** Listens before anything else on the page does. */
