@@ -197,7 +197,7 @@ def _from_record(error: RecordUnavailable) -> Problem:
 
 
 def _from_row(error: RowUnreadable) -> Problem:
-    return Problem("row_unreadable", f"{error}; the log has it: look with `reins audit verify`")
+    return Problem("row_unreadable", f"{error}; valid: look with `reins audit verify`")
 
 
 def _from_damage(_: RecordDamaged) -> Problem:  # its words hold paths of this machine
