@@ -5,7 +5,7 @@ export interface Shortcut {
   says: string;
   /** Returning false leaves the key to an older registration, and then to whatever has the focus. */
   run: () => unknown;
-  /** Whether it counts while something lies over the page: nothing that cannot be seen is answered. */
+  /** Whether it counts while something lies over the page: what cannot be seen is not answered, but restrained. */
   everywhere: boolean;
 }
 
