@@ -34,6 +34,8 @@ KNOWN: Final[Mapping[str, tuple[str, str]]] = {
     "sensor_fault": ("a sensor cannot be believed", "wait until it is mended"),
     "retries_exhausted": ("it was tried as often as policy allows", "change what is proposed"),
     "rollback_failed": ("it could not be undone and verified", "inspect before anything else"),
+    "recovery_failed": ("recovering from it failed, too", "leave it to a human"),
+    "link_lost": ("the link to the cell was lost", "propose it again when the link holds"),
     "operator": ("an operator ended it", "ask before it is proposed again"),
     "taken_over": ("a human took the controls", "look at `takeover.facts`: the state it left"),
     "control_lapsed": ("the human at the controls left without a word", "wait until somebody has seen to the robot"),
@@ -43,6 +45,12 @@ KNOWN: Final[Mapping[str, tuple[str, str]]] = {
     "journal_unavailable": ("the cell cannot write its journal", "propose it again once there is room for it"),
     "verified": ("it was rolled back; the world is as it was before", "change what is proposed"),
 }
+
+
+def described(code: str) -> str:
+    """Return what is known of a failure in words, its code behind them; of one that nobody knows, the code alone."""
+    known = KNOWN.get(code)
+    return f"`{code}`" if known is None else f"{known[0]} (`{code}`)"
 
 
 def failure(*codes: str) -> dict[str, Any]:

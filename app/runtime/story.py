@@ -14,7 +14,7 @@ from app.governance.model import TERMINAL, EventKind, Outcome, Status
 from app.governance.session import final_status, refused_launch
 from app.runtime.drafts import SERVER, outcome_event, reason
 from app.runtime.escalation import APPROVED, DENIED, EXPIRED, PENDING, WITHDRAWN
-from app.runtime.failures import failure
+from app.runtime.failures import described, failure
 from app.runtime.hands import LAPSED, driven, followed
 
 if TYPE_CHECKING:
@@ -29,6 +29,8 @@ RULE: Final = "runtime/session"
 ITSELF: Final = "cell"  # how a cell names itself as an actor
 CONFIRM: Final = "confirm:"  # how a cell says which phase waits
 LINK: Final = "link"  # how a cell says that it holds because its link had lapsed
+ONWARD: Final = "let it go on from where it is held, or end it"  # what a human may say of a held session
+ANEW: Final = "let it go on with a new attempt, or end it"  # and of one that had failed
 CONFIRM_RULE: Final = "authority/confirm_before"
 NOTHING: Final[Mapping[str, Any]] = {}
 DONE: Final = frozenset({Outcome.SUCCEEDED, Outcome.RECOVERED})
@@ -200,6 +202,9 @@ def _asked(event: UpEvent) -> tuple[str | None, list[dict[str, str]]]:
         phase = code.removeprefix(CONFIRM)
         message = f"policy has a human confirm `{phase}` before it begins; the session is held"
         return phase, [reason(CONFIRM_RULE, code, message)]
-    failure = event.body.get("failure")
-    because = f" after `{failure}`" if failure else ""
-    return None, [reason(RULE, code, f"the session is held (`{code}`){because} and waits for a human")]
+    failed = event.body.get("failure")
+    if not failed:
+        return None, [reason(RULE, code, f"the session is held (`{code}`) and waits for a human", ONWARD)]
+    held = "" if failed == code else f" (`{code}`)"
+    message = f"{described(str(failed))}; the session is held{held} and waits for a human"
+    return None, [reason(RULE, code, message, ANEW)]

@@ -130,6 +130,40 @@ def test_whoever_edits_what_another_answers_is_told_that_the_edit_went_nowhere(
     expect(person.alert("your edit was not sent")).to_have_count(0)
 
 
+def test_a_question_that_another_answers_says_so_before_one_that_looks_the_same_takes_its_place(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    first = floor.ask()["escalation"]
+    expect(card(person)).to_be_visible()
+    second = floor.ask()["escalation"]
+    question = server.get(f"/v1/escalations/{first['id']}")
+    answer = {"decision": "deny", "digest": question["digest"]}
+    assert server.post(f"/v1/escalations/{first['id']}/resolve", answer, key="operator_2").is_success
+    told = person.page.get_by_role("status").filter(has_text="is not open any more: operator_2 denied.")
+    expect(told).to_contain_text("This is another question.")
+    expect(card(person)).to_have_count(1)
+    person.button("Put this away").click()
+    expect(told).to_have_count(0)
+    assert server.get(f"/v1/escalations/{second['id']}")["status"] == "pending"
+
+
+def test_a_stopped_cell_keeps_an_approval_back_but_not_a_denial(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    proposed = floor.ask()
+    approve, deny = (person.button(re.compile(f"^{word}")) for word in ("Approve", "Deny"))
+    expect(approve).to_be_enabled()
+    person.page.keyboard.press(".")
+    expect(card(person)).to_contain_text("is stopped and would refuse it")
+    expect(approve).to_be_disabled()
+    person.page.keyboard.press("t")
+    expect(person.button("Take the controls")).to_be_disabled()
+    deny.click()
+    assert floor.settled(proposed["id"])["status"] == "denied"
+
+
 @pytest.mark.parametrize("cover", ["the keys", "the menu of a phone"])
 def test_no_key_answers_what_lies_behind_something_else(
     server: ServerProcess, people: People, floor: Floor, cover: str

@@ -508,13 +508,15 @@ async def test_cancelling_withdraws_the_question(runtime: Runtime, cell: HandCel
 # -- in mid-execution ------------------------------------------------------------------------------------------------
 
 
-async def held(runtime: Runtime, cell: HandCell) -> tuple[dict[str, Any], dict[str, Any]]:
+async def held(
+    runtime: Runtime, cell: HandCell, why: str = "separation", failed: str = "zone"
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """Bring a session to where it waits for a human."""
     document, _ = await runtime.governor.propose(AGENT, navigate())
     await cell.launched(document["id"])
     cell.status = "escalated"
-    await cell.report("status", document["id"], status="escalated", reason="separation")
-    await cell.report("escalation", document["id"], reason="separation", failure="zone")
+    await cell.report("status", document["id"], status="escalated", reason=why)
+    await cell.report("escalation", document["id"], reason=why, failure=failed or None)
     document = await runtime.governor.invocation(document["id"], AGENT)
     assert document["status"] == "escalated"
     return document, await runtime.desk.get(document["escalation"]["id"])
@@ -530,6 +532,24 @@ async def test_a_held_session_asks_once_and_says_why(runtime: Runtime, cell: Han
     recorded = next(event for event in trace if event["kind"] == "escalation")
     assert recorded["body"]["escalation"]["id"] == question["id"]
     assert recorded["actor"] == CELL
+
+
+@pytest.mark.parametrize(
+    ("why", "failed", "message", "remedy"),
+    [
+        ("separation", "", "the session is held (`separation`)", "from where it is held"),
+        ("separation", "zone", "a forbidden zone (`zone`); the session is held (`separation`)", "with a new attempt"),
+        ("rollback_failed", "rollback_failed", "verified (`rollback_failed`); the session is held", "a new attempt"),
+        ("separation", "unheard_of", "`unheard_of`; the session is held (`separation`)", "with a new attempt"),
+    ],
+)
+async def test_a_held_session_says_what_went_wrong_and_what_going_on_means(
+    runtime: Runtime, cell: HandCell, why: str, failed: str, message: str, remedy: str
+) -> None:
+    _, question = await held(runtime, cell, why, failed)
+    (reason,) = question["reasons"]
+    assert message in reason["message"]
+    assert remedy in reason["remedy"]
 
 
 async def test_approving_lets_a_held_session_go_on(runtime: Runtime, cell: HandCell) -> None:

@@ -2,7 +2,9 @@ import { describe, expect, it } from 'vitest';
 import type { Escalation, Invocation, LogEvent, Risk } from '../src/lib/api/documents';
 import { readGauge, type GaugeSpec } from '../src/lib/live/gauges';
 import { History } from '../src/lib/live/history';
-import { handsOn, leaseLapsed, refusalWords } from '../src/lib/live/control';
+import { closedWords } from '../src/lib/live/closed';
+import { handsOn, isHalted, leaseLapsed, refusalWords } from '../src/lib/live/control';
+import { reasonLines } from '../src/lib/live/reasons';
 import { askedOf, stagesOf } from '../src/lib/live/stages';
 import { troubleOf, zonesAt } from '../src/lib/live/trouble';
 import { byUrgency, currentOf } from '../src/lib/live/urgency';
@@ -182,5 +184,51 @@ describe('the controls of a cell', () => {
     expect(refusalWords('release_first')).toBe('let go of everything, then press again');
     expect(refusalWords('human-shared/separation')).toBe('a person is too near');
     expect(refusalWords('human-shared/base-speed')).toBe('stopped by base-speed');
+  });
+});
+
+describe('a stopped cell', () => {
+  const [stopped, free] = [cell({ id: 'a', latched: true }), cell({ id: 'b' })];
+
+  it.each([
+    ['its own', 'a', true],
+    ['another', 'b', false],
+    ['any cell', null, false],
+    ['one that is not known', 'c', false],
+  ])('keeps back what is for %s: %s', (_, asked, halted) => {
+    expect(isHalted([stopped, free], asked)).toBe(halted);
+  });
+
+  it('keeps back what may go to any cell only where all are stopped', () => {
+    expect(isHalted([stopped], null)).toBe(true);
+    expect(isHalted([], null)).toBe(false);
+  });
+});
+
+describe('a question that others closed', () => {
+  const about = (status: string, decision: string, id = 'esc_1'): LogEvent => event('approval', { decision, escalation: { id, status, approvals: [{ by: 'operator' }], needed: 1 } }, 'inv_1', 'operator_2');
+
+  it('is told of in the words of the record', () => {
+    expect(closedWords([about('approved', 'approve'), about('denied', 'deny', 'esc_2')], 'esc_1')).toBe('operator_2 approved, 1 of 1.');
+    expect(closedWords([about('pending', 'approve'), about('denied', 'deny')], 'esc_1')).toBe('operator_2 denied.');
+  });
+
+  it('is over where the record is not here', () => {
+    expect(closedWords([about('pending', 'approve')], 'esc_1')).toBe('It is over.');
+  });
+});
+
+describe('why a held session asks', () => {
+  const reason = { rule: 'runtime/session', message: 'it could not be undone and verified (`rollback_failed`); the session is held and waits for a human', remedy: 'let it go on with a new attempt, or end it' };
+
+  it('says what a person may do about it', () => {
+    const held = escalation({ kind: 'session', reasons: [{ ...reason, code: 'rollback_failed' }] });
+    expect(reasonLines(held, null)[0]?.text).toBe('It could not be undone and verified (rollback_failed); the session is held and waits for a human. Let it go on with a new attempt, or end it.');
+    const near = escalation({ kind: 'session', reasons: [{ ...reason, code: 'separation' }] });
+    expect(reasonLines(near, null)[0]?.text).toBe('The robot holds where it is and waits. Let it go on with a new attempt, or end it.');
+  });
+
+  it('is not told what an agent is told of a proposal', () => {
+    expect(reasonLines(escalation({ reasons: [{ ...reason, code: 'x', message: 'why', remedy: 'wait' }] }), null)[0]?.text).toBe('Why.');
   });
 });

@@ -92,6 +92,16 @@ describe('a recorded moment in the scene', () => {
     expect([...(poses ?? [])].every(Number.isNaN)).toBe(true);
   });
 
+  it('shows at the first moment what the record holds of the next, and no later thing', () => {
+    const begun: Telemetry = {
+      ...full,
+      people: { time_s: [1.2], tracks: [[[1, 5, 5]]] },
+      bodies: { mug_1: { time_s: [1.1], pose: [[1, 2, 0.9, 1, 0, 0, 0]] }, box_2: { time_s: [1.6], pose: [[3, 3, 0.9, 1, 0, 0, 0]] } },
+    };
+    const poses = frameAt(begun, 0, ['person_1_torso', 'mug_1', 'box_2'], [])?.poses ?? [];
+    expect([poses[0], poses[7], poses[14]]).toEqual([5, 1, NaN]);
+  });
+
   it('is not made up where a part of the posture is missing', () => {
     expect(frameAt(telemetry({ ...full.columns, q3_rad: [null] }), 0, ['base'], [])).toBeNull();
   });

@@ -35,6 +35,12 @@ function lastUntil(times: readonly number[], moment: number): number {
   return low - 1;
 }
 
+/** The same; before the first of them, the first where it comes at once: a recording begins a moment before its scene. */
+function nearest(times: readonly number[], moment: number): number {
+  const last = lastUntil(times, moment);
+  return last < 0 && (times[0] ?? Infinity) - moment <= FRESH_S ? 0 : last;
+}
+
 /** Whether where people and things were is in this record: older ones hold the robot alone. */
 export function holdsScene(telemetry: Telemetry): boolean {
   return telemetry.people.time_s.length > 0;
@@ -45,10 +51,10 @@ function recordedPose(telemetry: Telemetry, body: string, atS: number): readonly
   const person = PERSON.exec(body)?.[1];
   if (person === undefined) {
     const way = telemetry.bodies[body];
-    return way === undefined ? null : (way.pose[lastUntil(way.time_s, atS)] ?? null);
+    return way === undefined ? null : (way.pose[nearest(way.time_s, atS)] ?? null);
   }
   const { time_s: times, tracks } = telemetry.people;
-  const last = lastUntil(times, atS);
+  const last = nearest(times, atS);
   if (last < 0 || atS - (times[last] ?? 0) > FRESH_S) return null;
   const seen = tracks[last]?.find(([number]) => number === Number(person));
   return seen === undefined ? null : [seen[1], seen[2], HIP_M, 1, 0, 0, 0];

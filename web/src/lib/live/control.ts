@@ -16,6 +16,12 @@ export function inControl(cell: Cell | null, session: Invocation | null, me: str
   return { long: 'Nobody', short: 'nobody', tone: 'quiet' };
 }
 
+/** Whether a stop keeps a proposal from being launched: on its cell or, where it may go to any, on all of them. */
+export function isHalted(cells: readonly Cell[], cell: string | null): boolean {
+  const asked = cell === null ? cells : cells.filter((known) => known.id === cell);
+  return asked.length > 0 && asked.every((known) => known.latched);
+}
+
 /** In whose hands the controls are: nobody's, this window's, mine in another window, or somebody else's. */
 export type Hands = 'free' | 'here' | 'elsewhere' | 'other';
 

@@ -27,7 +27,9 @@ const HELD: Record<string, string> = {
 function lineOf(reason: Reason, held: boolean): ReasonLine {
   const icon = /separation|person/.test(`${reason.rule} ${reason.code}`) ? 'person' : held ? 'hand' : 'scale';
   const strong = held ? (HELD[reason.code] ?? '') : '';
-  const text = strong === '' ? sentence(reason.message) : 'The robot holds where it is and waits.';
+  const said = strong === '' ? sentence(reason.message) : 'The robot holds where it is and waits.';
+  // What a person may say is worth a sentence only where a person is asked what becomes of a session.
+  const text = held && reason.remedy !== '' ? `${said} ${sentence(reason.remedy)}` : said;
   return { icon, strong, text, rule: reason.rule.replaceAll('/', ' / ') };
 }
 

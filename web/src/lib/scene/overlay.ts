@@ -15,6 +15,7 @@ import type { Palette } from './palette';
 
 /** Half the width of a drawn line on the floor, m: WebGL lines are one pixel thin. */
 const HALF_M = 0.022;
+const SEGMENTS = 96;
 
 /** What is drawn over the cell: the protective separation around the robot, the nearest person, the planned path. */
 export class Overlay {
@@ -26,9 +27,10 @@ export class Overlay {
   private radiusM = 0;
 
   constructor(private readonly palette: Palette) {
-    this.circle = new Mesh(new RingGeometry(0.98, 1, 64), new MeshBasicMaterial({ color: palette.line, side: DoubleSide, transparent: true }));
+    this.circle = new Mesh(new RingGeometry(0.98, 1, SEGMENTS), new MeshBasicMaterial({ color: palette.line, side: DoubleSide, transparent: true }));
     this.disc = new Mesh(new CircleGeometry(1, 64), new MeshBasicMaterial({ color: palette.line, transparent: true, opacity: 0.06, depthWrite: false }));
     this.tie = new Line(new BufferGeometry().setFromPoints([new Vector3(), new Vector3()]), new LineDashedMaterial({ color: palette.danger, dashSize: 0.08, gapSize: 0.04 }));
+    this.circle.frustumCulled = false; // its points move
     this.circle.position.z = this.disc.position.z = 0.014;
     this.circle.visible = this.disc.visible = this.tie.visible = false;
     this.root.add(this.circle, this.disc, this.tie, this.path);
@@ -40,8 +42,7 @@ export class Overlay {
     this.circle.visible = this.disc.visible = shown;
     if (!shown) return;
     if (Math.abs(radiusM - this.radiusM) > 0.005) {
-      this.circle.geometry.dispose();
-      this.circle.geometry = new RingGeometry(radiusM - HALF_M, radiusM + HALF_M, 96);
+      widen(this.circle.geometry, radiusM);
       this.disc.scale.setScalar(radiusM);
       this.radiusM = radiusM;
     }
@@ -75,6 +76,17 @@ export class Overlay {
   end(): void {
     dispose(this.root);
   }
+}
+
+/** Moves the points of a ring to another radius: it changes in every picture while the robot drives. */
+function widen(ring: RingGeometry, radiusM: number): void {
+  const points = ring.getAttribute('position');
+  for (let k = 0; k < points.count; k += 1) {
+    const angle = ((k % (SEGMENTS + 1)) / SEGMENTS) * 2 * Math.PI;
+    const radius = k <= SEGMENTS ? radiusM - HALF_M : radiusM + HALF_M;
+    points.setXY(k, radius * Math.cos(angle), radius * Math.sin(angle));
+  }
+  points.needsUpdate = true;
 }
 
 type Spot = readonly [number, number];
