@@ -7,11 +7,13 @@ import {
   Group,
   LineSegments,
   LineBasicMaterial,
+  Matrix4,
   Mesh,
-  MeshStandardMaterial,
+  MeshLambertMaterial,
   SphereGeometry,
   type Color,
 } from 'three';
+import { mergeGeometries } from 'three/addons/utils/BufferGeometryUtils.js';
 import type { Scene, Shape } from '../socket/messages';
 import type { Palette } from './palette';
 
@@ -27,33 +29,88 @@ export function isPerson(body: string): boolean {
   return PERSON.test(body);
 }
 
-/** Builds every shape of a scene except its floor plane, coloured by the theme: things in grey, people in amber. */
+/**
+ * Builds every shape of a scene except its floor plane, coloured by the theme: things in grey, people in amber.
+ *
+ * What moves together and looks alike is one thing to draw: without a graphics card each costs as much as its pixels.
+ */
 export function buildBodies(scene: Scene, bodies: readonly string[], palette: Palette): Bodies {
-  const root = new Group();
-  const byName = new Map<string, Group>();
-  const bodyOf = (name: string): Group => {
-    let group = byName.get(name);
-    if (group === undefined) {
-      group = new Group();
-      group.name = name;
-      const fixed = scene.fixed[name];
-      if (fixed !== undefined) place(group, fixed);
-      // A moving body is shown from its first pose on.
-      else group.visible = name === 'world';
-      byName.set(name, group);
-      root.add(group);
-    }
-    return group;
-  };
-  const moving = new Set(bodies);
+  const sorted = new Sorted(scene, bodies, palette);
   for (const shape of scene.shapes) {
-    if (shape.shape === 'plane') continue;
-    const mesh = new Mesh(geometryOf(shape), new MeshStandardMaterial({ color: colorOf(shape, palette, moving.has(shape.body)), roughness: 0.85 }));
-    place(mesh, shape.pose);
-    if (shape.shape === 'box' && !moving.has(shape.body)) mesh.add(edgesOf(mesh.geometry, palette.line));
-    bodyOf(shape.body).add(mesh);
+    if (shape.shape !== 'plane') sorted.add(shape);
   }
-  return { root, byName };
+  return sorted.drawn();
+}
+
+/** Shapes, in the frame of what they move with and by colour; what never moves is in the frame of the world. */
+class Sorted {
+  private readonly root = new Group();
+  private readonly byName = new Map<string, Group>();
+  private readonly fills = new Map<Group, Map<Color, BufferGeometry[]>>();
+  private readonly edges: BufferGeometry[] = [];
+  private readonly moving: ReadonlySet<string>;
+
+  constructor(private readonly scene: Scene, bodies: readonly string[], private readonly palette: Palette) {
+    this.moving = new Set(bodies);
+  }
+
+  add(shape: Shape): void {
+    const body = this.bodyOf(shape.body);
+    const geometry = geometryOf(shape).applyMatrix4(matrixOf(shape.pose));
+    const moves = this.moving.has(shape.body);
+    const color = colorOf(shape, this.palette, moves);
+    const still = this.isStill(shape.body);
+    if (still) geometry.applyMatrix4(body.matrix);
+    if (still && !moves && shape.shape === 'box') this.edges.push(new EdgesGeometry(geometry));
+    this.fill(still ? this.root : body, color, geometry);
+  }
+
+  drawn(): Bodies {
+    for (const [group, alike] of this.fills) {
+      for (const [color, geometries] of alike) group.add(new Mesh(joined(geometries), new MeshLambertMaterial({ color })));
+    }
+    if (this.edges.length > 0) {
+      this.root.add(new LineSegments(joined(this.edges), new LineBasicMaterial({ color: this.palette.line, transparent: true, opacity: 0.25 })));
+    }
+    return { root: this.root, byName: this.byName };
+  }
+
+  private isStill(name: string): boolean {
+    return name === 'world' || this.scene.fixed[name] !== undefined;
+  }
+
+  private bodyOf(name: string): Group {
+    const known = this.byName.get(name);
+    if (known !== undefined) return known;
+    const group = new Group();
+    group.name = name;
+    const fixed = this.scene.fixed[name];
+    if (fixed !== undefined) place(group, fixed);
+    group.visible = this.isStill(name); // a moving body is shown from its first pose on
+    group.updateMatrix();
+    this.byName.set(name, group);
+    this.root.add(group);
+    return group;
+  }
+
+  private fill(group: Group, color: Color, geometry: BufferGeometry): void {
+    const alike = this.fills.get(group) ?? new Map<Color, BufferGeometry[]>();
+    alike.set(color, [...(alike.get(color) ?? []), geometry]);
+    this.fills.set(group, alike);
+  }
+}
+
+function joined(geometries: BufferGeometry[]): BufferGeometry {
+  const whole = mergeGeometries(geometries) as BufferGeometry | null;
+  if (whole === null) throw new Error('shapes of one body differ in what their points carry');
+  return whole;
+}
+
+function matrixOf(pose: ArrayLike<number>): Matrix4 {
+  const stand = new Group();
+  place(stand, pose);
+  stand.updateMatrix();
+  return stand.matrix;
 }
 
 function geometryOf(shape: Shape): BufferGeometry {
@@ -76,10 +133,6 @@ function colorOf(shape: Shape, palette: Palette, moves: boolean): Color {
   const [red = 0, green = 0, blue = 0] = shape.rgba;
   // The model paints its robot in near-black and near-white; on either theme that would vanish.
   return red + green + blue < 1.2 ? palette.body : red + green + blue > 2.1 ? palette.light : palette.accent;
-}
-
-function edgesOf(geometry: BufferGeometry, color: Color): LineSegments {
-  return new LineSegments(new EdgesGeometry(geometry), new LineBasicMaterial({ color, transparent: true, opacity: 0.25 }));
 }
 
 /** Puts an object at x, y, z, qw, qx, qy, qz. */

@@ -289,8 +289,8 @@ function middle(polygon: readonly (readonly [number, number])[]): [number, numbe
 }
 
 function above(body: Group, clearM: number): Vector3 {
-  const top = new Box3().setFromObject(body).max.z;
-  return body.position.clone().setZ(top + clearM);
+  const box = new Box3().setFromObject(body);
+  return body.position.clone().setZ((box.isEmpty() ? body.position.z : box.max.z) + clearM); // what never moves is drawn as one
 }
 
 /** Whether WebGL is drawn by the processor. */
