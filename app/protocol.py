@@ -240,6 +240,7 @@ class State(Message):
     session: Sitting | None = None
     jog: Jogged | None = None
     fault: Unrecorded | None = None
+    broken: str = ""  # what failed of the guard itself; power is cut until a reset
 
 
 class Scene(Message):

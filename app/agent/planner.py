@@ -235,13 +235,15 @@ _BY_REPAIR: tuple[tuple[_Repairer, str], ...] = (
         _wait,
         "cell_busy cell_offline conditions_changed sensors_fresh sensor_fault arm_ready arm_retracted blocked no_path",
     ),
+    (_wait, "too_many_waiting grant_ended"),
     (_wait, "journal_unavailable holding"),  # a cell that lost its link launched nothing: once it is back, again
     (_look_again, "object_visible area_inspected object_not_found grasp_failed perception_mismatch contact"),
     (_go_there, "object_reachable surface_reachable tool_reachable area_in_view unreachable"),
     (_start_over, "gripper_empty carrying object_secured object_placed at_target tool_actuated"),
     (_start_over, "object_lost placement_failed tool_failed postcondition_failed timeout stall"),
-    (_start_over, "session_lost cell_lost cell_restarted launch_unconfirmed"),
+    (_start_over, "session_lost cell_lost cell_restarted launch_unconfirmed link_lost"),
     (_give_up, "overgrip overspeed zone instability retries_exhausted rollback_failed verified"),
+    (_give_up, "recovery_failed guard_broken"),
     (_give_up, "operator taken_over control_lapsed cancelled estop shutdown"),
 )
 REPAIRS: Mapping[str, _Repairer] = {code: repairer for repairer, codes in _BY_REPAIR for code in codes.split()}

@@ -117,11 +117,16 @@ def authorize(connection: HTTPConnection, principals: Principals, allowed: froze
     if allowed is None:
         return None
     principal = principals.authenticate(connection.headers)
+    check_role(principal, allowed)
+    connection.scope[_CALLER] = principal
+    return principal
+
+
+def check_role(principal: Principal, allowed: frozenset[Role]) -> None:
+    """Refuse whoever has another role. Raises `Problem`: 403 `role_forbidden`."""
     if principal.role not in allowed:
         valid = ", ".join(sorted(role.value for role in allowed))
         raise Problem("role_forbidden", f"the role `{principal.role.value}` may not do this: valid are {valid}")
-    connection.scope[_CALLER] = principal
-    return principal
 
 
 def caller(connection: HTTPConnection) -> Principal:

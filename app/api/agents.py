@@ -212,6 +212,7 @@ def register(router: APIRouter) -> None:
                 "wrong_status",
                 "ending",
                 "rollback_ordered",
+                "control_held",
                 "cell_offline",
                 "record_unavailable",
             ),

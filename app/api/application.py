@@ -153,7 +153,7 @@ async def healthz(request: Request) -> Response:
     Without a record only what restrains is obeyed: everywhere, or on the cells that `broken` names. What the last
     verification found wrong stands there, and lets nothing launch. A policy in force
     that does not pass its proofs goes on deciding; each decision fails closed by itself. Grants that only the database
-    knows, and not the log, hold for nothing.
+    knows, and not the log, hold for nothing. While the file of principals cannot be read, those read last hold.
     """
     parts = parts_of(request)
     await parts.store.look()
@@ -168,6 +168,8 @@ async def healthz(request: Request) -> Response:
         broken["rows"] = said
     if (unfounded := parts.desk.grants.trouble()) is not None:
         broken["grants"] = unfounded
+    if (unreadable := parts.principals.trouble()) is not None:
+        broken["principals"] = unreadable
     if (refuted := parts.versions.proving.trouble()) is not None:
         broken["policy"] = refuted
     return answer({"status": "degraded" if broken else "ok", "version": __version__, "broken": broken})

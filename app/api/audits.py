@@ -9,6 +9,7 @@ import asyncio
 from base64 import b64encode
 from contextlib import ExitStack
 from dataclasses import asdict
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import orjson
@@ -18,11 +19,12 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, Response, StreamingResponse
 
 from app.api import documents
-from app.api.access import caller
+from app.api.access import allowed_roles, authorize, caller
 from app.api.listing import Filter, Identifier
 from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
 from app.api.problems import Problem
+from app.api.staying import until_refused
 from app.audit.checkpoint import parse_checkpoint
 from app.audit.errors import RecordDamaged
 from app.audit.telemetry_reading import read_telemetry, telemetry_file
@@ -30,7 +32,7 @@ from app.clock import parse_rfc3339, rfc3339
 from app.governance.model import EventKind
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncGenerator
+    from collections.abc import AsyncGenerator, Callable
 
     from fastapi import APIRouter
     from starlette.types import Receive, Scope, Send
@@ -44,6 +46,7 @@ MAX_DIGITS = 18
 HEARTBEAT_S = 10.0
 HEARTBEAT = b": still here\n\n"
 RETRY_MS = 1000
+EVENTS = "/v1/events"
 STREAM = "text/event-stream"
 MCAP = "application/octet-stream"
 MAX_ROWS = 5000
@@ -201,7 +204,8 @@ async def stream(request: Request, query: Annotated[StreamQuery, Query()]) -> Re
 
     A client that comes back with `Last-Event-ID` gets everything it missed. A comment is sent every few seconds, so
     that a dead connection shows; a client that does not keep up is cut off, and comes back the same way. One that has
-    seen more than this log holds was told by another, and is refused: what it waits for would never come.
+    seen more than this log holds was told by another, and is refused: what it waits for would never come. A stream ends
+    when its token expires or is withdrawn.
     """
     parts = parts_of(request)
     field, after = ("after", query.after)
@@ -209,7 +213,8 @@ async def stream(request: Request, query: Annotated[StreamQuery, Query()]) -> Re
         field, after = ("Last-Event-ID", _last_event_id(request))
     _within_the_log(request, field, after)
     # "From now on" is fixed before the first byte is out, so that what happens meanwhile is not missed.
-    chunks = _chunks(parts.feed, parts.store.size if after is None else after)
+    let_in = partial(authorize, request, parts.principals, allowed_roles("GET", EVENTS))
+    chunks = _chunks(parts.feed, parts.store.size if after is None else after, let_in)
     seat = ExitStack()
     seat.enter_context(parts.streams.take(caller(request).name))
     return SeatedStream(seat, chunks)
@@ -252,16 +257,19 @@ def _within_the_log(request: Request, field: str, after: int | None) -> None:
         raise Problem("request_invalid", f"`{field}`: {message}", errors=[{"field": field, "message": message}])
 
 
-async def _chunks(feed: Feed, after: int) -> AsyncGenerator[bytes]:
+async def _chunks(feed: Feed, after: int, let_in: Callable[[], object]) -> AsyncGenerator[bytes]:
     yield b"retry: %d\n\n" % RETRY_MS
     with feed.subscribe(after=after) as subscription:
         batches = aiter(subscription)
         waiting: asyncio.Future[list[Event] | None] | None = None
+        refused = asyncio.ensure_future(until_refused(let_in))
         try:
             while True:
                 # A wait that ran out must not cancel the iteration, so it goes on as a task of its own.
                 waiting = waiting or asyncio.ensure_future(anext(batches, None))
-                await asyncio.wait({waiting}, timeout=HEARTBEAT_S)
+                await asyncio.wait({waiting, refused}, timeout=HEARTBEAT_S, return_when=asyncio.FIRST_COMPLETED)
+                if refused.done():  # whoever asks for the rest is told why
+                    return
                 if not waiting.done():
                     yield HEARTBEAT
                     continue
@@ -270,6 +278,7 @@ async def _chunks(feed: Feed, after: int) -> AsyncGenerator[bytes]:
                     return
                 yield b"".join(as_sse(event) for event in batch)
         finally:
+            refused.cancel()
             if waiting is not None:
                 waiting.cancel()
                 await asyncio.wait({waiting})
@@ -305,7 +314,7 @@ def register(router: APIRouter) -> None:
     )
     declare(
         router,
-        "GET /v1/events",
+        f"GET {EVENTS}",
         stream,
         Answers(
             model=documents.EventDocument,

@@ -3,7 +3,7 @@
 The server keeps SHA-256 digests, never tokens. The first start writes `tokens.json` (for people to read once, mode
 0600), `cell.token` (for cells) and `principals.json` (the digests) into the data directory. `principals.json` is looked
 at again at most once a second, so that a token issued or withdrawn by the command line counts without a restart and no
-request waits for a file.
+request waits for a file. While it cannot be read, what was read last holds, and health says so.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import hmac
+import logging
 import os
 import secrets
 import unicodedata
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
     from collections.abc import Generator, Mapping
 
     from starlette.datastructures import Headers
+
+log = logging.getLogger(__name__)
 
 TOKENS_FILE = "tokens.json"
 CELL_TOKEN_FILE = "cell.token"  # noqa: S105  # a file name
@@ -58,6 +61,7 @@ class PrincipalsUnreadable(Exception):
 
     def __init__(self, path: Path, problem: str) -> None:
         """Name the file and what is wrong with it."""
+        self.problem = problem
         super().__init__(f"`{path}`: {problem}")
 
 
@@ -80,6 +84,7 @@ class Principals:
         self._found = self._known = _read(path)
         self._next_look_s = clock.monotonic_s() + LOOK_AGAIN_S
         self._on_roll = False
+        self._problem: str | None = None
 
     def keep_roll(self) -> None:
         """Let whoever is new from now on count only once `admit` says so."""
@@ -89,18 +94,47 @@ class Principals:
     def look(self) -> Mapping[bytes, Credential]:
         """Look at the file now and return what it says, by digest; whoever is gone from it no longer counts."""
         # A file that vanished or broke while running takes nobody's stop button away: what was read last holds.
-        with contextlib.suppress(OSError, PrincipalsUnreadable):
-            stamp = _stamp(self._path)
-            if stamp != self._stamp:
-                self._found = _read(self._path)
-                self._stamp = stamp
-                old = self._known
-                self._known = {
-                    digest: credential
-                    for digest, credential in self._found.items()
-                    if not self._on_roll or old.get(digest) == credential
-                }
+        try:
+            self._read_again()
+        except PrincipalsUnreadable as error:
+            self._note(error.problem)
+        except OSError as error:
+            self._note(error.strerror or type(error).__name__)
+        else:
+            self._note(None)
         return self._found
+
+    def _read_again(self) -> None:
+        stamp = _stamp(self._path)
+        if stamp == self._stamp:
+            return
+        self._found = _read(self._path)
+        self._stamp = stamp
+        old = self._known
+        self._known = {
+            digest: credential
+            for digest, credential in self._found.items()
+            if not self._on_roll or old.get(digest) == credential
+        }
+
+    def _note(self, problem: str | None) -> None:
+        """Keep why the file cannot be read, and log it once for each change."""
+        if problem == self._problem:
+            return
+        self._problem = problem
+        if problem is None:
+            log.warning("`%s` can be read again, and counts as it is", self._path)
+        else:
+            log.warning("`%s`: %s; what was read last holds, withdrawn tokens included", self._path, problem)
+
+    def trouble(self) -> str | None:
+        """Say why no token that is issued or withdrawn now would count; None where it would. Names no path."""
+        if self._problem is None:
+            return None
+        return (
+            f"`{PRINCIPALS_FILE}`: {self._problem}; what was read last holds, so that a token withdrawn since then "
+            "counts still; valid: mend the file"
+        )
 
     def admit(self, found: Mapping[bytes, Credential]) -> None:
         """Let what `look` returned count, as far as it still stands in the file."""
@@ -275,12 +309,19 @@ def _credential(path: Path, row: object) -> Credential:
                 return Credential(
                     principal=Principal(name=name, role=Role(role), station=station),
                     digest=bytes.fromhex(digest),
-                    expires_at_s=None if expires_at is None else clock.parse_rfc3339(expires_at),
+                    expires_at_s=None if expires_at is None else _moment(expires_at),
                 )
             except ValueError as error:
                 raise PrincipalsUnreadable(path, f"the entry of `{name}`: {error}") from error
         case _:
             raise PrincipalsUnreadable(path, "an entry has `name`, `role`, `sha256` and `expires_at`")
+
+
+def _moment(text: str) -> float:
+    """Return the wall seconds of a time that the record can write down as well. Raises `ValueError`."""
+    moment_s = clock.parse_rfc3339(text)
+    clock.rfc3339(moment_s)  # an offset may lead out of the years that have four digits
+    return moment_s
 
 
 def _stamp(path: Path) -> tuple[int, int, int]:

@@ -17,9 +17,10 @@ import orjson
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from app.api.access import WEBSOCKET, allowed_roles
+from app.api.access import WEBSOCKET, allowed_roles, check_role
 from app.api.parts import parts_of
 from app.api.problems import Problem
+from app.api.staying import close_code, until_refused
 from app.api.wire import parse
 from app.clock import monotonic_s, wall_s
 from app.governance.model import Role, Wish
@@ -39,7 +40,6 @@ VERSION: Final = 1
 NOT_HOLDER: Final = "not_holder"
 HELLO_S: Final = 5.0
 CLOSE_S: Final = 1.0  # for a close frame to get into a socket that may not drain
-STILL_KNOWN_S: Final = 1.0
 MAX_FRAME: Final = 8192  # characters; a `watch` of many cells is the longest there is
 MAX_FRAME_BYTES: Final = 4 * MAX_FRAME  # as UTF-8; the server reads no more of one, whoever sends it
 MOST_FRAMES, WITHIN_S = 2_000, 1.0  # a browser that drives and watches says about sixty a second
@@ -48,7 +48,7 @@ SIGN_IN_COSTS, WATCH_COSTS, WORD_COSTS = 100, 20, 1
 # Most of what a browser says, in the one way that it writes it; of two equal keys it has room for none.
 _N: Final = "(0|[1-9][0-9]{0,14})"
 _ACK: Final = re.compile(rf'\{{"type":"ack",(?:"cell":{_N},"frame":{_N}|"beat":{_N})\}}')
-NO_MESSAGE, BAD_TOKEN, FORBIDDEN, NO_HELLO, NO_SEAT = 4400, 4401, 4403, 4408, 4429
+NO_MESSAGE, FORBIDDEN, NO_HELLO, NO_SEAT = 4400, 4403, 4408, 4429
 
 
 class Word(BaseModel):
@@ -247,9 +247,12 @@ class Console:
 
     async def _stay_known(self) -> None:
         """End the console when its token is withdrawn or expires."""
-        while True:
-            await asyncio.sleep(STILL_KNOWN_S)
-            _recognize(self._parts, self._token)
+        raise _shown_out(await until_refused(self._let_in))
+
+    def _let_in(self) -> None:
+        """Recognize who signed in. Raises `Problem`, also where the token stands for another role or station by now."""
+        if _recognize(self._parts, self._token) != self._principal:
+            raise Problem("token_invalid", "the token stands for somebody else now: sign in again")
 
     def _say(self, message: dict[str, object]) -> None:
         self._outlet.say(orjson.dumps(message).decode())
@@ -269,26 +272,35 @@ async def _sign_in(socket: WebSocket, parts: Parts) -> tuple[Hello, Principal]:
         raise NotAWord(f"a console begins with `hello`, not with `{hello.type}`")
     if socket.scope["subprotocols"] and SUBPROTOCOL not in socket.scope["subprotocols"]:
         raise NotAWord(f"the subprotocol is not known here: valid is `{SUBPROTOCOL}`")
-    return hello, _recognize(parts, hello.token)
+    try:
+        return hello, _recognize(parts, hello.token)
+    except Problem as problem:
+        raise _shown_out(problem) from problem
 
 
 def _recognize(parts: Parts, token: str) -> Principal:
-    try:
-        principal = parts.principals.recognize(token)
-    except Problem as problem:
-        raise Refused(BAD_TOKEN, problem.detail) from problem
-    allowed = allowed_roles(WEBSOCKET, PATH) or frozenset()
-    if principal.role not in allowed:
-        valid = ", ".join(sorted(role.value for role in allowed))
-        raise Refused(FORBIDDEN, f"the role `{principal.role.value}` may not do this: valid are {valid}")
+    principal = parts.principals.recognize(token)
+    check_role(principal, allowed_roles(WEBSOCKET, PATH) or frozenset())
     return principal
+
+
+def _shown_out(problem: Problem) -> Refused:
+    return Refused(close_code(problem), problem.detail)
 
 
 def _check_origin(socket: WebSocket) -> None:
     """Refuse a page of another server; what is no browser names no origin."""
     origin = socket.headers.get("origin")
-    if origin is not None and urlsplit(origin).netloc != socket.headers.get("host"):
+    if origin is not None and not _is_own(origin, socket.headers.get("host")):
         raise Refused(FORBIDDEN, "the page comes from another origin: valid is this server's own console")
+
+
+def _is_own(origin: str, host: str | None) -> bool:
+    """Say whether an origin names the host that was asked for; what is no address at all does not."""
+    try:
+        return bool(host) and urlsplit(origin).netloc == host
+    except ValueError:
+        return False
 
 
 async def _receive(socket: WebSocket) -> Words:

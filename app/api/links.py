@@ -1,12 +1,14 @@
 """The cells' door: a websocket that carries frames between one cell and its attachment in the fleet, and nothing else.
 
 Frames wait in the attachment's own bounded outlet; a socket that does not drain is closed there, and the cell then
-holds by itself.
+holds by itself. So it does when its token expires or is withdrawn: the link ends with 4401, and no other is let in.
 """
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
+from functools import partial
 from typing import TYPE_CHECKING
 
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
@@ -14,9 +16,14 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 from app.api.access import WEBSOCKET, allowed_roles, authorize
 from app.api.parts import parts_of
 from app.api.problems import Problem
+from app.api.staying import close_code, until_refused
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from fastapi import APIRouter
+
+    from app.runtime.link import Attachment
 
 PATH = "/v1/cells/{id}/link"
 MAX_ID = 128
@@ -44,8 +51,9 @@ class SocketLink:
 async def link(socket: WebSocket) -> None:
     """Carry frames until either side ends it; refused with the problem's own status before the handshake."""
     cell_id = str(socket.path_params["id"])
+    let_in = partial(authorize, socket, parts_of(socket).principals, allowed_roles(WEBSOCKET, PATH))
     try:
-        authorize(socket, parts_of(socket).principals, allowed_roles(WEBSOCKET, PATH))
+        let_in()
         _check_name(cell_id)
     except Problem as problem:
         await socket.send_denial_response(problem.response(socket.url.path))
@@ -53,14 +61,27 @@ async def link(socket: WebSocket) -> None:
     await socket.accept()
     attachment = await parts_of(socket).fleet.attach(cell_id, SocketLink(socket))
     try:
-        while True:
-            message = await socket.receive()
-            if message["type"] == "websocket.disconnect":
-                return
-            text = message.get("text")
-            await attachment.receive(message["bytes"] if text is None else text)
+        async with asyncio.TaskGroup() as tasks:  # whichever breaks ends the other: nobody stays who is not asked
+            staying = tasks.create_task(_stay_known(attachment, let_in))
+            await _carry(socket, attachment)
+            staying.cancel()
     finally:
         await attachment.detach()
+
+
+async def _carry(socket: WebSocket, attachment: Attachment) -> None:
+    while True:
+        message = await socket.receive()
+        if message["type"] == "websocket.disconnect":
+            return
+        text = message.get("text")
+        await attachment.receive(message["bytes"] if text is None else text)
+
+
+async def _stay_known(attachment: Attachment, let_in: Callable[[], object]) -> None:
+    """Shut the link when its token is withdrawn or expires: nothing more is taken from it, and nothing sent."""
+    refusal = await until_refused(let_in)
+    attachment.shut(close_code(refusal), refusal.detail)
 
 
 def _check_name(cell_id: str) -> None:

@@ -176,6 +176,7 @@ class GovernedCell:
             session=sitting(self._runner.session),
             jog=None if view.jogged is None else Jogged(n=view.jogged[0], refused=view.jogged[1] or None),
             fault=_unrecorded(view) if view.fault else None,
+            broken=view.broken,
         )
 
     def look(self) -> Moment:

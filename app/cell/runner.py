@@ -50,7 +50,8 @@ class View(NamedTuple):
     """The runner as displays and the server see it.
 
     `fault` says why nothing moves, empty when all is well, and `unsaid` what has ended (outcome, code, by invocation)
-    and could not be recorded for that reason; `signals` are those of the last session, where none runs.
+    and could not be recorded for that reason; `broken` says what failed of the guard itself, until a reset; `signals`
+    are those of the last session, where none runs.
     """
 
     tick: int
@@ -61,6 +62,7 @@ class View(NamedTuple):
     holding: str
     fault: str
     unsaid: Mapping[str, tuple[str, str]]
+    broken: str
     signals: Signals
     jogged: tuple[int, str] | None
 
@@ -106,6 +108,7 @@ class Runner:
         self._signals = Signals()
         self._unpowered = False
         self.latched = bool(journal.marks.get("latched"))
+        self.broken = ""
         if self.latched:
             self._cut_power()
         close_left_open(journal, self._record)
@@ -153,6 +156,7 @@ class Runner:
             self.holding,
             self.fault,
             self._unsaid_ends() if self.fault else _NOTHING,
+            self.broken,
             self._signals if session is None else session.run.watching.signals,
             None if session is None else session.jogged(),
         )
@@ -217,11 +221,14 @@ class Runner:
 
     def estop(self, actor: str) -> None:
         """Stop by category 0, now, and stay stopped until reset. Needs nothing and waits for nothing."""
+        self._latch(actor, End(Outcome.STOPPED, "estop"))
+
+    def _latch(self, actor: str, end: End) -> None:
         self._cut_power()
         self.latched = True
         self._record.say_anyway(telling.cell("estop", actor), marks={"latched": True})
         if self._session is not None:
-            self._session.finish(End(Outcome.STOPPED, "estop"))
+            self._session.finish(end)
             self._take_leave(self._session)
 
     def reset(self, actor: str) -> str | None:
@@ -232,7 +239,7 @@ class Runner:
             self._record.say(telling.cell("reset", actor), marks={"latched": None})
         except JournalUnavailable:
             return "journal_unavailable"
-        self.latched = False
+        self.latched, self.broken = False, ""
         return None
 
     def hold(self, reason: str) -> None:
@@ -279,7 +286,8 @@ class Runner:
         try:
             self.observation = session.tick()
         except Exception as error:  # a guard that breaks guards nothing: power off, and say so
-            self.estop(telling.CELL)
+            self.broken = f"its watch broke, and power was cut: {error!r}"
+            self._latch(telling.CELL, End(Outcome.FAULT, "guard_broken"))
             record.say_anyway(telling.cell("broken", telling.CELL, repr(error)))
             return
         if session.over is not None:

@@ -23,6 +23,7 @@ FRESH_S: Final = 1.0  # a state older than this says nothing
 ENDING: Final = frozenset(
     {"stop", "cancel", "resolve_terminate", "end_takeover"}
 )  # after these a session only comes to rest
+KEPT: Final = frozenset({"profile", "estop", "journals"})  # settings of a cell, by what precedes its name
 _WORLD: Final = TypeAdapter(WorldFacts)
 _JOURNALS: Final = TypeAdapter(dict[str, int])
 _WORLD_NAMES: Final = frozenset(WorldFacts.__dataclass_fields__)
@@ -92,6 +93,7 @@ class Cell:
     profile: str
     latched: bool = False
     latch_unkept: bool = False  # the record could not take the latch: it is written as soon as that is possible
+    row_unkept: bool = False  # nor that the cell is there
     stops: int = 0  # emergency stops so far: a reset leaves those before it, none that comes while it is recorded
     journal: str = ""  # the one its reports are numbered in; "" before its first hello
     taken: dict[str, int] = field(default_factory=dict[str, int])  # by journal, the last report that the log holds

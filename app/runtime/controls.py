@@ -101,7 +101,7 @@ class Controls:
         Raises:
             NotFound: there is none that this principal may see.
             Conflict: `wrong_status`, it is over; `ending`, it has been stopped already; `rollback_ordered`, an agent
-                may not call off the rollback that a human ordered.
+                may not call off the rollback that a human ordered; `control_held`, nor end what a human drives.
             RecordUnavailable: nothing was recorded, and it goes on waiting. A session is told to stop all the same, and
                 the answer's `recorded` says whether that is in.
         """
@@ -126,6 +126,8 @@ class Controls:
                 "rollback_ordered",
                 "an operator ordered that this be undone; valid: wait for its end, or ask an operator",
             )
+        if principal.role is Role.AGENT and cell.control is not None and cell.control.invocation == present.id:
+            raise Conflict("control_held", "a human has the controls; valid: wait until they give it back or end it")
         return await self._restrain("cancel", present, principal)
 
     async def _withdraw(self, present: Invocation, principal: Principal) -> dict[str, Any]:
@@ -146,7 +148,7 @@ class Controls:
         present = self.register.newest(invocation_id) or await self.visible(invocation_id, principal)
         if not may_see(principal, present.agent):
             raise NotFound("invocation", invocation_id)
-        if present.status not in legal:
+        if present.status not in legal and not (op == "pause" and self._answered(present)):
             raise _wrong_status(op, present.status)
         self._allow(op, present)
         cell = self.fleet.cell(present.cell or UNNAMED)
@@ -161,6 +163,10 @@ class Controls:
                 "control_held", f"`{cell.control.holder}` has the controls; valid: they release it to roll back"
             )
         return await self._loosen(op, cell, present, principal)
+
+    def _answered(self, present: Invocation) -> bool:
+        """Say whether a session that asked has its answer: it may move already, its cell's word of it is on its way."""
+        return present.status is Status.ESCALATED and self.desk.pending_for(present.id) is None
 
     async def _loosen(self, op: str, cell: Cell, present: Invocation, principal: Principal) -> dict[str, Any]:
         """Record a word on which a session moves, then send it; nothing is kept for a cell that is away."""

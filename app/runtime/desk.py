@@ -286,10 +286,10 @@ class Desk(Questions):
         self.hold(closed)
 
     async def _without(self, closed: Escalation, now: str) -> list[Invocation]:
-        """Return the version of an ended invocation that shows its question closed, if it can be read and shows it."""
+        """Return the version of an ended invocation that shows its question closed, if there is one that shows it."""
         try:
             ended = await self.register.load(closed.invocation)
-        except RowUnreadable:
+        except (RowUnreadable, NotFound):  # damaged, or gone: nobody is to be asked about it either way
             return []
         shown = (ended.escalation or {}).get("id") == closed.id
         return [ended.evolve(now, escalation=closed.reference())] if shown else []

@@ -41,6 +41,7 @@ KNOWN: Final[Mapping[str, tuple[str, str]]] = {
     "control_lapsed": ("the human at the controls left without a word", "wait until somebody has seen to the robot"),
     "cancelled": ("it was cancelled", ""),
     "estop": ("an emergency stop was pressed", "wait until it is reset"),
+    "guard_broken": ("what guards the cell broke, and power was cut", "leave it to a human: the cell needs service"),
     "shutdown": ("the cell was shut down", "propose it again when the cell is back"),
     "journal_unavailable": ("the cell cannot write its journal", "propose it again once there is room for it"),
     "verified": ("it was rolled back; the world is as it was before", "change what is proposed"),

@@ -22,7 +22,7 @@ from app.audit.event import RowWrite
 from app.clock import monotonic_s
 from app.governance.model import SESSION, CellFacts, EventKind
 from app.protocol import BEAT_MS, LEASE_MS, Estop, Human, Launch, Policy, ProtocolError, Watch
-from app.runtime.cells import FRESH_S, Cell, Reunion, read_world
+from app.runtime.cells import FRESH_S, KEPT, Cell, Reunion, read_world
 from app.runtime.errors import Conflict, NotFound
 from app.runtime.link import DEAD_S, SILENT_S, TRY_LATER, Attachment
 from app.runtime.recollection import events_of
@@ -172,7 +172,7 @@ class Fleet:
             "busy": self.busy(cell),
             "status": None if state is None else state.status,
             "holding_link": state is not None and state.holding,
-            "fault": None if state is None or state.fault is None else state.fault.why,
+            "fault": None if state is None else _fault(state),
             "robot": None if hello is None else hello.robot,
             "policy_version": None if state is None else state.policy_digest,
             "facts": None if state is None else state.facts,
@@ -197,12 +197,9 @@ class Fleet:
         return {**found, **self.faults()}
 
     def faults(self) -> dict[str, str]:
-        """Return why cells that are there can record nothing, and so move nothing, by cell."""
-        return {
-            f"cell/{cell.id}": cell.state.fault.why
-            for cell in self.cells()
-            if cell.fresh and cell.state is not None and cell.state.fault is not None
-        }
+        """Return why cells that are there move nothing, by cell: they can record nothing, or their guard broke."""
+        known = {cell.id: _fault(cell.state) for cell in self.cells() if cell.fresh and cell.state is not None}
+        return {f"cell/{name}": why for name, why in known.items() if why is not None}
 
     # -- having a cell -----------------------------------------------------------------------------------------------
 
@@ -501,9 +498,15 @@ class Fleet:
         ]
         await self._register.append(drafts, rows)
 
-    async def keep_latches(self) -> None:
-        """Record the stops that were latched while the record could take nothing; what fails now is tried again."""
+    async def keep_late(self) -> None:
+        """Record the cells that came and the stops that were latched while the record could take nothing.
+
+        What fails now is tried again.
+        """
         for cell in self.cells():
+            if cell.row_unkept:
+                with contextlib.suppress(RecordUnavailable):
+                    await self.introduce(cell, [])
             if cell.latch_unkept:
                 cell.latch_unkept = False
                 try:
@@ -512,32 +515,49 @@ class Fleet:
                     cell.latch_unkept = cell.latched
 
     async def introduce(self, cell: Cell, drafts: Sequence[EventDraft]) -> None:
-        """Record that a cell is there, so that it is known after a restart. Raises `RecordUnavailable`."""
+        """Record that a cell is there, so that it is known after a restart.
+
+        Raises:
+            RecordUnavailable: it is not; `keep_late` does it, without the drafts.
+        """
         async with cell.recording:  # or an older count could follow a newer one into the record
-            await self._register.append(drafts, cell.progress(cell.taken, self._register.now()))
+            try:
+                await self._register.append(drafts, cell.progress(cell.taken, self._register.now()))
+            except RecordUnavailable:
+                cell.row_unkept = True
+                raise
+            cell.row_unkept = False
 
     async def recall(self) -> None:
-        """Read back which cells there are, their profiles and latched stops, and who had them when the server ended."""
+        """Read back which cells there are, their profiles and latched stops, and who had them when the server ended.
+
+        A cell whose own row is missing, because the record could take none when it came, is known by whatever names it:
+        a stop must not be forgotten with it.
+        """
         for row in await self._register.store.rows("cell_progress"):
-            self._cells[row["cell"]] = Cell(
-                id=row["cell"],
-                profile=self._default_profile,
-                journal=row["journal"],
-                taken={row["journal"]: row["up_seq"]},
-                recalled=True,
-                absent_since_s=monotonic_s(),
-            )
+            cell = self._recalled(row["cell"])
+            cell.journal, cell.taken = row["journal"], {row["journal"]: row["up_seq"]}
         for row in await self._register.store.rows("settings"):
             name, _, cell_id = row["name"].partition("/")
-            if (cell := self._cells.get(cell_id)) is not None:
+            if name in KEPT and cell_id:
+                cell = self._recalled(cell_id)
                 try:
                     self._register.stored.read("settings", row, partial(cell.recall, name))
                 except RowUnreadable:
                     cell.latched |= name == "estop"  # whoever knows no better holds
-        await self._believe_the_log()
         for invocation in self._register.live():
-            if invocation.status in SESSION and invocation.cell in self._cells:
-                self._cells[invocation.cell].claim = invocation.id
+            if invocation.cell is not None:
+                cell = self._recalled(invocation.cell)
+                cell.claim = invocation.id if invocation.status in SESSION else cell.claim
+        await self._believe_the_log()
+
+    def _recalled(self, cell_id: str) -> Cell:
+        """Return a cell of an earlier run, which is away."""
+        if cell_id not in self._cells:
+            self._cells[cell_id] = Cell(
+                id=cell_id, profile=self._default_profile, recalled=True, absent_since_s=monotonic_s()
+            )
+        return self._cells[cell_id]
 
     async def _believe_the_log(self) -> None:
         """Put every cell under the profile that was chosen for it last, whatever its row says."""
@@ -569,7 +589,7 @@ class Fleet:
 
     async def tend_once(self) -> None:
         """Close silent links, and have what is overdue seen to."""
-        await self.keep_latches()
+        await self.keep_late()
         for cell in self.cells():
             attachment = cell.attachment
             if attachment is not None and attachment.silent_s() > SILENT_S:
@@ -579,3 +599,7 @@ class Fleet:
                 await self._unrecorded(cell, attachment)
                 self._stop_stray(cell, attachment)
             await self._desk.overdue(cell.id)
+
+
+def _fault(state: State) -> str | None:
+    return state.broken or (None if state.fault is None else state.fault.why)

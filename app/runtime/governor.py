@@ -117,6 +117,8 @@ class Governor(Takeovers, Controls):
             params = self.kernel.fill_in(request.capability, request.params, request.version)
         judgement = self.kernel.judge(request.proposal(params), principal.name, cell)
         invocation = self._decided(principal, request, params, cell, judgement)
+        if judgement.need is not None and (full := self.desk.no_room(principal.name)) is not None:
+            invocation = judgement.refuse(invocation, full)
         proposal = EventDraft(
             kind=EventKind.PROPOSAL,
             actor=principal.name,

@@ -180,6 +180,10 @@ class Grants:
 
     # -- using -------------------------------------------------------------------------------------------------------
 
+    def stands(self, grant_id: str | None) -> bool:
+        """Say whether a launch may go by a grant still; by none it may."""
+        return grant_id is None or grant_id in self._active
+
     def use(self, grant_id: str | None) -> list[RowWrite]:
         """Count a launch under a grant; returns what to record together with it, nothing being awaited in between.
 

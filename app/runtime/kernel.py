@@ -31,6 +31,7 @@ from app.governance.model import (
     Outcome,
     Proposal,
     Reason,
+    Risk,
     Role,
     Status,
     Strategy,
@@ -265,8 +266,9 @@ class Kernel:
         return self._operator_heard_s is not None and monotonic_s() - self._operator_heard_s <= ON_DUTY_S
 
     def risk(self, capability: str) -> str:
-        """Return the risk a capability declares."""
-        return self.policy.capabilities[capability].risk.value
+        """Return the risk a capability declares; the worst, where policy dropped it while a session of it lives."""
+        known = self.policy.capabilities.get(capability)
+        return (Risk.CRITICAL if known is None else known.risk).value
 
     def profiles(self) -> frozenset[str]:
         """Return the profiles that policy knows."""
@@ -351,12 +353,11 @@ class Kernel:
         Raises:
             RecordUnavailable: the log was found to be damaged; nothing is sent.
         """
-        if (damage := self._register.store.damage) is not None:
-            raise RecordUnavailable(f"the log is damaged, so nothing moves: {damage}")
         cell = self._fleet.cell(invocation.cell or "")
-        self._fleet.claim(cell, invocation.id)
         since = cell.restraints if since is None else since
         try:
+            self._undamaged()
+            self._fleet.claim(cell, invocation.id)
             authorization = self._authorization(invocation, judgement, approvals)
             signed = mint(authorization, self._key)
             yield self._launching(invocation, authorization, signed.body.decode())
@@ -376,6 +377,10 @@ class Kernel:
                 ),
                 since=since,
             )
+
+    def _undamaged(self) -> None:
+        if (damage := self._register.store.damage) is not None:
+            raise RecordUnavailable(f"the log is damaged, so nothing moves: {damage}")
 
     def _launching(self, invocation: Invocation, authorization: Authorization, body: str) -> Launching:
         now = self._register.now()

@@ -7,11 +7,12 @@ and what silence means, is the desk's subject (`app.runtime.desk`).
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.errors import RecordUnavailable
 from app.clock import rfc3339
 from app.governance.authority import waiting
+from app.governance.model import Reason
 from app.protocol import Human
 from app.runtime.errors import Conflict
 from app.runtime.escalation import (
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
     from app.runtime.invocation import Invocation
     from app.runtime.kernel import Kernel
     from app.runtime.register import Register
+MOST_OF_AGENT: Final = 100  # proposals of one agent that wait for people
+MOST_ASKED: Final = 400  # and of all: every console holds them all, and every deadline is looked at
 
 
 class Questions:
@@ -120,6 +123,24 @@ class Questions:
     def pending(self) -> list[Escalation]:
         """Return the questions that are open."""
         return list(self._pending.values())
+
+    def no_room(self, agent: str) -> Reason | None:
+        """Return why an agent may ask people nothing more for now; None where it may.
+
+        Questions wait for minutes and are cheap to ask: without an end to them, one agent could bury what the others
+        ask, and what people are to see of it.
+        """
+        asked = [question.agent for question in self._pending.values() if question.kind == APPROVAL]
+        own = asked.count(agent)
+        if own < MOST_OF_AGENT and len(asked) < MOST_ASKED:
+            return None
+        who = f"`{own}` proposals of `{agent}`" if own >= MOST_OF_AGENT else f"`{len(asked)}` proposals"
+        return Reason(
+            "authority/approvals",
+            "too_many_waiting",
+            f"{who} wait for people already",
+            "wait for answers, or cancel some",
+        )
 
     def pending_for(self, invocation: str) -> Escalation | None:
         """Return the question that is open about an invocation."""

@@ -65,6 +65,11 @@ def questions_of(events: Sequence[Event]) -> list[Escalation]:
     return found
 
 
+def last_question(events: Sequence[Event]) -> dict[str, Any] | None:
+    """Return the question about an invocation that was asked last, as the log has it; None where none was."""
+    return next(reversed(documents(events, "escalation")), None)
+
+
 def _terms_of(stored: Terms, events: Sequence[Event]) -> Terms:
     """Return the terms with what was proposed as the log has it; the rest of them is the server's own."""
     proposed: dict[str, Any] | None = next((one.payload() for one in events if one.kind == EventKind.PROPOSAL), None)

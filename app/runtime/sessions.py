@@ -26,6 +26,7 @@ import asyncio
 from contextlib import AsyncExitStack, suppress
 from typing import TYPE_CHECKING, Any, Final
 
+from app.audit.documents import TABLES, follow, is_founded, nothing_said
 from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft
 from app.clock import monotonic_s, parse_rfc3339
@@ -35,16 +36,17 @@ from app.governance.session import final_status
 from app.protocol import Human, ProtocolError
 from app.runtime.cells import ENDING
 from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
-from app.runtime.escalation import DENIED, EXPIRED, ROLLBACK
+from app.runtime.escalation import DENIED, EXPIRED, PENDING, ROLLBACK, WITHDRAWN
 from app.runtime.hands import HELD, OPEN, never_taken
 from app.runtime.kernel import LAUNCH_WITHIN_S
+from app.runtime.recollection import events_of, last_question
 from app.runtime.story import DONE, RULE, Story
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from app.audit.event import RowWrite
+    from app.audit.event import Event, RowWrite
     from app.protocol import Ended, Hello, Sighting, UpEvent
     from app.runtime.cells import Cell
     from app.runtime.desk import Desk
@@ -61,11 +63,13 @@ LOST_WITH_CELL: Final = frozenset(
 )  # how a session ends without its cell
 GOES_ON_S: Final = 2.0  # a session that was answered has long begun by then
 UNCONFIRMED_S: Final = LAUNCH_WITHIN_S + 1.0  # by then the permit has run out
+_ENDS_AS: Final = {DENIED: "on_deny", EXPIRED: "on_timeout"}  # what a question says of it
 LIVED_THROUGH: Final = SESSION | {Status.COMPLETED, Status.FAILED}
 REPORTABLE: Final = frozenset({
     EventKind.LAUNCH, EventKind.ALERT, EventKind.INTERVENTION, EventKind.RECOVERY, EventKind.STATUS, EventKind.HUMAN,
     EventKind.ESCALATION, EventKind.OUTCOME, EventKind.CELL,
 })  # fmt: skip
+SERVERS_WORDS: Final = frozenset({*TABLES, WITHDRAWN})
 
 
 class Sessions:
@@ -89,11 +93,13 @@ class Sessions:
         """Refuse a report this cell may not make.
 
         Raises:
-            ProtocolError: a kind that only the server says, a status or outcome that is none, or an invocation that
-                is live on another cell.
+            ProtocolError: a kind or a word that only the server says, a status or outcome that is none, or an
+                invocation that is live on another cell.
         """
         if event.kind not in REPORTABLE:
             raise ProtocolError(f"a cell does not report `{event.kind}`: valid are {', '.join(sorted(REPORTABLE))}")
+        if strange := SERVERS_WORDS & event.body.keys():  # what is asked and granted is read back from those
+            raise ProtocolError(f"a cell's report holds no `{min(strange)}`: that is the server's to say")
         match event.kind:
             case EventKind.STATUS:
                 _member("status", event.body.get("status"), LIVED_THROUGH)
@@ -200,34 +206,32 @@ class Sessions:
             await asyncio.wait(self._seals)
         for invocation in self._telemetry.open():
             await self._sealed(invocation)
-        await self._fleet.keep_latches()
+        await self._fleet.keep_late()
         await self._register.say_unsaid()
 
     # -- coming and going --------------------------------------------------------------------------------------------
 
     async def recall(self) -> None:
-        """Owe cells again what an earlier run said to end their sessions: they may not have heard it."""
+        """Owe cells again what an earlier run said to end their sessions, as the log has it: they may not know it."""
         for known in self._register.live():
-            if known.status in SESSION and known.cell and (word := await self._last_word(known)) is not None:
+            if known.status not in SESSION or not known.cell:
+                continue
+            events = await events_of(self._register.store, invocation=known.id)
+            await self._compare_answered(events)
+            if (word := _last_word(known, events)) is not None:
                 said = {"invocation": known.id, "op": word, "actor": SERVER}
                 self._fleet.restrain(self._fleet.cell(known.cell), Human.model_validate(said))
 
-    async def _last_word(self, known: Invocation) -> str | None:
-        """Return by which word a session was to end, if one was said."""
-        after = 0
-        while events := await self._register.store.events(invocation=known.id, kind=EventKind.HUMAN, after=after):
-            for event in events:
-                body = event.payload()
-                op = "end_takeover" if body.get("then") == "end" else str(body.get("op"))
-                if op in ENDING:
-                    return op
-            after = events[-1].seq
-        answer = known.escalation or {}
-        if known.status is not Status.ESCALATED or answer.get("status") not in (DENIED, EXPIRED):
-            return None
-        question = await self._desk.get(answer["id"])
-        undone = question["on_deny" if answer["status"] == DENIED else "on_timeout"] == ROLLBACK
-        return None if undone else "resolve_terminate"
+    async def _compare_answered(self, events: Sequence[Event]) -> None:
+        """Name the row of a session's last question where it was answered and the row is not what the log has of it."""
+        question = last_question(events)
+        if question is None or question["status"] == PENDING:  # the desk compares those that are open
+            return
+        row = await self._register.store.row("escalations", id=question["id"])
+        said = nothing_said()
+        follow(events, said)
+        if row is None or not is_founded(row, said["escalations"]):
+            self._register.unfounded.setdefault(question["id"], "its row is not what was asked and answered")
 
     async def attached(self, cell: str, hello: Hello) -> None:
         """Record that a cell is there."""
@@ -327,8 +331,8 @@ class Sessions:
 
     async def _phase(self, invocation: Invocation) -> str | None:
         """Return the phase that a session waits for, by the last question about it."""
-        last = invocation.escalation
-        return None if last is None else (await self._desk.get(last["id"]))["phase"]
+        last = last_question(await events_of(self._register.store, invocation=invocation.id))
+        return None if last is None else last.get("phase")
 
     def _sessions_of(self, cell: str) -> list[Invocation]:
         return [known for known in self._register.live() if known.cell == cell and known.status in SESSION]
@@ -373,6 +377,21 @@ class Sessions:
             if open_question is not None:
                 self._desk.hold(open_question)
         await self._sealed(name, lost=code in LOST_WITH_CELL)
+
+
+def _last_word(known: Invocation, events: Sequence[Event]) -> str | None:
+    """Return by which word a session was to end, if the log has that one was said."""
+    for event in events:
+        if event.kind == EventKind.HUMAN:
+            body = event.payload()
+            op = "end_takeover" if body.get("then") == "end" else str(body.get("op"))
+            if op in ENDING:
+                return op
+    answered = last_question(events)
+    if known.status is not Status.ESCALATED or answered is None or answered["status"] not in _ENDS_AS:
+        return None
+    undone = answered.get(_ENDS_AS[answered["status"]]) == ROLLBACK
+    return None if undone else "resolve_terminate"
 
 
 def _member(what: str, value: object, valid: Any) -> None:  # noqa: ANN401  # an enumeration or a set of one

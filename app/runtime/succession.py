@@ -55,6 +55,9 @@ OVERTAKEN: Final = reason(
 OTHER_PROFILE: Final = reason(
     RULE, PROFILE_CHANGED, "the cell was put under another profile before this began", "propose again"
 )
+REVOKED: Final = reason(
+    "authority/grants", "grant_ended", "the standing grant it was allowed by ended before this began", "propose again"
+)
 
 
 class Succession:
@@ -169,8 +172,8 @@ class Succession:
     def overtaken(self, launching: Invocation, judgement: Judgement) -> bool:
         """Say whether a launch must not be sent, because what it was decided under has given way; end it then.
 
-        Another policy may let it go on all the same. Another profile does not: whoever puts a cell under one takes what
-        begins from then on to be under that.
+        A grant that ended while this was recorded answers for nothing. Another policy may let it go on all the same.
+        Another profile does not: whoever puts a cell under one takes what begins from then on to be under that.
         """
         if reasons := self._outlived(launching, judgement):
             self._abandon_soon(launching.id, reasons)
@@ -179,6 +182,8 @@ class Succession:
     def _outlived(self, launching: Invocation, judgement: Judgement) -> list[dict[str, str]]:
         if judgement.profile != self._fleet.profile(self._fleet.cell(launching.cell or "")):
             return [OTHER_PROFILE]
+        if not self._desk.grants.stands(launching.grant):
+            return [REVOKED]
         if judgement.policy is self._kernel.policy:
             return []
         proposal = launching.proposal(dict(launching.effective or {}))

@@ -154,7 +154,7 @@ class Takeovers(Handbacks):
                 raise Conflict("wrong_status", f"`takeover` is not possible while the invocation is `{present.status}`")
             if cell.control is None or cell.control.invocation != invocation or cell.takings != mine:
                 raise Conflict("takeover_refused", f"the controls of `{cell.id}` were let go of meanwhile")
-            params = self._as_in(present)
+            params = self._as_in(cell, present)
             proposal = Proposal(capability=TAKEOVER, params=params)
             judgement = self.kernel.judge(proposal, GOVERNANCE, cell, within=present)
             _held_to(judgement)
@@ -166,12 +166,15 @@ class Takeovers(Handbacks):
                 word = self._word("takeover", present, principal, document, Taking.GRANTED)
                 await self.register.append([word, *launch.events], launch.rows, [version])
 
-    def _as_in(self, present: Invocation) -> dict[str, Any]:
-        """Return the limits of a session: whoever takes it over is held to them as it was."""
-        effective = dict(present.effective or {})
-        bounds = watch_plan(
-            self.kernel.policy, present.capability, present.profile, effective, present.terms.mode
-        ).bounds
+    def _as_in(self, cell: Cell, present: Invocation) -> dict[str, Any]:
+        """Return the limits of a session: whoever takes it over is held to them as it was.
+
+        Of a capability that policy has dropped meanwhile nothing says them: those of driving an idle cell count then.
+        """
+        policy, effective = self.kernel.policy, dict(present.effective or {})
+        if present.capability not in policy.capabilities:
+            return self._alone(cell)
+        bounds = watch_plan(policy, present.capability, present.profile, effective, present.terms.mode).bounds
         return self.kernel.fill_in(
             TAKEOVER,
             {

@@ -27,7 +27,7 @@ from websockets.exceptions import ConnectionClosed
 
 from app.api import pages
 from app.api.application import create_app, described
-from app.api.auth import CELL_TOKEN_FILE, TOKENS_FILE, open_principals
+from app.api.auth import CELL_TOKEN_FILE, PRINCIPALS_FILE, TOKENS_FILE, open_principals
 from app.api.exchange import Exchanges
 from app.api.problems import MEDIA_TYPE, Problem
 from app.api.sockets import Sockets
@@ -242,13 +242,29 @@ class House:
     def knows(self, key: str) -> bool:
         """Say whether a token counts."""
         try:
-            self.app.state.parts.principals.authenticate(Headers({"authorization": f"Bearer {self.tokens[key]}"}))
+            self.app.state.parts.principals.authenticate(Headers({"authorization": f"Bearer {self.token(key)}"}))
         except Problem:
             return False
         return True
 
+    def token(self, key: str) -> str:
+        return self.cell_token if key == "cell" else self.tokens[key]
+
+    @asynccontextmanager
+    async def withdrawn(self, name: str) -> AsyncIterator[None]:
+        """Have the tokens of somebody withdrawn meanwhile; they count again afterwards."""
+        listed = self.folder / PRINCIPALS_FILE
+        everyone = listed.read_bytes()
+        rows = [row for row in orjson.loads(everyone)["principals"] if row["name"] != name]
+        listed.write_bytes(orjson.dumps({"principals": rows}))
+        try:
+            yield
+        finally:
+            listed.write_bytes(everyone)
+            await eventually(lambda: self.knows(name))
+
     def client(self, key: str | None = "agent") -> httpx.AsyncClient:
-        token = self.cell_token if key == "cell" else None if key is None else self.tokens[key]
+        token = None if key is None else self.token(key)
         headers = {} if token is None else {"Authorization": f"Bearer {token}"}
         hooks: dict[str, list[Any]] = {"response": [self.described.check]}
         return httpx.AsyncClient(

@@ -262,11 +262,12 @@ async def test_nothing_moves_on_a_log_that_was_found_damaged(tmp_path: Path) -> 
         async with house.client("auditor") as auditor, house.client() as agent:
             verdict = (await auditor.get("/v1/audit/verify")).json()
             health, ready = await agent.get("/healthz"), await agent.get("/readyz")
-            refused = await agent.post("/v1/invocations", json=drive)
+            refused, again = [await agent.post("/v1/invocations", json=drive) for _ in range(2)]
         assert (verdict["ok"], verdict["first_bad"]) == (False, 1)
         assert health.json()["broken"]["record"] == ready.json()["broken"]["record"] == verdict["problem"]
         assert (health.json()["status"], ready.status_code) == ("degraded", 503)
         assert (refused.status_code, refused.json()["code"]) == (503, "record_unavailable")
+        assert (again.status_code, again.json()["code"]) == (503, "record_unavailable")  # no claim was left behind
         assert not cell.launches
 
 

@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import stat
 from pathlib import Path
 
+import httpx
 import pytest
 from starlette.datastructures import Headers
 
@@ -121,6 +123,54 @@ def test_what_was_read_last_holds_while_the_file_is_broken(tmp_path: Path, monke
     assert principals.authenticate(bearer(tokens(tmp_path)["operator"])).role is Role.OPERATOR
 
 
+@pytest.mark.parametrize(("how", "why"), [("damaged", "line 1"), ("gone", "No such file")])
+def test_a_file_that_cannot_be_read_is_said_once_until_it_can(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, how: str, why: str
+) -> None:
+    principals = open_principals(tmp_path)
+    listed, kept = tmp_path / PRINCIPALS_FILE, tmp_path / "kept.json"
+    assert principals.trouble() is None
+    listed.rename(kept)
+    if how == "damaged":
+        listed.write_text('{"principals": [')
+    for _ in range(3):
+        principals.look()
+        said = principals.trouble() or ""
+        assert said.startswith(f"`{PRINCIPALS_FILE}`: ")
+        assert why in said
+        assert str(tmp_path) not in said
+    assert len(caplog.messages) == 1
+    assert str(listed) in caplog.messages[0]
+    kept.replace(listed)  # the very file that was read before
+    for _ in range(3):
+        principals.look()
+        assert principals.trouble() is None
+    assert len(caplog.messages) == 2
+
+
+@pytest.mark.anyio
+async def test_a_withdrawal_that_breaks_the_file_stands_in_healthz_until_it_can_be_read(house: House) -> None:
+    async def broken(client: httpx.AsyncClient) -> str | None:
+        health = (await client.get("/healthz")).json()
+        assert (health["status"] == "degraded") is bool(health["broken"])
+        return health["broken"].get("principals")
+
+    listed = house.folder / PRINCIPALS_FILE
+    everyone = listed.read_bytes()
+    async with house.client() as client, asyncio.timeout(30):
+        assert await broken(client) is None
+        listed.write_bytes(everyone.replace(b'"engineer"', b'"engineer', 1))
+        try:
+            while (said := await broken(client)) is None:
+                await asyncio.sleep(0.02)
+        finally:
+            listed.write_bytes(everyone)
+        assert f"`{PRINCIPALS_FILE}`: line " in said
+        assert house.knows("engineer"), "a typo locks nobody out"
+        while await broken(client) is not None:
+            await asyncio.sleep(0.02)
+
+
 @pytest.mark.parametrize(
     "content",
     [
@@ -133,6 +183,7 @@ def test_what_was_read_last_holds_while_the_file_is_broken(tmp_path: Path, monke
         '{"principals": [{"name": "x", "role": "agent", "sha256": "00", "expires_at": "tomorrow"}]}',
         '{"principals": [{"name": "x", "role": "agent", "sha256": "00"}]}',
         '{"principals": [{"name": "x", "role": "agent", "sha256": "00", "expires_at": 0}]}',
+        '{"principals": [{"name": "x", "role": "agent", "sha256": "00", "expires_at": "9999-12-31T23:59:59-23:00"}]}',
         '{"principals": [{"name": "server", "role": "operator", "sha256": "00", "expires_at": null}]}',
     ],
 )

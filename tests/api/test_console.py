@@ -152,7 +152,9 @@ async def test_who_does_not_sign_in_in_time_is_shown_out(house: House, monkeypat
         assert (await screen.ended())[0] == 4408
 
 
-@pytest.mark.parametrize("origin", ["https://elsewhere.example", "null", "http://127.0.0.1:1"])
+@pytest.mark.parametrize(
+    "origin", ["https://elsewhere.example", "null", "http://127.0.0.1:1", "http://[", "http://[::1"]
+)
 async def test_a_page_of_another_origin_is_refused(house: House, origin: str) -> None:
     async with dial(house, origin=origin) as screen:
         with contextlib.suppress(ConnectionClosed):
@@ -394,18 +396,27 @@ async def test_the_end_of_what_consoles_follow_is_told_whatever_floods_in_beside
 
 
 async def test_a_console_whose_token_is_withdrawn_is_shown_out(house: House) -> None:
-    listed = house.folder / PRINCIPALS_FILE
-    everyone = listed.read_bytes()
-    rows = [row for row in orjson.loads(everyone)["principals"] if row["name"] != "auditor"]
     async with signed_in(house, "auditor") as screen:
         await screen.until_type("snapshot")
-        listed.write_bytes(orjson.dumps({"principals": rows}))
+        async with house.withdrawn("auditor"), asyncio.timeout(PATIENCE_S):
+            assert (await screen.ended())[0] == 4401
+
+
+async def test_a_console_whose_token_comes_to_stand_for_another_role_has_to_sign_in_again(house: House) -> None:
+    listed = house.folder / PRINCIPALS_FILE
+    everyone = listed.read_bytes()
+    rows = orjson.loads(everyone)["principals"]
+    demoted = [{**row, "role": "auditor"} if row["name"] == "operator" else row for row in rows]
+    assert demoted != rows
+    async with signed_in(house, "operator") as screen:
+        await screen.until_type("snapshot")
+        listed.write_bytes(orjson.dumps({"principals": demoted}))
         try:
             async with asyncio.timeout(PATIENCE_S):
                 assert (await screen.ended())[0] == 4401
         finally:
             listed.write_bytes(everyone)
-    await eventually(lambda: house.knows("auditor"))
+    await eventually(lambda: house.knows("operator"))
 
 
 async def test_poses_come_to_whoever_watches_and_stop_when_nobody_does(house: House) -> None:

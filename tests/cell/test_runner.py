@@ -210,6 +210,8 @@ def test_a_substrate_that_breaks_is_cut_off_and_latched(rig: Rig, monkeypatch: p
     assert rig.cell.stops == [0]
     assert rig.runner.latched
     assert "broken" in [body["what"] for body in rig.of("cell")]
+    assert [(body["outcome"], body["code"]) for body in rig.of("outcome")] == [("fault", "guard_broken")]
+    assert "ZeroDivisionError" in rig.runner.view().broken
     assert rig.runner.launch(signed(id="auth-2")) == "estop_latched"
 
 

@@ -10,9 +10,12 @@ import pytest
 from app.audit.errors import RowUnreadable
 from app.audit.places import Places
 from app.governance.model import GrantScope
+from app.runtime.errors import Conflict
+from app.runtime.escalation import Escalation
 from app.runtime.grant import GrantRequest
 
-from .conftest import AGENT, CELL, ENGINEER, OPERATOR, HandCell, House, grasp, navigate
+from .conftest import AGENT, CELL, ENGINEER, OPERATOR, HandCell, House, grasp, navigate, until
+from .test_fleet import running
 
 pytestmark = pytest.mark.anyio
 
@@ -23,6 +26,7 @@ NONSENSE: dict[str, object] = {
     "nothing": b"null",
     "of another kind": b'{"id": "x"}',
 }
+WRONG: dict[str, object] = {**NONSENSE, "gone": None}
 COMPARED = {"invocations", "escalations", "grants", "reviews"}  # with the log, by a verification
 
 
@@ -33,6 +37,16 @@ def damage(house: House, table: str, content: object, where: str = "true") -> No
         statement = f"UPDATE {table} SET {column} = ? WHERE {where}"  # noqa: S608
         assert database.execute(statement, (content,)).rowcount > 0
     house.sound = table not in COMPARED
+
+
+def spoil(house: House, question: str, wrong: str) -> None:
+    """Damage the row of a question, or have it gone."""
+    if WRONG[wrong] is not None:
+        damage(house, "escalations", WRONG[wrong], f"id = '{question}'")
+        return
+    with closing(sqlite3.connect(Places(house.folder).database)) as database, database:
+        assert database.execute("DELETE FROM escalations WHERE id = ?", (question,)).rowcount == 1
+    house.sound = False
 
 
 async def lived_in(house: House) -> tuple[str, str, str]:
@@ -74,6 +88,18 @@ async def test_a_start_on_damaged_rows_says_which_and_lets_nothing_come_of_them(
         assert ([question.invocation for question in second.desk.pending()] == [asked]) is (table != "invocations")
 
 
+async def test_a_question_about_an_invocation_that_is_gone_is_withdrawn(house: House) -> None:
+    _, asked, _ = await lived_in(house)
+    with closing(sqlite3.connect(Places(house.folder).database)) as database, database:
+        assert database.execute("DELETE FROM invocations WHERE id = ?", (asked,)).rowcount == 1
+    house.sound = False
+    async with house.open() as second:
+        await second.desk.expire_due()
+        assert second.desk.pending() == []
+        (question, *_), _ = await second.desk.list()
+        assert question["status"] == "withdrawn"
+
+
 async def test_one_damaged_row_stops_only_who_asks_for_it(house: House) -> None:
     refused, asked, _ = await lived_in(house)
     damage(house, "invocations", b"{", f"id = '{refused}'")
@@ -111,3 +137,61 @@ async def test_a_stop_whose_row_is_damaged_stays_latched(house: House) -> None:
     damage(house, "settings", b"\xff", f"name = 'estop/{CELL}'")
     async with house.open() as second:
         assert second.fleet.cell(CELL).latched
+
+
+async def held(house_cell: HandCell, reason: str) -> Escalation:
+    """Have a session ask a human."""
+    runtime = house_cell.runtime
+    await house_cell.state()
+    name = await running(runtime, house_cell)
+    await house_cell.report("escalation", name, reason=reason)
+    question = runtime.desk.pending_for(name)
+    assert question is not None
+    return question
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+@pytest.mark.parametrize("answer", ["denied", "expired"])
+async def test_a_session_that_was_to_end_while_its_cell_was_away_ends_whatever_became_of_its_questions_row(
+    house: House, answer: str, wrong: str
+) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        question = await held(cell, "separation_m")
+        await cell.hang_up()
+        if answer == "denied":
+            await first.desk.resolve(question.id, OPERATOR, "deny", question.digest)
+        else:
+            house.wall_s.offset_s = 3600.0
+            await first.desk.expire_due()
+        assert (await first.desk.get(question.id))["status"] == answer
+    spoil(house, question.id, wrong)
+    async with house.open() as second:
+        assert f"`{question.id}`" in (second.register.trouble() or "")
+        back = await HandCell(second, seq=cell.seq, invocation=question.invocation, status="escalated").dial()
+        await back.state(status="escalated")
+        await until(lambda: back.ops() == ["resolve_terminate"])
+        anew = second.desk.pending_for(question.invocation)
+        assert anew is not None
+        with pytest.raises(Conflict) as refusal:
+            await second.desk.resolve(anew.id, OPERATOR, "approve", anew.digest)
+        assert refusal.value.code == "ending"
+        assert not back.all("launch")
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+async def test_a_session_that_waits_although_it_was_answered_is_asked_about_whatever_became_of_its_questions_row(
+    house: House, wrong: str
+) -> None:
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        question = await held(cell, "confirm:release")
+        await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+        spoil(house, question.id, wrong)
+        house.wall_s.offset_s = 3.0
+        await until(lambda: runtime.desk.pending_for(question.invocation) is not None or bool(runtime.governor.broken))
+        assert not runtime.governor.broken
+        anew = runtime.desk.pending_for(question.invocation)
+        assert anew is not None
+        assert (anew.reasons[0]["code"], anew.phase) == ("not_gone_on", "release")
+        assert cell.ops() == ["confirm"]

@@ -11,6 +11,7 @@ import pytest
 
 from app.agent.approver import decide, parse_habits
 from app.audit.errors import RecordUnavailable
+from app.runtime import questions
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, Forbidden, InvalidParams, NotFound
 from app.runtime.invocation import Principal, ProposalRequest
@@ -558,6 +559,33 @@ async def test_approving_lets_a_held_session_go_on(runtime: Runtime, cell: HandC
     await until(lambda: cell.ops() == ["resolve_continue"])
     await cell.report("status", document["id"], status="running")
     assert (await runtime.governor.invocation(document["id"], AGENT))["status"] == "running"
+
+
+async def test_a_session_that_has_its_answer_is_paused_before_its_cell_has_said_that_it_moves(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    document, question = await held(runtime, cell)
+    with pytest.raises(Conflict, match="`pause` is not possible while the invocation is `escalated`"):
+        await runtime.governor.pause(document["id"], OPERATOR)
+    await answer(runtime, question)
+    assert (await runtime.governor.pause(document["id"], OPERATOR))["recorded"]
+    await until(lambda: cell.ops() == ["resolve_continue", "pause"])
+
+
+async def test_people_are_asked_only_so_much_at_once(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(questions, "MOST_OF_AGENT", 2)
+    made = [(await runtime.governor.propose(AGENT, grasp()))[0] for _ in range(3)]
+    assert [document["status"] for document in made] == ["awaiting_approval", "awaiting_approval", "deferred"]
+    (reason,) = (one for one in made[2]["admission"]["reasons"] if one["code"] == "too_many_waiting")
+    assert "`2` proposals of `planner`" in reason["message"]
+    assert made[2]["admission"]["retry_after_s"] > 0
+    await runtime.governor.cancel(made[0]["id"], AGENT)
+    assert (await runtime.governor.propose(AGENT, grasp()))[0]["status"] == "awaiting_approval"
+    monkeypatch.setattr(questions, "MOST_ASKED", 2)
+    monkeypatch.setattr(questions, "MOST_OF_AGENT", 9)
+    assert (await runtime.governor.propose(AGENT, grasp()))[0]["status"] == "deferred"
 
 
 async def test_a_held_session_cannot_be_edited(runtime: Runtime, cell: HandCell) -> None:

@@ -204,6 +204,8 @@ async def test_a_gap_closes_the_link(runtime: Runtime, cell: HandCell) -> None:
         ("status", {"status": "awaiting_approval"}),
         ("status", {}),
         ("outcome", {"outcome": "fine"}),
+        ("alert", {"escalation": {"id": "esc_1", "status": "pending"}}),
+        ("alert", {"withdrawn": "esc_1"}),
     ],
 )
 async def test_a_cell_reports_only_what_a_cell_may(

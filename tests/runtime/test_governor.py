@@ -330,7 +330,7 @@ async def test_an_operator_pauses_resumes_rolls_back_and_stops(runtime: Runtime,
 
 @pytest.mark.parametrize(
     ("op", "status"),
-    [("resume", "running"), ("resume", "escalated"), ("pause", "escalated"), ("rollback", "recovering")],
+    [("resume", "running"), ("resume", "escalated"), ("rollback", "recovering")],
 )
 async def test_a_word_out_of_place_is_refused(runtime: Runtime, cell: HandCell, op: str, status: str) -> None:
     document, _ = await runtime.governor.propose(AGENT, navigate())

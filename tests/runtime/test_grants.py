@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import replace
 from typing import Any
 
@@ -290,6 +291,25 @@ async def test_an_end_that_cannot_be_recorded_holds_all_the_same(
     assert (await newest(runtime))["status"] == "ended"
     monkeypatch.undo()
     assert await end(runtime) == ("revoked", "olivia")
+
+
+async def test_a_launch_is_not_sent_when_its_grant_ends_while_it_is_recorded(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await grant(runtime)
+    use = runtime.desk.grants.use
+
+    def soon(grant_id: str | None) -> Any:
+        asyncio.get_running_loop().call_soon(runtime.desk.grants.drop, CELL, "revoked", "olivia")
+        return use(grant_id)
+
+    monkeypatch.setattr(runtime.desk.grants, "use", soon)
+    document, _ = await runtime.governor.propose(AGENT, grasp())
+    await until(lambda: runtime.register.newest(document["id"]) is None)
+    over = await runtime.governor.invocation(document["id"], AGENT)
+    assert over["failure"]["reasons"][0]["code"] == "grant_ended"
+    assert runtime.fleet.cell(CELL).claim is None
+    assert not cell.all("launch")
 
 
 async def test_a_grant_that_ends_between_decision_and_record_answers_for_nothing(

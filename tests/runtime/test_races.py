@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from app.audit.errors import RecordUnavailable
+from app.audit.places import Places
 from app.clock import monotonic_s
 from app.governance.control import LAPSE_S
 from app.protocol import BEAT_MS
@@ -624,6 +627,50 @@ async def test_a_stop_that_was_latched_while_the_disk_was_full_outlives_the_serv
         assert second.governor.cells()[0]["latched"]
         back = await HandCell(second).dial()
         await back.expect("estop")
+
+
+@pytest.mark.parametrize("ends", ["tended", "killed"])
+async def test_a_stop_of_a_cell_that_came_while_the_disk_was_full_outlives_the_server(
+    house: House, monkeypatch: pytest.MonkeyPatch, ends: str
+) -> None:
+    async def full(*_: object, **__: object) -> list[int]:
+        raise RecordUnavailable("no space left on device")
+
+    async with house.open() as first:
+        with monkeypatch.context() as disk:
+            disk.setattr(first.store, "append", full)
+            cell = await HandCell(first).dial()
+        await cell.hang_up()
+        assert (await first.governor.estop(CELL, OPERATOR))["recorded"]
+        await first.fleet.tend_once()
+        kept = [row["cell"] for row in await first.store.rows("cell_progress")]
+        assert kept == [CELL]
+    if ends == "killed":
+        forget_cells(house)
+    async with house.open() as second:
+        assert second.governor.cells()[0]["latched"]
+        back = await HandCell(second).dial()
+        await back.expect("estop")
+
+
+async def test_a_stop_to_a_session_whose_cell_was_never_recorded_outlives_the_server(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        document, _ = await first.governor.propose(AGENT, navigate())
+        await cell.hang_up()
+        await first.governor.stop(document["id"], OPERATOR)
+    forget_cells(house)
+    async with house.open() as second:
+        assert second.fleet.busy(second.fleet.cell(CELL)) == document["id"]
+        again = await HandCell(second, invocation=document["id"], status="escalated").dial()
+        await until(lambda: again.ops() == ["stop"])
+
+
+def forget_cells(house: House) -> None:
+    """Leave what a server leaves that ended before the record took which cells there are."""
+    with closing(sqlite3.connect(Places(house.folder).database)) as database, database:
+        assert database.execute("DELETE FROM cell_progress").rowcount == 1
 
 
 async def test_a_stop_that_was_latched_while_the_disk_was_full_does_not_come_back_after_a_reset(

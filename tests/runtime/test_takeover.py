@@ -18,7 +18,7 @@ from app.governance.model import Wish
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
 from app.runtime.invocation import Principal, ProposalRequest
-from tests.runtime.conftest import AGENT, OPERATOR, OPERATOR_2, HandCell, House
+from tests.runtime.conftest import AGENT, OPERATOR, OPERATOR_2, HandCell, House, until
 from tests.runtime.test_versions import FASTER, put_in_force
 
 pytestmark = pytest.mark.anyio
@@ -93,6 +93,15 @@ async def test_the_second_is_refused_and_told_who_has_it(runtime: Runtime, cell:
     assert "`olivia`" in str(error)
     assert (await refused(runtime.governor.release(driving, OPERATOR_2, "end"))).code == "control_held"
     assert (await refused(runtime.governor.rollback(driving, OPERATOR))).code == "control_held"
+
+
+async def test_an_agent_does_not_end_what_a_human_drives(runtime: Runtime, cell: HandCell, driving: str) -> None:
+    await runtime.governor.take_over(driving, OPERATOR)
+    await cell.expect("launch", 2)
+    assert (await refused(runtime.governor.cancel(driving, AGENT))).code == "control_held"
+    assert cell.ops() == []
+    assert (await runtime.governor.cancel(driving, OPERATOR_2))["recorded"]
+    await until(lambda: cell.ops() == ["cancel"])
 
 
 async def test_who_stands_at_the_cell_takes_it_from_who_does_not(

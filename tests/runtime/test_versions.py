@@ -14,7 +14,7 @@ from app.governance.model import Role, Status
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, ExaminationFailed, NotFound
 from app.runtime.examining import Candidate, Examined
-from app.runtime.invocation import Principal
+from app.runtime.invocation import Principal, ProposalRequest
 from tests.examining import examine_here
 from tests.runtime.conftest import AGENT, ENGINEER, OPERATOR, HandCell, House, grasp, navigate, until
 
@@ -46,6 +46,11 @@ ASKING = edited(
     "rules:\n",
     "rules:\n  - {id: look, applies_to: [navigate_to], then: escalate, because: Somebody looks.}\n",
 )
+DROPPED = {
+    name: text
+    for name, text in FILES.items()
+    if name != "capabilities/inspect_area.yaml" and not name.startswith("tests/")
+}
 
 
 async def brought(runtime: Runtime, files: dict[str, str], by: Principal = ENGINEER) -> str:
@@ -70,7 +75,7 @@ async def running(runtime: Runtime, cell: HandCell) -> dict[str, Any]:
     """Have a session run, and its cell's state be fresh."""
     await cell.state()
     made, _ = await runtime.governor.propose(AGENT, navigate())
-    assert made["status"] == "running", made
+    assert made["status"] == "running", made["admission"]
     await cell.launched(made["id"])
     return made
 
@@ -329,6 +334,27 @@ async def test_a_word_about_another_change_counts_for_nothing(runtime: Runtime) 
     await runtime.versions.activate(await brought(runtime, SLOWER), ENGINEER, "a visitor")
     _, entered = await runtime.versions.activate(digest, ENGINEER_2, "faster than slow is another matter")
     assert not entered
+
+
+# -- what lives of a capability that is gone ---------------------------------------------------------------------------
+
+
+async def test_a_session_of_a_capability_that_policy_dropped_still_asks_and_is_taken_over(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    await cell.state()
+    look = ProposalRequest(capability="inspect_area", params={"area": "bench_a_top"})
+    made, _ = await runtime.governor.propose(AGENT, look)
+    assert made["status"] == "running", made["admission"]
+    await cell.launched(made["id"])
+    await put_in_force(runtime, DROPPED)
+    await cell.report("status", made["id"], status="escalated", reason="policy_changed")
+    await cell.report("escalation", made["id"], reason="policy_changed")
+    document = await runtime.governor.invocation(made["id"], AGENT)
+    question = await runtime.desk.get(document["escalation"]["id"])
+    assert (question["status"], question["risk"]) == ("pending", "critical")
+    await runtime.governor.take_over(made["id"], OPERATOR)
+    await cell.expect("launch", 2)
 
 
 # -- what comes back after a restart -----------------------------------------------------------------------------------

@@ -125,7 +125,7 @@ export interface Cell {
   busy: string | null;
   status: string | null;
   holding_link: boolean;
-  /** Why it can record nothing, and so moves nothing. */
+  /** Why it moves nothing, stop or not: it can record nothing, or what guards it broke. */
   fault?: string | null;
   robot: string | null;
   policy_version: string | null;

@@ -1,0 +1,116 @@
+"""Streams and links of somebody who was let in, and would not be any more."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from app import clock
+from app.api import audits, links, staying
+from app.api.access import authorize
+from app.api.auth import issue_token
+from app.governance.model import Role
+from tests.api.conftest import CELL, House, eventually
+
+pytestmark = pytest.mark.anyio
+PATIENCE_S = 30.0
+HOUR_S = 3600.0
+ENDS = ["withdrawn", "expired"]
+
+
+@asynccontextmanager
+async def ending(house: House, monkeypatch: pytest.MonkeyPatch, how: str, name: str) -> AsyncIterator[None]:
+    """Have a token withdrawn, or its hour over, meanwhile."""
+    if how == "withdrawn":
+        async with house.withdrawn(name):
+            yield
+        return
+    later_s = clock.wall_s() + HOUR_S
+    with monkeypatch.context() as patched:
+        patched.setattr(clock, "wall_s", lambda: later_s)
+        yield
+
+
+async def visited(house: House, name: str, role: Role) -> House:
+    """Return the house with a token in it that holds for an hour."""
+    token = issue_token(house.folder, name=name, role=role, ttl_s=HOUR_S)
+    opened = replace(house, tokens={**house.tokens, name: token}, cell_token=token)
+    await eventually(lambda: opened.knows(name))
+    return opened
+
+
+@pytest.mark.parametrize("how", ENDS)
+async def test_a_stream_ends_with_its_token(house: House, monkeypatch: pytest.MonkeyPatch, how: str) -> None:
+    name = f"visitor-{how}"
+    visited_house = await visited(house, name, Role.AUDITOR)
+    async with (
+        visited_house.client(name) as visitor,
+        visitor.stream("GET", "/v1/events?after=0") as answer,
+        asyncio.timeout(PATIENCE_S),
+    ):
+        lines = answer.aiter_lines()
+        while not (await anext(lines)).startswith("data: "):
+            pass
+        async with ending(visited_house, monkeypatch, how, name):
+            async for _ in lines:
+                pass  # to its end: the answer is whole
+            refused = await visitor.get("/v1/events")
+            assert (refused.status_code, refused.json()["code"]) in {(401, "token_invalid"), (401, "token_expired")}
+    await eventually(lambda: not house.app.state.parts.streams.taken)
+
+
+@pytest.mark.parametrize("how", ENDS)
+async def test_a_link_is_shut_with_its_token(house: House, monkeypatch: pytest.MonkeyPatch, how: str) -> None:
+    visited_house = await visited(house, "cell", Role.CELL)
+    async with visited_house.cell() as puppet:
+        place = house.runtime.fleet.cell(CELL)
+        async with ending(visited_house, monkeypatch, how, "cell"), asyncio.timeout(PATIENCE_S):
+            await puppet.socket.wait_closed()
+            assert puppet.socket.close_code == 4401
+            assert "token" in (puppet.socket.close_reason or "")
+            await eventually(lambda: not house.runtime.fleet.attached(place))
+            async with house.client() as agent:
+                drive = {"capability": "navigate_to", "params": {"target": "dock"}}
+                answer = (await agent.post("/v1/invocations", json=drive)).json()
+            assert answer["status"] == "deferred"
+            assert puppet.launches == []
+
+
+def counting(monkeypatch: pytest.MonkeyPatch, door: ModuleType) -> list[object]:
+    """Have who stays asked a hundred times a second; returns who was let in, each time."""
+    found: list[object] = []
+
+    def counted(*given: Any) -> object:
+        found.append(authorize(*given))
+        return found[-1]
+
+    monkeypatch.setattr(door, "authorize", counted)
+    monkeypatch.setattr(staying, "STILL_KNOWN_S", 0.01)
+    return found
+
+
+async def test_a_stream_goes_on_while_its_token_counts(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = counting(monkeypatch, audits)
+    async with house.client("auditor") as auditor, auditor.stream("GET", "/v1/events") as answer:
+        lines = answer.aiter_lines()
+        assert (await anext(lines)).startswith("retry")
+        await eventually(lambda: len(asked) > 20)
+        async with house.client() as agent:
+            name = (await agent.post("/v1/invocations", json={"capability": "fly_to"})).json()["id"]
+        async with asyncio.timeout(PATIENCE_S):
+            while name not in await anext(lines):
+                pass
+
+
+async def test_a_link_stays_while_its_token_counts(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = counting(monkeypatch, links)
+    async with house.cell() as puppet:
+        await eventually(lambda: len(asked) > 20)
+        assert house.runtime.fleet.attached(house.runtime.fleet.cell(CELL))
+        assert puppet.socket.close_code is None
