@@ -19,6 +19,7 @@ whatever raises, the answer is a denial with code `rule_error`.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias, assert_never, cast
 
 from app.governance.errors import EvaluationError
@@ -149,6 +150,12 @@ class _Bounded:
         return any(setting.minimum is not None for _, setting in self.rules)
 
 
+@lru_cache(maxsize=256)
+def _compiled(source: str, name: str) -> CodeType:
+    """Return the code of a decision function: most of a candidate's are those of the policy in force."""
+    return compile(source, name, "exec")
+
+
 class Generator:
     """Writes the function of one (capability, profile)."""
 
@@ -197,7 +204,7 @@ class Generator:
         lines += [f"        {line}" for line in (*prelude, *body)]
         lines += ["    except Exception as error:", "        return failed(params, error)", ""]
         source = "\n".join(lines)
-        code = compile(source, f"<{self.profile.name}/{self.capability.name}>", "exec")
+        code = _compiled(source, f"<{self.profile.name}/{self.capability.name}>")
         parts = Parts(code, self.constants, self._interferes())
         return Compiled(check=bind(self.capability, self.profile, self.site, parts), source=source, parts=parts)
 
