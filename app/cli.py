@@ -223,11 +223,11 @@ def issue(
     [bold]reins token issue planner --role agent --hours 8[/]
     """
     from app.api.auth import PrincipalsUnreadable, issue_token
-    from app.audit.errors import RecordDamaged
+    from app.audit.errors import RecordDamaged, RecordUnreadable
 
     try:
         text = issue_token(data, name=name, role=role, ttl_s=None if hours is None else hours * 3600, station=station)
-    except (OSError, ValueError, PrincipalsUnreadable, RecordDamaged) as error:
+    except (OSError, ValueError, PrincipalsUnreadable, RecordDamaged, RecordUnreadable) as error:
         say_error(f"no token issued: {error}", hint=f"`{data}` must be a data directory that `reins serve` has made")
         raise typer.Exit(MISUSE) from error
     typer.echo(text)

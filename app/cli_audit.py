@@ -11,7 +11,7 @@ import orjson
 import typer
 
 from app.audit.checkpoint import NoteInvalid, parse_verifier
-from app.audit.errors import RecordDamaged
+from app.audit.errors import RecordDamaged, RecordUnreadable
 from app.terminal import FINDING, MISUSE, out, say, say_error
 
 if TYPE_CHECKING:
@@ -126,7 +126,10 @@ def _print(events: Iterable[Event]) -> None:
 
 @contextmanager
 def _said(data: Path) -> Generator[None]:
-    """Say what is wrong in a line: a damaged record is a finding, a directory without one is misuse."""
+    """Say what is wrong in a line: a damaged record is a finding, a directory without one is misuse.
+
+    A record that cannot be read now is no finding either.
+    """
     try:
         yield
     except KeyboardInterrupt:
@@ -134,6 +137,6 @@ def _said(data: Path) -> Generator[None]:
     except RecordDamaged as error:
         say_error(str(error), hint="" if data.is_dir() else "name the data directory of a server with --data")
         raise typer.Exit(FINDING if (data / "reins.db").exists() else MISUSE) from error
-    except (OSError, ValueError, NoteInvalid) as error:
+    except (OSError, ValueError, NoteInvalid, RecordUnreadable) as error:
         say_error(str(error))
         raise typer.Exit(MISUSE) from error

@@ -59,7 +59,7 @@ def suggest(  # its options
 
     [bold]reins policy suggest --data data --since 2026-03-01T00:00:00Z[/]
     """
-    from app.audit.errors import RecordDamaged
+    from app.audit.errors import RecordDamaged, RecordUnreadable
     from app.authoring.habits import read_habits
 
     folder = find_policies(policies)
@@ -67,7 +67,7 @@ def suggest(  # its options
     least = Least(decisions=decisions, answers=answers, silent=silent, overrides=overrides)
     try:
         habits = read_habits(data, policy, since=None if since is None else parse_rfc3339(since))
-    except (RecordDamaged, ValueError) as error:
+    except (RecordDamaged, RecordUnreadable, ValueError) as error:
         say_error(str(error), hint="--data names a data directory, --since a time like 2026-03-01T00:00:00Z")
         raise typer.Exit(MISUSE) from error
     try:

@@ -180,7 +180,7 @@ def replay(
 
     [bold]reins policy replay --since 2026-03-01T00:00:00Z --policy candidate[/]
     """
-    from app.audit.errors import RecordDamaged
+    from app.audit.errors import RecordDamaged, RecordUnreadable
     from app.audit.replaying import replay_in_processes
     from app.clock import parse_rfc3339
 
@@ -191,7 +191,7 @@ def replay(
         for problem in faults.problems:
             err.print(str(problem), markup=False)
         raise typer.Exit(FINDING) from faults
-    except (RecordDamaged, ValueError) as error:
+    except (RecordDamaged, RecordUnreadable, ValueError) as error:
         say_error(str(error), hint="--data names a data directory, --since a time like 2026-03-01T00:00:00Z")
         raise typer.Exit(MISUSE) from error
     if json:

@@ -12,6 +12,7 @@ launches nothing until it has been welcomed again.
 
 from __future__ import annotations
 
+import math
 import struct
 from typing import Annotated, Literal, TypeAlias
 
@@ -324,6 +325,14 @@ CHANNELS = (
 
 ROW = struct.Struct(f"<d{len(CHANNELS) - 1}f")
 HEADER = struct.Struct("<4sHH40s")
+_MOST = 3.4028234663852886e38  # of single precision
+
+
+def single(value: float) -> float:
+    """Return a reading as single precision can hold it: what is beyond that is infinite."""
+    return math.copysign(math.inf, value) if abs(value) > _MOST else value
+
+
 _MAGIC = b"RTM1"
 ROWS_PER_BATCH = 20
 

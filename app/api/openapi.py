@@ -39,7 +39,7 @@ BODIES: tuple[type[BaseModel], ...] = (
 )
 
 ON_EVERY_ROUTE = ("internal", "row_unreadable", "record_damaged", "given_twice")
-ON_GUARDED = ("token_missing", "token_invalid", "token_expired", "role_forbidden")
+ON_GUARDED = ("token_missing", "token_invalid", "token_expired", "role_forbidden", "record_unavailable")
 ON_BODY = (
     "body_incomplete",
     "body_too_large",

@@ -18,7 +18,7 @@ from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
 from app.api.faults import field_errors
-from app.audit.errors import RecordDamaged, RecordUnavailable, RowUnreadable
+from app.audit.errors import RecordDamaged, RecordUnavailable, RecordUnreadable, RowUnreadable
 from app.governance.errors import PolicyErrors
 from app.runtime.errors import CONFLICTS, Conflict, ExaminationFailed, Forbidden, InvalidParams, NotFound
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 MEDIA_TYPE = "application/problem+json"
 URN = "urn:reins:problem:"
+AGAIN: Mapping[str, str] = {"Retry-After": "5"}
 
 
 # Every code the server may answer with, its status and what it means. Codes are stable; the words are not.
@@ -72,7 +73,7 @@ CODES: Mapping[str, tuple[int, str]] = {
     "too_many_streams": (503, "as many event streams are open as the server, or one caller, may hold"),
     "too_many_waits": (503, "as many long polls are open as the server, or one caller, may hold"),
     "examination_failed": (503, "a policy could not be examined, so nothing has changed"),
-    "record_unavailable": (503, "the record cannot be written, so nothing is let move"),
+    "record_unavailable": (503, "the record cannot be written, so nothing is let move, or it cannot be read now"),
     **{code: (status, f"refused by the runtime: {code.replace('_', ' ')}") for code, status in CONFLICTS.items()},
 }
 
@@ -193,7 +194,11 @@ def _from_examination(error: ExaminationFailed) -> Problem:
 
 def _from_record(error: RecordUnavailable) -> Problem:
     detail = f"{error}; nothing was let move; a pause, a stop and an emergency stop are obeyed all the same"
-    return Problem("record_unavailable", detail, headers={"Retry-After": "5"})
+    return Problem("record_unavailable", detail, headers=AGAIN)
+
+
+def _from_unread(error: RecordUnreadable) -> Problem:
+    return Problem("record_unavailable", f"{error}; it may be as good as ever: valid is to ask again", headers=AGAIN)
 
 
 def _from_row(error: RowUnreadable) -> Problem:
@@ -216,6 +221,7 @@ PROBLEMS: tuple[tuple[type[Exception], Callable[[Any], Problem]], ...] = (
     (PolicyErrors, _from_policy),
     (ExaminationFailed, _from_examination),
     (RecordUnavailable, _from_record),
+    (RecordUnreadable, _from_unread),
     (RowUnreadable, _from_row),
     (RecordDamaged, _from_damage),
 )

@@ -193,7 +193,8 @@ def reading(data_dir: Path) -> Generator[Reader]:
     """Open a data directory for reading.
 
     Raises:
-        RecordDamaged: there is no log in it, or it cannot be read.
+        RecordDamaged: there is no log in it, or what is there is none; so do all reads, which also raise
+            `RecordUnreadable` where it cannot be read now.
     """
     if not data_dir.is_dir():
         raise RecordDamaged(data_dir, "no such directory")

@@ -2,6 +2,7 @@
 
 AuditError
 ├── RecordUnavailable   nothing was acknowledged: disk full, read-only, I/O error, closed, backlog
+├── RecordUnreadable    what is stored cannot be read now, and nobody knows whether it is good: descriptors, locks, I/O
 ├── RecordDamaged       what is stored contradicts what was signed, or cannot be read as a log
 ├── StoreInUse          another process holds this data directory
 ├── EventMalformed      the draft cannot become canonical bytes; the caller's bug
@@ -32,8 +33,18 @@ class RecordUnavailable(AuditError):
         super().__init__(f"the record cannot be written: {reason}")
 
 
+class RecordUnreadable(AuditError):
+    """What is stored could not be read at this moment, which says nothing about what it holds."""
+
+    def __init__(self, path: Path, problem: str) -> None:
+        """Name the file and why; where it lies concerns nobody who asks over the network."""
+        self.path = path
+        self.problem = problem
+        super().__init__(f"the record cannot be read now: `{path.name}`: {problem}")
+
+
 class RecordDamaged(AuditError):
-    """The stored log is missing, unreadable, or contradicts its own signatures."""
+    """The stored log is missing, no log, or contradicts its own signatures."""
 
     def __init__(self, path: Path, problem: str) -> None:
         """Name the file and what is wrong with it."""

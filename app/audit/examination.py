@@ -62,6 +62,9 @@ def examine(places: Places, verifier: Verifier, *, pause_s: float = 0.0, within_
         verifier: the key that must have signed the log's checkpoints.
         pause_s: how long to step aside again and again, so that a server whose process this runs in goes on.
         within_s: how long SQLite may read its file; None has no limit.
+
+    Raises:
+        RecordUnreadable: the log or what stands beside it in the database cannot be read now.
     """
     log = verify_log(places, verifier, pause_s=pause_s)
     if not log.ok:
@@ -84,6 +87,7 @@ def examine_file(data_dir: Path, verifier: Verifier | None = None) -> Examinatio
 
     Raises:
         RecordDamaged: there is no log, or no public key.
+        RecordUnreadable: it cannot be read now.
     """
     places = Places(data_dir)
     key = verifier or load_verifier(places)

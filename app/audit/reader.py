@@ -13,7 +13,7 @@ from urllib.parse import quote
 import sqlalchemy as sa
 from sqlalchemy.exc import SQLAlchemyError
 
-from app.audit.errors import RecordDamaged
+from app.audit.errors import AuditError, RecordDamaged, RecordUnreadable
 from app.audit.event import Event
 from app.audit.tables import STATE, STORE_GIVEN, checkpoints, events, invocations
 from app.clock import monotonic_s, rfc3339
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]
 MAX_LIMIT = 1000
+PRIMARY = 0xFF  # of SQLite's codes: the rest says which of a kind it is
+FAILURES = (SQLAlchemyError, sqlite3.Error, UnicodeDecodeError)  # the last where SQLite cites a damaged schema
 LOOK_EVERY = 10_000  # of SQLite's own steps, between two looks at the clock
 EVENT_COLUMNS = (events.c.seq, events.c.at, events.c.kind, events.c.invocation, events.c.actor, events.c.body)
 NEWEST = sa.select(checkpoints.c.size, checkpoints.c.note).order_by(checkpoints.c.size.desc()).limit(1)
@@ -61,13 +63,17 @@ class Extent(NamedTuple):
 
 
 class Reader:
-    """Read-only access to one log's database."""
+    """Read-only access to one log's database.
+
+    Whatever raises `RecordDamaged` for what it finds raises `RecordUnreadable` where it cannot look at this moment.
+    """
 
     def __init__(self, database: Path) -> None:
         """Open the database.
 
         Raises:
             RecordDamaged: there is no such file, or it is no log.
+            OSError: nobody can say whether there is one.
         """
         self.database = database
         if not database.is_file():
@@ -75,7 +81,7 @@ class Reader:
         self._engine = sa.create_engine("sqlite://", creator=self._connect, poolclass=sa.QueuePool, pool_size=2)
         try:
             self.extent()
-        except RecordDamaged:
+        except AuditError:
             self._engine.dispose()
             raise
 
@@ -85,8 +91,8 @@ class Reader:
         log = self.database.with_name(self.database.name + "-wal")
         try:
             return open_read_only(uri)
-        except sqlite3.OperationalError:
-            if log.exists() and log.stat().st_size:
+        except sqlite3.OperationalError as error:
+            if _primary(error) == sqlite3.SQLITE_BUSY or (log.exists() and log.stat().st_size):
                 raise
             return open_read_only(f"{uri}&immutable=1")
 
@@ -186,18 +192,16 @@ class Reader:
             RecordDamaged: the database cannot be read.
         """
         query = f"PRAGMA integrity_check({bounded(limit)})"
-        with closing(self._connect()) as connection:
-            if within_s is not None:
-                until_s = monotonic_s() + within_s
-                connection.set_progress_handler(lambda: monotonic_s() >= until_s, LOOK_EVERY)
-            try:
+        try:
+            with closing(self._connect()) as connection:
+                if within_s is not None:
+                    until_s = monotonic_s() + within_s
+                    connection.set_progress_handler(lambda: monotonic_s() >= until_s, LOOK_EVERY)
                 found = connection.execute(query).fetchall()
-            except sqlite3.OperationalError as error:
-                if error.sqlite_errorcode == sqlite3.SQLITE_INTERRUPT:
-                    return None
-                raise self._damaged(error) from error
-            except sqlite3.Error as error:
-                raise self._damaged(error) from error
+        except FAILURES as error:
+            if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
+                return None
+            raise self._failure(error) from error
         lines = [str(line) for (line,) in found]
         return [] if lines == ["ok"] else lines
 
@@ -222,8 +226,8 @@ class Reader:
                 mine = sa.select(*EVENT_COLUMNS).where(events.c.invocation.in_(found), events.c.kind.in_(kinds))
                 for row in connection.execute(mine.order_by(events.c.seq)):
                     found[row.invocation].append(Event(*row))
-        except (SQLAlchemyError, sqlite3.Error) as error:
-            raise self._damaged(error) from error
+        except FAILURES as error:
+            raise self._failure(error) from error
         return [(row, found[row["id"]]) for row in rows]
 
     def beside(
@@ -253,8 +257,8 @@ class Reader:
                 connection.exec_driver_sql("BEGIN")  # both questions are about the same moment
                 found = [Event(*row) for row in connection.execute(told.order_by(events.c.seq).limit(limit))]
                 return found, [as_dict(state, row) for row in connection.execute(page)]
-        except (SQLAlchemyError, sqlite3.Error) as error:
-            raise self._damaged(error) from error
+        except FAILURES as error:
+            raise self._failure(error) from error
 
     def without_row(self, limit: int) -> list[str]:
         """Return invocations that the log knows and the table `invocations` does not, the oldest first.
@@ -323,23 +327,40 @@ class Reader:
         try:
             with self._engine.connect() as connection:
                 return list(connection.execute(query).all())
-        except (SQLAlchemyError, sqlite3.Error) as error:
-            raise self._damaged(error) from error
+        except FAILURES as error:
+            raise self._failure(error) from error
 
-    def _damaged(self, error: Exception) -> RecordDamaged:
-        return RecordDamaged(self.database, f"cannot be read as a log: {getattr(error, 'orig', None) or error}")
+    def _failure(self, error: Exception) -> AuditError:
+        return failure(self.database, error)
+
+
+def failure(database: Path, error: Exception) -> RecordDamaged | RecordUnreadable:
+    """Return what an error of SQLite, or of SQLAlchemy about one, means for the log.
+
+    An `OperationalError` with a code is the world's fault, like a file that cannot be opened, a lock, or a disk that
+    does not answer. It is the file's where the code says no more than that the statement is wrong, since then a table
+    is missing, and where the driver has none, since then a text is no UTF-8.
+    """
+    cause = getattr(error, "orig", None) or error
+    if isinstance(cause, sqlite3.OperationalError) and _primary(cause) != sqlite3.SQLITE_ERROR:
+        return RecordUnreadable(database, str(cause))
+    return RecordDamaged(database, f"cannot be read as a log: {cause}")
+
+
+def _primary(error: sqlite3.Error) -> int:
+    return getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & PRIMARY
 
 
 def open_read_only(uri: str) -> sqlite3.Connection:
     """Open a SQLite URI and read its head, so that what is wrong with it shows here.
 
     Raises:
-        sqlite3.Error: it cannot be opened or is no database.
+        sqlite3.Error, UnicodeDecodeError: it cannot be opened or is no database.
     """
     connection = sqlite3.connect(uri, uri=True, check_same_thread=False, isolation_level=None, timeout=5)
     try:
         connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
-    except sqlite3.Error:
+    except (sqlite3.Error, UnicodeDecodeError):
         connection.close()
         raise
     return connection

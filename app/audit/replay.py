@@ -21,7 +21,7 @@ import orjson
 
 from app.audit.errors import RecordDamaged
 from app.audit.places import Places
-from app.audit.reader import open_read_only
+from app.audit.reader import failure, open_read_only
 from app.clock import rfc3339
 from app.governance import recorded
 from app.governance.bundle import load_files
@@ -185,7 +185,9 @@ def _opened(data_dir: Path) -> Generator[sqlite3.Connection]:
     try:
         with closing(open_read_only(f"file:{quote(str(database.resolve()))}?mode=ro")) as connection:
             yield connection
-    except (sqlite3.Error, orjson.JSONDecodeError) as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:
+        raise failure(database, error) from error
+    except orjson.JSONDecodeError as error:
         raise RecordDamaged(database, f"cannot be read as a log: {error}") from error
 
 

@@ -326,11 +326,19 @@ class AuditStore:
         return await self._read(partial(self._reader.page, table, filters, limit=limit, cursor=cursor))
 
     async def verify(self) -> Verification:
-        """Recompute the log from its stored bytes, in a thread with a connection of its own."""
+        """Recompute the log from its stored bytes, in a thread with a connection of its own.
+
+        Raises:
+            RecordUnreadable: it cannot be read now.
+        """
         return await asyncio.to_thread(verify_log, self.places, self.verifier, pause_s=VERIFY_PAUSE_S)
 
     async def examine(self) -> Examination:
-        """Compare everything that lies in the data directory with the log, in a thread with connections of its own."""
+        """Compare everything that lies in the data directory with the log, in a thread with connections of its own.
+
+        Raises:
+            RecordUnreadable: it cannot be read now; what the last examination found holds on.
+        """
         found = await asyncio.to_thread(
             examine, self.places, self.verifier, pause_s=VERIFY_PAUSE_S, within_s=EXAMINE_WITHIN_S
         )

@@ -14,12 +14,13 @@ from __future__ import annotations
 from base64 import b64encode
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from time import sleep
 from typing import TYPE_CHECKING, TypeAlias
 
 from app.audit.checkpoint import Checkpoint, NoteInvalid, Verifier
 from app.audit.checkpoint_file import read_notes
-from app.audit.errors import RecordDamaged
+from app.audit.errors import RecordDamaged, RecordUnreadable
 from app.audit.event import Event, read_columns
 from app.audit.merkle import Frontier, leaf_hash, split_hashes
 from app.audit.reader import MAX_LIMIT, Batch, Extent, Reader
@@ -31,6 +32,7 @@ Progress: TypeAlias = Callable[[int, int], None]
 """Told how many events are verified, and of how many."""
 BATCHES_AT_A_TIME = 32
 PAUSE_EVERY = 25
+NOT_THERE = (FileNotFoundError, IsADirectoryError, NotADirectoryError)  # what the system says for sure of a file
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,21 +62,27 @@ class _Bad(Exception):  # carries a finding to the end of the walk
 def verify_log(
     places: Places, verifier: Verifier, *, pause_s: float = 0.0, progress: Progress | None = None
 ) -> Verification:
-    """Verify the log in a data directory; never raises for what is stored there, but reports it.
+    """Verify the log in a data directory; never raises for what is stored there, or is not, but reports it.
 
     Args:
         places: the data directory's files.
         verifier: the key that must have signed its checkpoints.
         pause_s: how long to step aside after every 25 events, so that a server whose process this runs in goes on.
         progress: told after every few batches how far it has come.
+
+    Raises:
+        RecordUnreadable: it cannot be verified now: the process has no descriptor left, or the disk does not answer.
     """
     walk = _Walk(places, verifier, pause_s, progress)
     try:
         walk.run()
     except _Bad as bad:
         return walk.result(bad.seq, bad.problem)
-    except (RecordDamaged, OSError) as error:
+    except (RecordDamaged, *NOT_THERE) as error:
         return walk.result(walk.frontier.size + 1, str(error))
+    except OSError as error:
+        path = Path(error.filename or places.checkpoints)  # what fails while it is read bears no name
+        raise RecordUnreadable(path, error.strerror or str(error)) from error
     return walk.result(None, None)
 
 

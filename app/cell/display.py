@@ -53,7 +53,7 @@ def look(substrate: Substrate, seen: Observation, session: Governing | None, at_
     if session is None:
         return Moment(at_s, seen.tick, substrate.poses(), seen, None, None, ())
     run = session.run
-    numbers = Session(run.watching.measured, run.plan.bounds, run.skill.report().progress, run.rate)
+    numbers = Session(run.watching.measured, run.plan.bounds, run.report.progress, run.rate)
     return Moment(at_s, seen.tick, substrate.poses(), seen, numbers, run.id, substrate.way())
 
 
@@ -65,7 +65,7 @@ def sitting(session: Governing | None) -> Sitting | None:
     rules = run.watcher.rules
     return Sitting(
         profile=run.grant.authorization.profile,
-        phase=run.skill.report().phase,
+        phase=run.report.phase,
         doing=run.doing.value,
         violated=[rules[row].id for row, _ in run.watching.lasting],
         paused_by=sorted(run.paused_by),
@@ -101,7 +101,7 @@ class Drawing:
 
 def frame(moment: Moment) -> bytes:
     """Return a moment as a binary frame."""
-    return pack_poses(moment.tick, moment.at_s, moment.poses(), _ROW.pack(*gauges(moment)))
+    return pack_poses(moment.tick, moment.at_s, moment.poses(), _ROW.pack(*map(protocol.single, gauges(moment))))
 
 
 def sensed(seen: Observation) -> dict[str, float]:

@@ -118,6 +118,10 @@ class GovernedCell:
         """Hold in place and launch nothing until welcomed; `shutdown` ends the session."""
         self._runner.hold(reason)
 
+    def cut_power(self) -> None:
+        """Stop by category 0: nobody ticks any more."""
+        self._runner.substrate.stop(0)
+
     def standing(self) -> bool:
         """Say whether nothing moves and nothing is about to."""
         return self._runner.standing()

@@ -70,14 +70,13 @@ class Ports:
 class Governing:
     """Governs one run. `over` holds how it ended once it has."""
 
-    __slots__ = ("_confirms", "_ports", "_recorder", "_substrate", "_tell", "_tell_anyway", "over", "run", "seen")
+    __slots__ = ("_ports", "_recorder", "_substrate", "_tell", "_tell_anyway", "over", "run", "seen")
 
     def __init__(self, ports: Ports, run: Run, seen: Observation) -> None:
         """Take a bound run over."""
         self._ports, self._substrate = ports, ports.substrate
         self._recorder = ports.recorder
         self._tell, self._tell_anyway = ports.recorder.say, ports.recorder.say_anyway
-        self._confirms = bool(run.grant.authorization.confirm_before)
         self.run = run
         self.seen = seen
         self.over: End | None = None
@@ -90,13 +89,13 @@ class Governing:
         period_s = substrate.period_s
         rate = run.ramp(period_s)
         if rate == 0.0:  # not asked to move
-            report, command = run.skill.report(), hold(run.previous)
+            report, command = self._last_report(), hold(run.previous)
         else:
             try:
                 command, report = run.skill.act(self.seen, rate), run.skill.report()
             except Exception as error:  # whatever a skill does wrong must not take the watcher along
                 command, report = hold(run.previous), self._failed(error)
-            if self._confirms and run.waits_for_confirmation(report.phase):
+            if run.confirms and run.waits_for_confirmation(report.phase):
                 run.rate = 0.0
                 self.escalate(f"confirm:{report.phase}")
                 command = hold(run.previous)
@@ -104,7 +103,7 @@ class Governing:
             command = run.yielding(command, self.seen)
         command, _ = clamp(command, run.previous, run.bounds, self.seen.jacobian, period_s)
         self.seen = seen = substrate.step(command)
-        run.previous = command
+        run.previous, run.report = command, report
         rate = run.rate
         watching, alerts = run.watcher.watch(
             run.watching, seen, report, command, rate, run.used.retries, len(run.unmet)
@@ -127,6 +126,13 @@ class Governing:
         self.end(End(Outcome.FAULT, "journal_unavailable", 1))
         if self.run.next is not None:
             self._go_on(self.run.next)
+
+    def _last_report(self) -> SkillReport:
+        """Return what a skill says that is not asked to move; one that breaks then fails once it is."""
+        try:
+            return self.run.skill.report()
+        except Exception:  # it is told when the skill is asked again: nothing comes of it while everything stands
+            return self.run.report
 
     def _failed(self, error: Exception) -> SkillReport:
         """Return what a skill that broke would have had to say."""
@@ -348,6 +354,7 @@ class Governing:
         run.doing, run.previous = then.doing, substrate.hold()
         run.responding = recovering(tuple(run.speaking), self._ports.recorder.tick, substrate.period_s)
         run.settling_ticks, run.unmet, run.failed = 0, (), ""
+        run.begin_anew()
         if then.doing is Doing.ATTEMPT:
             self._become(Event.RECOVERED, "new_attempt")
 
@@ -402,7 +409,7 @@ class Governing:
         """Hold and wait for a human."""
         run = self.run
         run.brake(self.seen)
-        run.escalated_by = reason
+        run.escalated_by, run.hold_after_recovery = reason, ""  # whoever is asked now need not be asked once more
         self._become(Event.ESCALATE, reason)
         self._tell_anyway(telling.escalation(run.id, reason, run.failed))
 
@@ -435,7 +442,7 @@ class Governing:
         if run.status is not Status.PAUSED:
             return "not_paused"
         run.paused_by.clear()
-        run.responding = released(run.responding)
+        run.responding = run.responses.let_go(run.responding)
         self._resume("operator")
         return None
 
@@ -451,7 +458,8 @@ class Governing:
         run.deciding, run.failed = None, ""
         run.confirm()
         run.paused_by.clear()
-        run.responding = released(run.responding)
+        run.hold_after_recovery = ""
+        run.responding = run.responses.let_go(run.responding)
         if failed:
             self._prepare(Bind(Doing.ATTEMPT, permit.mode is Mode.CAREFUL), "operator")
         else:

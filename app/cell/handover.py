@@ -84,7 +84,7 @@ class Session(Governing):
         self.steering, self._displaced = self._steering(grant, plan, alone=False), True
         run.brake(self.seen)
         run.next = Bind(Doing.TAKEOVER, careful=False)
-        run.deciding, run.failed, run.escalated_by = None, "", ""
+        run.deciding, run.failed, run.escalated_by, run.hold_after_recovery = None, "", "", ""
         run.paused_by.clear()
         self._become(Event.TAKE_OVER, TAKEN_OVER)
         return None
@@ -283,6 +283,7 @@ class Session(Governing):
         run.doing, run.previous = Doing.ATTEMPT, substrate.hold()
         run.responding = recovering(tuple(run.speaking), self._tick, substrate.period_s)
         run.settling_ticks, run.unmet, run.failed = 0, (), ""
+        run.begin_anew()
         self._become(Event.RECOVERED, HANDED_BACK)
 
     def _not_anew(self, code: str, detail: str) -> None:

@@ -16,6 +16,7 @@ What could not be written did not happen: every failure of the disk is `JournalU
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import secrets
 import zlib
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 
 COMPACT_BYTES: Final = 4 * 1024 * 1024
 USED: Final = "used:"
+FORGOTTEN: Final = "forgotten_s"
 ID_BYTES: Final = 12
 
 
@@ -84,6 +86,7 @@ class Journal:
         self._entries: deque[Entry] = deque()
         self._seq = 0
         self._broken: str | None = None
+        self._unnamed = False  # a power cut may leave the path to a file that is not this one any more
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o600)
             self._load()
@@ -169,9 +172,13 @@ class Journal:
         """Write the file anew with what is still needed, and put it in the old one's place in one step.
 
         Raises:
-            JournalUnavailable: it could not be written; the old file stands.
+            JournalUnavailable: it could not be written, and the old file stands; or it could, and nobody knows under
+                which name it would be found after a power cut: nothing counts as written until that is made good.
         """
         self._check()
+        self._write_anew()
+
+    def _write_anew(self) -> None:
         kept: dict[str, Json] = {name: value for name, value in self.marks.items() if value is not None}
         lines = [_line({"j": self.id, "m": kept, "s": self._seq, "a": self.acknowledged})]
         lines += [_line({"e": list(entry)}) for entry in self._entries]
@@ -182,15 +189,21 @@ class Journal:
                 _write_all(fresh, b"".join(lines))
                 os.fsync(fresh)
                 draft.replace(self.path)
-                sync_folder(self.path.parent)
             except OSError:
                 os.close(fresh)
                 raise
         except OSError as error:
             raise JournalUnavailable(f"cannot compact the journal: {error.strerror}") from error
+        # From here on the old file has no name, whatever follows: what is written there would be gone with the process.
         os.close(self._file)
         self._file = fresh
         self.marks = kept
+        self._unnamed = True
+        try:
+            sync_folder(self.path.parent)
+        except OSError as error:
+            raise JournalUnavailable(f"cannot sync the journal's folder: {error.strerror}") from error
+        self._unnamed = False
 
     def close(self) -> None:
         """Let go of the file."""
@@ -207,7 +220,7 @@ class Journal:
     @property
     def healthy(self) -> bool:
         """Say whether the last write went through."""
-        return self._broken is None
+        return self._broken is None and not self._unnamed
 
     def unacknowledged(self, after: int = 0) -> tuple[Entry, ...]:
         """Return the entries behind a sequence number that the server has not acknowledged, in order."""
@@ -217,15 +230,28 @@ class Journal:
         """Return the identifiers of permits that were bound and have not been forgotten."""
         return frozenset(name.removeprefix(USED) for name in self.marks if name.startswith(USED))
 
+    @property
+    def forgotten_s(self) -> float:
+        """Return the latest expiry of the permits that were forgotten; minus infinity where none was."""
+        latest = self.marks.get(FORGOTTEN)
+        return float(latest) if isinstance(latest, (int, float)) else -math.inf
+
     def forget_permits(self, now_s: float) -> None:
-        """Forget used permits that have expired: time refuses them from now on. Raises `JournalUnavailable`."""
-        gone: dict[str, Json] = {
-            name: None
+        """Forget used permits that have expired, and keep the latest expiry among them.
+
+        Time alone would not refuse them from now on: a clock that ran ahead is put back. Whoever verifies refuses what
+        expired by `forgotten_s`.
+
+        Raises:
+            JournalUnavailable: it could not be written; nothing is forgotten.
+        """
+        gone = {
+            name: until
             for name, until in self.marks.items()
             if name.startswith(USED) and isinstance(until, (int, float)) and until < now_s
         }
         if gone:
-            self.mark(gone)
+            self.mark({**dict.fromkeys(gone), FORGOTTEN: max(self.forgotten_s, *gone.values())})
             self.marks = {name: value for name, value in self.marks.items() if value is not None}
 
     # -- inside --------------------------------------------------------------------------------------------------------
@@ -233,6 +259,8 @@ class Journal:
     def _check(self) -> None:
         if self._broken is not None:
             raise JournalUnavailable(f"the journal is out of use: {self._broken}")
+        if self._unnamed:  # not synced again but written anew: after a sync that failed another one says nothing
+            self._write_anew()
 
     def _size(self) -> int:
         return os.fstat(self._file).st_size

@@ -86,6 +86,10 @@ class Governed(Protocol):
         """Say whether nothing moves."""
         ...
 
+    def cut_power(self) -> None:
+        """Stop by category 0: nobody ticks any more."""
+        ...
+
     def look(self) -> Moment:
         """Return what there is to be seen at this moment, for displays."""
         ...
@@ -205,11 +209,12 @@ class TickLoop:
         return self._thread.is_alive()
 
     def run(self) -> None:
-        """Tick until shut down. A bug in the runner ends the loop and with it the cell; nothing moves without ticks."""
+        """Tick until shut down. A bug in the runner cuts power, and ends the loop and with it the cell."""
         try:
             self._run()
         except Exception as error:  # whatever it is, the link reads it here and ends the process
             self.broken = error
+            self._runner.cut_power()  # a robot keeps to its last command until somebody says otherwise
         finally:
             self._outbox.wake()
 

@@ -46,6 +46,7 @@ GIVES_RAD: Final = 0.15  # a push of 600 N bends the arm by less
 GIVES_TICKS: Final = 60
 LINK: Final = "link"  # why a cell holds whose link's lease has lapsed
 _AT_REST: Final = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+NOT_SAID: Final = SkillReport("", 0.0)
 EASE_TICKS: Final = 20  # the gripper needs 0.2 s to follow; judged earlier, it would be told too little
 
 
@@ -137,6 +138,8 @@ class Run:
     speaking: dict[str, int] = field(default_factory=dict[str, int])
     hold_after_recovery: str = ""  # why, where a session waits for a human once its recovery has ended
     bounds: Bounds = field(init=False)
+    confirms: bool = field(init=False)  # whether a phase may wait for a human at all
+    report: SkillReport = NOT_SAID  # the skill's last
     eased: Bounds | None = None
     ease_again: int = 0
     told: Vec6 = _AT_REST
@@ -146,6 +149,7 @@ class Run:
     def __post_init__(self) -> None:
         """Begin with the bounds of the plan."""
         self.bounds = self.plan.bounds
+        self.confirms = bool(self.grant.authorization.confirm_before)
 
     @property
     def id(self) -> str:
@@ -169,6 +173,11 @@ class Run:
         if self.escalated_by.startswith("confirm:"):
             self.confirmed.add(self.escalated_by.removeprefix("confirm:"))
         self.escalated_by = ""
+
+    def begin_anew(self) -> None:
+        """Forget what humans confirmed: that was about another moment, perhaps under another authorization."""
+        self.confirmed.clear()
+        self.confirms = bool(self.grant.authorization.confirm_before)
 
     def ease_grip(self, measured_n: float, tick: int) -> None:
         """Lower the bound of the grip so far that what the gripper makes of it is within what policy allows."""

@@ -15,6 +15,7 @@ why, and what could not be recorded is kept and recorded as soon as it can be.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from app.cell import telling
@@ -230,6 +231,10 @@ class Runner:
         if self._session is not None:
             self._session.finish(end)
             self._take_leave(self._session)
+        # Last, since nothing that restrains waits for a disk. The server may not have heard of it: without this, losing
+        # power in the seconds until the system writes by itself would take the latch back.
+        with suppress(JournalUnavailable):  # `fault` says so
+            self._record.sync()
 
     def reset(self, actor: str) -> str | None:
         """Leave a latched stop; return None, or why not. Moves nothing."""
@@ -328,6 +333,7 @@ class Runner:
             policy_digest=self._policy_digest,
             now_s=self._wall(),
             used=self.journal.used_permits(),
+            forgotten_s=self.journal.forgotten_s,
             former=self._former,
         )
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import math
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from app.cell.journal import Entry, Journal, JournalUnavailable
 from app.governance.model import EMPTY, EventKind, Signal, Strategy
 from app.governance.session import refused_launch
-from app.protocol import ROW, ROWS_PER_BATCH
+from app.protocol import ROW, ROWS_PER_BATCH, single
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -47,29 +47,30 @@ class Saying(NamedTuple):
 
 
 class Recorder:
-    """Writes what is said to the journal; what cannot be written is kept until it can be, and `fault` says why."""
+    """Writes what is said to the journal; what cannot be written is kept until it can be, and `fault` says why.
 
-    __slots__ = ("_emit", "_journal", "_unsaid", "_wall", "fault", "tick")
+    The record is in the order of what happened: nothing is written before what was kept. The marks of what was kept
+    would otherwise undo those of what came later.
+    """
+
+    __slots__ = ("_emit", "_journal", "_unsaid", "_unsynced", "_wall", "fault", "tick")
 
     def __init__(self, journal: Journal, wall: Callable[[], float], emit: Callable[[Entry], None]) -> None:
         """Take the journal, a wall clock, and who is told every entry once it is written."""
         self._journal, self._wall, self._emit = journal, wall, emit
         self._unsaid: list[tuple[Saying, Params]] = []
+        self._unsynced = False  # something that was kept is written, and may be lost with the machine's power
         self.fault = ""
         self.tick = 0
 
     def say(self, saying: Saying, marks: Params = EMPTY) -> None:
-        """Write one entry.
+        """Write one entry, behind everything that was kept.
 
         Raises:
             JournalUnavailable: it is not written, and what it was to permit must not happen.
         """
-        try:
-            entry = self._journal.append(at_s=self._wall(), tick=self.tick, marks=marks, **saying._asdict())
-        except JournalUnavailable as error:
-            self.fault = str(error)
-            raise
-        self._emit(entry)
+        self._say_kept()
+        self._write(saying, marks)
 
     def say_anyway(self, saying: Saying, marks: Params = EMPTY) -> None:
         """Write one entry, or keep it until that is possible: for what restrains, and for what has happened already."""
@@ -79,20 +80,29 @@ class Recorder:
             self._unsaid.append((saying, marks))
 
     def sync(self) -> None:
-        """Return once everything said is on the disk. Raises `JournalUnavailable`."""
+        """Return once everything written is on the disk. Raises `JournalUnavailable`."""
         try:
             self._journal.sync()
         except JournalUnavailable as error:
             self.fault = str(error)
             raise
+        self._unsynced = False
 
     def require_room(self) -> None:
-        """Return where a session could be recorded. Raises `JournalUnavailable`."""
+        """Return where a session could be recorded, and what was kept is on the disk: all is well then.
+
+        Raises:
+            JournalUnavailable: it could not, or it is not, and `fault` says why.
+        """
+        self._say_kept()
+        if self._unsynced:  # an emergency stop may be among it, of which the server has not heard
+            self.sync()
         try:
             self._journal.require_room()
         except JournalUnavailable as error:
             self.fault = str(error)
             raise
+        self.fault = ""
 
     def unsaid_ends(self) -> dict[str, tuple[str, str]]:
         """Return how what is kept says that invocations ended: outcome and code, by invocation.
@@ -111,16 +121,23 @@ class Recorder:
         return ends
 
     def catch_up(self) -> None:
-        """Write what was kept; all is well again when everything could be, and there is room for more."""
-        while self._unsaid:
-            try:
-                self.say(*self._unsaid[0])
-            except JournalUnavailable:
-                return
-            self._unsaid.pop(0)
+        """Write what was kept; all is well again when everything is on the disk, and there is room for more."""
         with contextlib.suppress(JournalUnavailable):  # `fault` says so
             self.require_room()
-            self.fault = ""
+
+    def _say_kept(self) -> None:
+        while self._unsaid:
+            self._write(*self._unsaid[0])
+            self._unsaid.pop(0)
+            self._unsynced = True
+
+    def _write(self, saying: Saying, marks: Params) -> None:
+        try:
+            entry = self._journal.append(at_s=self._wall(), tick=self.tick, marks=marks, **saying._asdict())
+        except JournalUnavailable as error:
+            self.fault = str(error)
+            raise
+        self._emit(entry)
 
 
 def launch(permit: Authorization) -> Saying:
@@ -274,7 +291,29 @@ def _finite(number: float) -> float | None:
 
 
 def row(seen: Observation, measured: tuple[float, ...], progress: float, rate: float) -> bytes:
-    """Pack one control tick as `protocol.CHANNELS` lists it; `measured` are the values of `Signals`."""
+    """Pack one control tick as `protocol.CHANNELS` lists it; `measured` are the values of `Signals`.
+
+    A reading that single precision cannot hold is kept as an infinite one: what judges it is the watcher, not this.
+    """
+    try:
+        return _packed(seen, measured, progress, rate)
+    except OverflowError:
+        held = seen._replace(
+            tcp_m=_held(seen.tcp_m),
+            joint_rad=_held(seen.joint_rad),
+            tcp_speed_mps=single(seen.tcp_speed_mps),
+            peak_force_n=single(seen.peak_force_n),
+            grip_width_m=single(seen.grip_width_m),
+            grip_force_n=single(seen.grip_force_n),
+        )
+        return _packed(held, _held(measured), single(progress), single(rate))
+
+
+def _held(readings: tuple[float, ...]) -> Any:  # noqa: ANN401  # as many as there were
+    return tuple(map(single, readings))
+
+
+def _packed(seen: Observation, measured: tuple[float, ...], progress: float, rate: float) -> bytes:
     tcp_x, tcp_y, tcp_z = seen.tcp_m
     q1, q2, q3, q4, q5, q6 = seen.joint_rad  # by name: a starred argument costs a third more
     (

@@ -136,6 +136,15 @@ class Responses:
             return NOTHING, decision
         return InterventionState(tuple(engaged), grace), decision
 
+    def let_go(self, state: InterventionState) -> InterventionState:
+        """Return the state after a human let go on: responses start anew, and what is still violated speaks again.
+
+        Only what ended the attempt has ended it: a violation while the session was held is not undone by a word that
+        lets it go on.
+        """
+        ended = tuple(one for one in state.engaged if self._decide(one).ends_attempt)
+        return InterventionState(ended, state.grace) if ended or state.grace else NOTHING
+
     def _spare(self, grace: Grace, alert: Alert | None) -> Grace | None:
         """Return the grace that is left; none where what should end grows instead.
 
@@ -186,7 +195,7 @@ def ends_attempt(rule: WatchRule) -> bool:
 
 
 def released(state: InterventionState) -> InterventionState:
-    """Return the state after a human let go on: every response starts anew, and what is still violated speaks again."""
+    """Return the state after a human had it undone: whatever spoke, this is the answer to it."""
     return InterventionState(grace=state.grace) if state.grace else NOTHING
 
 

@@ -115,6 +115,7 @@ def verify(
     policy_digest: str,
     now_s: float,
     used: AbstractSet[str],
+    forgotten_s: float = -math.inf,
     former: AbstractSet[str] = frozenset(),
 ) -> Grant:
     """Return the grant that a signed authorization is worth on this cell, under this policy, now.
@@ -126,6 +127,8 @@ def verify(
         policy_digest: Digest of the policy the cell holds.
         now_s: Wall time, seconds since the epoch.
         used: Identifiers of permits this cell has bound before.
+        forgotten_s: The latest expiry of those that are not among them any more: whether a permit that expires no later
+            was bound, nobody here knows, and it had expired once already, whatever the clock says now.
         former: Digests of policies that were in force before and are held here still: a permit that was minted right
             before a change is under one of them, and its session is watched by that.
 
@@ -151,6 +154,11 @@ def verify(
             f"permit was issued at `{permit.issued_at_s}`, it is `{now_s}`",
         ),
         ("expired", not now_s < permit.expires_at_s, f"permit expired at `{permit.expires_at_s}`, it is `{now_s}`"),
+        (
+            "expired",
+            not permit.expires_at_s > forgotten_s,
+            f"permit expired at `{permit.expires_at_s}`: it is `{now_s}`, but this cell's clock was beyond that before",
+        ),
         ("used", permit.id in used, f"permit `{permit.id}` was bound before; a permit is good for one launch"),
     )
     for code, refused, detail in checks:

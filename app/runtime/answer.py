@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 from app.audit.event import EventDraft
 from app.governance.model import EventKind, Outcome, Status
 from app.protocol import Human
-from app.runtime.drafts import SERVER, decided_again, grant_event, outcome_event, reason, with_edit, with_reason
+from app.runtime.drafts import DENIAL, SERVER, decided_again, grant_event, outcome_event, reason, with_edit, with_reason
 from app.runtime.errors import Conflict, InvalidParams
 from app.runtime.escalation import APPROVED, DENIED, ROLLBACK, bound_digest
 from app.runtime.invocation import reasons_document
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from app.runtime.questions import Questions
 
 RULE: Final = "authority/approval"
-DENIAL: Final = "authority/denial"
 
 
 class Answer:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 SERVER: Final = "server"
 EDIT: Final = "authority/edit"
+DENIAL: Final = "authority/denial"  # by a person, for a reason that policy names
 
 
 def reason(rule: str, code: str, message: str, remedy: str = "") -> dict[str, str]:

@@ -9,10 +9,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.event import EventDraft
+from app.governance.authority import denial
 from app.governance.continuing import CHANGED
 from app.governance.model import TERMINAL, EventKind, Outcome, Status
 from app.governance.session import final_status, refused_launch
-from app.runtime.drafts import SERVER, outcome_event, reason
+from app.runtime.drafts import DENIAL, SERVER, outcome_event, reason
 from app.runtime.escalation import APPROVED, DENIED, EXPIRED, PENDING, WITHDRAWN
 from app.runtime.failures import described, failure
 from app.runtime.hands import LAPSED, driven, followed
@@ -158,10 +159,22 @@ class Story:
     def _end(self, version: Invocation, outcome: Outcome, at: str, *codes: str) -> Mapping[str, Any]:
         question = self._open(version.id)
         status, why = final_status(outcome), None if outcome in DONE else failure(*codes)
+        if why is not None:
+            why["reasons"][:0] = self._denied(version)
         if question is not None:
             return self._withdraw(version, question, at, status=status, outcome=outcome, failure=why)
         self._versions[version.id] = version.evolve(at, status=status, outcome=outcome, failure=why)
         return NOTHING
+
+    def _denied(self, version: Invocation) -> list[dict[str, str]]:
+        """Return why a human did not let a held session go on, in the words of the code they chose."""
+        asked = version.escalation or NOTHING
+        code = asked.get("code") if asked.get("status") == DENIED else None
+        policy = self._desk.kernel.policy
+        why = None if code is None else denial(policy, code)
+        if why is None or why == policy.authority.denials[0]:
+            return []
+        return [reason(DENIAL, why.code, why.says, why.remedy)]
 
     def _withdraw(
         self,

@@ -16,6 +16,7 @@ from app.api import audits
 from app.audit.event import EventDraft
 from app.audit.telemetry import TelemetryWriter, channels
 from tests.api.conftest import House, open_house
+from tests.audit.conftest import without_descriptors
 
 pytestmark = pytest.mark.anyio
 
@@ -269,6 +270,30 @@ async def test_nothing_moves_on_a_log_that_was_found_damaged(tmp_path: Path) -> 
         assert (refused.status_code, refused.json()["code"]) == (503, "record_unavailable")
         assert (again.status_code, again.json()["code"]) == (503, "record_unavailable")  # no claim was left behind
         assert not cell.launches
+
+
+async def test_a_log_that_cannot_be_read_now_is_not_called_damaged_and_lets_move(tmp_path: Path) -> None:
+    drive = {"capability": "navigate_to", "params": {"target": "dock"}}
+    async with (
+        open_house(tmp_path / "data", "sim-relaxed") as house,
+        house.cell(),
+        house.client("auditor") as auditor,
+        house.client() as agent,
+    ):
+        await agent.get("/healthz")
+        assert (await auditor.get("/v1/audit/verify")).json()["ok"]
+        with without_descriptors():
+            refused = await auditor.get("/v1/audit/verify")
+        health = await agent.get("/healthz")
+        launched = await agent.post("/v1/invocations", json=drive)
+        again = await auditor.get("/v1/audit/verify")
+    assert (refused.status_code, refused.json()["code"]) == (503, "record_unavailable")
+    assert refused.headers["Retry-After"] == "5"
+    assert "`reins.db`: unable to open database file" in refused.json()["detail"]
+    assert str(tmp_path) not in refused.text
+    assert "record" not in health.json()["broken"]
+    assert launched.status_code == 201
+    assert again.json()["ok"]
 
 
 async def test_a_damaged_row_is_refused_by_name_and_stands_in_healthz(tmp_path: Path) -> None:

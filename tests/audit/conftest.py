@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import resource
 import sqlite3
-from collections.abc import AsyncIterator, Callable
-from contextlib import closing
+from collections.abc import AsyncIterator, Callable, Generator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +43,19 @@ async def until(condition: Callable[[], bool]) -> None:
     while not condition():
         assert monotonic_s() < deadline
         await asyncio.sleep(0.01)
+
+
+@contextmanager
+def without_descriptors() -> Generator[None]:
+    """Let this process open nothing more, as a server has it that holds too many connections."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    lowest = os.open(os.devnull, os.O_RDONLY)  # all below it are taken
+    os.close(lowest)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (lowest, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 def draft(kind: str = "proposal", invocation: str | None = "inv_1", actor: str = "planner", **body: Any) -> EventDraft:

@@ -1,10 +1,11 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 
-from app.audit.errors import RowUnreadable
+from app.audit.errors import RecordUnreadable, RowUnreadable
 
 
 @pytest.mark.parametrize(
@@ -18,3 +19,8 @@ def test_a_row_that_cannot_be_read_is_named_and_its_content_kept_back(cause: Exc
     error = RowUnreadable("grants", "grant_1", cause)
     assert (error.table, error.key, error.problem) == ("grants", "grant_1", problem)
     assert str(error) == f"the row `grant_1` of the table `grants` cannot be read: {problem}"
+
+
+def test_a_file_that_cannot_be_read_now_is_named_without_where_it_lies() -> None:
+    error = RecordUnreadable(Path("/srv/secret/reins.db"), "unable to open database file")
+    assert str(error) == "the record cannot be read now: `reins.db`: unable to open database file"

@@ -9,19 +9,20 @@ import asyncio
 import sqlite3
 from base64 import b64encode
 from collections.abc import Callable
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
 
 from app.audit.checkpoint import Signer
-from app.audit.errors import RecordDamaged
+from app.audit.errors import RecordDamaged, RecordUnreadable
 from app.audit.event import Event
 from app.audit.merkle import Frontier, leaf_hash
 from app.audit.places import Places, load_key, load_verifier
 from app.audit.reader import Batch, Extent, Reader
 from app.audit.store import AuditStore
 from app.audit.verification import Verification, agrees, verify_log
-from tests.audit.conftest import draft, fill
+from tests.audit.conftest import draft, fill, without_descriptors
 
 pytestmark = pytest.mark.anyio
 Tamper = Callable[[Places], None]
@@ -74,6 +75,18 @@ def rewrite_history(places: Places) -> None:
 
 def take_the_end_off_everywhere(places: Places) -> None:
     sql("DELETE FROM events WHERE seq > 9", "DELETE FROM checkpoints WHERE size > 9")(places)
+
+
+def take_the_file_outside_for_a_directory(places: Places) -> None:
+    places.checkpoints.unlink()
+    places.checkpoints.mkdir()
+
+
+def garble_the_schema(places: Places) -> None:
+    """Leave a statement that SQLite cannot make out, and that its complaint cites as it stands."""
+    content = places.database.read_bytes()
+    assert content.count(b"CREATE TABLE events ") == 1
+    places.database.write_bytes(content.replace(b"CREATE TABLE events ", b"CREATE TABL\xd2 events "))
 
 
 SWAP_ROWS = (
@@ -130,6 +143,9 @@ TAMPERING: dict[str, tuple[Tamper, int, str]] = {
     "outside: emptied": (outside(lambda _: ""), 1, "lacks the last checkpoints"),
     "outside: garbled": (outside(lambda text: text.replace("reins/", "raids/", 1)), 1, "another checkpoint"),
     "outside: gone": (lambda places: places.checkpoints.unlink(), 1, "No such file"),
+    "outside: a directory": (take_the_file_outside_for_a_directory, 1, "Is a directory"),
+    "database gone": (lambda places: places.database.unlink(), 1, "no such log"),
+    "schema that is no text": (garble_the_schema, 1, "cannot be read as a log"),
 }
 
 
@@ -242,6 +258,19 @@ async def test_verifies_while_others_append(store: AuditStore) -> None:
     assert (await store.verify()).size == 140
 
 
+async def test_what_was_known_of_the_log_holds_on_while_it_cannot_be_read(store: AuditStore) -> None:
+    await fill(store)
+    assert (await store.examine()).ok
+    with without_descriptors(), pytest.raises(RecordUnreadable):
+        await store.examine()
+    assert store.damage is None
+    sql(OTHER_BODY)(store.places)
+    assert not (await store.examine()).ok
+    with without_descriptors(), pytest.raises(RecordUnreadable):
+        await store.examine()
+    assert store.damage == "the bytes of event `5` were altered"
+
+
 async def test_verifies_a_batch_larger_than_a_page(store: AuditStore) -> None:
     await store.append([draft(n=n) for n in range(2500)])
     assert (await store.verify()).size == 2500
@@ -253,6 +282,38 @@ async def test_reports_a_database_that_cannot_be_read(log: Places) -> None:
     assert not result.ok
     assert result.first_bad == 1
     assert str(log.database) in (result.problem or "")
+
+
+async def test_a_database_that_cannot_be_opened_now_is_no_damaged_one(log: Places) -> None:
+    key = load_verifier(log)
+    with without_descriptors(), pytest.raises(RecordUnreadable, match=r"`reins\.db`: unable to open database file"):
+        verify_log(log, key)
+    assert verify_log(log, key).ok
+
+
+async def test_checkpoints_that_cannot_be_opened_now_are_no_damaged_ones(
+    log: Places, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    key = load_verifier(log)
+    with ExitStack() as later:
+        at_its_second_look(monkeypatch, lambda: later.enter_context(without_descriptors()))
+        with pytest.raises(RecordUnreadable, match=r"`checkpoints\.log`: Too many open files"):
+            verify_log(log, key)
+    monkeypatch.undo()
+    assert verify_log(log, key).ok
+
+
+async def test_a_database_that_another_holds_for_itself_is_no_damaged_one(
+    log: Places, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    connect = sqlite3.connect
+    monkeypatch.setattr(sqlite3, "connect", lambda *args, **kwargs: connect(*args, **(kwargs | {"timeout": 0})))
+    with closing(connect(log.database)) as holder:
+        holder.execute("PRAGMA locking_mode = EXCLUSIVE")
+        holder.execute("BEGIN EXCLUSIVE")
+        with pytest.raises(RecordUnreadable, match="database is locked"):
+            verify(log)
+    assert verify(log).ok
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import errno
+import math
 import os
 import signal
 import subprocess
@@ -105,6 +107,45 @@ def test_the_file_is_compacted_by_itself_when_it_has_grown(tmp_path: Path, monke
     assert (tmp_path / "journal").stat().st_size < 4000
 
 
+def test_a_compaction_that_leaves_its_name_in_doubt_counts_nothing_as_written_until_that_is_made_good(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The old file has no name by then: what went there would be gone with the process."""
+    journal = Journal(tmp_path / "journal", boot="a")
+    written = write(journal, 2)
+
+    def broken(_: Path) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(module, "sync_folder", broken)
+        for deed in (journal.compact, lambda: write(journal), journal.sync, journal.require_room):
+            with pytest.raises(JournalUnavailable, match="sync the journal's folder: Input/output error"):
+                deed()
+        assert not journal.healthy
+    journal.require_room()
+    assert journal.healthy
+    journal.mark({"latched": True, "used:auth-1": 50.0})
+    written += write(journal)
+    journal.close()
+    again = Journal(tmp_path / "journal", boot="b")
+    assert again.unacknowledged() == tuple(written)
+    assert again.marks == {"latched": True, "used:auth-1": 50.0}
+    assert [path.name for path in tmp_path.iterdir()] == ["journal"]
+
+
+def test_a_compaction_that_cannot_be_written_leaves_the_old_file_in_use(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "journal", boot="a")
+    written = write(journal, 2)
+    (tmp_path / "journal.new").mkdir()
+    with pytest.raises(JournalUnavailable, match="cannot compact the journal: Is a directory"):
+        journal.compact()
+    assert journal.healthy
+    written += write(journal)
+    journal.close()
+    assert Journal(tmp_path / "journal", boot="b").unacknowledged() == tuple(written)
+
+
 def test_marks_become_durable_with_the_entry_that_carries_them(tmp_path: Path) -> None:
     journal = Journal(tmp_path / "journal", boot="a")
     journal.append(
@@ -122,6 +163,20 @@ def test_used_permits_are_forgotten_only_once_time_refuses_them(tmp_path: Path) 
     assert journal.used_permits() == {"auth-2"}
     journal.close()
     assert Journal(tmp_path / "journal", boot="b").used_permits() == {"auth-2"}
+
+
+def test_the_latest_expiry_of_what_was_forgotten_is_kept_for_a_clock_that_is_put_back(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "journal", boot="a")
+    assert journal.forgotten_s == -math.inf
+    journal.mark({"used:auth-1": 50.0, "used:auth-2": 40.0, "used:auth-3": 70.0})
+    journal.forget_permits(60.0)
+    assert journal.forgotten_s == 50.0
+    journal.mark({"used:auth-0": 20.0})
+    journal.forget_permits(60.0)
+    assert journal.forgotten_s == 50.0, "it never falls"
+    journal.compact()
+    journal.close()
+    assert Journal(tmp_path / "journal", boot="b").forgotten_s == 50.0
 
 
 @pytest.mark.parametrize("cut", [1, 5, 12, 30])

@@ -26,6 +26,7 @@ class Recorder:
         self.holds: list[str] = []
         self.moving_for = 0
         self.fault: Exception | None = None
+        self.cut = False
         self.unrecorded: Unrecorded | None = None
 
     def tick(self) -> None:
@@ -42,6 +43,9 @@ class Recorder:
 
     def standing(self) -> bool:
         return self.moving_for == 0
+
+    def cut_power(self) -> None:
+        self.cut = True
 
     def sight(self) -> Sight | None:
         return None if self.status is None else Sight("inv_1", self.ticks * self.period_s, (), lambda: b"")
@@ -157,6 +161,7 @@ def test_a_bug_in_the_runner_ends_the_loop_and_is_kept(start: Callable[..., Benc
     bench = start(runner)
     until(lambda: not bench.loop.alive())
     assert bench.loop.broken is runner.fault
+    assert runner.cut
 
 
 @pytest.mark.parametrize("status", ["running", "paused", "recovering"])

@@ -13,9 +13,10 @@ from pathlib import Path
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
+from app.cell.display import sitting
 from app.cell.journal import Journal, JournalUnavailable
 from app.cell.runner import Runner, run_session
-from app.governance.model import CoveredRecovery, Outcome, Strategy
+from app.governance.model import CoveredRecovery, Outcome, SkillReport, Strategy
 from app.governance.permit import SignedAuthorization, mint
 from app.protocol import CHANNELS, ROW
 from tests.cell.rig import COVERED, DIGEST, KEY, NOW_S, PERMIT, PLAN, RECOVERY, RULES, Rig, rule, signed
@@ -213,6 +214,36 @@ def test_a_substrate_that_breaks_is_cut_off_and_latched(rig: Rig, monkeypatch: p
     assert [(body["outcome"], body["code"]) for body in rig.of("outcome")] == [("fault", "guard_broken")]
     assert "ZeroDivisionError" in rig.runner.view().broken
     assert rig.runner.launch(signed(id="auth-2")) == "estop_latched"
+
+
+@pytest.mark.parametrize("reading", [1e39, -1e39, math.inf, math.nan])
+def test_a_reading_beyond_single_precision_is_for_the_watcher_to_judge(rig: Rig, reading: float) -> None:
+    rig.launch()
+    rig.ticks(40)
+    rig.cell.lie = lambda seen: seen._replace(contact_force_n=reading)
+    rig.ticks(3)
+    assert not rig.runner.latched
+    assert rig.runner.broken == ""
+    assert rig.of("alert")
+
+
+def test_a_skill_that_cannot_say_where_it_is_fails_and_takes_nothing_along(rig: Rig) -> None:
+    rig.launch()
+    rig.ticks(40)
+    session = rig.runner.session
+    assert session is not None
+    phase = session.run.skill.report().phase
+
+    def broken() -> SkillReport:
+        raise RuntimeError("nothing to say")
+
+    session.run.skill.report = broken  # type: ignore[method-assign]
+    rig.ticks(1)
+    shown = sitting(session)
+    assert shown is not None
+    assert shown.phase in {phase, "failed"}
+    rig.until(lambda: bool(rig.of("recovery")))
+    assert not rig.runner.latched
 
 
 # -- pause, resume, escalate -----------------------------------------------------------------------------------------
@@ -535,6 +566,45 @@ def test_the_command_changes_in_the_tick_after_a_violation_is_seen(rig: Rig, lie
     assert changed[0] <= 2  # the first tick still sees it
 
 
+# -- what happens while somebody holds it -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("held", ["paused", "asked"])
+def test_what_ends_the_attempt_while_it_is_held_has_ended_it(rig: Rig, held: str) -> None:
+    hits = {"on": False}
+    rig.cell.lie = lambda seen: seen._replace(contact_force_n=180.0 + (seen.tick % 7) * 0.1) if hits["on"] else seen
+    rig.cell.script.releases = held == "asked"
+    rig.launch(confirm_before=("release",) if held == "asked" else ())
+    if held == "asked":
+        rig.until_status("escalated")
+    else:
+        rig.ticks(40)
+        assert rig.runner.human("inv-1", "pause", "operator") is None
+        rig.ticks(3)
+    hits["on"] = True
+    rig.ticks(20)
+    hits["on"] = False
+    rig.ticks(100)
+    assert not rig.of("intervention")  # whoever holds it is asked first
+    assert rig.runner.human("inv-1", "confirm" if held == "asked" else "resume", "operator") is None
+    rig.until(lambda: bool(rig.of("recovery")))
+    assert rig.last("intervention")["rule"] == "contact_force_n"
+    assert rig.last("recovery")["failure"] == "contact"
+
+
+def test_a_hold_that_a_recovery_was_to_end_in_is_over_once_a_human_has_taken_over(rig: Rig) -> None:
+    rig.cell.script.fails = {("grasp_object", 1): "object_lost"}
+    rig.launch()
+    rig.until_status("recovering")
+    rig.runner.hold("link")
+    rig.runner.welcomed()
+    assert rig.runner.launch(signed(id="auth-2", capability="takeover"), anew=True) is None
+    rig.ticks(100)
+    assert rig.runner.launch(signed(id="auth-3"), anew=True) is None
+    assert rig.finish()["outcome"] == "recovered"
+    assert not rig.of("escalation")
+
+
 # -- confirmations ---------------------------------------------------------------------------------------------------
 
 
@@ -561,6 +631,33 @@ def test_a_word_about_something_else_does_not_confirm_a_phase_that_waits_meanwhi
     assert rig.runner.human("inv-1", op, "operator") == refused
     rig.ticks(50)
     assert (rig.runner.status, rig.moving()) == ("escalated", False)
+
+
+def test_a_phase_is_confirmed_anew_in_every_attempt(rig: Rig) -> None:
+    rig.cell.script.releases = True
+    rig.launch(confirm_before=("release",))
+    rig.until_status("escalated")
+    assert rig.runner.human("inv-1", "confirm", "operator") is None
+    rig.ticks(3)
+    rig.cell.script.fails = {("grasp_object", 1): "grasp_failed"}
+    rig.until(lambda: len(rig.of("escalation")) == 2)
+    assert rig.last("escalation")["reason"] == "confirm:release"
+
+
+@pytest.mark.parametrize("before", [(), ("release",)], ids=["nothing to confirm before", "confirmed before"])
+def test_a_hand_back_asks_what_its_own_authorization_has_confirmed(rig: Rig, before: tuple[str, ...]) -> None:
+    rig.cell.script.releases = True
+    rig.launch(confirm_before=before)
+    if before:
+        rig.until_status("escalated")
+        assert rig.runner.human("inv-1", "confirm", "operator") is None
+    rig.ticks(2)
+    assert rig.runner.launch(signed(id="auth-2", capability="takeover"), anew=True) is None
+    rig.ticks(60)
+    asked = len(rig.of("escalation"))
+    assert rig.runner.launch(signed(id="auth-3", confirm_before=("release",)), anew=True) is None
+    rig.until(lambda: len(rig.of("escalation")) > asked)
+    assert rig.last("escalation")["reason"] == "confirm:release"
 
 
 def test_there_is_nothing_to_confirm_where_nothing_waits(rig: Rig) -> None:

@@ -252,12 +252,12 @@ def test_whoever_drives_is_told_that_the_session_is_paused_and_resumes_it(
     panel.get_by_role("button", name="Resume").click()
     expect(header).not_to_contain_text("paused")
     expect(panel).not_to_contain_text("nothing moves")
-    problem = {"title": "Conflict", "status": 409, "code": "rollback_unavailable", "detail": "it cannot be undone"}
-    person.page.route("**/rollback", lambda route: route.fulfill(status=409, json=problem))
-    person.press("b")
-    expect(person.alert("It cannot be undone.")).to_be_visible()
+    problem = {"title": "Conflict", "status": 409, "code": "ending", "detail": "it is coming to its end"}
+    person.page.route("**/pause", lambda route: route.fulfill(status=409, json=problem))
+    person.press("p")
+    expect(person.alert("It is coming to its end.")).to_be_visible()
     person.button("Understood").click()
-    expect(person.alert("It cannot be undone.")).to_have_count(0)
+    expect(person.alert("It is coming to its end.")).to_have_count(0)
 
 
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])

@@ -96,6 +96,8 @@ def test_nothing_of_an_unsigned_body_is_parsed() -> None:
         ({"now_s": float("nan")}, "not_yet_valid"),
         ({"now_s": float("inf")}, "expired"),
         ({"used": frozenset({"auth-1"})}, "used"),
+        ({"forgotten_s": 1030.25}, "expired"),
+        ({"forgotten_s": float("nan")}, "expired"),
     ],
 )
 def test_a_good_signature_is_not_enough(changes: dict[str, object], expected: str) -> None:
@@ -105,6 +107,10 @@ def test_a_good_signature_is_not_enough(changes: dict[str, object], expected: st
 def test_a_permit_is_good_until_just_before_its_expiry_and_despite_a_small_clock_difference() -> None:
     assert check(mint(PERMIT, KEY), now_s=1030.24)
     assert check(mint(PERMIT, KEY), now_s=998.5)
+
+
+def test_a_permit_that_expires_after_all_that_were_forgotten_was_not_among_them() -> None:
+    assert check(mint(PERMIT, KEY), forgotten_s=1030.24)
 
 
 def test_a_refusal_after_the_signature_names_the_invocation() -> None:

@@ -598,10 +598,12 @@ async def test_a_held_session_cannot_be_edited(runtime: Runtime, cell: HandCell)
 
 async def test_denying_terminates_a_held_session(runtime: Runtime, cell: HandCell) -> None:
     document, question = await held(runtime, cell)
-    assert (await answer(runtime, question, decision="deny"))["status"] == "denied"
+    assert (await answer(runtime, question, decision="deny", code="person_in_the_way"))["status"] == "denied"
     await until(lambda: cell.ops() == ["resolve_terminate"])
     await cell.ended(document["id"], "terminated")
-    assert (await runtime.governor.invocation(document["id"], AGENT))["outcome"] == "terminated"
+    over = await runtime.governor.invocation(document["id"], AGENT)
+    assert over["outcome"] == "terminated"
+    assert over["failure"]["reasons"][0]["message"] == "a person is in the way"
 
 
 async def test_a_held_session_is_not_let_go_while_its_cell_is_away(runtime: Runtime, cell: HandCell) -> None:

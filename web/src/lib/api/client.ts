@@ -106,6 +106,7 @@ export class Api {
     return response;
   }
 
+  health = (): Promise<{ status: string; broken: Record<string, string | null> }> => this.get('/healthz');
   cells = (): Promise<List<Cell>> => this.get('/v1/cells');
   capabilities = (): Promise<List<Capability>> => this.get('/v1/capabilities');
   policy = (): Promise<PolicySet> => this.get('/v1/policies/active');

@@ -25,6 +25,7 @@ type FrameListener = (frame: PoseFrame) => void;
 const OFF: Health = { state: 'connecting', rttMs: null, framesPerS: 0, why: '' };
 const LOOK_MS = 1_000;
 const QUIET_LOOK_MS = 100;
+const POLICY_AGAIN_MS = 2_000;
 
 /**
  * The signed-in console: what the server said, whether that still holds, and which cell is looked at.
@@ -57,6 +58,9 @@ export class Console {
   private quietly = $state(false);
   private readonly attending: ReturnType<typeof setInterval>;
   private readonly looking: ReturnType<typeof setInterval>;
+  /** Counts the requests for the policy: what an older one brings, or fails of, means nothing any more. */
+  private policyTurn = 0;
+  private policyAgain: ReturnType<typeof setTimeout> | undefined;
   private frameListeners: readonly FrameListener[] = [];
   /** What the server said last; `docs` follows as fast as the page can draw it. */
   private latest: Documents = NOTHING;
@@ -151,6 +155,8 @@ export class Console {
   end(): void {
     clearInterval(this.looking);
     clearInterval(this.attending);
+    clearTimeout(this.policyAgain);
+    this.policyTurn += 1;
     this.link.end();
   }
 
@@ -244,12 +250,17 @@ export class Console {
   }
 
   private async fetchPolicy(): Promise<void> {
+    clearTimeout(this.policyAgain);
+    const turn = (this.policyTurn += 1);
     try {
       const [policy, capabilities] = await Promise.all([this.api.policy(), this.api.capabilities()]);
+      if (turn !== this.policyTurn) return;
       this.policy = policy;
       this.capabilities = Object.fromEntries(capabilities.items.map((item) => [item.name, item]));
     } catch {
-      setTimeout(() => void this.fetchPolicy(), 2_000); // limits are drawn from it; without it gauges show no limit
+      if (turn !== this.policyTurn) return;
+      // Limits are drawn from it: without it gauges show no limit.
+      this.policyAgain = setTimeout(() => void this.fetchPolicy(), POLICY_AGAIN_MS);
     }
   }
 }

@@ -1,0 +1,98 @@
+import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
+import { Console } from '../src/lib/state/console.svelte';
+
+/** The Worker that holds the socket; the test says what comes from it. */
+class PlayedWorker {
+  static newest: PlayedWorker;
+  onmessage: ((event: { data: unknown }) => void) | null = null;
+
+  constructor() {
+    PlayedWorker.newest = this;
+  }
+  postMessage(): void {
+    // nobody listens
+  }
+  terminate(): void {
+    // nothing runs
+  }
+  say(message: object): void {
+    this.onmessage?.({ data: { is: 'message', message } });
+  }
+}
+
+describe('the policy that limits are drawn from', () => {
+  let asked: { answer: (version: string) => void; fail: () => void }[];
+  let page: Console;
+
+  beforeEach(() => {
+    vi.useFakeTimers({ now: 0 });
+    asked = [];
+    vi.stubGlobal('Worker', PlayedWorker);
+    vi.stubGlobal('location', { protocol: 'https:', host: 'here' });
+    vi.stubGlobal('sessionStorage', { getItem: () => null });
+    vi.stubGlobal('fetch', (path: string) => {
+      if (path !== '/v1/policies/active') return Promise.resolve(Response.json({ items: [] }));
+      return new Promise<Response>((resolve, reject) => {
+        asked.push({ answer: (version) => resolve(Response.json({ version })), fail: () => reject(new TypeError('no network')) });
+      });
+    });
+    page = new Console('secret');
+  });
+  afterEach(() => {
+    page.end();
+    vi.useRealTimers();
+    vi.unstubAllGlobals();
+  });
+
+  function welcome(): void {
+    PlayedWorker.newest.say({ type: 'welcome', version: 1, name: 'operator', role: 'operator', station: null, boot: 'b', at: 0 });
+  }
+
+  it('is what the newest request brought, whichever answer comes last', async () => {
+    welcome();
+    welcome();
+    asked[1]?.answer('sha256:new');
+    await vi.advanceTimersByTimeAsync(10);
+    asked[0]?.answer('sha256:old');
+    await vi.advanceTimersByTimeAsync(10);
+    expect(page.policy?.version).toBe('sha256:new');
+  });
+
+  it('is asked for once at a time, however often the link came back meanwhile', async () => {
+    for (let k = 0; k < 3; k += 1) welcome();
+    asked.forEach(({ fail }) => fail());
+    await vi.advanceTimersByTimeAsync(1_000);
+    expect(asked.length).toBe(3);
+    welcome(); // while the retry waits: it takes its place
+    asked[3]?.answer('sha256:new');
+    await vi.advanceTimersByTimeAsync(10_000);
+    expect([asked.length, page.policy?.version]).toEqual([4, 'sha256:new']);
+  });
+
+  it('is asked for again until there is an answer', async () => {
+    welcome();
+    asked[0]?.fail();
+    await vi.advanceTimersByTimeAsync(2_000);
+    asked[1]?.answer('sha256:new');
+    await vi.advanceTimersByTimeAsync(10_000);
+    expect([asked.length, page.policy?.version]).toEqual([2, 'sha256:new']);
+  });
+
+  it('is not taken after signing out, nor asked for again', async () => {
+    welcome();
+    page.end();
+    asked[0]?.answer('sha256:late');
+    await vi.advanceTimersByTimeAsync(10_000);
+    expect([asked.length, page.policy]).toEqual([1, null]);
+  });
+
+  it.each(['before', 'behind'])('is not asked for again by who signs out %s the failure', async (when) => {
+    welcome();
+    if (when === 'before') page.end();
+    asked[0]?.fail();
+    await vi.advanceTimersByTimeAsync(1_000);
+    page.end();
+    await vi.advanceTimersByTimeAsync(10_000);
+    expect(asked.length).toBe(1);
+  });
+});

@@ -1,0 +1,31 @@
+import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
+import { troublesOf, Wellness } from '../src/lib/state/wellness.svelte';
+
+describe('how the server is', () => {
+  beforeEach(() => void vi.useFakeTimers());
+  afterEach(() => void vi.useRealTimers());
+
+  it('is told where it keeps robots from moving, the gravest first', () => {
+    const found = troublesOf({ store: 'no space left', record: 'event 25 is not what was signed', rows: 'of no concern here' });
+    expect(found.map(({ part, why }) => [part, why])).toEqual([['record', 'event 25 is not what was signed'], ['store', 'no space left']]);
+  });
+
+  it('is asked again and again, and no more once the console has ended', async () => {
+    const answers = [{ status: 'degraded', broken: { record: 'damaged' } }, null, { status: 'ok', broken: {} }];
+    const health = vi.fn(() => {
+      const next = answers.shift() ?? null;
+      return next === null ? Promise.reject(new Error('away')) : Promise.resolve(next);
+    });
+    const wellness = new Wellness();
+    const end = wellness.watch({ health });
+    await vi.advanceTimersByTimeAsync(1);
+    expect(wellness.troubles.map(({ part }) => part)).toEqual(['record']);
+    await vi.advanceTimersByTimeAsync(5_000);
+    expect(wellness.troubles).toHaveLength(1); // it did not answer: what it said last stands
+    await vi.advanceTimersByTimeAsync(5_000);
+    expect(wellness.troubles).toEqual([]);
+    end();
+    await vi.advanceTimersByTimeAsync(20_000);
+    expect(health).toHaveBeenCalledTimes(3);
+  });
+});
