@@ -235,18 +235,22 @@ def box(button: Locator) -> dict[str, float]:
     return dict(found)
 
 
+def on_top(button: Locator) -> bool:
+    """Say whether a finger on the middle of it hits it, and not what covers it or has cut it off."""
+    return button.evaluate(
+        """(button) => { const {x, y, width, height} = button.getBoundingClientRect();
+        return button.contains(document.elementFromPoint(x + width / 2, y + height / 2)); }"""
+    )
+
+
 def out_of_reach(button: Locator) -> list[str]:
     """Say why the stop cannot be pressed with the thumb of the hand that holds the phone."""
     at = box(button)
     screen = button.page.viewport_size
     assert screen is not None
     sideways = screen["width"] > screen["height"]
-    on_top = button.evaluate(
-        """(stop) => { const {x, y, width, height} = stop.getBoundingClientRect();
-        return stop.contains(document.elementFromPoint(x + width / 2, y + height / 2)); }"""
-    )
     wrong = {
-        "covered": not on_top,
+        "covered": not on_top(button),
         "too small": min(at["height"], at["width"] / 2) < THUMB_PX,
         "too high up": at["y"] < screen["height"] - REACH_PX,
         "too far aside": sideways and at["x"] < screen["width"] - ASIDE_PX,

@@ -8,7 +8,19 @@ import pytest
 from playwright.sync_api import Locator, expect
 
 from tests.conftest import ServerProcess, until
-from tests.console.conftest import PHONE, Floor, People, Person, far, out_of_reach, stop
+from tests.console.conftest import (
+    PHONE,
+    SIDEWAYS,
+    SIDEWAYS_SMALL,
+    THREE_FRAMES,
+    Floor,
+    People,
+    Person,
+    far,
+    on_top,
+    out_of_reach,
+    stop,
+)
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 
@@ -58,3 +70,47 @@ def test_a_stop_is_left_in_two_steps_on_the_fleet_page(server: ServerProcess, pe
     assert (second.value.post_data_json or {})["step"] == "confirm"
     expect(card.get_by_role("button", name="Emergency stop of workcell-1")).to_be_visible()
     assert server.cell()["latched"] is False
+
+
+def test_no_finger_approves_a_question_that_is_out_of_sight(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, size=PHONE)
+    asked = floor.ask()
+    approve, read = person.button(re.compile("^Approve")), person.button("Read it first")
+    expect(approve).to_be_enabled()
+    person.button("Drive").tap()
+    expect(person.button("Take the controls")).to_be_visible()
+    expect(read).to_be_in_viewport(ratio=1)
+    expect(approve).to_have_count(0)
+    expect(person.button(re.compile("^Deny"))).to_be_enabled()
+    person.press("a")
+    read.tap()
+    expect(approve).to_be_disabled()  # until there was a moment to read
+    for part in ("heading", "textbox"):
+        expect(person.page.get_by_role("article").get_by_role(part).first).to_be_in_viewport(ratio=1)
+    assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "awaiting_approval"
+    expect(approve).to_be_enabled()
+    approve.tap()
+    assert floor.settled(asked["id"])["status"] in {"running", "completed"}
+
+
+def test_on_a_phone_held_sideways_what_is_done_to_a_session_is_within_reach(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, size=SIDEWAYS)
+    asked = floor.ask()
+    floor.drive_off()
+    acts = ("^Pause", "^Resume", "^Roll back")
+    for words in (("^Deny", "^Approve", *acts), acts):
+        for size in (SIDEWAYS, SIDEWAYS_SMALL):
+            person.page.set_viewport_size(size)
+            person.page.evaluate(THREE_FRAMES)
+            for word in words:
+                button = person.button(re.compile(word))
+                expect(button).to_be_in_viewport(ratio=1)
+                assert on_top(button), f"{word} on {size}"
+            assert out_of_reach(stop(person)) == []
+        if words != acts:
+            floor.answer(asked, "deny")
+            expect(person.button(re.compile("^Deny"))).to_have_count(0)
