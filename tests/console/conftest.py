@@ -54,6 +54,7 @@ PATIENCE_MS = 15_000
 expect.set_options(timeout=PATIENCE_MS)
 
 DESK = {"width": 1440, "height": 900}
+DESK_SMALL = {"width": 1280, "height": 800}
 PHONE = {"width": 390, "height": 844}
 NARROWEST = {"width": 320, "height": 640}
 MAGNIFIED = {"width": 320, "height": 256}  # 1280 x 1024 at 400 % (WCAG 1.4.10)
