@@ -135,3 +135,26 @@ def test_a_session_taken_over_goes_on_when_it_is_handed_back(
     until(lambda: floor.speed() > 0.05, what="a base that goes on")
     told = [event["body"].get("op") for event in server.get(f"/v1/invocations/{drive['id']}/trace")["items"]]
     assert {"takeover", "jog", "release"} <= set(told)
+
+
+def test_what_closes_or_was_sent_gives_the_focus_back_to_where_one_goes_on(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    main, panel = person.page.locator("main"), person.region("Drive by hand")
+    for close in ("t", "Escape", "Enter"):
+        person.press("t")
+        expect(panel).to_be_focused()
+        if close == "Enter":
+            person.press("Tab")
+            expect(person.button("Close")).to_be_focused()
+        person.press(close)
+        expect(panel).to_have_count(0)
+        expect(main).to_be_focused()
+    assert main.evaluate("(main) => getComputedStyle(main).boxShadow") == "none"
+    person.press("2")
+    check = person.button("Check again")
+    expect(check).to_be_enabled()
+    check.focus()
+    person.press("Enter")
+    expect(check).to_be_focused()

@@ -79,6 +79,7 @@ def test_a_candidate_is_mended_compared_tried_put_in_force_by_two_and_undone(
     say_why(bring, "mugs slip at 60 N")
     bring.get_by_role("button", name="Check and keep").click()
     expect(bring.get_by_role("alert")).to_contain_text("1 fault: it is not kept.")
+    expect(bring.get_by_role("button", name="Check again")).to_be_focused()  # while it was sent, it could not be
     told = bring.get_by_role("list", name=f"Faults in {PROFILE}")
     expect(told).to_contain_text("there is no signal `stall_h`")
     told.get_by_role("button", name=re.compile(r"Line \d+")).click()
@@ -97,6 +98,7 @@ def test_a_candidate_is_mended_compared_tried_put_in_force_by_two_and_undone(
     say_why(view, "is anything else decided otherwise?")
     view.get_by_role("button", name="Ask it in the shadow").click()
     expect(view.get_by_role("button", name="End the shadow")).to_be_visible()
+    expect(view.get_by_role("group", name="About this version")).to_be_focused()
     changing.propose("grasp_object", object_id="mug_1", force_n=80.0)
     shadow = view.get_by_role("region", name="In the shadow")
     expect(shadow).to_contain_text(re.compile("[1-9][0-9]* decisions, [1-9]"))
@@ -125,6 +127,7 @@ def test_a_candidate_is_mended_compared_tried_put_in_force_by_two_and_undone(
     say_why(former, "too many near misses")
     former.get_by_role("button", name="Roll back to this").click()
     expect(former.get_by_role("region", name="When it was in force")).to_contain_text("too many near misses")
+    expect(former.get_by_role("group", name="About this version")).to_be_focused()
     until(lambda: changing.get("/v1/policies/active")["version"] != digest, what="the former version in force")
 
 
