@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import pytest
@@ -135,6 +136,25 @@ def test_a_session_taken_over_goes_on_when_it_is_handed_back(
     until(lambda: floor.speed() > 0.05, what="a base that goes on")
     told = [event["body"].get("op") for event in server.get(f"/v1/invocations/{drive['id']}/trace")["items"]]
     assert {"takeover", "jog", "release"} <= set(told)
+
+
+def test_the_second_step_of_a_reset_goes_when_it_is_dead_and_says_why(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    again, reset, yes = person.alert("is latched"), person.button("Reset…"), person.button("Yes, reset the stop")
+    person.press(".")
+    reset.click()
+    expect(person.page.get_by_text(re.compile("^([1-9]|10) s left to confirm"))).to_be_visible()
+    assert server.post("/v1/cells/workcell-1/estop", key="operator_2").is_success
+    expect(again).to_contain_text("operator_2 has pressed the stop again since.")
+    expect(yes).to_have_count(0)
+    expect(reset).to_be_focused()
+    person.press("Enter")
+    expect(yes).to_be_visible()
+    expect(again).to_contain_text("The time to confirm is over.")
+    expect(yes).to_have_count(0)
+    assert server.cell()["latched"] is True
 
 
 def test_what_closes_or_was_sent_gives_the_focus_back_to_where_one_goes_on(

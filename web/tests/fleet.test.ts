@@ -1,7 +1,9 @@
 import { describe, expect, it } from 'vitest';
-import type { Cell } from '../src/lib/api/documents';
+import type { Cell, LogEvent } from '../src/lib/api/documents';
 import { differences } from '../src/lib/fleet/profiles';
+import { secondsLeft, whyWithdrawn } from '../src/lib/live/reset';
 import { heard, profileBarrier, resetBarrier, samePolicy } from '../src/lib/fleet/rights';
+import { event } from './samples';
 
 const cell = (over: Partial<Cell> = {}): Cell => ({
   id: 'workcell-1', online: true, latched: true, profile: 'human-shared', busy: null, status: null, holding_link: false, robot: null, policy_version: 'sha256:1', facts: null, gauges: {}, ...over,
@@ -23,6 +25,22 @@ describe('who may act', () => {
   it('nobody does while the link is down', () => {
     expect(profileBarrier({ role: 'operator', live: false })).toContain('link is down');
     expect(resetBarrier({ role: 'operator', live: false, cell: cell() })).toContain('link is down');
+  });
+});
+
+describe('the second step of a reset', () => {
+  const offered = { code: '1', sinceMs: Date.parse('2026-01-01T00:00:10Z'), untilMs: Date.parse('2026-01-01T00:00:20Z') };
+  const stop = (at: string, name: string): LogEvent => ({ ...event('human', { op: 'estop', cell: name }, null, 'operator_2'), at });
+  const [before, after, elsewhere] = [stop('2026-01-01T00:00:09Z', 'workcell-1'), stop('2026-01-01T00:00:12Z', 'workcell-1'), stop('2026-01-01T00:00:12Z', 'workcell-2')];
+
+  it('stands until its time is over', () => {
+    expect([offered.untilMs - 1_500, offered.untilMs, offered.untilMs + 1].map((now) => secondsLeft(offered, now))).toEqual([2, 0, 0]);
+    expect(whyWithdrawn(offered, 'workcell-1', [before, elsewhere], offered.untilMs - 1)).toBeNull();
+    expect(whyWithdrawn(offered, 'workcell-1', [], offered.untilMs)).toContain('time to confirm is over');
+  });
+
+  it('falls with a new stop, and says whose', () => {
+    expect(whyWithdrawn(offered, 'workcell-1', [before, after], offered.untilMs)).toContain('operator_2 has pressed the stop again');
   });
 });
 
