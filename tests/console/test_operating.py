@@ -178,3 +178,42 @@ def test_what_closes_or_was_sent_gives_the_focus_back_to_where_one_goes_on(
     check.focus()
     person.press("Enter")
     expect(check).to_be_focused()
+
+
+def test_a_profile_is_chosen_by_arrow_keys_and_compared_anew_when_another_changes_it(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    before = server.cell()["profile"]
+    person.press("4")
+    card = person.region("workcell-1")
+    choice, change = card.get_by_label("Profile"), card.get_by_role("button", name="Change…")
+    choice.focus()
+    person.press("Home")
+    names = choice.locator("option").all_inner_texts()
+    for name in names[1:]:
+        person.press("ArrowDown")
+        expect(choice).to_have_value(name)
+    expect(choice).to_be_focused()
+    wanted, theirs = [name for name in names if name != before][:2]
+    choice.select_option(wanted)
+    change.click()
+    expect(card.get_by_role("button", name=f"Keep {before}")).to_be_focused()
+    yes = card.get_by_role("button", name="Yes, change it")
+    try:
+        put_under(server, theirs, "operator_2")
+        told = card.get_by_role("alert")
+        expect(told).to_contain_text(f"operator_2 has put workcell-1 under {theirs} meanwhile.")
+        expect(told).to_contain_text(f"You compared {wanted} with {before}.")
+        expect(yes).to_have_count(0)
+        card.get_by_role("button", name=f"Compare with {theirs}").click()
+        expect(card.get_by_role("button", name=f"Keep {theirs}")).to_be_focused()
+        yes.click()
+        until(lambda: server.cell()["profile"] == wanted, what="the profile that was confirmed anew")
+    finally:
+        put_under(server, before)
+
+
+def put_under(server: ServerProcess, profile: str, key: str = "operator") -> None:
+    with server.client(key) as client:
+        assert client.put("/v1/cells/workcell-1/profile", json={"profile": profile}).is_success
