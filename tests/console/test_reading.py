@@ -54,6 +54,16 @@ def test_a_trace_that_cannot_be_read_again_stays_and_says_why(
     expect(person.region("Replay")).to_contain_text("Nothing ran under this proposal")
 
 
+def test_the_list_of_keys_shows_arrows_as_arrows(server: ServerProcess, people: People, floor: Floor) -> None:
+    person = people.sit(server)
+    person.page.evaluate(f"location.hash = '#/audit/{floor.ask()['id']}'")
+    expect(person.page.get_by_role("heading", name="Grasp mug_1")).to_be_visible()
+    person.press("?")
+    keys = person.page.get_by_role("dialog", name="Keys")
+    expect(keys.get_by_text("←", exact=True)).to_be_visible()
+    expect(keys.get_by_text("→", exact=True)).to_be_visible()
+
+
 def test_a_trace_follows_its_session_and_is_scrubbed_with_its_events(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
