@@ -10,7 +10,7 @@ import pytest
 from playwright.sync_api import expect
 
 from tests.conftest import ServerProcess, Servers, until
-from tests.console.conftest import PHONE, Floor, People, Person, box
+from tests.console.conftest import DESK, PHONE, Floor, People, Person, box
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 # The share of the picture that is not its commonest colour, the empty background; names and buttons make little of it.
@@ -74,6 +74,18 @@ def approached(built: None, tmp_path: Path) -> Iterator[ServerProcess]:
         servers.end()
 
 
+@pytest.fixture
+def crossed(built: None, tmp_path: Path) -> Iterator[ServerProcess]:
+    """A server whose robot, once it drives, is held by somebody who comes and stays."""
+    scenario = tmp_path / "scenario.yaml"
+    scenario.write_text(WALKS_UP)
+    servers = Servers(tmp_path)
+    try:
+        yield servers.start(None, "--pace", "1", "--scenario", str(scenario))
+    finally:
+        servers.end()
+
+
 def test_who_comes_to_a_robot_that_holds_sees_the_violated_distance_in_red(
     approached: ServerProcess, people: People
 ) -> None:
@@ -83,6 +95,24 @@ def test_who_comes_to_a_robot_that_holds_sees_the_violated_distance_in_red(
         until(lambda: drawn(person) > MUCH, what="a cell that is drawn")
         until(lambda: red(person) > RING_PX, within_s=10.0, what="a red ring around the robot")
         person.page.reload()
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_whom_the_watcher_holds_is_paused_to_stay_and_resumed_only_then(
+    crossed: ServerProcess, people: People, size: dict[str, int]
+) -> None:
+    person = people.sit(crossed, size=size)
+    crossed.launch("navigate_to", target="bench_b_stand")
+    scene, pause, resume = person.region("The cell in 3D"), person.button("Pause"), person.button("Resume")
+    expect(scene).to_contain_text("It goes on by itself once they have left, unless somebody pauses it.")
+    expect(pause).to_have_attribute("aria-disabled", "false")
+    expect(resume).to_have_attribute("aria-disabled", "true")
+    pause.click()
+    expect(resume).to_have_attribute("aria-disabled", "false")
+    expect(scene).to_contain_text("It waits for Resume, also once they have left.")
+    assert crossed.cell()["session"]["paused_by"] == ["operator", "watch"]
+    resume.click()
+    expect(resume).to_have_attribute("aria-disabled", "true")
 
 
 @pytest.mark.parametrize("theme", ["dark", "light"])

@@ -3,12 +3,12 @@ import type { Escalation, Invocation, LogEvent, Risk } from '../src/lib/api/docu
 import { readGauge, type GaugeSpec } from '../src/lib/live/gauges';
 import { History } from '../src/lib/live/history';
 import { closedWords } from '../src/lib/live/closed';
-import { handsOn, isHalted, leaseLapsed, refusalWords } from '../src/lib/live/control';
+import { handsOn, holdersOf, isHalted, leaseLapsed, refusalWords, restraintsOf } from '../src/lib/live/control';
 import { reasonLines } from '../src/lib/live/reasons';
 import { askedOf, stagesOf } from '../src/lib/live/stages';
 import { troubleOf, zonesAt } from '../src/lib/live/trouble';
 import { byUrgency, currentOf } from '../src/lib/live/urgency';
-import { cell, escalation, event, invocation, scene } from './samples';
+import { cell, escalation, event, heldBy, invocation, scene } from './samples';
 
 const NOW = Date.parse('2026-11-22T10:00:00Z');
 const after = (seconds: number): string => new Date(NOW + seconds * 1000).toISOString();
@@ -151,6 +151,12 @@ describe('trouble in the scene', () => {
     expect(troubleOf(cell({}), { ...near, separationM: 1.02 }, scene).separation).toBe(false);
   });
 
+  it('says of a robot that the watcher holds that it goes on by itself, or waits for Resume', () => {
+    const words = (...by: string[]): string => troubleOf(cell({ status: 'paused', session: heldBy(...by) }), near, scene).words?.text ?? '';
+    expect(words('watch')).toMatch(/has stopped moving\. It goes on by itself once they have left, unless somebody pauses it\.$/);
+    expect(words('operator', 'watch')).toMatch(/has stopped moving\. It waits for Resume, also once they have left\.$/);
+  });
+
   it('is not claimed from what is not known', () => {
     expect(troubleOf(cell({}), { separationM: 0.1, neededM: null, zoneMarginM: null }, scene).words).toBeNull();
   });
@@ -184,6 +190,25 @@ describe('the controls of a cell', () => {
     expect(refusalWords('release_first')).toBe('let go of everything, then press again');
     expect(refusalWords('human-shared/separation')).toBe('a person is too near');
     expect(refusalWords('human-shared/base-speed')).toBe('stopped by base-speed');
+  });
+});
+
+describe('a session', () => {
+  const may = (status: string, ...by: string[]): string => {
+    const { pausable, resumable } = restraintsOf(status, holdersOf(cell({ status, session: heldBy(...by) })));
+    return [pausable ? 'pause' : '', resumable ? 'resume' : ''].join(' ').trim();
+  };
+
+  it.each([
+    ['running', [], 'pause'],
+    ['recovering', [], 'pause'],
+    ['paused', ['watch'], 'pause'],
+    ['paused', ['operator'], 'resume'],
+    ['paused', ['operator', 'watch'], 'resume'],
+    ['paused', [], 'pause'],
+    ['escalated', [], ''],
+  ])('that is %s by %j may be told to: %s', (status, by, words) => {
+    expect(may(status, ...by)).toBe(words);
   });
 });
 

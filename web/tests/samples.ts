@@ -35,6 +35,11 @@ export function cell(of: Partial<Cell> = {}): Cell {
   };
 }
 
+/** What a cell says of its session while these hold it. */
+export function heldBy(...pausedBy: string[]): NonNullable<Cell['session']> {
+  return { phase: null, doing: 'attempt', violated: [], paused_by: pausedBy, waits_for: null };
+}
+
 let seq = 0;
 export function event(kind: string, body: Record<string, Json>, name: string | null = 'inv_1', actor = 'workcell-1'): LogEvent {
   seq += 1;

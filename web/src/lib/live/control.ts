@@ -53,6 +53,28 @@ const WHY: Record<string, string> = {
   stale: 'a sensor is silent',
 };
 
+/** Who holds a paused session; both do where somebody pauses what the watcher holds already. */
+export interface Holders {
+  operator: boolean;
+  watch: boolean;
+}
+
+export function holdersOf(cell: Cell | null): Holders {
+  if (cell?.status !== 'paused') return { operator: false, watch: false };
+  const by = cell.session?.paused_by ?? [];
+  return { operator: by.includes('operator'), watch: by.includes('watch') };
+}
+
+/**
+ * Whether a session may be paused, and whether resumed. What only the watcher holds goes on by itself: it can be
+ * paused, so that it stays, and there is nothing to resume. Until its cell says who holds it, pausing is no mistake.
+ */
+export function restraintsOf(status: string | null, { operator }: Holders): { pausable: boolean; resumable: boolean } {
+  if (status === 'running' || status === 'recovering') return { pausable: true, resumable: false };
+  if (status !== 'paused') return { pausable: false, resumable: false };
+  return { pausable: !operator, resumable: operator };
+}
+
 /** Why nothing moves in a session that is paused, and whether a person may resume it; null where none is. */
 export function pausedWords(cell: Cell | null): { why: string; resumable: boolean } | null {
   if (cell?.status !== 'paused') return null;

@@ -1,5 +1,6 @@
 import type { Cell } from '../api/documents';
 import type { Scene } from '../socket/messages';
+import { holdersOf } from './control';
 
 export interface SceneTrouble {
   separation: boolean;
@@ -38,12 +39,20 @@ export function troubleOf(cell: Cell | null, near: Near, scene: Scene | null): S
 
 function tooNear(cell: Cell, { separationM, neededM }: Near): SceneTrouble | null {
   if (separationM === null || neededM === null || separationM >= neededM) return null;
-  const halted = cell.status === 'running' ? 'and is being stopped.' : 'and has stopped moving.';
+  const halted = cell.status === 'running' ? 'and is being stopped.' : `and has stopped moving.${afterwards(cell)}`;
   return {
     separation: true,
     zones: new Set(),
     words: { strong: `${separationM.toFixed(2)} m`, text: `to a person. Robot needs ${neededM.toFixed(2)} m ${halted}` },
   };
+}
+
+/** What becomes of a robot that the watcher holds: it moves again without anybody's doing. Who drives lets go, and sees. */
+function afterwards(cell: Cell): string {
+  const { operator, watch } = holdersOf(cell);
+  if (cell.control != null) return '';
+  if (operator) return ' It waits for Resume, also once they have left.';
+  return watch ? ' It goes on by itself once they have left, unless somebody pauses it.' : '';
 }
 
 function intoZone(cell: Cell, { zoneMarginM }: Near, scene: Scene): SceneTrouble | null {
