@@ -231,7 +231,7 @@ def _sessions(router: APIRouter) -> None:
 def _controls(router: APIRouter) -> None:
     present = ("control_held", "ending", "cell_offline", "estop_latched")
     taking = (*present, "takeover_not_enabled", "takeover_refused")
-    returning = (*present, "not_taken_over", "nothing_to_resume", "resume_refused", "facts_stale")
+    returning = (*present, "not_taken_over", "nothing_to_resume", "resume_refused", "facts_stale", "paused")
     declare(
         router,
         "POST /v1/invocations/{id}/takeover",

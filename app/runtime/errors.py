@@ -44,6 +44,7 @@ CONFLICTS: Final[Mapping[str, int]] = {
     "nothing_to_resume": 409,
     "resume_refused": 409,
     "facts_stale": 409,
+    "paused": 409,
     "estop_latched": 409,
     "not_armed": 409,
     "review_not_enabled": 409,

@@ -56,7 +56,7 @@ class Handbacks:
         Raises:
             NotFound: there is none that this principal may see.
             Conflict: `wrong_status`, `not_taken_over`, `control_held`, `nothing_to_resume`, `ending`, `cell_offline`;
-                `facts_stale`, and `resume_refused` with the reasons: the holder keeps the controls.
+                `facts_stale`, `paused`, and `resume_refused` with the reasons: the holder keeps the controls.
             RecordUnavailable: nothing was recorded, and the holder keeps the controls.
         """
         present = await self._session(invocation_id, principal)
@@ -73,6 +73,10 @@ class Handbacks:
                 "facts_stale",
                 f"the cell `{cell.id}` has not said for {FACTS_S:g} s where the robot is, so nothing can be decided on "
                 "that; valid: again when it does, or `end`",
+            )
+        if then == "resume" and _paused(cell, present.id):
+            raise Conflict(
+                "paused", f"an operator paused `{present.id}`; valid: resume it, then hand it back, or `rollback`, `end`"
             )
         control = _held_by(cell, present.id, principal)  # again: much may have come meanwhile
         cell.control = returning(control)
@@ -202,6 +206,12 @@ def _held_by(cell: Cell, invocation: str, principal: Principal) -> Control:
     if control.phase is Phase.RETURNING:
         raise Conflict("control_held", f"`{control.holder}` hands `{cell.id}` back; valid: once that has failed")
     return control
+
+
+def _paused(cell: Cell, invocation: str) -> bool:
+    """Say whether an operator's pause stands, heard by the cell or on its way: handing back is no word against it."""
+    session = None if cell.state is None else cell.state.session
+    return ("pause", invocation) in cell.owed or (session is not None and "operator" in session.paused_by)
 
 
 def _keep(cell: Cell, control: Control) -> None:

@@ -52,12 +52,12 @@ async def refused(doing: Any) -> Conflict:
 
 
 @asynccontextmanager
-async def stating(cell: HandCell) -> AsyncGenerator[None]:
+async def stating(cell: HandCell, **changes: Any) -> AsyncGenerator[None]:
     """Have the cell say its state again and again, as a real one does."""
 
     async def state() -> None:
         while True:
-            await cell.state()
+            await cell.state(**changes)
             await asyncio.sleep(0.02)
 
     saying = asyncio.create_task(state())
@@ -235,6 +235,36 @@ async def test_nothing_goes_on_by_facts_from_before_it_was_handed_back(
     place = runtime.fleet.cell("workcell-1")
     assert place.control is not None
     assert jog(runtime, OPERATOR, place.control_document() or {}, 5) is None
+
+
+SITTING = {"profile": "human-shared", "phase": "hold", "doing": "takeover", "violated": [], "waits_for": ""}
+
+
+async def test_what_another_operator_paused_is_not_handed_back_to_go_on(
+    runtime: Runtime, cell: HandCell, driving: str
+) -> None:
+    await runtime.governor.take_over(driving, OPERATOR)
+    await runtime.governor.pause(driving, OPERATOR_2)
+    async with stating(cell):  # the cell has not said that it heard of it
+        assert (await refused(runtime.governor.release(driving, OPERATOR, "resume"))).code == "paused"
+    await cell.report("human", driving, op="pause", actor="oskar", done=True, refused=None)
+    await cell.report("status", driving, status="paused")
+    async with stating(cell, session={**SITTING, "paused_by": ["operator", "watch"]}):
+        error = await refused(runtime.governor.release(driving, OPERATOR, "resume"))
+    assert (error.code, error.status) == ("paused", 409)
+    assert len(cell.all("launch")) == 2
+    place = runtime.fleet.cell("workcell-1")
+    assert place.control is not None
+    assert (place.control.holder, place.control.phase) == ("olivia", "held")
+
+
+async def test_what_the_watcher_alone_holds_is_handed_back(runtime: Runtime, cell: HandCell, driving: str) -> None:
+    await runtime.governor.take_over(driving, OPERATOR)
+    back = asyncio.ensure_future(runtime.governor.release(driving, OPERATOR, "resume"))
+    async with stating(cell, session={**SITTING, "paused_by": ["watch"]}):
+        await cell.expect("launch", 3)
+    await cell.report("status", driving, status="running", before="recovering", reason="handed_back")
+    assert (await back)["takeover"]["state"] == "returned"
 
 
 async def test_what_the_cell_cannot_bind_anew_stays_in_hand(runtime: Runtime, cell: HandCell, driving: str) -> None:
