@@ -243,14 +243,19 @@ def test_whoever_drives_is_told_that_the_session_is_paused_and_resumes_it(
     expect(header).to_contain_text("Driven by hand")
     person.press("p")
     expect(header).to_contain_text("Driven by hand, paused")
-    expect(panel).to_contain_text("Paused, nothing moves: somebody paused the session.")
+    expect(panel).to_contain_text("Paused, nothing moves: operator paused the session.")
+    expect(person.button("Agent goes on")).to_be_disabled()
+    expect(person.button("Agent goes on")).to_have_accessible_description("Resume it before the agent goes on.")
     expect(panel.get_by_role("button", name="Resume")).to_be_in_viewport(ratio=1)
     for name in ("Base back, hold to run", "End session"):
         expect(person.button(name)).to_be_in_viewport(ratio=1)
+    beside = person.region("The cell in 3D").get_by_role("button", name="Resume")
+    expect(beside).to_have_count(0 if size == PHONE else 1)
     if size == PHONE:
         assert wider_than_the_screen(person.page) == []
     panel.get_by_role("button", name="Resume").click()
     expect(header).not_to_contain_text("paused")
+    expect(person.button("Agent goes on")).to_be_enabled()
     expect(panel).not_to_contain_text("nothing moves")
     problem = {"title": "Conflict", "status": 409, "code": "ending", "detail": "it is coming to its end"}
     person.page.route("**/pause", lambda route: route.fulfill(status=409, json=problem))
@@ -258,6 +263,22 @@ def test_whoever_drives_is_told_that_the_session_is_paused_and_resumes_it(
     expect(person.alert("It is coming to its end.")).to_be_visible()
     person.button("Understood").click()
     expect(person.alert("It is coming to its end.")).to_have_count(0)
+
+
+def test_a_session_is_paused_by_a_button_while_the_controls_are_offered_or_somebody_elses(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    one, other = people.sit(server), people.sit(server, "operator_2")
+    floor.drive_off()
+    for person in (one, other):
+        person.press("t")
+        expect(person.region("Drive by hand")).to_contain_text(HOLDS)
+        expect(person.button("Pause")).to_be_in_viewport(ratio=1)
+    one.button("Take the controls").click()
+    expect(other.region("Drive by hand")).to_contain_text("One person drives at a time")
+    other.button("Pause").click()
+    expect(one.region("Drive by hand")).to_contain_text("operator_2 paused the session")
+    expect(one.button("Agent goes on")).to_be_disabled()
 
 
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
