@@ -3,7 +3,7 @@ import type { Escalation, Invocation, LogEvent, Risk } from '../src/lib/api/docu
 import { readGauge, type GaugeSpec } from '../src/lib/live/gauges';
 import { History } from '../src/lib/live/history';
 import { closedWords } from '../src/lib/live/closed';
-import { handsOn, holdersOf, isHalted, leaseLapsed, refusalWords, restraintsOf } from '../src/lib/live/control';
+import { handsOn, holdersOf, isHalted, leaseLapsed, pausedWords, pauserOf, refusalWords, restraintsOf } from '../src/lib/live/control';
 import { reasonLines } from '../src/lib/live/reasons';
 import { askedOf, stagesOf } from '../src/lib/live/stages';
 import { troubleOf, zonesAt } from '../src/lib/live/trouble';
@@ -184,6 +184,13 @@ describe('the controls of a cell', () => {
     expect(leaseLapsed(lapsed, 'lease_1')).toBe(true);
     expect(leaseLapsed(lapsed, 'lease_0')).toBe(false);
     expect(leaseLapsed(event('human', { op: 'release', lease: 'lease_1' }), 'lease_1')).toBe(false);
+  });
+
+  it('name who paused what one drives: the newest word of a person, not what its cell echoes', () => {
+    const word = (by: string, name = 'inv_1'): LogEvent => event('human', { op: 'pause', role: 'operator' }, name, by);
+    const log = [word('bob'), word('ann'), word('eve', 'inv_2'), event('human', { op: 'pause', done: true, refused: null, actor: 'ann' })];
+    expect([pauserOf(log, 'inv_1'), pauserOf([], 'inv_1')]).toEqual(['ann', null]);
+    expect(pausedWords(cell({ status: 'paused', session: heldBy('operator') }), 'ann')).toEqual({ why: 'ann paused the session', resumable: true });
   });
 
   it('say in words why they are not obeyed, and name a rule without any', () => {

@@ -75,11 +75,17 @@ export function restraintsOf(status: string | null, { operator }: Holders): { pa
   return { pausable: !operator, resumable: operator };
 }
 
+/** Who paused a session last, as the record says it: the server notes a person's word with their role, the cell only its echo. */
+export function pauserOf(events: readonly LogEvent[], invocation: string | null): string | null {
+  const word = events.findLast((event) => event.kind === 'human' && event.invocation === invocation && event.body['op'] === 'pause' && 'role' in event.body);
+  return word?.actor ?? null;
+}
+
 /** Why nothing moves in a session that is paused, and whether a person may resume it; null where none is. */
-export function pausedWords(cell: Cell | null): { why: string; resumable: boolean } | null {
+export function pausedWords(cell: Cell | null, pauser: string | null = null): { why: string; resumable: boolean } | null {
   if (cell?.status !== 'paused') return null;
-  const { paused_by = [], violated = [] } = cell.session ?? {};
-  if (paused_by.includes('operator')) return { why: 'somebody paused the session', resumable: true };
+  if (holdersOf(cell).operator) return { why: `${pauser ?? 'somebody'} paused the session`, resumable: true };
+  const { violated = [] } = cell.session ?? {};
   return { why: violated.map(refusalWords).join(', ') || 'the watcher stopped it', resumable: false };
 }
 
