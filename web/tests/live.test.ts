@@ -255,9 +255,19 @@ describe('why a held session asks', () => {
 
   it('says what a person may do about it', () => {
     const held = escalation({ kind: 'session', reasons: [{ ...reason, code: 'rollback_failed' }] });
-    expect(reasonLines(held, null)[0]?.text).toBe('It could not be undone and verified (rollback_failed); the session is held and waits for a human. Let it go on with a new attempt, or end it.');
+    expect(reasonLines(held, null)[0]).toMatchObject({ strong: 'It could not be undone and verified.', text: 'The robot holds where it is and waits. Let it go on with a new attempt, or end it.' });
     const near = escalation({ kind: 'session', reasons: [{ ...reason, code: 'separation' }] });
     expect(reasonLines(near, null)[0]?.text).toBe('The robot holds where it is and waits. Let it go on with a new attempt, or end it.');
+  });
+
+  it('is a rollback that cannot be had, in words', () => {
+    const held = escalation({ kind: 'session', reasons: [{ ...reason, code: 'rollback_unavailable' }] });
+    expect(reasonLines(held, null)[0]?.strong).toBe('It cannot be rolled back: there is nothing to go back to, or it was tried already.');
+  });
+
+  it('names a force by the limit it falls under', () => {
+    const said = { ...reason, code: 'x', message: '`force_n` is over', remedy: '' };
+    expect(reasonLines(escalation({ reasons: [said] }), null, { force_n: { 'x-limit': 'contact_force_n' } })[0]?.text).toBe('Contact force is over.');
   });
 
   it('is not told what an agent is told of a proposal', () => {

@@ -1,4 +1,4 @@
-import type { Json } from '../api/documents';
+import type { InputSchema, Json } from '../api/documents';
 
 /** Units by the ending of a quantity's name. */
 const UNITS: readonly (readonly [string, string])[] = [
@@ -16,6 +16,7 @@ const UNITS: readonly (readonly [string, string])[] = [
 const LABELS: Record<string, string> = {
   speed_mps: 'Speed',
   force_n: 'Grip force',
+  tcp_speed_mps: 'Tool speed',
   clearance_m: 'Clearance',
   object_id: 'Object',
   dwell_s: 'Dwell',
@@ -35,6 +36,11 @@ export function labelOf(name: string): string {
   const ending = UNITS.find(([unit]) => name.endsWith(unit))?.[0] ?? '';
   const words = name.slice(0, name.length - ending.length).replaceAll('_', ' ');
   return words.charAt(0).toUpperCase() + words.slice(1);
+}
+
+/** A force is the grip's or the contact's, by the limit it falls under. */
+export function labelFor(param: string, schema: Pick<InputSchema, 'x-limit'> | undefined): string {
+  return param === 'force_n' && schema?.['x-limit'] === 'contact_force_n' ? 'Contact force' : labelOf(param);
 }
 
 /** A number with as many digits as its unit deserves. */

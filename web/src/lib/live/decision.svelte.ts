@@ -43,8 +43,9 @@ export class Decision {
     this.asked = $state.raw(asked);
   }
 
+  readonly schema = $derived.by(() => this.context().schema);
   readonly rows = $derived.by(() => rowsOf(this.asked));
-  readonly edit = $derived.by(() => readEdit(this.typed, this.asked.effective, this.context().schema));
+  readonly edit = $derived.by(() => readEdit(this.typed, this.asked.effective, this.schema));
   readonly edited = $derived.by(() => Object.keys(this.edit.params).length > 0);
   readonly ready = $derived.by(() => this.sending === null && mayApprove(this.check));
 

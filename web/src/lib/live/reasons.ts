@@ -1,6 +1,8 @@
-import type { Escalation, Invocation, Reason } from '../api/documents';
+import type { Escalation, InputSchema, Invocation, Reason } from '../api/documents';
 import { ruleWords } from '../format/events';
-import { labelOf } from '../format/quantity';
+import { labelFor } from '../format/quantity';
+
+type Inputs = Record<string, InputSchema>;
 
 export interface ReasonLine {
   icon: 'person' | 'scale' | 'hand';
@@ -22,30 +24,32 @@ const HELD: Record<string, string> = {
   timeout: 'It takes longer than policy allows.',
   zone: 'A forbidden zone is too near.',
   'grip-lost': 'What it held is lost.',
+  rollback_failed: 'It could not be undone and verified.',
+  rollback_unavailable: 'It cannot be rolled back: there is nothing to go back to, or it was tried already.',
 };
 
-function lineOf(reason: Reason, held: boolean): ReasonLine {
+function lineOf(reason: Reason, held: boolean, inputs: Inputs): ReasonLine {
   const icon = /separation|person/.test(`${reason.rule} ${reason.code}`) ? 'person' : held ? 'hand' : 'scale';
   const strong = held ? (HELD[reason.code] ?? '') : '';
-  const said = strong === '' ? sentence(reason.message) : 'The robot holds where it is and waits.';
+  const said = strong === '' ? sentence(reason.message, inputs) : 'The robot holds where it is and waits.';
   // What a person may say is worth a sentence only where a person is asked what becomes of a session.
-  const text = held && reason.remedy !== '' ? `${said} ${sentence(reason.remedy)}` : said;
+  const text = held && reason.remedy !== '' ? `${said} ${sentence(reason.remedy, inputs)}` : said;
   return { icon, strong, text, rule: reason.rule.replaceAll('/', ' / ') };
 }
 
 /** Policy's words as a sentence: names in backticks become labels, and the source in brackets is left to the rule. */
-function sentence(said: string): string {
-  const text = said.replace(/`([a-z_0-9]+)`/g, (_, name: string) => (/_(n|mps|m|s|kg|rad|ms)$/.test(name) ? labelOf(name) : name)).replace(/ \([^()]*\)$/, '');
+function sentence(said: string, inputs: Inputs): string {
+  const text = said.replace(/`([a-z_0-9]+)`/g, (_, name: string) => (/_(n|mps|m|s|kg|rad|ms)$/.test(name) ? labelFor(name, inputs[name]) : name)).replace(/ \([^()]*\)$/, '');
   const upper = text.charAt(0).toUpperCase() + text.slice(1);
   return /[.!?]$/.test(upper) ? upper : `${upper}.`;
 }
 
 /** Why a person is asked, the question's own reasons first, then the rules that cut a value. */
-export function reasonLines(escalation: Escalation, invocation: Invocation | null): ReasonLine[] {
+export function reasonLines(escalation: Escalation, invocation: Invocation | null, inputs: Inputs = {}): ReasonLine[] {
   const held = escalation.kind !== 'approval';
-  const asked = escalation.reasons.map((reason) => lineOf(reason, held));
+  const asked = escalation.reasons.map((reason) => lineOf(reason, held, inputs));
   const known = new Set(escalation.reasons.map((reason) => reason.rule));
   const cuts = (held ? [] : (invocation?.policy?.reasons ?? [])).filter((reason) => !known.has(reason.rule));
-  const lines = [...asked, ...cuts.map((reason) => lineOf(reason, false))];
+  const lines = [...asked, ...cuts.map((reason) => lineOf(reason, false, inputs))];
   return lines.map((line) => (line.text === '' ? { ...line, text: ruleWords(line.rule) } : line));
 }

@@ -1,5 +1,5 @@
 import type { Capability, InputSchema, PolicySet } from '../api/documents';
-import { labelOf, unitOf } from '../format/quantity';
+import { labelFor, labelOf, unitOf } from '../format/quantity';
 
 /** A rule as `/v1/policies/active` describes it. */
 export interface Rule {
@@ -127,11 +127,6 @@ function tightest(said: readonly { by: string; value: number | undefined }[], ti
     (best, { by, value }) => (value !== undefined && (best.value === null || tighter(value, best.value)) ? { by, value } : best),
     { by: said[0]?.by ?? '', value: null },
   );
-}
-
-/** A force is the grip's or the contact's, by the limit it falls under. */
-export function labelFor(param: string, schema: InputSchema): string {
-  return param === 'force_n' && schema['x-limit'] === 'contact_force_n' ? 'Contact force' : labelOf(param);
 }
 
 function source(text: string | undefined): string {

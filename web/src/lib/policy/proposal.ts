@@ -1,6 +1,5 @@
 import type { Capability, InputSchema, Json, Params, PolicySet } from '../api/documents';
-import { unitOf } from '../format/quantity';
-import { labelFor } from './matrix';
+import { labelFor, unitOf } from '../format/quantity';
 
 /** One input of the form, made from the capability's JSON Schema. */
 export interface Field {
