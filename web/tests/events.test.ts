@@ -1,5 +1,7 @@
 import { describe, expect, it } from 'vitest';
-import { cellOf, entriesOf, eventLine } from '../src/lib/format/events';
+import type { LogEvent } from '../src/lib/api/documents';
+import { cellOf, entriesOf, eventLine, type Known } from '../src/lib/format/events';
+import { clockTime } from '../src/lib/format/time';
 import { Keys } from '../src/lib/keys/keys';
 import { cell, event, invocation } from './samples';
 
@@ -33,6 +35,62 @@ describe('a standing grant', () => {
     expect(said('ended', { ended: { code: 'revoked', by: 'bob' } })).toBe('bob revoked a standing grant: grasp object glass_1');
     expect(said('ended', { ended: { code: 'expired', by: 'server' } })).toBe('Standing grant ran out: grasp object glass_1');
     expect(said('ended', { object: null, ended: { code: 'another', by: 'server' } })).toBe('Standing grant ended: grasp object');
+  });
+});
+
+const said = (one: LogEvent, known?: Known): string => {
+  const { strong, text } = eventLine(one, known);
+  return `${strong}${text}`;
+};
+const FORCE: Known = { inputs: () => ({ force_n: { 'x-limit': 'contact_force_n' } }), grant: () => null };
+
+describe('what a person orders', () => {
+  it('is told as ordered, and by the cell as obeyed, or not and why', () => {
+    expect(said(event('human', { op: 'rollback', role: 'operator' }, 'inv_1', 'ann'))).toBe('ann ordered a rollback');
+    const echo = (op: string, refused: string | null): string => said(event('human', { op, done: refused === null, refused, actor: 'ann' }));
+    expect(echo('pause', null)).toBe('workcell-1 obeys: pause');
+    expect(echo('rollback', 'rollback_unavailable')).toBe('workcell-1 does not obey: rollback, there is nothing to go back to, or it was tried already');
+    expect(echo('resume', 'new_code')).toBe('workcell-1 does not obey: resume, new code');
+    expect(echo('let_go', null)).toBe('workcell-1 is at rest again');
+  });
+
+  it('is told of where a rollback failed', () => {
+    expect(said(event('recovery', { failure: 'rollback_failed', strategy: 'ESCALATE', capability: null }))).toBe('It could not be undone and verified: escalate');
+    expect(said(event('outcome', { outcome: 'terminated', code: 'rollback_failed' }))).toBe('Terminated, rollback failed');
+  });
+});
+
+describe('a verdict of policy', () => {
+  const cut = (rule: string): LogEvent => event('policy', { outcome: 'modify', changes: [{ param: 'force_n', requested: 280, effective: 100, rule }] });
+
+  it('names a force by the limit it falls under', () => {
+    expect(said(cut('organization/press'), FORCE)).toBe('Contact force 280 → 100');
+    expect(said(cut('human-shared/contact_force_n'))).toBe('Contact force 280 → 100');
+    expect(said(cut('human-shared/grip_force_n'))).toBe('Grip force 280 → 100');
+  });
+
+  it('names the standing grant that answered in the place of a person', () => {
+    const grant = (id: string): ReturnType<Known['grant']> => (id === 'grant_1' ? { issued_by: 'ann', expires_at: '2026-11-22T11:20:00.000Z' } : null);
+    const known = { ...FORCE, grant };
+    expect(said(event('policy', { outcome: 'allow', changes: [], grant: 'grant_1' }), known)).toBe(`Allowed by ann’s standing grant until ${clockTime('2026-11-22T11:20:00.000Z')}`);
+    expect(said(event('policy', { outcome: 'allow', changes: [], grant: 'grant_0' }), known)).toBe('Allowed by a standing grant');
+  });
+});
+
+describe('an edit on approval', () => {
+  const edit = { by: 'bob', at: '2026-11-22T10:00:00.000Z', params: { force_n: 40, speed_mps: 0.25 }, digest: 'e' };
+  const asked = { id: 'esc_1', constrained: { force_n: 60, speed_mps: 0.25 }, effective: edit.params, edits: [edit], needed: 2 };
+  const answer = (decision: string, by: string, approvals: [string, string][]): string =>
+    said(event('approval', { decision, escalation: { ...asked, approvals: approvals.map(([who, at]) => ({ by: who, at, digest: 'e' })) } }, 'inv_1', by));
+
+  it('says what it changed, and that it voids what was approved before', () => {
+    expect(answer('approve', 'bob', [['bob', '2026-11-22T10:00:00.003Z']])).toBe('bob edited: grip force 60 → 40 N, and approved, 1 of 2; earlier approvals do not count any more');
+    expect(answer('edit', 'bob', [])).toBe('bob edited, and policy cut it further: grip force 60 → 40 N; earlier approvals do not count any more');
+  });
+
+  it('is not told again with the approvals that follow', () => {
+    expect(answer('approve', 'ann', [['bob', '2026-11-22T10:00:00.003Z'], ['ann', '2026-11-22T10:00:09.000Z']])).toBe('ann approved, 2 of 2');
+    expect(answer('approve', 'bob', [['bob', '2026-11-22T10:00:09.000Z']])).toBe('bob approved, 1 of 2');
   });
 });
 

@@ -78,6 +78,8 @@ export interface Escalation {
   digest: string;
   status: 'pending' | 'approved' | 'denied' | 'expired' | 'withdrawn';
   approvals: Approval[];
+  /** Oldest first; `params` is what was asked from then on. */
+  edits?: { by: string; at: string; params: Params; digest: string }[];
   needed: number;
   expires_at: string | null;
   created_at?: string;

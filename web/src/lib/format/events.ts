@@ -1,7 +1,8 @@
-import type { Json, LogEvent } from '../api/documents';
+import type { Escalation, Grant, InputSchema, Json, LogEvent } from '../api/documents';
 import { goodOutcome, outcomeTone, outcomeWords, shortId, statusWords, type Tone } from './status';
 import { titleOf, words } from './capability';
-import { labelOf, valueOf } from './quantity';
+import { newestEdit, stepsText } from './edited';
+import { labelFor, valueOf } from './quantity';
 import { clockTime } from './time';
 
 export type EventIcon = 'dot' | 'scale' | 'check' | 'alert' | 'pause' | 'stop' | 'hand' | 'undo' | 'person' | 'plug' | 'flag' | 'log' | 'refused';
@@ -14,8 +15,17 @@ export interface Line {
   text: string;
 }
 
+/** What events leave to other documents; without it they are told in fewer words. */
+export interface Known {
+  /** The inputs of what an invocation does: they say which quantity a parameter is. */
+  inputs: (invocation: string | null) => Record<string, InputSchema>;
+  grant: (id: string) => Pick<Grant, 'issued_by' | 'expires_at'> | null;
+}
+
+const NOTHING_KNOWN: Known = { inputs: () => ({}), grant: () => null };
+
 type Body = LogEvent['body'];
-type Writer = (body: Body, event: LogEvent) => Line;
+type Writer = (body: Body, event: LogEvent, known: Known) => Line;
 
 const LONG_ID = /\b(inv|esc|grant|lease|rev)_[0-9A-Z]{20,}\b/g;
 
@@ -56,6 +66,11 @@ function reading(rule: string, value: number | null, limit: number | null): stri
   return limit === null ? said : `${said}, limit ${limit.toFixed(2)}${unit}`;
 }
 
+/** A completion that has nothing to verify names nothing. */
+function verified(what: readonly string[]): string {
+  return what.length === 0 ? 'Done, with nothing for sensors to verify' : `Verified by sensors: ${what.join(', ').replaceAll('_', ' ')}`;
+}
+
 function alert(body: Body): Line {
   const rule = str(body['rule']);
   const what = ruleWords(rule);
@@ -63,7 +78,7 @@ function alert(body: Body): Line {
     case 'NORMAL':
       return line('check', 'quiet', `${what} back within its limit`);
     case 'COMPLETION':
-      return line('check', 'quiet', `Verified by sensors: ${list(body['verified']).map(str).join(', ').replaceAll('_', ' ')}`);
+      return line('check', 'quiet', verified(list(body['verified']).map(str)));
     case 'WARNING':
       return line('alert', 'warn', `${what}${reading(rule, num(body['value']), num(body['threshold']))}`);
     default: {
@@ -85,20 +100,25 @@ function intervention(body: Body): Line {
   return INTERVENTIONS[what] ?? line('dot', 'plain', words(what.toLowerCase()));
 }
 
-function changes(body: Body): string {
+function changes(body: Body, inputs: Record<string, InputSchema>): string {
   return list(body['changes'])
     .map(obj)
     .map((change) => {
       const name = str(change['param']);
-      return `${labelOf(name)} ${valueOf(name, change['requested'])} → ${valueOf(name, change['effective'])}`;
+      // Where the capability is not known, the rule still is: profiles name theirs after the limit.
+      const limit = inputs[name] ?? { 'x-limit': str(change['rule']).replace(/^.*\//, '') };
+      return `${labelFor(name, limit)} ${valueOf(name, change['requested'])} → ${valueOf(name, change['effective'])}`;
     })
     .join(', ');
 }
 
-function policy(body: Body): Line {
+function policy(body: Body, event: LogEvent, known: Known): Line {
   const again = body['recheck'] === true ? 'Checked again: ' : '';
-  const cut = changes(body);
-  switch (str(body['outcome'])) {
+  const cut = changes(body, known.inputs(event.invocation));
+  const outcome = str(body['outcome']);
+  const granted = str(body['grant']);
+  if (granted !== '' && outcome !== 'deny') return line('scale', 'plain', [again + allowedBy(known.grant(granted)), cut].filter((part) => part !== '').join('; '));
+  switch (outcome) {
     case 'allow':
       return line('scale', 'quiet', `${again}allowed as proposed`.replace(/^a/, 'A'));
     case 'modify':
@@ -108,6 +128,11 @@ function policy(body: Body): Line {
     default:
       return line('scale', 'warn', cut === '' ? 'needs a human' : `needs a human; ${cut}`, 'Policy: ');
   }
+}
+
+/** What no person was asked about, because one had answered in advance. */
+function allowedBy(grant: ReturnType<Known['grant']>): string {
+  return grant === null ? 'Allowed by a standing grant' : `Allowed by ${grant.issued_by}’s standing grant until ${clockTime(grant.expires_at)}`;
 }
 
 function firstMessage(body: Body): string {
@@ -120,15 +145,31 @@ function admission(body: Body): Line {
   return line('refused', outcome === 'defer' ? 'warn' : 'danger', ` ${firstMessage(body)}`, words(outcome === 'defer' ? 'deferred.' : 'rejected.'));
 }
 
-function approval(body: Body, event: LogEvent): Line {
+/** An edit counts as an approval of what it made, and is recorded within moments of it. */
+const TOGETHER_MS = 1_000;
+
+function editOf(body: Body, event: LogEvent, known: Known): string {
+  const asked = obj(body['escalation']) as unknown as Pick<Escalation, 'constrained' | 'effective' | 'edits'> & Partial<Escalation>;
+  const edit = newestEdit(asked);
+  const approved = asked.approvals?.at(-1);
+  const own = approved === undefined || Math.abs(Date.parse(approved.at) - Date.parse(edit?.at ?? '')) < TOGETHER_MS;
+  return edit === null || edit.by !== event.actor || !own ? '' : stepsText(edit.steps, known.inputs(event.invocation));
+}
+
+function approval(body: Body, event: LogEvent, known: Known): Line {
   const asked = obj(body['escalation']);
   const given = list(asked['approvals']).length;
   const of = num(asked['needed']) ?? 1;
+  const voided = of > 1 ? '; earlier approvals do not count any more' : '';
   switch (str(body['decision'])) {
-    case 'approve':
-      return line('check', 'plain', ` approved, ${given} of ${of}`, event.actor);
-    case 'edit':
-      return line('scale', 'plain', ' edited the proposal', event.actor);
+    case 'approve': {
+      const edit = editOf(body, event, known);
+      return line('check', 'plain', edit === '' ? ` approved, ${given} of ${of}` : ` edited: ${edit}, and approved, ${given} of ${of}${voided}`, event.actor);
+    }
+    case 'edit': {
+      const edit = editOf(body, event, known);
+      return line('scale', 'plain', edit === '' ? ' edited the proposal' : ` edited, and policy cut it further: ${edit}${voided}`, event.actor);
+    }
     case 'deny':
       return line('refused', 'danger', ' denied', event.actor);
     default:
@@ -147,8 +188,21 @@ function escalation(body: Body): Line {
 function recovery(body: Body): Line {
   const strategy = words(str(body['strategy']).toLowerCase());
   const capability = str(body['capability']);
+  if (str(body['failure']) === ROLLBACK_FAILED) return line('undo', 'danger', `: ${strategy.toLowerCase()}`, 'It could not be undone and verified');
   return line('undo', 'warn', capability === '' ? '' : `: ${words(capability).toLowerCase()}`, strategy);
 }
+
+const ROLLBACK_FAILED = 'rollback_failed';
+
+/** Why a cell does not do what it was told. */
+const UNDONE: Record<string, string> = {
+  rollback_unavailable: 'there is nothing to go back to, or it was tried already',
+  not_paused: 'it is not paused',
+  not_escalated: 'it asks nothing',
+  not_taken_over: 'nobody has the controls',
+  needs_authorization: 'it takes a new authorization',
+  ending: 'it is coming to its end',
+};
 
 const ORDERS: Record<string, string> = {
   estop: 'pressed the emergency stop',
@@ -156,7 +210,7 @@ const ORDERS: Record<string, string> = {
   pause: 'paused the session',
   resume: 'let the session go on',
   stop: 'stopped the session',
-  rollback: 'had the session rolled back',
+  rollback: 'ordered a rollback',
   cancel: 'cancelled the session',
   takeover: 'took the controls',
   release: 'handed the controls back',
@@ -167,8 +221,21 @@ const ORDERS: Record<string, string> = {
   control_lapsed: 'ended the lease: its holder fell silent',
 };
 
+/** What only a cell says, in its own words; what else it says is an echo of what a person was heard to say. */
+const OF_THE_CELL: ReadonlySet<string> = new Set(['jog', 'let_go', 'confirm', 'end_takeover']);
+
+function echo(op: string, body: Body, event: LogEvent): Line | null {
+  const order = op.replaceAll('_', ' ');
+  const refused = str(body['refused']);
+  if (refused !== '') return line('refused', 'warn', ` does not obey: ${order}, ${UNDONE[refused] ?? refused.replaceAll('_', ' ')}`, event.actor);
+  if (body['done'] === false) return line('refused', 'warn', ` does not obey: ${order}`, event.actor);
+  return OF_THE_CELL.has(op) ? null : line('dot', 'quiet', ` obeys: ${order}`, event.actor);
+}
+
 function human(body: Body, event: LogEvent): Line {
   const op = str(body['op']) || str(body['decision']) || 'spoke';
+  const echoed = 'done' in body ? echo(op, body, event) : null;
+  if (echoed !== null) return echoed;
   return line('person', op === 'estop' || op === 'stop' ? 'danger' : 'human', ` ${ORDERS[op] ?? `said ${op.replaceAll('_', ' ')}`}`, event.actor);
 }
 
@@ -181,7 +248,7 @@ function launch(body: Body): Line {
 function outcome(body: Body): Line {
   const label = str(body['outcome']);
   const good = goodOutcome(label);
-  const why = str(body['failure']);
+  const why = str(body['failure']) || (str(body['code']) === ROLLBACK_FAILED ? ROLLBACK_FAILED : '');
   return line(good ? 'flag' : outcomeTone(label) === 'human' ? 'person' : 'stop', outcomeTone(label), why === '' || good ? '' : `, ${why.replaceAll('_', ' ')}`, words(outcomeWords(label)));
 }
 
@@ -258,8 +325,8 @@ const WRITERS: Record<string, Writer> = {
 };
 
 /** One event in words. */
-export function eventLine(event: LogEvent): Line {
-  const said = WRITERS[event.kind]?.(event.body, event) ?? line('dot', 'quiet', words(event.kind));
+export function eventLine(event: LogEvent, known: Known = NOTHING_KNOWN): Line {
+  const said = WRITERS[event.kind]?.(event.body, event, known) ?? line('dot', 'quiet', words(event.kind));
   return { ...said, text: said.text.replace(LONG_ID, shortId) };
 }
 
@@ -282,10 +349,10 @@ export function cellOf(event: LogEvent, { cells, invocations }: { cells: Record<
 }
 
 /** Returns the newest events first, those that say the same in a row as one: a hand on the controls says much. */
-export function entriesOf(events: readonly LogEvent[], most: number, where: (event: LogEvent) => string | null = () => null): Entry[] {
+export function entriesOf(events: readonly LogEvent[], most: number, where: (event: LogEvent) => string | null = () => null, known = NOTHING_KNOWN): Entry[] {
   const entries: Entry[] = [];
   for (const event of events.toReversed()) {
-    const line = eventLine(event);
+    const line = eventLine(event, known);
     const cell = where(event);
     const above = entries.at(-1);
     if (above !== undefined && above.cell === cell && sameLine(above, event, line)) above.times += 1;

@@ -1,11 +1,12 @@
 import { Api } from '../api/client';
 import type { Capability, Cell, Invocation, PolicySet } from '../api/documents';
+import type { Known } from '../format/events';
 import type { Health } from '../socket/connection';
 import type { PoseFrame } from '../socket/frame';
 import { Link } from '../socket/link';
 import type { Down, Jog, Scene } from '../socket/messages';
 import { clock, serverMs } from './clock.svelte';
-import { fromSnapshot, merged, NOTHING, type Documents } from './documents';
+import { fromSnapshot, grantOf, merged, NOTHING, type Documents } from './documents';
 import { Pace } from './pace';
 import { Quiet } from './quiet';
 
@@ -45,6 +46,11 @@ export class Console {
   /** Of the cell that is looked at; derived, so that nothing is drawn anew for every document that comes. */
   readonly scene = $derived.by(() => this.scenes[this.cell?.id ?? ''] ?? null);
   readonly path = $derived.by(() => this.paths[this.cell?.id ?? ''] ?? null);
+  /** What the record of an event leaves to other documents. */
+  readonly known: Known = {
+    inputs: (id) => this.capabilities[(id === null ? undefined : this.docs.invocations[id])?.capability ?? '']?.inputs.properties ?? {},
+    grant: (id) => grantOf(this.docs, id),
+  };
   jogRefused = $state<string | null>(null);
   /** Cells as asked for by name, while no socket says which there are: the stop needs no seat. */
   private listed = $state.raw<string[]>([]);

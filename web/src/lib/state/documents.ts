@@ -87,3 +87,9 @@ function appended(before: LogEvent[], more: readonly LogEvent[] | undefined): Lo
   const fresh = more.filter((event) => event.seq > last);
   return fresh.length === 0 ? before : [...before, ...fresh].slice(-EVENTS_KEPT);
 }
+
+/** A grant by its id, from the log where it has ended. */
+export function grantOf({ grants, events }: Documents, id: string): Grant | null {
+  const said = grants[id] ?? events.findLast((event) => event.kind === 'grant' && (event.body['grant'] as unknown as Grant).id === id)?.body['grant'];
+  return said === undefined ? null : (said as Grant);
+}
