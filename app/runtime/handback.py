@@ -76,7 +76,7 @@ class Handbacks:
             )
         if then == "resume" and _paused(cell, present.id):
             raise Conflict(
-                "paused", f"an operator paused `{present.id}`; valid: resume it, then hand it back, or `rollback`, `end`"
+                "paused", f"an operator paused `{present.id}`; valid: resume it and hand back, or `rollback`, `end`"
             )
         control = _held_by(cell, present.id, principal)  # again: much may have come meanwhile
         cell.control = returning(control)
