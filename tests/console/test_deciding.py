@@ -112,6 +112,8 @@ def test_of_two_who_answer_at_once_one_wins_and_the_other_is_told(
         other.button(re.compile("^Deny")).click()
     told = [person.page.get_by_text("Somebody has answered this already.") for person in (one, other)]
     until(lambda: any(words.is_visible() for words in told), what="words for the one who came second")
+    second = next(words for words in told if words.is_visible())
+    expect(second).to_have_text(re.compile(r"(operator_2 denied|operator approved it(: it was launched)?)\.$"))
     assert floor.settled(proposed["id"])["status"] in {"running", "denied", "completed"}
 
 
@@ -146,6 +148,32 @@ def test_a_question_that_another_answers_says_so_before_one_that_looks_the_same_
     person.button("Put this away").click()
     expect(told).to_have_count(0)
     assert server.get(f"/v1/escalations/{second['id']}")["status"] == "pending"
+
+
+def test_a_question_that_a_rollback_withdraws_says_who_ordered_it(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    session = floor.drive_off()["id"]
+    assert server.post(f"/v1/invocations/{session}/takeover", {}, key="operator_2").is_success
+    server.await_status(session, "escalated")  # nobody holds on to the controls
+    expect(person.region("Waiting for you").get_by_role("article")).to_be_visible()
+    assert server.post(f"/v1/invocations/{session}/rollback", {}, key="operator_2").is_success
+    told = person.page.get_by_role("status").filter(has_text="is not open any more")
+    expect(told).to_contain_text("It was withdrawn: operator_2 is having it rolled back.")
+
+
+def test_what_is_approved_in_vain_says_why(server: ServerProcess, people: People, floor: Floor) -> None:
+    person = people.sit(server)
+    asked = floor.ask()
+    expect(card(person)).to_be_visible()
+    floor.drive_off()
+    expect(person.button(re.compile("^Approve"))).to_be_enabled()
+    person.press("a")
+    told = person.page.get_by_role("status").filter(has_text="is not open any more")
+    expect(told).to_contain_text(re.compile("operator approved it, but it was deferred: .*"))
+    assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "deferred"
+    floor.made.remove(asked["id"])
 
 
 def test_a_stopped_cell_keeps_an_approval_back_but_not_a_denial(

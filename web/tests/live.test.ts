@@ -2,7 +2,7 @@ import { describe, expect, it } from 'vitest';
 import type { Escalation, Invocation, LogEvent, Risk } from '../src/lib/api/documents';
 import { readGauge, type GaugeSpec } from '../src/lib/live/gauges';
 import { History } from '../src/lib/live/history';
-import { closedWords } from '../src/lib/live/closed';
+import { closingOf } from '../src/lib/live/closed';
 import { handsOn, holdersOf, isHalted, leaseLapsed, pausedWords, pauserOf, refusalWords, restraintsOf } from '../src/lib/live/control';
 import { reasonLines } from '../src/lib/live/reasons';
 import { askedOf, stagesOf } from '../src/lib/live/stages';
@@ -238,15 +238,39 @@ describe('a stopped cell', () => {
 });
 
 describe('a question that others closed', () => {
+  const ASKED = { id: 'esc_1', invocation: 'inv_1' };
   const about = (status: string, decision: string, id = 'esc_1'): LogEvent => event('approval', { decision, escalation: { id, status, approvals: [{ by: 'operator' }], needed: 1 } }, 'inv_1', 'operator_2');
+  const asks = (status: string, kind = 'session'): LogEvent => event('escalation', { escalation: { id: 'esc_1', status, kind } }, 'inv_1', 'server');
+  const word = (op: string): LogEvent => event('human', { op, role: 'operator' }, 'inv_1', 'operator');
+  const words = (log: LogEvent[], of: Invocation | null = null): string | null => closingOf(log, ASKED, of).words;
 
-  it('is told of in the words of the record', () => {
-    expect(closedWords([about('approved', 'approve'), about('denied', 'deny', 'esc_2')], 'esc_1')).toBe('operator_2 approved, 1 of 1.');
-    expect(closedWords([about('pending', 'approve'), about('denied', 'deny')], 'esc_1')).toBe('operator_2 denied.');
+  it('is told of by who answered what', () => {
+    expect(words([about('approved', 'approve'), about('denied', 'deny', 'esc_2')])).toBe('operator_2 approved it.');
+    expect(words([about('approved', 'approve'), event('launch', { permit: 'auth_1' })])).toBe('operator_2 approved it: it was launched.');
+    expect(words([about('pending', 'approve'), about('denied', 'deny')])).toBe('operator_2 denied.');
+    expect(words([asks('pending'), asks('expired')])).toBe('Nobody answered in time.');
+    expect(words([event('approval', { escalation: { id: 'esc_1', status: 'approved', kind: 'session' } }, 'inv_1', 'ann')])).toBe('ann let it go on.');
   });
 
-  it('is over where the record is not here', () => {
-    expect(closedWords([about('pending', 'approve')], 'esc_1')).toBe('It is over.');
+  it('that was approved in vain says why', () => {
+    const answer = about('approved', 'approve');
+    const busy = event('outcome', { status: 'deferred', outcome: 'deferred', reasons: [{ message: 'the cell `workcell-1` is busy' }] }, 'inv_1', 'server');
+    const late = closingOf([answer, busy], ASKED, invocation({ status: 'deferred', outcome: 'deferred' }));
+    expect(late).toEqual({ words: 'operator_2 approved it, but it was deferred: the cell workcell-1 is busy.', inVain: true });
+    const refused = closingOf([about('approved', 'approve'), event('launch', { refused: 'no_plan' })], ASKED, null);
+    expect(refused).toEqual({ words: 'operator_2 approved it, but in vain: launch refused: no plan.', inVain: true });
+  });
+
+  it('that was withdrawn says by whose word, and only of what has ended that it is over', () => {
+    const running = invocation({ status: 'recovering' });
+    expect(words([asks('pending'), word('rollback'), asks('withdrawn')], running)).toBe('It was withdrawn: operator is having it rolled back.');
+    expect(words([asks('pending'), word('takeover'), asks('withdrawn')], running)).toBe('It was withdrawn: operator took over.');
+    expect(words([word('takeover'), asks('pending'), word('pause'), asks('withdrawn')], running)).toBe('It was withdrawn.');
+    expect(words([asks('pending'), asks('withdrawn')], invocation({ outcome: 'stopped' }))).toBe('It is over.');
+  });
+
+  it('is nothing that can be told of where the record is not here', () => {
+    expect(words([about('pending', 'approve')], invocation())).toBeNull();
   });
 });
 

@@ -1,14 +1,68 @@
-import type { LogEvent } from '../api/documents';
+import type { Escalation, Invocation, Json, LogEvent } from '../api/documents';
 import { eventLine } from '../format/events';
+import { outcomeWords } from '../format/status';
 
-/** How a question ended that is not open any more, as the record says it. */
-export function closedWords(events: readonly LogEvent[], question: string): string {
-  const about = (event: LogEvent): boolean => {
-    const asked = event.body['escalation'];
-    return typeof asked === 'object' && asked !== null && 'id' in asked && asked.id === question && 'status' in asked && asked.status !== 'pending';
-  };
-  const last = events.findLast(about);
-  if (last === undefined) return 'It is over.';
-  const { strong, text } = eventLine(last);
-  return `${strong}${text}.`;
+export type Asked = Pick<Escalation, 'id' | 'invocation'>;
+
+/** How a question ended that is not open any more. */
+export interface Closing {
+  /** As a sentence; null where nothing is known of it. */
+  words: string | null;
+  /** Approved, and refused or deferred all the same. */
+  inVain: boolean;
+}
+
+/** What withdraws a question: the word of somebody who decides otherwise than by an answer. */
+const INSTEAD: Record<string, string> = {
+  rollback: 'is having it rolled back',
+  takeover: 'took over',
+  cancel: 'cancelled it',
+  stop: 'stopped it',
+  estop: 'pressed the emergency stop',
+};
+
+const text = (value: Json | undefined): string => (typeof value === 'string' ? value : '');
+const record = (value: Json | undefined): Record<string, Json> => (typeof value === 'object' && value !== null && !Array.isArray(value) ? value : {});
+const question = (event: LogEvent): Record<string, Json> => record(event.body['escalation']);
+
+/** Says how a question ended, as the record has it; `invocation` is what it was about, as far as that is known. */
+export function closingOf(events: readonly LogEvent[], asked: Asked, invocation: Invocation | null): Closing {
+  const told = events.filter((event) => question(event)['id'] === asked.id);
+  const last = told.findLast((event) => question(event)['status'] !== 'pending');
+  const over = invocation?.outcome == null ? null : 'It is over.';
+  // What its cell withdraws is not recorded as an answer: whose word it was is.
+  if (last === undefined) return { words: instead(events, asked, Infinity) ?? over, inVain: false };
+  if (question(last)['status'] === 'approved') return approved(events, asked, last);
+  return { words: unapproved(events, asked, last) ?? over ?? 'It was withdrawn.', inVain: false };
+}
+
+function unapproved(events: readonly LogEvent[], asked: Asked, last: LogEvent): string | null {
+  if (question(last)['status'] === 'denied') return `${last.actor} denied.`;
+  if (question(last)['status'] === 'expired') return 'Nobody answered in time.';
+  return instead(events, asked, last.seq);
+}
+
+function instead(events: readonly LogEvent[], { invocation }: Asked, before: number): string | null {
+  // What a cell asks is recorded as its own report, which names no question.
+  const since = events.findLast((event) => event.kind === 'escalation' && event.invocation === invocation && event.seq < before)?.seq ?? 0;
+  const word = events.findLast((event) => event.kind === 'human' && event.invocation === invocation && event.seq > since && 'role' in event.body && text(event.body['op']) in INSTEAD);
+  return word === undefined ? null : `It was withdrawn: ${word.actor} ${INSTEAD[text(word.body['op'])]}.`;
+}
+
+function approved(events: readonly LogEvent[], { invocation }: Asked, last: LogEvent): Closing {
+  const by = last.actor;
+  if (question(last)['kind'] === 'session') return { words: `${by} let it go on.`, inVain: false };
+  const next = events.find((event) => event.seq > last.seq && event.invocation === invocation && (event.kind === 'launch' || event.kind === 'outcome'));
+  if (next === undefined) return { words: `${by} approved it.`, inVain: false };
+  if (next.kind === 'outcome') return { words: `${by} approved it, but it was ${outcomeWords(text(next.body['outcome']))}${because(next)}.`, inVain: true };
+  if (!('refused' in next.body)) return { words: `${by} approved it: it was launched.`, inVain: false };
+  const { strong, text: why } = eventLine(next);
+  return { words: `${by} approved it, but in vain: ${strong.toLowerCase()}${why}.`, inVain: true };
+}
+
+/** The first of an outcome's reasons. */
+function because(event: LogEvent): string {
+  const reasons = event.body['reasons'];
+  const said = text(record(Array.isArray(reasons) ? reasons[0] : undefined)['message']).replaceAll('`', '').replace(/\.$/, '');
+  return said === '' ? '' : `: ${said}`;
 }

@@ -28,6 +28,8 @@ export class Decision {
   check = $state.raw<Check>({ is: 'untouched' });
   sending = $state<'approve' | 'deny' | null>(null);
   problem = $state('');
+  /** Somebody else's answer came first: the record says which. */
+  late = $state(false);
   code = $state('');
   /** More of the same, to be allowed in advance together with this. */
   offer = $state.raw<Offer | null>(null);
@@ -115,6 +117,7 @@ export class Decision {
       over = answered.status !== 'pending'; // the card goes with the next update; until then it takes no second answer
       return answered;
     } catch (error) {
+      this.late = error instanceof ApiError && error.code === 'already_resolved';
       this.problem = error instanceof ApiError ? refusal(error, answer) : String(error instanceof Error ? error.message : error);
       return null;
     } finally {
