@@ -17,13 +17,18 @@ describe('how the server is', () => {
       return next === null ? Promise.reject(new Error('away')) : Promise.resolve(next);
     });
     const wellness = new Wellness();
-    const end = wellness.watch({ health });
+    let up = true;
+    const end = wellness.watch({ health }, () => up);
     await vi.advanceTimersByTimeAsync(1);
     expect(wellness.troubles.map(({ part }) => part)).toEqual(['record']);
     await vi.advanceTimersByTimeAsync(5_000);
     expect(wellness.troubles).toHaveLength(1); // it did not answer: what it said last stands
     await vi.advanceTimersByTimeAsync(5_000);
     expect(wellness.troubles).toEqual([]);
+    up = false;
+    await vi.advanceTimersByTimeAsync(10_000);
+    expect(health).toHaveBeenCalledTimes(3);
+    up = true;
     end();
     await vi.advanceTimersByTimeAsync(20_000);
     expect(health).toHaveBeenCalledTimes(3);

@@ -25,12 +25,12 @@ export function troublesOf(broken: Record<string, string | null>): Trouble[] {
 export class Wellness {
   troubles = $state.raw<Trouble[]>([]);
 
-  /** Asks until the returned function is called. A server that does not answer is the link's subject. */
-  watch(api: Pick<Api, 'health'>): () => void {
+  /** Asks until the returned function is called, while the link is up: a server that does not answer is its subject. */
+  watch(api: Pick<Api, 'health'>, up: () => boolean): () => void {
     let timer: ReturnType<typeof setTimeout> | undefined;
     let over = false;
     const ask = async (): Promise<void> => {
-      const said = await api.health().catch(() => null);
+      const said = up() ? await api.health().catch(() => null) : null;
       if (over) return;
       if (said !== null) this.troubles = troublesOf(said.broken);
       timer = setTimeout(() => void ask(), EVERY_MS);
