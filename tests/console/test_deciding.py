@@ -238,7 +238,8 @@ def test_what_somebody_edits_is_read_again_before_a_key_approves_it(
         edit = {"decision": "approve", "digest": server.get(path)["digest"], "params": {"force_n": 33}}
         assert other.post(f"{path}/resolve", json=edit).json()["status"] == "pending"
     told = card(person, "Grasp driver_1").get_by_role("alert")
-    expect(told).to_have_text("What is asked has changed since it came, by operator_2: read it again.")
+    expect(told).to_have_text("operator_2 changed what is asked: grip force 60 → 33 N. Read it again.")
+    expect(card(person, "Grasp driver_1").get_by_role("row", name=re.compile("Grip force"))).to_contain_text("changed")
     assert person.page.evaluate("window.pressed")
     expect(yes).to_be_enabled()  # once there was time to read
     assert [one["by"] for one in server.get(path)["approvals"]] == ["operator_2"]
@@ -261,6 +262,11 @@ def test_who_approved_first_of_two_may_still_deny(server: ServerProcess, people:
     expect(stages(other)).to_contain_text("waits for you")
     expect(one.region("Waiting for you").locator(".count")).to_have_text("0")
     expect(one.button(re.compile("^Deny"))).to_be_focused()
+    theirs.get_by_role("textbox", name="Grip force you approve, N").fill("33")
+    other.button("Approve edit").click()
+    expect(mine).to_contain_text("operator_2 changed what is asked: grip force 60 → 33 N.")
+    expect(mine).to_contain_text("Your approval was of what was asked before and does not count any more.")
+    expect(stages(one)).to_contain_text("waits for you")
     press_until(one, "d", gone=mine)
     expect(theirs).to_have_count(0)
     assert floor.settled(proposed["id"])["status"] == "denied"

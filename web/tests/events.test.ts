@@ -1,9 +1,10 @@
 import { describe, expect, it } from 'vitest';
 import type { LogEvent } from '../src/lib/api/documents';
 import { cellOf, entriesOf, eventLine, type Known } from '../src/lib/format/events';
+import { standingEdit, voidedOf } from '../src/lib/format/edited';
 import { clockTime } from '../src/lib/format/time';
 import { Keys } from '../src/lib/keys/keys';
-import { cell, event, invocation } from './samples';
+import { cell, escalation, event, invocation } from './samples';
 
 const DOCS = {
   cells: { 'workcell-1': cell(), 'workcell-2': cell({ id: 'workcell-2' }) },
@@ -91,6 +92,29 @@ describe('an edit on approval', () => {
   it('is not told again with the approvals that follow', () => {
     expect(answer('approve', 'ann', [['bob', '2026-11-22T10:00:00.003Z'], ['ann', '2026-11-22T10:00:09.000Z']])).toBe('ann approved, 2 of 2');
     expect(answer('approve', 'bob', [['bob', '2026-11-22T10:00:09.000Z']])).toBe('bob approved, 1 of 2');
+  });
+});
+
+describe('an edit of a question that is open', () => {
+  const constrained = { force_n: 60, speed_mps: 0.25 };
+  const before = escalation({ constrained, needed: 2, approvals: [{ by: 'ann', at: '', digest: 'sha256:1' }] });
+  const edit = { by: 'bob', at: '2026-11-22T10:00:00.000Z', params: { force_n: 40, speed_mps: 0.25 }, digest: 'e' };
+  const after = escalation({ ...before, digest: 'e', edits: [edit], approvals: [{ by: 'bob', at: '', digest: 'e' }] });
+  const approved = (of: object): LogEvent => event('approval', { decision: 'approve', escalation: { ...of } }, 'inv_1', 'ann');
+
+  it('stands until it is no longer what is asked, and only where it changed something', () => {
+    expect(standingEdit(after)?.steps).toEqual([{ name: 'force_n', from: 60, to: 40 }]);
+    expect(standingEdit({ ...after, digest: 'another policy' })).toBeNull();
+    expect(standingEdit({ ...after, edits: [{ ...edit, params: constrained }] })).toBeNull();
+    expect(standingEdit(before)).toBeNull();
+  });
+
+  it('voids the approval that somebody gave before it, until they give another', () => {
+    const log = [approved(before)];
+    expect(['ann', 'bob', null].map((who) => voidedOf(after, log, who))).toEqual([true, false, false]);
+    expect(voidedOf(before, log, 'ann')).toBe(false);
+    expect(voidedOf({ ...after, approvals: [...after.approvals, { by: 'ann', at: '', digest: 'e' }] }, [...log, approved(after)], 'ann')).toBe(false);
+    expect(voidedOf(after, [approved({ ...before, id: 'esc_2' })], 'ann')).toBe(false);
   });
 });
 

@@ -1,4 +1,4 @@
-import type { Escalation, InputSchema, Json } from '../api/documents';
+import type { Escalation, InputSchema, Json, LogEvent } from '../api/documents';
 import { labelFor, unitOf, valueOf, withUnit } from './quantity';
 
 export interface Step {
@@ -31,4 +31,21 @@ export function stepsText(steps: readonly Step[], inputs: Record<string, InputSc
     return `${label.charAt(0).toLowerCase()}${label.slice(1)} ${before} → ${withUnit(name, to)}`;
   });
   return said.join(', ');
+}
+
+/** What stands of an edit: nothing where it came to what was asked before, or where policy was renewed since. */
+export function standingEdit(asked: Escalation): Edit | null {
+  const edit = newestEdit(asked);
+  const stands = edit !== null && edit.steps.length > 0 && asked.edits?.at(-1)?.digest === asked.digest;
+  return stands ? edit : null;
+}
+
+/** Whether somebody's own approval went with the edit that stands: it was of what was asked before. */
+export function voidedOf(asked: Escalation, events: readonly LogEvent[], me: string | null): boolean {
+  const edit = standingEdit(asked);
+  if (edit === null || edit.by === me || asked.approvals.some((approval) => approval.by === me)) return false;
+  return events.some(({ kind, actor, body }) => {
+    const of = body['escalation'] as Partial<Escalation> | undefined;
+    return kind === 'approval' && actor === me && body['decision'] === 'approve' && of?.id === asked.id && of.digest !== asked.digest;
+  });
 }
