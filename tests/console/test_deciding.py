@@ -278,11 +278,21 @@ def test_a_grant_for_the_task_is_offered_only_where_the_proposal_names_one(
     person = people.sit(server)
     offers = person.page.get_by_label("If approved").locator("option")
     asked = floor.ask()
-    expect(offers).to_have_text([re.compile(words) for words in ("again", "for mug_1", "at all")])
-    floor.answer(asked, "deny")
+    expect(offers).to_have_text([re.compile(words) for words in ("again", "for mug_1", "anything")])
+    choice = person.page.get_by_label("If approved")
+    expect(person.button(re.compile("^Approve"))).to_be_enabled()
+    choice.focus()
+    person.press("a")
+    expect(choice).to_have_value("")  # no letter picks a grant, and none approves from there
+    choice.select_option("object")
+    expect(person.button("Approve and allow for 15 min")).to_be_enabled()
+    choice.select_option("")
+    expect(person.button("and allow")).to_have_count(0)
+    press_until(person, "d", gone=card(person))
+    assert floor.settled(asked["id"])["status"] == "denied"
     expect(offers).to_have_count(0)
     floor.ask(task="tidy up")
-    expect(offers).to_have_text([re.compile(words) for words in ("again", "for mug_1", "for this task", "at all")])
+    expect(offers).to_have_text([re.compile(words) for words in ("again", "for mug_1", "for this task", "anything")])
 
 
 def test_standing_grants_stand_below_what_waits_and_are_revoked_by_keyboard(

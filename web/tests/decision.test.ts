@@ -147,6 +147,16 @@ describe('a decision', () => {
     ]);
   });
 
+  it('says that more is allowed with it', () => {
+    const decision = decide();
+    decision.offer = { scope: 'time', minutes: 15 };
+    expect(decision.approves).toBe('Approve and allow for 15 min');
+    decision.type('force_n', '40');
+    expect(decision.approves).toBe('Approve edit and allow for 15 min');
+    decision.offer = null;
+    expect(decision.approves).toBe('Approve edit');
+  });
+
   it('denies with a code, and with a half-typed edit as well', async () => {
     const decision = decide();
     decision.code = 'person_in_the_way';

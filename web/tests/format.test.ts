@@ -101,6 +101,15 @@ describe('the keyboard', () => {
     expect([keys.press(key('a'), isTyping(list), takesLetters(list)), keys.press(key('.'), isTyping(list), takesLetters(list)), ran]).toEqual([false, true, ['.']]);
   });
 
+  it('hears in a list beside an answer only what restrains, and has no letter choose there', () => {
+    const keys = new Keys();
+    const ran: string[] = [];
+    for (const one of ['a', 'd']) keys.on(one, one, () => ran.push(one));
+    const taken = (name: string, more = {}): boolean => keys.pressBeside(key(name, more), ['d']);
+    expect([taken('a'), taken('x'), taken('D'), taken('d', { repeat: true }), ran]).toEqual([true, true, true, true, ['d']]);
+    expect([taken(' '), taken('ArrowDown'), taken('Enter'), taken('a', { ctrlKey: true })]).toEqual([false, false, false, false]);
+  });
+
   it('forgets a shortcut whose part of the page is gone', () => {
     const keys = new Keys();
     const undo = keys.on('a', 'one', () => undefined);

@@ -86,6 +86,16 @@ export class Keys {
     return this.shortcuts.findLast((known) => counts(known) && known.run() !== false) !== undefined;
   }
 
+  /**
+   * Takes a key pressed in a list of choices that stands beside an answer: its letters choose nothing, since whoever
+   * presses one means the answer. Only `restraining` shortcuts are heard there. Returns true when the key was taken.
+   */
+  pressBeside(event: KeyLike, restraining: readonly string[]): boolean {
+    if (event.key.length !== 1 || event.key === ' ' || event.ctrlKey || event.metaKey || event.altKey) return false;
+    if (restraining.includes(event.key.toLowerCase())) this.press(event, false);
+    return true;
+  }
+
   /** Listens before anything else on the page does. */
   attach(target: Window): () => void {
     const listen = (event: KeyboardEvent): void => {

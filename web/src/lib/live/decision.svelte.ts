@@ -49,6 +49,11 @@ export class Decision {
   readonly rows = $derived.by(() => rowsOf(this.asked));
   readonly edit = $derived.by(() => readEdit(this.typed, this.asked.effective, this.schema));
   readonly edited = $derived.by(() => Object.keys(this.edit.params).length > 0);
+  /** What approving does, a grant that goes with it included. */
+  readonly approves = $derived.by(() => {
+    const allowing = this.offer === null ? '' : ` and allow for ${this.offer.minutes} min`;
+    return `${this.edited ? 'Approve edit' : 'Approve'}${allowing}`;
+  });
   readonly ready = $derived.by(() => this.sending === null && mayApprove(this.check));
 
   /** Takes a newer version of the question. Another digest is another question: what was typed no longer stands. */
