@@ -4,6 +4,7 @@ import { readGauge, type GaugeSpec } from '../src/lib/live/gauges';
 import { History } from '../src/lib/live/history';
 import { closingOf } from '../src/lib/live/closed';
 import { handsOn, holdersOf, isHalted, leaseLapsed, pausedWords, pauserOf, refusalWords, restraintsOf } from '../src/lib/live/control';
+import { deniedIsUndone, goingOn } from '../src/lib/live/held';
 import { reasonLines } from '../src/lib/live/reasons';
 import { askedOf, stagesOf } from '../src/lib/live/stages';
 import { troubleOf, zonesAt } from '../src/lib/live/trouble';
@@ -216,6 +217,31 @@ describe('a session', () => {
     ['escalated', [], ''],
   ])('that is %s by %j may be told to: %s', (status, by, words) => {
     expect(may(status, ...by)).toBe(words);
+  });
+});
+
+describe('letting a held session go on', () => {
+  const asks = (code: string): Escalation => escalation({ kind: 'session', reasons: [{ rule: 'runtime/session', code, message: '', remedy: '' }] });
+  const near = (busy = 'inv_1', ...violated: string[]): ReturnType<typeof cell> => cell({ busy, status: 'escalated', session: { ...heldBy(), violated } });
+  const paused = event('intervention', { intervention: 'PAUSE', rule: 'separation' });
+
+  it('says that it waits as long as somebody is too near, and asks again', () => {
+    expect(goingOn(asks('separation'), near('inv_1', 'separation'), [])).toEqual({ yes: 'Go on once they have left', note: expect.stringContaining('asks again if they stay') as string });
+    expect(goingOn(asks('separation'), near('inv_1', 'zone'), [])).toEqual({ yes: 'Let it go on', note: null });
+    expect(goingOn(asks('separation'), near('inv_2', 'separation'), []).yes).toBe('Let it go on');
+    expect(goingOn(asks('separation'), null, []).note).toBeNull();
+  });
+
+  it('promises no wait that the session has not shown', () => {
+    expect(goingOn(asks('confirm'), near('inv_1', 'separation'), [])).toEqual({ yes: 'Let it go on', note: 'A person is too near now.' });
+    expect(goingOn(asks('confirm'), near('inv_1', 'separation'), [paused]).note).toMatch(/waits until they have left\.$/);
+  });
+
+  it('leaves the rollback to the answer where that is what a denial means', () => {
+    const held = escalation({ kind: 'session', on_deny: 'rollback' });
+    expect(deniedIsUndone([held], 'inv_1')).toBe(true);
+    expect(deniedIsUndone([held], 'inv_2')).toBe(false);
+    expect(deniedIsUndone([{ ...held, on_deny: 'terminate' }, { ...held, kind: 'approval' }], 'inv_1')).toBe(false);
   });
 });
 
