@@ -3,7 +3,7 @@ import type { Escalation, Invocation, LogEvent, Risk } from '../src/lib/api/docu
 import { readGauge, type GaugeSpec } from '../src/lib/live/gauges';
 import { History } from '../src/lib/live/history';
 import { closingOf } from '../src/lib/live/closed';
-import { handsOn, holdersOf, isHalted, leaseLapsed, pausedWords, pauserOf, refusalWords, restraintsOf } from '../src/lib/live/control';
+import { handsOn, holdersOf, isHalted, leaseLapsed, pausedWords, pauseEndedOf, pauserOf, refusalWords, restraintsOf } from '../src/lib/live/control';
 import { deniedIsUndone, goingOn } from '../src/lib/live/held';
 import { reasonLines } from '../src/lib/live/reasons';
 import { askedOf, stagesOf } from '../src/lib/live/stages';
@@ -192,6 +192,17 @@ describe('the controls of a cell', () => {
     const log = [word('bob'), word('ann'), word('eve', 'inv_2'), event('human', { op: 'pause', done: true, refused: null, actor: 'ann' })];
     expect([pauserOf(log, 'inv_1'), pauserOf([], 'inv_1')]).toEqual(['ann', null]);
     expect(pausedWords(cell({ status: 'paused', session: heldBy('operator') }), 'ann')).toEqual({ why: 'ann paused the session', resumable: true });
+  });
+
+  it('name whose pause ended when they were taken, and none that was lifted before, or was the watcher’s', () => {
+    const word = (op: string, by: string, more: object = {}): LogEvent => event('human', { op, role: 'operator', ...more }, 'inv_1', by);
+    const taken = (status: string, how = 'granted'): LogEvent => word('takeover', 'ann', { status, how, lease: 'lease_1' });
+    const ended = (...log: LogEvent[]): string | null => pauseEndedOf(log, control);
+    expect(ended(word('pause', 'bob'), taken('paused'))).toBe('bob');
+    expect(ended(word('pause', 'bob'), word('resume', 'ann'), taken('paused'))).toBeNull();
+    expect(ended(word('pause', 'bob'), taken('running'))).toBeNull();
+    expect(ended(word('pause', 'bob'), taken('paused', 'preempted'))).toBeNull();
+    expect([ended(taken('paused')), ended(word('pause', 'bob')), pauseEndedOf([], null)]).toEqual([null, null, null]);
   });
 
   it('say in words why they are not obeyed, and name a rule without any', () => {

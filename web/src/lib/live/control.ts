@@ -1,4 +1,4 @@
-import type { Cell, Invocation, LogEvent } from '../api/documents';
+import type { Cell, Control, Invocation, LogEvent } from '../api/documents';
 import type { Tone } from '../format/status';
 
 const OVER = new Set(['rejected', 'deferred', 'denied', 'completed', 'failed', 'awaiting_approval']);
@@ -79,6 +79,15 @@ export function restraintsOf(status: string | null, { operator }: Holders): { pa
 export function pauserOf(events: readonly LogEvent[], invocation: string | null): string | null {
   const word = events.findLast((event) => event.kind === 'human' && event.invocation === invocation && event.body['op'] === 'pause' && 'role' in event.body);
   return word?.actor ?? null;
+}
+
+/** Whose pause ended when somebody took the controls, for who drives and who paused; null where none stood then. */
+export function pauseEndedOf(events: readonly LogEvent[], control: Pick<Control, 'lease' | 'invocation'> | null): string | null {
+  const words = events.filter(({ kind, invocation, body }) => kind === 'human' && invocation === control?.invocation && 'role' in body);
+  const at = words.findIndex(({ body }) => body['op'] === 'takeover' && body['how'] === 'granted' && body['lease'] === control?.lease);
+  if (at === -1 || words[at]?.body['status'] !== 'paused') return null;
+  const last = words.slice(0, at).findLast(({ body }) => body['op'] === 'pause' || body['op'] === 'resume');
+  return last?.body['op'] === 'pause' ? last.actor : null;
 }
 
 /** Why nothing moves in a session that is paused, and whether a person may resume it; null where none is. */
