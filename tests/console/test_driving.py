@@ -12,6 +12,7 @@ from tests.console.conftest import (
     DESK,
     MAGNIFIED,
     PHONE,
+    SIDEWAYS,
     THREE_FRAMES,
     Floor,
     People,
@@ -19,6 +20,7 @@ from tests.console.conftest import (
     box,
     far,
     insist,
+    on_top,
     out_of_reach,
     stop,
     wider_than_the_screen,
@@ -148,7 +150,14 @@ def test_the_pad_on_the_screen_drives_while_a_thumb_is_on_it(
     until(lambda: far(floor.base(), stood) > 0.05, what="a base that goes on")
     thumb.send("Input.dispatchTouchEvent", {"type": "touchCancel", "touchPoints": []})  # a call comes in
     let_go(person)
+    stood = at_rest(floor)
+    touch(thumb, person, "Base back, hold to run")
+    until(lambda: far(floor.base(), stood) > 0.05, what="a base that goes back")
+    person.page.set_viewport_size(SIDEWAYS)  # the phone is turned, with the thumb still down
+    let_go(person)
     at_rest(floor)
+    lift(thumb)
+    let_go(person)
 
 
 @pytest.mark.parametrize("gone", ["window, 'blur'", "document, 'visibilitychange'"], ids=["focus", "sight"])
@@ -241,7 +250,11 @@ def test_whoever_drives_is_told_that_the_session_is_paused_and_resumes_it(
     take_controls(person, HOLDS)
     panel, header = person.region("Drive by hand"), person.page.locator("header").first
     expect(header).to_contain_text("Driven by hand")
-    person.press("p")
+    if size == PHONE:
+        assert on_top(person.button("Pause"))
+        person.button("Pause").tap()
+    else:
+        person.press("p")
     expect(header).to_contain_text("Driven by hand, paused")
     expect(panel).to_contain_text("Paused, nothing moves: operator paused the session.")
     expect(person.button("Agent goes on")).to_be_disabled()

@@ -1,0 +1,53 @@
+import type { Console } from '../state/console.svelte';
+import { holdersOf, restraintsOf } from './control';
+import { deniedIsUndone } from './held';
+
+type Word = 'pause' | 'resume' | 'rollback';
+
+/** What may be ordered of the session that one looks at, and what became of it; for every button that orders it. */
+export class Orders {
+  problem = $state('');
+
+  constructor(private readonly console: Console) {}
+
+  private readonly status = $derived.by(() => {
+    const { session, cell } = this.console;
+    return session !== null && cell?.busy === session.id ? session.status : null;
+  });
+  private readonly may = $derived.by(() => this.console.live && this.console.me?.role === 'operator');
+  private readonly restraints = $derived.by(() => restraintsOf(this.status, holdersOf(this.console.cell)));
+  readonly pausable = $derived.by(() => this.may && this.restraints.pausable);
+  readonly resumable = $derived.by(() => this.may && this.restraints.resumable);
+  // A rollback is had once, and nobody rolls back what somebody else drives. Where a denial of what the session asks is
+  // its rollback, the question's own button says so, and there is no other.
+  readonly undoable = $derived.by(() => {
+    const { session, cell, docs } = this.console;
+    if (!this.may || session === null || cell?.control != null) return false;
+    if (deniedIsUndone(Object.values(docs.escalations), session.id)) return false;
+    if (docs.events.some((event) => event.invocation === session.id && event.kind === 'recovery' && event.body['strategy'] === 'rollback')) return false;
+    return this.status === 'running' || this.status === 'paused' || this.status === 'escalated';
+  });
+
+  pause(): void {
+    if (this.pausable) void this.say('pause');
+  }
+
+  resume(): void {
+    if (this.resumable) void this.say('resume');
+  }
+
+  rollBack(): void {
+    if (this.undoable) void this.say('rollback');
+  }
+
+  private async say(word: Word): Promise<void> {
+    const { session } = this.console;
+    if (session === null) return;
+    this.problem = '';
+    try {
+      await this.console.api.operate(session.id, word);
+    } catch (error) {
+      this.problem = error instanceof Error ? error.message : String(error);
+    }
+  }
+}
