@@ -25,16 +25,23 @@ export function robotSays(cell: Cell | null): { text: string; tone: Tone } {
   if (cell === null) return { text: 'No cell', tone: 'quiet' };
   const grave = graveOf(cell);
   if (grave !== null) return { text: grave, tone: 'danger' };
-  if (cell.control != null) return { text: 'Driven by hand', tone: 'human', ...heldIn(cell.status) };
+  if (cell.control != null) return { text: 'Driven by hand', tone: 'human', ...heldIn(cell) };
   if (cell.status === null || cell.busy === null) return { text: 'Idle', tone: 'plain' };
-  return statusWords(cell.status);
+  return { ...statusWords(cell.status), ...(cell.status === 'paused' ? { tone: pausedTone(cell) } : {}) };
 }
 
 /** Who drives has to know that nothing moves. */
-function heldIn(status: string | null): { text?: string; tone?: Tone } {
-  if (status === 'paused') return { text: 'Driven by hand, paused', tone: STATUS.paused.tone };
+function heldIn(cell: Cell): { text?: string; tone?: Tone } {
+  const { status } = cell;
+  if (status === 'paused') return { text: 'Driven by hand, paused', tone: pausedTone(cell) };
   if (status === 'escalated') return { text: 'Driven by hand, asks you', tone: STATUS.escalated.tone };
   return {};
+}
+
+/** A person's own pause is no alarm; what the watcher holds is. */
+function pausedTone({ session }: Cell): Tone {
+  const by = session?.paused_by ?? [];
+  return by.includes('operator') && !by.includes('watch') ? 'warn' : STATUS.paused.tone;
 }
 
 /** A cell that is not heard has not confirmed anything, a stop least of all. */

@@ -1,12 +1,13 @@
-import type { Escalation, Invocation, LogEvent } from '../api/documents';
+import type { Change, Escalation, Invocation, LogEvent } from '../api/documents';
 import { outcomeTone, outcomeWords, type Tone } from '../format/status';
 import { clockTime } from '../format/time';
+import type { Holders } from './control';
 import { iApproved } from './urgency';
 
 export const STAGES = ['Goal', 'Proposal', 'Decision', 'Launch', 'Watch', 'Recover', 'Outcome'] as const;
 export type StageName = (typeof STAGES)[number];
-/** `now`: here the session stands; `asks`: here it waits for a person; `bad`: here something went wrong. */
-export type StageState = 'done' | 'now' | 'asks' | 'bad' | 'skipped' | 'open';
+/** `now`: here the session stands; `held`: here somebody paused it; `asks`: here it waits for a person; `bad`: here something went wrong. */
+export type StageState = 'done' | 'now' | 'held' | 'asks' | 'bad' | 'skipped' | 'open';
 
 export interface Stage {
   name: StageName;
@@ -26,8 +27,11 @@ export function askedOf(escalation: Escalation | null, me: { name: string; role:
   return `needs ${escalation.needed - escalation.approvals.length} more`; // a column of the strip holds some 14 letters
 }
 
+/** Who holds it is not known, or nobody does. */
+const NOBODY: Holders = { operator: false, watch: false };
+
 /** Where an invocation stands in the seven stages, from its document and its events; `asked` says for whom it waits. */
-export function stagesOf(invocation: Invocation, log: readonly LogEvent[], asked = 'waits for you'): Stage[] {
+export function stagesOf(invocation: Invocation, log: readonly LogEvent[], asked = 'waits for you', holders = NOBODY): Stage[] {
   const events = log.filter((event) => event.invocation === invocation.id);
   const at = (kind: string): LogEvent | undefined => events.find((event) => event.kind === kind);
   const time = (event: LogEvent | undefined): string => (event === undefined ? '' : clockTime(event.at));
@@ -37,7 +41,7 @@ export function stagesOf(invocation: Invocation, log: readonly LogEvent[], asked
     proposal(invocation, proposed),
     decision(invocation, asked),
     launch(invocation, at('launch'), time(at('launch'))),
-    watch(invocation, events, asked),
+    watch(invocation, events, asked, holders),
     recover(invocation, events, asked),
     outcome(invocation),
   ];
@@ -60,8 +64,13 @@ function decision(invocation: Invocation, asked: string): Stage {
   if (invocation.status === 'denied') return { name: 'Decision', state: 'bad', note: invocation.outcome === 'expired' ? 'expired' : 'denied' };
   const policy = invocation.policy;
   if (policy === null) return { name: 'Decision', state: 'open', note: 'open' };
-  const cut = policy.changes.length;
-  return { name: 'Decision', state: 'done', note: cut === 0 ? 'allowed' : `${cut} value${cut === 1 ? '' : 's'} cut` };
+  return { name: 'Decision', state: 'done', note: policy.changes.length === 0 ? 'allowed' : changed(policy.changes) };
+}
+
+/** What is raised, or added, or another name is not cut. */
+function changed(changes: readonly Change[]): string {
+  const cut = changes.every(({ requested, effective }) => typeof requested === 'number' && typeof effective === 'number' && effective < requested);
+  return `${changes.length} value${changes.length === 1 ? '' : 's'} ${cut ? 'cut' : 'changed'}`;
 }
 
 function launch(invocation: Invocation, event: LogEvent | undefined, time: string): Stage {
@@ -70,14 +79,15 @@ function launch(invocation: Invocation, event: LogEvent | undefined, time: strin
   return { name: 'Launch', state: 'done', note: time || 'launched' };
 }
 
-function watch(invocation: Invocation, events: readonly LogEvent[], asked: string): Stage {
+function watch(invocation: Invocation, events: readonly LogEvent[], asked: string, { operator, watch }: Holders): Stage {
   if (!launched(invocation)) return { name: 'Watch', state: 'open', note: 'open' };
   const counted = violationsIn(events);
   switch (invocation.status) {
     case 'running':
       return { name: 'Watch', state: 'now', note: counted || 'running' };
     case 'paused':
-      return { name: 'Watch', state: 'bad', note: counted === '' ? 'paused' : counted };
+      if (operator && !watch) return { name: 'Watch', state: 'held', note: 'paused' };
+      return counted === '' ? { name: 'Watch', state: 'held', note: 'paused' } : { name: 'Watch', state: 'bad', note: counted };
     case 'taken_over':
       return { name: 'Watch', state: 'now', note: 'driven by hand' };
     default:
