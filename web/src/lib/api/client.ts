@@ -1,3 +1,4 @@
+import { sentence } from '../format/quoted';
 import type {
   Capability,
   Cell,
@@ -33,13 +34,6 @@ export class ApiError extends Error {
   get code(): string {
     return this.problem.code;
   }
-}
-
-/** The server's words as a sentence for a person: names stand in quotes, not in backticks. */
-function sentence(detail: string): string {
-  const said = detail.replace(/`([^`]*)`/g, '“$1”');
-  const begun = said.charAt(0).toUpperCase() + said.slice(1);
-  return /[.!?]$/.test(begun) ? begun : `${begun}.`;
 }
 
 const UNREACHABLE: Problem = { title: 'No answer', status: 0, detail: 'The server did not answer.', code: 'unreachable' };

@@ -1,0 +1,11 @@
+/** The server's words for a person: names stand in quotes, not in backticks. */
+export function quoted(said: string): string {
+  return said.replace(/`([^`]*)`/g, '“$1”');
+}
+
+/** As `quoted`, with a capital, and a full stop where there is none. */
+export function sentence(said: string): string {
+  const words = quoted(said);
+  const begun = words.charAt(0).toUpperCase() + words.slice(1);
+  return /[.!?]$/.test(begun) ? begun : `${begun}.`;
+}
