@@ -31,6 +31,13 @@ describe('what was typed', () => {
 });
 
 describe('the rows', () => {
+  it('stand in the same order wherever the document comes from', () => {
+    const asked = escalation();
+    const turned = { ...asked, effective: Object.fromEntries(Object.entries(asked.effective).reverse()), requested: {} };
+    const names = (of: Escalation): string[] => rowsOf(of, ['object_id', 'speed_mps', 'force_n']).map((row) => row.name);
+    expect([names(asked), names(turned)]).toEqual([['speed_mps', 'force_n', 'object_id'], ['speed_mps', 'force_n', 'object_id']]);
+  });
+
   it('offer numbers of a proposal for editing, and nothing of a session under way', () => {
     expect(rowsOf(escalation()).filter((row) => row.editable).map((row) => row.name)).toEqual(['force_n', 'speed_mps']);
     expect(rowsOf(escalation({ kind: 'session' })).some((row) => row.editable)).toBe(false);

@@ -70,6 +70,13 @@ describe('a verdict of policy', () => {
     expect(said(cut('human-shared/grip_force_n'))).toBe('Grip force 280 → 100');
   });
 
+  it('says of a proposal that was checked again that it is still allowed, or what that changed', () => {
+    const again = (changes: object[]): string => said(event('policy', { outcome: 'allow', recheck: true, changes: changes as never }));
+    expect(again([])).toBe('Checked again: still allowed');
+    expect(again([{ param: 'speed_mps', requested: 0.5, effective: 0.25, rule: 'r' }])).toBe('Checked again: Speed 0.50 → 0.25');
+    expect(said(event('policy', { outcome: 'allow', changes: [] }))).toBe('Allowed as proposed');
+  });
+
   it('names the standing grant that answered in the place of a person', () => {
     const grant = (id: string): ReturnType<Known['grant']> => (id === 'grant_1' ? { issued_by: 'ann', expires_at: '2026-11-22T11:20:00.000Z' } : null);
     const known = { ...FORCE, grant };

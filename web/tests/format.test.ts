@@ -5,12 +5,13 @@ import { labelOf, unitOf, valueOf } from '../src/lib/format/quantity';
 import type { Cell, Control } from '../src/lib/api/documents';
 import { pausedWords } from '../src/lib/live/control';
 import { robotSays } from '../src/lib/format/status';
+import { quoted, sentence } from '../src/lib/format/quoted';
 import { countdown, elapsed, left } from '../src/lib/format/time';
 import { isStop, isTyping, Keys, takesLetters } from '../src/lib/keys/keys';
 import { dashes } from '../src/lib/scene/overlay';
 import { hatch } from '../src/lib/scene/ground';
 import { fromSnapshot, merged, NOTHING } from '../src/lib/state/documents';
-import { cell, escalation, event, scene } from './samples';
+import { cell, escalation, event, heldBy, scene } from './samples';
 
 const key = (name: string, more: object = {}) => ({ key: name, repeat: false, ctrlKey: false, metaKey: false, altKey: false, defaultPrevented: false, ...more });
 
@@ -36,6 +37,12 @@ describe('quantities', () => {
   });
 });
 
+describe('the server’s words', () => {
+  it('have names in quotes, and are a sentence', () => {
+    expect([quoted('a `b` c'), sentence('the bytes of `25` differ'), sentence('Done.')]).toEqual(['a “b” c', 'The bytes of “25” differ.', 'Done.']);
+  });
+});
+
 describe('words', () => {
   it('say what a proposal would do', () => {
     expect(titleOf('transport_object', { target: 'bench_b_stand' }, 'glass_1')).toBe('Carry glass_1 to bench_b');
@@ -56,7 +63,9 @@ describe('words', () => {
     expect(robotSays(cell({ online: false, latched: true })).text).toBe('Not heard, stop sent');
     expect(robotSays(cell({ fault: 'no room for the journal', status: null, busy: null })).text).toBe('Stopped, cannot record');
     expect(robotSays(cell({ fault: 'no room for the journal', status: 'running', busy: 'inv_1' })).text).toBe('Running');
-    expect(robotSays(cell({ status: 'paused' })).text).toBe('Paused, holding');
+    expect(robotSays(cell({ status: 'paused' }))).toEqual({ text: 'Paused, holding', tone: 'danger' });
+    expect(robotSays(cell({ status: 'paused', session: heldBy('operator') })).tone).toBe('warn'); // a person's own pause is no alarm
+    expect(robotSays(cell({ status: 'paused', session: heldBy('operator', 'watch') })).tone).toBe('danger');
   });
 
   it('say that whoever drives moves nothing while the session is held', () => {

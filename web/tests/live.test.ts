@@ -1,6 +1,6 @@
 import { describe, expect, it } from 'vitest';
 import type { Escalation, Invocation, LogEvent, Risk } from '../src/lib/api/documents';
-import { readGauge, type GaugeSpec } from '../src/lib/live/gauges';
+import { gaugesFor, readGauge, unfinished, type GaugeSpec } from '../src/lib/live/gauges';
 import { History } from '../src/lib/live/history';
 import { closingOf } from '../src/lib/live/closed';
 import { handsOn, holdersOf, isHalted, leaseLapsed, pausedWords, pauseEndedOf, pauserOf, refusalWords, restraintsOf } from '../src/lib/live/control';
@@ -88,6 +88,16 @@ describe('the stage strip', () => {
   it('stands at watching while it runs, and counts what policy cut', () => {
     expect(states({ status: 'running' })).toContain('Launch done, Watch now, Recover open');
     expect(note('Decision', { status: 'running' })).toBe('2 values cut');
+    const { policy } = invocation();
+    const changes = (requested: number | null): Invocation['policy'] => policy && { ...policy, changes: [{ param: 'clearance_m', requested, effective: 0.3, rule: 'clearance' }] };
+    expect([0.2, null, 0.4].map((asked) => note('Decision', { policy: changes(asked) }))).toEqual(['1 value changed', '1 value changed', '1 value cut']);
+  });
+
+  it('shows a person’s own pause as a pause, and the watcher’s as trouble', () => {
+    const log = [event('alert', { signal: 'VIOLATION' })];
+    const at = (...by: string[]): string | undefined => stagesOf(invocation({ status: 'paused' }), log, '', holdersOf(cell({ status: 'paused', session: heldBy(...by) }))).find((stage) => stage.name === 'Watch')?.state;
+    expect([at('operator'), at('watch'), at('operator', 'watch'), at()]).toEqual(['held', 'bad', 'bad', 'bad']);
+    expect(states({ status: 'paused' })).toContain('Watch held');
   });
 
   it('counts violations of this session only', () => {
@@ -120,6 +130,12 @@ describe('a gauge', () => {
     expect(readGauge(least, names, [1.02, 1.01]).beyond).toBe(true);
     expect(readGauge(most, names, [0.25, 0.26]).beyond).toBe(false);
     expect(readGauge(most, names, [0.25, 0.263]).beyond).toBe(true);
+  });
+
+  it('claims no progress of all of what was not done', () => {
+    const progress = gaugesFor(null).find((spec) => spec.key === 'progress') ?? least;
+    const shown = (status: Invocation['status'], value: number, spec = progress): number | null => unfinished(spec, { value, limit: null, beyond: false, near: false }, invocation({ status })).value;
+    expect([shown('failed', 1), shown('escalated', 1), shown('failed', 0.4), shown('completed', 1), shown('running', 1), shown('failed', 1, least)]).toEqual([null, null, 0.4, 1, 1, 1]);
   });
 
   it('claims nothing where something is not known', () => {

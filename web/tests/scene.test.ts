@@ -1,4 +1,5 @@
 import { PerspectiveCamera, Vector3 } from 'three';
+import { within } from '../src/lib/scene/labels';
 import { describe, expect, it } from 'vitest';
 import { fitted } from '../src/lib/scene/camera';
 
@@ -25,4 +26,11 @@ describe('the camera that shows a whole cell', () => {
       });
     }
   }
+});
+
+describe('a name in the scene', () => {
+  it('is moved in from the edge, and is none where its point is out of sight', () => {
+    expect([within(2, 20, 110), within(100, 20, 110), within(50, 20, 110), within(50, 80, 110)]).toEqual([20, 90, 50, 55]);
+    expect([within(-1, 20, 110), within(111, 20, 110)]).toEqual([null, null]);
+  });
 });

@@ -120,7 +120,8 @@ function policy(body: Body, event: LogEvent, known: Known): Line {
   if (granted !== '' && outcome !== 'deny') return line('scale', 'plain', [again + allowedBy(known.grant(granted)), cut].filter((part) => part !== '').join('; '));
   switch (outcome) {
     case 'allow':
-      return line('scale', 'quiet', `${again}allowed as proposed`.replace(/^a/, 'A'));
+      if (cut !== '') return line('scale', 'plain', again + cut);
+      return line('scale', 'quiet', again === '' ? 'Allowed as proposed' : `${again}still allowed`);
     case 'modify':
       return line('scale', 'plain', again + cut);
     case 'deny':

@@ -46,7 +46,7 @@ export class Decision {
   }
 
   readonly schema = $derived.by(() => this.context().schema);
-  readonly rows = $derived.by(() => rowsOf(this.asked));
+  readonly rows = $derived.by(() => rowsOf(this.asked, Object.keys(this.schema)));
   readonly edit = $derived.by(() => readEdit(this.typed, this.asked.effective, this.schema));
   readonly edited = $derived.by(() => Object.keys(this.edit.params).length > 0);
   /** What approving does, a grant that goes with it included. */

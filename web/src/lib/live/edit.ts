@@ -11,8 +11,11 @@ export interface Row {
   editable: boolean;
 }
 
-/** One row per parameter, those with numbers first; a session under way cannot be edited. */
-export function rowsOf(escalation: Escalation): Row[] {
+/**
+ * One row per parameter, those with numbers first, then as the capability lists them: in which order a document has
+ * them changes with where it was kept. A session under way cannot be edited.
+ */
+export function rowsOf(escalation: Escalation, listed: readonly string[] = []): Row[] {
   const names = [...new Set([...Object.keys(escalation.effective), ...Object.keys(escalation.requested)])];
   const allowed = escalation.constrained ?? escalation.effective;
   const rows = names.map((name) => ({
@@ -21,7 +24,8 @@ export function rowsOf(escalation: Escalation): Row[] {
     effective: allowed[name],
     editable: escalation.kind === 'approval' && typeof escalation.effective[name] === 'number',
   }));
-  return rows.sort((a, b) => Number(b.editable) - Number(a.editable));
+  const place = (name: string): number => (listed.includes(name) ? listed.indexOf(name) : listed.length);
+  return rows.sort((a, b) => Number(b.editable) - Number(a.editable) || place(a.name) - place(b.name) || a.name.localeCompare(b.name));
 }
 
 export interface Edited {

@@ -51,6 +51,12 @@ export function readGauge(spec: GaugeSpec, names: readonly string[], values: Arr
   return { value, limit, beyond, near };
 }
 
+/** Motions that are over say nothing of a session that failed, or asks: nothing is done that was not verified. */
+export function unfinished(spec: GaugeSpec, reading: Reading, session: Pick<Invocation, 'status' | 'outcome'> | null): Reading {
+  const failed = session !== null && (session.status === 'escalated' || session.status === 'failed');
+  return failed && spec.key === PROGRESS.key && reading.value !== null && reading.value > 0.995 ? { ...reading, value: null } : reading;
+}
+
 export function valueText(spec: GaugeSpec, value: number | null): string {
   if (value === null) return '–';
   if (spec.unit === '%') return String(Math.round(value * 100));

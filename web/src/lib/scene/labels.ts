@@ -11,11 +11,18 @@ export interface Label {
 const WEIGHT: Record<Label['tone'], number> = { danger: 3, warn: 2, accent: 1, plain: 0 };
 const LINE_PX = 15;
 const LETTER_PX = 6.6;
+const EDGE_PX = 6;
 
 interface Spot {
   x: number;
   y: number;
   half: number;
+}
+
+/** Where the middle of a name goes that is `half` wide to each side, so that it is not cut; null where its point is out of sight. */
+export function within(x: number, half: number, width: number): number | null {
+  if (x < 0 || x > width) return null;
+  return 2 * half > width ? width / 2 : Math.min(Math.max(x, half), width - half);
 }
 
 /** Keeps one element per label, and puts each where its point is on the screen. */
@@ -51,9 +58,14 @@ export class Labels {
     if (element.textContent !== label.text) element.textContent = label.text;
     element.dataset['tone'] = label.tone;
     this.point.copy(label.at).project(camera);
-    const x = ((this.point.x + 1) / 2) * width;
+    const half = (label.text.length * LETTER_PX) / 2;
+    const x = within(((this.point.x + 1) / 2) * width, half + EDGE_PX, width);
     const y = ((1 - this.point.y) / 2) * height;
-    const spot: Spot = { x, y, half: (label.text.length * LETTER_PX) / 2 };
+    if (x === null) {
+      element.hidden = true;
+      return;
+    }
+    const spot: Spot = { x, y, half };
     // A name that would cover another is left out: two in one place are none.
     const free = taken.every((other) => Math.abs(other.y - y) > LINE_PX || Math.abs(other.x - x) > other.half + spot.half);
     element.hidden = this.point.z > 1 || !free;
