@@ -107,9 +107,10 @@ def differences(policy: PolicySet, profile: str, case: CaseShape) -> list[str]:
 def compared(case: CaseShape, found: Mapping[str, Any]) -> list[str]:
     """Say wherein what came of a case differs from what it expects."""
     return [
-        f"{key}: expected `{_apart(value, found.get(key))}`, found `{_apart(found.get(key), value)}`"
+        words
         for key, value in case.expect
         if value is not None and not _matches(key, value, found.get(key))
+        for words in _apart(key, value, found.get(key))
     ]
 
 
@@ -194,12 +195,31 @@ def _within(wanted: object, found: object) -> bool:
     return all(_within(value, held.get(key)) for key, value in cast("dict[str, object]", wanted).items())
 
 
-def _apart(one: object, other: object) -> object:
-    """Return the part of one that the other does not have, so that what agrees does not drown the difference."""
-    if not isinstance(one, dict) or not isinstance(other, dict):
-        return cast("object", one)
-    mine, others = cast("dict[str, object]", one), cast("dict[str, object]", other)
-    return {key: _apart(value, others[key]) for key, value in mine.items() if key in others and value != others[key]}
+def _apart(key: str, wanted: object, found: object) -> list[str]:
+    """Say value by value wherein they differ, so that what agrees does not drown the difference."""
+    whole = [f"{key}: expected `{_shown(wanted)}`, found `{_shown(found)}`"]
+    if not isinstance(wanted, dict) or not isinstance(found, dict):
+        return whole
+    mine, others = cast("dict[str, object]", wanted), cast("dict[str, object]", found)
+    more = others if key == "changes" else {}  # what a session holds besides is no difference
+    names = [name for name in {**mine, **more} if not _within(mine.get(name), others.get(name))]
+    return [words for name in names for words in _apart(f"{key}.{name}", mine.get(name), others.get(name))] or whole
+
+
+def _shown(value: object) -> str:
+    """Write a value as a case file has it."""
+    match value:
+        case None:
+            return "nothing"
+        case bool():
+            return "true" if value else "false"
+        case list():
+            return f"[{', '.join(map(_shown, cast('list[object]', value)))}]"
+        case dict():
+            held = cast("dict[str, object]", value)
+            return f"{{{', '.join(f'{name}: {_shown(one)}' for name, one in held.items())}}}"
+        case _:
+            return str(value)
 
 
 def _found(decision: Decision) -> dict[str, object]:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from app.governance import bundle, cases
@@ -99,8 +101,25 @@ def test_a_case_can_say_what_holds_a_session():
         == ()
     )
     assert told(GRASP, "{status: awaiting_approval, session: {watch: {zone: {below: 0.1, enter: stop}}}}") == (
-        "session: expected `{'watch': {'zone': {'below': 0.1}}}`, found `{'watch': {'zone': {'below': 0.0}}}`",
+        "session.watch.zone.below: expected `0.1`, found `0.0`",
     )
+
+
+@pytest.mark.parametrize(
+    ("expect", "says"),
+    [
+        ("rules: [a, b]", r"rules: expected `\[a, b\]`, found `\[.+\]`"),
+        ("changes: {force_n: 30, speed_mps: 0.15}", r"changes\.force_n: expected `30(\.0)?`, found `20(\.0)?`"),
+        ("changes: {force_n: 20}", r"changes\.speed_mps: expected `nothing`, found `0\.15`"),
+        ("changes: {force_n: 20, speed_mps: 0.15, dwell_s: null}", r"changes: expected `{force_n: .+}`, found `{.+}`"),
+        ("changes: {object_id: true, force_n: 20, speed_mps: 0.15}", r"changes\.object_id: expected `true`, found .+"),
+    ],
+)
+def test_a_case_says_value_by_value_wherein_it_differs_as_a_case_file_writes_them(expect: str, says: str):
+    (difference,) = told(
+        GRASP.replace("}", ", force_n: 40, speed_mps: 0.3}"), f"{{status: awaiting_approval, {expect}}}"
+    )
+    assert re.fullmatch(says, difference)
 
 
 def test_nothing_holds_a_session_of_what_does_not_exist():
