@@ -81,7 +81,7 @@ def test_a_candidate_is_mended_compared_tried_put_in_force_by_two_and_undone(
     expect(bring.get_by_role("alert")).to_contain_text("1 fault: it is not kept.")
     expect(bring.get_by_role("button", name="Check again")).to_be_focused()  # while it was sent, it could not be
     told = bring.get_by_role("list", name=f"Faults in {PROFILE}")
-    expect(told).to_contain_text("there is no signal `stall_h`")
+    expect(told).to_contain_text("there is no signal “stall_h”")
     told.get_by_role("button", name=re.compile(r"Line \d+")).click()
     editor = bring.get_by_role("textbox", name=PROFILE)
     expect(editor).to_be_focused()
@@ -94,7 +94,10 @@ def test_a_candidate_is_mended_compared_tried_put_in_force_by_two_and_undone(
     view = first.page.get_by_role("region", name=re.compile("^Version "))
     expect(view.get_by_role("region", name="What it would change")).to_contain_text("Loosens")
     expect(view).to_contain_text("profiles/human-shared/limits/grip_force_n/maximum")
-    expect(view).to_contain_text("another engineer’s word")
+    expect(view).to_contain_text("yours is the first word")
+    expect(view.get_by_role("button", name="Give the first word")).to_have_accessible_description(
+        "Say why first: it stays in the record."
+    )
     say_why(view, "is anything else decided otherwise?")
     view.get_by_role("button", name="Ask it in the shadow").click()
     expect(view.get_by_role("button", name="End the shadow")).to_be_visible()
@@ -106,7 +109,7 @@ def test_a_candidate_is_mended_compared_tried_put_in_force_by_two_and_undone(
 
     # two engineers put it in force
     say_why(view, "mugs slip at 60 N")
-    view.get_by_role("button", name="Put in force").click()
+    view.get_by_role("button", name="Give the first word").click()
     expect(view).to_contain_text("Waits for another engineer")
     expect(view.get_by_role("button", name="Give the second word")).to_be_disabled()
     digest = changing.get("/v1/policies", key="engineer")["items"][0]["digest"]

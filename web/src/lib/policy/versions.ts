@@ -40,6 +40,9 @@ export interface Deed {
   barrier: string | null;
 }
 
+/** Why a form cannot be sent yet: nothing goes into the record without a reason. */
+export const SAY_WHY = 'Say why first: it stays in the record.';
+
 export interface Who {
   name: string;
   role: string;
@@ -68,7 +71,10 @@ function wordGiven({ version, active }: Situation): string | null {
   return awaiting !== null && awaiting.against === active?.digest ? awaiting.by : null;
 }
 
-function labelOf({ version, active }: Situation): string {
+function labelOf(of: Situation): string {
+  const { version, active } = of;
+  // Whoever comes first puts nothing in force where it takes two, and the button does not say so.
+  if (takesTwo(of)) return 'Give the first word';
   if (version.activations.length === 0) return 'Put in force';
   return active?.activations.at(-1)?.former === version.digest ? 'Roll back to this' : 'Put in force again';
 }
@@ -83,10 +89,18 @@ function barrierOf({ who, live }: Situation, first: string | null): string | nul
 function outlook(of: Situation, first: string | null): string {
   if (first !== null) return `${first} wants it in force; with another engineer’s word it is.`;
   if (of.found === null) return 'What it changes is being compared.';
-  if (of.found.direction === 'same' || of.found.direction === 'tightens') return 'It loosens nothing: one engineer is enough.';
-  const { version, who } = of;
-  if (vouched(of) && version.by !== who?.name) return `It loosens something; ${version.by} brought it, so your word is the second.`;
-  return 'It loosens something: it comes into force with another engineer’s word.';
+  if (!loosens(of.found)) return 'It loosens nothing: one engineer is enough.';
+  if (!takesTwo(of)) return `It loosens something; ${of.version.by} brought it, so your word is the second.`;
+  return 'It loosens something: yours is the first word, and another engineer has to give the second.';
+}
+
+function loosens({ direction }: Comparison): boolean {
+  return direction !== 'same' && direction !== 'tightens';
+}
+
+/** Whether a word that is given now is only the first of two. */
+function takesTwo(of: Situation): boolean {
+  return of.found !== null && loosens(of.found) && !(vouched(of) && of.version.by !== of.who?.name);
 }
 
 /** Whether bringing it counts as the first word: as long as nothing has changed since. */
