@@ -90,7 +90,7 @@ describe('the stage strip', () => {
     expect(note('Decision', { status: 'running' })).toBe('2 values cut');
     const { policy } = invocation();
     const changes = (requested: number | null): Invocation['policy'] => policy && { ...policy, changes: [{ param: 'clearance_m', requested, effective: 0.3, rule: 'clearance' }] };
-    expect([0.2, null, 0.4].map((asked) => note('Decision', { policy: changes(asked) }))).toEqual(['1 value changed', '1 value changed', '1 value cut']);
+    expect([0.2, null, 0.4].map((asked) => note('Decision', { policy: changes(asked) }))).toEqual(['1 changed', '1 changed', '1 value cut']);
   });
 
   it('shows a person’s own pause as a pause, and the watcher’s as trouble', () => {

@@ -70,7 +70,8 @@ function decision(invocation: Invocation, asked: string): Stage {
 /** What is raised, or added, or another name is not cut. */
 function changed(changes: readonly Change[]): string {
   const cut = changes.every(({ requested, effective }) => typeof requested === 'number' && typeof effective === 'number' && effective < requested);
-  return `${changes.length} value${changes.length === 1 ? '' : 's'} ${cut ? 'cut' : 'changed'}`;
+  if (!cut) return `${changes.length} changed`; // a column of the strip holds some 14 letters
+  return `${changes.length} value${changes.length === 1 ? '' : 's'} cut`;
 }
 
 function launch(invocation: Invocation, event: LogEvent | undefined, time: string): Stage {
