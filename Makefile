@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help setup console demo run test check bench evaluate pictures format lock clean \
-  test-served test-processes test-sessions test-console test-runtime test-evaluation \
+  test-served test-processes test-sessions test-shown test-console test-runtime test-evaluation \
   test-proofs test-rules test-authoring test-sim test-pages check-types check-policy check-console check-code
 
 help:  ## list the targets
@@ -42,12 +42,13 @@ run: $(STAMP) console  ## a server with one simulated cell and a demo agent; kee
 	@$(BIN)/reins demo --keep --port 8000
 
 test: $(STAMP) console  ## the whole test suite; what decides and what proves covered to the last branch
-	@$(MAKE) --no-print-directory --keep-going -j4 test-served test-runtime test-evaluation $(COMPUTING)
+	@$(MAKE) --no-print-directory --keep-going -j5 test-served test-console test-runtime test-evaluation $(COMPUTING)
 
-# For two cores, four at a time, the longest first. What starts servers and cells mostly waits, in two lanes, and then what
-# drives or shows a robot as people would, in one; so does what serves within one process. Leases of 300 ms are real time
-# there. What only computes fills the cores and gives way. Whatever nothing here names runs with the processes.
+# For two cores, four at a time, the longest first. What starts servers and cells mostly waits, and so does what drives a
+# robot at a console: one lane each, as long as the other, and a third for what serves within one process. Leases of
+# 300 ms are real time there. What only computes fills the cores and gives way. What is named nowhere runs with the processes.
 WATCHED := tests/test_demo.py tests/test_takeover.py tests/console
+SHOWN := $(patsubst %,tests/console/test_%.py,names reading reviewing scene versions)
 SESSIONS := $(patsubst %,tests/test_%.py,activation confirmation console contract crash_recovering)
 AUTHORED := tests/authoring tests/test_cli_authoring.py tests/test_assayer.py
 SIMULATED := tests/sim tests/test_cli.py tests/test_disk.py
@@ -59,7 +60,7 @@ GIVING_WAY := nice -n 19
 
 test-served:
 	@$(MAKE) --no-print-directory test-processes test-sessions
-	@$(MAKE) --no-print-directory test-console
+	@$(MAKE) --no-print-directory test-shown
 
 test-processes: $(STAMP)
 	@$(PYTEST) $(ELSEWHERE:%=--ignore=%)
@@ -68,7 +69,10 @@ test-sessions: $(STAMP)
 	@$(PYTEST) $(SESSIONS)
 
 test-console: $(STAMP) console
-	@$(BIN)/python -m pytest $(WATCHED)
+	@$(PYTEST) $(WATCHED) $(SHOWN:%=--ignore=%)
+
+test-shown: $(STAMP) console
+	@$(PYTEST) $(SHOWN)
 
 test-runtime: $(STAMP)
 	@$(PYTEST) $(WITHIN)
