@@ -1,5 +1,6 @@
 import { afterEach, describe, expect, it, vi } from 'vitest';
 import type { LogEvent, Telemetry } from '../src/lib/api/documents';
+import { Axis } from '../src/lib/audit/axis';
 import { Player } from '../src/lib/audit/player.svelte';
 import { frameAt } from '../src/lib/audit/replay';
 import { eventAt, hasTelemetry, offset, rowAt, stepTo, timelineOf } from '../src/lib/audit/timeline';
@@ -122,10 +123,68 @@ describe('a player', () => {
   it('stays where it was put while the record grows, and within it', () => {
     vi.stubGlobal('cancelAnimationFrame', () => undefined);
     const player = new Player();
-    player.load(0, 10, 4);
-    player.grow(-1, 20);
-    expect([player.fromS, player.atS, player.toS]).toEqual([-1, 4, 20]);
-    player.grow(0, 3);
+    player.load(new Axis(0, 10), 4);
+    player.grow(new Axis(-1, 20));
+    expect(player.atS).toBe(4);
+    player.seek(-5);
+    expect(player.atS).toBe(-1);
+    player.grow(new Axis(0, 3));
+    player.seek(9);
     expect(player.atS).toBe(3);
+  });
+
+  it('passes a long wait as fast as it is drawn', () => {
+    const frames: FrameRequestCallback[] = [];
+    vi.stubGlobal('cancelAnimationFrame', () => undefined);
+    vi.stubGlobal('requestAnimationFrame', (next: FrameRequestCallback) => frames.push(next));
+    const player = new Player();
+    player.load(ASKED, -905);
+    player.play();
+    for (const ms of [0, 5000, 6260, 10_000]) frames.at(-1)?.(ms);
+    expect(player.atS).toBeCloseTo(3.74); // 5 s to scale, 1.26 s for 15 minutes, 3.74 s to scale
+    frames.at(-1)?.(40_000);
+    expect([player.atS, player.playing]).toEqual([16, false]);
+  });
+});
+
+/** Asked within 5 s, answered a quarter of an hour later, run for 16 s. */
+const ASKED = new Axis(-905, 16, [-903, -900, 0, ...Array.from({ length: 160 }, (_, k) => k / 10)]);
+
+describe('an axis', () => {
+  it('is to scale where no wait is long', () => {
+    const axis = new Axis(-10, 20, [3, 12]);
+    expect([axis.length, axis.folds.length]).toEqual([30, 0]);
+    expect([axis.place(-10), axis.place(5), axis.place(20)]).toEqual([0, 15, 30]);
+    expect([axis.at(0), axis.at(15), axis.at(30)]).toEqual([-10, 5, 20]);
+  });
+
+  it('gives a long wait in which nothing was recorded a little room, however long it was', () => {
+    expect(ASKED.folds).toHaveLength(1);
+    expect(ASKED.length).toBeCloseTo(5 + 1.26 + 16);
+    expect(ASKED.place(0) - ASKED.place(-900)).toBeCloseTo(1.26);
+    expect(ASKED.place(16) - ASKED.place(0)).toBeCloseTo(16);
+    expect(ASKED.folds[0]).toMatchObject({ fromS: -900, toS: 0 });
+    expect(ASKED.folds[0]?.left).toBeCloseTo(5 / ASKED.length);
+  });
+
+  it('leads from a moment to its place and back, everywhere, and never backwards', () => {
+    const places = Array.from({ length: 922 }, (_, k) => ASKED.place(k - 905));
+    places.forEach((place, k) => expect(ASKED.at(place)).toBeCloseTo(k - 905, 4));
+    expect(places.every((place, k) => k === 0 || place > (places[k - 1] ?? 0))).toBe(true);
+    expect([ASKED.at(-1), ASKED.at(999), ASKED.place(-9999), ASKED.place(9999)]).toEqual([-905, 16, 0, ASKED.length]);
+  });
+
+  it('folds nothing where a wait is all there is', () => {
+    const axis = new Axis(0, 600, [0, 600]);
+    expect([axis.folds.length, axis.place(300)]).toEqual([0, 300]);
+    expect(new Axis(0, 0).place(0)).toBe(0);
+  });
+
+  it('draws no line through what was not recorded', () => {
+    const axis = new Axis(0, 120, [0, 1, 2, 100, 110, 120]);
+    const drawn = axis.drawn([0, 1, 2, 100, 110, 120], [[1, 2, 3, 4, 5, 6]]);
+    expect(drawn.columns).toEqual([[1, 2, 3, null, 4, 5, 6]]);
+    expect(drawn.times).toHaveLength(7);
+    expect(drawn.times.every((at, k) => k === 0 || at > (drawn.times[k - 1] ?? 0))).toBe(true);
   });
 });

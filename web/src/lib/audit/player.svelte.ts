@@ -1,3 +1,5 @@
+import { Axis } from './axis';
+
 export const SPEEDS = [0.5, 1, 2, 4] as const;
 export type Speed = (typeof SPEEDS)[number];
 
@@ -6,27 +8,24 @@ export class Player {
   atS = $state(0);
   playing = $state(false);
   speed = $state<Speed>(1);
-  fromS = $state(0);
-  toS = $state(0);
+  private axis = $state.raw(new Axis(0, 0));
   private request = 0;
   private lastMs: number | null = null;
 
-  load(fromS: number, toS: number, atS: number): void {
+  load(axis: Axis, atS: number): void {
     this.pause();
-    this.fromS = fromS;
-    this.toS = toS;
+    this.axis = axis;
     this.atS = atS;
   }
 
   /** Takes other ends of the same recording; what plays goes on. */
-  grow(fromS: number, toS: number): void {
-    this.fromS = fromS;
-    this.toS = toS;
+  grow(axis: Axis): void {
+    this.axis = axis;
     this.seek(this.atS);
   }
 
   seek(atS: number): void {
-    this.atS = Math.min(this.toS, Math.max(this.fromS, atS));
+    this.atS = Math.min(this.axis.toS, Math.max(this.axis.fromS, atS));
   }
 
   toggle(): void {
@@ -35,8 +34,9 @@ export class Player {
   }
 
   play(): void {
-    if (this.toS <= this.fromS) return;
-    if (this.atS >= this.toS - 1e-3) this.atS = this.fromS;
+    const { fromS, toS } = this.axis;
+    if (toS <= fromS) return;
+    if (this.atS >= toS - 1e-3) this.atS = fromS;
     this.playing = true;
     this.lastMs = null;
     this.request = requestAnimationFrame(this.step);
@@ -56,8 +56,9 @@ export class Player {
     if (!this.playing) return;
     const passedS = this.lastMs === null ? 0 : (nowMs - this.lastMs) / 1000;
     this.lastMs = nowMs;
-    this.seek(this.atS + passedS * this.speed);
-    if (this.atS >= this.toS) this.pause();
+    // Nobody sits through a wait of minutes: what is folded goes by as fast as it is wide.
+    this.seek(this.axis.at(this.axis.place(this.atS) + passedS * this.speed));
+    if (this.atS >= this.axis.toS - 1e-6) this.pause();
     else this.request = requestAnimationFrame(this.step);
   };
 }

@@ -5,8 +5,8 @@ export interface Drawn {
   times: number[];
   values: (number | null)[];
   limits: (number | null)[] | null;
-  fromS: number;
-  toS: number;
+  /** Of the axis; it begins at 0. */
+  length: number;
 }
 
 function token(name: string): string {
@@ -33,7 +33,7 @@ export class TracePlot {
         legend: { show: false },
         cursor: { show: false },
         axes: [{ show: false }, { show: false }],
-        scales: { x: { time: false, range: () => [drawn.fromS, drawn.toS] }, y: { range: () => [0, top] } },
+        scales: { x: { time: false, range: () => [0, drawn.length] }, y: { range: () => [0, top] } },
         series,
       },
       data,

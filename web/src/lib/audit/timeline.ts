@@ -1,4 +1,5 @@
 import type { LogEvent, Telemetry } from '../api/documents';
+import { Axis } from './axis';
 
 const TICK_S = 0.01;
 
@@ -16,6 +17,7 @@ export interface Timeline {
   toS: number;
   /** Cell time, s, of 0. */
   zeroS: number;
+  axis: Axis;
 }
 
 /**
@@ -43,8 +45,10 @@ export function timelineOf(events: readonly LogEvent[], telemetry: Telemetry | n
     latest = Math.max(item.atS, latest);
     return { ...item, atS: latest };
   });
-  const lastRowS = (times.at(-1) ?? zeroS) - zeroS;
-  return { placed: ordered, ...endsOf(ordered, lastRowS), zeroS };
+  const rows = times.map((time) => (time ?? zeroS) - zeroS);
+  const { fromS, toS } = endsOf(ordered, rows.at(-1) ?? 0);
+  const axis = new Axis(fromS, toS, [...ordered.map(({ atS }) => atS), ...rows]);
+  return { placed: ordered, fromS, toS, zeroS, axis };
 }
 
 /** Whether a trace says that telemetry was kept: its digest is an event, behind the session's end. */
