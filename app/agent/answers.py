@@ -7,6 +7,10 @@ ReinsError
  └─ NotCompleted         the proposal was decided, but the task is not done; carries the invocation
      ├─ Refused          rejected, denied, expired, or deferred for too long: never launched
      └─ ExecutionFailed  launched and ended otherwise than by success
+
+An `Unreachable` or a `Problem` may come after the robot has begun. One that `invoke` raises says under which key it
+proposed (`idempotency_key`), and what was last heard of the invocation (`invocation`, None if nothing): whoever invokes
+again under that key finds the same invocation, and launches nothing a second time.
 """
 
 from __future__ import annotations
@@ -25,7 +29,19 @@ class Unsendable(ReinsError):
     """A value given to the client cannot be sent; nothing was."""
 
 
-class Unreachable(ReinsError):
+class _Interrupted(ReinsError):
+    """The conversation broke off; what was proposed may be under way all the same.
+
+    Attributes:
+        idempotency_key: under which `invoke` proposed, and finds the same invocation again; None for other calls.
+        invocation: the document last heard of it; None where the proposal itself was not answered.
+    """
+
+    idempotency_key: str | None = None
+    invocation: Document | None = None
+
+
+class Unreachable(_Interrupted):
     """The server did not answer, however often it was asked."""
 
 
@@ -39,7 +55,7 @@ class Reason:
     remedy: str
 
 
-class Problem(ReinsError):
+class Problem(_Interrupted):
     """The server refused the request itself: malformed, unauthenticated, not allowed, conflicting (RFC 9457)."""
 
     def __init__(self, status: int, code: str, detail: str) -> None:

@@ -126,7 +126,8 @@ class ReinsClient:
 
         Returns the result of a completed invocation. Raises `Refused` if it was not launched, `ExecutionFailed` if it
         ended without success, `Problem` if the request was malformed or not allowed, `Unsendable` if it could
-        not even be sent, `Unreachable` if there was no answer. `on_update` is called with the invocation at every
+        not even be sent, `Unreachable` if there was no answer; the robot may be moving all the same, and invoking
+        again under the error's `idempotency_key` takes it up. `on_update` is called with the invocation at every
         change.
         """
         options = {
@@ -179,7 +180,7 @@ class ReinsClient:
                     step.method, step.path, json=step.json, params=step.query, headers=dict(step.headers)
                 )
             )
-        except httpx.TransportError:
+        except httpx.RequestError:  # not only a lost answer: one that cannot be decoded is none either
             return _NOTHING
 
 
@@ -279,5 +280,5 @@ class AsyncReinsClient:
                     step.method, step.path, json=step.json, params=step.query, headers=dict(step.headers)
                 )
             )
-        except httpx.TransportError:
+        except httpx.RequestError:  # not only a lost answer: one that cannot be decoded is none either
             return _NOTHING

@@ -143,13 +143,25 @@ def invoke(body: Document, key: str | None, defers: int, on_update: OnUpdate | N
     """Propose, propose again while deferred, follow to the end.
 
     Every attempt has a key of its own that follows from the first one, so that whoever calls again under a key, say
-    after a restart, finds what the last attempt under it came to, and launches nothing a second time.
+    after a restart, finds what the last attempt under it came to, and launches nothing a second time. What breaks the
+    conversation off says that key, and the invocation as last heard of.
     """
     first_key = uuid.uuid4().hex if key is None else header_text("idempotency_key", key, _MAX_KEY)
     for attempt in range(defers + 1):
+        heard: list[Document] = []
+
+        def hear(document: Document, heard: list[Document] = heard) -> None:
+            heard[:] = [document]
+            if on_update is not None:
+                on_update(document)
+
         headers = {"Idempotency-Key": _nth_key(first_key, attempt)}
-        invocation: Document = yield from send(Call(method="POST", path="/v1/invocations", json=body, headers=headers))
-        invocation = yield from follow(invocation, on_update)
+        try:
+            posted = yield from send(Call(method="POST", path="/v1/invocations", json=body, headers=headers))
+            invocation = yield from follow(posted, hear)
+        except (Problem, Unreachable) as error:
+            error.idempotency_key, error.invocation = first_key, next(iter(heard), None)
+            raise
         if invocation["status"] == "deferred" and attempt < defers:
             patience = document(invocation.get("admission")).get("retry_after_s") or 1.0
             yield Sleep(seconds=max(float(patience), _backoff_s(attempt)))

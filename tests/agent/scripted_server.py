@@ -2,7 +2,7 @@
 
 import json
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
@@ -24,7 +24,9 @@ class Script:
 
 
 @contextmanager
-def serve(answer: Callable[[Turn], tuple[int, object] | None]) -> Iterator[Script]:
+def serve(
+    answer: Callable[[Turn], tuple[int, object] | None], headers: Mapping[str, str] | None = None
+) -> Iterator[Script]:
     script = Script(answer)
 
     class Handler(BaseHTTPRequestHandler):
@@ -49,6 +51,8 @@ def serve(answer: Callable[[Turn], tuple[int, object] | None]) -> Iterator[Scrip
             self.send_response(status)
             self.send_header("content-type", "application/problem+json" if status >= 400 else "application/json")
             self.send_header("content-length", str(len(body)))
+            for name, value in (headers or {}).items():
+                self.send_header(name, value)
             self.end_headers()
             self.wfile.write(body)
 

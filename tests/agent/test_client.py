@@ -256,6 +256,60 @@ def test_raises_unreachable_when_nothing_ever_answers(monkeypatch: pytest.Monkey
         client.invoke("navigate_to", target="dock")
 
 
+def test_what_breaks_a_proposal_off_says_the_key_under_which_it_is_found_again(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("app.agent.conversation._SEND_ATTEMPTS", 1)
+    with (
+        serve(lambda _: None) as server,
+        ReinsClient(server.url, "t") as client,
+        pytest.raises(Unreachable) as caught,
+    ):
+        client.invoke("navigate_to", target="dock")
+    assert caught.value.idempotency_key == server.turns[0].headers["idempotency-key"]
+    assert caught.value.invocation is None
+
+
+def test_what_breaks_a_poll_off_says_the_key_and_the_invocation_last_heard_of():
+    deferred = invocation("deferred", admission={"outcome": "defer", "reasons": [], "retry_after_s": 0.01})
+    running = invocation("running", id="inv_2")
+    posts = iter([deferred, running])
+
+    def answer(turn: Turn):
+        return (201, next(posts)) if turn.method == "POST" else (401, {"code": "token_invalid", "detail": "expired"})
+
+    with (
+        serve(answer) as server,
+        ReinsClient(server.url, "t") as client,
+        pytest.raises(Problem) as caught,
+    ):
+        client.invoke("navigate_to", target="dock")
+    assert caught.value.idempotency_key == server.turns[0].headers["idempotency-key"]
+    assert caught.value.invocation == running
+
+
+def test_a_second_attempt_that_is_lost_has_no_invocation_yet(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("app.agent.conversation._SEND_ATTEMPTS", 1)
+    deferred = invocation("deferred", admission={"outcome": "defer", "reasons": [], "retry_after_s": 0.01})
+    answers = iter([(201, deferred), None])
+    with (
+        serve(lambda _: next(answers)) as server,
+        ReinsClient(server.url, "t") as client,
+        pytest.raises(Unreachable) as caught,
+    ):
+        client.invoke("navigate_to", idempotency_key="mine", target="dock")
+    assert (caught.value.idempotency_key, caught.value.invocation) == ("mine", None)
+
+
+@pytest.mark.anyio
+async def test_an_answer_that_cannot_be_decoded_is_none(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("app.agent.conversation._SEND_ATTEMPTS", 1)
+    with serve(lambda _: (200, {}), {"content-encoding": "gzip"}) as server:
+        with ReinsClient(server.url, "t") as client, pytest.raises(Unreachable):
+            client.capabilities()
+        async with AsyncReinsClient(server.url, "t") as client:
+            with pytest.raises(Unreachable):
+                await client.capabilities()
+
+
 @pytest.mark.anyio
 async def test_the_asynchronous_client_holds_the_same_conversation():
     states = iter(["running", "completed"])
