@@ -38,6 +38,11 @@ AMBITION: Mapping[str, Mapping[str, Any]] = {
 
 _EPISODES = 500
 _REPAIRS = 6
+_NEVER_MADE = frozenset({400, 413, 422})
+"""How a server refuses a proposal itself: asked again under its key it would say the same.
+
+After any other refusal, say of a token or of a poll, the key stays: what was proposed may be under way, or done.
+"""
 
 
 class GoalFailed(Exception):
@@ -352,9 +357,10 @@ class ReferenceAgent:
                 on_update=on_update,
                 **under_way.params,
             )
-        except Problem:
-            self.state.memory.under_way = None
-            self._save()
+        except Problem as refused:
+            if refused.status in _NEVER_MADE and refused.invocation is None:
+                self.state.memory.under_way = None
+                self._save()
             raise
         self.state.plan.pop(0)  # saved together with what came of it: a restarted agent does no step again
         self._remember(step, result.invocation, ())

@@ -275,6 +275,35 @@ async def test_an_agent_restarted_with_another_goal_proposes_under_a_new_key(
 
 
 @pytest.mark.anyio
+@pytest.mark.parametrize("method", ["POST", "GET"])
+@pytest.mark.parametrize("refusal", [401, 403, 404, 429, 503])
+async def test_an_agent_refused_while_a_step_may_be_under_way_takes_that_step_up_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str, refusal: int
+):
+    monkeypatch.setattr("app.agent.conversation._SEND_ATTEMPTS", 1)
+    refused = {"now": True}
+
+    def answer(turn: Turn):
+        if turn.path == "/v1/policies/active":
+            return 200, {"site": SITE}
+        if refused["now"] and turn.method == method:
+            return refusal, {"code": "token_invalid", "detail": "expired"}
+        if turn.method == "POST" and refused["now"]:
+            return 201, ended("running")
+        return 200, ended("completed", outcome="succeeded")
+
+    with serve(answer) as server:
+        async with AsyncReinsClient(server.url, "t", defers=0) as client:
+            with pytest.raises(GoalFailed, match="expired"):
+                await ReferenceAgent(client, tmp_path / "memory.json").pursue(FETCH)
+            refused["now"] = False
+            await ReferenceAgent(client, tmp_path / "memory.json").pursue(FETCH)
+    keys = [turn.headers["idempotency-key"] for turn in server.turns if turn.method == "POST"]
+    assert keys[0] == keys[1]
+    assert len(set(keys)) == 5
+
+
+@pytest.mark.anyio
 async def test_a_refused_request_ends_the_goal_in_the_servers_words(tmp_path: Path):
     def answer(turn: Turn):
         if turn.path == "/v1/policies/active":
