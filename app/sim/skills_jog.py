@@ -124,7 +124,9 @@ class Jog:
         if senses.hand is not None and not body.holding and body.grip_n <= 0.0:
             senses.hand = None
             senses.tare()
+            senses.zero_slip()
         elif senses.hand is None and self._touching == PAD_TOUCH_TICKS:
+            senses.zero_slip()  # this grip is another one: what is put down later is put down as it hangs in it
             self._recognise()
 
     def _recognise(self) -> None:

@@ -166,6 +166,32 @@ def test_a_hand_grasps_what_is_there_and_the_robot_knows_it(tmp_path: Path) -> N
     assert shop.cell.facts().holding is None
 
 
+def test_a_thing_gripped_anew_in_another_place_has_not_slipped(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path)
+    shop.launch("grasp_object", **GRASP)
+    while shop.runner.session is not None:
+        shop.runner.tick()
+    assert shop.cell.facts().holding == "mug_1"
+    shop.launch("takeover", 2, **LIMITS)
+    console = Console(shop, "inv-2")
+    console.release()
+    for _ in range(400):
+        if shop.cell.observe().contact_force_n > 12.0:
+            break
+        console.hold(Wish(tool=(0.0, 0.0, -0.05)), 5)
+    console.press(Wish(grip="open"), 150)
+    assert shop.cell.facts().holding is None
+    assert shop.cell.observe().slip_m < 0.002
+    low = shop.cell.observe().tcp_m[2]
+    for _ in range(400):
+        if shop.cell.observe().tcp_m[2] > low + 0.035:
+            break
+        console.hold(Wish(tool=(0.0, 0.0, 0.05)), 5)
+    console.press(Wish(grip="close"), 200)
+    assert shop.cell.facts().holding == "mug_1"
+    assert shop.cell.observe().slip_m < 0.005
+
+
 def test_a_zone_stops_the_hand_and_lets_it_lead_out(tmp_path: Path) -> None:
     shop, console = idle(tmp_path)
     zone = shop.policy.site.zones["press_area"]
