@@ -20,7 +20,6 @@ from queue import SimpleQueue
 from typing import TYPE_CHECKING, Final
 
 import orjson
-import yaml
 
 from app.cell.governed import GovernedCell
 from app.cell.journal import Journal, JournalDamaged, JournalUnavailable
@@ -32,6 +31,7 @@ from app.cell.telling import Recorder
 from app.children import CellRuns, cell_lock
 from app.clock import wall_s
 from app.config import ConfigError, cell_terms
+from app.governance.bundle_yaml import parse
 from app.sim.faults import Scenario
 from app.sim.robot import load_robot
 from app.sim.workcell import make_workcell
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 
     from app.cell.loop import Order
     from app.config import CellSettings
+    from app.governance.model import Site
     from app.governance.policy import PolicySet
 
 SCENARIOS: Final = Path(__file__).resolve().parent / "sim" / "scenarios"
@@ -84,6 +85,7 @@ async def _run(settings: CellSettings) -> int:
         journal.number_behind(acknowledged)
         with suppress(JournalUnavailable):  # they are forgotten all the same; only the file was not made smaller
             journal.acknowledge(acknowledged)
+        check_objects(settings.scenario, scenario, policies.site)
         substrate = make_workcell(
             policies.site,
             cell_id=settings.id,
@@ -139,10 +141,31 @@ def read_scenario(name: str | None) -> Scenario | None:
         return None
     path = Path(name) if name.endswith((".yaml", ".yml")) else SCENARIOS / f"{name}.yaml"
     try:
-        return Scenario.read(yaml.safe_load(path.read_text()))
-    except (OSError, yaml.YAMLError, ValueError) as error:
+        return _scenario_of(path)
+    except (OSError, ValueError) as error:
         shipped = ", ".join(sorted(known.stem for known in SCENARIOS.glob("*.yaml")))
         raise ConfigError("scenario", name, f"a YAML file, or one of {shipped} ({error})") from error
+
+
+def check_objects(name: str | None, scenario: Scenario | None, site: Site) -> None:
+    """Refuse a scenario about objects that the site does not have.
+
+    Raises:
+        ConfigError: there is such an object in it.
+    """
+    faults = () if scenario is None else scenario.faults
+    about = {str(fault.sizes["object"]) for fault in faults if "object" in fault.sizes}
+    if strange := sorted(about - set(site.objects)):
+        raise ConfigError(
+            "scenario", name, f"faults of the site's objects: {', '.join(site.objects)} (not `{strange[0]}`)"
+        )
+
+
+def _scenario_of(path: Path) -> Scenario:
+    document, problems = parse(path.name, path.read_text())
+    if problems:
+        raise ValueError("; ".join(map(str, problems)))
+    return Scenario.read(document.value)
 
 
 def robot_model(name: str | None) -> Path | None:

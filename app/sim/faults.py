@@ -25,10 +25,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from math import inf
 from typing import TYPE_CHECKING
 
 from app.governance.model import EMPTY
-from app.sim.occasions import Trigger, mapping
+from app.sim.occasions import Trigger, mapping, name, number
 from app.sim.people import Walk
 from app.sim.robot import PAD_FRICTION
 from app.sim.sensors import SENSORS, SensorFault
@@ -43,6 +44,8 @@ if TYPE_CHECKING:
 
 HABITS = ("obstinate", "overconfident", "hung", "dead_reckoning")
 SENSOR_FAULTS = ("stuck", "stale", "noisy", "offset", "delayed")
+_NAMES = frozenset({"object", "sensor", "fault", "habit"})
+_LEAST = {"gain": 0.0, "friction": 0.0, "strength": 0.0, "factor": 0.001}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,8 +62,11 @@ class Fault:
         if self.kind not in _KINDS:
             raise ValueError(f"fault `{self.kind}`: valid are {', '.join(sorted(_KINDS))}")
         wanted = _KINDS[self.kind][1]
-        for name in sorted(set(self.sizes) - set(wanted)):
-            raise ValueError(f"fault `{self.kind}` has no size `{name}`: valid are {', '.join(wanted)}")
+        for unknown in sorted(map(str, set(self.sizes) - set(wanted))):
+            raise ValueError(f"fault `{self.kind}` has no size `{unknown}`: valid are {', '.join(wanted)}")
+        if "object" in wanted and "object" not in self.sizes:
+            raise ValueError(f"fault `{self.kind}` needs `object`: valid is the name of an object of the site")
+        self._check_values()
         if self.kind == "sensor" and (
             self.sizes.get("sensor") not in SENSORS or self.sizes.get("fault") not in SENSOR_FAULTS
         ):
@@ -71,16 +77,26 @@ class Fault:
         if self.kind == "habit" and self.sizes.get("habit") not in HABITS:
             raise ValueError(f"habit `{self.sizes.get('habit')}`: valid are {', '.join(HABITS)}")
 
+    def _check_values(self) -> None:
+        for size, value in self.sizes.items():
+            if size in _NAMES:
+                name(value, f"fault `{self.kind}`: `{size}`")
+            else:
+                number(value, f"fault `{self.kind}`: `{size}`", _LEAST.get(size, -inf))
+        if self.for_s is not None:
+            number(self.for_s, f"fault `{self.kind}`: `for_s`", 0.0)
+
     @classmethod
     def read(cls, data: Json) -> Fault:
         """Read a fault from plain data: kind, at, for_s and its sizes side by side.
 
         Raises:
-            ValueError: an unknown kind, key or trigger.
+            ValueError: an unknown kind, key or trigger, or a size that is none.
         """
         fields = dict(mapping(data, "fault"))
         kind, at, for_s = str(fields.pop("kind", "")), Trigger.read(fields.pop("at", 0.0)), fields.pop("for_s", None)
-        return cls(kind=kind, at=at, sizes=fields, for_s=None if for_s is None else float(for_s))  # type: ignore[arg-type]
+        lasts_s = None if for_s is None else number(for_s, f"fault `{kind}`: `for_s`", 0.0)
+        return cls(kind=kind, at=at, sizes=fields, for_s=lasts_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +117,7 @@ class Scenario:
         fields = mapping(data, "scenario")
         unknown = set(fields) - {"summary", "faults", "people"}
         if unknown:
-            raise ValueError(f"scenario key `{min(unknown)}`: valid are summary, faults, people")
+            raise ValueError(f"scenario key `{min(map(str, unknown))}`: valid are summary, faults, people")
         faults, people = fields.get("faults") or [], fields.get("people") or []
         if not isinstance(faults, list) or not isinstance(people, list):
             raise ValueError("a scenario's `faults` and `people` are lists")
@@ -147,11 +163,8 @@ class FaultClock:
                 _KINDS[fault.kind][0](victim, fault.sizes, False)
 
 
-def _number(sizes: Mapping[str, Json], name: str, default: float) -> float:
-    value = sizes.get(name, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ValueError(f"fault size `{name}` is `{value}`: valid is a number")
-    return float(value)
+def _number(sizes: Mapping[str, Json], size: str, default: float) -> float:
+    return number(sizes.get(size, default), f"fault size `{size}`")
 
 
 def _grip_gain(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> None:
@@ -185,9 +198,9 @@ def _odometry_bias(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> No
 
 
 def _payload_shift(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> None:
-    name, factor, offset = str(sizes["object"]), _number(sizes, "factor", 2.0), _number(sizes, "offset_m", 0.0)
-    victim.plant.scale_mass(name, factor if begin else 1.0 / factor)
-    victim.plant.shift_mass(name, (offset if begin else -offset, 0.0, 0.0))
+    thing, factor, offset = str(sizes["object"]), _number(sizes, "factor", 2.0), _number(sizes, "offset_m", 0.0)
+    victim.plant.scale_mass(thing, factor if begin else 1.0 / factor)
+    victim.plant.shift_mass(thing, (offset if begin else -offset, 0.0, 0.0))
 
 
 def _sensor(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> None:
@@ -206,10 +219,10 @@ def _fade(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> None:
 
 def _misplaced(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> None:
     if begin:
-        name = str(sizes["object"])
-        at, yaw, _ = victim.plant.true_object(name)
+        thing = str(sizes["object"])
+        at, yaw, _ = victim.plant.true_object(thing)
         x, y = at[0] + _number(sizes, "x_m", 0.0), at[1] + _number(sizes, "y_m", 0.0)
-        victim.plant.place_object(name, x, y, at[2], yaw)
+        victim.plant.place_object(thing, x, y, at[2], yaw)
 
 
 def _habit(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> None:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import inf
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from app.governance.model import Json
+
+_LARGEST = 1e9  # what is bigger is no size of a workcell, and soon no number that arithmetic returns from
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,18 +28,32 @@ class Trigger:
         """Read a number (cell time) or a mapping.
 
         Raises:
-            ValueError: neither, or with a key that means nothing.
+            ValueError: neither, or with a key or value that means nothing, or without a moment.
         """
         if isinstance(data, (int, float)) and not isinstance(data, bool):
-            return cls(time_s=float(data))
+            return cls(time_s=number(data, "trigger"))
         if not isinstance(data, dict) or not data:
             raise ValueError(
                 f"trigger `{data}`: valid is a time in seconds or a mapping with capability, phase, run, after_s"
             )
         unknown = set(data) - {"time_s", "capability", "phase", "run", "after_s"}
         if unknown:
-            raise ValueError(f"trigger key `{min(unknown)}`: valid are time_s, capability, phase, run, after_s")
-        return cls(**data)  # type: ignore[arg-type]  # values are checked by use: numbers and names
+            raise ValueError(
+                f"trigger key `{min(map(str, unknown))}`: valid are time_s, capability, phase, run, after_s"
+            )
+        timed, named = "time_s" in data, {"capability", "phase"} <= set(data)
+        if timed == named or (timed and set(data) & {"capability", "phase", "run"}):
+            raise ValueError(f"trigger `{data}`: valid is either `time_s`, or `capability` and `phase`")
+        run = data.get("run", 1)
+        if isinstance(run, bool) or not isinstance(run, int) or run < 1:
+            raise ValueError(f"trigger `run` is `{run}`: valid is a whole number from 1")
+        return cls(
+            time_s=number(data["time_s"], "trigger `time_s`") if timed else None,
+            capability=name(data["capability"], "trigger `capability`") if named else "",
+            phase=name(data["phase"], "trigger `phase`") if named else "",
+            run=run,
+            after_s=number(data.get("after_s", 0.0), "trigger `after_s`"),
+        )
 
 
 @dataclass(slots=True)
@@ -71,3 +88,27 @@ def mapping(data: Json, what: str) -> Mapping[str, Json]:
     if not isinstance(data, dict):
         raise ValueError(f"{what} `{data}`: valid is a mapping")
     return data
+
+
+def name(data: Json, what: str) -> str:
+    """Return `data` if it is a name.
+
+    Raises:
+        ValueError: it is not.
+    """
+    if not isinstance(data, str) or not data:
+        raise ValueError(f"{what} is `{data}`: valid is a name")
+    return data
+
+
+def number(data: Json, what: str, least: float = -inf) -> float:
+    """Return `data` if it is a number that a workcell can be told.
+
+    Raises:
+        ValueError: it is not, it is not finite, or it is less than `least`.
+    """
+    if isinstance(data, bool) or not isinstance(data, (int, float)) or not max(least, -_LARGEST) <= data <= _LARGEST:
+        raise ValueError(
+            f"{what} is `{str(data)[:40]}`: valid is a number from {max(least, -_LARGEST):g} to {_LARGEST:g}"
+        )
+    return float(data)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from math import atan2, hypot, sin
 from typing import TYPE_CHECKING
 
-from app.sim.occasions import Trigger, mapping
+from app.sim.occasions import Trigger, mapping, number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -46,22 +46,26 @@ class Walk:
         """Read a walk from plain data: points, speed_mps, start, stay_s, leaves.
 
         Raises:
-            ValueError: an unknown key, or a way that goes nowhere.
+            ValueError: an unknown key, a value that is none, or a way that goes nowhere.
         """
         fields = dict(mapping(data, "walk"))
         unknown = set(fields) - {"points", "speed_mps", "start", "stay_s", "leaves"}
         if unknown:
-            raise ValueError(f"walk key `{min(unknown)}`: valid are points, speed_mps, start, stay_s, leaves")
+            raise ValueError(f"walk key `{min(map(str, unknown))}`: valid are points, speed_mps, start, stay_s, leaves")
         points = fields.get("points")
         if not isinstance(points, list):
             raise ValueError("a walk needs `points`: a list of [x_m, y_m]")
-        stay = mapping(fields.get("stay_s") or {}, "stay_s")
+        leaves = fields.get("leaves", True)
+        if not isinstance(leaves, bool):
+            raise ValueError(f"a walk's `leaves` is `{leaves}`: valid is true or false")
         return cls(
-            points=tuple((float(p[0]), float(p[1])) for p in points),  # type: ignore[index,arg-type]
-            speed_mps=float(fields.get("speed_mps") or 1.2),  # type: ignore[arg-type]
+            points=tuple(_point(point) for point in points),
+            speed_mps=number(fields.get("speed_mps", 1.2), "a walk's `speed_mps`"),
             start=Trigger.read(fields.get("start", 0.0)),
-            stay_s=tuple((int(k), float(v)) for k, v in stay.items()),  # type: ignore[arg-type]
-            leaves=bool(fields.get("leaves", True)),
+            stay_s=tuple(
+                _stay(at, stay, len(points)) for at, stay in mapping(fields.get("stay_s", {}), "stay_s").items()
+            ),
+            leaves=leaves,
         )
 
     def at(self, since_s: float) -> tuple[float, float, float, float] | None:
@@ -81,6 +85,19 @@ class Walk:
                 return (*b, heading, walked)
             since_s -= stays.get(k, 0.0)
         return None if self.leaves else (*self.points[-1], heading, walked)
+
+
+def _point(data: Json) -> Point:
+    if not isinstance(data, list) or len(data) != 2:
+        raise ValueError(f"a walk's point is `{data}`: valid is [x_m, y_m]")
+    return number(data[0], "a walk's `x_m`"), number(data[1], "a walk's `y_m`")
+
+
+def _stay(at: object, stay: Json, points: int) -> tuple[int, float]:
+    index = str(at)
+    if not index.isdecimal() or int(index) >= points:
+        raise ValueError(f"a walk stays at the point `{at}`: valid is 0 to {points - 1}, as it has {points} points")
+    return int(index), number(stay, f"a walk's stay at point {index}", 0.0)
 
 
 class People:
