@@ -266,10 +266,10 @@ class Plant:
         for name in ("actuator_gainprm", "actuator_biasprm"):
             for actuators in (self._arm_u, self._base_u):
                 getattr(model, name)[actuators] = self._powered[name][actuators]
+        drives.powered, drives.base_hold = True, self.read_base()
         self.weaken(drives.strength)
         model.dof_frictionloss[self._arm_v] = 0.0
         model.dof_frictionloss[self._base_v] = 0.0
-        drives.powered, drives.base_hold = True, self.read_base()
         drives.joint_rad = tuple(self._arm_at.tolist())
         drives.scaling_offset_rad = np.zeros(6)
         self._arm_ctrl[:] = drives.joint_rad
@@ -280,6 +280,8 @@ class Plant:
     def weaken(self, strength: float) -> None:
         """Let the arm's servos have only this share of their stiffness and torque (actuator fade)."""
         self.drives.strength = strength
+        if not self.drives.powered:
+            return  # servos without power have none to lose or win back; `give_power` gives them this share
         model = self.model
         model.actuator_gainprm[self._arm_u, 0] = self._powered["actuator_gainprm"][self._arm_u, 0] * strength
         model.actuator_biasprm[self._arm_u, 1:3] = self._powered["actuator_biasprm"][self._arm_u, 1:3] * strength

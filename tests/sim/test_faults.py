@@ -115,6 +115,24 @@ def test_a_faded_arm_sinks_below_where_it_was_told_to_be(site: Site):
     assert sunk_rad(0.1) > 0.1
 
 
+def test_a_fade_that_begins_or_ends_without_power_drives_nothing_and_holds_when_power_is_back(site: Site):
+    plant = cell_with(site).plant
+    gain, bias = plant.model.actuator_gainprm, plant.model.actuator_biasprm
+    powered = gain.copy(), bias.copy()
+    plant.cut_power()
+    cut = gain.copy(), bias.copy()
+    assert not np.array_equal(cut[0], powered[0])
+    for strength in (0.3, 1.0, 0.5):
+        plant.weaken(strength)
+        assert np.array_equal(gain, cut[0])
+        assert np.array_equal(bias, cut[1])
+    plant.give_power()
+    assert np.isclose(gain[:, 0], 0.5 * powered[0][:, 0]).sum() == 6
+    plant.weaken(1.0)
+    assert np.array_equal(gain, powered[0])
+    assert np.array_equal(bias, powered[1])
+
+
 def test_a_blocked_way_stops_the_drive(site: Site):
     cell = cell_with(site, fault("blocked", x_m=1.6, y_m=3.8))
     ran = drive(cell, limit_s=20.0)
