@@ -352,6 +352,8 @@ def unpack_batch(frame: bytes) -> tuple[str, list[tuple[float, ...]]]:
     magic, count, size, name = HEADER.unpack_from(frame)
     if magic != _MAGIC or size != ROW.size or len(frame) != HEADER.size + count * size:
         raise ProtocolError("telemetry frame does not match its header")
+    if not name.isascii():
+        raise ProtocolError("telemetry frame names no invocation: valid are ASCII characters")
     return name.rstrip(b"\0").decode("ascii"), list(ROW.iter_unpack(frame[HEADER.size :]))
 
 

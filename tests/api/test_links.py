@@ -4,6 +4,7 @@ import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from app.protocol import ROW, ProtocolError, pack_batch, unpack_batch
 from tests.api.conftest import CELL, House
 
 pytestmark = pytest.mark.anyio
@@ -32,6 +33,15 @@ async def test_a_frame_that_is_no_greeting_ends_the_link(house: House, frame: st
     assert ended.value.rcvd is not None
     assert ended.value.rcvd.code == 1002
     assert not house.runtime.fleet.knows("stranger")
+
+
+@pytest.mark.parametrize("name", [b"inv_\xff", "übung".encode()])
+def test_a_frame_of_telemetry_that_names_no_invocation_is_malformed(name: bytes) -> None:
+    frame = bytearray(pack_batch("", bytes(ROW.size)))
+    assert unpack_batch(bytes(frame))[0] == ""
+    frame[8 : 8 + len(name)] = name
+    with pytest.raises(ProtocolError, match="valid are ASCII characters"):
+        unpack_batch(bytes(frame))
 
 
 async def test_refuses_a_cell_whose_name_cannot_be_recorded(house: House) -> None:
