@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from app.governance.model import Site, Surface, Vec3
 
 
+MARK_MAX = 20_000
+"""How many points of the recorded safe path are kept: one that is as long as that leads no further, and not back."""
+
+
 class Hand(NamedTuple):
     """What the robot believes to hold.
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from app.cell.substrate import SubstrateError
 from app.sim.body import CONTACT_SPEED_MPS, JOINT_SPEED_RADPS, Body, Moves, SkillFailed
+from app.sim.hand import MARK_MAX
 from app.sim.localisation import wrapped
 from app.sim.skills_arm import HOVER_M, LIFT_M, grasp_object, number, put_down, within_reach
 from app.sim.skills_drive import RECOVERY_BASE_SPEED_MPS, RECOVERY_TCP_SPEED_MPS
@@ -78,6 +79,8 @@ def _rise(body: Body, limit_mps: float) -> Moves:
 def _way_it_came(body: Body) -> list[Floats]:
     """Return the arm's way backwards until the hand is clear; empty where that leads down, or to where it took hold."""
     here, points = body.pose, [body.joints]
+    if len(body.senses.trail) >= MARK_MAX:
+        return []
     for mark in reversed(_split(list(body.senses.trail))[1]):
         at = body.senses.solver.forward(mark.joints)
         if mark.driving or mark.holding or at.z_m < here.z_m - _LOWER_M:
@@ -109,7 +112,13 @@ def retrace(body: Body, params: Mapping[str, Json]) -> Moves:
 
     A recovery draws the arm in: what the arm did until then is undone, and of that part of the path only where the base
     stood is retraced, with the arm drawn in.
+
+    Raises:
+        SubstrateError: `no_path`, the path was longer than what is recorded of one: nothing leads from here to its end.
     """
+    if len(body.senses.trail) >= MARK_MAX:
+        detail = f"the way here is longer than its record of {MARK_MAX} points: a human has to lead the robot back"
+        raise SubstrateError("no_path", detail)
     return _retrace(body, list(body.senses.trail), number(params, "speed_mps", RECOVERY_TCP_SPEED_MPS))
 
 

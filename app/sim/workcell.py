@@ -23,7 +23,7 @@ from app.governance.recovery import RETRACE
 from app.sim import robot
 from app.sim.display import copy_poses, describe, moving_bodies
 from app.sim.faults import FaultClock, Scenario, Victim
-from app.sim.hand import Mark
+from app.sim.hand import MARK_MAX, Mark
 from app.sim.kinematics import ArmSolver, Residual, SelfModel, speed_of
 from app.sim.localisation import Localiser, to_base
 from app.sim.occasions import Occasions
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
 _WARM_UP_TICKS = 40
 _NO_HABITS: AbstractSet[str] = frozenset()
-_MARK_TICKS, _MARK_RAD, _MARK_MAX = 5, 0.004, 20000
+_MARK_TICKS, _MARK_RAD = 5, 0.004
 _DOZE_TICKS = 5
 _FRESH_S, _VISIBLE_S, _RETRACTED_RAD, _READY_RAD, _READY_RADPS = 0.5, 1.0, 0.08, 0.05, 0.05
 _LEVER_STATE_RAD, _BUTTON_PRESSED_M, _BUTTON_LATCH_S = 0.33, 0.012, 60.0
@@ -412,7 +412,7 @@ class Workcell:
         for name, tool in self.site.tools.items():
             if tool.kind == "button" and self.plant.tool_angle(name) > _BUTTON_PRESSED_M:
                 state.pressed_s[name] = state.tick * CONTROL_PERIOD_S
-        if self._run is None or state.tick % _MARK_TICKS or len(state.trail) >= _MARK_MAX:
+        if self._run is None or state.tick % _MARK_TICKS or len(state.trail) >= MARK_MAX:
             return
         driving, capability = command.base_velocity != (0.0, 0.0, 0.0), self._run.capability
         if capability in RECOVERIES:

@@ -7,6 +7,7 @@ from math import dist
 import pytest
 
 from app.governance.model import Site
+from app.sim.hand import MARK_MAX
 from app.sim.soak import Report, Score, count, soak
 from app.sim.trial import run_skill
 from app.sim.workcell import make_workcell
@@ -49,6 +50,17 @@ def test_going_back_keeps_to_its_own_limit_on_wheels_too(site: Site) -> None:
     assert ran.done, ran.detail
     assert dist(cell.truth().base[:2], start[:2]) < 0.1
     assert 0.05 < ran.base_speed_mps <= 0.1 * 1.05
+
+
+def test_a_way_longer_than_its_record_is_not_gone_back(site: Site) -> None:
+    cell = make_workcell(site, cell_id="back", seed=FIRST)
+    assert run_skill(cell, "navigate_to", {"target": "dock", "speed_mps": 0.6, "clearance_m": 0.3}).done
+    trail = cell.trail
+    trail += [cell.trail[-1]] * (MARK_MAX - len(cell.trail))
+    ran = run_skill(cell, "retrace", {"speed_mps": 0.1})
+    assert (ran.failure, ran.seconds) == ("no_path", 0.0), ran
+    assert "longer than its record" in ran.detail
+    assert run_skill(cell, "release_and_retract", {}).done
 
 
 def test_a_failed_skill_is_counted_with_its_seed_and_reason(site: Site):
