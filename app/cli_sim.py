@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 from rich.progress import Progress
 
+from app.cli_policies import load_policy
 from app.config import find_policies
-from app.governance.bundle import load
 from app.terminal import FINDING, err, say
 
 NOMINAL = 0.99
@@ -35,7 +35,7 @@ def soak(
     """
     from app.sim.soak import soak as run_soak
 
-    site = load(find_policies(policies)).site
+    site = load_policy(find_policies(policies)).site
     with Progress(console=err, transient=True) as bars:
         bar = bars.add_task("worlds", total=seeds)
         report = run_soak(

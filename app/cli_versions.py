@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import orjson
 import typer
 
+from app.agent.answers import Unsendable
+from app.agent.conversation import MAX_TOKEN, header_text
 from app.config import DataDir, find_policies
 from app.governance.bundle import PROPERTIES, read_cases, read_files, read_properties
 from app.governance.errors import PolicyErrors
@@ -46,7 +48,12 @@ class Door:
         """Find the address and the token. Ends the command where there is none."""
         layout = DataDir(root=data)
         self._url = server or _read(layout.server, "url", "name the server with --server, or a data directory in use")
-        self._token = token or _read(layout.tokens, TOKEN_KEY, "give an engineer's token with --token or REINS_TOKEN")
+        known = token or _read(layout.tokens, TOKEN_KEY, "give an engineer's token with --token or REINS_TOKEN")
+        try:
+            self._token = header_text("token", known, MAX_TOKEN)
+        except Unsendable as error:
+            say_error(str(error))
+            raise typer.Exit(MISUSE) from error
 
     def call(self, method: str, path: str, body: object = None) -> tuple[int, dict[str, Any]]:
         """Ask the server; a problem is printed, fault by fault, and ends the command."""
@@ -60,10 +67,14 @@ class Door:
             answer = httpx.request(
                 method, f"{self._url}{path}", headers=headers, content=content, timeout=PATIENCE_S, trust_env=False
             )
-            document = cast("dict[str, Any]", orjson.loads(answer.content))
+            found: object = orjson.loads(answer.content)
         except (httpx.HTTPError, httpx.InvalidURL, orjson.JSONDecodeError) as error:
             say_error(f"`{self._url}` gave no answer: {error}")
             raise typer.Exit(MISUSE) from error
+        if not isinstance(found, dict):
+            say_error(f"`{self._url}` answers with a {type(found).__name__}; valid is the address of a server")
+            raise typer.Exit(MISUSE)
+        document = cast("dict[str, Any]", found)
         if not answer.is_success:
             for fault in document.get("errors") or ():
                 place = f"{fault['file']}:{fault['line']}: " if "file" in fault else ""

@@ -14,6 +14,7 @@ The record itself (database, checkpoints, telemetry) is laid out by `app.audit`,
 
 from __future__ import annotations
 
+import base64
 import math
 import os
 import re
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 DEFAULT_PROFILE: Final = "human-shared"  # the strictest
 CELL_TOKEN_VARIABLE: Final = "REINS_CELL_TOKEN"  # noqa: S105  # the variable's name
 MAX_CELLS: Final = 16
+_KEY_BYTES: Final = 32
 _NAME: Final = re.compile(r"[a-z0-9][a-z0-9_-]{0,39}")
 _PACKAGE: Final = Path(__file__).resolve().parent
 
@@ -143,8 +145,19 @@ class CellSettings:
         _demand(bool(self.token), "token", "", f"a cell's token in the variable {CELL_TOKEN_VARIABLE}")
         one = (self.server is None) != (self.server_file is None)
         _demand(one, "server", self.server, "either an address like http://127.0.0.1:8000 or a server file")
+        valid = f"the kernel's public key: {_KEY_BYTES} bytes in base64, as a cell keeps it in kernel.pub"
+        _demand(self.server_key is None or _is_key(self.server_key), "server key", self.server_key, valid)
         check_pace(self.pace)
         _check_seed(self.seed)
+
+
+def _is_key(text: str) -> bool:
+    """Say whether a text is a key just as a server writes it: it is compared letter by letter."""
+    try:
+        key = base64.b64decode(text, validate=True)
+    except ValueError:
+        return False
+    return len(key) == _KEY_BYTES and base64.b64encode(key).decode() == text
 
 
 def cell_terms(settings: Settings | CellSettings) -> dict[str, object]:

@@ -13,7 +13,7 @@ import secrets
 import signal
 import socket
 import sys
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import orjson
 import uvicorn
@@ -135,8 +135,8 @@ def listen(host: str, port: int) -> socket.socket:
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
         return socket.create_server((host, port), family=family, backlog=2048)
-    except OSError as error:
-        valid = f"a free address of this machine ({error.strerror})"
+    except (OSError, UnicodeError) as error:  # the second: a name that no name server can be asked for
+        valid = f"a free address of this machine ({error.strerror if isinstance(error, OSError) else error})"
         raise ConfigError("host and port", f"{host}:{port}", valid) from error
 
 
@@ -165,13 +165,26 @@ def write_private(path: Path, content: bytes) -> None:
     draft.replace(path)
 
 
+def read_cell_token(path: Path) -> str:
+    """Return the token that cells started here dial in with.
+
+    Raises:
+        ConfigError: the file holds no token.
+        OSError: it cannot be read.
+    """
+    token = path.read_bytes().strip()
+    if not token or not token.isascii():
+        raise ConfigError("cell.token", path, "the token of a cell: `reins token issue --role cell` makes one")
+    return token.decode()
+
+
 async def _serve(settings: Settings, policies: PolicySet, listener: socket.socket) -> int:
     # A commit asks for the interpreter before, between and after its two writes. At the usual 5 ms the event loop runs
     # out of requests before it lets go, and then waits for the disk; a verification holds the loop up as long.
     sys.setswitchinterval(HAND_OVER_S)
     layout = settings.layout
     principals = open_principals(layout.root)
-    token = (layout.root / CELL_TOKEN_FILE).read_text().strip()
+    token = read_cell_token(layout.root / CELL_TOKEN_FILE)
     url = address(listener)
     async with open_house(settings, policies) as house:
         children = Children(settings, token, lambda cell, word: remark(f"{cell}: {word}"), expect=house["fleet"].expect)
@@ -298,6 +311,25 @@ def _next_proof(settings: Settings) -> str:
     return "`reins policy propose` of the same directory has it proved, and says so"
 
 
+def operator_token(path: Path) -> str:
+    """Return the operator's token from the note of the first start; empty, and said, where it holds none.
+
+    The note is for people: the server knows tokens by their digests, and starts without it.
+    """
+    try:
+        note: object = orjson.loads(path.read_bytes())
+    except FileNotFoundError:
+        return ""
+    except (OSError, ValueError) as error:
+        remark(f"  `{path}` cannot be read, so the console's address bears no token: {error}")
+        return ""
+    token = cast("dict[str, object]", note).get("operator") if isinstance(note, dict) else None
+    if not isinstance(token, str):
+        remark(f"  `{path}` holds no token of `operator`, so the console's address bears none")
+        return ""
+    return token
+
+
 def introduce(settings: Settings, fleet: Fleet, versions: Versions, directory: str, url: str, *, verdict: str) -> None:
     """Print where the server is, what holds there, and how to come in."""
     tokens = settings.layout.tokens
@@ -315,5 +347,4 @@ def introduce(settings: Settings, fleet: Fleet, versions: Versions, directory: s
         say(f"           not in force: {directory}, the directory's (`reins policy activate`, or --take-policies)")
     say(f"  data     {settings.layout.root}")
     say(f"  tokens   {tokens}")
-    operator = orjson.loads(tokens.read_bytes())["operator"] if tokens.exists() else ""
-    say(f"  console  {url}/#token={operator}")
+    say(f"  console  {url}/#token={operator_token(tokens)}")

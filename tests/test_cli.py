@@ -19,6 +19,8 @@ from app.audit.places import Places
 from app.audit.store import AuditStore
 from app.cli import app, main
 from app.config import CELL_TOKEN_VARIABLE, CellSettings, ConfigError, Settings, find_policies
+from app.main import listen, operator_token, read_cell_token
+from tests.agent.scripted_server import serve
 from tests.audit.conftest import fill, hide_from_index
 from tests.governance.policy_world import POLICIES
 
@@ -166,6 +168,59 @@ def test_refuses_a_cell_without_token_or_server(tmp_path: Path) -> None:
         CellSettings(id="c", token="", data=tmp_path, server="http://127.0.0.1:8000")
     with pytest.raises(ConfigError, match="server"):
         CellSettings(id="c", token="t", data=tmp_path)
+
+
+@pytest.mark.parametrize("key", ["!!", "", "b3RoZXI=", "A" * 43, " " + "A" * 43 + "="])
+def test_refuses_a_server_key_that_no_server_has(key: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"server key.*32 bytes in base64"):
+        CellSettings(id="c", token="t", data=tmp_path, server="http://127.0.0.1:8000", server_key=key)
+    CellSettings(id="c", token="t", data=tmp_path, server="http://127.0.0.1:8000", server_key="A" * 43 + "=")
+
+
+@pytest.mark.parametrize("host", ["a" * 300, "é..x"])
+def test_refuses_a_host_that_no_name_server_can_be_asked_for(host: str) -> None:
+    with pytest.raises(ConfigError, match="a free address of this machine"):
+        listen(host, 0)
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe", b"", "schlüssel".encode()])
+def test_a_cells_token_that_is_none_is_named_with_what_makes_one(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "cell.token").write_bytes(content)
+    with pytest.raises(ConfigError, match=r"cell\.token.*reins token issue"):
+        read_cell_token(tmp_path / "cell.token")
+
+
+@pytest.mark.parametrize("content", [b"{", b"[]", b"{}", b'{"operator": 3}', b"\xff"])
+def test_a_note_of_tokens_that_cannot_be_read_keeps_no_server_from_starting(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes
+) -> None:
+    (tmp_path / "tokens.json").write_bytes(content)
+    assert operator_token(tmp_path / "tokens.json") == ""
+    assert "tokens.json" in capsys.readouterr().out
+    (tmp_path / "tokens.json").write_bytes(b'{"operator": "t"}')
+    assert operator_token(tmp_path / "tokens.json") == "t"
+
+
+def test_a_soak_says_what_is_wrong_with_the_policies(tmp_path: Path) -> None:
+    (tmp_path / "site.yaml").write_text("targets: 3")
+    code, said = run("sim", "soak", "--policies", str(tmp_path))
+    assert code == 1
+    assert "site.yaml" in said
+
+
+def test_a_token_that_fits_no_header_is_misuse(tmp_path: Path) -> None:
+    code, said = run("policy", "versions", "--server", "http://127.0.0.1:9", "--token", "é", "--data", str(tmp_path))
+    assert code == 2
+    assert "token: valid are" in said
+    assert "é" not in said
+
+
+@pytest.mark.parametrize("status", [200, 404])
+def test_an_answer_of_another_kind_of_server_is_misuse(tmp_path: Path, status: int) -> None:
+    with serve(lambda _turn: (status, [])) as server:
+        code, said = run("policy", "versions", "--server", server.url, "--token", "t", "--data", str(tmp_path))
+    assert code == 2
+    assert "answers with a list; valid is the address of a server" in said
 
 
 def test_a_token_stays_out_of_what_is_printed(tmp_path: Path) -> None:

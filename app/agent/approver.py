@@ -32,6 +32,7 @@ from app.agent.client import AsyncReinsClient, Document, Problem, ReinsError
 _POLL_S = 0.1
 _MATCHABLE = frozenset({"capability", "risk", "kind", "agent"})
 _DECISIONS = ("approve", "deny", "ignore")
+_LARGEST = 10**15
 _READS = frozenset({"min", "max"})
 _RULE = frozenset({"match", "decision", "edit"})
 _KEYS = frozenset({"approver", "reads_s", "error_rate", "seed", "rules"})
@@ -82,8 +83,10 @@ def load_habits(path: Path) -> Habits:
     except yaml.MarkedYAMLError as error:
         line = "" if error.problem_mark is None else f":{error.problem_mark.line + 1}"
         raise ValueError(f"{path}{line}: not readable as YAML: {error.problem}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, ValueError) as error:
         raise ValueError(f"{path}: not readable as YAML: {error}; valid is UTF-8 without control characters") from error
+    except RecursionError as error:
+        raise ValueError(f"{path}: not readable as YAML: it is nested too deep; valid is a list of rules") from error
     return parse_habits(raw, str(path))
 
 
@@ -130,6 +133,8 @@ def _mapping(value: object, what: str, valid: frozenset[str] | None = None) -> d
 def _number(value: object, what: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{what} is `{value}`; valid: a number")
+    if isinstance(value, int) and abs(value) > _LARGEST:
+        raise ValueError(f"{what} is out of all range; valid: a number of at most {_LARGEST}")
     return float(value)
 
 

@@ -83,7 +83,7 @@ def send(call: Call) -> Talk[Any]:
 
 
 def _read(reply: Reply) -> Any:  # noqa: ANN401 - whatever the route answers with
-    if not isinstance(reply.json, dict | list):
+    if not isinstance(reply.json, dict):
         said = str(reply.json)[:80]
         raise Problem(reply.status, "unreadable_answer", f"`{said}` is no JSON document; valid is the URL of a server")
     return cast("Any", reply.json)

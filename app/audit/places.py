@@ -81,6 +81,8 @@ def load_key(places: Places) -> Signer:
         raise RecordDamaged(
             path, "the key that signed this log is missing: restore it, or start a new data directory"
         ) from None
+    except UnicodeDecodeError as error:
+        raise RecordDamaged(path, f"is no text, so it is no key: {error}") from error
     if mode & FOR_OTHERS:
         raise RecordDamaged(path, f"others may read the key (mode `{mode & 0o777:o}`): valid is `600`")
     try:

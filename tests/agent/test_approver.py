@@ -69,6 +69,8 @@ def test_an_error_turns_the_answer_round():
         ({"reads_s": {"min": 1}}, "`reads_s.max` is `None`; valid: a number"),
         ({"reads_s": 3}, "`reads_s` is `3`; valid: a mapping with max, min"),
         ({"reads_s": {"min": 0, "max": float("inf")}}, "valid: 0 ≤ min ≤ max"),
+        ({"reads_s": {"min": 10**400, "max": 1}}, "`reads_s.min` is out of all range; valid: a number of at most"),
+        ({"error_rate": 10**400}, "`error_rate` is out of all range"),
         ({"error_rate": "often"}, "`error_rate` is `often`; valid: a number"),
         ({"seed": "x"}, "`seed` is `x`; valid: a whole number"),
         ({"seed": True}, "`seed` is `True`; valid: a whole number"),
@@ -106,6 +108,8 @@ def test_an_approver_who_cannot_ask_anybody_is_refused(tmp_path, capfd, token, u
         (b"approver: operator\n\trules: []", r"habits\.yaml:2: not readable as YAML: "),
         (b"approver: \xff", r"habits\.yaml: not readable as YAML: "),
         (b"approver: \x01", r"habits\.yaml: not readable as YAML: "),
+        (b"rules: " + b"[" * 5000, r"habits\.yaml: not readable as YAML: it is nested too deep"),
+        (b"approver: 2024-99-99", r"habits\.yaml: not readable as YAML: "),
         (b"", r"habits\.yaml is `None`; valid: a mapping"),
     ],
 )
@@ -219,6 +223,14 @@ async def test_approves_the_constrained_question_when_policy_constrains_its_edit
         {"decision": "approve", "digest": "sha256:a", "params": {"object_id": "mug_1", "force_n": 40}},
         {"decision": "approve", "digest": "sha256:b"},
     ]
+
+
+@pytest.mark.anyio
+async def test_leaves_where_no_server_of_this_kind_answers():
+    with serve(lambda _turn: (200, [])) as server:
+        async with AsyncReinsClient(server.url, "t") as client:
+            with pytest.raises(Problem, match=r"unreadable_answer: `\[\]` is no JSON document; valid is the URL"):
+                await ScriptedApprover(client, parse_habits(HABITS)).run()
 
 
 @pytest.mark.anyio

@@ -380,3 +380,10 @@ async def test_refuses_a_key_file_that_holds_none(data: Path) -> None:
     Places(data).secret_key.write_text("nothing")
     with pytest.raises(RecordDamaged, match="PRIVATE"):
         AuditStore.open(data)
+
+
+async def test_refuses_a_key_file_that_is_no_text(data: Path) -> None:
+    await AuditStore.open(data).close()
+    Places(data).secret_key.write_bytes(b"\xff\xfe")
+    with pytest.raises(RecordDamaged, match=r"log\.key.*is no text"):
+        AuditStore.open(data)
