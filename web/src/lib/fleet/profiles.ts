@@ -1,4 +1,5 @@
 import { labelOf, withUnit } from '../format/quantity';
+import { entryOf } from '../format/entry';
 
 export interface ProfileFacts {
   sensitivity?: number;
@@ -30,7 +31,7 @@ function ofLimit(name: string, from: ProfileFacts, to: ProfileFacts): Difference
   const [a, b] = [from.limits?.[name]?.max, to.limits?.[name]?.max];
   if (a === undefined || b === undefined || a === b) return [];
   const text = (value: number): string => (name.endsWith('_kg') ? `${value} kg` : withUnit(name, value));
-  return [{ what: `${NAMES[name] ?? labelOf(name)}, at most`, from: text(a), to: text(b), looser: b > a }];
+  return [{ what: `${entryOf(NAMES, name) ?? labelOf(name)}, at most`, from: text(a), to: text(b), looser: b > a }];
 }
 
 function ofSensitivity({ sensitivity: a }: ProfileFacts, { sensitivity: b }: ProfileFacts): Difference[] {

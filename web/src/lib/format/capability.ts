@@ -1,4 +1,5 @@
 import type { Cell, Params } from '../api/documents';
+import { entryOf } from './entry';
 
 function text(params: Params, name: string): string | null {
   const value = params[name];
@@ -33,10 +34,10 @@ export function words(name: string): string {
 
 /** What a proposal would do, as a short sentence: `Carry glass_1 to bench_b`. */
 export function titleOf(capability: string, params: Params, holding: string | null = null): string {
-  return SENTENCES[capability]?.(params, holding ?? 'what it holds') ?? words(capability);
+  return entryOf(SENTENCES, capability)?.(params, holding ?? 'what it holds') ?? words(capability);
 }
 
 /** What the gripper of a cell holds, as far as that is known: of the cell in question, which need not be the one looked at. */
 export function heldIn(cells: Record<string, Cell>, cell: string | null | undefined): string | null {
-  return (cell == null ? undefined : cells[cell])?.facts?.holding ?? null;
+  return (cell == null ? undefined : entryOf(cells, cell))?.facts?.holding ?? null;
 }

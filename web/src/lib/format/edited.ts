@@ -1,4 +1,5 @@
 import type { Escalation, InputSchema, Json, LogEvent } from '../api/documents';
+import { entryOf } from './entry';
 import { labelFor, unitOf, valueOf, withUnit } from './quantity';
 
 export interface Step {
@@ -19,14 +20,14 @@ export function newestEdit(asked: Pick<Escalation, 'constrained' | 'effective' |
   const last = edits.at(-1);
   if (last === undefined) return null;
   const before = edits.at(-2)?.params ?? asked.constrained ?? {};
-  const steps = Object.entries(last.params).filter(([name, to]) => before[name] !== to).map(([name, to]) => ({ name, from: before[name], to }));
+  const steps = Object.entries(last.params).filter(([name, to]) => entryOf(before, name) !== to).map(([name, to]) => ({ name, from: entryOf(before, name), to }));
   return { by: last.by, at: last.at, steps };
 }
 
 /** `grip force 60 → 40 N`. */
 export function stepsText(steps: readonly Step[], inputs: Record<string, InputSchema>): string {
   const said = steps.map(({ name, from, to }) => {
-    const label = labelFor(name, inputs[name]);
+    const label = labelFor(name, entryOf(inputs, name));
     const before = unitOf(name) === '' ? withUnit(name, from) : valueOf(name, from);
     return `${label.charAt(0).toLowerCase()}${label.slice(1)} ${before} → ${withUnit(name, to)}`;
   });

@@ -2,6 +2,7 @@ import type { Escalation, Grant, InputSchema, Json, LogEvent } from '../api/docu
 import { goodOutcome, outcomeTone, outcomeWords, shortId, statusWords, type Tone } from './status';
 import { titleOf, words } from './capability';
 import { newestEdit, stepsText } from './edited';
+import { entryOf } from './entry';
 import { labelFor, valueOf } from './quantity';
 import { clockTime } from './time';
 
@@ -56,7 +57,7 @@ const RULES: Record<string, string> = {
 };
 
 export function ruleWords(rule: string): string {
-  return RULES[rule] ?? words(rule.replace(/^.*\//, '').replaceAll('-', '_'));
+  return entryOf(RULES, rule) ?? words(rule.replace(/^.*\//, '').replaceAll('-', '_'));
 }
 
 function reading(rule: string, value: number | null, limit: number | null): string {
@@ -97,7 +98,7 @@ const INTERVENTIONS: Record<string, Line> = {
 
 function intervention(body: Body): Line {
   const what = str(body['intervention']);
-  return INTERVENTIONS[what] ?? line('dot', 'plain', words(what.toLowerCase()));
+  return entryOf(INTERVENTIONS, what) ?? line('dot', 'plain', words(what.toLowerCase()));
 }
 
 function changes(body: Body, inputs: Record<string, InputSchema>): string {
@@ -106,7 +107,7 @@ function changes(body: Body, inputs: Record<string, InputSchema>): string {
     .map((change) => {
       const name = str(change['param']);
       // Where the capability is not known, the rule still is: profiles name theirs after the limit.
-      const limit = inputs[name] ?? { 'x-limit': str(change['rule']).replace(/^.*\//, '') };
+      const limit = entryOf(inputs, name) ?? { 'x-limit': str(change['rule']).replace(/^.*\//, '') };
       return `${labelFor(name, limit)} ${valueOf(name, change['requested'])} → ${valueOf(name, change['effective'])}`;
     })
     .join(', ');
@@ -228,7 +229,7 @@ const OF_THE_CELL: ReadonlySet<string> = new Set(['jog', 'let_go', 'confirm', 'e
 function echo(op: string, body: Body, event: LogEvent): Line | null {
   const order = op.replaceAll('_', ' ');
   const refused = str(body['refused']);
-  if (refused !== '') return line('refused', 'warn', ` does not obey: ${order}, ${UNDONE[refused] ?? refused.replaceAll('_', ' ')}`, event.actor);
+  if (refused !== '') return line('refused', 'warn', ` does not obey: ${order}, ${entryOf(UNDONE, refused) ?? refused.replaceAll('_', ' ')}`, event.actor);
   if (body['done'] === false) return line('refused', 'warn', ` does not obey: ${order}`, event.actor);
   return OF_THE_CELL.has(op) ? null : line('dot', 'quiet', ` obeys: ${order}`, event.actor);
 }
@@ -237,7 +238,7 @@ function human(body: Body, event: LogEvent): Line {
   const op = str(body['op']) || str(body['decision']) || 'spoke';
   const echoed = 'done' in body ? echo(op, body, event) : null;
   if (echoed !== null) return echoed;
-  return line('person', op === 'estop' || op === 'stop' ? 'danger' : 'human', ` ${ORDERS[op] ?? `said ${op.replaceAll('_', ' ')}`}`, event.actor);
+  return line('person', op === 'estop' || op === 'stop' ? 'danger' : 'human', ` ${entryOf(ORDERS, op) ?? `said ${op.replaceAll('_', ' ')}`}`, event.actor);
 }
 
 function launch(body: Body): Line {
@@ -275,7 +276,7 @@ function grant(body: Body, event: LogEvent): Line {
   const ended = obj(given['ended']);
   if (str(ended['code']) === 'revoked') return line('refused', 'human', ` revoked a standing grant: ${what}`, str(ended['by']));
   if (op === 'given') return line('check', 'human', ` opened a standing grant: ${what}`, event.actor);
-  return line('refused', 'quiet', `Standing grant ${GRANT_ENDS[str(ended['code'])] ?? op.replaceAll('_', ' ')}: ${what}`);
+  return line('refused', 'quiet', `Standing grant ${entryOf(GRANT_ENDS, str(ended['code'])) ?? op.replaceAll('_', ' ')}: ${what}`);
 }
 
 function review(body: Body, event: LogEvent): Line {
@@ -327,7 +328,7 @@ const WRITERS: Record<string, Writer> = {
 
 /** One event in words. */
 export function eventLine(event: LogEvent, known: Known = NOTHING_KNOWN): Line {
-  const said = WRITERS[event.kind]?.(event.body, event, known) ?? line('dot', 'quiet', words(event.kind));
+  const said = entryOf(WRITERS, event.kind)?.(event.body, event, known) ?? line('dot', 'quiet', words(event.kind));
   return { ...said, text: said.text.replace(LONG_ID, shortId) };
 }
 
@@ -345,8 +346,8 @@ export interface Entry {
 export function cellOf(event: LogEvent, { cells, invocations }: { cells: Record<string, unknown>; invocations: Record<string, { cell: string | null }> }): string | null {
   const said = str(event.body['cell']);
   if (said !== '') return said;
-  const session = event.invocation === null ? undefined : invocations[event.invocation];
-  return session?.cell ?? (event.actor in cells ? event.actor : null);
+  const session = event.invocation === null ? undefined : entryOf(invocations, event.invocation);
+  return session?.cell ?? (Object.hasOwn(cells, event.actor) ? event.actor : null);
 }
 
 /** Returns the newest events first, those that say the same in a row as one: a hand on the controls says much. */

@@ -1,4 +1,5 @@
 import type { InputSchema, Json } from '../api/documents';
+import { entryOf } from './entry';
 
 /** Units by the ending of a quantity's name. */
 const UNITS: readonly (readonly [string, string])[] = [
@@ -31,7 +32,7 @@ export function unitOf(name: string): string {
 
 /** `Grip force` for `force_n`; otherwise the name in words, without its unit. */
 export function labelOf(name: string): string {
-  const known = LABELS[name];
+  const known = entryOf(LABELS, name);
   if (known !== undefined) return known;
   const ending = UNITS.find(([unit]) => name.endsWith(unit))?.[0] ?? '';
   const words = name.slice(0, name.length - ending.length).replaceAll('_', ' ');

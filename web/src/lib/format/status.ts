@@ -1,4 +1,5 @@
 import type { Cell, Status } from '../api/documents';
+import { entryOf } from './entry';
 
 export type Tone = 'plain' | 'quiet' | 'ok' | 'warn' | 'danger' | 'human' | 'accent';
 
@@ -17,7 +18,7 @@ const STATUS: Record<Status, { text: string; tone: Tone }> = {
 };
 
 export function statusWords(status: string): { text: string; tone: Tone } {
-  return (STATUS as Record<string, { text: string; tone: Tone } | undefined>)[status] ?? { text: status.replaceAll('_', ' '), tone: 'plain' };
+  return entryOf<{ text: string; tone: Tone }>(STATUS, status) ?? { text: status.replaceAll('_', ' '), tone: 'plain' };
 }
 
 /** What the robot reports of itself, the gravest thing first. */
@@ -68,7 +69,7 @@ const OUTCOMES: Record<string, string> = {
 };
 
 export function outcomeWords(outcome: string): string {
-  return OUTCOMES[outcome] ?? outcome.replaceAll('_', ' ');
+  return entryOf(OUTCOMES, outcome) ?? outcome.replaceAll('_', ' ');
 }
 
 export function goodOutcome(outcome: string): boolean {
@@ -79,7 +80,7 @@ const TONES: Record<string, Tone> = { succeeded: 'ok', recovered: 'ok', taken_ov
 
 /** How loudly an outcome speaks: red is for what was refused, stopped or broken. */
 export function outcomeTone(outcome: string): Tone {
-  return TONES[outcome] ?? 'danger';
+  return entryOf(TONES, outcome) ?? 'danger';
 }
 
 export function shortId(id: string): string {

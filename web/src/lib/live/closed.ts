@@ -45,7 +45,7 @@ function unapproved(events: readonly LogEvent[], asked: Asked, last: LogEvent): 
 function instead(events: readonly LogEvent[], { invocation }: Asked, before: number): string | null {
   // What a cell asks is recorded as its own report, which names no question.
   const since = events.findLast((event) => event.kind === 'escalation' && event.invocation === invocation && event.seq < before)?.seq ?? 0;
-  const word = events.findLast((event) => event.kind === 'human' && event.invocation === invocation && event.seq > since && 'role' in event.body && text(event.body['op']) in INSTEAD);
+  const word = events.findLast((event) => event.kind === 'human' && event.invocation === invocation && event.seq > since && 'role' in event.body && Object.hasOwn(INSTEAD, text(event.body['op'])));
   return word === undefined ? null : `It was withdrawn: ${word.actor} ${INSTEAD[text(word.body['op'])]}.`;
 }
 

@@ -1,4 +1,5 @@
 import type { Cell, Control, Invocation, LogEvent } from '../api/documents';
+import { entryOf } from '../format/entry';
 import type { Tone } from '../format/status';
 
 const OVER = new Set(['rejected', 'deferred', 'denied', 'completed', 'failed', 'awaiting_approval']);
@@ -101,5 +102,5 @@ export function pausedWords(cell: Cell | null, pauser: string | null = null): { 
 /** Why a command of somebody who drives is not obeyed, in words; a rule without any is named. */
 export function refusalWords(code: string): string {
   const rule = code.split('/').at(-1) ?? code;
-  return WHY[rule] ?? `stopped by ${rule.replaceAll('_', ' ')}`;
+  return entryOf(WHY, rule) ?? `stopped by ${rule.replaceAll('_', ' ')}`;
 }

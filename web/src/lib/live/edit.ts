@@ -1,5 +1,6 @@
 import { ApiError, type Api } from '../api/client';
 import type { Escalation, InputSchema, Json, Params, Reason, Verdict } from '../api/documents';
+import { entryOf } from '../format/entry';
 
 /** What an approver typed, by parameter; untouched parameters are absent. */
 export type Typed = Record<string, string>;
@@ -20,9 +21,9 @@ export function rowsOf(escalation: Escalation, listed: readonly string[] = []): 
   const allowed = escalation.constrained ?? escalation.effective;
   const rows = names.map((name) => ({
     name,
-    requested: escalation.requested[name],
-    effective: allowed[name],
-    editable: escalation.kind === 'approval' && typeof escalation.effective[name] === 'number',
+    requested: entryOf(escalation.requested, name),
+    effective: entryOf(allowed, name),
+    editable: escalation.kind === 'approval' && typeof entryOf(escalation.effective, name) === 'number',
   }));
   const place = (name: string): number => (listed.includes(name) ? listed.indexOf(name) : listed.length);
   return rows.sort((a, b) => Number(b.editable) - Number(a.editable) || place(a.name) - place(b.name) || a.name.localeCompare(b.name));
@@ -41,9 +42,9 @@ export function readEdit(typed: Typed, effective: Params, schema: Record<string,
   const faults: Record<string, string> = {};
   for (const [name, text] of Object.entries(typed)) {
     const value = readNumber(text);
-    const fault = value === null ? 'a number, please' : outOfRange(value, schema[name]);
+    const fault = value === null ? 'a number, please' : outOfRange(value, entryOf(schema, name));
     if (fault !== null) faults[name] = fault;
-    else if (value !== null && value !== effective[name]) params[name] = value;
+    else if (value !== null && value !== entryOf(effective, name)) params[name] = value;
   }
   return { params, faults };
 }
@@ -78,7 +79,7 @@ export function checkOf(verdict: Verdict, wanted: Params): Check {
     return { is: 'refused', reasons: [...verdict.admission.reasons, ...(verdict.policy?.reasons ?? [])] };
   }
   const effective = verdict.effective ?? wanted;
-  const cut = Object.entries(effective).filter(([name, value]) => name in wanted && wanted[name] !== value);
+  const cut = Object.entries(effective).filter(([name, value]) => Object.hasOwn(wanted, name) && wanted[name] !== value);
   return cut.length === 0 ? { is: 'allowed' } : { is: 'cut', to: Object.fromEntries(cut) };
 }
 

@@ -1,4 +1,5 @@
 import type { Escalation, InputSchema, Invocation, Reason } from '../api/documents';
+import { entryOf } from '../format/entry';
 import { ruleWords } from '../format/events';
 import { labelFor } from '../format/quantity';
 
@@ -30,7 +31,7 @@ const HELD: Record<string, string> = {
 
 function lineOf(reason: Reason, held: boolean, inputs: Inputs): ReasonLine {
   const icon = /separation|person/.test(`${reason.rule} ${reason.code}`) ? 'person' : held ? 'hand' : 'scale';
-  const strong = held ? (HELD[reason.code] ?? '') : '';
+  const strong = held ? (entryOf(HELD, reason.code) ?? '') : '';
   const said = strong === '' ? sentence(reason.message, inputs) : 'The robot holds where it is and waits.';
   // What a person may say is worth a sentence only where a person is asked what becomes of a session.
   const text = held && reason.remedy !== '' ? `${said} ${sentence(reason.remedy, inputs)}` : said;
@@ -39,7 +40,7 @@ function lineOf(reason: Reason, held: boolean, inputs: Inputs): ReasonLine {
 
 /** Policy's words as a sentence: names in backticks become labels, and the source in brackets is left to the rule. */
 function sentence(said: string, inputs: Inputs): string {
-  const text = said.replace(/`([a-z_0-9]+)`/g, (_, name: string) => (/_(n|mps|m|s|kg|rad|ms)$/.test(name) ? labelFor(name, inputs[name]) : name)).replace(/ \([^()]*\)$/, '');
+  const text = said.replace(/`([a-z_0-9]+)`/g, (_, name: string) => (/_(n|mps|m|s|kg|rad|ms)$/.test(name) ? labelFor(name, entryOf(inputs, name)) : name)).replace(/ \([^()]*\)$/, '');
   const upper = text.charAt(0).toUpperCase() + text.slice(1);
   return /[.!?]$/.test(upper) ? upper : `${upper}.`;
 }

@@ -1,4 +1,5 @@
 import type { Capability, InputSchema, Json, Params, PolicySet } from '../api/documents';
+import { entryOf } from '../format/entry';
 import { labelFor, unitOf } from '../format/quantity';
 
 /** One input of the form, made from the capability's JSON Schema. */
@@ -31,7 +32,7 @@ function choicesOf(schema: InputSchema, policy: PolicySet | null, typed: Record<
   const reference = schema['x-ref'];
   if (reference === undefined || policy === null) return [];
   if (reference === 'action') return actionsOf(policy, typed['tool']);
-  return namesOf(policy.site[NAMED[reference] ?? reference]);
+  return namesOf(policy.site[entryOf(NAMED, reference) ?? reference]);
 }
 
 /** What can be done with the tool that is chosen; with every tool while none is. */

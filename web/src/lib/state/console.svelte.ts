@@ -1,5 +1,6 @@
 import { Api } from '../api/client';
-import type { Capability, Cell, Invocation, PolicySet } from '../api/documents';
+import type { Capability, Cell, InputSchema, Invocation, PolicySet } from '../api/documents';
+import { entryOf } from '../format/entry';
 import type { Known } from '../format/events';
 import type { Health } from '../socket/connection';
 import type { PoseFrame } from '../socket/frame';
@@ -44,11 +45,11 @@ export class Console {
   scenes = $state.raw<Record<string, SceneInfo>>({});
   private paths = $state.raw<Record<string, Path>>({});
   /** Of the cell that is looked at; derived, so that nothing is drawn anew for every document that comes. */
-  readonly scene = $derived.by(() => this.scenes[this.cell?.id ?? ''] ?? null);
-  readonly path = $derived.by(() => this.paths[this.cell?.id ?? ''] ?? null);
+  readonly scene = $derived.by(() => entryOf(this.scenes, this.cell?.id ?? '') ?? null);
+  readonly path = $derived.by(() => entryOf(this.paths, this.cell?.id ?? '') ?? null);
   /** What the record of an event leaves to other documents. */
   readonly known: Known = {
-    inputs: (id) => this.capabilities[(id === null ? undefined : this.docs.invocations[id])?.capability ?? '']?.inputs.properties ?? {},
+    inputs: (id) => this.inputsOf((id === null ? undefined : entryOf(this.docs.invocations, id))?.capability),
     grant: (id) => grantOf(this.docs, id),
   };
   jogRefused = $state<string | null>(null);
@@ -110,7 +111,7 @@ export class Console {
   }
 
   get cell(): Cell | null {
-    return (this.selected === null ? undefined : this.docs.cells[this.selected]) ?? this.cells[0] ?? null;
+    return (this.selected === null ? undefined : entryOf(this.docs.cells, this.selected)) ?? this.cells[0] ?? null;
   }
 
   /** The cell that a stop is for. */
@@ -128,6 +129,11 @@ export class Console {
     const busy = here.find((invocation) => invocation.id === cell.busy);
     const newest = here.sort((a, b) => b.created_at.localeCompare(a.created_at));
     return busy ?? newest.find(({ status }) => status !== 'rejected' && status !== 'deferred') ?? newest[0] ?? null;
+  }
+
+  /** What the parameters of a capability are; of one that is not known, or that nobody named, nothing is. */
+  inputsOf(capability: string | undefined): Record<string, InputSchema> {
+    return (capability === undefined ? undefined : entryOf(this.capabilities, capability))?.inputs.properties ?? {};
   }
 
   select(cell: string): void {

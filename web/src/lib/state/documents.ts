@@ -1,4 +1,5 @@
 import type { Cell, Escalation, Grant, Invocation, LogEvent, Review } from '../api/documents';
+import { entryOf } from '../format/entry';
 import type { Changes } from '../socket/messages';
 
 /** Everything the server has told this console, by id. A value: `merged` makes the next one. */
@@ -90,6 +91,6 @@ function appended(before: LogEvent[], more: readonly LogEvent[] | undefined): Lo
 
 /** A grant by its id, from the log where it has ended. */
 export function grantOf({ grants, events }: Documents, id: string): Grant | null {
-  const said = grants[id] ?? events.findLast((event) => event.kind === 'grant' && (event.body['grant'] as unknown as Grant).id === id)?.body['grant'];
+  const said = entryOf(grants, id) ?? events.findLast((event) => event.kind === 'grant' && (event.body['grant'] as Partial<Grant> | undefined)?.id === id)?.body['grant'];
   return said === undefined ? null : (said as Grant);
 }

@@ -1,0 +1,57 @@
+import { describe, expect, it } from 'vitest';
+import type { Json } from '../src/lib/api/documents';
+import { heldIn, titleOf, words } from '../src/lib/format/capability';
+import { cellOf, eventLine, ruleWords } from '../src/lib/format/events';
+import { labelFor, labelOf } from '../src/lib/format/quantity';
+import { outcomeTone, outcomeWords, statusWords } from '../src/lib/format/status';
+import { rowsOf } from '../src/lib/live/edit';
+import { refusalWords } from '../src/lib/live/control';
+import { reasonLines } from '../src/lib/live/reasons';
+import { stepsText } from '../src/lib/format/edited';
+import { escalation, event } from './samples';
+
+/** What every object brings along, so that a plain table has something under it. */
+const NAMES = ['constructor', '__proto__', 'hasOwnProperty', 'valueOf', 'toString'];
+
+describe.each(NAMES)('the name `%s`, which an agent may choose', (name) => {
+  const own = (value: Json): Record<string, Json> => Object.fromEntries([[name, value]]);
+  const line = (kind: string, body: Record<string, Json>): string => {
+    const { strong, text, icon, tone } = eventLine(event(kind, body, 'inv_1', name));
+    expect([strong, text, icon, tone].map((part) => typeof part)).toEqual(['string', 'string', 'string', 'string']);
+    return `${strong}${text}`;
+  };
+
+  it('names a capability that nobody has', () => {
+    expect(titleOf(name, {})).toBe(words(name));
+    expect(line('proposal', { capability: name, params: own(1) })).toBe(`${name}: ${words(name).replace(/^./, (c) => c.toLowerCase())}`);
+  });
+
+  it('is a word like another wherever an event bears it', () => {
+    expect(line(name, {})).toBe(words(name));
+    expect(line('alert', { signal: 'VIOLATION', rule: name, value: 1, threshold: 2 })).toContain(words(name));
+    expect(line('intervention', { intervention: name })).toBe(words(name.toLowerCase()));
+    expect(line('human', { op: name })).toBe(`${name} said ${name.replaceAll('_', ' ')}`);
+    expect(line('human', { op: 'pause', done: false, refused: name })).toContain(name.replaceAll('_', ' '));
+    expect(line('outcome', { outcome: name })).toContain(words(name));
+    expect(line('status', { status: name })).toBe(name.replaceAll('_', ' '));
+    expect(line('grant', { op: 'ended', grant: { capability: name, ended: { code: name } } })).toContain('ended');
+    expect(line('policy', { outcome: 'modify', changes: [{ param: name, requested: 2, effective: 1, rule: name }] })).toContain('2.00 → 1.00');
+  });
+
+  it('is no quantity, rule, outcome, status, cell or person that is known', () => {
+    expect(labelOf(name)).toBe(words(name));
+    expect(labelFor(name, {})).toBe(words(name));
+    expect(ruleWords(name)).toBe(words(name));
+    expect([outcomeWords(name), outcomeTone(name), statusWords(name).tone]).toEqual([name.replaceAll('_', ' '), 'danger', 'plain']);
+    expect(heldIn({}, name)).toBeNull();
+    expect(cellOf(event('proposal', {}, name, name), { cells: {}, invocations: {} })).toBeNull();
+  });
+
+  it('may be a parameter that is edited, and the reason why one is asked', () => {
+    expect(stepsText([{ name, from: undefined, to: 1 }], {})).toContain('1.00');
+    expect(rowsOf(escalation({ requested: {}, effective: own(1) })).map((row) => [row.name, row.requested])).toContainEqual([name, undefined]);
+    const reasons = [{ rule: name, code: name, message: '`x_m` is too far', remedy: '' }];
+    expect(reasonLines(escalation({ kind: 'session', reasons }), null)[0]?.strong).toBe('');
+    expect(refusalWords(name)).toContain(name.replaceAll('_', ' '));
+  });
+});
