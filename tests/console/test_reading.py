@@ -32,15 +32,34 @@ def test_a_question_that_nobody_answers_goes_by_itself(server: ServerProcess, pe
             client.put(f"{CELL}/profile", json={"profile": "human-shared"})
 
 
-def test_a_trace_that_cannot_be_read_again_stays_and_says_why(
+def hostile(server: ServerProcess, name: str) -> None:
+    """Propose what every JavaScript object has under a name, for the agent chooses its words."""
+    body = {"capability": name, "params": {name: 1}, "metadata": {"task": name}}
+    assert server.post("/v1/invocations", body, key="agent").json()["status"] == "rejected"
+
+
+def test_what_cannot_be_shown_or_read_says_so_and_everything_else_goes_on(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
+    hostile(server, "constructor")  # before anybody looks
     person = people.sit(server)
-    person.expects("ERR_FAILED")
+    person.expects("ERR_FAILED|The list could not be shown")
+    log = person.region("Events")
+    expect(log).to_contain_text("planner: constructor")
+    hostile(server, "toString")
+    expect(log).to_contain_text("planner: toString")
     asked = floor.ask()
+    expect(person.page.get_by_role("article", name="Grasp mug_1").get_by_role("button", name="Deny")).to_be_enabled()
+    unlike = {"items": [{"id": "inv_0"}], "next": None}  # anything this console was ever given
+    person.page.route("**/v1/invocations?*", lambda route: route.fulfill(json=unlike))
     person.page.evaluate(f"location.hash = '#/audit/{asked['id']}'")
     events, said = person.region("Events of the session"), person.alert("This trace could not be read again")
     expect(events).to_contain_text("Asked a person")
+    expect(person.alert("The list could not be shown.")).to_be_visible()
+    person.page.unroute("**/v1/invocations?*")
+    person.button("Try again").click()
+    expect(person.page.get_by_role("link", name=re.compile("Grasp mug_1")).first).to_be_visible()
+    expect(person.page.get_by_role("link", name=re.compile("ToString")).first).to_be_visible()
     person.page.route("**/trace", lambda route: route.abort())
     place = f"/v1/escalations/{asked['escalation']['id']}/acknowledge"
     assert server.post(place).is_success
