@@ -22,6 +22,7 @@ import type {
   Version,
   VersionList,
 } from './documents';
+import { Gate } from './gate';
 
 /** The server's refusal of a request, or `unreachable` where no answer came. */
 export class ApiError extends Error {
@@ -40,8 +41,19 @@ const UNREACHABLE: Problem = { title: 'No answer', status: 0, detail: 'The serve
 const PATIENCE_MS = 10_000;
 const STOP_PATIENCE_MS = 1_500;
 const LONG_PATIENCE_MS = 120_000;
+/** A browser opens six connections to a server, for all of its tabs; a request beyond them waits, whatever it says. */
+const AT_ONCE = 3;
 
 type Method = 'GET' | 'POST' | 'PUT' | 'DELETE';
+
+/** How a request is made. */
+interface How {
+  /** It may take a while, and waits for others that may. */
+  long?: boolean;
+  patienceMs?: number;
+  /** Ended by whoever does not want the answer any more. */
+  until?: AbortSignal | undefined;
+}
 
 export interface Answer {
   decision: 'approve' | 'deny';
@@ -63,6 +75,9 @@ export interface Offer {
 
 /** The HTTP contract as calls. Every call raises `ApiError` unless it was answered with success. */
 export class Api {
+  private readonly few = new Gate(AT_ONCE);
+  private readonly one = new Gate(1);
+
   constructor(
     private readonly token: string,
     private readonly fetcher: typeof fetch = (input, init) => fetch(input, init),
@@ -72,32 +87,31 @@ export class Api {
     return this.call<T>('GET', path);
   }
 
-  async call<T>(method: Method, path: string, body?: unknown, patienceMs = PATIENCE_MS): Promise<T> {
-    const response = await this.send(method, path, body, patienceMs);
-    try {
-      return (await response.json()) as T;
-    } catch {
-      throw new ApiError({ ...UNREACHABLE, detail: 'The server broke off within its answer.' });
-    }
+  call<T>(method: Method, path: string, body?: unknown, how: How = {}): Promise<T> {
+    return this.inTurn(how, () => this.send(method, path, body, how, jsonOf<T>));
   }
 
-  private async send(method: Method, path: string, body: unknown, patienceMs: number): Promise<Response> {
+  /** What takes long is asked for one by one, and all together leave a browser's connections free for the stop. */
+  private inTurn<T>({ long = false }: How, call: () => Promise<T>): Promise<T> {
+    const asked = (): Promise<T> => this.few.through(call);
+    return long ? this.one.through(asked) : asked();
+  }
+
+  /** A connection is taken until the answer is read to its end. */
+  private async send<T>(method: Method, path: string, body: unknown, how: How, read: (response: Response) => Promise<T>): Promise<T> {
     const headers: Record<string, string> = { Authorization: `Bearer ${this.token}` };
     if (body !== undefined) headers['Content-Type'] = 'application/json';
+    const patience = AbortSignal.timeout(how.patienceMs ?? (how.long === true ? LONG_PATIENCE_MS : PATIENCE_MS));
+    const signal = how.until === undefined ? patience : AbortSignal.any([patience, how.until]);
     let response: Response;
     try {
-      response = await this.fetcher(path, {
-        method,
-        headers,
-        body: body === undefined ? null : JSON.stringify(body),
-        signal: AbortSignal.timeout(patienceMs),
-        cache: 'no-store',
-      });
+      signal.throwIfAborted(); // whoever wanted it may have gone while it waited for its turn
+      response = await this.fetcher(path, { method, headers, body: body === undefined ? null : JSON.stringify(body), signal, cache: 'no-store' });
     } catch {
       throw new ApiError(UNREACHABLE);
     }
     if (!response.ok) throw new ApiError(await problemOf(response));
-    return response;
+    return read(response);
   }
 
   health = (): Promise<{ status: string; broken: Record<string, string | null> }> => this.get('/healthz');
@@ -108,15 +122,15 @@ export class Api {
   version = (digest: string): Promise<Version> => this.get(`/v1/policies/${seg(digest)}`);
   policyFiles = (digest: string): Promise<{ files: Record<string, string>; promises: string | null }> => this.get(`/v1/policies/${seg(digest)}/files`);
   /** Compared by proof, which may take a while. */
-  comparison = (digest: string): Promise<Comparison> =>
-    this.call('GET', `/v1/policies/${seg(digest)}/diff`, undefined, LONG_PATIENCE_MS);
+  comparison = (digest: string, until?: AbortSignal): Promise<Comparison> =>
+    this.call('GET', `/v1/policies/${seg(digest)}/diff`, undefined, { long: true, until });
   propose = (files: Record<string, string>, why: string): Promise<Version> =>
-    this.call('POST', '/v1/policies', { files, why }, LONG_PATIENCE_MS);
+    this.call('POST', '/v1/policies', { files, why }, { long: true });
   activate = (digest: string, why: string): Promise<Version> =>
-    this.call('POST', `/v1/policies/${seg(digest)}/activate`, { why }, LONG_PATIENCE_MS);
+    this.call('POST', `/v1/policies/${seg(digest)}/activate`, { why }, { long: true });
   shadow = (digest: string): Promise<Shadow> => this.get(`/v1/policies/${seg(digest)}/shadow`);
   setShadow = (digest: string, on: boolean, why: string): Promise<Shadow> =>
-    this.call('POST', `/v1/policies/${seg(digest)}/shadow`, { on, why }, LONG_PATIENCE_MS);
+    this.call('POST', `/v1/policies/${seg(digest)}/shadow`, { on, why }, { long: true });
   trace = (id: string): Promise<List<LogEvent>> => this.get(`/v1/invocations/${seg(id)}/trace`);
   invocation = (id: string): Promise<Invocation> => this.get(`/v1/invocations/${seg(id)}`);
 
@@ -132,8 +146,9 @@ export class Api {
   review = (id: string, verdict: ReviewVerdict, note: string): Promise<Review> =>
     this.call('POST', `/v1/reviews/${seg(id)}/resolve`, note === '' ? { verdict } : { verdict, note });
 
+  /** Waits for nothing else. */
   estop = (cell: string): Promise<Cell> =>
-    this.call('POST', `/v1/cells/${seg(cell)}/estop`, undefined, STOP_PATIENCE_MS);
+    this.send('POST', `/v1/cells/${seg(cell)}/estop`, undefined, { patienceMs: STOP_PATIENCE_MS }, jsonOf<Cell>);
   /** The first step of a reset; the answer's `arming` bears the code for the second. */
   armReset = (cell: string): Promise<Cell> => this.call('POST', `/v1/cells/${seg(cell)}/reset`, { step: 'arm' });
   confirmReset = (cell: string, code: string): Promise<Cell> =>
@@ -145,11 +160,11 @@ export class Api {
   invocations = (query: URLSearchParams): Promise<List<Invocation>> => this.get(`/v1/invocations?${query}`);
   checkpoint = (): Promise<Checkpoint> => this.get('/v1/audit/checkpoint');
   /** Recomputes the whole log, which may take a while. */
-  verify = (): Promise<Verification> => this.call('GET', '/v1/audit/verify', undefined, LONG_PATIENCE_MS);
-  telemetry = (id: string, part = 1): Promise<Telemetry> =>
-    this.call('GET', `/v1/audit/telemetry/${seg(id)}?part=${part}`, undefined, LONG_PATIENCE_MS);
-  telemetryFile = async (id: string, part = 1): Promise<Blob> =>
-    (await this.send('GET', `/v1/audit/telemetry/${seg(id)}/mcap?part=${part}`, undefined, LONG_PATIENCE_MS)).blob();
+  verify = (): Promise<Verification> => this.call('GET', '/v1/audit/verify', undefined, { long: true });
+  telemetry = (id: string, part = 1, until?: AbortSignal): Promise<Telemetry> =>
+    this.call('GET', `/v1/audit/telemetry/${seg(id)}?part=${part}`, undefined, { long: true, until });
+  telemetryFile = (id: string, part = 1): Promise<Blob> =>
+    this.inTurn({ long: true }, () => this.send('GET', `/v1/audit/telemetry/${seg(id)}/mcap?part=${part}`, undefined, { long: true }, blobOf));
 
   operate = (id: string, word: 'pause' | 'resume' | 'stop' | 'rollback' | 'cancel'): Promise<Invocation> =>
     this.call('POST', `/v1/invocations/${seg(id)}/${word}`);
@@ -163,6 +178,24 @@ export class Api {
 
 function seg(id: string): string {
   return encodeURIComponent(id);
+}
+
+const BROKEN_OFF: Problem = { ...UNREACHABLE, detail: 'The server broke off within its answer.' };
+
+async function jsonOf<T>(response: Response): Promise<T> {
+  try {
+    return (await response.json()) as T;
+  } catch {
+    throw new ApiError(BROKEN_OFF);
+  }
+}
+
+async function blobOf(response: Response): Promise<Blob> {
+  try {
+    return await response.blob();
+  } catch {
+    throw new ApiError(BROKEN_OFF);
+  }
 }
 
 async function problemOf(response: Response): Promise<Problem> {

@@ -50,12 +50,13 @@ export class Closer {
     private readonly digest: string,
   ) {}
 
-  async compare(): Promise<void> {
+  /** Has it compared, until nobody wants to know any more. */
+  async compare(until?: AbortSignal): Promise<void> {
     this.trouble = null;
     try {
-      this.found = await this.api.comparison(this.digest);
+      this.found = await this.api.comparison(this.digest, until);
     } catch (error) {
-      this.trouble = said(error);
+      if (until?.aborted !== true) this.trouble = said(error);
     }
   }
 

@@ -55,6 +55,7 @@ export class Console {
   jogRefused = $state<string | null>(null);
   /** Cells as asked for by name, while no socket says which there are: the stop needs no seat. */
   private listed = $state.raw<string[]>([]);
+  private listing = false;
   policy = $state.raw<PolicySet | null>(null);
   capabilities = $state.raw<Record<string, Capability>>({});
   /** Of when what is shown is, server's wall clock in ms. */
@@ -254,11 +255,14 @@ export class Console {
       clearInterval(this.looking);
       return;
     }
+    if (this.listing) return; // a server that does not answer is not asked twice
+    this.listing = true;
     try {
       this.listed = (await this.api.cells()).items.map((cell) => cell.id).sort();
     } catch {
       this.listed = []; // asked again in a second; the banner says that nothing is known
     }
+    this.listing = false;
   }
 
   private async fetchPolicy(): Promise<void> {

@@ -1,0 +1,86 @@
+import { describe, expect, it } from 'vitest';
+import { Api } from '../src/lib/api/client';
+
+/** A server that answers nothing until it is told to; and, as a browser, gives up what is aborted. */
+class Held {
+  readonly under: string[] = [];
+  private readonly answers = new Map<string, (response: Response) => void>();
+
+  readonly fetch = ((path: string, { signal }: { signal: AbortSignal }) => {
+    this.under.push(path);
+    return new Promise<Response>((resolve, reject) => {
+      signal.addEventListener('abort', () => {
+        this.gone(path);
+        reject(new DOMException('aborted', 'AbortError'));
+      });
+      this.answers.set(path, resolve);
+    });
+  }) as unknown as typeof fetch;
+
+  /** Answers with a body that comes later; returns what ends it. */
+  begin(path: string): () => void {
+    let end: () => void = () => undefined;
+    const body = new ReadableStream({
+      start(to) {
+        end = () => {
+          to.enqueue(new TextEncoder().encode('{}'));
+          to.close();
+        };
+      },
+    });
+    this.answers.get(path)?.(new Response(body));
+    return () => {
+      this.gone(path);
+      end();
+    };
+  }
+
+  private gone(path: string): void {
+    this.under.splice(this.under.indexOf(path), 1);
+  }
+}
+
+const settled = (): Promise<void> => new Promise((resolve) => setTimeout(resolve, 5));
+
+describe('a server that holds its answers back', () => {
+  it('is asked three things at once, one of those that take long, and the stop at any time', async () => {
+    const held = new Held();
+    const api = new Api('secret', held.fetch);
+    for (const id of ['a', 'b', 'c']) void api.telemetryFile(id);
+    for (const id of ['a', 'b', 'c', 'd']) void api.trace(id);
+    await settled();
+    const [long, ...short] = ['/v1/audit/telemetry/a/mcap?part=1', '/v1/invocations/a/trace', '/v1/invocations/b/trace'];
+    expect(new Set(held.under)).toEqual(new Set([long, ...short]));
+    void api.estop('workcell-1');
+    expect(held.under.at(-1)).toBe('/v1/cells/workcell-1/estop');
+  });
+
+  it('is asked for the next one once the answer is read to its end, not when it begins', async () => {
+    const held = new Held();
+    const api = new Api('secret', held.fetch);
+    const first = api.telemetryFile('a');
+    void api.telemetryFile('b');
+    await settled();
+    const end = held.begin('/v1/audit/telemetry/a/mcap?part=1');
+    await settled();
+    expect(held.under).toEqual(['/v1/audit/telemetry/a/mcap?part=1']);
+    end();
+    expect(await (await first).text()).toBe('{}');
+    await settled();
+    expect(held.under).toEqual(['/v1/audit/telemetry/b/mcap?part=1']);
+  });
+
+  it('is not asked what nobody wants to know any more, nor kept waiting for by it', async () => {
+    const held = new Held();
+    const api = new Api('secret', held.fetch);
+    const [one, other] = [new AbortController(), new AbortController()];
+    const asked = [api.comparison('1', one.signal), api.comparison('2', other.signal), api.comparison('3')].map((it) => it.catch((error: unknown) => String(error)));
+    await settled();
+    expect(held.under).toEqual(['/v1/policies/1/diff']);
+    other.abort(); // while it waits for its turn
+    one.abort();
+    expect(await asked[1]).toContain('The server did not answer.');
+    await settled();
+    expect(held.under).toEqual(['/v1/policies/3/diff']);
+  });
+});
