@@ -134,7 +134,7 @@ describe('what a cell says it was told', () => {
 });
 
 describe('a key that several listen to', () => {
-  const escape = { key: 'Escape', repeat: false, ctrlKey: false, metaKey: false, altKey: false, defaultPrevented: false };
+  const escape = { key: 'Escape', code: 'Escape', repeat: false, ctrlKey: false, metaKey: false, altKey: false, defaultPrevented: false };
 
   it('goes to the newest that takes it', () => {
     const keys = new Keys();

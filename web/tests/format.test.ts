@@ -7,13 +7,14 @@ import { pausedWords } from '../src/lib/live/control';
 import { robotSays } from '../src/lib/format/status';
 import { quoted, sentence } from '../src/lib/format/quoted';
 import { countdown, elapsed, left } from '../src/lib/format/time';
+import { DRIVING_KEYS } from '../src/lib/jog/bindings';
 import { isStop, isTyping, Keys, takesLetters } from '../src/lib/keys/keys';
 import { dashes } from '../src/lib/scene/overlay';
 import { hatch } from '../src/lib/scene/ground';
 import { fromSnapshot, merged, NOTHING } from '../src/lib/state/documents';
 import { cell, escalation, event, heldBy, scene } from './samples';
 
-const key = (name: string, more: object = {}) => ({ key: name, repeat: false, ctrlKey: false, metaKey: false, altKey: false, defaultPrevented: false, ...more });
+const key = (name: string, more: object = {}) => ({ key: name, code: '', repeat: false, ctrlKey: false, metaKey: false, altKey: false, defaultPrevented: false, ...more });
 
 describe('times', () => {
   it('count down to zero and not below it', () => {
@@ -117,6 +118,18 @@ describe('the keyboard', () => {
     const taken = (name: string, more = {}): boolean => keys.pressBeside(key(name, more), ['d']);
     expect([taken('a'), taken('x'), taken('D'), taken('d', { repeat: true }), ran]).toEqual([true, true, true, true, ['d']]);
     expect([taken(' '), taken('ArrowDown'), taken('Enter'), taken('a', { ctrlKey: true })]).toEqual([false, false, false, false]);
+  });
+
+  it.each([['AZERTY', 'a', 'KeyQ'], ['Dvorak', 'r', 'KeyO'], ['Colemak', 'n', 'KeyJ']])('decides nothing on %s with a key that drives, and stops with any', (_, letter, code) => {
+    const keys = new Keys();
+    const ran: string[] = [];
+    keys.onStop(() => ran.push('.'));
+    keys.on(letter, letter, () => ran.push(letter));
+    const free = keys.reserve(DRIVING_KEYS);
+    expect([keys.press(key(letter, { code }), false), keys.press(key(letter, { code: 'KeyZ' }), false)]).toEqual([false, true]);
+    expect([keys.pressBeside(key(letter, { code }), [letter]), keys.press(key('.', { code: 'KeyE' }), false), ran]).toEqual([true, true, [letter, '.']]);
+    free();
+    expect([keys.press(key(letter, { code }), false), ran]).toEqual([true, [letter, '.', letter]]);
   });
 
   it('forgets a shortcut whose part of the page is gone', () => {

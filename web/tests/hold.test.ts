@@ -1,6 +1,7 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
 import { gamepadAxes, Sticks } from '../src/lib/jog/bindings';
 import { JogKeys, pressesButton, type Key } from '../src/lib/jog/keyboard';
+import { jogNames } from '../src/lib/jog/layout';
 import { HoldToRun, type Command, type Speeds } from '../src/lib/jog/hold';
 
 const SPEEDS: Speeds = { base_x: 0.2, base_y: 0.2, base_yaw: 0.4, tool_x: 0.1, tool_y: 0.1, tool_z: 0.1 };
@@ -142,5 +143,12 @@ describe('keys that drive', () => {
     jogKeys.take(key('KeyQ'), true, false);
     jogKeys.take(key('KeyQ'), false, true);
     expect(hold.running).toBe(false);
+  });
+
+  it('are called what is printed on them, and where the stop is, nothing', () => {
+    const azerty = new Map([['KeyQ', 'a'], ['KeyE', 'e'], ['BracketLeft', '^'], ['BracketRight', '$']]);
+    expect(jogNames(null)).toEqual({ turn: 'Q E', tool: 'I K J L', lift: 'U O', grip: '[ ]' });
+    expect(jogNames(azerty)).toEqual({ turn: 'A E', tool: 'I K J L', lift: 'U O', grip: '^ $' });
+    expect(jogNames(new Map([['KeyQ', "'"], ['KeyE', '.']])).turn).toBe("' –");
   });
 });

@@ -23,6 +23,9 @@ export const JOG_KEYS: Record<string, { axis: Axis; deflection: 1 | -1 }> = {
 
 export const GRIP_KEYS: Record<string, Exclude<Grip, null>> = { BracketLeft: 'open', BracketRight: 'close' };
 
+/** Every key that drives: while somebody drives, it is no shortcut, whatever letter a keyboard has there. */
+export const DRIVING_KEYS: readonly string[] = [...Object.keys(JOG_KEYS), ...Object.keys(GRIP_KEYS)];
+
 const DEAD = 0.18;
 
 /** A gamepad's sticks as deflections: left drives the base, right the tool; triggers lift and lower, bumpers turn. */

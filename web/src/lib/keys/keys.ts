@@ -11,6 +11,8 @@ export interface Shortcut {
 
 interface KeyLike {
   key: string;
+  /** Which key of the keyboard it is, whatever is printed on it. */
+  code: string;
   repeat: boolean;
   ctrlKey: boolean;
   metaKey: boolean;
@@ -32,9 +34,12 @@ export function takesLetters(target: Parameters<typeof isTyping>[0]): boolean {
   return target?.tagName === 'SELECT' || isTyping(target);
 }
 
+/** The key that stops, from anywhere. */
+export const STOP_KEY = '.';
+
 /** Says whether a key press is the emergency stop: `.` anywhere, with Ctrl or Cmd while typing. */
 export function isStop(event: KeyLike, typing: boolean): boolean {
-  if (event.key !== '.') return false;
+  if (event.key !== STOP_KEY) return false;
   return typing ? event.ctrlKey || event.metaKey : true;
 }
 
@@ -47,12 +52,26 @@ export class Keys {
   private readonly shortcuts: Shortcut[] = [];
   private stop: () => void = () => undefined;
   private covers = 0;
+  private readonly reserved: ReadonlySet<string>[] = [];
 
   /** Says that something lies over the page; returns how to take it back. */
   cover(): () => void {
     this.covers += 1;
     return () => {
       this.covers -= 1;
+    };
+  }
+
+  /**
+   * Keeps keys, by their place (`KeyboardEvent.code`), from being shortcuts, the stop excepted: what turns a robot on one
+   * keyboard is the letter that approves on another. Returns how to take it back.
+   */
+  reserve(codes: Iterable<string>): () => void {
+    const kept = new Set(codes);
+    this.reserved.push(kept);
+    return () => {
+      const at = this.reserved.indexOf(kept);
+      if (at !== -1) this.reserved.splice(at, 1);
     };
   }
 
@@ -80,7 +99,7 @@ export class Keys {
       if (!event.repeat) this.stop();
       return true;
     }
-    if (!mayBeShortcut(event, letters)) return false;
+    if (!mayBeShortcut(event, letters) || this.reserved.some((codes) => codes.has(event.code))) return false;
     const wanted = event.key.length === 1 ? event.key.toLowerCase() : event.key;
     const counts = (known: Shortcut): boolean => known.key === wanted && (this.covers === 0 || known.everywhere);
     return this.shortcuts.findLast((known) => counts(known) && known.run() !== false) !== undefined;
