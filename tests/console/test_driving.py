@@ -40,6 +40,7 @@ BENCH = """
     navigator.getGamepads = () => [null, window.stick.connected ? window.stick : null];
 """
 AFTER_THE_LAST_PUSH = "window.jogs.slice(window.jogs.findLastIndex((jog) => jog.base.some(Boolean)) + 1)"
+PUSHES = "window.jogs.filter((jog) => jog.base.some(Boolean)).length"
 ZEROS = [0, 0, 0]
 IDLE, HOLDS = "the controls of the idle cell", "Taking over holds the session"
 LET_GO = "Hold to run; let go to stop"
@@ -209,8 +210,24 @@ def test_a_key_that_is_held_is_let_go_when_a_modifier_comes_and_its_repeats_star
     keyboard.up("ArrowDown")
     keyboard.down("ArrowUp")
     until(lambda: floor.speed() > 0.03, what="a base that drives again")
-    keyboard.up("ArrowUp")
+    person.press("?")  # what lies over the page lets go of it, too
+    covered = person.page.get_by_text("Nothing drives until the list over the page is closed")
+    expect(covered).to_be_visible()
     at_rest(floor)
+    keyboard.up("ArrowUp")
+    pushes = person.page.evaluate(PUSHES)
+    keyboard.down("ArrowUp")
+    keyboard.up("ArrowUp")
+    person.press("Escape")
+    expect(person.page.get_by_text(LET_GO)).to_be_visible()
+    # Verdicts are chosen among by arrow keys, beside the pad.
+    person.page.locator("main").evaluate(
+        "(main) => Object.assign(main.appendChild(document.createElement('input')), { type: 'radio' })"
+    )
+    person.page.locator("main input[type=radio]").last.focus()
+    keyboard.down("ArrowUp")
+    keyboard.up("ArrowUp")
+    assert person.page.evaluate(PUSHES) == pushes
 
 
 def test_a_session_is_taken_over_and_ended_by_keyboard_alone(

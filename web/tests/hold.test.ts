@@ -2,6 +2,7 @@ import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
 import { gamepadAxes, Sticks } from '../src/lib/jog/bindings';
 import { JogKeys, pressesButton, type Key } from '../src/lib/jog/keyboard';
 import { jogNames } from '../src/lib/jog/layout';
+import { Keys, takesKeys } from '../src/lib/keys/keys';
 import { HoldToRun, type Command, type Speeds } from '../src/lib/jog/hold';
 
 const SPEEDS: Speeds = { base_x: 0.2, base_y: 0.2, base_yaw: 0.4, tool_x: 0.1, tool_y: 0.1, tool_z: 0.1 };
@@ -133,6 +134,15 @@ describe('keys that drive', () => {
     }
   });
 
+  it.each([{ tagName: 'INPUT', type: 'radio' }, { tagName: 'INPUT', type: 'range' }, { tagName: 'INPUT', type: 'checkbox' }, { tagName: 'SELECT' }, { tagName: 'SUMMARY' }, { tagName: 'TEXTAREA' }])('leave the arrows to $tagName $type', (focused) => {
+    expect(jogKeys.take(key('ArrowDown'), true, takesKeys(focused))).toBe(false);
+    expect([said, hold.running]).toEqual([[], false]);
+  });
+
+  it('drive while a button has the focus, or nothing', () => {
+    expect([takesKeys({ tagName: 'BUTTON' }), takesKeys({ tagName: 'BODY' }), takesKeys(null)]).toEqual([false, false, false]);
+  });
+
   it('press no button together with a modifier', () => {
     expect([pressesButton(key('Enter')), pressesButton(key('Enter', { metaKey: true })), pressesButton(key('Enter', { repeat: true }))]).toEqual([true, false, false]);
   });
@@ -143,6 +153,14 @@ describe('keys that drive', () => {
     jogKeys.take(key('KeyQ'), true, false);
     jogKeys.take(key('KeyQ'), false, true);
     expect(hold.running).toBe(false);
+  });
+
+  it('are for what lies over the page, for as long as it does', () => {
+    const keys = new Keys();
+    const uncover = keys.cover();
+    expect([jogKeys.take(key('ArrowDown'), true, keys.covered), said.length]).toEqual([false, 0]);
+    uncover();
+    expect([jogKeys.take(key('ArrowDown'), true, keys.covered), hold.running]).toEqual([true, true]);
   });
 
   it('are called what is printed on them, and where the stop is, nothing', () => {

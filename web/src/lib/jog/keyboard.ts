@@ -35,13 +35,13 @@ export class JogKeys {
     private readonly letGo: () => void,
   ) {}
 
-  /** Takes a key; returns whether it is one that drives. `letters`: they are the focused element's own. */
-  take(event: Key, down: boolean, letters: boolean): boolean {
+  /** Takes a key; returns whether it is one that drives. `kept`: keys are the focused element's own, or for what lies over the page. */
+  take(event: Key, down: boolean, kept: boolean): boolean {
     if (meansOtherwise(event)) {
       this.letGo();
       return false;
     }
-    if (down && letters) return false;
+    if (down && kept) return false;
     if (!(event.code in JOG_KEYS) && !(event.code in GRIP_KEYS)) return false;
     if (!event.repeat) this.say(event.code, down);
     return true;

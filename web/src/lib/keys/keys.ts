@@ -34,6 +34,11 @@ export function takesLetters(target: Parameters<typeof isTyping>[0]): boolean {
   return target?.tagName === 'SELECT' || isTyping(target);
 }
 
+/** Whether the focused element does something of its own with keys, arrows among them; a button only with Enter and Space. */
+export function takesKeys(target: Parameters<typeof isTyping>[0]): boolean {
+  return isTyping(target) || ['INPUT', 'SELECT', 'SUMMARY'].includes(target?.tagName ?? '');
+}
+
 /** The key that stops, from anywhere. */
 export const STOP_KEY = '.';
 
@@ -53,6 +58,11 @@ export class Keys {
   private stop: () => void = () => undefined;
   private covers = 0;
   private readonly reserved: ReadonlySet<string>[] = [];
+
+  /** Whether something lies over the page. */
+  get covered(): boolean {
+    return this.covers > 0;
+  }
 
   /** Says that something lies over the page; returns how to take it back. */
   cover(): () => void {
@@ -101,7 +111,7 @@ export class Keys {
     }
     if (!mayBeShortcut(event, letters) || this.reserved.some((codes) => codes.has(event.code))) return false;
     const wanted = event.key.length === 1 ? event.key.toLowerCase() : event.key;
-    const counts = (known: Shortcut): boolean => known.key === wanted && (this.covers === 0 || known.everywhere);
+    const counts = (known: Shortcut): boolean => known.key === wanted && (!this.covered || known.everywhere);
     return this.shortcuts.findLast((known) => counts(known) && known.run() !== false) !== undefined;
   }
 
