@@ -14,6 +14,7 @@ from app.audit.checkpoint import Verifier
 from app.audit.errors import RecordDamaged
 from app.audit.places import Places, load_verifier
 from app.audit.reader import MAX_LIMIT, Reader
+from app.audit.schema import schema_problems
 from app.audit.verification import Verification, verify_log
 
 if TYPE_CHECKING:
@@ -123,10 +124,13 @@ def _drafted(path: Path) -> Generator[BufferedWriter]:
 
 
 def database_problems(data_dir: Path, *, within_s: float | None = None) -> list[str] | None:
-    """Let SQLite compare its indexes with its tables; an empty list means all agree, None that the time ran out.
+    """Compare the schema with the migrations, and let SQLite compare its indexes with its tables.
+
+    An empty list means all agree, None that the time ran out.
 
     Verification walks the events by their place alone. A query by invocation, kind or actor goes by an index, and one
-    that lost an entry would leave an event out though every event is good.
+    that lost an entry would leave an event out though every event is good. Triggers that are gone let events be changed
+    from now on, and one too many may keep the next ones out.
 
     Args:
         data_dir: the directory of a server.
@@ -136,7 +140,7 @@ def database_problems(data_dir: Path, *, within_s: float | None = None) -> list[
         RecordDamaged: there is no log, or it cannot be read.
     """
     with reading(data_dir) as reader:
-        faults = reader.faults(MAX_FAULTS, within_s=within_s)
+        faults = schema_problems(reader)[:MAX_FAULTS] or reader.faults(MAX_FAULTS, within_s=within_s)
         if faults is None:
             return None
         return [f"`{reader.database}`: {line}" for fault in faults for line in fault.splitlines()]

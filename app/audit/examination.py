@@ -1,7 +1,7 @@
 """Everything an auditor can have compared in a data directory, for the command and the server alike.
 
 1. The log with its signed checkpoints, from the stored bytes (`verification`).
-2. The database's indexes with its tables: a query goes by them.
+2. The database's schema with what the migrations make, and its indexes with its tables: a query goes by them.
 3. The table `invocations` with what the log makes of them (`projection`): what the console lists is read from there.
 4. The tables `escalations`, `grants` and `reviews` with the newest event about each of their documents (`documents`):
    what is pending, and what is granted, is read from there when a server starts.

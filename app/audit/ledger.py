@@ -27,7 +27,9 @@ from app.audit.errors import RecordDamaged, RecordUnavailable, RowExists, StoreI
 from app.audit.merkle import Frontier, leaf_hash
 from app.audit.migrate import migrate
 from app.audit.places import Places, create_key, load_key
+from app.audit.reader import Reader
 from app.audit.rows import Batches, Insertion, Writing, primary_key, replacement, same_key
+from app.audit.schema import schema_problems
 from app.audit.tables import ON_CONNECT, STATE, STORE_GIVEN, checkpoints, events
 from app.audit.verification import verify_log
 
@@ -76,6 +78,7 @@ class Ledger:
                 connect_args={"check_same_thread": False},
             )
             opened.callback(self._engine.dispose)
+            made_here = not places.database.exists()
             self._connection = connect(self._engine)
             opened.callback(self._connection.close)
             migrate(self._connection)
@@ -98,6 +101,8 @@ class Ledger:
             opened.callback(self._file.close)
             self._check_outside()
             self._check_all(progress)
+            if not made_here:
+                self._check_schema()
             self._opened = opened.pop_all()
 
     # -- writing -----------------------------------------------------------------------------------------------------
@@ -238,6 +243,19 @@ class Ledger:
         found = verify_log(self.places, self.signer.verifier, progress=progress)
         if not found.ok:
             raise RecordDamaged(self.places.database, f"at event `{found.first_bad}`: {found.problem}")
+
+    def _check_schema(self) -> None:
+        """Compare the database with what the migrations make: its triggers keep the log, one more could hide events.
+
+        It comes last, so that a log that is damaged itself is said to be.
+        """
+        reader = Reader(self.places.database)
+        try:
+            problems = schema_problems(reader)
+        finally:
+            reader.close()
+        if problems:
+            raise RecordDamaged(self.places.database, problems[0])
 
     def _check_outside(self) -> None:
         """Compare the end of the checkpoint file with the database, and write the note that a crash kept from it."""

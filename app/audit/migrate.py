@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from alembic import command
 from alembic.config import Config
+from alembic.script import ScriptDirectory
 
 from app.audit.tables import BEGIN_WRITE
 
@@ -29,20 +31,40 @@ def migrations_folder() -> Path:
     raise FileNotFoundError(f"no migrations in `{places[0]}` nor in `{places[1]}`")
 
 
-def migrate(connection: Connection) -> None:
-    """Run the missing revisions in one transaction on an autocommit connection.
+def configuration() -> Config:
+    """Return what Alembic has to know.
+
+    Raises:
+        FileNotFoundError: the revisions are not installed.
+    """
+    config = Config()
+    config.set_main_option("script_location", str(migrations_folder()).replace("%", "%%"))
+    config.set_main_option("path_separator", "os")
+    return config
+
+
+@cache
+def revisions() -> frozenset[str]:
+    """Return every revision's name.
+
+    Raises:
+        FileNotFoundError: the revisions are not installed.
+    """
+    return frozenset(script.revision for script in ScriptDirectory.from_config(configuration()).walk_revisions())
+
+
+def migrate(connection: Connection, revision: str = "head") -> None:
+    """Run the missing revisions, up to one, in one transaction on an autocommit connection.
 
     Raises:
         FileNotFoundError: the revisions are not installed.
         sqlalchemy.exc.SQLAlchemyError, alembic.util.CommandError: a revision failed; the database is as it was.
     """
-    config = Config()
-    config.set_main_option("script_location", str(migrations_folder()).replace("%", "%%"))
-    config.set_main_option("path_separator", "os")
+    config = configuration()
     config.attributes["connection"] = connection
     connection.exec_driver_sql(BEGIN_WRITE[connection.dialect.name])
     try:
-        command.upgrade(config, "head")
+        command.upgrade(config, revision)
     except BaseException:
         connection.exec_driver_sql("ROLLBACK")
         raise

@@ -36,6 +36,9 @@ EXTENT = sa.select(
     sa.select(sa.func.max(checkpoints.c.size)).scalar_subquery().label("signed"),
 )
 
+SCHEMA = sa.text("SELECT type, name, tbl_name, sql FROM sqlite_master")
+REVISION = sa.text("SELECT version_num FROM alembic_version")
+
 
 class Page(NamedTuple):
     """Some rows, newest first, and the cursor that continues behind them, if there are more."""
@@ -175,6 +178,23 @@ class Reader:
         columns = (checkpoints.c[name] for name in Batch._fields)
         query = sa.select(*columns).where(checkpoints.c.size > after, checkpoints.c.size <= until)
         return [Batch(*row) for row in self._all(query.order_by(checkpoints.c.size).limit(limit))]
+
+    def schema(self) -> list[tuple[str, str, str, str | None]]:
+        """Return what the database is made of: kind, name, table and statement of each part.
+
+        Raises:
+            RecordDamaged: the database cannot be read.
+        """
+        return [(str(kind), str(name), str(table), sql) for kind, name, table, sql in self._all(SCHEMA)]
+
+    def revision(self) -> str:
+        """Return the revision that the database says its tables are of; no text where it says none.
+
+        Raises:
+            RecordDamaged: the database cannot be read.
+        """
+        rows = self._all(REVISION)
+        return str(rows[0][0]) if len(rows) == 1 else ""
 
     def faults(self, limit: int, *, within_s: float | None = None) -> list[str] | None:
         """Return the first faults SQLite finds in its file: damaged pages, and indexes that disagree with their tables.

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from app.audit.event import RowWrite
 
 MAX_TOGETHER_BYTES = 64 * 1024 * 1024  # SQLite takes a billion in one parameter
+NOT_THERE = "what was written to the table `{}` is not there"
 NUL = "\\u0000"  # ends a text where SQLite reads JSON
 UPSERT = {"sqlite": sqlite.insert, "postgresql": postgresql.insert}
 WORDS: Mapping[type, str] = {str: "text in UTF-8", int: "an integer of 64 bits", bytes: "bytes"}
@@ -104,6 +105,7 @@ class Insertion:
         self.table = table.name
         self._text = str(compiled)
         self.names: tuple[str, ...] = tuple(compiled.positiontup)
+        self._keys = tuple((column.name, self.names.index(column.name)) for column in table.primary_key.columns)
         self._bytes = tuple(table.c[name].type.python_type is bytes for name in self.names)
 
     def of(self, rows: Sequence[Mapping[str, Any]]) -> Writing:
@@ -149,6 +151,18 @@ class Insertion:
         # `WHERE true`, so that the ON of a conflict is not taken for a join's.
         return f"{head} SELECT {', '.join(found)} FROM json_each({text}) WHERE true{rest}"  # noqa: S608
 
+    def missing(self, text: str) -> str:
+        """Return where rows come from that `pack` returned as JSON and whose keys the table does not hold."""
+        fields = [place + sum(self._bytes[:place]) for _, place in self._keys]
+        same = [f"kept.{name} = given.value ->> {field}" for (name, _), field in zip(self._keys, fields, strict=True)]
+        there = f"EXISTS (SELECT 1 FROM {self.table} AS kept WHERE {' AND '.join(same) or 'true'})"  # noqa: S608
+        return f"FROM json_each({text}) AS given WHERE NOT {there}"
+
+    def holding(self, row: Sequence[Any]) -> tuple[str, list[Any]]:
+        """Return the query for the key of a row, and what it takes."""
+        same = " AND ".join(f"{name} = ?" for name, _ in self._keys) or "true"
+        return f"SELECT 1 FROM {self.table} WHERE {same}", [row[place] for _, place in self._keys]  # noqa: S608
+
 
 class Batches:
     """Writes rows of several tables in one transaction, in one step of the database where that can be.
@@ -156,11 +170,15 @@ class Batches:
     Between any two steps the driver takes the interpreter, and the event loop that had it has to wait until it gets it
     back: row by row, a batch costs the loop more in waiting than it costs to write. So SQLite gets all of a batch at
     once, inserted into a view of this connection whose triggers know where it belongs.
+
+    A trigger that somebody else put into the file can leave a row out without a word (`RAISE(IGNORE)`). So every key
+    has to be there before the transaction ends, or the batch fails as on a disk that takes no more.
     """
 
     def __init__(self, connection: sa.Connection, insertions: Sequence[Insertion]) -> None:
         """Tell the database what belongs where. Raises `sqlalchemy.exc.SQLAlchemyError`."""
         self._connection = connection
+        self._insertions = {insertion.table: insertion for insertion in insertions}
         self._begin = BEGIN_WRITE[connection.dialect.name]
         columns: list[str] = []
         for insertion in insertions:
@@ -170,14 +188,15 @@ class Batches:
             given = f"new.{insertion.table}"
             connection.exec_driver_sql(
                 f"CREATE TEMP TRIGGER batch_{insertion.table} INSTEAD OF INSERT ON batch WHEN {given} IS NOT NULL"
-                f" BEGIN {insertion.unpacking(given, f'{given}_bytes')}; END"
+                f" BEGIN {insertion.unpacking(given, f'{given}_bytes')};"
+                f" SELECT RAISE(ABORT, '{NOT_THERE.format(insertion.table)}') {insertion.missing(given)}; END"
             )
 
     def write(self, writings: Sequence[Writing]) -> None:
         """Write and commit; each table at most once.
 
         Raises:
-            Exception: the driver's own error. A transaction may be left open.
+            Exception: the driver's own error, or OSError; a transaction may be left open.
         """
         parameters: list[str | bytes] = []
         for writing in writings:
@@ -196,6 +215,9 @@ class Batches:
         try:
             for writing in writings:
                 cursor.executemany(writing.text, writing.rows)
+                insertion = self._insertions[writing.table]
+                if any(cursor.execute(*insertion.holding(row)).fetchone() is None for row in writing.rows):
+                    raise OSError(NOT_THERE.format(writing.table))
         finally:
             cursor.close()
         execute(self._connection, "COMMIT")

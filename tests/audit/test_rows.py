@@ -97,6 +97,24 @@ def test_the_last_row_of_a_key_stays_and_all_of_a_batch_or_none_is_written(opene
     assert (opened.taken(NOTES), opened.taken(THINGS)) == ([], [])
 
 
+@pytest.mark.parametrize("content", ["plain", "not\0plain"])
+def test_a_row_that_a_trigger_of_somebody_else_leaves_out_fails_the_batch(opened: Opened, content: str) -> None:
+    fine = opened.things.in_order([(content, 1, b"x", None)])
+    left_out = opened.notes.in_order([("1", "one"), ("2", "two")])
+    opened.connection.exec_driver_sql(
+        "CREATE TRIGGER foreign_one BEFORE INSERT ON notes WHEN new.id = '2' BEGIN SELECT RAISE(IGNORE); END"
+    )
+    try:
+        with pytest.raises((IntegrityError, OSError), match="what was written to the table `notes` is not there"):
+            opened.batches.write([fine, left_out])
+        opened.connection.connection.rollback()
+    finally:
+        opened.connection.exec_driver_sql("DROP TRIGGER foreign_one")
+    assert (opened.taken(NOTES), opened.taken(THINGS)) == ([], [])
+    opened.batches.write([fine, left_out])
+    assert (len(opened.taken(NOTES)), len(opened.taken(THINGS))) == (2, 1)
+
+
 def test_no_rows_are_no_step(opened: Opened) -> None:
     opened.steps.clear()
     opened.batches.write([])

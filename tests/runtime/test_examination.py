@@ -100,8 +100,8 @@ async def test_says_that_there_was_not_the_time_to_read_the_database(house: Hous
     await drive(house)
     places = Places(house.folder)
     with closing(sqlite3.connect(places.database)) as database, database:
-        database.execute("CREATE TABLE ballast (filler TEXT UNIQUE)")
-        database.executemany("INSERT INTO ballast VALUES (?)", ((f"{number}",) for number in range(20_000)))
+        ballast = ((f"ballast/{number}",) for number in range(20_000))
+        database.executemany("INSERT INTO settings VALUES (?, x'', '')", ballast)
     found = examine(places, load_verifier(places), within_s=0.0)
     assert (found.database, found.ok) == (None, True)
     assert examine_file(house.folder).database == ()
