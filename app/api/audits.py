@@ -163,7 +163,7 @@ async def telemetry(request: Request, id: Identifier, query: Annotated[Telemetry
         async with parts.replaying:  # decoding is work: one at a time
             found = await asyncio.to_thread(read_telemetry, parts.store.places.telemetry, event, limit=query.rows)
     except RecordDamaged as error:
-        detail = f"the telemetry of `{id}` is not what was recorded: {error.__cause__}"
+        detail = f"the telemetry of `{id}` is not what was recorded: {error.problem}"
         raise Problem("telemetry_damaged", detail) from error
     if found is None:
         raise _no_telemetry(id, query.part)

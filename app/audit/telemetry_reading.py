@@ -12,7 +12,6 @@ from time import sleep
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 import orjson
-from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from app.audit.archive import telemetry_problem
@@ -106,12 +105,13 @@ def read_telemetry(folder: Path, event: Event, *, limit: int) -> Recording | Non
     try:
         rows = said.get("rows")
         taken = _Taken(limit, rows if isinstance(rows, int) else 0)
-        for number, (at_ns, row) in enumerate(_messages(path, TOPIC)):
-            taken.take(number, at_ns, row)
+        for place, (at_ns, row) in enumerate(_messages(path, TOPIC)):
+            taken.take(place, at_ns, row)
         seen = [moment for _, moment in _messages(path, SCENE)]
         people, bodies = _people(seen, limit), _ways(seen, limit)
-    except (McapError, OSError, ValueError, TypeError, KeyError, EOFError) as error:
-        raise RecordDamaged(path, f"cannot be read as telemetry: {error}") from error
+    except Exception as error:  # of bytes that anybody may have put there, parsers that are not ours raise anything
+        problem = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise RecordDamaged(path, f"cannot be read as telemetry: {problem}") from error
     return Recording(
         file=path.name,
         sha256=str(said.get("sha256", "")),
@@ -128,8 +128,8 @@ def read_telemetry(folder: Path, event: Event, *, limit: int) -> Recording | Non
 
 def _people(seen: Sequence[Mapping[str, Any]], limit: int) -> People:
     kept = _thinned(seen, limit)
-    tracks = [[(one["id"], one["x_m"], one["y_m"]) for one in moment["people"]] for moment in kept]
-    return People([moment["time_s"] for moment in kept], tracks)
+    tracks = [[(int(one["id"]), number(one["x_m"]), number(one["y_m"])) for one in moment["people"]] for moment in kept]
+    return People([number(moment["time_s"]) for moment in kept], tracks)
 
 
 def _ways(seen: Sequence[Mapping[str, Any]], limit: int) -> dict[str, Way]:
@@ -138,7 +138,10 @@ def _ways(seen: Sequence[Mapping[str, Any]], limit: int) -> dict[str, Way]:
         for name, pose in moment["bodies"].items():
             moves.setdefault(name, []).append((moment["time_s"], pose))
     kept = {name: _thinned(found, limit) for name, found in moves.items()}
-    return {name: Way([at for at, _ in found], [pose for _, pose in found]) for name, found in kept.items()}
+    return {
+        name: Way([number(at) for at, _ in found], [[number(part) for part in pose] for _, pose in found])
+        for name, found in kept.items()
+    }
 
 
 def _thinned(items: Sequence[T], limit: int) -> list[T]:
@@ -157,20 +160,32 @@ class _Taken:
         self.columns: dict[str, list[float | None]] = {}
         self._expected = expected
 
-    def take(self, number: int, at_ns: int, row: dict[str, float | None]) -> None:
-        if number == 0:
+    def take(self, place: int, at_ns: int, row: dict[str, float | None]) -> None:
+        if place == 0:
             self.start_ns = at_ns
             self.columns = {name: [] for name in row}
-        self.count = number + 1
-        if number % self.every and self.count != self._expected:
+        self.count = place + 1
+        if place % self.every and self.count != self._expected:
             return
         for name, values in self.columns.items():
-            values.append(row.get(name))
+            value = row.get(name)
+            values.append(None if value is None else number(value))
+
+
+def number(value: object) -> float:
+    """Return a number as it stands.
+
+    Raises:
+        TypeError: it is none.
+    """
+    if type(value) is float or type(value) is int:
+        return value
+    raise TypeError(f"`{str(value)[:40]}` is no number")
 
 
 def _messages(path: Path, topic: str) -> Iterator[tuple[int, dict[str, Any]]]:
     with path.open("rb") as file:
-        for number, (_, _, message) in enumerate(make_reader(file).iter_messages(topics=[topic])):
-            if number % PAUSE_EVERY == 0:
+        for place, (_, _, message) in enumerate(make_reader(file).iter_messages(topics=[topic])):
+            if place % PAUSE_EVERY == 0:
                 sleep(PAUSE_S)
             yield message.log_time, cast("dict[str, Any]", orjson.loads(message.data))

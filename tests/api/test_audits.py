@@ -4,6 +4,7 @@ import asyncio
 import json
 import math
 import sqlite3
+from collections import Counter
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from urllib.parse import urlsplit
 
 import httpx
 import pytest
+from mcap.writer import Writer
 
 from app.api import audits
 from app.audit.event import EventDraft
@@ -231,6 +233,37 @@ async def test_telemetry_says_when_its_file_is_not_the_one_recorded(house: House
     assert (found["rows"], found["intact"]) == (30, False)
     assert (broken.status_code, broken.json()["code"]) == (500, "telemetry_damaged")
     assert str(house.folder) not in broken.text
+
+
+@pytest.mark.parametrize("topic", ["/telemetry", "/scene"])
+@pytest.mark.parametrize("message", [b"[1]", b"7", b"{", b'{"bodies": [], "people": [1], "time_s": 0}', b'{"a": 1}'])
+async def test_telemetry_of_another_make_is_called_damaged(house: House, topic: str, message: bytes) -> None:
+    path = await record(house, "inv_foreign", 20)
+    with path.open("wb") as file:
+        foreign = Writer(file)
+        foreign.start()
+        said = foreign.register_channel(topic, "json", foreign.register_schema("any", "jsonschema", b"{}"))
+        for _ in range(2):
+            foreign.add_message(said, log_time=0, data=message, publish_time=0)
+        foreign.finish()
+    async with house.client("auditor") as auditor:
+        answer = await auditor.get("/v1/audit/telemetry/inv_foreign")
+    code = None if (topic, message) == ("/telemetry", b'{"a": 1}') else "telemetry_damaged"
+    assert (answer.status_code, answer.json().get("code")) == (500 if code else 200, code)
+
+
+@pytest.mark.parametrize("wiped", [1, 8, 200])
+async def test_telemetry_with_bytes_wiped_out_anywhere_is_read_or_called_damaged(house: House, wiped: int) -> None:
+    path = await record(house, "inv_wiped", 20)
+    whole = path.read_bytes()
+    codes: Counter[str | None] = Counter()
+    async with house.client("auditor") as auditor:
+        for start in range(0, len(whole), 41):
+            path.write_bytes(whole[:start] + bytes(wiped) + whole[start + wiped :])
+            answer = await auditor.get("/v1/audit/telemetry/inv_wiped?rows=5")
+            assert answer.status_code == 200 or answer.json()["code"] == "telemetry_damaged", start
+            codes[answer.json().get("code")] += 1
+    assert codes["telemetry_damaged"] > 10, "a file is no longer damaged by what was wiped out"
 
 
 async def test_telemetry_is_downloaded_byte_for_byte(house: House) -> None:
