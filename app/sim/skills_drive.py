@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 RECOVERY_BASE_SPEED_MPS, RECOVERY_TCP_SPEED_MPS = 0.20, 0.12
 RETREAT_M, REDOCK_WITHIN_M = 0.30, 0.6
+_LOOKS = 20  # along the way back
 
 
 def navigate_to(body: Body, params: Mapping[str, Json]) -> Moves:
@@ -35,22 +36,26 @@ def transport_object(body: Body, params: Mapping[str, Json]) -> Moves:
 
 
 def safe_retreat(body: Body, params: Mapping[str, Json]) -> Moves:
-    """Draw the arm in and back straight off."""
+    """Draw the arm in and back straight off; the speed is the base's, and the arm is no faster either."""
     distance = number(params, "distance_m", RETREAT_M)
     x, y, yaw = body.senses.believed_pose()
     floor = FloorMap(body.senses.site, body.senses.perception.crates, 0.0, (x, y))
-    steps = [k for k in range(1, 21) if floor.free(x - k * distance / 20 * cos(yaw), y - k * distance / 20 * sin(yaw))]
-    if not steps or steps[-1] != 20:
+    shares = [k * distance / _LOOKS for k in range(1, _LOOKS + 1)]
+    free = [floor.free(x - share * cos(yaw), y - share * sin(yaw)) for share in shares]
+    if not free[-1] or False in free[free.index(True) :]:  # it may begin beside a bench, but not come up to anything
         raise SubstrateError("no_path", f"no room for {distance:.2f} m behind the base")
     goal = (x - distance * cos(yaw), y - distance * sin(yaw), yaw)
     body.carrying = body.holding
-    return _go(
-        body, goal, [(x, y), goal[:2]], number(params, "speed_mps", RECOVERY_BASE_SPEED_MPS), RECOVERY_TCP_SPEED_MPS
-    )
+    speed = number(params, "speed_mps", RECOVERY_BASE_SPEED_MPS)
+    return _go(body, goal, [(x, y), goal[:2]], speed, min(speed, RECOVERY_TCP_SPEED_MPS))
 
 
 def reposition_base(body: Body, params: Mapping[str, Json]) -> Moves:
-    """Stand anew: by the given shift relative to the base, or exactly on the nearest stand."""
+    """Stand anew: by the given shift relative to the base, or exactly on the stand that is near.
+
+    Where none is near, the base stays: the arm is drawn in, and the position settles before what failed is tried anew.
+    The way is straight and as near to a bench as the stand is, so there is no clearance to keep.
+    """
     pose = body.senses.believed_pose()
     dx, dy = number(params, "dx_m", 0.0), number(params, "dy_m", 0.0)
     goal = (*to_world(pose, dx, dy), pose[2])

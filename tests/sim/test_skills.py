@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import dist
+from math import cos, dist, sin
 
 import pytest
 
@@ -50,6 +50,37 @@ def test_going_back_keeps_to_its_own_limit_on_wheels_too(site: Site) -> None:
     assert ran.done, ran.detail
     assert dist(cell.truth().base[:2], start[:2]) < 0.1
     assert 0.05 < ran.base_speed_mps <= 0.1 * 1.05
+
+
+def test_a_retreat_looks_at_its_whole_way(site: Site) -> None:
+    cell = make_workcell(site, cell_id="back", seed=FIRST)
+    x, y, yaw = cell.truth().base
+    cell.perception.crates[:] = [(x - 1.3 * cos(yaw), y - 1.3 * sin(yaw))]  # the way begins and ends in the free
+    ran = run_skill(cell, "safe_retreat", {"distance_m": 2.6})
+    assert (ran.failure, ran.seconds) == ("no_path", 0.0), ran.detail
+    cell.perception.crates.clear()
+    assert run_skill(cell, "safe_retreat", {}).done
+    assert dist(cell.truth().base[:2], (x, y)) == pytest.approx(0.3, abs=0.05)
+
+
+def test_a_slow_retreat_is_slow_with_the_arm_too(site: Site) -> None:
+    cell = make_workcell(site, cell_id="slow", seed=FIRST)
+    assert run_skill(
+        cell, "grasp_object", {"object_id": "mug_1", "force_n": 40.0, "speed_mps": 0.25}, limit_s=4.0
+    ).phases
+    ran = run_skill(cell, "safe_retreat", {"speed_mps": 0.05}, limit_s=60.0)
+    assert ran.done, ran.detail
+    assert 0.02 < ran.tcp_speed_mps <= 0.05 * 1.05
+    assert ran.base_speed_mps <= 0.05 * 1.05
+
+
+def test_a_base_far_from_every_stand_stays_where_it_is_to_be_tried_anew(site: Site) -> None:
+    cell = make_workcell(site, cell_id="far", seed=FIRST)
+    assert run_skill(cell, "navigate_to", {"x_m": 2.6, "y_m": 3.6, "yaw_rad": 1.57, "speed_mps": 0.6}).done
+    before = cell.truth().base
+    ran = run_skill(cell, "reposition_base", {})
+    assert ran.done, ran.detail
+    assert dist(cell.truth().base[:2], before[:2]) < 0.05
 
 
 def test_a_way_longer_than_its_record_is_not_gone_back(site: Site) -> None:
