@@ -115,7 +115,7 @@ def test_a_clearance_takes_the_place_of_the_models_lesser_one():
     assert "personal-care/clearance" not in policy.rules
     held = policy.rules["personal-care/personal-care-clearance"]
     assert held.settings[0].minimum == 0.5
-    assert held.applies_to == frozenset({"navigate_to", "transport_object", "reposition_base"})
+    assert held.applies_to == frozenset({"navigate_to", "transport_object"})
     wider, _ = made("personal-care", clearance_m="0.2")
     assert "personal-care/clearance" in wider.rules
 
