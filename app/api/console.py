@@ -113,7 +113,14 @@ class Jog(Word):
     grip: Literal["open", "close"] | None = None
 
 
-Words: TypeAlias = Annotated[Hello | Watch | Ack | Ping | Jog, Field(discriminator="type")]
+class Estop(Word):
+    """The emergency stop of a cell: what `POST /v1/cells/{id}/estop` does, on a line that is open already."""
+
+    type: Literal["estop"]
+    cell: Annotated[str, Field(max_length=128)]
+
+
+Words: TypeAlias = Annotated[Hello | Watch | Ack | Ping | Jog | Estop, Field(discriminator="type")]
 _WORDS: Final[TypeAdapter[Words]] = TypeAdapter(Words)
 
 
@@ -200,6 +207,8 @@ class Console:
         taken, since_s = 0, monotonic_s()
         while True:
             word = await _receive(self._socket)
+            if isinstance(word, Estop):
+                await self._stop(word)  # before anybody counts what was said
             self._pay(WATCH_COSTS if isinstance(word, Watch) else WORD_COSTS)
             self._take(word)
             taken += 1
@@ -226,8 +235,19 @@ class Console:
                 self._parts.fleet.screens.watch(self._outlet, word.cells)
             case Jog():
                 self._jog(word)
+            case Estop():
+                pass  # done when it came
             case Hello():
                 raise NotAWord("`hello` was said already: valid once, first")
+
+    async def _stop(self, word: Estop) -> None:
+        """Stop a cell and latch it; of one that is latched, or that there is not, nothing is done or recorded.
+
+        A console that says it here says it over HTTP too, where it is answered.
+        """
+        fleet = self._parts.fleet
+        if fleet.knows(word.cell) and not fleet.cell(word.cell).latched:
+            await self._parts.governor.estop(word.cell, self._principal)
 
     def _jog(self, word: Jog) -> None:
         """Pass a hold-to-run command on at once, and say what becomes of them whenever that changes."""

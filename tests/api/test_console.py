@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Any, NamedTuple
 
+import httpx
 import orjson
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
@@ -349,6 +350,31 @@ async def test_a_cell_that_comes_and_goes_and_latches_is_shown(house: House) -> 
             await operator.post(f"/v1/cells/{CELL}/reset")
             await screen.until(lambda message: says(message, latched=False))
         await screen.until(lambda message: says(message, online=False))
+
+
+@pytest.mark.parametrize("key", ["operator", "engineer", "auditor"])
+async def test_a_stop_said_here_is_that_of_http_and_said_again_changes_nothing(house: House, key: str) -> None:
+    async def stops(operator: httpx.AsyncClient) -> list[dict[str, Any]]:
+        events = (await operator.get(f"/v1/audit/events?kind=human&after={before}")).json()["items"]
+        return [event for event in events if event["body"]["op"] == "estop"]
+
+    async with house.cell() as cell, signed_in(house, key) as screen, house.client("operator") as operator:
+        before = (await screen.until_type("snapshot"))["seq"]
+        await screen.say(type="estop", cell="workcell-9")  # there is none: the console stays
+        for _ in range(3):
+            await screen.say(type="estop", cell=CELL)
+        await eventually(lambda: cell.latched)
+        await screen.say(type="ping", at_ms=0.0)
+        await screen.until_type("pong")
+        (said,) = await stops(operator)
+        assert (await operator.post(f"/v1/cells/{CELL}/reset")).status_code == 200
+        async with house.client(key) as anyone:
+            assert (await anyone.post(f"/v1/cells/{CELL}/estop")).status_code == 200
+        _, posted = await stops(operator)
+        assert [said[name] for name in ("kind", "actor", "invocation", "body")] == [
+            posted[name] for name in ("kind", "actor", "invocation", "body")
+        ]
+        assert (await operator.post(f"/v1/cells/{CELL}/reset")).status_code == 200
 
 
 async def test_an_escalation_appears_and_its_answer_too(shared_house: House) -> None:

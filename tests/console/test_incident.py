@@ -208,13 +208,14 @@ def test_a_stop_from_the_fleet_page_that_is_not_confirmed_is_told_on_every_page_
     expect(card).to_contain_text("STOP AGAIN")
     expect(card).to_contain_text("Not confirmed.")
     expect(person.region("workcell-1")).not_to_contain_text("STOP AGAIN")
+    until(lambda: cells_of(server)[1]["latched"], what="the stop of the other cell, said on the socket")
     person.press("1")
     expect(person.region("The cell in 3D")).to_be_visible()
     expect(said).to_be_visible()
     expect(stop(person)).to_have_accessible_name("Emergency stop: stop workcell-1")  # which is not what failed
     person.page.unroute(door)
     expect(said).to_have_count(0)
-    until(lambda: cells_of(server)[1]["latched"], what="the stop of the other cell")
+    assert cells_of(server)[1]["latched"]
     assert not cells_of(server)[0]["latched"]
     assert server.post("/v1/cells/workcell-2/reset").is_success
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Route, expect
 
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import Floor, People
@@ -129,6 +129,16 @@ def test_a_trace_follows_its_session_and_is_scrubbed_with_its_events(
     with person.page.expect_download() as saved:
         person.button(re.compile("JSON")).click()
     assert drive["id"] in saved.value.suggested_filename
+    held: list[Route] = []
+    person.page.route("**/mcap?*", lambda route: held.append(route))  # noqa: PLW0108  # Playwright marks it
+    for _ in range(7):  # a browser has no more than six connections for all of this
+        person.button("MCAP").click(force=True)
+    person.press(".")
+    until(lambda: server.cell()["latched"] or person.page.wait_for_timeout(20), what="the stop")
+    assert len(held) == 1
+    with person.page.expect_download():
+        held[0].continue_()
+    expect(person.button("MCAP")).to_be_enabled()
 
 
 def test_an_answer_of_policy_is_marked_once_its_question_has_changed(server: ServerProcess, people: People) -> None:

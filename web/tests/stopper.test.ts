@@ -1,7 +1,7 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
 import { ApiError } from '../src/lib/api/client';
 import type { Cell } from '../src/lib/api/documents';
-import { Stopper } from '../src/lib/state/stopper.svelte';
+import { OTHER_LINE_MS, Stopper } from '../src/lib/state/stopper.svelte';
 
 const ONE = 'workcell-1';
 const OTHER = 'workcell-2';
@@ -10,11 +10,13 @@ describe('a stop that is pressed', () => {
   let sent: string[];
   let answer: () => Promise<Cell>;
   let down: boolean;
+  let elsewhere: string[];
   let stopper: Stopper;
 
   beforeEach(() => {
     vi.useFakeTimers({ now: 0 });
     sent = [];
+    elsewhere = [];
     down = false;
     answer = () => new Promise((_, reject) => setTimeout(() => reject(new Error('The server did not answer.')), 1_500));
     stopper = new Stopper(
@@ -23,6 +25,7 @@ describe('a stop that is pressed', () => {
         return answer();
       },
       () => down,
+      (cell) => elsewhere.push(cell),
     );
   });
   afterEach(() => {
@@ -52,6 +55,24 @@ describe('a stop that is pressed', () => {
     answer = () => Promise.resolve({ id: ONE } as Cell);
     await vi.advanceTimersByTimeAsync(2_000);
     expect(stopper.of(ONE).phase).toBe('idle');
+  });
+
+  it('is said on the other line where it is not answered soon, or not at all, and nowhere else', async () => {
+    void stopper.press(ONE);
+    await vi.advanceTimersByTimeAsync(OTHER_LINE_MS);
+    expect(elsewhere).toEqual([ONE]);
+    answer = () => Promise.reject(new ApiError({ code: 'unreachable', title: 'No answer', status: 0, detail: 'no answer' }));
+    await vi.advanceTimersByTimeAsync(2_000);
+    expect(elsewhere.length).toBeGreaterThan(2);
+    answer = () => Promise.resolve({ id: ONE } as Cell);
+    void stopper.press(OTHER);
+    await vi.advanceTimersByTimeAsync(5_000);
+    expect(elsewhere).not.toContain(OTHER);
+  });
+
+  it('is one of a cell of whatever name', () => {
+    void stopper.press('constructor');
+    expect([sent, stopper.of('constructor').phase, stopper.of('toString').phase]).toEqual([['constructor'], 'sending', 'idle']);
   });
 
   it('goes out at once when it is pressed again between two attempts, and is still called not confirmed', async () => {

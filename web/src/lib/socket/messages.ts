@@ -60,6 +60,7 @@ export type Up =
   | { type: 'ack'; cell: number; frame: number }
   | { type: 'ack'; beat: number }
   | { type: 'ping'; at_ms: number }
+  | { type: 'estop'; cell: string }
   | Jog;
 
 export const CLOSED: Record<number, string> = {

@@ -161,6 +161,11 @@ export class Console {
     };
   }
 
+  /** Says the stop on the socket, which waits for no other request; nothing answers there. */
+  stop(cell: string): void {
+    this.link.send({ type: 'estop', cell });
+  }
+
   jog(command: Jog): void {
     this.link.send(command);
   }

@@ -1,7 +1,10 @@
 import { ApiError } from '../api/client';
 import type { Cell } from '../api/documents';
+import { entryOf } from '../format/entry';
 
 const TRY_AGAIN_MS = 250;
+/** By then a server that is heard has answered; who is not answered says the stop on another line, too. */
+export const OTHER_LINE_MS = 100;
 const LINK_DOWN = 'The link is down.';
 
 /** `sending`: for the first time, and nobody knows yet; `failed`: not confirmed, whether or not it is still sent. */
@@ -24,19 +27,23 @@ const NONE: Stop = { phase: 'idle', why: '', trying: false };
 export class Stopper {
   private stops = $state.raw<Record<string, Stop>>({});
   private presses = 0;
-  /** Of each cell, the press that is being sent, 0 for none; none is given up for another cell's. */
-  private newest: Record<string, number> = {};
-  /** Of each cell, the press that waits for the server's answer; 0: none. */
-  private asked: Record<string, number> = {};
+  /* eslint-disable svelte/prefer-svelte-reactivity -- nothing is drawn from these */
+  /** Of each cell, the press that is being sent; none is given up for another cell's. */
+  private readonly newest = new Map<string, number>();
+  /** Of each cell, the press that waits for the server's answer. */
+  private readonly asked = new Map<string, number>();
+  /* eslint-enable svelte/prefer-svelte-reactivity */
 
   constructor(
     private readonly estop: (cell: string) => Promise<Cell>,
     private readonly linkDown: () => boolean = () => false,
+    /** Another line, which answers nothing; said twice, a stop is no other than said once. */
+    private readonly otherLine: (cell: string) => void = () => undefined,
   ) {}
 
   /** What became of the stop of this cell; idle where none was pressed, and once it is confirmed. */
   of(cell: string | null): Stop {
-    return (cell === null ? undefined : this.stops[cell]) ?? NONE;
+    return (cell === null ? undefined : entryOf(this.stops, cell)) ?? NONE;
   }
 
   /** The cells whose stop is not confirmed. */
@@ -45,17 +52,17 @@ export class Stopper {
   }
 
   async press(cell: string): Promise<void> {
-    if (this.newest[cell] && this.newest[cell] === this.asked[cell]) return;
+    if (this.newest.has(cell) && this.newest.get(cell) === this.asked.get(cell)) return;
     this.presses += 1;
     const press = this.presses;
-    this.newest[cell] = press;
+    this.newest.set(cell, press);
     this.begun(cell);
     // Until it is pressed again, or whoever pressed it knows that it failed.
-    while (this.newest[cell] === press) {
-      this.asked[cell] = press;
+    while (this.newest.get(cell) === press) {
+      this.asked.set(cell, press);
       const error = await this.send(cell);
-      if (this.newest[cell] !== press) return;
-      this.asked[cell] = 0;
+      if (this.newest.get(cell) !== press) return;
+      this.asked.delete(cell);
       if (error !== null) this.say(cell, { phase: 'failed', why: error.message, trying: !final(error) });
       if (error === null) this.dismiss(cell);
       if (error === null || final(error)) return;
@@ -65,7 +72,7 @@ export class Stopper {
 
   /** Whoever pressed it knows. */
   dismiss(cell: string): void {
-    this.newest[cell] = 0;
+    this.newest.delete(cell);
     this.stops = Object.fromEntries(Object.entries(this.stops).filter(([known]) => known !== cell));
   }
 
@@ -81,11 +88,15 @@ export class Stopper {
   }
 
   private async send(cell: string): Promise<Error | null> {
+    const late = setTimeout(() => this.otherLine(cell), OTHER_LINE_MS);
     try {
       await this.estop(cell);
       return null;
     } catch (error) {
+      if (!final(error)) this.otherLine(cell);
       return error instanceof Error ? error : new Error(String(error));
+    } finally {
+      clearTimeout(late);
     }
   }
 }
