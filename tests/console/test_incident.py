@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -249,6 +251,22 @@ def test_the_trace_of_another_cell_is_drawn_and_the_stop_stays_where_it_is(
     person.press("1")
     expect(person.region("The cell in 3D").locator("canvas")).to_be_visible()
     expect(person.page.get_by_text(re.compile(r"^[1-9]\d* Hz$"))).to_be_visible()
+    labels, note = person.page.locator(".live .labels"), person.page.locator(".live .scene .note")
+    expect(labels).to_contain_text("robot")
+    pid = server.cell_pid("workcell-2")
+    assert pid is not None
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        until(lambda: not server.cell("workcell-2")["online"], what="a cell that is not heard")
+        person.page.get_by_label("Cell", exact=True).select_option("workcell-2")
+        expect(note).to_have_text("No picture of workcell-2 has come yet.")
+        expect(labels).to_be_hidden()  # they are those of the cell that was looked at before
+        expect(person.page.locator(".live .session.stale")).to_be_visible()
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    expect(note).to_have_count(0)
+    expect(labels).to_contain_text("robot")
+    expect(person.page.locator(".live .stale")).to_have_count(0)
 
 
 def test_in_an_incident_on_a_phone_answers_and_stop_stay_in_reach(

@@ -1,5 +1,6 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
 import { Console } from '../src/lib/state/console.svelte';
+import { cell, scene } from './samples';
 
 /** The Worker that holds the socket; the test says what comes from it. */
 class PlayedWorker {
@@ -17,6 +18,16 @@ class PlayedWorker {
   }
   say(message: object): void {
     this.onmessage?.({ data: { is: 'message', message } });
+  }
+  up(): void {
+    this.onmessage?.({ data: { is: 'health', health: { state: 'up', rttMs: 1, framesPerS: 30, why: '' } } });
+  }
+  /** A frame of the cell at this place of those that are watched, in which nothing is. */
+  frame(at: number): void {
+    const buffer = new ArrayBuffer(28);
+    new Uint8Array(buffer).set(new TextEncoder().encode('RPF1'));
+    new DataView(buffer).setUint16(4, at, true);
+    this.onmessage?.({ data: { is: 'frame', buffer } });
   }
 }
 
@@ -94,5 +105,49 @@ describe('the policy that limits are drawn from', () => {
     page.end();
     await vi.advanceTimersByTimeAsync(10_000);
     expect(asked.length).toBe(1);
+  });
+});
+
+describe('the cell that is looked at', () => {
+  let page: Console;
+  const worker = (): PlayedWorker => PlayedWorker.newest;
+  const described = (cell: string): void => worker().say({ type: 'scene', cell, scene, bodies: [], gauges: [] });
+
+  beforeEach(() => {
+    vi.useFakeTimers({ now: 0 });
+    vi.stubGlobal('Worker', PlayedWorker);
+    vi.stubGlobal('location', { protocol: 'https:', host: 'here' });
+    vi.stubGlobal('sessionStorage', { getItem: () => null, setItem: () => undefined });
+    vi.stubGlobal('fetch', () => Promise.resolve(Response.json({ items: [] })));
+    page = new Console('secret');
+    const cells = [cell(), cell({ id: 'workcell-2' }), cell({ id: 'workcell-3', online: false })];
+    worker().up();
+    worker().say({ type: 'snapshot', seq: 1, cells, invocations: [], escalations: [], grants: [], reviews: [], events: [] });
+  });
+  afterEach(() => {
+    page.end();
+    vi.useRealTimers();
+    vi.unstubAllGlobals();
+  });
+
+  it('is the present once the first picture of it has come, and not before', () => {
+    expect([page.cell?.id, page.live, page.seen]).toEqual(['workcell-1', true, false]);
+    described('workcell-1');
+    expect(page.seen).toBe(false);
+    worker().frame(0);
+    expect(page.seen).toBe(true);
+  });
+
+  it('is never drawn as the one that was looked at before', () => {
+    described('workcell-1');
+    worker().frame(0);
+    page.select('workcell-2');
+    worker().frame(0); // on its way before the server knew
+    expect([page.seen, page.scene]).toEqual([false, null]);
+    described('workcell-2');
+    worker().frame(0);
+    expect(page.seen).toBe(true);
+    page.select('workcell-3');
+    expect([page.heard, page.seen, page.scene]).toEqual([false, false, null]);
   });
 });

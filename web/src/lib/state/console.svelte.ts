@@ -64,6 +64,8 @@ export class Console {
   private readonly link: Link;
   private readonly quiet = new Quiet();
   private quietly = $state(false);
+  /** Whether a picture of the cell that is looked at has come since it is looked at. */
+  private arrived = $state(false);
   private readonly attending: ReturnType<typeof setInterval>;
   private readonly looking: ReturnType<typeof setInterval>;
   /** Counts the requests for the policy: what an older one brings, or fails of, means nothing any more. */
@@ -104,7 +106,7 @@ export class Console {
 
   /** Whether poses and gauges may be taken as the present: they stop before the server calls the cell silent. */
   get seen(): boolean {
-    return this.heard && !this.quietly;
+    return this.heard && this.arrived && !this.quietly;
   }
 
   get cells(): Cell[] {
@@ -188,7 +190,10 @@ export class Console {
     const wanted = [first, this.also === first ? null : this.also].filter((cell) => cell !== null);
     if (wanted.join('\n') === this.watched.join('\n')) return;
     if (this.watched.length > 0) this.link.send({ type: 'watch', cells: [] }); // so that all are described anew
-    if (wanted[0] !== this.watched[0]) this.quiet.anew();
+    if (wanted[0] !== this.watched[0]) {
+      this.quiet.anew();
+      this.arrived = false;
+    }
     this.watched = wanted;
     this.described = [];
     this.scenes = of(wanted, this.scenes);
@@ -201,6 +206,7 @@ export class Console {
     if (cell === undefined || cell !== this.cell?.id || !this.described.includes(cell)) return;
     this.quiet.frame();
     this.quietly = false;
+    this.arrived = true;
     this.frameListeners.forEach((listen) => listen(frame));
   }
 
