@@ -24,7 +24,7 @@ from app.governance.control import GOING_ON
 LEASE_MS = 300
 BEAT_MS = 75
 STATE_MS = 100
-VERSION = 8
+VERSION = 9
 
 
 class Message(BaseModel):
@@ -319,7 +319,7 @@ CHANNELS = (
     "tcp_speed_mps", "contact_force_n", "peak_force_n", "grip_width_m", "grip_force_n", "slip_m",
     "residual_nm", "separation_m",
     "protective_separation_m", "zone_margin_m", "progress", "rate",
-    "q1_rad", "q2_rad", "q3_rad", "q4_rad", "q5_rad", "q6_rad",
+    "q1_rad", "q2_rad", "q3_rad", "q4_rad", "q5_rad", "q6_rad", "base_radius_m",
 )  # fmt: skip
 """Telemetry channels of one control tick, in order, all float32 but the first."""
 

@@ -103,6 +103,8 @@ def test_a_drive_is_shown_with_its_poses_limits_and_way(paced: ServerProcess) ->
         console.until(lambda: console.gauge("base_speed_mps") > 0.2, "a base that moves")
         assert console.gauge("base_speed_limit_mps") == pytest.approx(1.0)
         assert 0.0 < console.gauge("progress") < 1.0
+        assert console.gauge("base_radius_m") == pytest.approx(0.45)
+        assert math.hypot(console.gauge("tcp_x_m"), console.gauge("tcp_y_m")) > 0.1
         sitting = [
             cell["session"] for one in console.messages for cell in one.get("cells", []) if cell["busy"] == drive["id"]
         ]

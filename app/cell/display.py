@@ -24,9 +24,12 @@ if TYPE_CHECKING:
 GAUGES: Final = (
     "separation_m", "protective_separation_m", "zone_margin_m", "tcp_speed_mps", "tcp_speed_limit_mps",
     "base_speed_mps", "base_speed_limit_mps", "grip_force_n", "grip_force_limit_n", "contact_force_n",
-    "contact_force_limit_n", "progress", "rate",
+    "contact_force_limit_n", "progress", "rate", "base_radius_m", "tcp_x_m", "tcp_y_m",
 )  # fmt: skip
-"""The gauges of a frame, in order; limits bear the name of what they limit."""
+"""The gauges of a frame, in order; limits bear the name of what they limit.
+
+The last three say what separation is measured from: the hull, a disc around the base, and the tool, seen from the base.
+"""
 
 _ROW: Final = struct.Struct(f"<{len(GAUGES)}f")
 
@@ -53,7 +56,7 @@ def look(substrate: Substrate, seen: Observation, session: Governing | None, at_
     if session is None:
         return Moment(at_s, seen.tick, substrate.poses(), seen, None, None, ())
     run = session.run
-    numbers = Session(run.watching.measured, run.plan.bounds, run.report.progress, run.rate)
+    numbers = Session(run.watching.measured, run.plan.bounds, run.plan.base_radius_m, run.report.progress, run.rate)
     return Moment(at_s, seen.tick, substrate.poses(), seen, numbers, run.id, substrate.way())
 
 
@@ -124,8 +127,9 @@ def gauges(moment: Moment) -> tuple[float, ...]:
     Without a session nobody measures how near people and zones are, and nothing is limited.
     """
     seen, session = moment.seen, moment.session
+    tool_x_m, tool_y_m, _ = seen.tcp_m
     if session is None:
-        known = sensed(seen)
+        known = sensed(seen) | {"tcp_x_m": tool_x_m, "tcp_y_m": tool_y_m}
         return tuple(known.get(name, UNKNOWN) for name in GAUGES)
     signals, bounds = Signals._make(session.measured), session.bounds
     return (
@@ -142,6 +146,9 @@ def gauges(moment: Moment) -> tuple[float, ...]:
         bounds.contact_force_n,
         session.progress,
         session.rate,
+        session.base_radius_m,
+        tool_x_m,
+        tool_y_m,
     )
 
 

@@ -110,7 +110,7 @@ class Governing:
         )
         run.watching, series = watching, run.series
         _, progress, state, _ = report
-        series.add(telling.row(seen, watching.measured, progress, rate), alerted=bool(alerts))
+        series.add(telling.row(seen, watching.measured, progress, rate, run.plan.base_radius_m), alerted=bool(alerts))
         if len(series.ready) >= telling.BATCH_BYTES:
             self._send_rows()
         answering = alerts or run.speaking or run.responding is not NOTHING

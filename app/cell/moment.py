@@ -11,10 +11,14 @@ if TYPE_CHECKING:
 
 
 class Session(NamedTuple):
-    """The numbers of a session at one moment: what watching measured, the limits, how far and how fast it is."""
+    """The numbers of a session at one moment: what watching measured, the limits, how far and how fast it is.
+
+    `base_radius_m` is the hull that the watcher measures distances from.
+    """
 
     measured: tuple[float, ...]
     bounds: Bounds
+    base_radius_m: float
     progress: float
     rate: float
 

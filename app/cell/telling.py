@@ -290,13 +290,15 @@ def _finite(number: float) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def row(seen: Observation, measured: tuple[float, ...], progress: float, rate: float) -> bytes:
+def row(seen: Observation, measured: tuple[float, ...], progress: float, rate: float, base_radius_m: float) -> bytes:
     """Pack one control tick as `protocol.CHANNELS` lists it; `measured` are the values of `Signals`.
+
+    `base_radius_m` is the hull that separation was measured from.
 
     A reading that single precision cannot hold is kept as an infinite one: what judges it is the watcher, not this.
     """
     try:
-        return _packed(seen, measured, progress, rate)
+        return _packed(seen, measured, progress, rate, base_radius_m)
     except OverflowError:
         held = seen._replace(
             tcp_m=_held(seen.tcp_m),
@@ -306,14 +308,16 @@ def row(seen: Observation, measured: tuple[float, ...], progress: float, rate: f
             grip_width_m=single(seen.grip_width_m),
             grip_force_n=single(seen.grip_force_n),
         )
-        return _packed(held, _held(measured), single(progress), single(rate))
+        return _packed(held, _held(measured), single(progress), single(rate), base_radius_m)
 
 
 def _held(readings: tuple[float, ...]) -> Any:  # noqa: ANN401  # as many as there were
     return tuple(map(single, readings))
 
 
-def _packed(seen: Observation, measured: tuple[float, ...], progress: float, rate: float) -> bytes:
+def _packed(
+    seen: Observation, measured: tuple[float, ...], progress: float, rate: float, base_radius_m: float
+) -> bytes:
     tcp_x, tcp_y, tcp_z = seen.tcp_m
     q1, q2, q3, q4, q5, q6 = seen.joint_rad  # by name: a starred argument costs a third more
     (
@@ -347,4 +351,5 @@ def _packed(seen: Observation, measured: tuple[float, ...], progress: float, rat
         q4,
         q5,
         q6,
+        base_radius_m,
     )

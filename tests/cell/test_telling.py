@@ -21,7 +21,7 @@ def test_a_row_holds_every_channel_in_its_place() -> None:
         grip_width_m=0.05,
         grip_force_n=60.0,
     )
-    row = dict(zip(CHANNELS, ROW.unpack(telling.row(one, tuple(signals), 0.25, 0.75)), strict=True))
+    row = dict(zip(CHANNELS, ROW.unpack(telling.row(one, tuple(signals), 0.25, 0.75, 0.45)), strict=True))
     said = {
         **{name: value for name, value in one._asdict().items() if name in CHANNELS},
         **dict(zip(("tcp_x_m", "tcp_y_m", "tcp_z_m"), one.tcp_m, strict=True)),
@@ -30,5 +30,6 @@ def test_a_row_holds_every_channel_in_its_place() -> None:
         "tcp_speed_mps": one.tcp_speed_mps,
         "progress": 0.25,
         "rate": 0.75,
+        "base_radius_m": 0.45,
     }
     assert row == pytest.approx(said)
