@@ -90,9 +90,15 @@ def test_who_comes_to_a_robot_that_holds_sees_the_violated_distance_in_red(
     approached: ServerProcess, people: People
 ) -> None:
     person = people.sit(approached)
+    scene = person.region("The cell in 3D")
+    figure = scene.locator(".labels [data-tone=danger]")
     for _ in range(3):  # whether the picture or the first measurement comes first
-        expect(person.region("The cell in 3D")).to_contain_text("to a person. Robot needs")
+        expect(scene).to_contain_text("to a person. Robot needs")
         until(lambda: drawn(person) > MUCH, what="a cell that is drawn")
+        until(
+            lambda: figure.text_content() == scene.locator(".headline strong").text_content(),
+            what="the distance the watcher measured, beside the line to whom it is to",
+        )
         until(lambda: red(person) > RING_PX, within_s=10.0, what="a red ring around the robot")
         person.page.reload()
 

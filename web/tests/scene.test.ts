@@ -2,6 +2,7 @@ import { PerspectiveCamera, Vector3 } from 'three';
 import { within } from '../src/lib/scene/labels';
 import { describe, expect, it } from 'vitest';
 import { fitted } from '../src/lib/scene/camera';
+import { gapTo, guardAt, leastGap, outline, type Guard, type Spot } from '../src/lib/scene/separation';
 
 const BOUNDS = [0, 0, 8, 6] as const;
 
@@ -34,3 +35,53 @@ describe('a name in the scene', () => {
     expect([within(-1, 20, 110), within(111, 20, 110)]).toEqual([null, null]);
   });
 });
+
+describe('the protective separation', () => {
+  const around = (tool: Spot, neededM = 0.8): Guard => ({ base: [2, 3], hullM: 0.45, tool, neededM });
+  /** Drawn around the arm folded, over the hull, stretched out, and so far that two circles are apart. */
+  const guards = [around([2.1, 3]), around([2.4, 3.3]), around([2.9, 3.2]), around([1.1, 2.2], 0.3), around([2, 4.6], 0.5)];
+
+  it.each(guards)('is drawn where the watcher’s gap is what it has to be (%j)', (guard) => {
+    const gaps = outline(guard).flatMap(({ rim }) => rim.map(({ at }) => gapTo(guard, at).gapM - guard.neededM));
+    expect(Math.max(...gaps.map(Math.abs))).toBeLessThan(1e-9);
+  });
+
+  it.each(guards)('leaves nobody out who is nearer than that, from whatever side they come (%j)', (guard) => {
+    const { base, hullM, neededM } = guard;
+    for (let k = 0; k < 48; k += 1) {
+      for (const farM of [0.2, 0.6, hullM + neededM - 0.01, hullM + neededM + 0.01, 2.2]) {
+        const at: Spot = [base[0] + farM * Math.cos(k * 0.131), base[1] + farM * Math.sin(k * 0.131)];
+        expect(covered(guard, at), at.join()).toBe(gapTo(guard, at).gapM < neededM);
+      }
+    }
+  });
+
+  it('is measured from the hull, not from the middle of the base, and from the tool where that is nearer', () => {
+    const [hull, tool] = [gapTo(around([2.1, 3]), [3.6, 3]), gapTo(around([2.9, 3]), [3.6, 3])];
+    expect([hull.gapM, hull.from[0], tool.gapM, tool.from[0]].map((value) => value.toFixed(3))).toEqual(['1.150', '2.450', '0.700', '2.900']);
+  });
+
+  it('ties to whom it is least to, not to who is nearest to the base', () => {
+    const [beside, ahead]: [Spot, Spot] = [[2, 4.3], [3.7, 3]];
+    expect(leastGap(around([2.95, 3]), [beside, ahead])?.person).toEqual(ahead);
+    expect(leastGap(around([2.1, 3]), [beside, ahead])?.person).toEqual(beside);
+    expect(leastGap(around([2.1, 3]), [])).toBe(null);
+  });
+
+  it('turns the tool with the base, and is none where a part of it is not known', () => {
+    const gauges: Record<string, number> = { protective_separation_m: 0.8, base_radius_m: 0.45, tcp_x_m: 0.6, tcp_y_m: 0.1 };
+    const found = guardAt([2, 3], Math.PI / 2, (name) => gauges[name] ?? null);
+    expect([found?.hullM, found?.neededM, ...(found?.tool.map((value) => value.toFixed(3)) ?? [])]).toEqual([0.45, 0.8, '1.900', '3.600']);
+    for (const lost of Object.keys(gauges)) expect(guardAt([2, 3], 0, (name) => (name === lost ? null : (gauges[name] ?? null)))).toBe(null);
+  });
+});
+
+/** Whether a point lies in one of the triangles that are drawn. */
+function covered(guard: Guard, [x, y]: Spot): boolean {
+  const side = ([ax, ay]: Spot, [bx, by]: Spot): number => (bx - ax) * (y - ay) - (by - ay) * (x - ax);
+  return outline(guard).some(({ centre, rim }) => rim.slice(1).some(({ at: b }, k) => {
+    const a = rim[k]?.at ?? b;
+    const sides = [side(centre, a), side(a, b), side(b, centre)];
+    return sides.every((one) => one >= 0) || sides.every((one) => one <= 0);
+  }));
+}

@@ -3,6 +3,7 @@ import type { LogEvent, Telemetry } from '../src/lib/api/documents';
 import { Axis } from '../src/lib/audit/axis';
 import { Player } from '../src/lib/audit/player.svelte';
 import { frameAt } from '../src/lib/audit/replay';
+import { guardAt, MEASURED } from '../src/lib/scene/separation';
 import { eventAt, hasTelemetry, offset, rowAt, stepTo, timelineOf } from '../src/lib/audit/timeline';
 
 const START_MS = Date.parse('2026-03-01T09:30:00.000Z');
@@ -72,6 +73,13 @@ describe('a recorded moment in the scene', () => {
     expect([...(frame?.poses.slice(7) ?? [])].every(Number.isNaN)).toBe(true);
     expect(frame?.gauges[0]).toBeNaN(); // 99 m stands for nobody
     expect(frame?.gauges[1]).toBeCloseTo(0.25);
+  });
+
+  it('says what separation was measured from, as a frame of the present does', () => {
+    const held = telemetry({ ...full.columns, protective_separation_m: [0.75], base_radius_m: [0.5], tcp_x_m: [0.5], tcp_y_m: [-0.25] });
+    const names = Object.values(MEASURED);
+    const frame = frameAt(held, 0, ['base'], names);
+    expect(guardAt([2, 3], 0, (name) => frame?.gauges[names.findIndex((one) => one === name)] ?? null)).toEqual({ base: [2, 3], hullM: 0.5, tool: [2.5, 2.75], neededM: 0.75 });
   });
 
   it('shows people where the tracker saw them, and things where they were last put', () => {

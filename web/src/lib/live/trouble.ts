@@ -4,12 +4,14 @@ import { holdersOf } from './control';
 
 export interface SceneTrouble {
   separation: boolean;
+  /** The distance that is too small; null where none is. */
+  figure: string | null;
   zones: ReadonlySet<string>;
   /** In words, the measured value first; null where nothing is wrong. */
   words: { strong: string; text: string } | null;
 }
 
-const FINE: SceneTrouble = { separation: false, zones: new Set(), words: null };
+const FINE: SceneTrouble = { separation: false, figure: null, zones: new Set(), words: null };
 
 /** Which zones a point of the floor lies in. */
 export function zonesAt(scene: Scene, x: number, y: number): string[] {
@@ -40,10 +42,12 @@ export function troubleOf(cell: Cell | null, near: Near, scene: Scene | null): S
 function tooNear(cell: Cell, { separationM, neededM }: Near): SceneTrouble | null {
   if (separationM === null || neededM === null || separationM >= neededM) return null;
   const halted = cell.status === 'running' ? 'and is being stopped.' : `and has stopped moving.${afterwards(cell)}`;
+  const figure = `${separationM.toFixed(2)} m`;
   return {
     separation: true,
+    figure,
     zones: new Set(),
-    words: { strong: `${separationM.toFixed(2)} m`, text: `to a person. Robot needs ${neededM.toFixed(2)} m ${halted}` },
+    words: { strong: figure, text: `to a person. Robot needs ${neededM.toFixed(2)} m ${halted}` },
   };
 }
 
@@ -61,5 +65,5 @@ function intoZone(cell: Cell, { zoneMarginM }: Near, scene: Scene): SceneTrouble
   const [x = 0, y = 0] = cell.facts?.base ?? [];
   const here = zonesAt(scene, x, y).filter((name) => guarded.has(name));
   const zones = new Set(here.length > 0 ? here : guarded);
-  return { separation: false, zones, words: { strong: 'Zone:', text: `the robot cannot stop outside ${[...zones].join(', ')}.` } };
+  return { separation: false, figure: null, zones, words: { strong: 'Zone:', text: `the robot cannot stop outside ${[...zones].join(', ')}.` } };
 }

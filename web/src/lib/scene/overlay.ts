@@ -1,65 +1,58 @@
-import {
-  BufferGeometry,
-  CircleGeometry,
-  DoubleSide,
-  Group,
-  Line,
-  LineDashedMaterial,
-  Mesh,
-  MeshBasicMaterial,
-  RingGeometry,
-  Vector3,
-} from 'three';
+import { BufferAttribute, BufferGeometry, DoubleSide, Group, Mesh, MeshBasicMaterial, RingGeometry } from 'three';
 import { dispose } from './build';
 import type { Palette } from './palette';
+import { outline, STEPS, type Gap, type Guard, type Loop, type Spot } from './separation';
 
 /** Half the width of a drawn line on the floor, m: WebGL lines are one pixel thin. */
 const HALF_M = 0.022;
-const SEGMENTS = 96;
+const FLOOR_M = 0.014;
+const PATH_M = 0.018;
+const TIE_M = 0.03;
+const DASHES = 64;
+const LEAST_M = 0.05;
+const UNSEEN_M = 0.002;
 
-/** What is drawn over the cell: the protective separation around the robot, the nearest person, the planned path. */
+/** What is drawn over the cell: the protective separation around the robot, who is within it, the planned path. */
 export class Overlay {
   readonly root = new Group();
-  private readonly circle: Mesh<RingGeometry, MeshBasicMaterial>;
-  private readonly disc: Mesh<CircleGeometry, MeshBasicMaterial>;
-  private readonly tie: Line<BufferGeometry, LineDashedMaterial>;
+  private readonly edge: Mesh<BufferGeometry, MeshBasicMaterial>;
+  private readonly area: Mesh<BufferGeometry, MeshBasicMaterial>;
+  private readonly tie: Mesh<BufferGeometry, MeshBasicMaterial>;
   private readonly path = new Group();
-  private radiusM = 0;
+  private drawn: Guard | null = null;
 
   constructor(private readonly palette: Palette) {
-    this.circle = new Mesh(new RingGeometry(0.98, 1, SEGMENTS), new MeshBasicMaterial({ color: palette.line, side: DoubleSide, transparent: true }));
-    this.disc = new Mesh(new CircleGeometry(1, 64), new MeshBasicMaterial({ color: palette.line, transparent: true, opacity: 0.06, depthWrite: false }));
-    this.tie = new Line(new BufferGeometry().setFromPoints([new Vector3(), new Vector3()]), new LineDashedMaterial({ color: palette.danger, dashSize: 0.08, gapSize: 0.04 }));
-    this.circle.frustumCulled = false; // its points move
-    this.circle.position.z = this.disc.position.z = 0.014;
-    this.circle.visible = this.disc.visible = this.tie.visible = false;
-    this.root.add(this.circle, this.disc, this.tie, this.path);
+    const rim = 2 * (STEPS + 1);
+    this.edge = floorMesh(rim * 6, { color: palette.line });
+    this.area = floorMesh(rim * 3, { color: palette.line, depthWrite: false });
+    this.tie = floorMesh(DASHES * 6, { color: palette.danger });
+    this.root.add(this.edge, this.area, this.tie, this.path);
   }
 
-  /** Draws the protective separation, m, around the robot; null where it is not known. */
-  separation(robot: { x: number; y: number }, radiusM: number | null, violated: boolean): void {
-    const shown = radiusM !== null && radiusM > 0.05;
-    this.circle.visible = this.disc.visible = shown;
+  /** Draws what has to be kept free around the robot; null where it is not known. */
+  separation(guard: Guard | null, violated: boolean): void {
+    const shown = guard !== null && guard.neededM > LEAST_M;
+    this.edge.visible = this.area.visible = shown;
     if (!shown) return;
-    if (Math.abs(radiusM - this.radiusM) > 0.005) {
-      widen(this.circle.geometry, radiusM);
-      this.disc.scale.setScalar(radiusM);
-      this.radiusM = radiusM;
+    if (this.drawn === null || differs(guard, this.drawn)) {
+      const loops = outline(guard);
+      fill(this.edge.geometry, loops.flatMap(edging));
+      fill(this.area.geometry, loops.flatMap(fan));
+      this.drawn = guard;
     }
     const color = violated ? this.palette.danger : this.palette.line;
-    this.circle.material.color.copy(color);
-    this.circle.material.opacity = violated ? 1 : 0.55;
-    this.disc.material.color.copy(color);
-    this.disc.material.opacity = violated ? 0.16 : 0.05;
-    for (const mesh of [this.circle, this.disc]) mesh.position.set(robot.x, robot.y, mesh.position.z);
+    this.edge.material.color.copy(color);
+    this.edge.material.opacity = violated ? 1 : 0.55;
+    this.area.material.color.copy(color);
+    this.area.material.opacity = violated ? 0.16 : 0.05;
   }
 
-  /** Ties the robot to the person who is too near; null where nobody is. */
-  tieTo(robot: Vector3, person: Vector3 | null): void {
-    this.tie.visible = person !== null;
-    if (person === null) return;
-    this.tie.geometry.setFromPoints([new Vector3(robot.x, robot.y, 0.03), new Vector3(person.x, person.y, 0.03)]);
-    this.tie.computeLineDistances();
+  /** Ties the robot to the person who is too near, from where that is measured; null where nobody is. */
+  tieTo(gap: Gap | null): void {
+    this.tie.visible = gap !== null;
+    if (gap === null) return;
+    const marks = dashes([gap.from, gap.person], 0.08, 0.04).slice(0, DASHES);
+    fill(this.tie.geometry, marks.flatMap(([from, to]) => band(from, to, TIE_M)));
   }
 
   setPath(points: readonly (readonly [number, number])[]): void {
@@ -78,18 +71,47 @@ export class Overlay {
   }
 }
 
-/** Moves the points of a ring to another radius: it changes in every picture while the robot drives. */
-function widen(ring: RingGeometry, radiusM: number): void {
-  const points = ring.getAttribute('position');
-  for (let k = 0; k < points.count; k += 1) {
-    const angle = ((k % (SEGMENTS + 1)) / SEGMENTS) * 2 * Math.PI;
-    const radius = k <= SEGMENTS ? radiusM - HALF_M : radiusM + HALF_M;
-    points.setXY(k, radius * Math.cos(angle), radius * Math.sin(angle));
-  }
-  points.needsUpdate = true;
+/** A mesh on the floor whose points change; as many as `most`. */
+function floorMesh(most: number, look: ConstructorParameters<typeof MeshBasicMaterial>[0]): Mesh<BufferGeometry, MeshBasicMaterial> {
+  const geometry = new BufferGeometry().setAttribute('position', new BufferAttribute(new Float32Array(most * 3), 3));
+  const mesh = new Mesh(geometry, new MeshBasicMaterial({ ...look, side: DoubleSide, transparent: true }));
+  mesh.frustumCulled = false; // its points move
+  mesh.visible = false;
+  return mesh;
 }
 
-type Spot = readonly [number, number];
+/** Puts other triangles into a mesh: they change in every picture while the robot drives. */
+function fill(geometry: BufferGeometry, points: readonly number[]): void {
+  const position = geometry.getAttribute('position') as BufferAttribute;
+  position.array.set(points);
+  position.needsUpdate = true;
+  geometry.setDrawRange(0, points.length / 3);
+}
+
+function differs(one: Guard, other: Guard): boolean {
+  const numbers = ({ base, hullM, tool, neededM }: Guard): number[] => [...base, hullM, ...tool, neededM];
+  const before = numbers(other);
+  return numbers(one).some((value, k) => Math.abs(value - (before[k] ?? NaN)) > UNSEEN_M);
+}
+
+/** The line around a loop, as triangles. */
+function edging({ rim }: Loop): number[] {
+  const beside = ({ at, out }: Loop['rim'][number], asideM: number): Spot => [at[0] + out[0] * asideM, at[1] + out[1] * asideM];
+  return pairs(rim).flatMap(([a, b]) => quad([beside(a, HALF_M), beside(a, -HALF_M), beside(b, HALF_M), beside(b, -HALF_M)], FLOOR_M));
+}
+
+/** What lies within a loop, as triangles. */
+function fan({ centre, rim }: Loop): number[] {
+  return pairs(rim).flatMap(([a, b]) => [...centre, FLOOR_M, ...a.at, FLOOR_M, ...b.at, FLOOR_M]);
+}
+
+function pairs<T>(row: readonly T[]): [T, T][] {
+  return row.slice(1).map((one, k) => [row[k] ?? one, one]);
+}
+
+function quad([a, b, c, d]: readonly [Spot, Spot, Spot, Spot], z: number): number[] {
+  return [a, b, c, c, b, d].flatMap(([x, y]) => [x, y, z]);
+}
 
 /** Cuts a polyline into dashes of a length, m, with gaps between; dashes go round corners. */
 export function dashes(points: readonly Spot[], dashM: number, gapM: number): [Spot, Spot][] {
@@ -116,12 +138,14 @@ export function dashes(points: readonly Spot[], dashM: number, gapM: number): [S
   return found;
 }
 
-function strip([ax, ay]: Spot, [bx, by]: Spot, material: MeshBasicMaterial): Mesh {
+/** A straight band of the width of a line, as triangles. */
+function band([ax, ay]: Spot, [bx, by]: Spot, z: number): number[] {
   const length = Math.hypot(bx - ax, by - ay);
   const [nx, ny] = length === 0 ? [0, 0] : [((ay - by) / length) * HALF_M, ((bx - ax) / length) * HALF_M];
-  const geometry = new BufferGeometry().setFromPoints([
-    new Vector3(ax + nx, ay + ny, 0.018), new Vector3(ax - nx, ay - ny, 0.018), new Vector3(bx + nx, by + ny, 0.018),
-    new Vector3(bx + nx, by + ny, 0.018), new Vector3(ax - nx, ay - ny, 0.018), new Vector3(bx - nx, by - ny, 0.018),
-  ]);
-  return new Mesh(geometry, material);
+  return quad([[ax + nx, ay + ny], [ax - nx, ay - ny], [bx + nx, by + ny], [bx - nx, by - ny]], z);
+}
+
+function strip(from: Spot, to: Spot, material: MeshBasicMaterial): Mesh {
+  const points = new Float32Array(band(from, to, PATH_M));
+  return new Mesh(new BufferGeometry().setAttribute('position', new BufferAttribute(points, 3)), material);
 }

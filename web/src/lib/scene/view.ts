@@ -8,6 +8,7 @@ import { Labels, type Label } from './labels';
 import { moved } from './motion';
 import { Overlay } from './overlay';
 import { readPalette, type Palette } from './palette';
+import { guardAt, leastGap, MEASURED, type Gap, type Spot } from './separation';
 
 const SLOW_MS = 60;
 const QUICK_MS = 20;
@@ -17,15 +18,17 @@ const OUTSIDE_M = 1.5;
 const NAMED_FURNITURE = /^(.*)_body$/;
 const HEAD_M = 0.28;
 const BESIDE_M = 0.62;
-const NEEDED = 'protective_separation_m';
+const FIGURE_M = 0.3;
 
 /** What is wrong at this moment, for highlighting. */
 export interface Trouble {
   separation: boolean;
+  /** The distance that is too small, as the watcher measured it; null where none is. */
+  figure: string | null;
   zones: ReadonlySet<string>;
 }
 
-const CALM: Trouble = { separation: false, zones: new Set() };
+const CALM: Trouble = { separation: false, figure: null, zones: new Set() };
 
 /**
  * One cell in 3D. Draws when something changed and never faster than the screen; poses may come at any rate.
@@ -47,6 +50,8 @@ export class CellView {
   private subjects: ReadonlySet<string> = new Set();
   private trouble: Trouble = CALM;
   private last: PoseFrame | null = null;
+  /** To the person who is too near. */
+  private gap: Gap | null = null;
   private dirty = true;
   private request = 0;
   private readonly ratio: number;
@@ -113,7 +118,7 @@ export class CellView {
     const info = this.info;
     if (info === null || frame.poses.length !== info.bodies.length * 7) return;
     // A cell that stands is most of a shift: drawing it again and again would only cost power.
-    if (!moved(this.last, frame, [info.gauges.indexOf(NEEDED)])) return;
+    if (!moved(this.last, frame, Object.values(MEASURED).map((name) => info.gauges.indexOf(name)))) return;
     this.place(frame, info);
   }
 
@@ -183,11 +188,11 @@ export class CellView {
       const value = frame.gauges[info.gauges.indexOf(name)];
       return value === undefined || !Number.isFinite(value) ? null : value;
     };
-    const needed = gauge(NEEDED);
-    const people = this.people();
-    this.overlay.separation(this.robot, needed, this.trouble.separation);
-    const nearest = people.sort((a, b) => a.distanceTo(this.robot) - b.distanceTo(this.robot))[0] ?? null;
-    this.overlay.tieTo(this.robot, this.trouble.separation ? nearest : null);
+    const base = this.bodies.byName.get('base');
+    const guard = base?.visible === true ? guardAt([base.position.x, base.position.y], yawOf(base), gauge) : null;
+    this.gap = guard === null || !this.trouble.separation ? null : leastGap(guard, this.people().map(({ x, y }): Spot => [x, y]));
+    this.overlay.separation(guard, this.trouble.separation);
+    this.overlay.tieTo(this.gap);
   }
 
   /** Where people stand, on the floor. */
@@ -206,6 +211,7 @@ export class CellView {
       found.set(`zone ${zone.name}`, { text: zone.name, at: new Vector3(x, y, 0.02), tone: this.trouble.zones.has(zone.name) ? 'danger' : 'plain' });
     }
     for (const [name, body] of this.bodies.byName) this.nameBody(found, name, body);
+    if (this.gap !== null && this.trouble.figure !== null) found.set('gap', { text: this.trouble.figure, at: this.beside(this.gap), tone: 'danger' });
     this.people().forEach((at, k) => found.set(`person ${k}`, { text: `person ${k + 1}`, at: at.setZ(1.75 + HEAD_M), tone: 'warn' }));
     return found;
   }
@@ -221,6 +227,14 @@ export class CellView {
   private before(body: Group): Vector3 {
     const aside = this.rig.camera.position.clone().sub(body.position).setZ(0).setLength(BESIDE_M);
     return body.position.clone().setZ(0).add(aside);
+  }
+
+  /** A spot beside the middle of the line that ties somebody to the robot, on the camera's side of it. */
+  private beside({ from, person }: Gap): Vector3 {
+    const middle = new Vector3((from[0] + person[0]) / 2, (from[1] + person[1]) / 2, 0);
+    const aside = new Vector3(from[1] - person[1], person[0] - from[0], 0).setLength(FIGURE_M);
+    const away = this.rig.camera.position.clone().sub(middle).dot(aside) < 0;
+    return middle.add(away ? aside.negate() : aside);
   }
 
   /** Something changed: another picture is due. */
@@ -281,6 +295,10 @@ function isHere(info: SceneInfo, poses: Float32Array, at: number): boolean {
   const [x0, y0, x1, y1] = info.scene.bounds_m;
   const [x = NaN, y = NaN, z = NaN] = poses.subarray(at, at + 3);
   return x > x0 - OUTSIDE_M && x < x1 + OUTSIDE_M && y > y0 - OUTSIDE_M && y < y1 + OUTSIDE_M && z > -0.5;
+}
+
+function yawOf({ quaternion: { z, w } }: Group): number {
+  return 2 * Math.atan2(z, w);
 }
 
 function middle(polygon: readonly (readonly [number, number])[]): [number, number] {
