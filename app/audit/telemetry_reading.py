@@ -1,15 +1,16 @@
 """Reading a session's telemetry file back, thinned out evenly so that a long session still fits on a screen.
 
 The file is compared with the digest its event holds; what does not agree is still shown, and said not to be what was
-recorded.
+recorded. It is read twice, first for how much it holds: so no more of it is held than what is kept.
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 from time import sleep
-from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import orjson
 from mcap.reader import make_reader
@@ -20,7 +21,7 @@ from app.audit.telemetry import channels
 from app.audit.telemetry_messages import NANOSECONDS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from app.audit.event import Event
@@ -29,7 +30,6 @@ TOPIC: Final = "/telemetry"
 SCENE: Final = "/scene"
 PAUSE_EVERY: Final = 200  # rows: decoding shares the interpreter with whoever presses a stop meanwhile
 PAUSE_S: Final = 0.001
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,12 +103,8 @@ def read_telemetry(folder: Path, event: Event, *, limit: int) -> Recording | Non
     said = event.payload()
     problem = telemetry_problem(folder, event)
     try:
-        rows = said.get("rows")
-        taken = _Taken(limit, rows if isinstance(rows, int) else 0)
-        for place, (at_ns, row) in enumerate(_messages(path, TOPIC)):
-            taken.take(place, at_ns, row)
-        seen = [moment for _, moment in _messages(path, SCENE)]
-        people, bodies = _people(seen, limit), _ways(seen, limit)
+        extent = _extent(path)
+        taken = _taken(path, extent, limit)
     except Exception as error:  # of bytes that anybody may have put there, parsers that are not ours raise anything
         problem = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise RecordDamaged(path, f"cannot be read as telemetry: {problem}") from error
@@ -117,59 +113,94 @@ def read_telemetry(folder: Path, event: Event, *, limit: int) -> Recording | Non
         sha256=str(said.get("sha256", "")),
         intact=problem is None,
         start_s=taken.start_ns / NANOSECONDS,
-        rows=taken.count,
+        rows=extent.rows,
         every=taken.every,
         units={channel.name: channel.unit for channel in channels(tuple(taken.columns))},
         columns=taken.columns,
-        people=people,
-        bodies=bodies,
+        people=taken.people,
+        bodies=taken.bodies,
     )
 
 
-def _people(seen: Sequence[Mapping[str, Any]], limit: int) -> People:
-    kept = _thinned(seen, limit)
-    tracks = [[(int(one["id"]), number(one["x_m"]), number(one["y_m"])) for one in moment["people"]] for moment in kept]
-    return People([number(moment["time_s"]) for moment in kept], tracks)
+class _Extent(NamedTuple):
+    """How much a file holds: rows, sightings, and poses by name of the thing."""
+
+    rows: int
+    sightings: int
+    poses: Mapping[str, int]
 
 
-def _ways(seen: Sequence[Mapping[str, Any]], limit: int) -> dict[str, Way]:
-    moves: dict[str, list[tuple[float, list[float]]]] = {}
-    for moment in seen:
-        for name, pose in moment["bodies"].items():
-            moves.setdefault(name, []).append((moment["time_s"], pose))
-    kept = {name: _thinned(found, limit) for name, found in moves.items()}
-    return {
-        name: Way([number(at) for at, _ in found], [[number(part) for part in pose] for _, pose in found])
-        for name, found in kept.items()
-    }
+class _Thinning:
+    """Says which of so many things to keep, one after the other, so that what is left out is never held."""
 
+    def __init__(self, total: int, limit: int) -> None:
+        self.every = max(1, math.ceil(total / limit))
+        self._total = total
+        self.count = 0
 
-def _thinned(items: Sequence[T], limit: int) -> list[T]:
-    """Return every so-manieth item and the last one, at most `limit` + 1."""
-    every = max(1, math.ceil(len(items) / limit))
-    return [item for place, item in enumerate(items) if place % every == 0 or place == len(items) - 1]
+    def keeps(self) -> bool:
+        """Say whether the next one is kept."""
+        self.count += 1
+        return (self.count - 1) % self.every == 0 or self.count == self._total
 
 
 class _Taken:
-    """Every so-manieth row and the last one, as columns."""
+    """What is kept of a file: of each kind every so-manieth and the last one, at most so many and one."""
 
-    def __init__(self, limit: int, expected: int) -> None:
-        self.every = max(1, math.ceil(expected / limit))
+    def __init__(self, extent: _Extent, limit: int) -> None:
         self.start_ns = 0
-        self.count = 0
         self.columns: dict[str, list[float | None]] = {}
-        self._expected = expected
+        self.people = People([], [])
+        self.bodies = {name: Way([], []) for name in extent.poses}
+        self._rows = _Thinning(extent.rows, limit)
+        self._sightings = _Thinning(extent.sightings, limit)
+        self._poses = {name: _Thinning(total, limit) for name, total in extent.poses.items()}
+        self.every = self._rows.every
 
-    def take(self, place: int, at_ns: int, row: dict[str, float | None]) -> None:
-        if place == 0:
-            self.start_ns = at_ns
-            self.columns = {name: [] for name in row}
-        self.count = place + 1
-        if place % self.every and self.count != self._expected:
+    def row(self, at_ns: int, data: bytes) -> None:
+        first = self._rows.count == 0
+        if not self._rows.keeps():
             return
+        row = orjson.loads(data)
+        if first:
+            self.start_ns, self.columns = at_ns, {name: [] for name in row}
         for name, values in self.columns.items():
             value = row.get(name)
             values.append(None if value is None else number(value))
+
+    def sighting(self, data: bytes) -> None:
+        moment = orjson.loads(data)
+        time_s = number(moment["time_s"])
+        if self._sightings.keeps():
+            seen = [(int(one["id"]), number(one["x_m"]), number(one["y_m"])) for one in moment["people"]]
+            self.people.time_s.append(time_s)
+            self.people.tracks.append(seen)
+        for name, pose in moment["bodies"].items():
+            if self._poses[name].keeps():
+                self.bodies[name].time_s.append(time_s)
+                self.bodies[name].pose.append([number(part) for part in pose])
+
+
+def _extent(path: Path) -> _Extent:
+    rows = sightings = 0
+    poses: Counter[str] = Counter()
+    for topic, _, data in _messages(path):
+        if topic == TOPIC:
+            rows += 1
+        else:
+            sightings += 1
+            poses.update(dict.fromkeys(orjson.loads(data)["bodies"], 1))
+    return _Extent(rows, sightings, poses)
+
+
+def _taken(path: Path, extent: _Extent, limit: int) -> _Taken:
+    taken = _Taken(extent, limit)
+    for topic, at_ns, data in _messages(path):
+        if topic == TOPIC:
+            taken.row(at_ns, data)
+        else:
+            taken.sighting(data)
+    return taken
 
 
 def number(value: object) -> float:
@@ -183,9 +214,10 @@ def number(value: object) -> float:
     raise TypeError(f"`{str(value)[:40]}` is no number")
 
 
-def _messages(path: Path, topic: str) -> Iterator[tuple[int, dict[str, Any]]]:
+def _messages(path: Path) -> Iterator[tuple[str, int, bytes]]:
     with path.open("rb") as file:
-        for place, (_, _, message) in enumerate(make_reader(file).iter_messages(topics=[topic])):
+        found = make_reader(file).iter_messages(topics=[TOPIC, SCENE])
+        for place, (_, channel, message) in enumerate(found):
             if place % PAUSE_EVERY == 0:
                 sleep(PAUSE_S)
-            yield message.log_time, cast("dict[str, Any]", orjson.loads(message.data))
+            yield channel.topic, message.log_time, message.data

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import struct
+import tracemalloc
 from math import inf, nan, pi
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,10 @@ import pytest
 from mcap.reader import make_reader
 
 from app.audit.errors import RecordUnavailable
-from app.audit.telemetry import Channel, TelemetryWriter, channels
+from app.audit.event import Event, EventDraft, prepare
+from app.audit.telemetry import Channel, TelemetryFile, TelemetryWriter, channels
+from app.audit.telemetry_reading import read_telemetry
+from tests.audit.conftest import TIME
 
 NAMES = ("time_s", "base_x_m", "base_y_m", "base_yaw_rad", "tcp_x_m", "tcp_y_m", "tcp_z_m", "grip_force_n", "progress")
 ROW = struct.Struct("<d8f")
@@ -25,6 +29,10 @@ def pack(count: int, start: int = 0) -> bytes:
     """Rows of a robot that drives along x and turns."""
     rows = [(5 + n / 100, n / 4, 0.5, pi / 2, 1.0, 2.0, 0.75, 40.0, n / 100) for n in range(start, start + count)]
     return b"".join(ROW.pack(*row) for row in rows)
+
+
+def vouching(file: TelemetryFile) -> Event:
+    return prepare(EventDraft(kind="telemetry", actor="server", body=file.body()), TIME).seal(1)
 
 
 def open_writer(path: Path) -> TelemetryWriter:
@@ -217,6 +225,23 @@ def test_rows_beyond_what_may_wait_are_dropped_and_counted(tmp_path: Path, monke
     os.close(reader)
     with pytest.raises(RecordUnavailable, match="telemetry"):
         writer.close()
+
+
+def test_of_a_long_session_no_more_is_held_than_is_shown(tmp_path: Path) -> None:
+    held: list[int] = []
+    for count in (200, 2000):
+        writer = open_writer(tmp_path / f"{count}.mcap")
+        for n in range(count):
+            writer.sighting(5 + n / 10, [(1, n / 10, 2)], {"mug_1": (n, 2, 3, 1, 0, 0, 0)})
+        event = vouching(writer.close())
+        tracemalloc.start()
+        found = read_telemetry(tmp_path, event, limit=10)
+        held.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert found is not None
+        assert len(found.people.time_s) == len(found.bodies["mug_1"].pose) == 11
+        assert found.bodies["mug_1"].pose[-1][0] == count - 1
+    assert held[1] < 2 * held[0]
 
 
 @pytest.mark.anyio
