@@ -1,7 +1,8 @@
 import { describe, expect, it } from 'vitest';
 import type { Checkpoint, Invocation, LogEvent, Verification } from '../src/lib/api/documents';
+import { invocation } from './samples';
 import { judge } from '../src/lib/audit/integrity';
-import { eventQuery, findEvents, matches, NOTHING_WANTED } from '../src/lib/audit/search';
+import { eventQuery, findEvents, matches, newest, NOTHING_WANTED, renewed } from '../src/lib/audit/search';
 
 const signed: Checkpoint = { size: 40, root: 'aaa', checkpoint: '', key: '' };
 const found: Verification = { ok: true, size: 40, root: 'aaa', checkpoint: '', first_bad: null, problem: null };
@@ -50,5 +51,31 @@ describe('looking for events', () => {
     expect(matches(session, { ...NOTHING_WANTED, invocation: '1AB', actor: 'planner', since: '2026-03-01T09:35:00Z', until: '2026-03-01T09:36:00Z' })).toBe(true);
     expect(matches(session, { ...NOTHING_WANTED, since: '2026-03-01T09:41:00Z' })).toBe(false);
     expect(matches(session, { ...NOTHING_WANTED, actor: 'plan' })).toBe(false);
+  });
+});
+
+describe('sessions that are listed', () => {
+  const page = (ids: string, next: string | null, status: Invocation['status'] = 'running') => ({ items: ids.split(/(?=.)/).map((id) => invocation({ id, status })), next });
+  const told = ({ items, next }: ReturnType<typeof renewed>) => [items.map(({ id }) => id).join(''), next];
+
+  it('are renewed from their beginning, and keep what was fetched behind it', () => {
+    const now = renewed(page('fedcba', 'a'), page('hgfe', 'e', 'completed'));
+    expect(told(now)).toEqual(['hgfedcba', 'a']);
+    expect(now.items.map(({ status }) => status).slice(2, 5)).toEqual(['completed', 'completed', 'running']);
+  });
+
+  it('are those of the beginning alone where it holds all, reaches further, or does not meet what was there', () => {
+    expect(told(renewed(page('dcba', null), page('edc', null)))).toEqual(['edc', null]);
+    expect(told(renewed(page('dc', 'c'), page('edcb', 'b')))).toEqual(['edcb', 'b']);
+    expect(told(renewed(page('ba', 'a'), page('zy', 'y')))).toEqual(['zy', 'y']);
+    expect(told(renewed(page('', null), page('ba', 'a')))).toEqual(['ba', 'a']);
+  });
+
+  it('stand as they are known by now, unless what was found is newer', () => {
+    const found = invocation({ updated_at: '2026-11-22T10:00:00.500Z' });
+    const ended = invocation({ status: 'completed', updated_at: '2026-11-22T10:00:01Z' });
+    expect(newest(found, ended).status).toBe('completed');
+    expect(newest(ended, found).status).toBe('completed');
+    expect(newest(found, undefined)).toBe(found);
   });
 });

@@ -79,6 +79,19 @@ export async function findSessions(api: Pick<Api, 'invocations'>, wanted: Wanted
   return { items, next };
 }
 
+/** Returns what is listed, newest first, once its beginning was read anew: what was fetched behind that stays, as long as the two meet. */
+export function renewed(listed: Found<Invocation>, beginning: Found<Invocation>): Found<Invocation> {
+  const fresh = new Set(beginning.items.map(({ id }) => id));
+  const meet = listed.items.findLastIndex(({ id }) => fresh.has(id));
+  const behind = meet === -1 || beginning.next === null ? [] : listed.items.slice(meet + 1);
+  return behind.length === 0 ? beginning : { items: [...beginning.items, ...behind], next: listed.next };
+}
+
+/** The newer of what was found and what is known by now. */
+export function newest(found: Invocation, known: Invocation | undefined): Invocation {
+  return known !== undefined && Date.parse(known.updated_at) >= Date.parse(found.updated_at) ? known : found;
+}
+
 /** Events in the log's order. */
 export async function findEvents(api: Pick<Api, 'events' | 'invocations'>, wanted: Wanted, after: number): Promise<Found<LogEvent>> {
   const under = wanted.capability === '' ? null : await idsOf(api, wanted.capability);
