@@ -61,6 +61,9 @@ def test_a_link_that_goes_is_told_and_what_came_meanwhile_is_there_when_it_is_ba
         assert told_after_ms <= 1_000
         expect(header.get_by_text("Nobody")).to_have_count(0)
         expect(person.alert("Link down.")).to_contain_text("STOP is still sent")
+        expect(person.alert("Link down.").locator(".num")).to_have_attribute(
+            "aria-hidden", "true"
+        )  # or it is all said anew
         expect(header).to_contain_text("Not known")
         expect(person.page.locator(".live .stale").first).to_be_visible()
         asked = floor.ask()

@@ -108,7 +108,11 @@ def test_one_of_two_gets_the_controls_drives_by_keyboard_and_ends_it(
     driver, watcher = (one, other) if won == "operator" else (other, one)
     expect(watcher.region("Drive by hand")).to_contain_text(f"{won} (remote) has the controls of workcell-1.")
     expect(watcher.region("Drive by hand").get_by_role("alert")).to_contain_text("workcell-1")
-    expect(watcher.page.get_by_text(f"{won} drives workcell-1 by hand")).to_be_visible()
+    told = watcher.page.get_by_role("status").filter(has_text=f"{won} drives workcell-1 by hand")
+    expect(told).to_be_visible()
+    expect(told.locator("[aria-hidden=true] .num")).to_have_text(
+        re.compile(r"^\d:\d\d$")
+    )  # or it is all said every second
     expect(robot(driver)).to_contain_text("You (remote)")
     began = floor.base()
     hold(driver, "ArrowDown", lambda: far(floor.base(), began) > 0.1, what="a base driven back")
