@@ -111,6 +111,22 @@ describe('a stop that is pressed', () => {
     expect(new Set(sent)).toEqual(new Set([ONE]));
   });
 
+  it.each([
+    ['a proxy that is tired of waiting', 408, 'unknown'],
+    ['a proxy that wants it later', 425, 'unknown'],
+    ['a proxy that counts requests', 429, 'unknown'],
+    ['a proxy that knows no such address', 404, 'unknown'],
+    ['the server, of too many', 429, 'too_many_requests'],
+  ])('is tried again where %s answered', async (_, status, code) => {
+    answer = () => Promise.reject(new ApiError({ code, title: '', status, detail: 'not now' }));
+    void stopper.press(ONE);
+    await vi.advanceTimersByTimeAsync(1_000);
+    expect(stopper.of(ONE)).toEqual({ phase: 'failed', why: 'Not now.', trying: true });
+    answer = () => Promise.resolve({ id: ONE } as Cell);
+    await vi.advanceTimersByTimeAsync(1_000);
+    expect(stopper.of(ONE).phase).toBe('idle');
+  });
+
   it('is not tried again where the server understood and will not', async () => {
     answer = () => Promise.reject(new ApiError({ code: 'unknown_cell', title: 'No such cell', status: 404, detail: 'there is no such cell' }));
     void stopper.press('workcell-9');

@@ -37,6 +37,8 @@ export class ApiError extends Error {
   }
 }
 
+/** The code of an answer that is no problem document of the server's: a proxy's, for instance. */
+export const UNKNOWN = 'unknown';
 const UNREACHABLE: Problem = { title: 'No answer', status: 0, detail: 'The server did not answer.', code: 'unreachable' };
 const PATIENCE_MS = 10_000;
 const STOP_PATIENCE_MS = 1_500;
@@ -207,5 +209,5 @@ async function problemOf(response: Response): Promise<Problem> {
   } catch {
     // an answer without a problem document: a proxy's, or one cut short
   }
-  return { title: response.statusText, status: response.status, detail: `The server answered ${response.status}.`, code: 'unknown' };
+  return { title: response.statusText, status: response.status, detail: `The server answered ${response.status}.`, code: UNKNOWN };
 }

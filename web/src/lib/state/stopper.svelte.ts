@@ -1,4 +1,4 @@
-import { ApiError } from '../api/client';
+import { ApiError, UNKNOWN } from '../api/client';
 import type { Cell } from '../api/documents';
 import { entryOf } from '../format/entry';
 
@@ -101,7 +101,10 @@ export class Stopper {
   }
 }
 
-/** The server understood and will not: trying again cannot help. */
+/** Whom the server does not let in, or a cell that it does not know. */
+const FINAL: ReadonlySet<number> = new Set([401, 403, 404, 422]);
+
+/** The server itself understood and will not: trying again cannot help. What a proxy says, or calls for later, is no such word. */
 function final(error: unknown): boolean {
-  return error instanceof ApiError && error.problem.status >= 400 && error.problem.status < 500;
+  return error instanceof ApiError && error.code !== UNKNOWN && FINAL.has(error.problem.status);
 }
