@@ -10,7 +10,7 @@ import pytest
 from playwright.sync_api import Locator, expect
 
 from tests.conftest import ServerProcess, until
-from tests.console.conftest import PHONE, Floor, People, Person
+from tests.console.conftest import PHONE, THREE_FRAMES, Floor, People, Person
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 CELL = "/v1/cells/workcell-1"
@@ -79,8 +79,12 @@ def test_of_two_reviewers_one_wins_and_the_other_is_told(
     other.page.get_by_role("button", name=re.compile("Drive to")).click()
     form = one.region("Review").get_by_role("form")
     form.get_by_role("radio", name=re.compile("Inconclusive")).tap()
+    elsewhere = other.page.get_by_label("Newest first")
+    elsewhere.focus()
     form.get_by_role("button", name="Record the verdict").tap()
     expect(queue(other).get_by_role("status")).to_have_text("operator reviewed it: inconclusive.")
     expect(queue(other).get_by_role("form")).to_have_count(0)
+    other.page.evaluate(THREE_FRAMES)
+    expect(elsewhere).to_be_focused()  # whatever others do
     expect(one.region("Review")).to_contain_text("Reviewed by operator: inconclusive")
     assert kept(server, stopped)["status"] == "inconclusive"
