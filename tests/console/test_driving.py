@@ -30,7 +30,7 @@ pytestmark = [pytest.mark.browser, pytest.mark.process]
 # A gamepad that a test plugs in and steers, and an ear for the commands that the page hands to its link.
 BENCH = """
     const buttons = Array.from({ length: 16 }, () => ({ value: 0 }));
-    window.stick = { id: 'Test pad', connected: false, axes: [0, 0, 0, 0], buttons };
+    window.stick = { id: 'Test pad', index: 1, mapping: '', connected: false, axes: [0, 0, 0, 0], buttons };
     window.jogs = [];
     const post = Worker.prototype.postMessage;
     Worker.prototype.postMessage = function (message, ...rest) {
@@ -95,7 +95,10 @@ def test_a_gamepad_drives_while_its_stick_is_held_and_says_zero_when_it_is_let_g
     person = people.sit(server, init=BENCH)
     take_controls(person)
     began = floor.base()
-    person.page.evaluate("window.stick.connected = true; window.stick.axes[1] = 0.1")  # within the dead zone
+    person.page.evaluate("window.stick.connected = true; window.stick.axes[1] = 0.8")  # whatever axis that may be
+    expect(person.page.get_by_text("not used, its layout is not known")).to_be_visible()
+    person.page.evaluate("window.stick.mapping = 'standard'; window.stick.axes[1] = 0.1")  # within the dead zone
+    expect(person.page.get_by_text("not used, its layout is not known")).to_be_hidden()
     expect(person.page.get_by_text("Test pad")).to_be_visible()
     assert person.page.evaluate("window.jogs.every((jog) => jog.base.every((value) => value === 0))")
     insist(
@@ -116,6 +119,13 @@ def test_a_gamepad_drives_while_its_stick_is_held_and_says_zero_when_it_is_let_g
     at_rest(floor)
     held = person.page.get_by_text("let go of its sticks first")
     person.page.evaluate("window.stick.connected = true")  # and plugged in again, with the stick still held
+    expect(held).to_be_visible()
+    let_go(person)
+    person.page.evaluate("window.stick.axes[1] = 0")
+    expect(held).to_be_hidden()
+    person.page.evaluate(
+        "window.stick.axes[1] = 0.8; window.stick.id = 'Another pad'"
+    )  # held, in the place of the first
     expect(held).to_be_visible()
     let_go(person)
     person.page.evaluate("window.stick.axes[1] = 0")

@@ -1,5 +1,5 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
-import { gamepadAxes, Sticks } from '../src/lib/jog/bindings';
+import { gamepadAxes, standardPad, Sticks } from '../src/lib/jog/bindings';
 import { JogKeys, pressesButton, type Key } from '../src/lib/jog/keyboard';
 import { jogNames } from '../src/lib/jog/layout';
 import { Keys, takesKeys } from '../src/lib/keys/keys';
@@ -78,13 +78,29 @@ describe('a gamepad', () => {
     expect(gamepadAxes({ axes: [0, -1, 0, 0], buttons: [] }).base_x).toBeCloseTo(1);
   });
 
-  const pad = (y: number): { axes: number[]; buttons: [] } => ({ axes: [0, y, 0, 0], buttons: [] });
+  const pad = (y: number, index = 0, id = 'pad'): Parameters<Sticks['read']>[0] => ({ index, id, axes: [0, y, 0, 0], buttons: [] });
 
   it('counts once its sticks have been at rest, and says so until then', () => {
     const sticks = new Sticks();
     expect([sticks.read(pad(-1)), sticks.ignored]).toEqual([null, true]);
     expect([sticks.read(pad(0))?.base_x, sticks.ignored]).toEqual([0, false]);
     expect([sticks.read(pad(-1))?.base_x, sticks.ignored]).toEqual([1, false]);
+  });
+
+  it('rests anew when another takes its place, with a stick held or not', () => {
+    for (const [index, id] of [[1, 'pad'], [0, 'other']] as const) {
+      const sticks = new Sticks();
+      sticks.read(pad(0));
+      expect([sticks.read(pad(-1))?.base_x, sticks.read(pad(-1, index, id)), sticks.ignored]).toEqual([1, null, true]);
+      expect([sticks.read(pad(0, index, id))?.base_x, sticks.read(pad(-1, index, id))?.base_x]).toEqual([0, 1]);
+    }
+  });
+
+  it('drives only if its layout is the standard one, and is named where it is not', () => {
+    const one = (mapping: string, id: string, connected = true): { mapping: string; id: string; connected: boolean } => ({ mapping, id, connected });
+    expect(standardPad([null, one('', 'wheel'), one('standard', 'pad')])).toEqual({ pad: one('standard', 'pad'), other: '' });
+    expect(standardPad([one('standard', 'gone', false), one('', 'wheel')])).toEqual({ pad: null, other: 'wheel' });
+    expect(standardPad([])).toEqual({ pad: null, other: '' });
   });
 
   it('starts nothing by itself after something let go of the robot, however long it is held', () => {

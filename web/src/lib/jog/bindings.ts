@@ -1,6 +1,8 @@
 import type { Axis, Grip } from './hold';
 
 interface Pad {
+  index: number;
+  id: string;
   axes: readonly number[];
   buttons: readonly { value: number }[];
 }
@@ -28,8 +30,15 @@ export const DRIVING_KEYS: readonly string[] = [...Object.keys(JOG_KEYS), ...Obj
 
 const DEAD = 0.18;
 
+/** The gamepad that drives, and the name of one that does not, since nobody knows which of its buttons is which. */
+export function standardPad<P extends { connected: boolean; mapping: string; id: string }>(pads: readonly (P | null)[]): { pad: P | null; other: string } {
+  const connected = pads.filter((one) => one?.connected === true);
+  const pad = connected.find((one) => one?.mapping === 'standard') ?? null;
+  return { pad, other: pad === null ? (connected[0]?.id ?? '') : '' };
+}
+
 /** A gamepad's sticks as deflections: left drives the base, right the tool; triggers lift and lower, bumpers turn. */
-export function gamepadAxes(pad: Pad): Record<Axis, number> {
+export function gamepadAxes(pad: Pick<Pad, 'axes' | 'buttons'>): Record<Axis, number> {
   const axis = (k: number): number => {
     const value = pad.axes[k] ?? 0;
     return Math.abs(value) < DEAD ? 0 : (value - Math.sign(value) * DEAD) / (1 - DEAD);
@@ -48,10 +57,11 @@ export function gamepadAxes(pad: Pad): Record<Axis, number> {
 
 /**
  * What a gamepad says, once it has been at rest: whatever let go of the robot (the window lost the focus, the link went,
- * the pad was unplugged), a stick that is still held starts nothing, as a key that is still held does not.
+ * the pad was unplugged, or another took its place), a stick that is still held starts nothing, as a key that is still held does not.
  */
 export class Sticks {
   private rested = false;
+  private of: string | null = null;
   /** Whether something is held that does not count, until it is let go. */
   ignored = false;
 
@@ -62,7 +72,9 @@ export class Sticks {
 
   /** Returns the deflections that count; null while none do. */
   read(pad: Pad | null): Record<Axis, number> | null {
-    if (pad === null) this.letGo();
+    const of = pad === null ? null : `${pad.index} ${pad.id}`;
+    if (of === null || of !== this.of) this.letGo();
+    this.of = of;
     const axes = pad === null ? null : gamepadAxes(pad);
     const held = axes !== null && Object.values(axes).some((value) => value !== 0);
     if (axes !== null && !held) this.rested = true;
