@@ -26,13 +26,46 @@ if TYPE_CHECKING:
 
 FRAMING = (b"content-length", b"transfer-encoding")  # header fields that say that a body follows
 SPARE_BYTES = 64  # of a line, for what is neither name nor value
+HEAD_BYTES = 65_536  # of one request: its line, its header fields, whatever else of it is no body
+TOO_LARGE = Problem("head_too_large", f"valid: at most {HEAD_BYTES} bytes of request line and header fields")
+
+
+class HeadTooLarge(Exception):
+    """A request's header fields are more than is read."""
 
 
 class Exchanges(HttpToolsProtocol):
     """One connection's exchanges."""
 
+    _unread = 0  # bytes that came since the parser last had something whole
+
+    def data_received(self, data: bytes) -> None:
+        """Read what came; what never becomes whole, say a field without an end, is not kept without one either."""
+        self._unread += len(data)
+        super().data_received(data)
+        if self._unread > HEAD_BYTES and not self.transport.is_closing():
+            self._end(TOO_LARGE)
+
+    def on_message_begin(self) -> None:
+        """Begin to read a request."""
+        self._unread = 0
+        super().on_message_begin()
+
+    def on_body(self, body: bytes) -> None:
+        """Take a part of the body; how much of it is read is a route's matter."""
+        self._unread = 0
+        super().on_body(body)
+
+    def on_message_complete(self) -> None:
+        """End a request."""
+        self._unread = 0
+        super().on_message_complete()
+
     def on_headers_complete(self) -> None:
         """Begin an exchange, and see to how it is answered."""
+        self._unread = 0
+        if self._too_large():
+            raise HeadTooLarge  # ends the parser, which has it refused below
         before = self.cycle
         super().on_headers_complete()
         if self.cycle is not before:  # else a websocket takes over
@@ -56,14 +89,10 @@ class Exchanges(HttpToolsProtocol):
     def send_400_response(self, msg: str) -> None:
         """Refuse what is no HTTP, and end the connection: nobody knows where in it the next request would begin."""
         cycle = cast("RequestResponseCycle | None", self.cycle)
-        if cycle is None or cycle.response_complete:
-            self._refuse(Problem("http_malformed", f"{msg} Valid: HTTP/1.1 as RFC 9112 has it"))
-        elif not cycle.more_body:
-            cycle.keep_alive = False  # requests before it were whole, and are still answered
-        elif cycle.response_started:
-            self.transport.close()
-        else:
-            self._refuse(Problem("http_malformed", "the body is not what its header fields say; valid: RFC 9112"))
+        malformed = Problem("http_malformed", f"{msg} Valid: HTTP/1.1 as RFC 9112 has it")
+        if cycle is not None and cycle.more_body and not cycle.response_complete:
+            malformed = Problem("http_malformed", "the body is not what its header fields say; valid: RFC 9112")
+        self._end(self._too_large() or malformed)
 
     def _should_upgrade(self) -> bool:
         """Say whether a websocket is wished for: by a GET without a body (RFC 6455 §4.1).
@@ -73,6 +102,23 @@ class Exchanges(HttpToolsProtocol):
         if self.scope["method"] != "GET" or self.scope["http_version"] != "1.1" or not super()._should_upgrade():
             return False
         return all(value == b"0" and name == b"content-length" for name, value in self.headers if name in FRAMING)
+
+    def _too_large(self) -> Problem | None:
+        size = len(self.url) + sum(len(name) + len(value) for name, value in self.headers)
+        return TOO_LARGE if size > HEAD_BYTES else None
+
+    def _end(self, problem: Problem) -> None:
+        """Refuse what comes now, and end the connection once what came whole before it is answered."""
+        cycle = cast("RequestResponseCycle | None", self.cycle)
+        if cycle is None or cycle.response_complete:
+            self._refuse(problem)
+        elif not cycle.more_body:
+            cycle.keep_alive = False
+            self.flow.pause_reading()
+        elif cycle.response_started:
+            self.transport.close()
+        else:
+            self._refuse(problem)
 
     def _refuse(self, problem: Problem) -> None:
         answer = problem.response("/")

@@ -82,6 +82,11 @@ NO_HANDSHAKE = {
     "a long field": raw(CONSOLE, UPGRADE | {"X": "y" * 10_000}),
     "a long path": raw(f"GET {PATH}?{'y' * 10_000} HTTP/1.1", UPGRADE),
 }
+# Just over what is read, so that nothing is left unread when the connection ends.
+TOO_LARGE = {
+    "a long path": raw(f"GET /healthz?{'y' * 65_536} HTTP/1.1", {}),
+    "many fields": raw("GET /healthz HTTP/1.1", {f"X-{number}": "y" * 40 for number in range(1_450)}),
+}
 # What wishes for a websocket in passing is a request like any other.
 NO_WEBSOCKET = {
     "with a body": (raw("POST /v1/check HTTP/1.1", UPGRADE | {"Content-Length": "2"}, b"{}"), "token_missing"),
@@ -97,6 +102,7 @@ NO_WEBSOCKET = {
 BENEATH = {
     **{name: (sent, "http_malformed") for name, sent in NO_REQUEST.items()},
     **{name: (sent, "handshake_invalid") for name, sent in NO_HANDSHAKE.items()},
+    **{f"{name}, too large": (sent, "head_too_large") for name, sent in TOO_LARGE.items()},
     **NO_WEBSOCKET,
 }
 

@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 import uvicorn
 
-from app.api.exchange import Answer, Exchanges
+from app.api.exchange import HEAD_BYTES, Answer, Exchanges
 from tests.api.conftest import Door, eventually
 
 pytestmark = pytest.mark.anyio
@@ -183,3 +183,27 @@ async def test_a_body_that_is_none_does_not_end_a_stream_with_a_second_answer() 
         await reader.readuntil(END)
         writer.write(b"no chunk" + END)
         assert b"HTTP/1.1" not in await reader.read()
+
+
+@pytest.mark.parametrize(
+    "begun",
+    [b"GET / HTTP/1.1\r\nHost: here\r\nX: ", b"POST / HTTP/1.1\r\nTransfer-Encoding: chunked" + END + b"0\r\nX: "],
+    ids=["a header field", "a field behind a body"],
+)
+async def test_what_has_no_end_is_not_kept_without_one(begun: bytes) -> None:
+    async with served(Site()) as (reader, writer):
+        writer.write(request("POST", "/", b"first") + begun)
+        await reader.readuntil(END)
+        assert await reader.readexactly(5) == b"first"  # and the beginning of the next one was read with it
+        writer.write(b"y" * (HEAD_BYTES + 1))
+        head, _, problem = (await reader.read()).partition(END)
+        assert head.startswith(b"HTTP/1.1 431")
+        assert b"head_too_large" in problem
+
+
+async def test_a_large_body_is_no_large_head() -> None:
+    async with served(Site()) as (reader, writer):
+        writer.write(request("POST", "/", b"x" * 3 * HEAD_BYTES) + request("POST", "/", b"next"))
+        for size in (3 * HEAD_BYTES, 4):
+            assert (await reader.readuntil(END)).startswith(b"HTTP/1.1 200")
+            await reader.readexactly(size)
