@@ -2,13 +2,15 @@ import { describe, expect, it } from 'vitest';
 import type { Json } from '../src/lib/api/documents';
 import { heldIn, titleOf, words } from '../src/lib/format/capability';
 import { cellOf, eventLine, ruleWords } from '../src/lib/format/events';
-import { labelFor, labelOf } from '../src/lib/format/quantity';
+import { quoted } from '../src/lib/format/quoted';
+import { labelFor, labelOf, valueOf } from '../src/lib/format/quantity';
 import { outcomeTone, outcomeWords, statusWords } from '../src/lib/format/status';
+import { closingOf } from '../src/lib/live/closed';
 import { rowsOf } from '../src/lib/live/edit';
 import { refusalWords } from '../src/lib/live/control';
 import { reasonLines } from '../src/lib/live/reasons';
 import { stepsText } from '../src/lib/format/edited';
-import { escalation, event } from './samples';
+import { escalation, event, invocation } from './samples';
 
 /** What every object brings along, so that a plain table has something under it. */
 const NAMES = ['constructor', '__proto__', 'hasOwnProperty', 'valueOf', 'toString'];
@@ -53,5 +55,36 @@ describe.each(NAMES)('the name `%s`, which an agent may choose', (name) => {
     const reasons = [{ rule: name, code: name, message: '`x_m` is too far', remedy: '' }];
     expect(reasonLines(escalation({ kind: 'session', reasons }), null)[0]?.strong).toBe('');
     expect(refusalWords(name)).toContain(name.replaceAll('_', ' '));
+  });
+});
+
+describe('a character that turns a line around', () => {
+  // Shown as it comes, it would read `Grasp mug_1 (safe)`.
+  const name = 'mug_1 \u202E)efas(\u2066\u{E0041}';
+  const shown = 'mug_1 \uFFFD)efas(\uFFFD\uFFFD';
+  const reason = { rule: 'x', code: 'x', message: `no \`${name}\` here`, remedy: '' };
+
+  it('is a mark in every word that an agent chose', () => {
+    expect(titleOf('grasp_object', { object_id: name })).toBe(`Grasp ${shown}`);
+    expect(titleOf('place_object', {}, name)).toContain(shown);
+    expect([titleOf(name, {}), words(name), labelOf(name), valueOf('object_id', name), valueOf('x', [name])].filter((text) => /\p{Cf}/u.test(text))).toEqual([]);
+    expect(quoted(reason.message)).toBe(`no “${shown}” here`);
+    expect(reasonLines(escalation({ reasons: [reason] }), null)[0]?.text).toContain(shown);
+  });
+
+  it('is a mark in every line of the log, and where a question closed', () => {
+    const bodies: [string, Record<string, Json>][] = [
+      ['proposal', { capability: 'grasp_object', params: { object_id: name } }],
+      ['admission', { outcome: 'reject', reasons: [{ ...reason }] }],
+      ['grant', { op: 'given', grant: { capability: 'grasp_object', task: name } }],
+      [name, {}],
+    ];
+    for (const [kind, body] of bodies) {
+      const { strong, text } = eventLine(event(kind, body, 'inv_1', name));
+      expect(`${strong}${text}`).toContain('\uFFFD');
+      expect(`${strong}${text}`).not.toMatch(/\p{Cf}/u);
+    }
+    const ends = [event('approval', { decision: 'approve', escalation: { id: 'esc_1', status: 'approved' } }), event('outcome', { outcome: 'rejected', reasons: [{ ...reason }] })];
+    expect(closingOf(ends, { id: 'esc_1', invocation: 'inv_1' }, invocation()).words ?? '').not.toMatch(/\p{Cf}/u);
   });
 });

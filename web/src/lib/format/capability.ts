@@ -1,5 +1,6 @@
 import type { Cell, Params } from '../api/documents';
 import { entryOf } from './entry';
+import { plain } from './plain';
 
 function text(params: Params, name: string): string | null {
   const value = params[name];
@@ -28,13 +29,13 @@ const SENTENCES: Record<string, (params: Params, held: string) => string> = {
 };
 
 export function words(name: string): string {
-  const spaced = name.replaceAll('_', ' ');
+  const spaced = plain(name).replaceAll('_', ' ');
   return spaced.charAt(0).toUpperCase() + spaced.slice(1);
 }
 
 /** What a proposal would do, as a short sentence: `Carry glass_1 to bench_b`. */
 export function titleOf(capability: string, params: Params, holding: string | null = null): string {
-  return entryOf(SENTENCES, capability)?.(params, holding ?? 'what it holds') ?? words(capability);
+  return plain(entryOf(SENTENCES, capability)?.(params, holding ?? 'what it holds') ?? words(capability));
 }
 
 /** What the gripper of a cell holds, as far as that is known: of the cell in question, which need not be the one looked at. */

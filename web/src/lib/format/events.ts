@@ -3,6 +3,7 @@ import { goodOutcome, outcomeTone, outcomeWords, shortId, statusWords, type Tone
 import { titleOf, words } from './capability';
 import { newestEdit, stepsText } from './edited';
 import { entryOf } from './entry';
+import { plain } from './plain';
 import { labelFor, valueOf } from './quantity';
 import { clockTime } from './time';
 
@@ -329,7 +330,7 @@ const WRITERS: Record<string, Writer> = {
 /** One event in words. */
 export function eventLine(event: LogEvent, known: Known = NOTHING_KNOWN): Line {
   const said = entryOf(WRITERS, event.kind)?.(event.body, event, known) ?? line('dot', 'quiet', words(event.kind));
-  return { ...said, text: said.text.replace(LONG_ID, shortId) };
+  return { ...said, strong: plain(said.strong), text: plain(said.text.replace(LONG_ID, shortId)) };
 }
 
 /** One line of a log that is read by the newest first, and how often it was said in a row. */

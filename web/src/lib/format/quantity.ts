@@ -1,5 +1,6 @@
 import type { InputSchema, Json } from '../api/documents';
 import { entryOf } from './entry';
+import { plain } from './plain';
 
 /** Units by the ending of a quantity's name. */
 const UNITS: readonly (readonly [string, string])[] = [
@@ -35,7 +36,7 @@ export function labelOf(name: string): string {
   const known = entryOf(LABELS, name);
   if (known !== undefined) return known;
   const ending = UNITS.find(([unit]) => name.endsWith(unit))?.[0] ?? '';
-  const words = name.slice(0, name.length - ending.length).replaceAll('_', ' ');
+  const words = plain(name.slice(0, name.length - ending.length)).replaceAll('_', ' ');
   return words.charAt(0).toUpperCase() + words.slice(1);
 }
 
@@ -59,8 +60,8 @@ function trimmed(value: number, digits: number): string {
 export function valueOf(name: string, value: Json | undefined): string {
   if (value === undefined || value === null) return '–';
   if (typeof value === 'number') return number(value, unitOf(name));
-  if (typeof value === 'string') return value;
-  return typeof value === 'boolean' ? (value ? 'yes' : 'no') : JSON.stringify(value);
+  if (typeof value === 'string') return plain(value);
+  return typeof value === 'boolean' ? (value ? 'yes' : 'no') : plain(JSON.stringify(value));
 }
 
 export function withUnit(name: string, value: Json | undefined): string {

@@ -1,6 +1,8 @@
+import { plain } from './plain';
+
 /** The server's words for a person: names stand in quotes, not in backticks. */
 export function quoted(said: string): string {
-  return said.replace(/`([^`]*)`/g, '“$1”');
+  return plain(said).replace(/`([^`]*)`/g, '“$1”');
 }
 
 /** As `quoted`, with a capital, and a full stop where there is none. */

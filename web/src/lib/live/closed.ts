@@ -1,5 +1,6 @@
 import type { Escalation, Invocation, Json, LogEvent } from '../api/documents';
 import { eventLine } from '../format/events';
+import { plain } from '../format/plain';
 import { outcomeWords } from '../format/status';
 
 export type Asked = Pick<Escalation, 'id' | 'invocation'>;
@@ -63,6 +64,6 @@ function approved(events: readonly LogEvent[], { invocation }: Asked, last: LogE
 /** The first of an outcome's reasons. */
 function because(event: LogEvent): string {
   const reasons = event.body['reasons'];
-  const said = text(record(Array.isArray(reasons) ? reasons[0] : undefined)['message']).replaceAll('`', '').replace(/\.$/, '');
+  const said = plain(text(record(Array.isArray(reasons) ? reasons[0] : undefined)['message'])).replaceAll('`', '').replace(/\.$/, '');
   return said === '' ? '' : `: ${said}`;
 }

@@ -1,6 +1,7 @@
 import type { Escalation, InputSchema, Invocation, Reason } from '../api/documents';
 import { entryOf } from '../format/entry';
 import { ruleWords } from '../format/events';
+import { plain } from '../format/plain';
 import { labelFor } from '../format/quantity';
 
 type Inputs = Record<string, InputSchema>;
@@ -40,7 +41,7 @@ function lineOf(reason: Reason, held: boolean, inputs: Inputs): ReasonLine {
 
 /** Policy's words as a sentence: names in backticks become labels, and the source in brackets is left to the rule. */
 function sentence(said: string, inputs: Inputs): string {
-  const text = said.replace(/`([a-z_0-9]+)`/g, (_, name: string) => (/_(n|mps|m|s|kg|rad|ms)$/.test(name) ? labelFor(name, entryOf(inputs, name)) : name)).replace(/ \([^()]*\)$/, '');
+  const text = plain(said).replace(/`([a-z_0-9]+)`/g, (_, name: string) => (/_(n|mps|m|s|kg|rad|ms)$/.test(name) ? labelFor(name, entryOf(inputs, name)) : name)).replace(/ \([^()]*\)$/, '');
   const upper = text.charAt(0).toUpperCase() + text.slice(1);
   return /[.!?]$/.test(upper) ? upper : `${upper}.`;
 }
