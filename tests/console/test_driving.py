@@ -332,6 +332,8 @@ def test_whoever_drives_sees_the_robot_above_the_pad(
 ) -> None:
     person = people.sit(server, size=size)
     take_controls(person)
+    for speed in ("Base speed", "Tool speed"):
+        expect(person.page.get_by_role("group", name=speed)).to_be_attached()
     scene, pad = box(person.region("The cell in 3D")), box(person.region("Drive by hand"))
     assert scene["y"] + scene["height"] <= pad["y"]
     assert scene["height"] >= LEAST_PX

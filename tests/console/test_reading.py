@@ -81,6 +81,20 @@ def test_the_list_of_keys_shows_arrows_as_arrows(server: ServerProcess, people: 
     keys = person.page.get_by_role("dialog", name="Keys")
     expect(keys.get_by_text("←", exact=True)).to_be_visible()
     expect(keys.get_by_text("→", exact=True)).to_be_visible()
+    keys.get_by_label("Single keys").uncheck()  # who dictates says letters without meaning any
+    person.press("4")
+    person.press("?")
+    expect(keys).to_be_visible()
+    expect(person.page.get_by_role("link", name="Audit")).to_have_attribute("aria-current", "page")
+    person.press("Escape")
+    person.page.reload()
+    expect(person.page.get_by_role("heading", name="Grasp mug_1")).to_be_visible()
+    person.press("?")
+    expect(keys).to_be_hidden()
+    person.button("Keys").click()
+    keys.get_by_label("Single keys").check()
+    person.press("4")
+    expect(person.page.get_by_role("link", name="Fleet")).to_have_attribute("aria-current", "page")
 
 
 def test_a_trace_follows_its_session_and_is_scrubbed_with_its_events(

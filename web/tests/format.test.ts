@@ -132,6 +132,18 @@ describe('the keyboard', () => {
     expect([keys.press(key(letter, { code }), false), ran]).toEqual([true, [letter, '.', letter]]);
   });
 
+  it('hears no single character once they are switched off, but the stop, and what is no character', () => {
+    const keys = new Keys();
+    const ran: string[] = [];
+    keys.onStop(() => ran.push('.'));
+    for (const one of ['a', '2', '?', ' ', 'Escape']) keys.on(one, one, () => ran.push(one), true);
+    keys.single = false;
+    for (const one of ['a', '2', '?', ' ', 'Escape', '.']) keys.press(key(one), false);
+    expect([ran, keys.pressBeside(key('a'), ['a'])]).toEqual([[' ', 'Escape', '.'], false]);
+    keys.single = true;
+    expect(keys.press(key('a'), false)).toBe(true);
+  });
+
   it('forgets a shortcut whose part of the page is gone', () => {
     const keys = new Keys();
     const undo = keys.on('a', 'one', () => undefined);

@@ -132,8 +132,14 @@ describe('a gauge', () => {
     expect(readGauge(most, names, [0.25, 0.263]).beyond).toBe(true);
   });
 
+  it('is there for both speeds while somebody drives by hand, whatever ran before', () => {
+    const labels = (capability: string | null, byHand: boolean): string[] => gaugesFor(capability === null ? null : invocation({ capability }), byHand).map((spec) => spec.label);
+    for (const capability of ['takeover', 'grasp_object', null]) expect(labels(capability, true)).toEqual(['Separation', 'Base speed', 'Tool speed', 'Grip force', 'Contact force']);
+    expect([labels('navigate_to', false)[1], labels('grasp_object', false)[1]]).toEqual(['Base speed', 'Tool speed']);
+  });
+
   it('claims no progress of all of what was not done', () => {
-    const progress = gaugesFor(null).find((spec) => spec.key === 'progress') ?? least;
+    const progress = gaugesFor(null, false).find((spec) => spec.key === 'progress') ?? least;
     const shown = (status: Invocation['status'], value: number, spec = progress): number | null => unfinished(spec, { value, limit: null, beyond: false, near: false }, invocation({ status })).value;
     expect([shown('failed', 1), shown('escalated', 1), shown('failed', 0.4), shown('completed', 1), shown('running', 1), shown('failed', 1, least)]).toEqual([null, null, 0.4, 1, 1, 1]);
   });

@@ -58,6 +58,13 @@ export class Keys {
   private stop: () => void = () => undefined;
   private covers = 0;
   private readonly reserved: ReadonlySet<string>[] = [];
+  /** Whether single characters count at all (WCAG 2.1.4); the stop always does. */
+  single = true;
+
+  /** Whether a key is one of those that the person has switched off: letters, digits and signs. */
+  ignores({ key }: { key: string }): boolean {
+    return !this.single && key.length === 1 && key !== ' ';
+  }
 
   /** Whether something lies over the page. */
   get covered(): boolean {
@@ -109,7 +116,7 @@ export class Keys {
       if (!event.repeat) this.stop();
       return true;
     }
-    if (!mayBeShortcut(event, letters) || this.reserved.some((codes) => codes.has(event.code))) return false;
+    if (!mayBeShortcut(event, letters) || this.ignores(event) || this.reserved.some((codes) => codes.has(event.code))) return false;
     const wanted = event.key.length === 1 ? event.key.toLowerCase() : event.key;
     const counts = (known: Shortcut): boolean => known.key === wanted && (!this.covered || known.everywhere);
     return this.shortcuts.findLast((known) => counts(known) && known.run() !== false) !== undefined;
@@ -120,7 +127,7 @@ export class Keys {
    * presses one means the answer. Only `restraining` shortcuts are heard there. Returns true when the key was taken.
    */
   pressBeside(event: KeyLike, restraining: readonly string[]): boolean {
-    if (event.key.length !== 1 || event.key === ' ' || event.ctrlKey || event.metaKey || event.altKey) return false;
+    if (this.ignores(event) || event.key.length !== 1 || event.key === ' ' || event.ctrlKey || event.metaKey || event.altKey) return false;
     if (restraining.includes(event.key.toLowerCase())) this.press(event, false);
     return true;
   }

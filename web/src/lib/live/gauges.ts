@@ -22,10 +22,13 @@ const PROGRESS: GaugeSpec = { key: 'progress', label: 'Progress', unit: '%', sou
 
 const DRIVING: readonly GaugeSpec[] = [SEPARATION, BASE, GRIP, CONTACT, PROGRESS];
 const HANDLING: readonly GaugeSpec[] = [SEPARATION, TOOL, GRIP, CONTACT, PROGRESS];
+/** By hand both move, whatever ran before; and nobody knows how much is left to do. */
+const BY_HAND: readonly GaugeSpec[] = [SEPARATION, BASE, TOOL, GRIP, CONTACT];
 const DRIVES = new Set(['navigate_to', 'transport_object', 'reposition_base', 'takeover']);
 
-/** The gauges worth watching for what runs: the speed that matters is the base's or the tool's. */
-export function gaugesFor(session: Invocation | null): readonly GaugeSpec[] {
+/** The gauges worth watching for what runs: the speed that matters is the base's or the tool's, and both while somebody drives. */
+export function gaugesFor(session: Invocation | null, byHand: boolean): readonly GaugeSpec[] {
+  if (byHand) return BY_HAND;
   return session !== null && DRIVES.has(session.capability) ? DRIVING : HANDLING;
 }
 

@@ -20,6 +20,8 @@ function write(key: string, value: string): void {
 class Settings {
   theme = $state<Theme>(initialTheme());
   sound = $state(read('reins.sound') !== 'off');
+  /** Whether single letters, digits and signs are shortcuts. */
+  singleKeys = $state(read('reins.keys') !== 'off');
 
   toggleTheme(): void {
     this.theme = this.theme === 'dark' ? 'light' : 'dark';
@@ -29,6 +31,11 @@ class Settings {
   toggleSound(): void {
     this.sound = !this.sound;
     write('reins.sound', this.sound ? 'on' : 'off');
+  }
+
+  toggleSingleKeys(): void {
+    this.singleKeys = !this.singleKeys;
+    write('reins.keys', this.singleKeys ? 'on' : 'off');
   }
 }
 
