@@ -57,7 +57,7 @@ def verify(
     say(f"{log.size} events, root {log.root}: every byte of theirs is as it was signed")
     say(
         "not compared: what else is kept beside them, which nobody signs (settings, versions of policy, used permits, "
-        "how far cells have reported, uses of grants, idempotency keys)"
+        "how far cells have reported, uses of grants, idempotency keys; of invocations their failures and takeovers)"
     )
     if not found.ok:
         raise typer.Exit(FINDING)

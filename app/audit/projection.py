@@ -5,15 +5,18 @@ event by event:
 
 | event | states |
 |---|---|
-| proposal | who proposes what: capability, agent, requested and (until policy) effective parameters |
-| human, `takeover` of an idle cell | the same of a driving, but for its parameters |
-| admission, policy | cell, profile, policy version, status, effective parameters; nothing once it was authorized |
-| approval | the effective parameters, which an approver may have edited |
+| proposal | who proposes what, and when: capability, agent, requested and (until policy) effective parameters |
+| human, `takeover` of an idle cell | the same of a driving, but for its parameters and the time |
+| admission, policy | cell, profile, policy version, status, effective parameters, what both said (not a mere check \
+of what was approved); nothing once it was authorized |
+| approval | the effective parameters, which an approver may have edited, and what policy says of the edit |
 | authorization, the first | that it runs, with exactly those parameters |
 | status, escalation | what the session does |
-| outcome | how it ended; nothing comes after it |
+| outcome | how it ended, and why nothing came of it, where it never ran; nothing comes after it |
+| any with a question, or that withdraws one | which question the document shows, and what became of it |
 
-Not stated, so not compared: what a document says of its question, its takeover and its failure, and times.
+Not stated, so not compared: what a document says of its takeover and its failure, and when it last changed. What policy
+said of an edit, and when something was proposed, earlier releases did not state.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 import orjson
 
 from app.governance.control import TAKEOVER
-from app.governance.model import TERMINAL, EventKind, Outcome, Status
+from app.governance.model import TERMINAL, AdmissionOutcome, EventKind, Outcome, Status
 from app.governance.recorded import KEY as CIRCUMSTANCES
 from app.governance.session import final_status
 
@@ -36,10 +39,14 @@ if TYPE_CHECKING:
 
 Body = dict[str, Any]
 PAGE: Final = 50
-COLUMNS: Final = ("created_seq", "status", "capability", "agent", "cell", "profile")
+COLUMNS: Final = ("created_seq", "status", "capability", "agent", "cell", "profile", "created_at")
 FIELDS: Final = (
     "id", "status", "capability", "agent", "cell", "profile", "policy_version", "requested", "effective", "outcome",
+    "admission", "policy", "escalation", "created_at",
 )  # fmt: skip
+ADMISSION: Final = ("outcome", "reasons", "retry_after_s")  # of an event's body: what the document says of it
+POLICY: Final = ("outcome", "reasons", "changes")
+QUESTION: Final = ("id", "status", "code")  # a phase that begins gives a question another time, and the document not
 
 
 def rebuild(events: Iterable[Event]) -> dict[str, Any]:
@@ -59,11 +66,13 @@ def rebuild(events: Iterable[Event]) -> dict[str, Any]:
         if states is None:
             continue
         try:
-            known |= states(known, event.actor, event.payload())
-        except (KeyError, TypeError, ValueError) as error:
+            body: Body = event.payload()
+            shown = _question(known, body)
+            known |= states(known, event.actor, body)
+            known |= shown
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise ValueError(f"event `{event.seq}` cannot be followed: {error!r}") from error
-    known.pop(_AUTHORIZED, None)
-    return known
+    return {name: value for name, value in known.items() if name not in _BETWEEN and value is not _UNSTATED}
 
 
 def differences(row: Row, known: Mapping[str, Any]) -> list[str]:
@@ -80,7 +89,7 @@ def differences(row: Row, known: Mapping[str, Any]) -> list[str]:
     return [
         f"{where} is `{_shown(value)}`, the log makes it `{_shown(known[name])}`"
         for where, value, name in stored
-        if name in known and value != known[name]
+        if name in known and not _same(name, value, known[name])
     ]
 
 
@@ -118,6 +127,13 @@ def _rows(reader: Reader, pause_s: float) -> Iterator[tuple[Row, list[Event]]]:
         sleep(pause_s)
 
 
+def _same(name: str, value: object, known: object) -> bool:
+    if name == "escalation" and isinstance(value, dict) and isinstance(known, dict):
+        stored, stated = cast("Body", value), cast("Body", known)
+        return all(stored.get(part) == stated.get(part) for part in QUESTION)
+    return value == known
+
+
 def _shown(value: object) -> str:
     text = value if isinstance(value, str) else orjson.dumps(value, default=repr).decode()
     return text if len(text) <= 80 else f"{text[:77]}…"
@@ -126,16 +142,22 @@ def _shown(value: object) -> str:
 # What each kind of event states ---------------------------------------------------------------------------------------
 
 _AUTHORIZED: Final = "_authorized"
+_APPROVED: Final = "_approved"
+_BETWEEN: Final = frozenset({_AUTHORIZED, _APPROVED})  # what only the next events are read by
+_UNSTATED: Final = object()
+_SAID_NO: Final = frozenset({Outcome.DENIED, Outcome.EXPIRED})
+RECHECK: Final = "recheck"
 
 
 def _proposal(known: Body, actor: str, body: Body) -> Body:
     said = {"capability": body["capability"], "agent": actor, "requested": body["filled"], "effective": body["filled"]}
-    return {**said, "outcome": None}
+    told = {} if "created_at" not in body else {"created_at": body["created_at"]}
+    return {**said, **told, "outcome": None, "escalation": None}
 
 
 def _human(known: Body, actor: str, body: Body) -> Body:
     alone = body.get("op") == TAKEOVER and "agent" not in known
-    return {"capability": TAKEOVER, "agent": actor, "outcome": None} if alone else {}
+    return {"capability": TAKEOVER, "agent": actor, "outcome": None, "escalation": None} if alone else {}
 
 
 def _admission(known: Body, actor: str, body: Body) -> Body:
@@ -144,6 +166,10 @@ def _admission(known: Body, actor: str, body: Body) -> Body:
     status = Status(body["status"])
     outcome = status.value if status in TERMINAL else None  # refused, it has no other outcome than that
     said = {"cell": body["cell"], "profile": body["profile"], "status": status.value, "outcome": outcome}
+    if not _only_checked(known, status, body):
+        said["admission"] = _parts(ADMISSION, body)
+        if said["admission"] is not _UNSTATED:
+            said["policy"] = None  # until its own event, which follows if there was something to check
     decided = body.get(CIRCUMSTANCES)  # what was not admitted was not checked: no policy event names the version then
     return said if decided is None else {**said, "policy_version": decided["policy_version"]}
 
@@ -151,11 +177,26 @@ def _admission(known: Body, actor: str, body: Body) -> Body:
 def _policy(known: Body, actor: str, body: Body) -> Body:
     if _AUTHORIZED in known:
         return {}
-    return {"effective": body["effective"], "policy_version": body["policy_version"]}
+    said = {"effective": body["effective"], "policy_version": body["policy_version"]}
+    shown = {} if _only_checked(known, known.get("status"), body) else {"policy": _parts(POLICY, body)}
+    return {**said, **shown}
+
+
+def _only_checked(known: Body, status: object, body: Body) -> bool:
+    """Say whether a decision is only that the approved form conforms; what is shown is the verdict on the request."""
+    return bool(body.get(RECHECK)) and _APPROVED in known and status not in TERMINAL
 
 
 def _approval(known: Body, actor: str, body: Body) -> Body:
-    return {} if _AUTHORIZED in known else {"effective": body["escalation"]["effective"]}
+    if _AUTHORIZED in known:
+        return {}
+    question: Body = body["escalation"]
+    said: Body = {"effective": question["effective"]}
+    if question.get("status") == "approved":
+        said[_APPROVED] = True
+    if question.get("edits"):
+        said["policy"] = body.get("policy", _UNSTATED)
+    return said
 
 
 def _authorization(known: Body, actor: str, body: Body) -> Body:
@@ -189,7 +230,43 @@ def _outcome(known: Body, actor: str, body: Body) -> Body:
     if _over(known):
         return {}
     outcome = Outcome(body["outcome"])
-    return {"outcome": outcome.value, "status": Status(body.get("status") or final_status(outcome)).value}
+    said = {"outcome": outcome.value, "status": Status(body.get("status") or final_status(outcome)).value}
+    return said if _AUTHORIZED in known else {**said, **_unlaunched(known, outcome, body)}
+
+
+def _unlaunched(known: Body, outcome: Outcome, body: Body) -> Body:
+    """Return what the end of something that never ran adds: a person's or the time's no to what policy said."""
+    reasons, policy = body.get("reasons", []), known.get("policy")
+    if outcome in _SAID_NO and isinstance(policy, dict):
+        said = cast("Body", policy)
+        return {"policy": {**said, "reasons": [*said["reasons"], *reasons]}}
+    if outcome is Outcome.REJECTED:  # the policy in force takes no such parameters any more
+        return {"admission": {"outcome": AdmissionOutcome.REJECT.value, "reasons": reasons}}
+    return {}
+
+
+def _launch(known: Body, actor: str, body: Body) -> Body:
+    return {}
+
+
+def _question(known: Body, body: Body) -> Body:
+    """Return what an event says of the question that the document shows."""
+    shown: Body = known.get("escalation") or {}
+    match body:
+        case {"escalation": {"id": str(name), "status": str(status), **rest}}:
+            denial = cast("Body | None", rest.get("denial"))
+            code = {} if denial is None else {"code": denial["code"]}
+            asked: Body = {"id": name, "status": status, "expires_at": rest.get("expires_at"), **code}
+        case {"withdrawn": str(name)} if name == shown.get("id"):
+            asked = {**shown, "status": "withdrawn"}
+        case _:
+            return {}
+    return {"escalation": asked} if name == shown.get("id") or not _over(known) else {}
+
+
+def _parts(names: Iterable[str], body: Body) -> object:
+    """Return what an event says as the document says it; an event of another make states nothing of it."""
+    return {name: body[name] for name in names if name in body} or _UNSTATED
 
 
 def _over(known: Body) -> bool:
@@ -206,4 +283,5 @@ _STATES: Final[Mapping[str, Callable[[Body, str, Body], Body]]] = {
     EventKind.STATUS: _status,
     EventKind.ESCALATION: _escalation,
     EventKind.OUTCOME: _outcome,
+    EventKind.LAUNCH: _launch,
 }

@@ -265,11 +265,12 @@ class Answer:
         await self._questions.commit([self._event(decision, closed)], closed, invocation)
 
     def _event(self, decision: str, escalation: Escalation) -> EventDraft:
+        edited = {"policy": self._invocation.policy} if escalation.edits else {}  # policy's own event is on the request
         return EventDraft(
             kind=EventKind.APPROVAL,
             actor=self._principal.name,
             invocation=self._invocation.id,
-            body={"decision": decision, "escalation": escalation.public(), "comment": self._comment},
+            body={"decision": decision, "escalation": escalation.public(), "comment": self._comment, **edited},
         )
 
 

@@ -123,7 +123,7 @@ class Governor(Takeovers, Controls):
             kind=EventKind.PROPOSAL,
             actor=principal.name,
             invocation=invocation.id,
-            body={**request.document(), "filled": params},
+            body={**request.document(), "filled": params, "created_at": invocation.created_at},
         )
         drafts = [proposal, *judgement.events(invocation), *self.shadowed(judgement, invocation)]
         rows = [

@@ -17,8 +17,13 @@ from tests.audit.conftest import TIME, draft, invocation_row
 
 ASKED, BOUND = {"speed_mps": 0.5}, {"speed_mps": 0.25}
 PROPOSAL = ("proposal", {"capability": "navigate_to", "filled": ASKED})
-ADMISSION = ("admission", {"cell": "workcell-1", "profile": "human-shared", "status": "awaiting_approval"})
-POLICY = ("policy", {"effective": BOUND, "policy_version": "sha256:a"})
+WHY, NO = {"rule": "speed", "code": "limited"}, {"rule": "runtime", "code": "denied_by_human"}
+ADMITTED, WAITING = {"outcome": "accept", "reasons": []}, {"outcome": "defer", "reasons": [WHY], "retry_after_s": 2}
+SAID, EDITED = ({"outcome": name, "reasons": [WHY], "changes": []} for name in ("modify", "allow"))
+DECIDED = {"cell": "workcell-1", "profile": "human-shared", "status": "awaiting_approval"}
+ADMISSION = ("admission", {**DECIDED, **ADMITTED})
+POLICY = ("policy", {"effective": BOUND, "policy_version": "sha256:a", **SAID})
+ASKED_FOR = {"id": "esc_1", "kind": "approval", "status": "pending", "expires_at": TIME}
 APPROVAL = ("approval", {"escalation": {"effective": {"speed_mps": 0.1}}})
 
 
@@ -46,19 +51,39 @@ def status(name: str) -> Told:
     return ("status", {"status": name})
 
 
+def question(word: str = "escalation", **changes: Any) -> Told:
+    return (word, {"escalation": {**ASKED_FOR, "effective": BOUND, **changes}})
+
+
+def again(told: Told, **changes: Any) -> Told:
+    return (told[0], {**told[1], "recheck": True, **changes})
+
+
 def test_nothing_told_is_nothing_known() -> None:
     assert rebuild([]) == {}
 
 
 def test_a_whole_way_from_proposal_to_outcome() -> None:
-    assert told(PROPOSAL, ADMISSION, POLICY, APPROVAL, AUTHORIZATION, status("paused"), STOPPED) == {
+    proposal = ("proposal", {**PROPOSAL[1], "created_at": TIME})
+    assert told(proposal, ADMISSION, POLICY, APPROVAL, AUTHORIZATION, status("paused"), STOPPED) == {
         "id": "inv_1", "created_seq": 7, "status": "failed", "capability": "navigate_to", "agent": "planner",
         "cell": "workcell-1", "profile": "human-shared", "policy_version": "sha256:b", "requested": ASKED,
-        "effective": BOUND, "outcome": "stopped",
+        "effective": BOUND, "outcome": "stopped", "admission": ADMITTED, "policy": SAID, "escalation": None,
+        "created_at": TIME,
     }  # fmt: skip
 
 
 RUN = (PROPOSAL, ADMISSION, POLICY, AUTHORIZATION)
+ASKING_FIRST = (PROPOSAL, ADMISSION, POLICY, question())
+APPROVED = question("approval", status="approved")
+EDITED_BY_HUMAN = ("approval", {**question("approval", status="approved", edits=[{}])[1], "policy": EDITED})
+DENIED = question("approval", status="denied", denial={"code": "unsafe", "says": "not now"})
+ENDED = ("outcome", {"outcome": "denied", "status": "denied", "reasons": [NO]})
+OVER_TIME = ("outcome", {"outcome": "expired", "status": "denied", "reasons": [NO]})
+UNFIT = ("outcome", {"outcome": "rejected", "status": "rejected", "reasons": [NO]})
+GONE = ("outcome", {"outcome": "stopped", "withdrawn": "esc_1"})
+LATE = again(ADMISSION, status="deferred", **WAITING)
+ALTERED = again(POLICY, outcome="allow")
 REFUSED = ("admission", {**ADMISSION[1], "status": "rejected"})
 UNCHECKED = ("admission", {**REFUSED[1], "context": {"policy_version": "sha256:d"}})
 STATES: list[tuple[tuple[Told, ...], dict[str, Any]]] = [
@@ -88,6 +113,24 @@ STATES: list[tuple[tuple[Told, ...], dict[str, Any]]] = [
     ((TAKEN,), {"capability": "takeover", "agent": "planner", "outcome": None}),
     ((PROPOSAL, TAKEN), {"capability": "navigate_to"}),
     ((("human", {"op": "stop"}),), {"id": "inv_1"}),
+    (ASKING_FIRST, {"admission": ADMITTED, "policy": SAID, "escalation": {"id": "esc_1", "status": "pending", "expires_at": TIME}}),
+    ((PROPOSAL, ADMISSION), {"admission": ADMITTED, "policy": None, "escalation": None}),
+    ((PROPOSAL, LATE), {"admission": WAITING, "policy": None}),
+    ((*ASKING_FIRST, again(ADMISSION), ALTERED), {"policy": {**SAID, "outcome": "allow"}}),  # under another policy
+    ((*ASKING_FIRST, APPROVED, again(ADMISSION, outcome="x"), ALTERED), {"admission": ADMITTED, "policy": SAID}),  # only checked
+    ((*ASKING_FIRST, APPROVED, LATE, ALTERED), {"admission": WAITING, "policy": {**SAID, "outcome": "allow"}}),  # ended by it
+    ((*ASKING_FIRST, EDITED_BY_HUMAN, again(ADMISSION), ALTERED), {"policy": EDITED}),
+    ((*ASKING_FIRST, question("approval", edits=[{}])), {"policy": "nothing"}),  # as earlier releases recorded an edit
+    ((*ASKING_FIRST, DENIED, ENDED), {"policy": {**SAID, "reasons": [WHY, NO]}, "escalation": {"id": "esc_1", "status": "denied", "expires_at": TIME, "code": "unsafe"}}),
+    ((*ASKING_FIRST, OVER_TIME), {"policy": {**SAID, "reasons": [WHY, NO]}, "admission": ADMITTED}),
+    ((PROPOSAL, ADMISSION, OVER_TIME), {"policy": None, "outcome": "expired"}),
+    ((*ASKING_FIRST, UNFIT), {"policy": SAID, "admission": {"outcome": "reject", "reasons": [NO]}}),
+    ((*RUN, question(), ("launch", {"withdrawn": "esc_2"})), {"escalation": {"id": "esc_1", "status": "pending", "expires_at": TIME}}),
+    ((*RUN, question(), ("launch", {"withdrawn": "esc_1"})), {"escalation": {"id": "esc_1", "status": "withdrawn", "expires_at": TIME}}),
+    ((*RUN, question(), GONE), {"escalation": {"id": "esc_1", "status": "withdrawn", "expires_at": TIME}, "outcome": "stopped"}),
+    ((*RUN, question(), STOPPED, question(status="withdrawn")), {"escalation": {"id": "esc_1", "status": "withdrawn", "expires_at": TIME}}),
+    ((*RUN, STOPPED, question()), {"escalation": None}),  # a late word of the cell's
+    ((*RUN, question("approval", edits=[{}])), {"policy": SAID}),
     ((("telemetry", {}), PROPOSAL), {"created_seq": 7, "capability": "navigate_to"}),
 ]  # fmt: skip
 
@@ -112,7 +155,7 @@ def row(known: dict[str, Any], **changes: Any) -> dict[str, Any]:
 
 
 def test_says_where_a_row_is_not_what_the_log_makes_of_it() -> None:
-    known = told(*RUN)
+    known = {**told(*RUN, question()), "created_at": TIME}
     assert differences(row(known), known) == []
     assert differences(row(known, status="completed"), known) == [
         "column `status` is `completed`, the log makes it `running`"
@@ -121,6 +164,17 @@ def test_says_where_a_row_is_not_what_the_log_makes_of_it() -> None:
     assert differences(row(known, document=orjson.dumps(changed)), known) == [
         '`effective` is `{"speed_mps":2.0}`, the log makes it `{"speed_mps":0.25}`'
     ]
+    later = {
+        **known,
+        "escalation": {**known["escalation"], "expires_at": "later"},
+    }  # another phase of the same question
+    assert differences(row(known, document=orjson.dumps(later)), known) == []
+    for other in (None, {}, {**known["escalation"], "status": "approved"}, {**known["escalation"], "code": "unsafe"}):
+        (problem,) = differences(row(known, document=orjson.dumps({**known, "escalation": other})), known)
+        assert problem.startswith("`escalation` is `")
+    for name, other in (("admission", WAITING), ("policy", EDITED), ("policy", None), ("created_at", "1999")):
+        (problem,) = differences(row(known, document=orjson.dumps({**known, name: other})), known)
+        assert problem.startswith(f"`{name}` is `")
     (long,) = differences(row(known, agent="x" * 99), known)
     assert f"`{'x' * 77}…`" in long
     assert differences(row(known, document=b"{"), known) == ["its document is no JSON"]

@@ -44,7 +44,9 @@ def rewritten(folder: Path, name: str, **changes: Any) -> bytes:
     return orjson.dumps({**orjson.loads(document), **changes})
 
 
-@pytest.mark.parametrize(("column", "value"), [("status", "completed"), ("agent", "stranger"), ("created_seq", 999)])
+@pytest.mark.parametrize(
+    ("column", "value"), [("status", "completed"), ("agent", "stranger"), ("created_seq", 999), ("created_at", "1999")]
+)
 async def test_names_a_row_whose_column_was_changed(house: House, column: str, value: object) -> None:
     name = await drive(house)
     found = change(house.folder, f"UPDATE invocations SET {column} = ? WHERE id = ?", value, name)  # noqa: S608
@@ -63,6 +65,10 @@ async def test_names_a_row_whose_column_was_changed(house: House, column: str, v
         ("requested", {"target": "bench_a"}),
         ("effective", {"target": "dock", "speed_mps": 2.0}),
         ("policy_version", "sha256:other"),
+        ("admission", {"outcome": "accept", "reasons": [{"rule": "x", "code": "forged"}]}),
+        ("policy", {"outcome": "allow", "reasons": [], "changes": []}),
+        ("escalation", {"id": "esc_forged", "status": "approved", "expires_at": None}),
+        ("created_at", "1999-01-01T00:00:00.000Z"),
     ],
 )
 async def test_names_a_row_whose_document_was_changed(house: House, field: str, value: object) -> None:
