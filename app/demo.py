@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 START_S: Final = 60.0
 END_S: Final = 8.0
 LOOK_S: Final = 0.1
+SAID_LINES: Final = 4
 SCENARIO: Final = "fetch_shared"
 STYLES: Final[Mapping[str, str]] = {
     "agent": "cyan", "policy": "yellow", "human": "magenta", "warn": "bold yellow", "act": "white", "good": "green",
@@ -45,7 +46,16 @@ HABITS: Final[Mapping[str, Any]] = {
 
 
 class ServerFailed(Exception):
-    """The demo's server ended, or was not ready in time."""
+    """The demo's server ended, or was not ready in time.
+
+    Attributes:
+        misused: it was started with something that cannot be.
+    """
+
+    def __init__(self, what: str, *, misused: bool = False) -> None:
+        """Say what went wrong with it."""
+        self.misused = misused
+        super().__init__(what)
 
 
 def demo(folder: Path, *, scripted: bool, keep: bool, pace: float, port: int) -> int:
@@ -65,8 +75,8 @@ def demo(folder: Path, *, scripted: bool, keep: bool, pace: float, port: int) ->
     except KeyboardInterrupt:
         return FINE if keep else FINDING
     except ServerFailed as error:
-        say_error(str(error), hint=f"its own words: {data.root / 'server.log'}")
-        return FINDING
+        say_error(str(error), hint=f"its own words: {_said(data.root / 'server.log')}")
+        return MISUSE if error.misused else FINDING
     return code
 
 
@@ -193,8 +203,14 @@ def _await_ready(process: subprocess.Popen[bytes], data: DataDir) -> str:
                 if _ready(url):
                     return url
         else:
-            raise ServerFailed(f"the server ended with `{code}`")
+            raise ServerFailed(f"the server ended with `{code}`", misused=code == MISUSE)
     raise ServerFailed(f"the server was not ready within {START_S:.0f} s")
+
+
+def _said(log: Path) -> str:
+    """Return the last lines of a log, for who would have to open it."""
+    last = log.read_text(errors="replace").strip().splitlines()[-SAID_LINES:]
+    return "\n".join([*last, f"(all of it: {log})"])
 
 
 def _ready(url: str) -> bool:

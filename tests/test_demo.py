@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -58,3 +59,12 @@ def test_a_demo_that_is_told_to_end_takes_its_server_along(tmp_path: Path):
     demo.stdout.close()
     with pytest.raises(httpx.TransportError):
         httpx.get(f"{url}/healthz")
+
+
+def test_a_demo_whose_address_is_taken_says_so_itself(tmp_path: Path):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        command = [sys.executable, "-m", "app.cli", "demo", "--port", port, "--folder", str(tmp_path)]
+        ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 2
+    assert "valid: a free address" in " ".join(ended.stderr.split())
