@@ -30,6 +30,7 @@ import yaml
 from app.agent.client import AsyncReinsClient, Document, Problem, ReinsError
 
 _POLL_S = 0.1
+_ANSWERED = frozenset({"already_resolved", "already_approved"})
 _MATCHABLE = frozenset({"capability", "risk", "kind", "agent"})
 _DECISIONS = ("approve", "deny", "ignore")
 _LARGEST = 10**15
@@ -225,15 +226,30 @@ class ScriptedApprover:
             self._edited.add(escalation["id"])
         if answer.decision == "deny":
             body["comment"] = "denied by rule of the scripted approver"
+        resolved = await self._resolve(escalation, answer, body)
+        if resolved is not None:
+            self._on_answer(escalation, replace(answer, status=resolved["status"]))
+
+    async def _resolve(self, escalation: Document, answer: Answer, body: Document) -> Document | None:
+        """Return the question as this answer left it; None where the answer does not count."""
+        path = f"/v1/escalations/{escalation['id']}"
         try:
-            resolved = await self._client.call("POST", f"/v1/escalations/{escalation['id']}/resolve", json=body)
+            return await self._client.call("POST", f"{path}/resolve", json=body)
         except Problem as refused:
             if refused.status != 409:  # somebody else was faster, or it expired while being read
                 raise
             if refused.code == "cell_offline":  # for now: the question waits on, so it is read again
                 self._seen.discard(_bound_to(escalation))
-            return
-        self._on_answer(escalation, replace(answer, status=resolved["status"]))
+            if refused.code not in _ANSWERED:
+                return None
+        resolved: Document = await self._client.call("GET", path)
+        return resolved if self._gave(answer, resolved) else None
+
+    def _gave(self, answer: Answer, resolved: Document) -> bool:
+        """Say whether an answer stands that was asked for again because the reply to it was lost."""
+        denial = resolved.get("denial")
+        said = resolved.get("approvals") if answer.decision == "approve" else [denial] if denial else []
+        return any(word.get("by") == self._habits.name for word in said or ())
 
 
 def _bound_to(escalation: Document) -> tuple[str, str]:

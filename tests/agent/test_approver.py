@@ -190,6 +190,45 @@ async def test_answers_again_once_the_cell_that_was_away_may_be_back():
 
 
 @pytest.mark.anyio
+@pytest.mark.parametrize(
+    ("code", "decision", "became", "told"),
+    [
+        ("already_resolved", "approve", {"status": "approved", "approvals": [{"by": "operator"}]}, ["approved"]),
+        ("already_approved", "approve", {"status": "pending", "approvals": [{"by": "operator"}]}, ["pending"]),
+        ("already_resolved", "approve", {"status": "approved", "approvals": [{"by": "operator_2"}]}, []),
+        ("already_resolved", "approve", {"status": "denied", "approvals": [], "denial": {"by": "operator"}}, []),
+        ("already_resolved", "deny", {"status": "denied", "approvals": [], "denial": {"by": "operator"}}, ["denied"]),
+        ("already_resolved", "deny", {"status": "denied", "approvals": [], "denial": {"by": "operator_2"}}, []),
+        ("escalation_expired", "approve", {"status": "expired", "approvals": [], "denial": None}, []),
+    ],
+)
+async def test_an_answer_whose_reply_was_lost_is_told_as_its_own(code, decision, became, told):
+    lost = iter([True])
+    asked: list[str] = []
+    given: list[str] = []
+
+    def answer(turn: Turn):
+        asked.append(turn.path)
+        if turn.method == "POST":
+            return None if next(lost, False) else (409, {"code": code, "detail": "the escalation is answered"})
+        if turn.path == "/v1/escalations/esc_1":
+            return 200, escalation(**became)
+        return 200, {"items": [escalation()] if len(asked) == 1 else [], "next": None}
+
+    habits = parse_habits({**HABITS, "rules": [{"match": {}, "decision": decision}]})
+    with serve(answer) as server:
+        async with AsyncReinsClient(server.url, "t") as client:
+            approver = ScriptedApprover(client, habits, on_answer=lambda _e, a: given.append(a.status))
+            task = asyncio.create_task(approver.run())
+            while sum(path.endswith("/resolve") for path in asked) < 2 or "?" not in asked[-1]:
+                await asyncio.sleep(0.01)
+            await asyncio.sleep(0.2)
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+    assert given == told
+
+
+@pytest.mark.anyio
 async def test_approves_the_constrained_question_when_policy_constrains_its_edit():
     asked = {"now": escalation(effective={"object_id": "mug_1", "force_n": 10}, status="pending")}
 
