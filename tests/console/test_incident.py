@@ -154,6 +154,11 @@ def test_axe_finds_nothing_where_several_wait_in_two_cells(
     person.page.evaluate("location.hash = '#/fleet'")
     expect(person.page.get_by_role("heading", name="workcell-2")).to_be_visible()
     found["fleet"] = faults(person.page, axe)
+    expect(person.region("workcell-2")).to_contain_text(re.compile(r"2 questions, \d:\d\d"))
+    expect(person.page.get_by_role("link", name=re.compile("5 questions"))).to_be_in_viewport(ratio=1)
+    expect(person.page).to_have_title(re.compile(r"^\(5, \d:\d\d\) Reins console$"))
+    person.press("x")
+    expect(cards(person)).to_be_visible()
     assert {name: what for name, what in found.items() if what} == {}
 
 

@@ -1,7 +1,8 @@
 import { describe, expect, it } from 'vitest';
+import type { Escalation } from '../src/lib/api/documents';
 import { Herald, TOGETHER_MS } from '../src/lib/live/herald';
 import { awaited } from '../src/lib/live/stages';
-import { nextOf, soonestOf } from '../src/lib/live/urgency';
+import { nextOf, outstandingOf, questionsWords, soonestOf, tabTitle } from '../src/lib/live/urgency';
 import { escalation } from './samples';
 
 const asked = (...names: string[]) => names.map((name) => escalation({ id: name, effective: { object_id: name } }));
@@ -57,6 +58,21 @@ describe('new questions are announced', () => {
     herald.take(asked('a'));
     herald.take(asked('a', 'b'));
     expect(herald.speak(0, () => ' in workcell-2')).toBe('Waiting for you: Grasp b in workcell-2, medium risk.');
+  });
+});
+
+describe('what waits, wherever one is', () => {
+  const due = (id: string, at: string): Escalation => escalation({ id, expires_at: `2026-11-22T${at}Z` });
+  const now = Date.parse('2026-11-22T10:00:00Z');
+  const approved = { ...due('mine', '10:00:20'), approvals: [{ by: 'operator', at: '', digest: '' }] };
+  it('is what this person can still answer, with the time until the first of it lapses', () => {
+    const waits = outstandingOf([due('a', '10:02:00'), approved, due('b', '10:01:24')], now, 'operator');
+    expect([waits, questionsWords(waits), tabTitle(waits)]).toEqual([{ count: 2, leftMs: 84_000 }, '2 questions', '(2, 1:24) Reins console']);
+  });
+  it('has no time left to tell of where nothing lapses, and is nothing where nothing waits or is known', () => {
+    const waits = outstandingOf([escalation({ expires_at: null })], now, null);
+    expect([questionsWords(waits), tabTitle(waits)]).toEqual(['1 question', '(1) Reins console']);
+    expect([tabTitle(outstandingOf([approved], now, 'operator')), tabTitle(null)]).toEqual(['Reins console', 'Reins console']);
   });
 });
 

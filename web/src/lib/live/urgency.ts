@@ -1,4 +1,5 @@
 import type { Escalation, Risk } from '../api/documents';
+import { countdown } from '../format/time';
 
 const RISKS: Record<Risk, number> = { critical: 3, high: 2, medium: 1, low: 0 };
 export const LAST_CALL_MS = 30_000;
@@ -46,6 +47,28 @@ export function soonestOf(sorted: readonly Escalation[], current: string | null,
   const left = (item: Escalation): number => leftMs(item, nowMs) ?? Infinity;
   const others = sorted.filter((item) => item.id !== current && !iApproved(item, me) && item.expires_at !== null);
   return others.sort((a, b) => left(a) - left(b))[0] ?? null;
+}
+
+/** The questions that this person can still answer: how many, and what time the first of them has left, ms. */
+export interface Outstanding {
+  count: number;
+  leftMs: number | null;
+}
+
+export function outstandingOf(asked: readonly Escalation[], nowMs: number, me: string | null): Outstanding {
+  const first = soonestOf(asked, null, nowMs, me);
+  return { count: asked.filter((item) => !iApproved(item, me)).length, leftMs: first === null ? null : leftMs(first, nowMs) };
+}
+
+/** `2 questions`. */
+export function questionsWords({ count }: Outstanding): string {
+  return `${count} question${count === 1 ? '' : 's'}`;
+}
+
+/** What a tab is called, so that what waits is seen from another one; null: that is not known. */
+export function tabTitle(waits: Outstanding | null): string {
+  if (waits === null || waits.count === 0) return 'Reins console';
+  return `(${waits.count}${waits.leftMs === null ? '' : `, ${countdown(waits.leftMs)}`}) Reins console`;
 }
 
 /**
