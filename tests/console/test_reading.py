@@ -113,7 +113,13 @@ def test_a_trace_follows_its_session_and_is_scrubbed_with_its_events(
     until(
         lambda: server.get(f"/v1/audit/events?invocation={drive['id']}&kind=telemetry")["items"], what="its telemetry"
     )
+    integrity = person.region("Integrity of the log")
+    expect(integrity).to_contain_text("not checked yet")
+    person.press("1")
+    expect(person.region("Events")).to_be_visible()
     person.press("2")
+    expect(integrity).to_contain_text("The log holds.")
+    expect(integrity).not_to_contain_text("not checked yet")
     person.page.get_by_text("Filter").click()
     actor = person.page.get_by_label("Actor")
     actor.fill("x")

@@ -1,6 +1,7 @@
-import { describe, expect, it } from 'vitest';
+import { describe, expect, it, vi } from 'vitest';
 import type { Checkpoint, Invocation, LogEvent, Verification } from '../src/lib/api/documents';
 import { invocation } from './samples';
+import { LogCheck } from '../src/lib/audit/check.svelte';
 import { judge } from '../src/lib/audit/integrity';
 import { eventQuery, findEvents, matches, newest, NOTHING_WANTED, renewed } from '../src/lib/audit/search';
 
@@ -23,6 +24,25 @@ describe('integrity', () => {
     const judged = judge(signed, verification, seen, 1);
     expect(judged.is).toBe('bad');
     expect(judged.is === 'bad' && judged.problem).toContain(says);
+  });
+});
+
+describe('the check of the log', () => {
+  it('is repeated where the log has grown since, or nothing is known, and where it does not hold, stays as it is', async () => {
+    const [check, asked] = [new LogCheck(), vi.fn()];
+    let says: Verification = found;
+    const api = { checkpoint: () => Promise.resolve(signed), verify: () => (asked(), Promise.resolve(says)) };
+    await check.runUnlessHolds(api, 40);
+    await check.runUnlessHolds(api, 40);
+    expect(asked).toHaveBeenCalledTimes(1);
+    says = { ...found, size: 44, root: 'bbb' };
+    await check.runUnlessHolds(api, 44);
+    expect([asked.mock.calls.length, check.now]).toMatchObject([2, { is: 'good', size: 44 }]);
+    says = { ...found, size: 43 };
+    await check.runUnlessHolds(api, 45);
+    says = found;
+    await check.runUnlessHolds(api, 50);
+    expect([asked.mock.calls.length, check.now.is]).toEqual([3, 'bad']);
   });
 });
 

@@ -24,6 +24,11 @@ export function judge(signed: Checkpoint, found: Verification, seen: { size: num
   return wrong === null ? { is: 'good', size, root, atMs } : { is: 'bad', ...wrong, atMs };
 }
 
+/** How many events the log has, as `seq` counts them, beyond those that were found to hold. */
+export function newerThan(found: Integrity, seq: number): number {
+  return found.is === 'good' ? Math.max(0, seq - found.size) : 0;
+}
+
 const UNSAID = 'the server does not say what is wrong';
 
 /** How what was found falls short of what is known. Where roots differ, the tree does not say which event does: none is good. */
