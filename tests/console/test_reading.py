@@ -142,6 +142,7 @@ def test_a_trace_follows_its_session_and_is_scrubbed_with_its_events(
     expect(events.get_by_text(re.compile(r"(\d+) of \1"))).to_be_visible()
     moment.evaluate("(range) => { range.value = range.min; range.dispatchEvent(new Event('input', {bubbles: true})); }")
     began = float(moment.input_value())
+    person.page.get_by_role("link", name=re.compile("Drive to")).first.focus()  # as who chose by a click left it
     person.press(" ")
     until(lambda: float(moment.input_value()) > began + 0.3 or person.page.wait_for_timeout(20), what="time that runs")
     person.press(" ")

@@ -2,7 +2,7 @@ import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
 import { gamepadAxes, standardPad, Sticks } from '../src/lib/jog/bindings';
 import { JogKeys, pressesButton, type Key } from '../src/lib/jog/keyboard';
 import { jogNames } from '../src/lib/jog/layout';
-import { Keys, takesKeys } from '../src/lib/keys/keys';
+import { Keys, pressedBySpace, takesKeys } from '../src/lib/keys/keys';
 import { HoldToRun, type Command, type Speeds } from '../src/lib/jog/hold';
 
 const SPEEDS: Speeds = { base_x: 0.2, base_y: 0.2, base_yaw: 0.4, tool_x: 0.1, tool_y: 0.1, tool_z: 0.1 };
@@ -161,6 +161,12 @@ describe('keys that drive', () => {
 
   it('press no button together with a modifier', () => {
     expect([pressesButton(key('Enter')), pressesButton(key('Enter', { metaKey: true })), pressesButton(key('Enter', { repeat: true }))]).toEqual([true, false, false]);
+  });
+
+  it('leave Space to what it presses, which a link is not', () => {
+    const pressed = [{ tagName: 'BUTTON' }, { tagName: 'SUMMARY' }, { tagName: 'SELECT' }, { tagName: 'INPUT', type: 'radio' }];
+    expect(pressed.map(pressedBySpace)).toEqual([true, true, true, true]);
+    expect([{ tagName: 'A' }, { tagName: 'BODY' }, { tagName: 'INPUT', type: 'range' }, null].map(pressedBySpace)).toEqual([false, false, false, false]);
   });
 
   it('leave letters to what is typed in, and still stop there', () => {

@@ -39,6 +39,12 @@ export function takesKeys(target: Parameters<typeof isTyping>[0]): boolean {
   return isTyping(target) || ['INPUT', 'SELECT', 'SUMMARY'].includes(target?.tagName ?? '');
 }
 
+/** Whether Space presses what has the focus; a link is followed by Enter alone. */
+export function pressedBySpace(target: { tagName?: string; type?: string } | null): boolean {
+  if (target?.tagName === 'INPUT') return target.type === 'checkbox' || target.type === 'radio';
+  return ['BUTTON', 'SUMMARY', 'SELECT'].includes(target?.tagName ?? '');
+}
+
 /** The key that stops, from anywhere. */
 export const STOP_KEY = '.';
 
