@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Route, expect
 
 from tests.conftest import ServerProcess, until
-from tests.console.conftest import Floor, People
+from tests.console.conftest import Floor, People, box
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 CELL = "/v1/cells/workcell-1"
@@ -126,6 +126,8 @@ def test_a_trace_follows_its_session_and_is_scrubbed_with_its_events(
     actor.fill("")
     expect(actor).to_be_focused()  # a field that is emptied takes what is typed next
     actor.fill("nobody")
+    for when in ("From", "Until"):
+        assert box(person.page.get_by_label(when, exact=True))["width"] > 190  # a day and a time to the second
     person.button("Events").click()
     person.button("Sessions").click()  # what was only typed filters nothing
     person.page.get_by_role("link", name=re.compile("Drive to")).first.click()
