@@ -56,6 +56,9 @@ def test_a_link_that_goes_is_told_and_what_came_meanwhile_is_there_when_it_is_ba
         person.expects(BROKEN)
         header = person.page.locator("header dl.facts")
         expect(header).to_contain_text("Idle")
+        person.press("t")
+        drive = person.region("Drive by hand")
+        expect(drive).to_contain_text("the controls of the idle cell")
         how(wire)
         told_after_ms = person.page.evaluate(SAYS_SO)
         assert told_after_ms <= 1_000
@@ -65,6 +68,7 @@ def test_a_link_that_goes_is_told_and_what_came_meanwhile_is_there_when_it_is_ba
             "aria-hidden", "true"
         )  # or it is all said anew
         expect(header).to_contain_text("Not known")
+        expect(drive).to_contain_text("Who has the controls of workcell-1 is not known")
         expect(person.page.locator(".live .stale").first).to_be_visible()
         asked = floor.ask()
         wire.mend()

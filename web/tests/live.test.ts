@@ -3,7 +3,7 @@ import type { Escalation, Invocation, LogEvent, Risk } from '../src/lib/api/docu
 import { gaugesFor, readGauge, unfinished, type GaugeSpec } from '../src/lib/live/gauges';
 import { History } from '../src/lib/live/history';
 import { closingOf } from '../src/lib/live/closed';
-import { handsOn, holdersOf, isHalted, leaseLapsed, pausedWords, pauseEndedOf, pauserOf, refusalWords, restraintsOf } from '../src/lib/live/control';
+import { handsOn, holdersOf, isHalted, leaseLapsed, pausedWords, pauseEndedOf, pauserOf, refusalWords, restraintsOf, unreachedWords } from '../src/lib/live/control';
 import { deniedIsUndone, goingOn } from '../src/lib/live/held';
 import { reasonLines } from '../src/lib/live/reasons';
 import { askedOf, stagesOf } from '../src/lib/live/stages';
@@ -225,6 +225,12 @@ describe('the controls of a cell', () => {
     expect(ended(word('pause', 'bob'), taken('running'))).toBeNull();
     expect(ended(word('pause', 'bob'), taken('paused', 'preempted'))).toBeNull();
     expect([ended(taken('paused')), ended(word('pause', 'bob')), pauseEndedOf([], null)]).toEqual([null, null, null]);
+  });
+
+  it('reach nothing while the link is down, or the cell is not heard', () => {
+    expect(unreachedWords({ live: false, cell: cell() })).toBe('the link is down or too slow');
+    expect(unreachedWords({ live: true, cell: cell({ online: false }) })).toBe('workcell-1 is not heard');
+    expect(unreachedWords({ live: true, cell: cell() })).toBeNull();
   });
 
   it('say in words why they are not obeyed, and name a rule without any', () => {

@@ -33,6 +33,12 @@ export function handsOn(cell: Cell | null, me: string | null, lease: string | nu
   return control.lease === lease ? 'here' : 'elsewhere';
 }
 
+/** Why nothing that is pressed reaches the robot, in words; null where it may be taken that it does. */
+export function unreachedWords({ live, cell }: { live: boolean; cell: Pick<Cell, 'id' | 'online'> | null }): string | null {
+  if (!live) return 'the link is down or too slow';
+  return cell?.online === true ? null : `${cell?.id ?? 'the cell'} is not heard`;
+}
+
 /** Whether an event says that this lease ended because its holder fell silent. */
 export function leaseLapsed(event: LogEvent, lease: string | null): boolean {
   return event.kind === 'human' && event.body['op'] === 'control_lapsed' && event.body['lease'] === lease;
