@@ -4,7 +4,7 @@ import { entriesOf, eventLine } from '../src/lib/format/events';
 import { labelOf, unitOf, valueOf } from '../src/lib/format/quantity';
 import type { Cell, Control } from '../src/lib/api/documents';
 import { pausedWords } from '../src/lib/live/control';
-import { robotSays } from '../src/lib/format/status';
+import { robotSays, whoWords } from '../src/lib/format/status';
 import { quoted, sentence } from '../src/lib/format/quoted';
 import { countdown, elapsed, left } from '../src/lib/format/time';
 import { DRIVING_KEYS } from '../src/lib/jog/bindings';
@@ -15,6 +15,13 @@ import { fromSnapshot, merged, NOTHING } from '../src/lib/state/documents';
 import { cell, escalation, event, heldBy, scene } from './samples';
 
 const key = (name: string, more: object = {}) => ({ key: name, code: '', repeat: false, ctrlKey: false, metaKey: false, altKey: false, defaultPrevented: false, ...more });
+
+describe('who sits here', () => {
+  it('is a name and a role, and the cell they stand at', () => {
+    expect(whoWords({ name: 'ann', role: 'operator', station: null })).toBe('ann, operator');
+    expect(whoWords({ name: 'bob', role: 'operator', station: 'workcell-1' })).toBe('bob, operator at workcell-1');
+  });
+});
 
 describe('times', () => {
   it('count down to zero and not below it', () => {

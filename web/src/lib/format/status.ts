@@ -22,6 +22,11 @@ export function statusWords(status: string): { text: string; tone: Tone } {
 }
 
 /** What the robot reports of itself, the gravest thing first. */
+/** Who sits here, as the console was told: `ann, operator`, or where they stand at a cell, `ann, operator at workcell-1`. */
+export function whoWords({ name, role, station }: { name: string; role: string; station: string | null }): string {
+  return `${name}, ${role}${station === null ? '' : ` at ${station}`}`;
+}
+
 export function robotSays(cell: Cell | null): { text: string; tone: Tone } {
   if (cell === null) return { text: 'No cell', tone: 'quiet' };
   const grave = graveOf(cell);
