@@ -81,6 +81,7 @@ def test_the_list_of_keys_shows_arrows_as_arrows(server: ServerProcess, people: 
     keys = person.page.get_by_role("dialog", name="Keys")
     expect(keys.get_by_text("←", exact=True)).to_be_visible()
     expect(keys.get_by_text("→", exact=True)).to_be_visible()
+    expect(keys).to_contain_text("Go to how the controls are handed back")
     keys.get_by_label("Single keys").uncheck()  # who dictates says letters without meaning any
     person.press("4")
     person.press("?")
