@@ -148,6 +148,7 @@ def test_the_second_step_of_a_reset_goes_when_it_is_dead_and_says_why(
     person = people.sit(server)
     again, reset, yes = person.alert("is latched"), person.button("Reset…"), person.button("Yes, reset the stop")
     person.press(".")
+    expect(again).to_contain_text(re.compile(r"Pressed by operator at \d\d:\d\d:\d\d\."))
     reset.click()
     expect(person.page.get_by_text(re.compile("^([1-9]|10) s left to confirm"))).to_be_visible()
     assert server.post("/v1/cells/workcell-1/estop", key="operator_2").is_success

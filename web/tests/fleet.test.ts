@@ -1,7 +1,7 @@
 import { describe, expect, it } from 'vitest';
 import type { Cell, LogEvent } from '../src/lib/api/documents';
 import { differences } from '../src/lib/fleet/profiles';
-import { secondsLeft, whyWithdrawn } from '../src/lib/live/reset';
+import { secondsLeft, stopOf, whyWithdrawn } from '../src/lib/live/reset';
 import { heard, profileBarrier, resetBarrier, samePolicy } from '../src/lib/fleet/rights';
 import { event } from './samples';
 
@@ -41,6 +41,17 @@ describe('the second step of a reset', () => {
 
   it('falls with a new stop, and says whose', () => {
     expect(whyWithdrawn(offered, 'workcell-1', [before, after], offered.untilMs)).toContain('operator_2 has pressed the stop again');
+  });
+});
+
+describe('the stop a cell is latched by', () => {
+  const word = (op: string, by: string, name = 'workcell-1'): LogEvent => event('human', { op, cell: name }, null, by);
+  it('is the first one since the reset before it, of this cell', () => {
+    const log = [word('estop', 'ann'), word('reset', 'ann'), word('estop', 'eve', 'workcell-2'), word('estop', 'bob'), word('estop', 'ann')];
+    expect(stopOf('workcell-1', log)).toEqual({ by: 'bob', at: '2026-11-22T10:00:01.000Z' });
+  });
+  it('is not known where the record of it is not here', () => {
+    expect(stopOf('workcell-1', [word('estop', 'ann'), word('reset', 'ann')])).toBeNull();
   });
 });
 

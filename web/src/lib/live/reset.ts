@@ -8,6 +8,13 @@ export interface Offered {
   untilMs: number;
 }
 
+/** Who pressed the stop that a cell is latched by, and when; null where the record of it is not here. */
+export function stopOf(cell: string, events: readonly LogEvent[]): { by: string; at: string } | null {
+  const words = events.filter(({ kind, body }) => kind === 'human' && body['cell'] === cell && (body['op'] === 'estop' || body['op'] === 'reset'));
+  const first = words[words.findLastIndex(({ body }) => body['op'] === 'reset') + 1]; // whoever pressed it after them changed nothing
+  return first === undefined ? null : { by: first.actor, at: first.at };
+}
+
 /** Whole seconds that are left to confirm. */
 export function secondsLeft({ untilMs }: Offered, nowMs: number): number {
   return Math.max(0, Math.ceil((untilMs - nowMs) / 1000));
