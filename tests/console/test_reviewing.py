@@ -50,6 +50,9 @@ def test_an_auditor_gives_a_verdict_and_a_note_by_keyboard(
     form = queue(person).get_by_role("form")
     expect(form).to_contain_text("What ended as stopped is reviewed in sim-relaxed")
     expect(form.get_by_role("button", name="Record the verdict")).to_be_disabled()
+    expect(form.get_by_role("button", name="Record the verdict")).to_have_accessible_description(
+        "Choose a verdict first."
+    )
     form.get_by_role("radio", name=re.compile("Accepted")).focus()
     person.press("ArrowDown")
     expect(form.get_by_role("radio", name=re.compile("Objected"))).to_be_checked()
