@@ -50,6 +50,11 @@ def test_long_names_stay_within_their_cards(
     expect(card.get_by_role("row", name="Object")).to_contain_text(MUG)
     expect(card.get_by_role("cell", name=re.compile(MUG))).to_have_attribute("colspan", "3")
     expect(person.region("Waiting for you").locator("button.row")).to_contain_text(GLASS)
+    for asked in (MUG, GLASS, MUG):  # what is shown is what one is asked about, and no newer proposal
+        expect(person.page.get_by_role("article")).to_have_accessible_name(f"Grasp {asked}")
+        expect(person.region("Session").get_by_role("heading")).to_have_text(f"Grasp {asked}")
+        person.press("x")
+    person.press("x")
     assert person.page.evaluate(COVERED) == []
     if size == PHONE:
         assert wider_than_the_screen(person.page) == []

@@ -1,6 +1,7 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
+import type { Escalation, Invocation } from '../src/lib/api/documents';
 import { Console } from '../src/lib/state/console.svelte';
-import { cell, scene } from './samples';
+import { cell, escalation, invocation, scene } from './samples';
 
 /** The Worker that holds the socket; the test says what comes from it. */
 class PlayedWorker {
@@ -149,5 +150,21 @@ describe('the cell that is looked at', () => {
     expect(page.seen).toBe(true);
     page.select('workcell-3');
     expect([page.heard, page.seen, page.scene]).toEqual([false, false, null]);
+  });
+
+  it('is shown with what runs there, or else with what the open question there is about', () => {
+    const asks = (id: string, second: number, of = {}): Invocation => invocation({ id, status: 'awaiting_approval', created_at: `2026-11-22T10:00:0${second}.000Z`, ...of });
+    const about = (name: string, of = {}): Escalation => escalation({ id: `esc_${name}`, invocation: name, cell: 'workcell-1', ...of });
+    const invocations = [asks('mug', 1), asks('driver', 2), asks('there', 3, { cell: 'workcell-2' }), invocation({ id: 'runs' })];
+    const escalations = [about('mug'), about('driver'), about('there', { cell: 'workcell-2' })];
+    const shown = (asked: string | null, busy: string | null): (string | undefined)[] => {
+      worker().say({ type: 'snapshot', seq: 2, cells: [cell({ busy }), cell({ id: 'workcell-2', busy: null })], invocations, escalations, grants: [], reviews: [], events: [] });
+      page.asked = asked;
+      return [page.session?.id, page.question?.id];
+    };
+    expect(shown('esc_mug', null)).toEqual(['mug', 'esc_mug']);
+    expect(shown('esc_mug', 'runs')).toEqual(['runs', 'esc_mug']);
+    expect(shown('esc_there', null)).toEqual(['driver', undefined]);
+    expect([shown(null, null), shown('esc_gone', null)]).toEqual([['driver', undefined], ['driver', undefined]]);
   });
 });

@@ -1,5 +1,5 @@
 import { Api } from '../api/client';
-import type { Capability, Cell, InputSchema, Invocation, PolicySet } from '../api/documents';
+import type { Capability, Cell, Escalation, InputSchema, Invocation, PolicySet } from '../api/documents';
 import { entryOf } from '../format/entry';
 import type { Known } from '../format/events';
 import type { Health } from '../socket/connection';
@@ -41,6 +41,8 @@ export class Console {
   me = $state.raw<{ name: string; role: string; station: string | null } | null>(null);
   refused = $state<string | null>(null);
   selected = $state<string | null>(sessionStorage.getItem('reins.cell'));
+  /** The question that is open on the page, of whatever cell. */
+  asked = $state<string | null>(null);
   /** What the cells that are watched look like: the one that is looked at, and that of an open trace. */
   scenes = $state.raw<Record<string, SceneInfo>>({});
   private paths = $state.raw<Record<string, Path>>({});
@@ -124,14 +126,25 @@ export class Console {
     return this.listed.find((id) => id === this.selected) ?? this.listed[0] ?? null;
   }
 
-  /** What runs in the selected cell, or else what ran there last; a proposal that policy turned away never ran. */
+  /** The question that is open on the page, where it is about the cell that is looked at. */
+  get question(): Escalation | null {
+    const asked = this.asked === null ? undefined : entryOf(this.docs.escalations, this.asked);
+    if (asked === undefined || this.cell === null) return null;
+    return (asked.cell ?? entryOf(this.docs.invocations, asked.invocation)?.cell) === this.cell.id ? asked : null;
+  }
+
+  /**
+   * What runs in the selected cell, or else what the open question there is about, or else what ran there last; a
+   * proposal that policy turned away never ran.
+   */
   get session(): Invocation | null {
     const cell = this.cell;
     if (cell === null) return null;
     const here = Object.values(this.docs.invocations).filter((invocation) => invocation.cell === cell.id);
     const busy = here.find((invocation) => invocation.id === cell.busy);
+    const asked = here.find((invocation) => invocation.id === this.question?.invocation);
     const newest = here.sort((a, b) => b.created_at.localeCompare(a.created_at));
-    return busy ?? newest.find(({ status }) => status !== 'rejected' && status !== 'deferred') ?? newest[0] ?? null;
+    return busy ?? asked ?? newest.find(({ status }) => status !== 'rejected' && status !== 'deferred') ?? newest[0] ?? null;
   }
 
   /** What the parameters of a capability are; of one that is not known, or that nobody named, nothing is. */
