@@ -84,11 +84,19 @@ def test_an_edit_is_checked_again_and_all_three_versions_are_kept(
     proposed = floor.ask()
     force = card(person).get_by_role("textbox", name="Grip force you approve, N")
     expect(force).to_have_value("60")
+    expect(person.button(re.compile("^Approve"))).to_be_enabled()
     force.fill("200")
     expect(card(person)).to_contain_text("Grip force: ")
     expect(person.button(re.compile("^Approve"))).to_be_disabled()
-    force.fill("45")
+    # In the moment of the edit nothing is known of it yet: a key says so, and is not kept for later.
+    force.evaluate(
+        """(one) => { one.value = '45'; one.dispatchEvent(new Event('input', { bubbles: true }));
+            dispatchEvent(new KeyboardEvent('keydown', { key: 'a' })); }"""
+    )
+    told = card(person).get_by_role("status").filter(has_text="Nothing was approved")
+    expect(told).to_have_text(re.compile("your edit was still being checked. Press again once it is allowed."))
     expect(card(person)).to_contain_text("Your edit was checked again: allowed.")
+    assert server.get(f"/v1/invocations/{proposed['id']}")["status"] == "awaiting_approval"
     person.button("Approve edit").click()
     expect(card(person)).to_have_count(0)
     decided = floor.settled(proposed["id"])

@@ -119,6 +119,24 @@ describe('a decision', () => {
     expect(sent).toEqual([{ decision: 'approve', digest: 'sha256:1', params: { speed_mps: 0.1 } }]);
   });
 
+  it('says why it approved nothing, and keeps no press for later', async () => {
+    const decision = decide();
+    decision.type('speed_mps', '0.1');
+    const pressed = decision.shown;
+    await decision.approve();
+    expect(decision.withheld).toBe('Nothing was approved: your edit was still being checked. Press again once it is allowed.');
+    await vi.advanceTimersByTimeAsync(300);
+    checks[0]?.(verdict({ effective: { ...EFFECTIVE, speed_mps: 0.1 } }));
+    await vi.advanceTimersByTimeAsync(0);
+    expect([sent.length, decision.ready, decision.shown === pressed]).toEqual([0, true, false]);
+    decision.withhold(); // what was pressed is not what was let go of
+    expect(decision.withheld).toContain('changed while you pressed');
+    decision.type('speed_mps', 'fast');
+    expect(decision.withheld).toBe('');
+    await decision.approve();
+    expect([sent.length, decision.withheld]).toEqual([0, 'Nothing was approved: correct your edit first.']);
+  });
+
   it('does not take the answer to an earlier edit for the answer to this one', async () => {
     const decision = decide();
     decision.type('speed_mps', '0.1');

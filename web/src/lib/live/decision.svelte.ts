@@ -18,6 +18,14 @@ const WORDS: Record<string, string> = {
   unreachable: 'No answer from the server: it is not known whether this arrived.',
 };
 
+/** Why a press of approve was not taken. */
+const WITHHELD: Partial<Record<Check['is'], string>> = {
+  checking: 'your edit was still being checked. Press again once it is allowed.',
+  faulty: 'correct your edit first.',
+  refused: 'policy refuses your edit.',
+  'given back': 'policy had just given other values back. Read them, then press again.',
+};
+
 /** How the choice reads that allows nothing in advance. */
 export const ASK_AGAIN = 'ask me again next time';
 
@@ -29,6 +37,8 @@ export class Decision {
   check = $state.raw<Check>({ is: 'untouched' });
   sending = $state<'approve' | 'deny' | null>(null);
   problem = $state('');
+  /** Why the last press approved nothing, although it was meant to. */
+  withheld = $state('');
   /** Somebody else's answer came first: the record says which. */
   late = $state(false);
   code = $state('');
@@ -56,6 +66,8 @@ export class Decision {
     return `${this.edited ? 'Approve edit' : 'Approve'}${allowing}`;
   });
   readonly ready = $derived.by(() => this.sending === null && mayApprove(this.check));
+  /** What a press of approve is about: what is asked, what was typed, and what policy said to it. */
+  readonly shown = $derived.by(() => JSON.stringify([this.asked.digest, this.typed, this.check, this.offer, this.ready]));
 
   /** Takes a newer version of the question. Another digest is another question: what was typed no longer stands. */
   update(newer: Escalation): void {
@@ -65,7 +77,7 @@ export class Decision {
 
   type(name: string, text: string): void {
     this.typed = { ...this.typed, [name]: text };
-    this.problem = '';
+    this.problem = this.withheld = '';
     this.turn += 1;
     clearTimeout(this.timer);
     if (Object.keys(this.edit.faults).length > 0) this.check = { is: 'faulty' };
@@ -79,18 +91,29 @@ export class Decision {
   discard(): void {
     clearTimeout(this.timer);
     this.turn += 1;
+    this.withheld = '';
     this.typed = {};
     this.check = { is: 'untouched' };
   }
 
   async approve(): Promise<Escalation | null> {
-    if (!this.ready) return null;
+    if (!this.ready) {
+      this.withhold();
+      return null;
+    }
     const answer: Answer = { decision: 'approve', digest: this.asked.digest };
     if (this.edited) answer.params = this.edit.params;
     if (this.offer !== null) answer.grant = this.offer;
     const answered = await this.send(answer);
     if (answer.params !== undefined && answered?.status === 'pending' && answered.digest === answer.digest) this.giveBack(answer.params, answered.effective);
     return answered;
+  }
+
+  /** Says why a press counted for nothing: it is never kept for what is shown later. */
+  withhold(): void {
+    if (this.sending !== null) return;
+    const why = this.ready ? 'what was shown changed while you pressed. Read it, then press again.' : WITHHELD[this.check.is];
+    this.withheld = why === undefined ? '' : `Nothing was approved: ${why}`;
   }
 
   deny(): Promise<Escalation | null> {
@@ -116,7 +139,7 @@ export class Decision {
 
   private async send(answer: Answer): Promise<Escalation | null> {
     this.sending = answer.decision;
-    this.problem = '';
+    this.problem = this.withheld = '';
     let over = false;
     try {
       const answered = await this.api.resolve(this.asked.id, answer);
