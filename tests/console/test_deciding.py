@@ -53,7 +53,7 @@ def test_a_question_appears_and_is_approved_by_one_key(server: ServerProcess, pe
     assert floor.settled(proposed["id"])["status"] in {"running", "completed"}
     closed = server.get(f"/v1/escalations/{proposed['escalation']['id']}")
     assert [one["by"] for one in closed["approvals"]] == ["operator"]
-    expect(person.region("Events")).to_contain_text("operator approved, 1 of 1")
+    expect(person.region("Events")).to_contain_text("operator approved, 1 of 1 · Grasp mug_1")
 
 
 def press_until(person: Person, key: str, *, gone: Locator) -> None:

@@ -1,6 +1,6 @@
 import { describe, expect, it } from 'vitest';
 import type { LogEvent } from '../src/lib/api/documents';
-import { cellOf, entriesOf, eventLine, type Known } from '../src/lib/format/events';
+import { aboutOf, cellOf, entriesOf, eventLine, turnedAway, type Known } from '../src/lib/format/events';
 import { standingEdit, voidedOf } from '../src/lib/format/edited';
 import { clockTime } from '../src/lib/format/time';
 import { Keys } from '../src/lib/keys/keys';
@@ -26,6 +26,19 @@ describe('where something happened', () => {
   });
 });
 
+describe('what a line is about', () => {
+  const proposed = event('proposal', { capability: 'grasp_object', params: { object_id: 'glass_1' } }, 'inv_2');
+  const docs = { invocations: { inv_1: invocation() }, events: [proposed] };
+
+  it('is the title of the session, or of the proposal where that is all there is', () => {
+    const about = (kind: string, name: string | null): string | null => aboutOf(event(kind, {}, name), docs);
+    expect([about('outcome', 'inv_1'), about('approval', 'inv_2')]).toEqual(['Grasp mug_1', 'Grasp glass_1']);
+    expect([about('outcome', 'inv_3'), about('cell', null), aboutOf(proposed, docs)]).toEqual([null, null, null]);
+    const entries = entriesOf([proposed, event('outcome', { outcome: 'expired' })], 10, undefined, undefined, (one) => aboutOf(one, docs));
+    expect(entries.map(({ about: of }) => of)).toEqual(['Grasp mug_1', null]);
+  });
+});
+
 describe('a standing grant', () => {
   const said = (op: string, grant: Record<string, string | Record<string, string> | null>): string => {
     const line = eventLine(event('grant', { op, grant: { capability: 'grasp_object', object: 'glass_1', task: null, ...grant } }, null, 'ann'));
@@ -43,7 +56,7 @@ const said = (one: LogEvent, known?: Known): string => {
   const { strong, text } = eventLine(one, known);
   return `${strong}${text}`;
 };
-const FORCE: Known = { inputs: () => ({ force_n: { 'x-limit': 'contact_force_n' } }), grant: () => null };
+const FORCE: Known = { inputs: () => ({ force_n: { 'x-limit': 'contact_force_n' } }), grant: () => null, turnedAway: () => false };
 
 describe('what a person orders', () => {
   it('is told as ordered, and by the cell as obeyed, or not and why', () => {
@@ -75,6 +88,17 @@ describe('a verdict of policy', () => {
     expect(again([])).toBe('Checked again: still allowed');
     expect(again([{ param: 'speed_mps', requested: 0.5, effective: 0.25, rule: 'r' }])).toBe('Checked again: Speed 0.50 → 0.25');
     expect(said(event('policy', { outcome: 'allow', changes: [] }))).toBe('Allowed as proposed');
+  });
+
+  it('says of a proposal that was turned away what policy would say, and not that it is allowed', () => {
+    const verdict = (outcome: string, changes: object[] = []): LogEvent => event('policy', { outcome, changes: changes as never });
+    const away = { ...FORCE, turnedAway: () => true };
+    expect(said(verdict('allow'), away)).toBe('Policy alone would allow it');
+    expect(said(verdict('modify', [{ param: 'force_n', requested: 280, effective: 100, rule: 'r' }]), away)).toBe('Policy alone would change it: Contact force 280 → 100');
+    expect(said(verdict('escalate'), away)).toBe('Policy would ask a person');
+    expect(said(verdict('deny'), away)).toContain('Denied by policy');
+    const [put, letIn] = [event('admission', { outcome: 'defer' }), event('admission', { outcome: 'accept', recheck: true })];
+    expect([turnedAway([put], verdict('allow')), turnedAway([put, letIn], verdict('allow')), turnedAway([], verdict('allow'))]).toEqual([true, false, false]);
   });
 
   it('names the standing grant that answered in the place of a person', () => {

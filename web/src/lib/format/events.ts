@@ -1,4 +1,4 @@
-import type { Escalation, Grant, InputSchema, Json, LogEvent } from '../api/documents';
+import type { Escalation, Grant, InputSchema, Invocation, Json, LogEvent } from '../api/documents';
 import { goodOutcome, outcomeTone, outcomeWords, shortId, statusWords, type Tone } from './status';
 import { titleOf, words } from './capability';
 import { newestEdit, stepsText } from './edited';
@@ -22,9 +22,11 @@ export interface Known {
   /** The inputs of what an invocation does: they say which quantity a parameter is. */
   inputs: (invocation: string | null) => Record<string, InputSchema>;
   grant: (id: string) => Pick<Grant, 'issued_by' | 'expires_at'> | null;
+  /** Whether a proposal was refused or put off before policy was asked about it. */
+  turnedAway: (verdict: LogEvent) => boolean;
 }
 
-const NOTHING_KNOWN: Known = { inputs: () => ({}), grant: () => null };
+const NOTHING_KNOWN: Known = { inputs: () => ({}), grant: () => null, turnedAway: () => false };
 
 type Body = LogEvent['body'];
 type Writer = (body: Body, event: LogEvent, known: Known) => Line;
@@ -114,11 +116,21 @@ function changes(body: Body, inputs: Record<string, InputSchema>): string {
     .join(', ');
 }
 
+/** What policy says to a proposal that comes to nothing all the same. */
+const WOULD: Record<string, string> = { allow: 'alone would allow it', modify: 'alone would change it' };
+
+/** Whether admission, which is recorded just before, refused what a verdict of policy is about, or put it off. */
+export function turnedAway(events: readonly LogEvent[], verdict: LogEvent): boolean {
+  const admitted = events.findLast((event) => event.kind === 'admission' && event.invocation === verdict.invocation && event.seq < verdict.seq);
+  return admitted !== undefined && str(admitted.body['outcome']) !== 'accept';
+}
+
 function policy(body: Body, event: LogEvent, known: Known): Line {
   const again = body['recheck'] === true ? 'Checked again: ' : '';
   const cut = changes(body, known.inputs(event.invocation));
   const outcome = str(body['outcome']);
   const granted = str(body['grant']);
+  if (outcome !== 'deny' && known.turnedAway(event)) return line('scale', 'quiet', `Policy ${entryOf(WOULD, outcome) ?? 'would ask a person'}${cut === '' ? '' : `: ${cut}`}`);
   if (granted !== '' && outcome !== 'deny') return line('scale', 'plain', [again + allowedBy(known.grant(granted)), cut].filter((part) => part !== '').join('; '));
   switch (outcome) {
     case 'allow':
@@ -341,6 +353,8 @@ export interface Entry {
   times: number;
   /** The cell it was in; null where that is not said. */
   cell: string | null;
+  /** What it is about, where the line itself does not say. */
+  about: string | null;
 }
 
 /** Where something happened: as the event says, or as its session does, or because a cell said it itself. */
@@ -351,8 +365,17 @@ export function cellOf(event: LogEvent, { cells, invocations }: { cells: Record<
   return session?.cell ?? (Object.hasOwn(cells, event.actor) ? event.actor : null);
 }
 
+/** What an event is about: the title of its session, as it was proposed where nothing else is known of it. */
+export function aboutOf(event: LogEvent, { invocations, events }: { invocations: Record<string, Pick<Invocation, 'capability' | 'requested' | 'effective'>>; events: readonly LogEvent[] }): string | null {
+  if (event.invocation === null || event.kind === 'proposal') return null;
+  const session = entryOf(invocations, event.invocation);
+  if (session !== undefined) return titleOf(session.capability, session.effective ?? session.requested);
+  const proposed = events.find((one) => one.kind === 'proposal' && one.invocation === event.invocation);
+  return proposed === undefined ? null : titleOf(str(proposed.body['capability']), obj(proposed.body['params']));
+}
+
 /** Returns the newest events first, those that say the same in a row as one: a hand on the controls says much. */
-export function entriesOf(events: readonly LogEvent[], most: number, where: (event: LogEvent) => string | null = () => null, known = NOTHING_KNOWN): Entry[] {
+export function entriesOf(events: readonly LogEvent[], most: number, where: (event: LogEvent) => string | null = () => null, known = NOTHING_KNOWN, what: (event: LogEvent) => string | null = () => null): Entry[] {
   const entries: Entry[] = [];
   for (const event of events.toReversed()) {
     const line = eventLine(event, known);
@@ -360,7 +383,7 @@ export function entriesOf(events: readonly LogEvent[], most: number, where: (eve
     const above = entries.at(-1);
     if (above !== undefined && above.cell === cell && sameLine(above, event, line)) above.times += 1;
     else if (entries.length === most) break;
-    else entries.push({ event, line, times: 1, cell });
+    else entries.push({ event, line, times: 1, cell, about: what(event) });
   }
   return entries;
 }

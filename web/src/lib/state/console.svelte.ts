@@ -1,7 +1,7 @@
 import { Api } from '../api/client';
 import type { Capability, Cell, Escalation, InputSchema, Invocation, PolicySet } from '../api/documents';
 import { entryOf } from '../format/entry';
-import type { Known } from '../format/events';
+import { turnedAway, type Known } from '../format/events';
 import type { Health } from '../socket/connection';
 import type { PoseFrame } from '../socket/frame';
 import { Link } from '../socket/link';
@@ -53,6 +53,7 @@ export class Console {
   readonly known: Known = {
     inputs: (id) => this.inputsOf((id === null ? undefined : entryOf(this.docs.invocations, id))?.capability),
     grant: (id) => grantOf(this.docs, id),
+    turnedAway: (verdict) => turnedAway(this.docs.events, verdict),
   };
   jogRefused = $state<string | null>(null);
   /** Cells as asked for by name, while no socket says which there are: the stop needs no seat. */
