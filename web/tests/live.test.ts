@@ -117,6 +117,9 @@ describe('the stage strip', () => {
 
   it('ends with what it came to', () => {
     expect(states({ status: 'completed', outcome: 'recovered' }, [event('recovery', { strategy: 'RETRY' })])).toContain('Recover done, Outcome done');
+    const handed = [event('human', { op: 'takeover', role: 'operator' }, 'inv_1', 'ann')];
+    const again = (log: LogEvent[]): (string | undefined)[] => ['Recover', 'Outcome'].map((name) => note(name, { status: 'completed', outcome: 'recovered' }, log));
+    expect([again(handed), again([])]).toEqual([['by hand', 'done on a new attempt'], ['new attempt', 'done on a new attempt']]);
     expect(states({ status: 'failed', outcome: 'stopped' })).toContain('Recover skipped, Outcome bad');
   });
 });

@@ -60,7 +60,7 @@ function graveOf(cell: Cell): string | null {
 
 const OUTCOMES: Record<string, string> = {
   succeeded: 'done, verified',
-  recovered: 'done after recovery',
+  recovered: 'done on a new attempt', // after a recovery, or after somebody drove by hand and handed back
   rolled_back: 'rolled back',
   terminated: 'terminated',
   stopped: 'stopped',

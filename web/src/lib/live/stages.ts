@@ -120,8 +120,13 @@ function recover(invocation: Invocation, events: readonly LogEvent[], asked: str
   if (invocation.status === 'escalated') return { name: 'Recover', state: 'asks', note: asked };
   if (invocation.status === 'recovering') return { name: 'Recover', state: 'now', note: counted };
   if (steps > 0) return { name: 'Recover', state: 'done', note: counted };
+  if (invocation.outcome === 'recovered') return { name: 'Recover', state: 'done', note: byHand(events) ? 'by hand' : 'new attempt' };
   const over = invocation.outcome !== null;
   return { name: 'Recover', state: over ? 'skipped' : 'open', note: over ? 'not needed' : 'open' };
+}
+
+function byHand(events: readonly LogEvent[]): boolean {
+  return events.some((event) => event.kind === 'human' && event.body['op'] === 'takeover');
 }
 
 const OUTCOME_STATES: Partial<Record<Tone, Stage['state']>> = { ok: 'done', human: 'done', quiet: 'skipped' };
