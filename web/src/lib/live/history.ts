@@ -1,4 +1,7 @@
-/** The last seconds of one gauge, for its plot: at most so many points, oldest first. */
+/** After so long without a word nothing is known of what lay between. */
+export const GAP_S = 1;
+
+/** The last seconds of one gauge, for its plot: at most so many points, oldest first; `null` where nothing is known. */
 export class History {
   readonly times: number[] = [];
   readonly values: (number | null)[] = [];
@@ -13,12 +16,17 @@ export class History {
     const last = this.times.at(-1);
     if (last !== undefined && atS < last) this.clear(); // the cell's clock went back: another cell, another run
     if (last !== undefined && atS >= last && atS - last < this.everyS) return;
-    this.times.push(atS);
-    this.values.push(value);
-    this.limits.push(limit);
+    if (last !== undefined && atS - last > GAP_S) this.put(last + this.everyS, null, null); // no line leads across
+    this.put(atS, value, limit);
     let old = 0;
     while ((this.times[old] ?? atS) < atS - this.keepS) old += 1;
     if (old > 0) for (const column of [this.times, this.values, this.limits]) column.splice(0, old);
+  }
+
+  private put(atS: number, value: number | null, limit: number | null): void {
+    this.times.push(atS);
+    this.values.push(value);
+    this.limits.push(limit);
   }
 
   clear(): void {

@@ -43,7 +43,7 @@ export class Plot {
       series: [
         {},
         { stroke: () => (this.beyond ? this.colors.limit : this.colors.line), width: 1.5, points: { show: false }, spanGaps: false },
-        { stroke: this.colors.limit, width: 1.25, dash: [4, 3], points: { show: false }, spanGaps: true },
+        { stroke: this.colors.limit, width: 1.25, dash: [4, 3], points: { show: false }, spanGaps: false },
       ],
       hooks: { drawClear: [(u) => this.shade(u)] },
     };
