@@ -1,14 +1,18 @@
-import { describe, expect, it } from 'vitest';
-import type { Json } from '../src/lib/api/documents';
+import { describe, expect, it, vi } from 'vitest';
+import { ApiError } from '../src/lib/api/client';
+import type { Json, Review } from '../src/lib/api/documents';
 import { heldIn, titleOf, words } from '../src/lib/format/capability';
 import { cellOf, eventLine, ruleWords } from '../src/lib/format/events';
+import { recorded } from '../src/lib/format/plain';
 import { quoted } from '../src/lib/format/quoted';
 import { labelFor, labelOf, valueOf } from '../src/lib/format/quantity';
 import { outcomeTone, outcomeWords, statusWords } from '../src/lib/format/status';
 import { closingOf } from '../src/lib/live/closed';
+import { Decision } from '../src/lib/live/decision.svelte';
 import { rowsOf } from '../src/lib/live/edit';
 import { refusalWords } from '../src/lib/live/control';
 import { reasonLines } from '../src/lib/live/reasons';
+import { dueWords } from '../src/lib/live/reviews';
 import { stepsText } from '../src/lib/format/edited';
 import { escalation, event, invocation } from './samples';
 
@@ -70,6 +74,20 @@ describe('a character that turns a line around', () => {
     expect([titleOf(name, {}), words(name), labelOf(name), valueOf('object_id', name), valueOf('x', [name])].filter((text) => /\p{Cf}/u.test(text))).toEqual([]);
     expect(quoted(reason.message)).toBe(`no “${shown}” here`);
     expect(reasonLines(escalation({ reasons: [reason] }), null)[0]?.text).toContain(shown);
+  });
+
+  it('is a mark in what a refusal says, and why a review is due', async () => {
+    const refused = new ApiError({ title: '', status: 409, code: 'edit_refused', detail: '', reasons: [reason] });
+    const decision = new Decision({ check: vi.fn(), resolve: () => Promise.reject(refused) }, escalation(), () => ({ schema: {}, cell: null }));
+    await decision.approve();
+    expect(decision.problem).toBe(`Policy refuses the edited values. no “${shown}” here`);
+    expect(dueWords({ reasons: [reason] } as Review)).toBe(`No ${shown} here`);
+  });
+
+  it('is escaped in a record that is shown as it is, and nothing of it is lost', () => {
+    const record = recorded({ params: { object_id: name } });
+    expect(record).toContain('mug_1 \\u202e)efas(\\u2066\\udb40\\udc41');
+    expect(JSON.parse(record)).toEqual({ params: { object_id: name } });
   });
 
   it('is a mark in every line of the log, and where a question closed', () => {

@@ -5,3 +5,9 @@
 export function plain(said: string): string {
   return said.replace(/\p{Cf}/gu, '\uFFFD');
 }
+
+/** A document as it was recorded, where such characters stand as JSON escapes them: nothing is lost, and nothing turns around. */
+export function recorded(document: unknown): string {
+  const escaped = (unit: string): string => `\\u${unit.charCodeAt(0).toString(16).padStart(4, '0')}`;
+  return JSON.stringify(document, null, 2).replace(/\p{Cf}/gu, (character) => character.split('').map(escaped).join(''));
+}

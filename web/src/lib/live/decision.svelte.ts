@@ -1,6 +1,7 @@
 import { ApiError, type Answer, type Api, type Offer } from '../api/client';
 import type { Escalation, InputSchema, Params } from '../api/documents';
 import { entryOf } from '../format/entry';
+import { quoted } from '../format/quoted';
 import { checkEdit, mayApprove, readEdit, rowsOf, type Check, type Typed } from './edit';
 
 const SETTLE_MS = 250;
@@ -158,7 +159,7 @@ export class Decision {
 /** Why an answer was not taken, in words; of what was to be allowed in advance also what was wrong with it, and the way out. */
 function refusal(error: ApiError, answer: Answer): string {
   const { reasons = [], errors = [], status } = error.problem;
-  if (answer.grant === undefined || status !== 422) return [entryOf(WORDS, error.code) ?? error.message, ...reasons.map((reason) => reason.message)].join(' ');
+  if (answer.grant === undefined || status !== 422) return [entryOf(WORDS, error.code) ?? error.message, ...reasons.map((reason) => quoted(reason.message))].join(' ');
   const fields = errors.map(({ field }) => `“${field}”`).join(', ');
   return `What is to be allowed in advance does not fit${fields === '' ? '' : ` (${fields})`}: ${error.message} Choose “${ASK_AGAIN}” to approve only this.`;
 }

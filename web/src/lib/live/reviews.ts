@@ -1,4 +1,5 @@
 import type { Json, LogEvent, Review, ReviewVerdict, Risk } from '../api/documents';
+import { plain } from '../format/plain';
 
 const RISKS: Record<Risk, number> = { critical: 3, high: 2, medium: 1, low: 0 };
 
@@ -25,5 +26,5 @@ export function reviewOf(invocation: string, known: Readonly<Record<string, Revi
 
 /** Why a review is due, as one sentence. */
 export function dueWords(review: Review): string {
-  return review.reasons.map((reason) => reason.message.replaceAll('`', '')).map((said) => said.replace(/^./, (c) => c.toUpperCase())).join('; ');
+  return review.reasons.map((reason) => plain(reason.message).replaceAll('`', '')).map((said) => said.replace(/^./, (c) => c.toUpperCase())).join('; ');
 }
