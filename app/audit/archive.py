@@ -10,8 +10,9 @@ from pathlib import Path
 from time import sleep
 from typing import TYPE_CHECKING, Any, Literal
 
-from app.audit.checkpoint import Verifier
+from app.audit.checkpoint import NoteInvalid, Verifier
 from app.audit.errors import RecordDamaged
+from app.audit.merkle import Frontier, leaf_hash
 from app.audit.places import Places, load_verifier
 from app.audit.reader import MAX_LIMIT, Reader
 from app.audit.schema import schema_problems
@@ -79,9 +80,12 @@ def export(data_dir: Path, out: Path, format: Literal["jsonl"] = "jsonl") -> Exp
 
     Who has both and the public key can check them without this program: SHA-256(0x00 ‖ line) are the leaves.
 
+    What is written is what the checkpoint signs: every event has its place, and their root is the signed one.
+
     Raises:
-        RecordDamaged: there is no log, or it cannot be read.
-        ValueError: another format, or a directory where a file is to be.
+        RecordDamaged: there is no log, it cannot be read, or its events are not those that were signed; nothing is
+            written then.
+        ValueError: another format, a directory where a file is to be, or a place within the data directory.
         OSError: the files cannot be written; then neither is there.
     """
     if format != "jsonl":
@@ -90,15 +94,19 @@ def export(data_dir: Path, out: Path, format: Literal["jsonl"] = "jsonl") -> Exp
     for path in (out, note_path):
         if path.is_dir():
             raise ValueError(f"`{path}` is a directory: valid is the name of a file")
+        if path.resolve().is_relative_to(data_dir.resolve()):
+            raise ValueError(f"`{path}` lies in the data directory, which holds the record: valid is another one")
+    verifier = load_verifier(Places(data_dir))
     digest = hashlib.sha256()
-    count = 0
+    frontier = Frontier()
     with reading(data_dir) as reader, _drafted(note_path) as note_file, _drafted(out) as file:
         size, note = reader.head()
-        for event in walk(reader, until=size):
-            line = event.body + b"\n"
-            file.write(line)
-            digest.update(line)
-            count += 1
+        for page in _pages(reader, size):
+            lines = b"".join(event.body + b"\n" for event in page)
+            file.write(lines)
+            digest.update(lines)
+            frontier = frontier.extend([leaf_hash(event.body) for event in page])
+        _check_signed(reader.database, verifier, frontier, size, note)
         note_file.write(note.encode())
         for one in (file, note_file):
             one.flush()
@@ -109,7 +117,41 @@ def export(data_dir: Path, out: Path, format: Literal["jsonl"] = "jsonl") -> Exp
         except OSError:
             note_path.unlink()
             raise
-    return Export(events=out, checkpoint=note_path, count=count, sha256=digest.hexdigest())
+    return Export(events=out, checkpoint=note_path, count=size, sha256=digest.hexdigest())
+
+
+def _pages(reader: Reader, size: int) -> Iterator[list[Event]]:
+    """Yield the events up to a place, page by page.
+
+    Raises:
+        RecordDamaged: one is missing, or what stands for it is no bytes.
+    """
+    seq = 0
+    while seq < size:
+        page = reader.events(after=seq, limit=min(MAX_LIMIT, size - seq))
+        for expected, event in enumerate(page, seq + 1):
+            if event.seq != expected or type(event.body) is not bytes:
+                raise RecordDamaged(reader.database, f"event `{expected}` is missing or no event: nothing is exported")
+        if not page:
+            raise RecordDamaged(reader.database, f"event `{seq + 1}` is missing: nothing is exported")
+        yield page
+        seq += len(page)
+
+
+def _check_signed(database: Path, verifier: Verifier, frontier: Frontier, size: int, note: str) -> None:
+    """Compare the root of what was read with the newest checkpoint.
+
+    Raises:
+        RecordDamaged: it is not the one that was signed.
+    """
+    if not size:
+        return
+    try:
+        head = verifier.open(note)
+    except NoteInvalid as error:
+        raise RecordDamaged(database, f"the checkpoint at `{size}`: {error}: nothing is exported") from error
+    if (head.size, head.root) != (size, frontier.root()):
+        raise RecordDamaged(database, f"the events up to `{size}` are not those that were signed: nothing is exported")
 
 
 @contextmanager
@@ -180,14 +222,10 @@ def telemetry_problem(folder: Path, event: Event) -> str | None:
     return None if found == expected else f"event `{event.seq}`: `{path}` is not the file that was recorded"
 
 
-def walk(reader: Reader, *, until: int | None = None, **filters: Any) -> Iterator[Event]:  # noqa: ANN401  # as Reader.events
-    """Yield events page by page, up to the place `until`."""
+def walk(reader: Reader, **filters: Any) -> Iterator[Event]:  # noqa: ANN401  # as Reader.events
+    """Yield events page by page."""
     after = 0
-    while until is None or after < until:
-        limit = MAX_LIMIT if until is None else min(MAX_LIMIT, until - after)
-        page = reader.events(after=after, limit=limit, **filters)
-        if not page:
-            return
+    while page := reader.events(after=after, limit=MAX_LIMIT, **filters):
         yield from page
         after = page[-1].seq
 

@@ -92,6 +92,45 @@ async def test_an_export_into_a_directory_is_refused_and_leaves_nothing(
     assert [path.name for path in (tmp_path / "out").iterdir()] == [taken]
 
 
+@pytest.mark.parametrize("name", ["reins.db", "new.jsonl", "new/new.jsonl", "../link/new.jsonl", "../linked.jsonl"])
+async def test_an_export_into_the_data_directory_is_refused(store: AuditStore, data: Path, name: str) -> None:
+    await fill(store)
+    (data.parent / "link").symlink_to(data)
+    (data.parent / "linked.jsonl").symlink_to(data / "reins.db")
+    before = contents(data).keys()
+    with pytest.raises(ValueError, match="lies in the data directory"):
+        export(data, data / name)
+    assert contents(data).keys() == before
+    assert (await store.verify()).ok
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ("DELETE FROM events WHERE seq = 5", "event `5` is missing or no event"),
+        ("DELETE FROM events WHERE seq = 12", "event `12` is missing"),
+        ("UPDATE events SET body = CAST(body AS TEXT) WHERE seq = 5", "event `5` is missing or no event"),
+        ("UPDATE events SET body = x'7b7d' WHERE seq = 5", "the events up to `12` are not those that were signed"),
+        ("UPDATE checkpoints SET note = (SELECT max(note) FROM checkpoints) WHERE size = 12", "the events up to `12`"),
+        ("UPDATE checkpoints SET note = 'none' WHERE size = 12", "the checkpoint at `12`: "),
+    ],
+)
+async def test_what_was_not_signed_is_not_exported(data: Path, tmp_path: Path, change: str, problem: str) -> None:
+    store = AuditStore.open(data)
+    await fill(store)
+    await store.close()
+    connection = sqlite3.connect(store.places.database)
+    for kept in ("events_refuse_delete", "events_refuse_update", "checkpoints_refuse_update"):
+        connection.execute(f"DROP TRIGGER {kept}")
+    connection.execute(change)
+    connection.commit()
+    connection.close()
+    (tmp_path / "out").mkdir()
+    with pytest.raises(RecordDamaged, match=problem):
+        export(data, tmp_path / "out" / "log.jsonl")
+    assert list((tmp_path / "out").iterdir()) == []
+
+
 @pytest.mark.parametrize("fails", ["first write", "second write", "second rename"])
 async def test_an_export_that_fails_leaves_nothing(
     store: AuditStore, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: str

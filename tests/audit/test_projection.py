@@ -115,6 +115,7 @@ STATES: list[tuple[tuple[Told, ...], dict[str, Any]]] = [
     ((("human", {"op": "stop"}),), {"id": "inv_1"}),
     (ASKING_FIRST, {"admission": ADMITTED, "policy": SAID, "escalation": {"id": "esc_1", "status": "pending", "expires_at": TIME}}),
     ((PROPOSAL, ADMISSION), {"admission": ADMITTED, "policy": None, "escalation": None}),
+    ((PROPOSAL, ("admission", DECIDED)), {"status": "awaiting_approval", "admission": "nothing", "policy": "nothing"}),
     ((PROPOSAL, LATE), {"admission": WAITING, "policy": None}),
     ((*ASKING_FIRST, again(ADMISSION), ALTERED), {"policy": {**SAID, "outcome": "allow"}}),  # under another policy
     ((*ASKING_FIRST, APPROVED, again(ADMISSION, outcome="x"), ALTERED), {"admission": ADMITTED, "policy": SAID}),  # only checked
