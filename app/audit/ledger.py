@@ -27,7 +27,7 @@ from app.audit.errors import RecordDamaged, RecordUnavailable, RowExists, StoreI
 from app.audit.merkle import Frontier, leaf_hash
 from app.audit.migrate import migrate
 from app.audit.places import Places, create_key, load_key
-from app.audit.reader import Reader
+from app.audit.reader import SCHEMA, Reader
 from app.audit.rows import Batches, Insertion, Writing, primary_key, replacement, same_key
 from app.audit.schema import schema_problems
 from app.audit.tables import ON_CONNECT, STATE, STORE_GIVEN, checkpoints, events
@@ -78,9 +78,10 @@ class Ledger:
                 connect_args={"check_same_thread": False},
             )
             opened.callback(self._engine.dispose)
-            made_here = not places.database.exists()
+            self._check_key(made_here := not places.database.exists())
             self._connection = connect(self._engine)
             opened.callback(self._connection.close)
+            self._check_key(made_here or self._connection.execute(SCHEMA).first() is None)
             migrate(self._connection)
             dialect = self._engine.dialect
             self._replace = {
@@ -205,6 +206,18 @@ class Ledger:
         return None
 
     # -- opening -----------------------------------------------------------------------------------------------------
+
+    def _check_key(self, nothing_there: bool) -> None:
+        """Refuse to begin a second log with the key of a first: it would have signed two histories.
+
+        A key is made when the tables are there, so one without them is no start that was interrupted.
+        """
+        if nothing_there and self.places.secret_key.exists():
+            raise RecordDamaged(
+                self.places.secret_key,
+                f"the log it signed is gone: restore `{self.places.database.name}` and "
+                f"`{self.places.checkpoints.name}`, or start a new data directory",
+            )
 
     def _restore(self) -> tuple[Frontier, str]:
         newest = (

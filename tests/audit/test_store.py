@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import importlib
 import sqlite3
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -338,6 +340,43 @@ async def test_refuses_to_sign_an_old_log_with_a_new_key(data: Path) -> None:
     Places(data).secret_key.unlink()
     with pytest.raises(RecordDamaged, match="missing"):
         AuditStore.open(data)
+
+
+@pytest.mark.parametrize("emptied", [False, True], ids=["deleted", "emptied"])
+async def test_refuses_to_begin_another_log_with_the_key_of_one_that_is_gone(data: Path, emptied: bool) -> None:
+    store = AuditStore.open(data)
+    await fill(store, 1)
+    await store.close()
+    places = Places(data)
+    for path in (places.database, places.checkpoints):
+        path.unlink()
+    if emptied:
+        places.database.touch()
+    for _ in range(2):
+        with pytest.raises(RecordDamaged, match=r"log\.key.*gone: restore `reins\.db` and `checkpoints\.log`"):
+            AuditStore.open(data)
+    assert places.database.exists() is emptied
+
+
+@pytest.mark.parametrize("last", ["connect", "migrate", "write_durably", "sync_folder", "CheckpointFile"])
+async def test_a_first_start_that_was_cut_off_anywhere_is_followed_by_another(
+    data: Path, monkeypatch: pytest.MonkeyPatch, last: str
+) -> None:
+    where = "places" if last in ("write_durably", "sync_folder") else "ledger"
+    real = getattr(importlib.import_module(f"app.audit.{where}"), last)
+
+    def cut_off(*given: Any, **named: Any) -> None:
+        real(*given, **named)
+        raise OSError("cut off")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(f"app.audit.{where}.{last}", cut_off)
+        with pytest.raises(RecordUnavailable, match="cut off"):
+            AuditStore.open(data)
+    store = AuditStore.open(data)
+    await fill(store, 1)
+    assert (await store.verify()).size == 3
+    await store.close()
 
 
 async def test_refuses_keys_that_do_not_belong_together(data: Path, tmp_path: Path) -> None:
