@@ -163,9 +163,9 @@ describe('the history of a gauge', () => {
 
   it('leaves out what lies between two points that are far apart', () => {
     const history = new History(30, 0.1);
-    for (const atS of [1, 1.5, 2.4, 8.4, 8.5]) history.push(atS, atS, 10);
-    expect(history.times).toEqual([1, 1.5, 2.4, 2.5, 8.4, 8.5]);
-    expect(history.values).toEqual([1, 1.5, 2.4, null, 8.4, 8.5]);
+    for (const atS of [1, 1.5, 2.4, 8.4, 8.6]) history.push(atS, atS, 10);
+    expect(history.times).toEqual([1, 1.5, 2.4, 2.5, 8.4, 8.6]);
+    expect(history.values).toEqual([1, 1.5, 2.4, null, 8.4, 8.6]);
     expect(history.limits).toEqual([10, 10, 10, null, 10, 10]);
   });
 

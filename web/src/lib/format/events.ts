@@ -126,20 +126,23 @@ export function turnedAway(events: readonly LogEvent[], verdict: LogEvent): bool
 }
 
 function policy(body: Body, event: LogEvent, known: Known): Line {
-  const again = body['recheck'] === true ? 'Checked again: ' : '';
-  const cut = changes(body, known.inputs(event.invocation));
   const outcome = str(body['outcome']);
+  if (outcome === 'deny') return line('refused', 'danger', firstMessage(body), 'Denied by policy. ');
+  const cut = changes(body, known.inputs(event.invocation));
+  if (known.turnedAway(event)) return line('scale', 'quiet', `Policy ${entryOf(WOULD, outcome) ?? 'would ask a person'}${cut === '' ? '' : `: ${cut}`}`);
   const granted = str(body['grant']);
-  if (outcome !== 'deny' && known.turnedAway(event)) return line('scale', 'quiet', `Policy ${entryOf(WOULD, outcome) ?? 'would ask a person'}${cut === '' ? '' : `: ${cut}`}`);
-  if (granted !== '' && outcome !== 'deny') return line('scale', 'plain', [again + allowedBy(known.grant(granted)), cut].filter((part) => part !== '').join('; '));
+  const again = body['recheck'] === true ? 'Checked again: ' : '';
+  if (granted !== '') return line('scale', 'plain', [again + allowedBy(known.grant(granted)), cut].filter((part) => part !== '').join('; '));
+  return passed(outcome, again, cut);
+}
+
+function passed(outcome: string, again: string, cut: string): Line {
   switch (outcome) {
     case 'allow':
       if (cut !== '') return line('scale', 'plain', again + cut);
       return line('scale', 'quiet', again === '' ? 'Allowed as proposed' : `${again}still allowed`);
     case 'modify':
       return line('scale', 'plain', again + cut);
-    case 'deny':
-      return line('refused', 'danger', firstMessage(body), 'Denied by policy. ');
     default:
       return line('scale', 'warn', cut === '' ? 'needs a human' : `needs a human; ${cut}`, 'Policy: ');
   }

@@ -16,11 +16,17 @@ export class History {
     const last = this.times.at(-1);
     if (last !== undefined && atS < last) this.clear(); // the cell's clock went back: another cell, another run
     if (last !== undefined && atS >= last && atS - last < this.everyS) return;
-    if (last !== undefined && atS - last > GAP_S) this.put(last + this.everyS, null, null); // no line leads across
+    this.breakOff(atS);
     this.put(atS, value, limit);
     let old = 0;
     while ((this.times[old] ?? atS) < atS - this.keepS) old += 1;
     if (old > 0) for (const column of [this.times, this.values, this.limits]) column.splice(0, old);
+  }
+
+  /** No line leads across a time of which nothing is known. */
+  private breakOff(atS: number): void {
+    const last = this.times.at(-1) ?? atS;
+    if (atS - last > GAP_S) this.put(last + this.everyS, null, null);
   }
 
   private put(atS: number, value: number | null, limit: number | null): void {
