@@ -9,8 +9,9 @@
                  message and in those before which it has moved
 
 Rows arrive packed in batches and are written by a thread of the file's own, so that the event loop never waits for
-compression or the disk. A channel that was not finite at a tick is null there. The file appears under its name only
-when it is complete; its SHA-256 becomes an event, and the log vouches for it.
+compression or the disk. A channel that was not finite at a tick is null there, a pose that was not is left out, and a
+time that is none counts as that of the row before. The file appears under its name only when it is complete; its
+SHA-256 becomes an event, and the log vouches for it.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import queue
 import struct
 import threading
 from dataclasses import asdict, dataclass
+from math import isfinite
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, Literal, NamedTuple
 
 import orjson
@@ -51,6 +53,8 @@ Values = tuple[float, ...]
 
 CHUNK_BYTES: Final = 64 * 1024  # a larger chunk stalls whoever shares the interpreter while it is compressed
 MAX_WAITING: Final = 4096
+LATEST_S: Final = 1e10  # on a cell's clock; what is later fits no file
+LONGEST_S: Final = 1e8  # from the first row
 POSE_EVERY: Final = 5  # rows; poses are for looking at, every row stands in /telemetry
 LEVELS: Mapping[Level, int] = {"info": 2, "warning": 3, "error": 4}  # as foxglove.Log counts them
 
@@ -279,11 +283,13 @@ class _Tape:
 
     def rows(self, rows: Any) -> None:  # noqa: ANN401  # any iterable of tuples of floats, as struct types it
         for row in rows:
-            self._last_s = row[0]
-            at = self._at(row[0])
+            self._last_s = self._good(row[0])
+            at = self._at(self._last_s)
             self._add(self._telemetry, at, self.row_count, dict(zip(self._names, row, strict=True)))
             for topic, frame, columns in self._poses if self.row_count % POSE_EVERY == 0 else ():
                 pose = pose_of(row, columns)
+                if pose is None:
+                    continue
                 self._add(topic, at, self.row_count, {"timestamp": stamp(at), "frame_id": frame, "pose": pose})
                 if frame == WORLD:
                     self._add(self._transform, at, self.row_count, transform_message(at, pose))
@@ -292,15 +298,16 @@ class _Tape:
     def sighting(
         self, time_s: float, people: Sequence[tuple[int, float, float]], bodies: Mapping[str, Sequence[float]]
     ) -> None:
-        at = self._at(time_s)
-        seen = [{"id": number, "x_m": x, "y_m": y} for number, x, y in people]
-        moment = {"timestamp": stamp(at), "frame_id": WORLD, "time_s": time_s}
-        self._add(self._scene, at, self.sighting_count, {**moment, "people": seen, "bodies": dict(bodies)})
+        known_s = self._good(time_s)
+        at = self._at(known_s)
+        seen = [{"id": number, "x_m": x, "y_m": y} for number, x, y in people if isfinite(x) and isfinite(y)]
+        moved = {name: pose for name, pose in bodies.items() if all(map(isfinite, pose))}
+        moment = {"timestamp": stamp(at), "frame_id": WORLD, "time_s": known_s or 0.0}
+        self._add(self._scene, at, self.sighting_count, {**moment, "people": seen, "bodies": moved})
         self.sighting_count += 1
 
     def event(self, name: str, message: str, time_s: float | None, level: Level, detail: Mapping[str, Any]) -> None:
-        moment = time_s if time_s is not None else self._last_s
-        at = self._start_ns if moment is None else self._at(moment)
+        at = self._at(self._last_s if time_s is None else self._good(time_s))
         record = {"timestamp": stamp(at), "level": LEVELS[level], "message": message, "name": name}
         self._add(self._log, at, self.event_count, {**record, "file": "", "line": 0, "detail": detail})
         self.event_count += 1
@@ -316,7 +323,15 @@ class _Tape:
         wanted = (plan.x, plan.y, plan.z, plan.yaw)
         return tuple(self._names.index(name) if name in self._names else None for name in wanted)
 
-    def _at(self, time_s: float) -> int:
+    def _good(self, time_s: float) -> float | None:
+        """Return a time as it is; the last row's, if any, for one that is none or beyond any session."""
+        zero_s = time_s if self._zero_s is None else self._zero_s
+        good = abs(time_s) <= LATEST_S and abs(time_s - zero_s) <= LONGEST_S  # not so, where it is not finite
+        return time_s if good else self._last_s
+
+    def _at(self, time_s: float | None) -> int:
+        if time_s is None:
+            return self._start_ns
         if self._zero_s is None:
             self._zero_s = time_s
         return max(0, self._start_ns + round((time_s - self._zero_s) * NANOSECONDS))

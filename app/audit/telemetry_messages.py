@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, sin
+from math import cos, isfinite, sin
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
@@ -76,9 +76,12 @@ SCENE_SCHEMA: Final = {
 }
 
 
-def pose_of(row: Sequence[float], columns: Sequence[int | None]) -> dict[str, dict[str, float]]:
-    """Return a row's pose as Foxglove writes one; an axis without a channel is 0."""
-    x, y, z, yaw = (0.0 if column is None else row[column] for column in columns)
+def pose_of(row: Sequence[float], columns: Sequence[int | None]) -> dict[str, dict[str, float]] | None:
+    """Return a row's pose as Foxglove writes one; an axis without a channel is 0. None where one is not finite."""
+    axes = [0.0 if column is None else row[column] for column in columns]
+    if not all(map(isfinite, axes)):
+        return None
+    x, y, z, yaw = axes
     return {
         "position": {"x": x, "y": y, "z": z},
         "orientation": {"x": 0.0, "y": 0.0, "z": sin(yaw / 2), "w": cos(yaw / 2)},

@@ -163,6 +163,45 @@ def test_what_is_not_finite_is_null(tmp_path: Path) -> None:
     assert read(tmp_path / "a.mcap")["/telemetry"][0][1] == {"time_s": 0.0, "a_m": None, "b_m": None}
 
 
+@pytest.mark.parametrize("value", [nan, inf, -inf])
+@pytest.mark.parametrize("axis", [1, 2, 3])
+def test_a_pose_that_is_not_finite_is_left_out(tmp_path: Path, axis: int, value: float) -> None:
+    rows = [(n / 100, *[1.0] * 8) for n in range(15)]
+    rows[5] = (*rows[5][:axis], value, *rows[5][axis + 1 :])
+    writer = open_writer(tmp_path / "a.mcap")
+    writer.write_rows(rows)
+    assert writer.close().rows == 15
+    topics = read(tmp_path / "a.mcap")
+    assert [len(topics[name]) for name in ("/telemetry", "/base", "/tf", "/tcp")] == [15, 2, 2, 3]
+    assert topics["/telemetry"][5][1][NAMES[axis]] is None
+
+
+@pytest.mark.parametrize("time_s", [nan, inf, -inf, 1e12, -1e12, 1e300, 6e8])
+@pytest.mark.parametrize("place", [0, 2])
+def test_a_time_that_is_none_counts_as_the_last_good_one(tmp_path: Path, time_s: float, place: int) -> None:
+    times = [5.0, 5.1, 5.2, 5.3]
+    times[place] = time_s
+    writer = open_writer(tmp_path / "a.mcap")
+    if place:
+        writer.write_rows([(at, *[1.0] * 8) for at in times])
+    else:
+        writer.sighting(
+            time_s, [(1, nan, 0), (2, 1, 2)], {"mug_1": (1, 2, 3, 1, 0, 0, nan), "cup": (1, 2, 3, 1, 0, 0, 0)}
+        )
+        writer.event("outcome", "succeeded", time_s=time_s)
+        writer.write_rows([(at, *[1.0] * 8) for at in times[1:]])
+    file = writer.close()
+    whole = read_telemetry(tmp_path, vouching(file), limit=9)
+    assert whole is not None
+    assert (file.rows, whole.rows) == (len(times) - (place == 0),) * 2
+    if place:
+        first, second, bad, last = [at for at, _ in read(tmp_path / "a.mcap")["/telemetry"]]
+        assert (bad, second - first, last - first) == (second, 100_000_000, 300_000_000)
+    else:
+        assert whole.people.tracks == [[(2, 1, 2)]]
+        assert whole.bodies.keys() == {"cup"}
+
+
 @pytest.mark.parametrize(
     ("name", "unit"),
     [
