@@ -20,13 +20,23 @@ DAMAGED: Final = 65  # EX_DATAERR of sysexits.h: what it would go on from cannot
 
 SHOWN_AFTER_S: Final = 1.0
 
-out = Console(highlight=False, soft_wrap=True)
-err = Console(stderr=True, highlight=False, soft_wrap=True)
+# What is recorded is shown as it stands: `:x:` is no picture.
+out = Console(highlight=False, soft_wrap=True, emoji=False)
+err = Console(stderr=True, highlight=False, soft_wrap=True, emoji=False)
+
+DIRECTING: Final = (0x061C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A))  # lines and their direction
+CONTROLS: Final = (*(code for code in range(0x20) if chr(code) not in "\n\t"), *range(0x7F, 0xA0))
+ESCAPES: Final = {code: f"\\u{code:04x}" for code in (*CONTROLS, *DIRECTING)}
+
+
+def plain(text: str) -> str:
+    """Return a text with what would steer a terminal, or turn the order of what it shows, as JSON escapes it."""
+    return text.translate(ESCAPES)
 
 
 def say(message: str) -> None:
-    """Write a line."""
-    out.print(message, markup=False)
+    """Write a line, or several, as they are; what steers a terminal is escaped."""
+    out.print(plain(message), markup=False)
 
 
 def remark(message: str) -> None:
@@ -40,15 +50,15 @@ def complain(message: str, lines: Iterable[str] = (), *, hint: str = "") -> None
     with contextlib.suppress(OSError):
         say_error(message, hint=hint)
         for line in lines:
-            err.print(f"  {line}", markup=False)
+            err.print(f"  {plain(line)}", markup=False)
 
 
 def say_error(message: str, *, hint: str = "") -> None:
     """Write what went wrong, and what to do about it."""
     err.print("[bold red]error:[/] ", end="")
-    err.print(message, markup=False)
+    err.print(plain(message), markup=False)
     if hint:
-        err.print(f"       {hint}", markup=False)
+        err.print(f"       {plain(hint)}", markup=False)
 
 
 @contextlib.contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import re
 import shutil
 import sqlite3
@@ -21,7 +22,7 @@ from app.cli import app, main
 from app.config import CELL_TOKEN_VARIABLE, CellSettings, ConfigError, Settings, find_policies
 from app.main import listen, operator_token, read_cell_token
 from tests.agent.scripted_server import serve
-from tests.audit.conftest import fill, hide_from_index
+from tests.audit.conftest import draft, fill, hide_from_index
 from tests.governance.policy_world import POLICIES
 
 COMMANDS = [
@@ -91,6 +92,25 @@ def test_says_how_far_an_altered_log_is_good(tmp_path: Path, seq: int, relied_on
     assert code == 1
     assert f"event {seq}: " in said
     assert relied_on in said
+
+
+ODD = "force :100: :x: [red]ok[/] \u009b2J \u202eyako\u202c \x1b[2J \x7f \u2028 é 手 \t|"
+
+
+@pytest.mark.parametrize("words", [("show", "inv_1"), ("tail",)])
+def test_prints_what_was_recorded_as_it_stands(tmp_path: Path, words: tuple[str, ...]) -> None:
+    """Nothing of it is taken for a picture or a style, and nothing steers the terminal."""
+
+    async def write() -> None:
+        store = AuditStore.open(tmp_path)
+        await store.append([draft(intent=ODD)])
+        await store.close()
+
+    asyncio.run(write())
+    code, said = run("audit", *words, "--data", str(tmp_path))
+    assert code == 0
+    assert json.loads(said[said.index("{") :]) == {"intent": ODD}
+    assert not [character for character in said if not character.isprintable() and character != "\n"]
 
 
 @pytest.mark.parametrize("hidden", [True, False])
