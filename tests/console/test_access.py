@@ -130,7 +130,7 @@ def test_axe_finds_nothing_on_what_is_greyed_out(
             person.press("n")
             found[theme] = faults(person.page, axe)
         person.page.evaluate("location.hash = '#/policy'")
-        expect(person.page.locator(".policy.stale")).to_be_visible()
+        expect(person.page.locator("#page .policy.stale")).to_be_visible()
         found["policy"] = faults(person.page, axe)
     assert found == {"light": [], "dark": [], "policy": []}
 
