@@ -318,7 +318,7 @@ def test_a_session_is_paused_by_a_button_while_the_controls_are_offered_or_someb
     expect(one.region("Drive by hand")).to_contain_text("operator_2 has paused this session.")
     expect(other.region("Drive by hand")).to_contain_text("You have paused this session.")
     one.button("Take the controls and end the pause").click()
-    expect(one.region("Drive by hand")).to_contain_text("The pause by operator_2 ended when you took the controls.")
+    expect(one.region("Drive by hand")).to_contain_text("The pause by operator_2 ended when you took the controls")
     expect(other.region("Drive by hand")).to_contain_text("One person drives at a time")
     expect(other.page.get_by_role("status").filter(has_text="Your pause ended")).to_contain_text("The agent waits.")
     other.button("Pause").click()
