@@ -124,8 +124,9 @@ async def test_a_stale_state_says_nothing(runtime: Runtime, cell: HandCell) -> N
 
 
 async def test_after_a_session_nothing_is_decided_on_what_the_cell_said_before_its_end(
-    runtime: Runtime, cell: HandCell
+    runtime: Runtime, cell: HandCell, lasting: pytest.MonkeyPatch
 ) -> None:
+    lasting.undo()
     name = (await runtime.governor.propose(AGENT, navigate()))[0]["id"]
     await cell.launched(name)
     await cell.report("outcome", name, outcome="succeeded", code="done")  # and no word on where it stands now
