@@ -21,7 +21,7 @@ from app.api.auth import PRINCIPALS_FILE
 from app.protocol import pack_poses
 from app.runtime import broadcast, outlet
 from app.runtime.broadcast import SHOWN_INVOCATIONS
-from tests.api.conftest import CELL, House, eventually
+from tests.api.conftest import CELL, House, Puppet, eventually
 
 pytestmark = pytest.mark.anyio
 PATIENCE_S = 40.0
@@ -62,22 +62,28 @@ class Screen:
 
     async def next(self, within_s: float = PATIENCE_S) -> dict[str, Any]:
         async with asyncio.timeout(within_s):
-            while True:
-                frame = await self.socket.recv()
-                if isinstance(frame, bytes):
-                    self.frames.append(Frame.read(frame))
-                    continue
-                message: dict[str, Any] = orjson.loads(frame)
-                self.heard.append(message)
-                beat = message["n"] if message["type"] == "beat" else message.get("beat")
-                if beat is not None and self.acknowledges:
-                    await self.say(type="ack", beat=beat)
-                return message
+            while (message := await self._hear()) is None:
+                pass
+            return message
+
+    async def _hear(self) -> dict[str, Any] | None:
+        """Take the next that comes: return a message, and keep a frame."""
+        frame = await self.socket.recv()
+        if isinstance(frame, bytes):
+            self.frames.append(Frame.read(frame))
+            return None
+        message: dict[str, Any] = orjson.loads(frame)
+        self.heard.append(message)
+        beat = message["n"] if message["type"] == "beat" else message.get("beat")
+        if beat is not None and self.acknowledges:
+            await self.say(type="ack", beat=beat)
+        return message
 
     async def until_frames(self, number: int) -> list[Frame]:
         """Read on until so many frames have come, and return them."""
-        while len(self.frames) < number:
-            await self.next()
+        async with asyncio.timeout(PATIENCE_S):
+            while len(self.frames) < number:
+                await self._hear()
         return self.frames
 
     async def until(self, condition: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
@@ -119,6 +125,23 @@ async def signed_in(house: House, key: str = "operator", after: int | None = Non
     async with dial(house) as screen:
         await screen.say(type="hello", token=house.tokens[key], after=after)
         yield screen
+
+
+@asynccontextmanager
+async def showing(puppet: Puppet) -> AsyncIterator[None]:
+    """Show a pose again and again, as a cell does: one that waits too long for its turn is left out."""
+
+    async def show() -> None:
+        while True:
+            await puppet.show(3.5, 1.0)
+            await asyncio.sleep(0.05)
+
+    shown = asyncio.ensure_future(show())
+    try:
+        yield
+    finally:
+        shown.cancel()
+        await asyncio.wait({shown})
 
 
 async def propose(house: House, times: int = 1) -> list[dict[str, Any]]:
@@ -524,15 +547,17 @@ async def test_a_long_update_is_acknowledged_itself_and_poses_wait_for_no_beat(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(house.runtime.broadcast, "beat", lambda: None)  # none by the clock
-    monkeypatch.setattr(broadcast, "LONG_UPDATE", 512)  # so that one proposal is long, however it falls into updates
-    monkeypatch.setattr(outlet, "BUDGET_BYTES", 512)
+    monkeypatch.setattr(broadcast, "LONG_UPDATE", 64)  # so that a proposal is long, however it falls into updates
+    monkeypatch.setattr(outlet, "BUDGET_BYTES", 64)  # and that nothing but its acknowledgement lets a frame through
     async with house.cell() as puppet, signed_in(house) as screen:
         await screen.say(type="watch", cells=[CELL])
         await screen.until_type("scene")
-        await propose(house)
-        await screen.until(lambda message: "beat" in message and len(orjson.dumps(message)) > outlet.BUDGET_BYTES)
-        await puppet.show(3.5, 1.0)
-        assert (await screen.until_frames(1))[0].poses[0][0] == 3.5
+        proposed = (await propose(house))[0]["id"]
+        long = await screen.until(lambda message: any(one["id"] == proposed for one in message.get("invocations", [])))
+        assert "beat" in long
+        assert len(orjson.dumps(long)) > outlet.BUDGET_BYTES
+        async with showing(puppet):
+            assert (await screen.until_frames(1))[0].poses[0][0] == 3.5
 
 
 async def test_a_console_may_be_opened_only_so_often(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
