@@ -550,6 +550,7 @@ async def test_a_long_update_is_acknowledged_itself_and_poses_wait_for_no_beat(
     monkeypatch.setattr(broadcast, "LONG_UPDATE", 64)  # so that a proposal is long, however it falls into updates
     monkeypatch.setattr(outlet, "BUDGET_BYTES", 64)  # and that nothing but its acknowledgement lets a frame through
     async with house.cell() as puppet, signed_in(house) as screen:
+        await screen.until_type("snapshot")
         await screen.say(type="watch", cells=[CELL])
         await screen.until_type("scene")
         proposed = (await propose(house))[0]["id"]
