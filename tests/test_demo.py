@@ -65,6 +65,6 @@ def test_a_demo_whose_address_is_taken_says_so_itself(tmp_path: Path):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         command = [sys.executable, "-m", "app.cli", "demo", "--port", port, "--folder", str(tmp_path)]
-        ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+        ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=170)
     assert ended.returncode == 2
     assert "valid: a free address" in " ".join(ended.stderr.split())

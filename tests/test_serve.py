@@ -20,7 +20,7 @@ POLICIES = Path(__file__).parents[1] / "policies"
 
 
 def reins(*words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", "app.cli", *words], capture_output=True, text=True, timeout=60)
+    return subprocess.run([sys.executable, "-m", "app.cli", *words], capture_output=True, text=True, timeout=170)
 
 
 def test_says_how_to_come_in_and_keeps_secrets_to_its_owner(server: ServerProcess) -> None:

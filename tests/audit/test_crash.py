@@ -64,7 +64,7 @@ def reader_settings(reader: Reader) -> list[dict[str, str]]:
 
 async def test_a_full_disk_refuses_and_recovers(data: Path) -> None:
     command = [sys.executable, "-m", "tests.audit.filling_writer", str(data)]
-    process = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True, timeout=60)
+    process = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True, timeout=170)
     assert process.returncode == 0, process.stderr
     seen = json.loads(process.stdout)
     assert seen["acknowledged"] > 10

@@ -284,7 +284,7 @@ print(done + 1)
 @pytest.mark.process
 def test_a_full_disk_is_unavailable_leaves_no_half_line_and_goes_on_when_there_is_room(tmp_path: Path) -> None:
     path = tmp_path / "journal"
-    child = subprocess.run([sys.executable, "-c", LIMITED, str(path)], capture_output=True, text=True, timeout=60)
+    child = subprocess.run([sys.executable, "-c", LIMITED, str(path)], capture_output=True, text=True, timeout=170)
     assert child.returncode == 0, child.stderr
     again = Journal(path, boot="b")
     assert again.torn_bytes == 0

@@ -50,7 +50,7 @@ FLAGS = (
     "--mute-audio",
     f"--disable-features={','.join(OFF)}",
 )
-PATIENCE_MS = 15_000
+PATIENCE_MS = 30_000
 expect.set_options(timeout=PATIENCE_MS)
 
 DESK = {"width": 1440, "height": 900}

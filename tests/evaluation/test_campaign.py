@@ -26,7 +26,7 @@ from app.evaluation.extensions import UnknownName
 from app.evaluation.jobs import Job
 from app.evaluation.parts import Parts, RowError
 from app.evaluation.workers import JobFailed
-from tests.conftest import until
+from tests.conftest import PATIENCE_S, until
 
 THREADS = os.environ.get("OMP_NUM_THREADS")
 TOY = Path(__file__).with_name("toy.py")
@@ -162,14 +162,14 @@ def test_an_interrupted_campaign_goes_on_where_it_was(
         until(lambda: list(out.glob("parts/*.jsonl")), what="a first part")
         assert list(aside.glob("reins-evaluation-*/*.journal"))
         process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=30)
+        _, said = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130, said
     assert b"the same command goes on from there" in said
     assert not list(aside.iterdir()), "an interrupted campaign leaves folders behind"
     assert not (out / "results.json").exists()
     assert 0 < len(list(out.glob("parts/*.jsonl"))) < 16
     gate.touch()
-    ended = subprocess.run(command, env=environment, capture_output=True, timeout=60, text=True)
+    ended = subprocess.run(command, env=environment, capture_output=True, timeout=PATIENCE_S, text=True)
     assert ended.returncode == 0, ended.stderr
     assert "UAIR" in ended.stdout
     assert not list(aside.iterdir()), "a campaign leaves folders behind"
