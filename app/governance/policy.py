@@ -19,20 +19,20 @@ from app.governance.semver import meets
 from app.governance.vocabulary import properties
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from jsonschema_rs import Draft202012Validator
 
     from app.governance.conditions import Test
     from app.governance.model import Authorization, Capability, Json, Params, Site
     from app.governance.policy_code import Check, Parts
-    from app.governance.policy_model import Agent, Authority, Profile, Rule, WatchRow
+    from app.governance.policy_model import Agent, Authority, Limit, Profile, Rule, WatchRow
 
 
 CAREFUL_SPEED: Final = 0.5
+"""What `careful` leaves of a speed; skills drive at 0.95 of it, as they do with every limit."""
 SPEEDS: Final = frozenset({"tcp_speed_mps", "base_speed_mps"})
 SPEED_NOISE_MPS: Final = 0.01  # about five σ of a speed made from the drives' velocities
-"""What `careful` leaves of a speed; skills drive at 0.95 of it, as they do with every limit."""
 
 MANIPULATION: Final = "manipulation"
 OF_A_PLAN: Final = frozenset({"stall_s", "elapsed_s", "retries"})
@@ -307,10 +307,10 @@ def watch_plan_for(policy: PolicySet, authorization: Authorization) -> WatchPlan
 def _bounds(capability: Capability, profile: Profile, params: Params, mode: Mode) -> Bounds:
     bounds = {name: limit.maximum for name, limit in profile.limits.items()}
     for name, spec in properties(capability).items():
-        limit = limit_for(spec, profile.limits)
         value = params.get(name)
-        if limit is not None and isinstance(value, (int, float)):
-            bounds[limit.name] = min(bounds[limit.name], float(value))
+        if isinstance(value, (int, float)):
+            for held in _held_to(spec, profile.limits):
+                bounds[held] = min(bounds[held], float(value))
     share = CAREFUL_SPEED if mode is Mode.CAREFUL else 1.0
     return Bounds(
         tcp_speed_mps=bounds["tcp_speed_mps"] * share,
@@ -318,6 +318,14 @@ def _bounds(capability: Capability, profile: Profile, params: Params, mode: Mode
         grip_force_n=bounds["grip_force_n"],
         contact_force_n=bounds["contact_force_n"],
     )
+
+
+def _held_to(spec: Mapping[str, Json], limits: Mapping[str, Limit]) -> Iterable[str]:
+    """Return the bounds that a parameter's value lowers: of a speed that names no limit, arm and base alike."""
+    limit = limit_for(spec, limits)
+    if limit is None:
+        return ()
+    return SPEEDS if limit.name in SPEEDS and "x-limit" not in spec else (limit.name,)
 
 
 _NAMED: Mapping[str, Callable[[Capability, Profile], float | None]] = {

@@ -45,6 +45,15 @@ def test_bounds_are_the_smaller_of_limit_and_parameter_and_careful_halves_speed(
     assert (careful.grip_force_n, careful.tcp_speed_mps) == (30.0, 0.1)
 
 
+@pytest.mark.parametrize(
+    ("capability", "tcp_mps", "base_mps"),
+    [("safe_retreat", 0.1, 0.1), ("retrace", 0.1, 0.1), ("reposition_base", 0.25, 0.1), ("regrasp", 0.1, 0.3)],
+)
+def test_a_speed_that_is_not_said_to_be_arms_or_bases_holds_both(capability, tcp_mps, base_mps):
+    bounds = watch_plan(shipped(), capability, "human-shared", {"speed_mps": 0.1}).bounds
+    assert (bounds.tcp_speed_mps, bounds.base_speed_mps) == (tcp_mps, base_mps)
+
+
 def test_a_violation_is_more_than_five_percent_above_the_bound():
     plan = watch_plan(shipped(), "grasp_object", "human-shared", {"speed_mps": 0.2})
     thresholds = {rule.id: rule.threshold for rule in plan.rules}
