@@ -38,6 +38,7 @@ ANYONE = frozenset(Role)  # with a token
 WEBSOCKET = "WS"
 
 PUBLIC: frozenset[Role] | None = None  # no token asked for
+MOST = 20  # of a query's names that a refusal lists
 
 ACCESS: Mapping[tuple[str, str], frozenset[Role] | None] = {
     ("POST", "/v1/invocations"): AGENTS,
@@ -164,17 +165,40 @@ class GuardedRoute(APIRoute):
         (method,) = cast("set[str]", self.methods)  # one method a route: the table names them one by one
         allowed = allowed_roles(method, self.path)
         reads_query = method == "GET"  # others do not look at it, so nothing in it can stand in a stop's way
+        takes_none = reads_query and allowed is not PUBLIC and "query" not in signature(self.endpoint).parameters
 
         async def guarded(request: Request) -> Response:
             parts = parts_of(request)
             principal = authorize(request, parts.principals, allowed)
             if reads_query:
                 _refuse_twice(request.scope["query_string"])
+            if takes_none:
+                _refuse_any(request.scope["query_string"])
             if principal is not None:
                 parts.governor.kernel.heard(principal)  # whoever speaks is on duty
             return await handler(request)
 
         return guarded
+
+
+def _refuse_any(query: bytes) -> None:
+    """Refuse what a route does not know: whoever sent it believes that it counts.
+
+    Raises:
+        Problem: 422 `request_invalid`.
+    """
+    if names := _names(query):
+        errors = [
+            {"field": f"query.{name[:100]}", "message": "is unknown: this route takes no parameters"} for name in names
+        ]
+        first = errors[0]
+        raise Problem(
+            "request_invalid", f"a parameter is not valid: `{first['field']}` {first['message']}", errors=errors[:MOST]
+        )
+
+
+def _names(query: bytes) -> list[str]:
+    return [name for name, _ in parse_qsl(query.decode("latin-1"), keep_blank_values=True)]
 
 
 def _refuse_twice(query: bytes) -> None:
@@ -186,7 +210,7 @@ def _refuse_twice(query: bytes) -> None:
     if b"&" not in query:
         return
     seen: set[str] = set()
-    for name, _ in parse_qsl(query.decode("latin-1"), keep_blank_values=True):
+    for name in _names(query):
         if name in seen:
             raise Problem("given_twice", f"the parameter `{name[:100]}` is given more than once: valid is once")
         seen.add(name)

@@ -40,6 +40,7 @@ BODIES: tuple[type[BaseModel], ...] = (
 
 ON_EVERY_ROUTE = ("internal", "row_unreadable", "record_damaged", "given_twice")
 ON_GUARDED = ("token_missing", "token_invalid", "token_expired", "role_forbidden", "record_unavailable")
+ON_READING = ("request_invalid",)  # by a query that the route does not know
 ON_BODY = (
     "body_incomplete",
     "body_too_large",
@@ -95,7 +96,8 @@ def declare(
     method, _, path = route.partition(" ")
     roles = allowed_roles(method, path)
     public = roles is PUBLIC
-    codes = (*answers.codes, *ON_EVERY_ROUTE, *(() if public else ON_GUARDED), *(ON_BODY if body else ()))
+    guarded = () if public else (*ON_GUARDED, *(ON_READING if method == "GET" else ()))
+    codes = (*answers.codes, *ON_EVERY_ROUTE, *guarded, *(ON_BODY if body else ()))
     operation: dict[str, Any] = {"security": [] if public else [{"bearer": []}], "parameters": list(parameters)}
     if body is not None:
         schema = {"$ref": REFERENCE.format(model=body.__name__)}

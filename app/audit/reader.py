@@ -5,9 +5,10 @@ Every read fetches a bounded page and lets go, since a reader that stays open ma
 
 from __future__ import annotations
 
+import re
 import sqlite3
 from contextlib import closing
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 from urllib.parse import quote
 
 import sqlalchemy as sa
@@ -417,13 +418,16 @@ def bounded(limit: int) -> int:
     return limit
 
 
+_CURSOR: Final = re.compile(r"(0|[1-9][0-9]{0,17})\.(.+)", re.ASCII | re.DOTALL)  # a damaged id is one, too
+
+
 def parse_cursor(cursor: str) -> tuple[int, str]:
     """Read what `page` returned as `next`.
 
     Raises:
         ValueError: no page gave this.
     """
-    seq, separator, key = cursor.partition(".")
-    if not separator or not (seq.isascii() and seq.isdigit()) or len(seq) > 18:
+    found = _CURSOR.fullmatch(cursor)
+    if found is None:
         raise ValueError(f"`{cursor[:80]}` is no cursor: valid is the `next` of the page before")
-    return int(seq), key
+    return int(found[1]), found[2]

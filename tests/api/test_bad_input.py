@@ -8,6 +8,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from app.api.access import ACCESS, PUBLIC
 from app.api.console import PATH
 from tests.api.conftest import House
 from tests.api.test_wire import MALFORMED
@@ -192,6 +193,22 @@ async def test_a_parameter_out_of_place_is_named_with_what_is_valid(
     assert (answer.status_code, problem["code"]) == (422, "request_invalid")
     assert value in problem["detail"]
     assert valid in problem["errors"][0]["message"]
+
+
+READS = [
+    path
+    for (method, path), roles in ACCESS.items()
+    if method == "GET" and path.startswith("/v1/") and roles is not PUBLIC
+]
+
+
+@pytest.mark.parametrize("path", READS)
+async def test_no_route_passes_over_a_parameter_that_it_does_not_know(house: House, path: str) -> None:
+    async with house.client("auditor") as auditor:
+        answer = await auditor.get(path.replace("{", "").replace("}", ""), params={"colour": "red"})
+    assert (answer.status_code, answer.json()["code"]) == (422, "request_invalid")
+    assert "`query.colour` is unknown" in answer.json()["detail"]
+    assert answer.json()["errors"][0]["field"] == "query.colour"
 
 
 async def test_the_server_is_well_and_the_log_holds_afterwards(house: House) -> None:

@@ -274,7 +274,7 @@ async def test_invocations_are_listed_newest_first_by_cursor(store: AuditStore) 
     assert [row["id"] for row in ended.items] == ["inv_2", "inv_0"]
 
 
-@pytest.mark.parametrize("cursor", ["", "1", "x.inv_1", "-1.inv_1", "9" * 40 + ".inv_1"])
+@pytest.mark.parametrize("cursor", ["", "1", "1.", "01.inv_1", "٣.inv_1", "x.inv_1", "-1.inv_1", "9" * 40 + ".inv_1"])
 async def test_refuses_a_cursor_no_page_gave(store: AuditStore, cursor: str) -> None:
     with pytest.raises(ValueError, match="no cursor"):
         await store.page("invocations", cursor=cursor)
