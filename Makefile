@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help setup console demo run test check bench evaluate pictures format lock clean \
-  test-served test-processes test-sessions test-shown test-console test-runtime test-evaluation \
+  test-served test-processes test-sessions test-shown test-console test-runtime test-evaluation test-campaigns \
   test-proofs test-rules test-authoring test-sim test-pages check-types check-policy check-console check-code
 
 help:  ## list the targets
@@ -42,7 +42,7 @@ run: $(STAMP) console  ## a server with one simulated cell and a demo agent; kee
 	@$(BIN)/reins demo --keep --port 8000
 
 test: $(STAMP) console  ## the whole test suite; what decides and what proves covered to the last branch
-	@$(MAKE) --no-print-directory --keep-going -j5 test-served test-console test-runtime test-evaluation $(COMPUTING)
+	@$(MAKE) --no-print-directory --keep-going -j5 test-served test-console test-evaluation test-campaigns test-runtime $(COMPUTING)
 
 # For two cores, five at a time, the longest first. What starts servers and cells mostly waits, and so does what drives a
 # robot at a console: one lane each, as long as the other, and a third for what serves within one process. Leases of
@@ -52,6 +52,7 @@ SHOWN := $(patsubst %,tests/console/test_%.py,names reading reviewing scene vers
 SESSIONS := $(patsubst %,tests/test_%.py,activation confirmation console contract crash_recovering)
 AUTHORED := tests/authoring tests/test_cli_authoring.py tests/test_assayer.py
 SIMULATED := tests/sim tests/test_cli.py tests/test_disk.py
+CAMPAIGNS := $(patsubst %,tests/evaluation/test_%.py,campaign cli_evaluate detectors draws physical_tasks studies)
 WITHIN := tests/runtime tests/api tests/agent tests/cell
 ELSEWHERE := $(MEASURED) $(COMPARED) tests/evaluation tests/proofs $(WITHIN) $(AUTHORED) $(SIMULATED) $(SESSIONS) $(WATCHED)
 COMPUTING := test-proofs test-rules test-sim test-authoring test-pages
@@ -79,7 +80,10 @@ test-runtime: $(STAMP)
 	@$(PYTEST) $(WITHIN)
 
 test-evaluation: $(STAMP)
-	@$(GIVING_WAY) $(PYTEST) tests/evaluation
+	@$(GIVING_WAY) $(PYTEST) tests/evaluation $(CAMPAIGNS:%=--ignore=%)
+
+test-campaigns: $(STAMP)
+	@$(GIVING_WAY) $(PYTEST) $(CAMPAIGNS)
 
 test-proofs: $(STAMP)
 	@$(GIVING_WAY) $(PYTEST) tests/proofs $(COMPARED)
