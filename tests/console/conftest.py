@@ -72,6 +72,9 @@ TWO_FOR_THE_DRIVER = """
     approvers: 2
     because: The driver takes two.
 """
+CONFIRMED = """confirm_before:
+  - {capability: place_object, profile: human-shared, phases: [release], on_deny: rollback, on_timeout: terminate}
+"""
 THUMB_PX = 48  # what a thumb hits, and how far up from the lower edge it comes easily
 REACH_PX = 140
 ASIDE_PX = 180  # and how far from the right edge, on a phone that is held sideways
@@ -346,6 +349,10 @@ def console_ahead(
         shipped = restricted.read_text()
         restricted.write_text(shipped.replace("within_s: 300", "within_s: 3"))
         assert restricted.read_text() != shipped
+        authority = folder / "policies" / "authority.yaml"
+        unconfirmed = authority.read_text()
+        authority.write_text(re.sub(r"^confirm_before: \[\].*\n", CONFIRMED, unconfirmed, flags=re.MULTILINE))
+        assert authority.read_text() != unconfirmed
         with (folder / "policies" / "organization.yaml").open("a") as rules:
             rules.write(TWO_FOR_THE_DRIVER)
         made = Servers(folder)
@@ -361,8 +368,8 @@ def console_ahead(
 def server(console_ahead: Ahead) -> Iterator[ServerProcess]:
     """One server with one cell in real time, where people share the floor; a module's tests have it in turn.
 
-    Its policy is the shipped one, but that whoever is asked under `real-restricted` has three seconds to answer, and
-    that grasping the driver takes two people.
+    Its policy is the shipped one, but that whoever is asked under `real-restricted` has three seconds to answer, that
+    grasping the driver takes two people, and that a person confirms before something is let go.
     """
     with console_ahead.take() as server:
         yield server

@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Route, expect
 
 from tests.conftest import ServerProcess, until
-from tests.console.conftest import Floor, People, box
+from tests.console.conftest import DESK, DESK_SMALL, PHONE, Floor, People, box, wider_than_the_screen
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 CELL = "/v1/cells/workcell-1"
@@ -164,6 +164,29 @@ def test_a_trace_follows_its_session_and_is_scrubbed_with_its_events(
     with person.page.expect_download():
         held[0].continue_()
     expect(person.button("MCAP")).to_be_enabled()
+
+
+@pytest.mark.parametrize("size", [DESK, DESK_SMALL, PHONE], ids=["desk", "small desk", "phone"])
+def test_the_matrix_shows_where_a_person_confirms_in_mid_execution(
+    server: ServerProcess, people: People, size: dict[str, int]
+) -> None:
+    person = people.sit(server, "engineer", size=size)
+    person.page.evaluate("location.hash = '#/policy/place_object/human-shared'")
+    matrix, detail = person.region("Matrix"), person.region("place_object under human-shared")
+    squares = matrix.get_by_role("row", name=re.compile("^place_object")).get_by_role("button")
+    confirmed = squares.filter(has_text="Confirm before release")
+    expect(confirmed).to_have_count(1)
+    expect(confirmed).to_have_attribute("aria-pressed", "true")
+    expect(matrix.get_by_text("Confirm before")).to_have_count(1)
+    rule = (
+        "Before release the robot holds and waits for one person, at most 600 s; a denial has it rolled back, silence"
+    )
+    said = detail.get_by_text(rule)
+    if size == PHONE:
+        expect(said).to_be_visible()
+    else:
+        expect(said).to_be_in_viewport(ratio=1)
+    assert wider_than_the_screen(person.page) == []
 
 
 def test_an_answer_of_policy_is_marked_once_its_question_has_changed(server: ServerProcess, people: People) -> None:

@@ -1,6 +1,6 @@
 import { describe, expect, it } from 'vitest';
 import type { Capability, PolicySet } from '../src/lib/api/documents';
-import { boundText, effectOf, moved, rulesFor, squareOf, type Rule } from '../src/lib/policy/matrix';
+import { boundText, confirmRule, confirmText, effectOf, moved, rulesFor, squareOf, type Rule } from '../src/lib/policy/matrix';
 import { fieldsOf, readParams } from '../src/lib/policy/proposal';
 
 const rule = (over: Partial<Rule>): Rule => ({ id: 'organization/r', applies_to: null, profiles: null, when: null, then: 'modify', set: {}, because: '', remedy: '', ...over });
@@ -72,6 +72,20 @@ describe('the matrix', () => {
     ['an unconditional rule denies it', policy({ rules: [rule({ then: 'deny' })] }), drive()],
   ])('forbids what %s', (_, set, capability) => {
     expect(squareOf(set, capability, 'human-shared').standing).toBe('forbidden');
+  });
+
+  it('shows what a person confirms in mid-execution, in that square alone', () => {
+    const entry = { capability: 'drive', profile: 'human-shared', phases: ['settle', 'let_go'], within_s: 60, on_deny: 'rollback', on_timeout: 'terminate' };
+    const others = [{ ...entry, capability: 'grasp' }, { ...entry, profile: 'relaxed', phases: ['drive'], on_deny: 'terminate' }];
+    const set = policy({ authority: { confirm_before: [others[0], entry, others[1]] } });
+    const [here, there] = ['human-shared', 'relaxed'].map((profile) => squareOf(set, drive(), profile).confirms);
+    expect([here, there].map((found) => confirmText(found ?? []))).toEqual(['Confirm before settle, let go', 'Confirm before drive']);
+    expect([here, there].map((found) => found?.map(confirmRule))).toEqual([
+      ['Before settle and before let go the robot holds and waits for one person, at most 60 s; a denial has it rolled back, silence ends the session.'],
+      ['Before drive the robot holds and waits for one person, at most 60 s; a denial or silence ends the session.'],
+    ]);
+    expect(confirmText(squareOf(set, drive({ name: 'other' }), 'human-shared').confirms)).toBe('');
+    expect(squareOf(policy(), drive(), 'human-shared').confirms).toEqual([]);
   });
 
   it('says what a rule does', () => {

@@ -195,13 +195,23 @@ export interface InputSchema {
   'x-ref'?: string;
 }
 
+/** Phases of a capability before which its session waits, holding, until a person lets it go on. */
+export interface Confirming {
+  capability: string;
+  profile: string;
+  phases: string[];
+  within_s: number;
+  on_deny: string;
+  on_timeout: string;
+}
+
 export interface PolicySet {
   version: string;
   capabilities: string[];
   profiles: Record<string, { limits?: Record<string, { max?: number; min?: number }>; [key: string]: unknown }>;
   rules: Record<string, unknown>[];
   agents: Record<string, unknown>;
-  authority?: { denials?: unknown; grants?: { up_to_s: number; risk: string[] } | null; [key: string]: unknown };
+  authority?: { denials?: unknown; grants?: { up_to_s: number; risk: string[] } | null; confirm_before?: Confirming[]; [key: string]: unknown };
   site: Record<string, unknown>;
 }
 

@@ -1,4 +1,5 @@
-import type { Capability, InputSchema, PolicySet } from '../api/documents';
+import type { Capability, Confirming, InputSchema, PolicySet } from '../api/documents';
+import { entryOf } from '../format/entry';
 import { labelFor, labelOf, unitOf } from '../format/quantity';
 
 /** A rule as `/v1/policies/active` describes it. */
@@ -46,6 +47,8 @@ export interface Square {
   standing: Standing;
   bounds: Bound[];
   asks: { people: number; withinS: number; onTimeout: string } | null;
+  /** What waits for a person in mid-execution, in the order policy lists it. */
+  confirms: Confirming[];
   /** Escalations end in a denial: nobody could answer them here. */
   nobodyAnswers: boolean;
   always: Rule[];
@@ -91,6 +94,7 @@ export function squareOf(policy: PolicySet, capability: Capability, profile: str
     standing: standingOf(marked, asks !== null, always, bounds),
     bounds,
     asks,
+    confirms: (policy.authority?.confirm_before ?? []).filter((entry) => entry.capability === capability.name && entry.profile === profile),
     nobodyAnswers: !modes.some((mode) => ASKING.has(mode)),
     always,
     sometimes: rules.filter((rule) => rule.when !== null),
@@ -151,6 +155,25 @@ export function boundText({ label: name, unit, min, max }: Bound): string {
   if (min !== null && max !== null) return `${name} ${min} to ${max}${tail}`;
   if (max !== null) return `${name} at most ${max}${tail}`;
   return min === null ? name : `${name} at least ${min}${tail}`;
+}
+
+/** The phases of a square that a person confirms, for a glance: `Confirm before lift, release`; empty where there are none. */
+export function confirmText(confirms: readonly Confirming[]): string {
+  const phases = confirms.flatMap((entry) => entry.phases.map(phaseWords));
+  return phases.length === 0 ? '' : `Confirm before ${phases.join(', ')}`;
+}
+
+const ENDINGS: Record<string, string> = { terminate: 'ends the session', rollback: 'has it rolled back' };
+
+/** What happens before such phases, whole: who is waited for, for how long, and what becomes of it otherwise. */
+export function confirmRule({ phases, within_s: withinS, on_deny: denied, on_timeout: silent }: Confirming): string {
+  const [deny, silence] = [denied, silent].map((ending) => entryOf(ENDINGS, ending) ?? ending);
+  const otherwise = deny === silence ? `a denial or silence ${deny}` : `a denial ${deny}, silence ${silence}`;
+  return `Before ${phases.map(phaseWords).join(' and before ')} the robot holds and waits for one person, at most ${withinS} s; ${otherwise}.`;
+}
+
+function phaseWords(phase: string): string {
+  return phase.replaceAll('_', ' ');
 }
 
 /** What a rule does, in words. */
