@@ -8,10 +8,12 @@ import pytest
 from playwright.sync_api import Route, expect
 
 from tests.conftest import ServerProcess, until
-from tests.console.conftest import DESK, DESK_SMALL, PHONE, Floor, People, box, wider_than_the_screen
+from tests.console.conftest import DESK, DESK_SMALL, PHONE, Floor, People, box, on_top, wider_than_the_screen
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 CELL = "/v1/cells/workcell-1"
+# Of a grasp, wherever the robot stands by then: what is within its reach is asked about.
+ANSWER = re.compile(r"^(Asks a person\. It would wait until|Deferred\. Not now: )")
 
 
 def test_a_question_that_nobody_answers_goes_by_itself(server: ServerProcess, people: People, floor: Floor) -> None:
@@ -186,6 +188,31 @@ def test_the_matrix_shows_where_a_person_confirms_in_mid_execution(
         expect(said).to_be_visible()
     else:
         expect(said).to_be_in_viewport(ratio=1)
+    assert wider_than_the_screen(person.page) == []
+
+
+@pytest.mark.parametrize("size", [DESK, DESK_SMALL, PHONE], ids=["desk", "small desk", "phone"])
+def test_an_answer_of_policy_comes_into_view_and_is_said_each_time(
+    server: ServerProcess, people: People, size: dict[str, int]
+) -> None:
+    person = people.sit(server, size=size)
+    person.page.evaluate("location.hash = '#/policy/grasp_object/human-shared'")
+    form = person.region("What would happen if…")
+    form.get_by_label("Object (needed)").select_option("glass_1")
+    said = form.get_by_role("status").first
+    said.evaluate(
+        """(said) => { window.heard = [];
+        const note = () => window.heard.push(said.textContent !== '');
+        new MutationObserver(note).observe(said, { childList: true, characterData: true, subtree: true }); }"""
+    )
+    for asked in ("glass_1", "mug_1"):
+        form.get_by_label("Object (needed)").select_option(asked)
+        form.get_by_role("button", name="Ask policy").click()
+        expect(said).to_have_text(ANSWER)
+        for part in (form.locator(".verdict"), form.get_by_text("Policy allows")):
+            expect(part).to_be_in_viewport(ratio=1)
+            assert on_top(part)
+    assert person.page.evaluate("window.heard") == [True, False, True]
     assert wider_than_the_screen(person.page) == []
 
 
