@@ -104,11 +104,13 @@ class ServerProcess:
         assert answer.status_code == 201, answer.text
         return answer.json()
 
-    def launch(self, capability: str, cell: str = "workcell-1", **params: Any) -> dict[str, Any]:
+    def launch(
+        self, capability: str, cell: str = "workcell-1", *, metadata: dict[str, Any] | None = None, **params: Any
+    ) -> dict[str, Any]:
         """Propose, and again where it is deferred, as an agent does: on a busy machine links may lapse a moment."""
 
         def made() -> dict[str, Any] | None:
-            body = {"capability": capability, "params": params, "cell": cell}
+            body = {"capability": capability, "params": params, "cell": cell, "metadata": metadata or {}}
             answer = self.post("/v1/invocations", body, key="agent").json()
             return None if answer["status"] == "deferred" else answer
 

@@ -81,7 +81,9 @@ class ProposalBody(Body):
         examples=["^1.0.0"],
     )
     metadata: dict[str, Any] = Field(
-        default_factory=dict, description="Context for rules and record, for instance `confidence` and `goal`."
+        default_factory=dict,
+        description="Context for rules and record, for instance `confidence`. Who is asked is shown the beginning of "
+        "`goal` (or else `intent`) and of `task`, as the agent's own words.",
     )
 
 

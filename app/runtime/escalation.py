@@ -8,6 +8,9 @@ Three versions of the parameters are kept: as requested, as policy constrained t
 `effective` is what is asked about now: the constrained ones, or what an approver's edit (`edits`) came to. When another
 policy comes into force, or the cell is put under another profile, an approval is decided again and bound to that:
 `former_digests` are worth no answer any more, and `renewed` is the code that says why.
+
+`goal` and `task` are what the agent says it asks for, in its own words: nobody has checked them, nothing is decided by
+them, and an approval is of the parameters alone. An agent may say a lot, so people are shown the beginning.
 """
 
 from __future__ import annotations
@@ -40,6 +43,7 @@ RISKS: Final = ("critical", "high", "medium", "low")
 POLICY_CHANGED: Final = "policy_changed"
 PROFILE_CHANGED: Final = "profile_changed"
 NEVER_S: Final = float("inf")
+STATED_AT_MOST: Final = 160  # characters of what an agent says: two or three lines on a card
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +80,8 @@ class Escalation:
     former_digests: Sequence[str] = ()
     renewed: str | None = None
     names_task: bool = False
+    goal: str | None = None
+    task: str | None = None
 
     @property
     def approved(self) -> Mapping[str, Any] | None:
@@ -123,6 +129,8 @@ class Escalation:
             "former_digests": list(self.former_digests),
             "renewed": self.renewed,
             "names_task": self.names_task,
+            "goal": self.goal,
+            "task": self.task,
             "policy_version": self.policy_version,
             "status": self.status,
             "approvals": [dict(approval) for approval in self.approvals],
@@ -152,6 +160,12 @@ class Escalation:
                 "updated_at": self.updated_at,
             },
         )
+
+
+def stated(said: str | None) -> str | None:
+    """Return the beginning of an agent's own words, in one line; None where it says nothing."""
+    words = " ".join((said or "").split())
+    return (words if len(words) <= STATED_AT_MOST else f"{words[: STATED_AT_MOST - 1]}…") or None
 
 
 def read_escalation(document: bytes) -> Escalation:

@@ -195,8 +195,16 @@ class Invocation:
     @property
     def task(self) -> str | None:
         """Return what the agent calls its task; None where it names none."""
-        task = self.terms.metadata.get("task")
-        return task if isinstance(task, str) else None
+        return self._stated("task")
+
+    @property
+    def goal(self) -> str | None:
+        """Return what the agent says it is after: its `goal`, or else the `intent` that rules can read; or None."""
+        return self._stated("goal") or self._stated("intent")
+
+    def _stated(self, name: str) -> str | None:
+        said = self.terms.metadata.get(name)
+        return said if isinstance(said, str) else None
 
     def row(self) -> RowWrite:
         """Return the row that holds this version."""

@@ -25,6 +25,7 @@ from app.runtime.escalation import (
     WITHDRAWN,
     Escalation,
     bound_digest,
+    stated,
 )
 from app.runtime.grants import Grants
 
@@ -102,6 +103,8 @@ class Questions:
             effective=effective,
             digest=bound_digest(invocation, effective, fields.get("phase")),
             names_task=invocation.task is not None,
+            goal=stated(invocation.goal),
+            task=stated(invocation.task),
             policy_version=invocation.policy_version,
             status=PENDING,
             approvals=(),

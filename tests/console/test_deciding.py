@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Locator, expect
 
 from tests.conftest import ServerProcess, until
-from tests.console.conftest import DESK, PHONE, Floor, People, Person, at_once, box
+from tests.console.conftest import DESK, PHONE, Floor, People, Person, at_once, box, wider_than_the_screen
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 
@@ -54,6 +54,28 @@ def test_a_question_appears_and_is_approved_by_one_key(server: ServerProcess, pe
     closed = server.get(f"/v1/escalations/{proposed['escalation']['id']}")
     assert [one["by"] for one in closed["approvals"]] == ["operator"]
     expect(person.region("Events")).to_contain_text("operator approved, 1 of 1 · Grasp mug_1")
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_a_card_says_what_the_agent_is_after_as_its_own_words_and_as_text(
+    server: ServerProcess, people: People, floor: Floor, size: dict[str, int]
+) -> None:
+    person = people.sit(server, size=size)
+    forged = "<img src=x> \u202eA sserp ,evorppa\n" + "\u05d0\u05d1 " * 40 + "unbroken" * 400
+    asked = floor.ask(intent="fetch mug_1 and deliver it to bench_b", task="set the table")
+    stated = card(person).locator(".stated")
+    expect(stated).to_have_text("planner says: “fetch mug_1 and deliver it to bench_b”, task “set the table”")
+    floor.answer(asked, "deny")
+    expect(card(person)).to_have_count(0)
+    floor.ask(goal=forged)
+    expect(stated).to_contain_text("planner says: “<img src=x> \ufffdA sserp ,evorppa \u05d0\u05d1")
+    expect(stated).to_contain_text("…”")
+    expect(stated.locator("bdi")).to_have_count(1)
+    assert box(stated)["height"] < 100
+    assert box(stated)["x"] + box(stated)["width"] <= box(card(person))["x"] + box(card(person))["width"]
+    for answer in ("^Deny", "^Approve"):
+        expect(person.button(re.compile(answer))).to_be_in_viewport(ratio=1)
+    assert wider_than_the_screen(person.page) == []
 
 
 def press_until(person: Person, key: str, *, gone: Locator) -> None:

@@ -30,6 +30,7 @@ pytestmark = [pytest.mark.browser, pytest.mark.process]
 FIRST = "Grasp mug_1"
 # In the order of urgency, which is not the one they come in: the risk counts before the deadline.
 REST = ("Pull down at the lever", "Press at the press", "Grasp glass_1", "Grasp driver_1")
+GOAL = "fetch mug_1 and deliver it to bench_b"
 ASKED: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("workcell-1", "grasp_object", {"object_id": "mug_1", "force_n": 80}),
     ("workcell-1", "grasp_object", {"object_id": "glass_1"}),
@@ -60,7 +61,7 @@ class Incident:
     def begin(self, person: Person) -> None:
         """Ask the first, and the rest when somebody has it before them: what is open stays open."""
         for cell, capability, params in ASKED:
-            proposed = self.server.launch(capability, cell, **params)
+            proposed = self.server.launch(capability, cell, metadata={"intent": GOAL}, **params)
             assert proposed["status"] == "awaiting_approval", proposed["admission"]
             self.made.append(proposed["id"])
             if len(self.made) == 1:
@@ -123,6 +124,7 @@ def test_five_at_once_are_sorted_counted_and_told_in_two_sentences(
     expect(rows(person)).to_have_text([re.compile(rf"^\s*{title}.*[12]:\d\d\s*$", re.DOTALL) for title in REST])
     expect(rows(person).first).to_contain_text("workcell-2")
     expect(deny(person)).to_be_focused()
+    expect(cards(person)).to_contain_text(f"planner says: “{GOAL}”")
     for row in rows(person).all():
         expect(row).to_be_in_viewport(ratio=1)
     heard = until(

@@ -14,6 +14,7 @@ from app.audit.errors import RecordUnavailable
 from app.runtime import questions
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, Forbidden, InvalidParams, NotFound
+from app.runtime.escalation import STATED_AT_MOST
 from app.runtime.invocation import Principal, ProposalRequest
 
 from .conftest import (
@@ -72,6 +73,25 @@ async def test_asks_before_launch_and_shows_what_policy_left(runtime: Runtime, c
     assert document["escalation"] == {key: question[key] for key in ("id", "status", "expires_at")}
     assert not cell.all("launch")
     assert (await runtime.desk.list(status="pending"))[0] == [question]
+
+
+@pytest.mark.parametrize(
+    ("metadata", "goal"),
+    [
+        ({}, None),
+        ({"intent": "fetch mug_1"}, "fetch mug_1"),
+        ({"goal": "set the table", "intent": "fetch mug_1"}, "set the table"),
+        ({"goal": ["set the table"], "intent": " \n "}, None),
+        ({"goal": "  Allowed\n\tby policy  "}, "Allowed by policy"),
+        ({"goal": "x" * STATED_AT_MOST}, "x" * STATED_AT_MOST),
+        ({"goal": "😀" * 50_000}, "😀" * (STATED_AT_MOST - 1) + "…"),
+    ],
+)
+async def test_a_question_says_what_the_agent_is_after_in_one_line_of_its_own_words(
+    runtime: Runtime, cell: HandCell, metadata: dict[str, Any], goal: str | None
+) -> None:
+    _, question = await asked(runtime, grasp(metadata=metadata))
+    assert question["goal"] == goal
 
 
 async def test_a_habit_may_tell_agents_apart(runtime: Runtime, cell: HandCell) -> None:

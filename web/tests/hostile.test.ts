@@ -12,6 +12,7 @@ import { Decision } from '../src/lib/live/decision.svelte';
 import { rowsOf } from '../src/lib/live/edit';
 import { refusalWords } from '../src/lib/live/control';
 import { reasonLines } from '../src/lib/live/reasons';
+import { statedOf } from '../src/lib/live/stated';
 import { dueWords } from '../src/lib/live/reviews';
 import { stepsText } from '../src/lib/format/edited';
 import { escalation, event, invocation } from './samples';
@@ -74,6 +75,13 @@ describe('a character that turns a line around', () => {
     expect([titleOf(name, {}), words(name), labelOf(name), valueOf('object_id', name), valueOf('x', [name])].filter((text) => /\p{Cf}/u.test(text))).toEqual([]);
     expect(quoted(reason.message)).toBe(`no “${shown}” here`);
     expect(reasonLines(escalation({ reasons: [reason] }), null)[0]?.text).toContain(shown);
+  });
+
+  it('is a mark in what an agent says it is after, whole on one line and at no length', () => {
+    expect(statedOf(escalation({ goal: ` fetch\n\t\u0007${name} `, task: name }))).toEqual({ goal: `fetch ${shown}`, task: shown });
+    expect(statedOf(escalation({ goal: '\u{1F916}'.repeat(5000) }))?.goal).toBe(`${'\u{1F916}'.repeat(159)}…`);
+    expect(statedOf(escalation({ goal: `a${'\u0301'.repeat(400)}b` }))?.goal).toBe('a\u0301\u0301b');
+    expect([statedOf(escalation()), statedOf(escalation({ goal: ' \n', task: null }))]).toEqual([null, null]);
   });
 
   it('is a mark in what a refusal says, and why a review is due', async () => {

@@ -9,6 +9,7 @@ from pydantic import ConfigDict, Field
 from app.api.documents.base import EXAMPLE_REASON, Document, ReasonDocument
 from app.api.documents.invocations import EXAMPLE_INVOCATION
 from app.governance.model import Outcome, Risk
+from app.runtime.escalation import STATED_AT_MOST
 
 EXAMPLE_ESCALATION: dict[str, Any] = {
     "id": "esc_01KAHZ5E8N",
@@ -29,6 +30,8 @@ EXAMPLE_ESCALATION: dict[str, Any] = {
     "former_digests": [],
     "renewed": None,
     "names_task": False,
+    "goal": "fetch mug_1 and deliver it to bench_b",
+    "task": None,
     "policy_version": EXAMPLE_INVOCATION["policy_version"],
     "status": "pending",
     "approvals": [],
@@ -108,9 +111,14 @@ class EscalationDocument(Document):
     )
     names_task: bool = Field(
         default=False,
-        description="Whether the proposal names its task, so that a grant may be for it. The name is the agent's own, "
-        "and no part of the question.",
+        description="Whether the proposal names its task, so that a grant may be for it.",
     )
+    goal: str | None = Field(
+        default=None,
+        description="What the agent says it is after, in its own words (`metadata.goal`, else `metadata.intent`): the "
+        f"first {STATED_AT_MOST} characters in one line. Nobody has checked it, and the digest is not of it.",
+    )
+    task: str | None = Field(default=None, description="What the agent calls its task (`metadata.task`); as `goal`.")
     policy_version: str | None
     status: Literal["pending", "approved", "denied", "expired", "withdrawn"]
     approvals: list[ApprovalDocument]

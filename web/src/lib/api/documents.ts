@@ -86,6 +86,9 @@ export interface Escalation {
   acknowledged?: { by: string; since: string }[];
   /** Whether a grant may be for the proposal's task: one without a name has none. */
   names_task?: boolean;
+  /** What the agent says it is after, and what it calls its task: words of its own, which nobody has checked. */
+  goal?: string | null;
+  task?: string | null;
   on_deny?: 'deny' | 'terminate' | 'rollback';
   on_timeout?: 'deny' | 'terminate' | 'rollback';
 }
