@@ -302,13 +302,15 @@ def test_who_approved_first_of_two_may_still_deny(server: ServerProcess, people:
     assert floor.settled(proposed["id"])["status"] == "denied"
 
 
-def test_a_grant_for_the_task_is_offered_only_where_the_proposal_names_one(
+def test_a_grant_says_whole_what_it_covers_and_is_for_a_task_only_where_the_proposal_names_one(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
     person = people.sit(server)
     offers = person.page.get_by_label("If approved").locator("option")
     asked = floor.ask()
-    expect(offers).to_have_text([re.compile(words) for words in ("again", "for mug_1", "anything")])
+    bound = "by planner in workcell-1, 15 min"
+    mug, every = f"allow “grasp object” of mug_1 {bound}", f"allow every “grasp object” {bound}"
+    expect(offers).to_have_text([re.compile("again"), mug, every])
     choice = person.page.get_by_label("If approved")
     expect(person.button(re.compile("^Approve"))).to_be_enabled()
     choice.focus()
@@ -316,13 +318,29 @@ def test_a_grant_for_the_task_is_offered_only_where_the_proposal_names_one(
     expect(choice).to_have_value("")  # no letter picks a grant, and none approves from there
     choice.select_option("object")
     expect(person.button("Approve and allow for 15 min")).to_be_enabled()
+    for scope, covered in (("object", mug), ("time", every)):
+        choice.select_option(scope)
+        said = covered.removeprefix("allow ").removesuffix(", 15 min")
+        expect(choice).to_have_accessible_description(re.compile(f"^For 15 min nobody is asked about {said}, within"))
+    assert wider_than_the_screen(person.page) == []
     choice.select_option("")
+    expect(choice).to_have_accessible_description("")
     expect(person.button("and allow")).to_have_count(0)
     press_until(person, "d", gone=card(person))
     assert floor.settled(asked["id"])["status"] == "denied"
     expect(offers).to_have_count(0)
-    floor.ask(task="tidy up")
-    expect(offers).to_have_text([re.compile(words) for words in ("again", "for mug_1", "for this task", "anything")])
+    asked = floor.ask(task="tidy up")
+    task = re.compile(f"^allow “grasp object” for its task “.tidy up.” {bound}$")  # set apart by what is not seen
+    expect(offers).to_have_text([re.compile("again"), mug, task, every])
+    choice.select_option("time")
+    person.button("Approve and allow for 15 min").click()
+    grants = person.page.get_by_role("list", name="Standing grants")
+    expect(grants).to_contain_text(
+        "every “grasp object” by planner in workcell-1, 15 min left given by operator, used 0×"
+    )
+    assert wider_than_the_screen(person.page) == []
+    grants.get_by_role("button", name="Revoke the grant for every “grasp object” by planner in workcell-1").click()
+    expect(grants).to_have_count(0)
 
 
 def test_standing_grants_stand_below_what_waits_and_are_revoked_by_keyboard(
@@ -335,11 +353,11 @@ def test_standing_grants_stand_below_what_waits_and_are_revoked_by_keyboard(
     expect(grants).to_contain_text("glass_1")
     calm = box(person.page.get_by_text("Nothing waits for a person."))
     assert box(grants)["y"] >= calm["y"] + calm["height"]
-    grants.get_by_role("button", name="Revoke the grant for grasp object glass_1").focus()
+    grants.get_by_role("button", name="Revoke the grant for “grasp object” of glass_1").focus()
     person.press("Enter")
     left = grants.get_by_role("button")
     expect(left).to_have_count(1)
-    expect(left).to_have_accessible_name("Revoke the grant for grasp object mug_1")
+    expect(left).to_have_accessible_name("Revoke the grant for “grasp object” of mug_1 by planner in workcell-1")
     expect(left).to_be_focused()
     person.press("Enter")
     expect(grants).to_have_count(0)
@@ -351,7 +369,7 @@ def test_a_standing_grant_that_runs_out_goes_while_one_watches(server: ServerPro
     person = people.sit(server)
     give(server, "glass_1", 0.05)
     grants = person.page.get_by_role("list", name="Standing grants")
-    expect(grants).to_contain_text(re.compile("glass_1, [1-3] s left"))
+    expect(grants).to_contain_text(re.compile("glass_1 by planner in workcell-1, [1-3] s left"))
     grants.get_by_role("button").focus()
     expect(grants).to_have_count(0)
     expect(person.page.get_by_text("No standing grants.")).to_be_focused()

@@ -2,6 +2,7 @@ import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
 import { ApiError, type Answer } from '../src/lib/api/client';
 import type { Escalation, Params, Verdict } from '../src/lib/api/documents';
 import { checkOf, mayApprove, readEdit, rowsOf } from '../src/lib/live/edit';
+import { coverOf } from '../src/lib/live/grants';
 import { ARM_MS, Decision } from '../src/lib/live/decision.svelte';
 import { escalation, invocation } from './samples';
 
@@ -211,5 +212,20 @@ describe('a decision', () => {
     await decision.deny();
     await first;
     expect([sent.length, decision.problem]).toEqual([1, 'Somebody has answered this already.']);
+  });
+});
+
+describe('what a standing grant covers', () => {
+  const bound = { capability: 'grasp_object', agent: 'planner', cell: 'workcell-1', object: null, task: null };
+
+  it('is said with capability, agent and cell, whatever its scope', () => {
+    expect(coverOf({ ...bound, scope: 'time' })).toBe('every “grasp object” by planner in workcell-1');
+    expect(coverOf({ ...bound, scope: 'object', object: 'mug_1' })).toBe('“grasp object” of mug_1 by planner in workcell-1');
+    expect(coverOf({ ...bound, scope: 'task' })).toBe('“grasp object” for its task by planner in workcell-1');
+  });
+
+  it('is not turned around, or buried, by the name of a task', () => {
+    expect(coverOf({ ...bound, scope: 'task', task: '\u05D0\u2069\u202E' })).toBe('“grasp object” for its task “\u2068\u05D0\uFFFD\uFFFD\u2069” by planner in workcell-1');
+    expect(coverOf({ ...bound, scope: 'task', task: 'x'.repeat(5000) }).length).toBeLessThan(240);
   });
 });

@@ -1,0 +1,18 @@
+import type { Grant } from '../api/documents';
+import { words } from '../format/capability';
+import { inBrief, plain } from '../format/plain';
+
+/** All that a standing grant is bound to but its time, profile and policy. */
+export type Cover = Pick<Grant, 'capability' | 'agent' | 'cell' | 'scope' | 'object' | 'task'>;
+
+/** What a standing grant covers, whole: `every “grasp object” by planner in workcell-1`. */
+export function coverOf({ capability, agent, cell, scope, object, task }: Cover): string {
+  const named = `“${words(capability).toLowerCase()}”`;
+  const which = { time: `every ${named}`, object: `${named} of ${plain(object ?? 'one object')}`, task: `${named} for its task${task === null ? '' : ` “${apart(task)}”`}` };
+  return `${which[scope]} by ${plain(agent)} in ${plain(cell)}`;
+}
+
+/** Words of an agent's own within ours, where no element can set them apart: isolates do (Unicode UAX 9, 2.4.2). */
+function apart(said: string): string {
+  return `\u2068${inBrief(said)}\u2069`;
+}
