@@ -2,8 +2,9 @@ import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
 import { ApiError, type Answer } from '../src/lib/api/client';
 import type { Escalation, Params, Verdict } from '../src/lib/api/documents';
 import { checkOf, mayApprove, readEdit, rowsOf } from '../src/lib/live/edit';
+import { ARM_MS } from '../src/lib/keys/arming.svelte';
 import { coverOf } from '../src/lib/live/grants';
-import { ARM_MS, Decision } from '../src/lib/live/decision.svelte';
+import { Decision } from '../src/lib/live/decision.svelte';
 import { escalation, invocation } from './samples';
 
 const SCHEMA = { force_n: { minimum: 2, maximum: 140 }, speed_mps: { minimum: 0.02, maximum: 2 } };

@@ -2,11 +2,10 @@ import { ApiError, type Answer, type Api, type Offer } from '../api/client';
 import type { Escalation, InputSchema, Params } from '../api/documents';
 import { entryOf } from '../format/entry';
 import { quoted } from '../format/quoted';
+import { ARM_MS } from '../keys/arming.svelte';
 import { checkEdit, mayApprove, readEdit, rowsOf, type Check, type Typed } from './edit';
 
 const SETTLE_MS = 250;
-/** A question that has just moved under the keys takes no key yet: the last press may have been meant for another. */
-export const ARM_MS = 700;
 
 const WORDS: Record<string, string> = {
   digest_mismatch: 'The question has changed since you read it. Look again.',
