@@ -100,6 +100,25 @@ class Person:
     def press(self, key: str) -> None:
         self.page.keyboard.press(key)
 
+    def enter(self, button: Locator) -> None:
+        """Press what has the focus; what has just come takes no press yet."""
+        expect(button).to_be_focused()
+        expect(button).to_be_enabled()
+        self.press("Enter")
+
+    def twice(self, button: Locator, after_ms: int) -> dict[str, float]:
+        """Press twice in the same place, whatever stands there by the second time; returns where that was."""
+        expect(button).to_be_enabled()
+        button.scroll_into_view_if_needed()
+        at = box(button)
+        x, y = at["x"] + at["width"] / 2, at["y"] + at["height"] / 2
+        touches = self.page.evaluate("navigator.maxTouchPoints > 0")
+        press = self.page.touchscreen.tap if touches else self.page.mouse.click
+        press(x, y)
+        self.page.wait_for_timeout(after_ms)
+        press(x, y)
+        return {"x": x, "y": y}
+
     def button(self, name: str | re.Pattern[str]) -> Locator:
         return self.page.get_by_role("button", name=name)
 

@@ -79,14 +79,13 @@ def test_a_stop_is_pressed_from_anywhere_and_left_in_two_steps(
     assert server.await_status(drive["id"], "failed")["outcome"] == "stopped"
     stood = floor.base()
     person.button("Reset…").click()
-    expect(person.button("Keep stopped")).to_be_focused()
-    person.press("Enter")
+    person.enter(person.button("Keep stopped"))
     expect(person.button("Reset…")).to_be_focused()
     assert server.cell()["latched"] is True
-    person.press("Enter")
+    person.enter(person.button("Reset…"))
     expect(person.button("Keep stopped")).to_be_focused()
-    person.press("Tab")
-    person.press("Enter")
+    person.press("Shift+Tab")
+    person.enter(person.button("Yes, reset the stop"))
     expect(robot(person)).to_contain_text("Idle")
     assert server.cell()["latched"] is False
     expect(person.page.locator("main")).to_be_focused()
@@ -154,8 +153,7 @@ def test_the_second_step_of_a_reset_goes_when_it_is_dead_and_says_why(
     assert server.post("/v1/cells/workcell-1/estop", key="operator_2").is_success
     expect(again).to_contain_text("operator_2 has pressed the stop again since.")
     expect(yes).to_have_count(0)
-    expect(reset).to_be_focused()
-    person.press("Enter")
+    person.enter(reset)
     expect(yes).to_be_visible()
     expect(again).to_contain_text("The time to confirm is over.")
     expect(yes).to_have_count(0)

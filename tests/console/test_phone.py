@@ -56,8 +56,7 @@ def test_a_stop_is_left_in_two_steps_on_the_fleet_page(server: ServerProcess, pe
     card = person.region("workcell-1")
     card.get_by_label("Profile").select_option("real-restricted")
     card.get_by_role("button", name="Change…").tap()
-    expect(card.get_by_role("button", name="Keep human-shared")).to_be_focused()
-    person.press("Enter")
+    person.enter(card.get_by_role("button", name="Keep human-shared"))
     expect(card.get_by_label("Profile")).to_be_focused()  # what goes gives the focus back
     card.get_by_role("button", name="Emergency stop of workcell-1").tap()
     expect(card.get_by_text("workcell-1 is latched")).to_be_visible()
