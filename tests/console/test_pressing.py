@@ -1,0 +1,158 @@
+"""Pressed twice, or with something still held: what comes under the same finger is not pressed with it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Locator, expect
+
+from tests.conftest import ServerProcess, until
+from tests.console.conftest import DESK, PHONE, Floor, People, Person, box, stop
+
+pytestmark = [pytest.mark.browser, pytest.mark.process]
+# An ear for the commands that the page hands to its link.
+LISTENING = """
+    window.jogs = [];
+    const post = Worker.prototype.postMessage;
+    Worker.prototype.postMessage = function (message, ...rest) {
+        if (message?.message?.type === 'jog') window.jogs.push(message.message);
+        return post.call(this, message, ...rest);
+    };
+"""
+PUSHES = "window.jogs.filter((jog) => jog.grip !== null || [...jog.base, ...jog.tool].some(Boolean)).length"
+LET_GO = "Hold to run; let go to stop"
+SOON = pytest.mark.parametrize("after_ms", [150, 300])
+SIZES = pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+
+
+@pytest.fixture(autouse=True)
+def free_again(server: ServerProcess) -> Iterator[None]:
+    """Nobody keeps the controls for the next test."""
+    yield
+    control = server.cell()["control"]
+    if control is not None:
+        server.post(f"/v1/invocations/{control['invocation']}/release", {"then": "end"})
+    until(lambda: server.cell()["control"] is None and server.cell()["busy"] is None, what="controls that are free")
+
+
+def listed(person: Person, kind: str) -> list[str]:
+    """Keep a list of what the page asks the server for by POST from now on."""
+    said: list[str] = []
+    person.page.on("request", lambda one: said.append(one.url) if one.method == "POST" and kind in one.url else None)
+    return said
+
+
+def offered(person: Person, size: dict[str, int]) -> Locator:
+    """Have the controls offered; returns the button that takes them."""
+    person.button("Drive").tap() if size == PHONE else person.press("t")
+    return person.button("Take the controls")
+
+
+@SOON
+@pytest.mark.parametrize("where", ["desk", "phone", "fleet"])
+def test_a_reset_pressed_twice_goes_no_further_than_its_first_step(
+    server: ServerProcess, people: People, floor: Floor, where: str, after_ms: int
+) -> None:
+    person = people.sit(server, size=PHONE if where == "phone" else DESK)
+    if where == "fleet":
+        person.page.evaluate("location.hash = '#/fleet'")
+    stop(person).click()
+    here = person.region("workcell-1") if where == "fleet" else person.page
+    at = person.twice(here.get_by_role("button", name="Reset…"), after_ms)
+    keep, yes = here.get_by_role("button", name="Keep stopped"), here.get_by_role("button", name="Yes, reset the stop")
+    expect(keep).to_be_focused()
+    expect(yes).to_be_enabled()  # by now it would count
+    assert server.cell()["latched"] is True
+    safe = box(keep)
+    assert safe["x"] <= at["x"] <= safe["x"] + safe["width"]
+    yes.click()
+    until(lambda: not server.cell()["latched"], what="a stop that is reset")
+
+
+@SOON
+@SIZES
+def test_the_controls_taken_by_a_double_press_move_nothing_and_end_nothing(
+    server: ServerProcess, people: People, floor: Floor, size: dict[str, int], after_ms: int
+) -> None:
+    person = people.sit(server, size=size, init=LISTENING)
+    released = listed(person, "/release")
+    person.twice(offered(person, size), after_ms)
+    pads = person.page.get_by_role("group", name="Hold to run")
+    expect(pads).to_be_visible()
+    expect(person.page.get_by_text(LET_GO)).to_be_visible()
+    expect(person.button("End session")).to_be_enabled()
+    assert person.page.evaluate(PUSHES) == 0
+    assert released == []
+
+
+def test_keys_and_fingers_held_while_the_controls_are_taken_move_nothing_until_they_are_let_go(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, init=LISTENING)
+    take, keyboard = offered(person, DESK), person.page.keyboard
+    expect(take).to_be_enabled()
+    keyboard.down("ArrowDown")
+    take.click()
+    held = person.page.get_by_text("Nothing drives yet: let go of everything")
+    expect(held).to_be_visible()
+    keyboard.down("BracketLeft")
+    keyboard.up("BracketLeft")
+    person.page.wait_for_timeout(1_000)  # longer than a control that came waits
+    expect(held).to_be_visible()
+    expect(person.button("open the gripper, hold to run")).to_be_disabled()
+    keyboard.up("ArrowDown")
+    expect(person.page.get_by_text(LET_GO)).to_be_visible()
+    assert person.page.evaluate(PUSHES) == 0
+    keyboard.down("ArrowDown")
+    until(lambda: person.page.evaluate(PUSHES) > 0, what="a key that drives now")
+    keyboard.up("ArrowDown")
+
+
+@SOON
+def test_the_controls_are_neither_taken_by_a_double_press_on_what_offers_them_nor_on_what_ends_them(
+    server: ServerProcess, people: People, floor: Floor, after_ms: int
+) -> None:
+    person = people.sit(server)
+    taken = listed(person, "/takeover")
+    person.twice(person.button("Take over"), after_ms)
+    take = person.button("Take the controls")
+    expect(take).to_be_enabled()
+    assert taken == []
+    take.click()
+    person.twice(person.button("End session"), after_ms)
+    expect(take).to_be_enabled()
+    assert len(taken) == 1
+    until(lambda: server.cell()["control"] is None, what="controls that are free")
+
+
+@SOON
+def test_an_approval_pressed_twice_on_a_phone_rolls_nothing_back(
+    server: ServerProcess, people: People, floor: Floor, after_ms: int
+) -> None:
+    person = people.sit(server, size=PHONE)
+    rolled_back = listed(person, "/rollback")
+    floor.ask()
+    floor.drive_off()
+    person.twice(person.button(re.compile("^Approve")), after_ms)
+    expect(person.button(re.compile("^Approve"))).to_have_count(0)
+    expect(person.button("Pause")).to_be_enabled()
+    expect(person.button("Roll back")).to_be_enabled()
+    assert rolled_back == []
+    person.button("Roll back").tap()
+    until(lambda: rolled_back or person.page.wait_for_timeout(20), what="a rollback that is meant")
+
+
+def test_a_pause_counts_at_once(server: ServerProcess, people: People, floor: Floor) -> None:
+    person = people.sit(server, size=PHONE)
+    floor.drive_off()
+    person.button("Pause").wait_for()
+    assert person.page.evaluate(
+        """() => new Promise((tell) => {
+            const name = (button) => button.textContent.trim();
+            const pause = [...document.querySelectorAll('footer button')].find((one) => name(one).startsWith('Pause'));
+            tell(pause.getAttribute('aria-disabled') === 'false' && pause.closest('[data-arming]') === null);
+        })"""
+    )
+    assert person.page.locator("[data-arming]").get_by_text(re.compile("Emergency stop|Pause")).count() == 0
