@@ -1,6 +1,7 @@
 import type { Cell } from '../api/documents';
 import type { Scene } from '../socket/messages';
 import { holdersOf } from './control';
+import type { Lasting } from './lasting';
 
 export interface SceneTrouble {
   separation: boolean;
@@ -27,10 +28,19 @@ function inside(polygon: readonly (readonly [number, number])[], x: number, y: n
   return within;
 }
 
-interface Near {
+export interface Near {
   separationM: number | null;
   neededM: number | null;
   zoneMarginM: number | null;
+}
+
+/** What is measured, but of what was too near until a moment ago, as it was then. */
+export function lastingOf(near: Near, violations: Lasting<Partial<Near>>, nowMs: number): Near {
+  const { separationM, neededM, zoneMarginM } = near;
+  const now: Record<string, Partial<Near>> = {};
+  if (separationM !== null && neededM !== null && separationM < neededM) now['separation'] = { separationM, neededM };
+  if (zoneMarginM !== null && zoneMarginM < 0) now['zone'] = { zoneMarginM };
+  return Object.values(violations.take(now, nowMs)).reduce<Near>((all, one) => ({ ...all, ...one }), near);
 }
 
 /** What is wrong in the cell now, for the scene and its headline. */

@@ -2,6 +2,7 @@ import { Api } from '../api/client';
 import type { Capability, Cell, Escalation, InputSchema, Invocation, PolicySet } from '../api/documents';
 import { entryOf } from '../format/entry';
 import { turnedAway, type Known } from '../format/events';
+import { Lasting, withLasting } from '../live/lasting';
 import type { Health } from '../socket/connection';
 import type { PoseFrame } from '../socket/frame';
 import { Link } from '../socket/link';
@@ -78,6 +79,8 @@ export class Console {
   /** What the server said last; `docs` follows as fast as the page can draw it. */
   private latest: Documents = NOTHING;
   private readonly pace = new Pace(() => this.draw());
+  private readonly violations = new Lasting<string>();
+  private lapsing: ReturnType<typeof setTimeout> | undefined;
 
   constructor(token: string) {
     this.api = new Api(token);
@@ -190,6 +193,7 @@ export class Console {
     clearInterval(this.looking);
     clearInterval(this.attending);
     clearTimeout(this.policyAgain);
+    clearTimeout(this.lapsing);
     this.policyTurn += 1;
     this.link.end();
   }
@@ -251,7 +255,11 @@ export class Console {
   }
 
   private draw(): void {
-    this.docs = this.latest;
+    const nowMs = performance.now();
+    clearTimeout(this.lapsing);
+    if (this.latest !== NOTHING) this.docs = { ...this.latest, cells: withLasting(this.latest.cells, this.violations, nowMs) };
+    const dueMs = this.violations.dueInMs(nowMs);
+    if (dueMs !== null) this.lapsing = setTimeout(() => this.pace.ask(), dueMs);
     this.watchFirst();
   }
 
