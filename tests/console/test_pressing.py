@@ -156,3 +156,26 @@ def test_a_pause_counts_at_once(server: ServerProcess, people: People, floor: Fl
         })"""
     )
     assert person.page.locator("[data-arming]").get_by_text(re.compile("Emergency stop|Pause")).count() == 0
+
+
+def test_no_letter_decides_a_question_while_its_reader_drives(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    asked = floor.ask()
+    card, deny = person.page.get_by_role("article", name="Grasp mug_1"), person.button(re.compile("^Deny"))
+    expect(card).to_be_visible()
+    offered(person, DESK).click()
+    expect(person.page.get_by_text(LET_GO)).to_be_visible()
+    expect(card).to_contain_text("While you drive, A, D and S answer nothing")
+    expect(deny).to_be_enabled()
+    for key in "asd":
+        person.press(key)
+    person.page.keyboard.down("ArrowDown")
+    for key in "asd":
+        person.press(key)
+    person.page.keyboard.up("ArrowDown")
+    expect(card).not_to_contain_text("Seen by")
+    assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "awaiting_approval"
+    deny.click()
+    assert floor.settled(asked["id"])["status"] == "denied"

@@ -7,7 +7,7 @@ import { pausedWords } from '../src/lib/live/control';
 import { robotSays, whoWords } from '../src/lib/format/status';
 import { quoted, sentence } from '../src/lib/format/quoted';
 import { countdown, elapsed, left } from '../src/lib/format/time';
-import { DRIVING_KEYS } from '../src/lib/jog/bindings';
+import { DECIDING_KEYS, DRIVING_KEYS } from '../src/lib/jog/bindings';
 import { isStop, isTyping, Keys, takesLetters } from '../src/lib/keys/keys';
 import { dashes } from '../src/lib/scene/overlay';
 import { hatch } from '../src/lib/scene/ground';
@@ -132,11 +132,22 @@ describe('the keyboard', () => {
     const ran: string[] = [];
     keys.onStop(() => ran.push('.'));
     keys.on(letter, letter, () => ran.push(letter));
-    const free = keys.reserve(DRIVING_KEYS);
+    const free = keys.reserve(...DRIVING_KEYS);
     expect([keys.press(key(letter, { code }), false), keys.press(key(letter, { code: 'KeyZ' }), false)]).toEqual([false, true]);
     expect([keys.pressBeside(key(letter, { code }), [letter]), keys.press(key('.', { code: 'KeyE' }), false), ran]).toEqual([true, true, [letter, '.']]);
     free();
     expect([keys.press(key(letter, { code }), false), ran]).toEqual([true, [letter, '.', letter]]);
+  });
+
+  it('decides nothing by the letters beside the keys that drive while these drive, wherever they lie', () => {
+    const keys = new Keys();
+    const ran: string[] = [];
+    for (const one of ['a', 'd', 's', 'p']) keys.on(one, one, () => ran.push(one));
+    const free = keys.reserve(...DRIVING_KEYS, ...DECIDING_KEYS);
+    for (const one of ['a', 'D', 's', 'p']) keys.press(key(one, { code: 'KeyZ' }), false);
+    expect([ran, keys.pressBeside(key('d'), ['d'])]).toEqual([['p'], true]);
+    free();
+    expect([keys.press(key('d'), false), ran]).toEqual([true, ['p', 'd']]);
   });
 
   it('hears no single character once they are switched off, but the stop, and what is no character', () => {

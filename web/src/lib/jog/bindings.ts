@@ -25,6 +25,9 @@ export const JOG_KEYS: Record<string, { axis: Axis; deflection: 1 | -1 }> = {
 
 export const GRIP_KEYS: Record<string, Exclude<Grip, null>> = { BracketLeft: 'open', BracketRight: 'close' };
 
+/** The letters that decide a question lie beside those that drive: whoever drives decides by a button. */
+export const DECIDING_KEYS: readonly string[] = ['a', 'd', 's'];
+
 /** Every key that drives: while somebody drives, it is no shortcut, whatever letter a keyboard has there. */
 export const DRIVING_KEYS: readonly string[] = [...Object.keys(JOG_KEYS), ...Object.keys(GRIP_KEYS)];
 

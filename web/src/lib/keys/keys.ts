@@ -59,6 +59,10 @@ export function mayBeShortcut(event: KeyLike, letters: boolean): boolean {
   return !letters && !event.repeat && !event.ctrlKey && !event.metaKey && !event.altKey && !event.defaultPrevented;
 }
 
+function named({ key }: { key: string }): string {
+  return key.length === 1 ? key.toLowerCase() : key;
+}
+
 export class Keys {
   private readonly shortcuts: Shortcut[] = [];
   private stop: () => void = () => undefined;
@@ -86,16 +90,20 @@ export class Keys {
   }
 
   /**
-   * Keeps keys, by their place (`KeyboardEvent.code`), from being shortcuts, the stop excepted: what turns a robot on one
-   * keyboard is the letter that approves on another. Returns how to take it back.
+   * Keeps keys, by their place (`KeyboardEvent.code`) or by their letter, from being shortcuts, the stop excepted: what
+   * turns a robot on one keyboard is the letter that approves on another. Returns how to take it back.
    */
-  reserve(codes: Iterable<string>): () => void {
-    const kept = new Set(codes);
+  reserve(...some: readonly string[]): () => void {
+    const kept = new Set(some);
     this.reserved.push(kept);
     return () => {
       const at = this.reserved.indexOf(kept);
       if (at !== -1) this.reserved.splice(at, 1);
     };
+  }
+
+  private isReserved(event: KeyLike): boolean {
+    return this.reserved.some((kept) => kept.has(event.code) || kept.has(named(event)));
   }
 
   /** The newest registration of a key that takes it counts; returns how to take it back. */
@@ -122,8 +130,8 @@ export class Keys {
       if (!event.repeat) this.stop();
       return true;
     }
-    if (!mayBeShortcut(event, letters) || this.ignores(event) || this.reserved.some((codes) => codes.has(event.code))) return false;
-    const wanted = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+    if (!mayBeShortcut(event, letters) || this.ignores(event) || this.isReserved(event)) return false;
+    const wanted = named(event);
     const counts = (known: Shortcut): boolean => known.key === wanted && (!this.covered || known.everywhere);
     return this.shortcuts.findLast((known) => counts(known) && known.run() !== false) !== undefined;
   }
