@@ -3,7 +3,7 @@ import type { Escalation, Invocation, LogEvent, Risk } from '../src/lib/api/docu
 import { gaugesFor, readGauge, unfinished, type GaugeSpec } from '../src/lib/live/gauges';
 import { History } from '../src/lib/live/history';
 import { closingOf } from '../src/lib/live/closed';
-import { handsOn, holdersOf, isHalted, leaseLapsed, pausedWords, pauseEndedOf, pauserOf, refusalWords, restraintsOf, unreachedWords } from '../src/lib/live/control';
+import { handsOn, holdersOf, leaseLapsed, pausedWords, pauseEndedOf, pauserOf, refusalWords, restraintsOf, unreachedWords } from '../src/lib/live/control';
 import { deniedIsUndone, goingOn } from '../src/lib/live/held';
 import { reasonLines } from '../src/lib/live/reasons';
 import { askedOf, stagesOf } from '../src/lib/live/stages';
@@ -100,6 +100,19 @@ describe('the stage strip', () => {
     expect(states({ status: 'paused' })).toContain('Watch held');
   });
 
+  it('says that a person drives what runs', () => {
+    expect(stagesOf(invocation({ status: 'running' }), [], '', undefined, true).find((stage) => stage.name === 'Watch')?.note).toBe('driven by hand');
+  });
+
+  it('leaves nothing open of a proposal that is over', () => {
+    const over = 'Launch skipped, Watch skipped, Recover skipped, Outcome bad';
+    expect(states({ status: 'denied', outcome: 'denied' })).toContain(over);
+    expect(note('Launch', { status: 'denied', outcome: 'expired' })).toBe('not launched');
+    const held = [event('launch', {}), event('intervention', { intervention: 'ESCALATE' })];
+    expect(note('Recover', { status: 'failed', outcome: 'terminated' }, held)).toBe('ended instead');
+    expect(note('Recover', { status: 'failed', outcome: 'terminated' }, held.slice(0, 1))).toBe('not needed');
+  });
+
   it('counts violations of this session only', () => {
     const log = [event('alert', { signal: 'VIOLATION' }), event('alert', { signal: 'WARNING' }), event('alert', { signal: 'VIOLATION' }, 'inv_other')];
     expect(note('Watch', { status: 'paused' }, log)).toBe('1 violation');
@@ -110,7 +123,7 @@ describe('the stage strip', () => {
   });
 
   it('shows where a refused proposal ended', () => {
-    expect(states({ status: 'rejected', outcome: 'rejected', policy: null, admission: { outcome: 'reject', reasons: [] } })).toContain('Proposal bad, Decision open, Launch open');
+    expect(states({ status: 'rejected', outcome: 'rejected', policy: null, admission: { outcome: 'reject', reasons: [] } })).toContain('Proposal bad, Decision skipped, Launch skipped');
     expect(note('Decision', { status: 'denied', outcome: 'expired' })).toBe('expired');
     expect(states({ status: 'failed', outcome: 'fault' }, [event('launch', { refused: 'signature' })])).toContain('Launch bad');
   });
@@ -292,24 +305,6 @@ describe('letting a held session go on', () => {
     expect(deniedIsUndone([held], 'inv_1')).toBe(true);
     expect(deniedIsUndone([held], 'inv_2')).toBe(false);
     expect(deniedIsUndone([{ ...held, on_deny: 'terminate' }, { ...held, kind: 'approval' }], 'inv_1')).toBe(false);
-  });
-});
-
-describe('a stopped cell', () => {
-  const [stopped, free] = [cell({ id: 'a', latched: true }), cell({ id: 'b' })];
-
-  it.each([
-    ['its own', 'a', true],
-    ['another', 'b', false],
-    ['any cell', null, false],
-    ['one that is not known', 'c', false],
-  ])('keeps back what is for %s: %s', (_, asked, halted) => {
-    expect(isHalted([stopped, free], asked)).toBe(halted);
-  });
-
-  it('keeps back what may go to any cell only where all are stopped', () => {
-    expect(isHalted([stopped], null)).toBe(true);
-    expect(isHalted([], null)).toBe(false);
   });
 });
 

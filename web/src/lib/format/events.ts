@@ -1,4 +1,5 @@
 import type { Escalation, Grant, InputSchema, Invocation, Json, LogEvent } from '../api/documents';
+import { deniedWords } from './denied';
 import { goodOutcome, outcomeTone, outcomeWords, shortId, statusWords, type Tone } from './status';
 import { titleOf, words } from './capability';
 import { newestEdit, stepsText } from './edited';
@@ -176,8 +177,7 @@ function editOf(body: Body, event: LogEvent, known: Known): string {
 
 function approval(body: Body, event: LogEvent, known: Known): Line {
   const asked = obj(body['escalation']);
-  const given = list(asked['approvals']).length;
-  const of = num(asked['needed']) ?? 1;
+  const [given, of] = [list(asked['approvals']).length, num(asked['needed']) ?? 1];
   const voided = of > 1 ? '; earlier approvals do not count any more' : '';
   switch (str(body['decision'])) {
     case 'approve': {
@@ -189,7 +189,7 @@ function approval(body: Body, event: LogEvent, known: Known): Line {
       return line('scale', 'plain', edit === '' ? ' edited the proposal' : ` edited, and policy cut it further: ${edit}${voided}`, event.actor);
     }
     case 'deny':
-      return line('refused', 'danger', ' denied', event.actor);
+      return line('refused', 'danger', ` ${deniedWords(asked['denial'])}`, event.actor);
     default:
       return line('hand', 'quiet', `Question ${str(asked['status']) || 'closed'}`);
   }

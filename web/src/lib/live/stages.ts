@@ -30,8 +30,8 @@ export function askedOf(escalation: Escalation | null, me: { name: string; role:
 /** Who holds it is not known, or nobody does. */
 const NOBODY: Holders = { operator: false, watch: false };
 
-/** Where an invocation stands in the seven stages, from its document and its events; `asked` says for whom it waits. */
-export function stagesOf(invocation: Invocation, log: readonly LogEvent[], asked = 'waits for you', holders = NOBODY): Stage[] {
+/** Where an invocation stands in the seven stages, from its document and its events; `asked` says for whom it waits, `driven` that a person has the controls. */
+export function stagesOf(invocation: Invocation, log: readonly LogEvent[], asked = 'waits for you', holders = NOBODY, driven = false): Stage[] {
   const events = log.filter((event) => event.invocation === invocation.id);
   const at = (kind: string): LogEvent | undefined => events.find((event) => event.kind === kind);
   const time = (event: LogEvent | undefined): string => (event === undefined ? '' : clockTime(event.at));
@@ -41,8 +41,8 @@ export function stagesOf(invocation: Invocation, log: readonly LogEvent[], asked
     proposal(invocation, proposed),
     decision(invocation, asked),
     launch(invocation, at('launch'), time(at('launch'))),
-    watch(invocation, events, asked, holders),
-    recover(invocation, events, asked),
+    watch(invocation, events, asked, holders, driven),
+    recover(invocation, events, asked, at('launch') !== undefined),
     outcome(invocation),
   ];
 }
@@ -63,7 +63,7 @@ function decision(invocation: Invocation, asked: string): Stage {
   if (invocation.status === 'awaiting_approval') return { name: 'Decision', state: 'asks', note: asked };
   if (invocation.status === 'denied') return { name: 'Decision', state: 'bad', note: invocation.outcome === 'expired' ? 'expired' : 'denied' };
   const policy = invocation.policy;
-  if (policy === null) return { name: 'Decision', state: 'open', note: 'open' };
+  if (policy === null) return unbegun('Decision', invocation, 'not decided');
   return { name: 'Decision', state: 'done', note: policy.changes.length === 0 ? 'allowed' : changed(policy.changes) };
 }
 
@@ -76,21 +76,24 @@ function changed(changes: readonly Change[]): string {
 
 function launch(invocation: Invocation, event: LogEvent | undefined, time: string): Stage {
   if (event !== undefined && 'refused' in event.body) return { name: 'Launch', state: 'bad', note: 'refused' };
-  if (event === undefined && !launched(invocation)) return { name: 'Launch', state: 'open', note: 'open' };
+  if (event === undefined && !launched(invocation)) return unbegun('Launch', invocation, 'not launched');
   return { name: 'Launch', state: 'done', note: time || 'launched' };
 }
 
-function watch(invocation: Invocation, events: readonly LogEvent[], asked: string, { operator, watch }: Holders): Stage {
-  if (!launched(invocation)) return { name: 'Watch', state: 'open', note: 'open' };
+/** What has not begun, or never will: a proposal that is over was not launched. */
+function unbegun(name: StageName, invocation: Invocation, never: string): Stage {
+  return invocation.outcome === null ? { name, state: 'open', note: 'open' } : { name, state: 'skipped', note: never };
+}
+
+function watch(invocation: Invocation, events: readonly LogEvent[], asked: string, { operator, watch }: Holders, driven: boolean): Stage {
+  if (!launched(invocation)) return unbegun('Watch', invocation, 'nothing ran');
   const counted = violationsIn(events);
   switch (invocation.status) {
     case 'running':
-      return { name: 'Watch', state: 'now', note: counted || 'running' };
+      return { name: 'Watch', state: 'now', note: counted || (driven ? 'driven by hand' : 'running') };
     case 'paused':
       if (operator && !watch) return { name: 'Watch', state: 'held', note: 'paused' };
       return counted === '' ? { name: 'Watch', state: 'held', note: 'paused' } : { name: 'Watch', state: 'bad', note: counted };
-    case 'taken_over':
-      return { name: 'Watch', state: 'now', note: 'driven by hand' };
     default:
       return confirming(invocation, events) ? { name: 'Watch', state: 'asks', note: asked } : watched(counted);
   }
@@ -113,7 +116,7 @@ function violationsIn(events: readonly LogEvent[]): string {
   return count === 1 ? '1 violation' : `${count} violations`;
 }
 
-function recover(invocation: Invocation, events: readonly LogEvent[], asked: string): Stage {
+function recover(invocation: Invocation, events: readonly LogEvent[], asked: string, begun: boolean): Stage {
   const steps = events.filter((event) => event.kind === 'recovery').length;
   const counted = `${steps} step${steps === 1 ? '' : 's'}`;
   if (confirming(invocation, events)) return { name: 'Recover', state: 'open', note: 'open' };
@@ -121,15 +124,19 @@ function recover(invocation: Invocation, events: readonly LogEvent[], asked: str
   if (invocation.status === 'recovering') return { name: 'Recover', state: 'now', note: counted };
   if (steps > 0) return { name: 'Recover', state: 'done', note: counted };
   if (invocation.outcome === 'recovered') return { name: 'Recover', state: 'done', note: byHand(events) ? 'by hand' : 'new attempt' };
-  const over = invocation.outcome !== null;
-  return { name: 'Recover', state: over ? 'skipped' : 'open', note: over ? 'not needed' : 'open' };
+  return unbegun('Recover', invocation, begun && asksAPerson(events) ? 'ended instead' : 'not needed');
+}
+
+/** Whether the session was held for a person to say what becomes of it. */
+function asksAPerson(events: readonly LogEvent[]): boolean {
+  return events.some(({ kind, body }) => kind === 'intervention' && body['intervention'] === 'ESCALATE');
 }
 
 function byHand(events: readonly LogEvent[]): boolean {
   return events.some((event) => event.kind === 'human' && event.body['op'] === 'takeover');
 }
 
-const OUTCOME_STATES: Partial<Record<Tone, Stage['state']>> = { ok: 'done', human: 'done', quiet: 'skipped' };
+const OUTCOME_STATES: Partial<Record<Tone, Stage['state']>> = { ok: 'done', human: 'held', quiet: 'skipped' };
 
 function outcome(invocation: Invocation): Stage {
   if (invocation.outcome === null) return { name: 'Outcome', state: 'open', note: 'open' };
