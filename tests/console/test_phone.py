@@ -102,7 +102,7 @@ def test_on_a_phone_held_sideways_what_is_done_to_a_session_is_within_reach(
     asked = floor.ask()
     floor.drive_off()
     acts = ("^Pause", "^Resume", "^Roll back")
-    for words in (("^Deny", "^Approve", *acts), acts):
+    for words in (("^Deny", "^(Approve|Read it first)", *acts), acts):
         for size in (SIDEWAYS, SIDEWAYS_SMALL):
             person.page.set_viewport_size(size)
             person.page.evaluate(THREE_FRAMES)

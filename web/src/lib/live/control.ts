@@ -17,10 +17,17 @@ export function inControl(cell: Cell | null, session: Invocation | null, me: str
   return { long: 'Nobody', short: 'nobody', tone: 'quiet' };
 }
 
-/** Whether a stop keeps a proposal from being launched: on its cell or, where it may go to any, on all of them. */
-export function isHalted(cells: readonly Cell[], cell: string | null): boolean {
-  const asked = cell === null ? cells : cells.filter((known) => known.id === cell);
-  return asked.length > 0 && asked.every((known) => known.latched);
+/** Why approving a proposal now would use it up for nothing: what is in the way on its cell or, where it may go to any, on each of them. */
+export function inVainOn(cells: readonly Cell[], asked: { cell?: string | null | undefined; invocation: string }): string | null {
+  const found = cells.filter(({ id }) => asked.cell == null || id === asked.cell).map((cell) => inTheWay(cell, asked.invocation));
+  return found.includes(null) ? null : (found[0] ?? null);
+}
+
+function inTheWay({ id, latched, busy, control }: Cell, invocation: string): string | null {
+  if (latched) return `${id} is stopped and would refuse it: reset the stop before you approve`;
+  if (control != null) return `${id} is driven by hand and would defer it: approve once the controls are given back`;
+  if (busy !== null && busy !== invocation) return `${id} is busy with another session and would defer it: approve once that is over`;
+  return null;
 }
 
 /** In whose hands the controls are: nobody's, this window's, mine in another window, or somebody else's. */

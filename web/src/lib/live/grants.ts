@@ -1,6 +1,11 @@
-import type { Grant } from '../api/documents';
+import type { Escalation, Grant } from '../api/documents';
 import { words } from '../format/capability';
 import { inBrief, plain } from '../format/plain';
+
+/** Whether a grant could have spared this question: only where nothing asks but the profile itself. What a rule escalates, it always asks. */
+export function spares({ reasons }: Pick<Escalation, 'reasons'>): boolean {
+  return reasons.every(({ code }) => code === 'approval_required');
+}
 
 /** All that a standing grant is bound to but its time, profile and policy. */
 export type Cover = Pick<Grant, 'capability' | 'agent' | 'cell' | 'scope' | 'object' | 'task'>;

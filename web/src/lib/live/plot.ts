@@ -3,7 +3,7 @@ import 'uplot/dist/uPlot.min.css';
 import type { GaugeSpec } from './gauges';
 import type { History } from './history';
 
-const PLOT_PX = 40;
+const LEAST_PX = 16;
 
 interface Colors {
   line: string;
@@ -31,7 +31,7 @@ export class Plot {
     this.top = spec.span;
     const options: uPlot.Options = {
       width: Math.max(10, host.clientWidth),
-      height: PLOT_PX,
+      height: Math.max(LEAST_PX, host.clientHeight),
       padding: [4, 6, 4, 0],
       legend: { show: false },
       cursor: { show: false },
@@ -48,7 +48,7 @@ export class Plot {
       hooks: { drawClear: [(u) => this.shade(u)] },
     };
     this.plot = new uPlot(options, [[], [], []], host);
-    this.watch = new ResizeObserver(() => this.plot.setSize({ width: Math.max(10, host.clientWidth), height: PLOT_PX }));
+    this.watch = new ResizeObserver(() => this.plot.setSize({ width: Math.max(10, host.clientWidth), height: Math.max(LEAST_PX, host.clientHeight) }));
     this.watch.observe(host);
   }
 
