@@ -44,6 +44,8 @@ AWAY: Final = frozenset({"base_pose", "object_pose"})
 """What a rollback may leave open that driving back can set right: from elsewhere an object may be out of sight."""
 OVERSPEED: Final = "overspeed"
 PRESSING: Final = frozenset({"contact_force_n", "residual_nm"})
+HELD: Final = {Status.PAUSED: Event.RESUME_RECOVERY, Status.ESCALATED: Event.CONTINUE_RECOVERY}
+"""How a rollback that is held goes on."""
 RUNNING: Final = SkillState.RUNNING
 FAILED: Final = SkillState.FAILED
 
@@ -281,6 +283,7 @@ class Governing:
         if decision is None:
             return "rollback_unavailable"
         self._follow(decision)
+        run.failed = ""  # this answers it, and what holds the session from here on holds the rollback
         return None
 
     def _lead_back(self, unmet: tuple[str, ...]) -> bool:
@@ -493,13 +496,28 @@ class Governing:
         return None
 
     def roll_back(self) -> str | None:
-        """Undo what the session did, by the rollback its authorization covers."""
-        self.run.paused_by.clear()
-        self.run.responding = released(self.run.responding)
+        """Undo what the session did, by the rollback its authorization covers; one under way is only carried on."""
+        run = self.run
+        if run.undoing:
+            return self._carry_on()
+        if run.used.rolled_back and run.status is Status.RECOVERING:
+            return "rollback_unavailable"  # what became of that is being mended, and waits for no answer
+        run.paused_by.clear()
+        run.responding = released(run.responding)
         unavailable = self._roll_back("operator")
         if unavailable is not None:
             self.escalate(unavailable)  # whoever asked for it is there to decide
         return unavailable
+
+    def _carry_on(self) -> str | None:
+        """Let a rollback go on that is held; nothing becomes of the word where it moves already."""
+        run = self.run
+        if run.status not in HELD:
+            return None
+        run.paused_by.clear()
+        run.responding = run.responses.let_go(run.responding)
+        self._become(HELD[run.status], "operator")
+        return None
 
 
 def _bound(decision: RecoveryDecision) -> Bind:

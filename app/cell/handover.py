@@ -348,7 +348,7 @@ class Session(Governing):
     def roll_back(self) -> str | None:
         """Undo what the session did, a human's driving included, by the rollback its authorization covers."""
         run = self.run
-        if not self._displaced:
+        if not self._displaced or run.undoing:
             return super().roll_back()
         decision = roll_back("operator", run.recovery, run.used, run.grant.authorization.recoveries)
         if decision is None:
@@ -358,4 +358,5 @@ class Session(Governing):
         run.paused_by.clear()
         run.responding = released(run.responding)
         self._follow(decision)
+        run.failed = ""
         return None

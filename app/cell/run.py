@@ -163,6 +163,13 @@ class Run:
             return self.next.doing is not Doing.TAKEOVER
         return self.doing in (Doing.RECOVERY, Doing.ROLLBACK)
 
+    @property
+    def undoing(self) -> bool:
+        """Say whether a rollback is under way, held or not, or about to be."""
+        if self.next is None:
+            return self.doing is Doing.ROLLBACK and not self.failed
+        return isinstance(self.next, Bind) and self.next.doing is Doing.ROLLBACK
+
     def waits_for_confirmation(self, phase: str) -> bool:
         """Say whether a phase may not begin before a human has confirmed it."""
         phases = self.grant.authorization.confirm_before

@@ -407,5 +407,8 @@ class Rig:
             for entry in self.entries
         ]
 
+    def runs(self, capability: str) -> int:
+        return self.cell.runs.get(capability, 0)
+
     def moving(self) -> bool:
         return any(self.cell.commands[-1].joint_speed_radps) or any(self.cell.commands[-1].base_velocity)

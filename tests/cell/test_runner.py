@@ -16,7 +16,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from app.cell.display import sitting
 from app.cell.journal import Journal, JournalUnavailable
 from app.cell.runner import Runner, run_session
-from app.governance.model import CoveredRecovery, Outcome, SkillReport, Strategy
+from app.governance.model import CoveredRecovery, Outcome, RecoveryRule, SkillReport, Strategy
 from app.governance.permit import SignedAuthorization, mint
 from app.protocol import CHANNELS, ROW
 from tests.cell.rig import COVERED, DIGEST, KEY, NOW_S, PERMIT, PLAN, RECOVERY, RULES, Rig, rule, signed
@@ -520,6 +520,122 @@ def test_a_rollback_that_is_not_covered_holds_and_asks(rig: Rig) -> None:
     rig.ticks(60)
     assert rig.runner.status == "escalated"
     assert not rig.moving()
+
+
+def rolling_back(rig: Rig, **launched: object) -> None:
+    rig.cell.script.base_mps = 0.0
+    rig.launch(**launched)
+    rig.ticks(40)
+    assert rig.runner.human("inv-1", "rollback", "operator") is None
+
+
+def rolled_back_once(rig: Rig) -> bool:
+    """Say whether the session ends as undone, with one rollback, and nobody asked."""
+    ended = rig.finish()["outcome"]
+    tried = [body["strategy"] for body in rig.of("recovery")]
+    return (ended, tried, rig.runs("retrace")) == ("rolled_back", ["ROLLBACK"], 1)
+
+
+@pytest.mark.parametrize("ticks", [0, 1, 60], ids=["at once", "while it brakes", "while it moves"])
+def test_a_rollback_that_is_ordered_twice_is_under_way_already(rig: Rig, ticks: int) -> None:
+    rolling_back(rig)
+    rig.ticks(ticks)
+    assert rig.runner.human("inv-1", "rollback", "another") is None
+    assert rig.runner.status == "recovering"
+    assert rolled_back_once(rig)
+    assert rig.of("escalation") == []
+
+
+@pytest.mark.parametrize("word", ["rollback", "resume"])
+@pytest.mark.parametrize("ticks", [0, 60], ids=["before it is bound", "while it moves"])
+def test_a_rollback_that_somebody_paused_is_carried_on(rig: Rig, ticks: int, word: str) -> None:
+    rolling_back(rig)
+    rig.ticks(ticks)
+    assert rig.runner.human("inv-1", "pause", "operator") is None
+    rig.ticks(100)
+    assert (rig.runner.status, rig.moving()) == ("paused", False)
+    assert rig.runner.human("inv-1", word, "operator") is None
+    assert rig.statuses()[-1] == "recovering"
+    assert rolled_back_once(rig)
+    assert rig.of("escalation") == []
+
+
+def test_a_rollback_that_was_paused_when_the_link_was_lost_is_carried_on_as_one(rig: Rig) -> None:
+    rig.cell.script.fails = {("grasp_object", 1): "blocked"}
+    rig.cell.script.base_mps = 0.0
+    rig.launch()
+    rig.until_status("escalated")
+    assert rig.runner.human("inv-1", "rollback", "operator") is None
+    rig.runner.human("inv-1", "pause", "operator")
+    rig.runner.hold("link")
+    assert (rig.last("escalation")["reason"], rig.last("escalation")["failure"]) == ("link", None)
+    assert rig.runner.human("inv-1", "rollback", "operator") == "holding"
+    rig.runner.welcomed()
+    rig.ticks(60)
+    assert (rig.runner.status, rig.moving()) == ("escalated", False)
+    assert rig.runner.human("inv-1", "rollback", "operator") is None
+    assert rig.finish()["outcome"] == "rolled_back"
+    assert rig.runs("grasp_object") == 1
+
+
+def test_a_denied_phase_that_is_undone_may_be_ordered_undone_once_more(rig: Rig) -> None:
+    rig.cell.script.releases, rig.cell.script.base_mps = True, 0.0
+    rig.launch(confirm_before=("release",))
+    rig.until_status("escalated")
+    for who in ("olivia", "oscar"):
+        assert rig.runner.human("inv-1", "rollback", who) is None
+    assert rolled_back_once(rig)
+    assert len(rig.of("escalation")) == 1
+
+
+def test_a_rollback_that_failed_is_not_had_again_and_asks(rig: Rig) -> None:
+    rolling_back(rig)
+    rig.cell.script.fails = {("retrace", 1): "blocked"}
+    rig.until_status("escalated")
+    assert rig.runner.human("inv-1", "rollback", "operator") == "rollback_unavailable"
+    rig.ticks(60)
+    assert (rig.runner.status, rig.moving(), rig.runs("retrace")) == ("escalated", False, 1)
+
+
+def test_a_rollback_that_is_ordered_again_leaves_alone_what_mends_the_first(rig: Rig) -> None:
+    mending = RecoveryRule(
+        on="any", do=(Strategy.RECOVERY_CAPABILITY, Strategy.ASK_HUMAN), capability="release_and_retract"
+    )
+    rig.recovery = replace(RECOVERY, rules=(mending,))
+    rolling_back(rig)
+    rig.cell.script.fails = {("retrace", 1): "blocked"}
+    rig.until(lambda: rig.runs("release_and_retract"))
+    assert rig.runner.human("inv-1", "rollback", "operator") == "rollback_unavailable"
+    assert rig.of("escalation") == []
+    rig.ticks(40)
+    assert rig.runner.status == "recovering"
+
+
+def test_a_rollback_of_what_a_human_drove_is_carried_on_as_any(rig: Rig) -> None:
+    rig.cell.script.base_mps = 0.0
+    rig.launch()
+    rig.ticks(20)
+    assert rig.runner.launch(signed(id="auth-2", capability="takeover")) is None
+    rig.ticks(60)
+    assert rig.runner.human("inv-1", "rollback", "operator") is None
+    assert rig.runner.human("inv-1", "rollback", "another") is None
+    rig.runner.human("inv-1", "pause", "operator")
+    rig.ticks(60)
+    assert rig.runner.human("inv-1", "rollback", "operator") is None
+    assert rolled_back_once(rig)
+
+
+def test_a_violation_while_a_rollback_is_paused_has_ended_it_all_the_same(rig: Rig) -> None:
+    rolling_back(rig)
+    rig.until(lambda: rig.runs("retrace"))
+    rig.ticks(40)
+    rig.runner.human("inv-1", "pause", "operator")
+    rig.cell.lie = lambda seen: seen._replace(contact_force_n=250.0)
+    rig.ticks(30)
+    rig.cell.lie = lambda seen: seen
+    assert rig.runner.human("inv-1", "rollback", "operator") is None
+    rig.until_status("escalated")
+    assert rig.last("recovery")["failure"] == "rollback_failed"
 
 
 def test_a_timeout_terminates(rig: Rig) -> None:
