@@ -88,7 +88,7 @@ class Controls:
         return await self._operate("stop", invocation_id, principal)
 
     async def rollback(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
-        """Take a session back to where it began; recorded first.
+        """Take a session back to where it began; recorded first. Said again, it carries on what is under way.
 
         Errors as `cancel`, and Conflict `cell_offline`, `estop_latched`, `control_held` or `interrupt_not_enabled`.
         """
@@ -148,7 +148,7 @@ class Controls:
         present = self.register.newest(invocation_id) or await self.visible(invocation_id, principal)
         if not may_see(principal, present.agent):
             raise NotFound("invocation", invocation_id)
-        if present.status not in legal and not (op == "pause" and self._answered(present)):
+        if present.status not in legal and not self._stands(op, present):
             raise _wrong_status(op, present.status)
         self._allow(op, present)
         cell = self.fleet.cell(present.cell or UNNAMED)
@@ -164,35 +164,47 @@ class Controls:
             )
         return await self._loosen(op, cell, present, principal)
 
-    def _answered(self, present: Invocation) -> bool:
-        """Say whether a session that asked has its answer: it may move already, its cell's word of it is on its way."""
-        return present.status is Status.ESCALATED and self.desk.pending_for(present.id) is None
+    def _stands(self, op: str, present: Invocation) -> bool:
+        """Say whether a word is legal for what was said before it.
+
+        A session that asked, and has its answer, may be paused: it may move already, its cell's word of it is on its
+        way. One that is undone because a human said so may be told once more: it is, or it is carried on.
+        """
+        if op == "pause":
+            return present.status is Status.ESCALATED and self.desk.pending_for(present.id) is None
+        return op == "rollback" and present.status is Status.RECOVERING and present.terms.undone_by is not None
 
     async def _loosen(self, op: str, cell: Cell, present: Invocation, principal: Principal) -> dict[str, Any]:
         """Record a word on which a session moves, then send it; nothing is kept for a cell that is away."""
         if not self.fleet.attached(cell):
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to {op}")
         since = cell.restraints
-        await self._record(op, present, principal)
+        undone_by = await self._record(op, present, principal)
         try:
             self.fleet.order(cell, _message(op, present, principal), since=since)
         except Conflict as error:  # the cell left while this was recorded: nothing comes of it, and the record says so
-            await take_back(self.register, op, present.id, error.code)
+            await take_back(self.register, op, present.id, error.code, undone_by=undone_by)
             raise
         return (await self.register.load(present.id)).public()
 
-    async def _record(self, op: str, present: Invocation, principal: Principal) -> None:
-        """Record what loosens. Who wants a session undone stands with it: its end is not the agent's from now on."""
+    async def _record(self, op: str, present: Invocation, principal: Principal) -> str | None:
+        """Record what loosens. Who wants a session undone stands with it: its end is not the agent's from now on.
+
+        Returns who had ordered that before, if somebody had.
+        """
         entry = self.register.entry(present.id)
         if op != "rollback" or entry is None:
             await self.register.append([human_event(op, present, principal)])
-            return
+            return None
         async with entry.lock:
             present = entry.newest
             if present.final:
                 raise _wrong_status(op, present.status)
-            version = present.evolve(self.register.now(), terms=replace(present.terms, undone_by=principal.name))
+            before = present.terms.undone_by
+            terms = replace(present.terms, undone_by=before or principal.name)
+            version = present.evolve(self.register.now(), terms=terms)
             await self.register.append([human_event(op, present, principal)], versions=[version])
+        return before
 
     def _allow(self, op: str, present: Invocation) -> None:
         """Hold a word to the authority of the profile that the session was launched under.

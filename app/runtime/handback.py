@@ -220,15 +220,19 @@ def _keep(cell: Cell, control: Control) -> None:
         cell.control = replace(control, heard_s=monotonic_s())
 
 
-async def take_back(register: Register, op: str, invocation: str, code: str) -> None:
-    """Record of a word that is in the record already that it was never sent; who said it was refused with this code."""
+async def take_back(register: Register, op: str, invocation: str, code: str, *, undone_by: str | None = None) -> None:
+    """Record of a word that is in the record already that it was never sent; who said it was refused with this code.
+
+    `undone_by` is who had ordered a rollback before, if it was one: theirs stands.
+    """
     body = {"what": "not_sent", "op": op, "code": code}
     draft = EventDraft(kind=EventKind.CELL, actor=SERVER, invocation=invocation, body=body)
     entry = register.entry(invocation)
     if op != "rollback" or entry is None:
         await register.say(draft)
         return
-    async with entry.lock:  # nobody undoes it, so its end is the agent's as well
+    async with entry.lock:  # where nobody else undoes it, its end is the agent's as well
         present = entry.newest
-        version = present.evolve(register.now(), terms=replace(present.terms, undone_by=None))
+        terms = replace(present.terms, undone_by=present.terms.undone_by and undone_by)
+        version = present.evolve(register.now(), terms=terms)
         await register.append([draft], versions=[] if present.final else [version])

@@ -17,7 +17,20 @@ from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, InvalidParams, NotFound
 from app.runtime.invocation import ProposalRequest
 
-from .conftest import AGENT, AUDITOR, CELL, ENGINEER, KEY, OPERATOR, STRANGER, HandCell, grasp, navigate, until
+from .conftest import (
+    AGENT,
+    AUDITOR,
+    CELL,
+    ENGINEER,
+    KEY,
+    OPERATOR,
+    OPERATOR_2,
+    STRANGER,
+    HandCell,
+    grasp,
+    navigate,
+    until,
+)
 
 pytestmark = pytest.mark.anyio
 
@@ -428,6 +441,35 @@ async def test_a_rollback_that_a_human_ordered_is_not_the_agents_to_call_off(run
     await until(lambda: cell.ops() == ["rollback", "cancel"])
 
 
+@pytest.mark.parametrize("status", ["running", "recovering", "paused", "escalated"])
+async def test_a_rollback_may_be_ordered_again_whatever_its_cell_has_said_of_it(
+    runtime: Runtime, cell: HandCell, status: str
+) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    name = document["id"]
+    await cell.launched(name)
+    await runtime.governor.rollback(name, OPERATOR)
+    if status != "running":
+        await cell.report("status", name, status=status)
+    assert (await runtime.governor.rollback(name, OPERATOR_2))["status"] == status
+    await until(lambda: cell.ops() == ["rollback", "rollback"])
+    said = [event["actor"] for event in await runtime.governor.trace(name, AUDITOR) if event["kind"] == "human"]
+    assert said == ["olivia", "oskar"]
+
+
+async def test_two_operators_who_order_a_rollback_at_the_same_moment_are_both_obeyed(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    name = document["id"]
+    await cell.launched(name)
+    await asyncio.gather(*(runtime.governor.rollback(name, who) for who in (OPERATOR, OPERATOR_2)))
+    await until(lambda: cell.ops() == ["rollback", "rollback"])
+    known = runtime.register.newest(name)
+    assert known is not None
+    assert known.terms.undone_by == "olivia"
+
+
 async def test_a_rollback_that_a_denial_ordered_is_not_the_agents_to_call_off(runtime: Runtime, cell: HandCell) -> None:
     document, _ = await runtime.governor.propose(AGENT, navigate())
     name = document["id"]
@@ -442,6 +484,8 @@ async def test_a_rollback_that_a_denial_ordered_is_not_the_agents_to_call_off(ru
     with pytest.raises(Conflict) as refusal:
         await runtime.governor.cancel(name, AGENT)
     assert refusal.value.code == "rollback_ordered"
+    await runtime.governor.rollback(name, OPERATOR_2)
+    await until(lambda: cell.ops() == ["rollback", "rollback"])
 
 
 async def test_a_session_that_goes_on_after_all_is_the_agents_to_end_again(runtime: Runtime, cell: HandCell) -> None:

@@ -568,6 +568,25 @@ async def test_a_rollback_whose_cell_left_while_it_was_recorded_leaves_the_sessi
     assert (await runtime.governor.cancel(name, AGENT))["recorded"], "nothing is undone that it could call off"
 
 
+async def test_a_rollback_that_is_not_said_again_is_under_way_all_the_same(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = await running(runtime, cell)
+    await runtime.governor.rollback(name, OPERATOR)
+    await cell.report("status", name, status="recovering")
+    late = Late(runtime, monkeypatch)
+    again = asyncio.create_task(runtime.governor.rollback(name, OPERATOR_2))
+    await late.recorded.wait()
+    await cell.hang_up()
+    late.go.set()
+    with pytest.raises(Conflict) as refusal:
+        await again
+    assert refusal.value.code == "cell_offline"
+    with pytest.raises(Conflict) as refusal:
+        await runtime.governor.cancel(name, AGENT)
+    assert refusal.value.code == "rollback_ordered"
+
+
 async def test_an_approval_that_was_recorded_is_answered_so_although_its_cell_has_left(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
