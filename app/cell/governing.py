@@ -46,6 +46,7 @@ OVERSPEED: Final = "overspeed"
 PRESSING: Final = frozenset({"contact_force_n", "residual_nm"})
 HELD: Final = {Status.PAUSED: Event.RESUME_RECOVERY, Status.ESCALATED: Event.CONTINUE_RECOVERY}
 """How a rollback that is held goes on."""
+STOP: Final = End(Outcome.STOPPED, "operator", 1)
 RUNNING: Final = SkillState.RUNNING
 FAILED: Final = SkillState.FAILED
 
@@ -362,10 +363,12 @@ class Governing:
             self._become(Event.RECOVERED, "new_attempt")
 
     def end(self, end: End) -> None:
-        """Come to rest, then end; an end that is under way already is not replaced by a milder one."""
+        """Come to rest, then end; an end that is under way already is replaced by a stricter one alone."""
         run = self.run
         if not isinstance(run.next, End):
             run.brake(self.seen)
+            run.next = end
+        elif run.next.yields_to(end):  # it brakes already, and is to come to rest no later
             run.next = end
 
     def finish(self, end: End) -> None:
@@ -482,7 +485,7 @@ class Governing:
 
     def stop(self) -> str | None:
         """Stop by category 1 and end."""
-        self.end(End(Outcome.STOPPED, "operator", 1))
+        self.end(STOP)
         return None
 
     def cancel(self) -> str | None:

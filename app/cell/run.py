@@ -76,6 +76,13 @@ class End:
     code: str
     category: int | None = None
 
+    def yields_to(self, other: End) -> bool:
+        """Say whether another end takes the place of this one before it is reached: a stop does, of any but its like.
+
+        A fault ends by category 1 as well, and what it says of the cell is not to be lost.
+        """
+        return other.outcome is Outcome.STOPPED and self.outcome not in (Outcome.STOPPED, Outcome.FAULT)
+
 
 @dataclass(frozen=True, slots=True)
 class Unprepared:

@@ -19,7 +19,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from app.cell import telling
-from app.cell.governing import PlanOf, Ports, Verify
+from app.cell.governing import STOP, PlanOf, Ports, Verify
 from app.cell.handover import Session
 from app.cell.journal import USED, Entry, Journal, JournalUnavailable
 from app.cell.run import LINK, Doing, End, Run, Unprepared
@@ -310,7 +310,8 @@ class Runner:
     # -- inside --------------------------------------------------------------------------------------------------------
 
     def _obey(self, session: Session, op: str) -> str | None:
-        if isinstance(session.run.next, End):
+        ending = session.run.next
+        if isinstance(ending, End) and not (op == "stop" and ending.yields_to(STOP)):
             return "ending"
         if self.holding and op in GOING_ON:
             return "holding"

@@ -14,7 +14,7 @@ from app.clock import monotonic_s
 from app.governance.model import WorldFacts
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from app.governance.control import Control
     from app.protocol import Hello, Human, Message, State
@@ -168,7 +168,7 @@ class Cell:
 
     def ending(self, invocation: str) -> str | None:
         """Return the word by which an invocation's session is coming to its end, if one was said."""
-        return next((op for op, name in self.owed if name == invocation and op in ENDING), None)
+        return ended_by(op for op, name in self.owed if name == invocation)
 
     def recall(self, name: str, kept: bytes) -> None:
         """Take back one of the settings that were kept for this cell.
@@ -223,6 +223,12 @@ class Cell:
         if self.recalled or self.absent_since_s is None:
             return None
         return monotonic_s() - self.absent_since_s
+
+
+def ended_by(said: Iterable[str]) -> str | None:
+    """Return the word by which a session ends, of those that were said to it: a stop outranks every other."""
+    ending = [op for op in said if op in ENDING]
+    return "stop" if "stop" in ending else next(iter(ending), None)
 
 
 def read_world(facts: Mapping[str, Any]) -> WorldFacts:

@@ -34,7 +34,7 @@ from app.governance.control import Phase, refused
 from app.governance.model import SESSION, EventKind, Outcome, Status
 from app.governance.session import final_status
 from app.protocol import Human, ProtocolError
-from app.runtime.cells import ENDING
+from app.runtime.cells import ended_by
 from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
 from app.runtime.escalation import DENIED, EXPIRED, PENDING, ROLLBACK, WITHDRAWN
 from app.runtime.hands import HELD, OPEN, never_taken
@@ -381,12 +381,10 @@ class Sessions:
 
 def _last_word(known: Invocation, events: Sequence[Event]) -> str | None:
     """Return by which word a session was to end, if the log has that one was said."""
-    for event in events:
-        if event.kind == EventKind.HUMAN:
-            body = event.payload()
-            op = "end_takeover" if body.get("then") == "end" else str(body.get("op"))
-            if op in ENDING:
-                return op
+    words = (event.payload() for event in events if event.kind == EventKind.HUMAN)
+    said = ("end_takeover" if body.get("then") == "end" else str(body.get("op")) for body in words)
+    if (word := ended_by(said)) is not None:
+        return word
     answered = last_question(events)
     if known.status is not Status.ESCALATED or answered is None or answered["status"] not in _ENDS_AS:
         return None

@@ -817,6 +817,69 @@ def test_nothing_takes_back_a_stop(rig: Rig) -> None:
     assert rig.finish()["outcome"] == "stopped"
 
 
+@pytest.mark.parametrize("milder", ["cancel", "resolve_terminate"])
+@pytest.mark.parametrize("ticks", [0, 1, 5], ids=["at once", "a tick later", "while it brakes"])
+def test_a_stop_takes_the_place_of_every_milder_end(rig: Rig, milder: str, ticks: int) -> None:
+    rig.launch()
+    rig.ticks(60)
+    assert rig.runner.human("inv-1", milder, "planner") is None
+    rig.ticks(ticks)
+    assert rig.moving()
+    assert rig.runner.human("inv-1", "stop", "operator") is None
+    for op in ("cancel", "resolve_terminate", "resume", "rollback", "stop"):
+        assert rig.runner.human("inv-1", op, "operator") == "ending"
+    ended = rig.finish()
+    assert (ended["outcome"], ended["code"], rig.cell.stops) == ("stopped", "operator", [1])
+    assert len(rig.of("outcome")) == 1
+
+
+def test_a_stop_makes_a_session_that_ends_come_to_rest_no_later(tmp_path: Path) -> None:
+    took: list[object] = []
+    for words in (("cancel",), ("cancel", "stop")):
+        folder = tmp_path / words[-1]
+        folder.mkdir()
+        rig = Rig(folder)
+        rig.launch()
+        rig.ticks(60)
+        for op in words:
+            rig.runner.human("inv-1", op, "operator")
+            rig.ticks(2)
+        took.append(rig.finish()["ticks"])
+        rig.journal.close()
+    assert took[0] == took[1]
+
+
+def test_a_stop_takes_the_place_of_the_end_that_a_rule_began(rig: Rig) -> None:
+    rig.recovery = replace(RECOVERY, can_ask=False)
+    walking_in(rig, from_s=1.0, until_s=math.inf)
+    rig.launch()
+    rig.until(lambda: rig.of("intervention") and rig.last("intervention")["intervention"] == "ESCALATE")
+    assert rig.runner.human("inv-1", "stop", "operator") is None
+    assert rig.finish()["outcome"] == "stopped"
+
+
+def test_a_stop_takes_the_place_of_the_end_of_a_takeover(rig: Rig) -> None:
+    rig.launch()
+    rig.ticks(20)
+    assert rig.runner.launch(signed(id="auth-2", capability="takeover")) is None
+    rig.ticks(60)
+    assert rig.runner.human("inv-1", "end_takeover", "operator") is None
+    assert rig.runner.human("inv-1", "stop", "another") is None
+    assert (rig.finish()["outcome"], rig.cell.stops) == ("stopped", [1])
+
+
+def test_a_stop_does_not_hide_the_fault_that_a_session_ends_by(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    disk = BrokenDisk(rig, monkeypatch)
+    rig.launch()
+    rig.ticks(60)
+    disk.broken = True
+    rig.cell.lie = lambda seen: seen._replace(contact_force_n=250.0)
+    rig.until(lambda: rig.runner.human("inv-1", "pause", "operator") == "ending")
+    assert rig.runner.human("inv-1", "stop", "operator") == "ending"
+    disk.broken = False
+    assert (rig.finish()["outcome"], rig.cell.stops) == ("fault", [1])
+
+
 def test_an_emergency_stop_is_at_once_latched_and_its_reset_moves_nothing(rig: Rig, tmp_path: Path) -> None:
     rig.launch()
     rig.ticks(60)

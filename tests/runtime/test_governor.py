@@ -393,6 +393,19 @@ async def test_a_cancelled_session_may_be_cancelled_again(runtime: Runtime, cell
     await until(lambda: cell.ops() == ["cancel", "cancel"])
 
 
+async def test_an_operator_stops_what_its_agent_has_cancelled(runtime: Runtime, cell: HandCell) -> None:
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    name = document["id"]
+    await cell.launched(name)
+    await runtime.governor.cancel(name, AGENT)
+    assert (await runtime.governor.stop(name, OPERATOR))["recorded"]
+    await until(lambda: cell.ops() == ["cancel", "stop"])
+    await cell.ended(name, "stopped")
+    final = await runtime.governor.invocation(name, AGENT)
+    assert (final["status"], final["outcome"]) == ("failed", "stopped")
+    assert (await runtime.store.verify()).ok
+
+
 async def test_a_held_session_that_was_stopped_is_not_let_go(runtime: Runtime, cell: HandCell) -> None:
     document, _ = await runtime.governor.propose(AGENT, navigate())
     await cell.launched(document["id"])

@@ -150,6 +150,22 @@ async def test_a_stop_to_a_cell_that_is_away_outlives_the_server(house: House, o
         assert refusal.value.code == "ending"
 
 
+async def test_a_stop_after_a_cancel_is_what_outlives_the_server(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        name = await running(first, cell)
+        await cell.hang_up()
+        await first.governor.cancel(name, AGENT)
+        await first.governor.stop(name, OPERATOR)
+        with pytest.raises(Conflict) as refusal:
+            await first.governor.cancel(name, AGENT)
+        assert refusal.value.code == "ending"
+    async with house.open() as second:
+        again = await back(second, cell, status="escalated")
+        await until(lambda: again.ops() == ["stop"])
+
+
 async def test_a_denial_that_ends_a_session_outlives_the_server(house: House) -> None:
     async with house.open() as first:
         cell = await HandCell(first).dial()
