@@ -51,6 +51,8 @@ def test_a_confirmed_phase_goes_on_and_a_denied_one_is_undone(servers: Servers, 
     made = server.propose("navigate_to", target="bench_a_stand")
     server.await_status(made["id"], "escalated")
     resolve(server, pending(server, made["id"]), "deny")
+    again = server.post(f"/v1/invocations/{made['id']}/rollback")  # 409 where it is over by then
+    assert (again.status_code, again.json().get("code")) in {(200, None), (409, "wrong_status")}, again.text
     ended = server.await_status(made["id"], "completed", "failed")
     assert (ended["outcome"], ended["escalation"]["code"]) == ("rolled_back", "unspecified")
     assert server.cell()["facts"]["base"] == pytest.approx(began, abs=0.15)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -73,6 +75,36 @@ def test_an_operator_stops_what_runs(servers: Any) -> None:
     made = server.propose("navigate_to", target="tool_stand")
     assert server.post(f"/v1/invocations/{made['id']}/stop").is_success
     assert server.await_status(made["id"], "failed")["outcome"] == "stopped"
+
+
+def test_a_rollback_is_ordered_by_two_at_once_and_a_cancel_keeps_nobody_from_a_stop(servers: Any) -> None:
+    server = servers.start(None, "--pace", "0.5")
+
+    def driven() -> str:
+        name = server.launch("navigate_to", target="tool_stand")["id"]
+        until(lambda: math.dist(server.cell()["facts"]["base"][:2], began) > 0.3)
+        return name
+
+    began = server.cell()["facts"]["base"][:2]
+    undone = driven()
+    order = f"/v1/invocations/{undone}/rollback"
+    with ThreadPoolExecutor(2) as both:
+        answers = list(both.map(lambda key: server.post(order, key=key), ("operator", "operator_2")))
+    assert [answer.status_code for answer in answers] == [200, 200], [answer.text for answer in answers]
+    server.await_status(undone, "recovering")
+    assert server.post(f"/v1/invocations/{undone}/pause").is_success
+    server.await_status(undone, "paused")
+    assert server.post(order).is_success
+    assert server.await_status(undone, "failed")["outcome"] == "rolled_back"
+
+    with server.client("agent") as agent, server.client("operator") as operator:
+        stopped = driven()
+        for client in (agent, operator):  # connected by then: it comes to rest within a second
+            assert client.get("/healthz").is_success
+        assert agent.post(f"/v1/invocations/{stopped}/cancel").is_success
+        assert operator.post(f"/v1/invocations/{stopped}/stop").json()["recorded"]
+    assert server.await_status(stopped, "failed")["outcome"] == "stopped"
+    assert server.get("/v1/audit/verify", key="auditor")["ok"]
 
 
 def test_the_record_verifies_over_http(server: ServerProcess) -> None:
