@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, cast
 
+from app.governance.bundle_checks_dead import dead_rows, dead_steps
 from app.governance.model import Strategy
 from app.governance.policy_model import FAILURES, LIMIT_UNITS, NAMED_THRESHOLDS, SENSORS, SIGNAL_UNITS, WALKING_MPS
 from app.governance.recovery import NEW_ATTEMPTS
@@ -122,6 +123,8 @@ def _recovery(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Itera
         yield from _recovered(reader, path, row, shape, known)
         yield from _budget(reader, path, row, shape)
         yield from _steps(reader, path, row, shape)
+        yield from dead_steps(reader, index, row)
+    yield from dead_rows(reader, shape, known)
     if not any(row.on == "any" and row.applies_to is None and row.risks is None for row in shape.recovery):
         yield reader.problem(("recovery",), "failures are left uncovered: the table needs a last row", ["on: any"])
 

@@ -117,6 +117,48 @@ BROKEN = [
      "recovery[1].budget.retry: a dead budget: `retry` is `2`"),
     ("two rollbacks of one session", HUMAN, "budget: {retry: 1}", "budget: {retry: 1, rollback: 2}",
      "a dead budget: `rollback` is `2`, and a session is rolled back once; valid: `up to 1`"),
+    ("a row for whatever comes, in the middle", HUMAN,
+     "  - on: contact\n", "  - on: any\n    do: [retry]\n  - on: contact\n",
+     "human-shared.yaml:195: recovery[15]: a dead row: the first row that matches holds, and `recovery[14]` (line 193) "
+     "covers all of it; valid: `above recovery[14]`, `left out`"),
+    ("a row that stands twice", HUMAN,
+     "  - on: contact\n", "  - on: zone\n    do: [rollback, ask_human]\n  - on: contact\n",
+     "human-shared.yaml:199: recovery[17]: a dead row: the first row that matches holds, and `recovery[14]` (line 193) "
+     "covers all of it; valid: `left out`"),
+    ("a row whose capabilities have theirs already", HUMAN, "  - on: object_lost\n    do: [",
+     "  - on: object_lost\n    applies_to: [place_object, transport_object]\n    do: [retry]\n"
+     "  - on: object_lost\n    do: [",
+     "recovery[4]: a dead row: the first row that matches holds, and `recovery[2]` (line 156) and `recovery[3]` (line "
+     "159) cover all of it; valid: `left out`"),
+    ("the row for whatever comes, twice", HUMAN, "  - on: any\n", "  - on: any\n    do: [retry]\n  - on: any\n",
+     "human-shared.yaml:208: recovery[21]: a dead row: the first row that matches holds, and `recovery[20]` (line 206) "
+     "covers all of it; valid: `left out`"),
+    ("a row for a risk that is covered", HUMAN, "  - on: contact\n    do: [ask_human]\n",
+     "  - on: contact\n    risks: [low, medium]\n    do: [retry]\n  - on: contact\n    do: [ask_human]\n"
+     "  - on: contact\n    risks: [high]\n    do: [ask_human]\n",
+     "recovery[16]: a dead row: the first row that matches holds, and `recovery[15]` (line 196) covers all of it; "
+     "valid: `above recovery[15]`, `left out`"),
+    ("a row for a risk that its capability is not of", HUMAN, "  - on: contact\n",
+     "  - on: contact\n    applies_to: [grasp_object]\n    risks: [low]\n    do: [retry]\n  - on: contact\n",
+     "human-shared.yaml:195: recovery[14].risks: a dead row: no capability that it applies to is of such a risk; "
+     "valid: `medium`"),
+    ("steps behind the end", HUMAN, "do: [retry, terminate]", "do: [terminate, retry, retry]",
+     "human-shared.yaml:169: recovery[5].do[1]: a dead step: `terminate` is always the last of its row, and `retry` "
+     "stands behind it; valid: `do: [terminate]`"),
+    ("a step behind a question", HUMAN, "do: [safer_mode, ask_human]", "do: [safer_mode, ask_human, terminate]",
+     "do[2]: a dead step: `ask_human` is always the last of its row, and `terminate` stands behind it; valid: `do: "
+     "[safer_mode, ask_human]`"),
+    ("a step twice", HUMAN, "do: [retry, terminate]", "do: [retry, retry, terminate]",
+     "human-shared.yaml:169: recovery[5].do[1]: a dead step: `retry` stands in this row before, and its budget is "
+     "counted for both; valid: `retry once`"),
+    ("a rollback twice, with a recovery in between", HUMAN, "do: [recovery_capability, safer_mode, ask_human]",
+     "do: [rollback, recovery_capability, rollback]",
+     "do[2]: a dead step: `rollback` stands in this row before, and its budget is counted for both; valid: "
+     "`rollback once`"),
+    ("a recovery twice, and a budget for one", HUMAN, "do: [recovery_capability, safer_mode, ask_human]",
+     "do: [recovery_capability, recovery_capability]",
+     "do[1]: a dead step: `recovery_capability` stands in this row before, and its budget is counted for both; valid: "
+     "`recovery_capability once`, `budget: {recovery_capability: 2}`"),
     ("recovery for nobody", HUMAN, "applies_to: [transport_object]\n    do:", "applies_to: [fly]\n    do:",
      "capability `fly`"),
     ("approval nobody asks for", HUMAN, "modes: [approval-required, interrupt", "modes: [interrupt", "no mode of this"),
@@ -221,6 +263,51 @@ def test_says_what_is_wrong_with_a_broken_directory(file, old, new, said):
     told = [problem for problem in caught.value.problems if said in str(problem)]
     assert told, str(caught.value)
     assert all(problem.line > 0 for problem in told)
+
+
+ALIVE = {
+    "one capability, then all": (
+        "  - on: contact\n", "  - on: contact\n    applies_to: [grasp_object]\n    do: [retry]\n  - on: contact\n"
+    ),
+    "one risk, then all": (
+        "  - on: contact\n", "  - on: contact\n    risks: [low]\n    do: [retry]\n  - on: contact\n"
+    ),
+    "whatever comes to one, then one that comes to all": (
+        "  - on: contact\n", "  - on: any\n    applies_to: [operate_tool]\n    do: [retry]\n  - on: contact\n"
+    ),
+    "the last failure by name, then whatever comes": (
+        "  - on: any\n", "  - on: retries_exhausted\n    do: [terminate]\n  - on: any\n"
+    ),
+    "two risks of two capabilities": (
+        "  - on: contact\n",
+        "  - on: contact\n    applies_to: [navigate_to]\n    risks: [low]\n    do: [retry]\n"
+        "  - on: contact\n    applies_to: [navigate_to, grasp_object]\n    do: [retry]\n  - on: contact\n",
+    ),
+    "an attempt that was passed over": (
+        "do: [recovery_capability, safer_mode, ask_human]", "do: [safer_mode, recovery_capability, safer_mode]"
+    ),
+    "a recovery with budget for two": (
+        "do: [recovery_capability, safer_mode, ask_human]",
+        "do: [recovery_capability, recovery_capability]\n    budget: {recovery_capability: 2}",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("old", "new"), ALIVE.values(), ids=ALIVE)
+def test_takes_no_row_or_step_for_dead_that_may_be_taken(old, new):
+    text = files()
+    assert old in text[HUMAN]
+    bundle.load_files({**text, HUMAN: text[HUMAN].replace(old, new)})
+
+
+def test_what_cannot_be_read_of_a_capability_makes_no_row_dead():
+    text = files()
+    text[GRASP] = text[GRASP].replace("risk: medium", "risk: enormous")
+    row = "  - on: contact\n    applies_to: [grasp_object]\n    risks: [low]\n    do: [retry]\n  - on: contact\n"
+    text[HUMAN] = text[HUMAN].replace("  - on: contact\n", row)
+    with pytest.raises(PolicyErrors) as caught:
+        bundle.load_files(text)
+    assert {problem.file for problem in caught.value.problems} == {GRASP}
 
 
 @pytest.mark.parametrize(

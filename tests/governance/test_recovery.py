@@ -1,11 +1,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from app.governance.bundle_checks import Reader
+from app.governance.bundle_checks_dead import dead_steps
+from app.governance.bundle_shapes import RecoveryShape
+from app.governance.bundle_yaml import parse
 from app.governance.model import CoveredRecovery, Mode, RecoveryPlan, RecoveryRule, Risk, Strategy
 from app.governance.recovery import Budgets, RecoveryDecision, lead_back, recover, roll_back
 
@@ -191,3 +196,60 @@ def test_a_rollback_that_ended_elsewhere_is_led_back_once_if_that_is_covered() -
     assert lead_back("contact", retreat, decision.used, COVERED) is None
     assert lead_back("contact", retreat, Budgets(), COVERED[:3]) is None
     assert lead_back("contact", PLAN, Budgets(), COVERED) is None  # that was the way back already
+
+
+# What a check of policy calls dead is never chosen, and all else is by some way of things -----------------------------
+
+
+def chosen(row: RecoveryRule, rollback: str | None) -> set[int]:
+    """Return every step of a row that some way of things leads to, beside rows that recover and use up attempts."""
+    rules = (
+        replace(row, on="a", capability=CLEARS),
+        RecoveryRule(on="b", do=(S.RECOVERY_CAPABILITY,), capability=CLEARS),
+        RecoveryRule(on="c", do=(S.RETRY, S.SAFER_MODE)),
+    )
+    plan = replace(PLAN, rules=rules, retry_budget=2, rollback_capability=rollback)
+    found: set[int] = set()
+    seen: set[object] = set()
+    open_: list[tuple[Budgets, RecoveryDecision | None]] = [(Budgets(), None)]
+    while open_:
+        used, under_way = open_.pop()
+        failing = under_way is not None
+        answers = [recover(name, plan, used, covered=COVERED, recovering=failing) for name in "abc"]
+        if under_way is not None:  # it may succeed as well
+            answers.append(recover(under_way.failure, plan, used, covered=COVERED, after=under_way))
+        for answer in answers:
+            if answer.row == 0:
+                found.add(answer.step)
+            if answer.covered is None or answer.strategy is S.ROLLBACK:  # nothing is read from these rows behind it
+                continue
+            left = answer.used._replace(steps=tuple(sorted(answer.used.steps)))
+            place = (answer.row, answer.step) if answer.strategy is S.RECOVERY_CAPABILITY else None
+            if (left, place) not in seen:
+                seen.add((left, place))
+                open_.append((left, answer if place else None))
+    return found
+
+
+CLEARS = "release_and_retract"
+ROWS = [steps for length in (1, 2, 3) for steps in product(S, repeat=length)]
+
+
+@pytest.mark.parametrize("budget", [{}, {S.RECOVERY_CAPABILITY: 2}], ids=["one each", "two recoveries"])
+def test_a_step_is_called_dead_where_nothing_leads_to_it_and_nowhere_else(budget: dict[Strategy, int]) -> None:
+    document, _ = parse("x.yaml", "x: 1")
+    wrong = []
+    for steps in ROWS:
+        kept = {step: count for step, count in budget.items() if step in steps}
+        shape = RecoveryShape.model_validate(
+            {"on": "any", "do": [step.lower() for step in steps], "budget": {s.lower(): n for s, n in kept.items()}}
+        )
+        told = {int(problem.key[-2]) for problem in dead_steps(Reader(document=document), 0, shape)}
+        behind = set(range(min(told), len(steps))) if told and steps[min(told) - 1] in ENDS else told
+        row = RecoveryRule(on="a", do=steps, budget=kept)
+        if set(range(len(steps))) - chosen(row, "retrace") - chosen(row, None) != behind:
+            wrong.append((steps, told))
+    assert not wrong
+
+
+ENDS = (S.ASK_HUMAN, S.TERMINATE)
