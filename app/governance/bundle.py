@@ -25,13 +25,12 @@ import hashlib
 import stat
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Any, Final, cast
-
-import jsonschema_rs
+from typing import TYPE_CHECKING, Any, Final
 
 from app.governance import bundle_build, bundle_checks, bundle_checks_profile, bundle_checks_site, bundle_shapes
 from app.governance.bundle_checks import Known, Reader
 from app.governance.bundle_fit import fit
+from app.governance.bundle_references import validator
 from app.governance.bundle_yaml import parse
 from app.governance.conditions import TESTS
 from app.governance.errors import PolicyError, PolicyErrors
@@ -400,7 +399,7 @@ def make_inputs(capability: Capability) -> Inputs:
     """Compile a capability's input schema."""
     specs = properties(capability)
     return Inputs(
-        validator=jsonschema_rs.Draft202012Validator(cast("dict[str, Any]", capability.inputs)),
+        validator=validator(capability.inputs),
         defaults={name: spec["default"] for name, spec in specs.items() if "default" in spec},
         numbers=frozenset(name for name, spec in specs.items() if spec.get("type") == "number"),
     )

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final, cast
 
 import jsonschema_rs
 
+from app.governance.bundle_references import references, validator
 from app.governance.bundle_yaml import Document, Path, dotted
 from app.governance.conditions import TESTS
 from app.governance.errors import DeclarationError, ExpressionError, PolicyError
@@ -121,8 +122,11 @@ def _coverage(reader: Reader, shape: shapes.CapabilityShape, known: Known) -> It
 def inputs(reader: Reader, shape: shapes.CapabilityShape) -> Iterator[PolicyError]:
     """Check an input schema: valid, closed, every parameter of a known kind, numbers with unit and bounds."""
     schema = shape.inputs
+    if lost := [*references(reader, schema)]:
+        yield from lost
+        return
     try:
-        jsonschema_rs.validator_for(schema)
+        whole = validator(schema)
         jsonschema_rs.meta.validate(schema)
     except (ValueError, jsonschema_rs.ValidationError) as error:
         yield _no_schema(reader, error)
@@ -140,7 +144,7 @@ def inputs(reader: Reader, shape: shapes.CapabilityShape) -> Iterator[PolicyErro
             yield reader.problem(path, f"`{name}` needs a type", list(_PARAM_CHECKS))
             continue
         yield from _PARAM_CHECKS[str(spec["type"])](reader, path, name, cast("Mapping[str, Json]", spec))
-        yield from _default(reader, path, cast("Mapping[str, Json]", spec))
+        yield from _default(reader, path, cast("Mapping[str, Json]", spec), whole)
     yield from _references(reader, cast("Mapping[str, object]", declared if isinstance(declared, dict) else {}))
 
 
@@ -208,8 +212,13 @@ _PARAM_CHECKS: Final = {"number": _number, "integer": _plain, "string": _string,
 PARAM_TYPES: Final = tuple(_PARAM_CHECKS)
 
 
-def _default(reader: Reader, path: Path, spec: Mapping[str, Json]) -> Iterator[PolicyError]:
-    if "default" in spec and not jsonschema_rs.is_valid(dict(spec), spec["default"]):
+def _default(
+    reader: Reader, path: Path, spec: Mapping[str, Json], whole: jsonschema_rs.Draft202012Validator
+) -> Iterator[PolicyError]:
+    """Hold a default against its own parameter; what it refers to stands in the whole schema."""
+    own = [*path[1:]]
+    found = whole.iter_errors({path[-1]: spec["default"]}) if "default" in spec else ()
+    if any(error.evaluation_path[: len(own)] == own for error in found):
         yield reader.problem((*path, "default"), f"default `{spec['default']}` is not valid for the parameter itself")
 
 

@@ -21,6 +21,7 @@ from app.governance import bundle_promises as promises
 from app.governance import bundle_shapes as shapes
 from app.governance.bundle_checks import PARAM_TYPES, UNITS
 from app.governance.bundle_checks_profile import ASKING, RESERVED
+from app.governance.bundle_references import DIALECT, INSIDE, REFERRING
 from app.governance.conditions import TESTS
 from app.governance.policy_model import FAILURES, LIMIT_UNITS, NAMED_THRESHOLDS, REFERENCES, SENSORS, SIGNAL_UNITS
 
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 
 Refine: TypeAlias = "Callable[[dict[str, Any]], dict[str, Any]]"
 
-DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 SUFFIX: Final = ".schema.json"
 MODELINE: Final = "# yaml-language-server: $schema="
 
@@ -174,10 +174,11 @@ _NAME: Final = {
     },
 }
 _BARE: Final = {"properties": {"unit": False, "x-limit": False}}
+_CLOSED: Final = {**{key: {"pattern": INSIDE} for key in REFERRING}, "$schema": {"const": DIALECT}, "$id": False}
 _PARAMETER: Final = {
     "type": "object",
     "required": ["type"],
-    "properties": {"type": {"enum": sorted(PARAM_TYPES)}, "default": {}, "description": {"type": "string"}},
+    "properties": {"type": {"enum": sorted(PARAM_TYPES)}, "default": {}, "description": {"type": "string"}, **_CLOSED},
     "allOf": [
         _when(_is("type", "number"), _NUMBER, _BARE),
         _when(_is("type", "string"), _NAME),
@@ -211,6 +212,7 @@ def _inputs(said: dict[str, Any]) -> dict[str, Any]:
             "type": {"const": "object"},
             "additionalProperties": {"const": False},
             "patternProperties": False,
+            **_CLOSED,
             "required": {"type": "array", "items": {"type": "string"}},
             "properties": _parameters(),
         },

@@ -2,10 +2,16 @@ from __future__ import annotations
 
 import os
 import shutil
+from contextlib import suppress
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from threading import Thread
 
+import jsonschema_rs
 import pytest
 
 from app.governance import bundle
+from app.governance.bundle_references import DIALECT, validator
+from app.governance.bundle_yaml import parse
 from app.governance.errors import PolicyErrors
 from tests.governance.policy_world import POLICIES, files, shipped
 
@@ -43,6 +49,24 @@ BROKEN = [
     ("two of a kind", GRASP, "  properties:\n", "  properties:\n    other: {type: string, x-ref: object}\n",
      "both refer to a kind of name"),
     ("an action without a tool", "capabilities/operate_tool.yaml", "x-ref: tool", "enum: [press]", "is its tool"),
+    ("a reference to a file", GRASP, "force_n: {", "force_n: {$ref: 'file:///etc/hostname', ",
+     "grasp_object.yaml:11: inputs.properties.force_n.$ref: `$ref` is `file:///etc/hostname`: it leads within this "
+     "document, or nowhere; valid: `#/…`"),
+    ("a reference to an address", GRASP, "force_n: {", "force_n: {$dynamicRef: 'http://127.0.0.1:9/', ",
+     "`$dynamicRef` is `http://127.0.0.1:9/`"),
+    ("a reference that is long", GRASP, "force_n: {", f"force_n: {{$ref: '{'a' * 100}', ", "`$ref` is `aaa"),
+    ("a dialect to be fetched", GRASP, "  type: object", "  $schema: http://127.0.0.1:9/\n  type: object",
+     "grasp_object.yaml:6: inputs.$schema: `http://127.0.0.1:9/` is no dialect that is read here; valid: `https:"),
+    ("an origin of references", GRASP, "  type: object", "  $id: http://127.0.0.1:9/\n  type: object",
+     "grasp_object.yaml:6: inputs.$id: `$id` is `http://127.0.0.1:9/`: references would lead there; valid: `inputs"),
+    ("a reference to nothing", GRASP, "force_n: {", "force_n: {$ref: '#/properties/grip_n', ",
+     "inputs.properties.force_n.$ref: `#/properties/grip_n` leads nowhere: there is no `grip_n`; valid: `object_id`, "),
+    ("a reference to no branch", GRASP, "force_n: {", "force_n: {allOf: [{$ref: '#/properties/force_n/allOf/1'}], ",
+     "leads nowhere: there is no `1`; valid: `0`"),
+    ("a reference into a word", GRASP, "force_n: {", "force_n: {$ref: '#/type/a', ", "leads nowhere: there is no `a`"),
+    ("a reference to itself", GRASP, "force_n: {", "force_n: {$ref: '#/properties/force_n', ",
+     "grasp_object.yaml:11: inputs.properties.force_n.$ref: `#/properties/force_n` leads back to where it is"),
+    ("a reference to the whole", GRASP, "force_n: {", "force_n: {$ref: '#', ", "`#` leads back to where it is"),
     ("a quantity below zero", GRASP, "minimum: 0.02", "minimum: -2.0", "from above only"),
     ("an integer with a unit", GRASP, "  properties:\n", "  properties:\n    n: {type: integer, unit: N, default: 1}\n",
      "`unit` belongs to a number"),
@@ -493,6 +517,95 @@ def test_parameters_may_be_counted_chosen_from_a_list_or_switched():
     }  # fmt: skip
     for wrong in ({"tries": 4}, {"tries": 1.5}, {"hand": "third"}, {"soft": 1}):
         assert isinstance(policy.validate_params("grasp_object", {"object_id": "mug_1", **wrong}), tuple)
+
+
+FORCE = "    force_n: {type: number,"
+REFERRING = [
+    ("to what is beside it", "#/$defs/gentle", "gentle: {maximum: 50}", None),
+    ("and is as strict as that is", "#/$defs/gentle", "gentle: {maximum: 30}", "default `40` is not valid for"),
+    ("with what pointers escape", "#/$defs/a~1b%20c", "a/b c: {minimum: 2}", None),
+    ("to one of a list", "#/$defs/some/allOf/1", "some: {allOf: [false, true]}", None),
+    ("to what twice is the next", "#/$defs/a0", ", ".join(
+        f"a{n}: {{allOf: [{{$ref: '#/$defs/a{n + 1}'}}, {{$ref: '#/$defs/a{n + 1}'}}]}}" for n in range(20)
+    ) + ", a20: true", "has more than 10,000 parts"),
+    ("to what leads on and on", "#/$defs/a0", ", ".join(
+        f"a{n}: {{$ref: '#/$defs/a{n + 1}'}}" for n in range(20_000)
+    ) + ", a20000: {}", "nests deeper than 100 levels"),
+    ("in a circle", "#/$defs/a", "a: {$ref: '#/$defs/b'}, b: {allOf: [{$ref: '#/$defs/a'}]}", "leads back to where"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("to", "beside", "said"), [row[1:] for row in REFERRING], ids=[row[0] for row in REFERRING])
+def test_an_input_may_refer(to, beside, said):
+    text = files()
+    text[GRASP] = text[GRASP].replace(FORCE, f"    force_n: {{$ref: '{to}', type: number,")
+    text[GRASP] = text[GRASP].replace("  properties:\n", f"  $defs: {{{beside}}}\n  properties:\n")
+    if said is not None:
+        with pytest.raises(PolicyErrors, match=said) as caught:
+            bundle.load_files(text)
+        assert {(problem.file, problem.line > 1) for problem in caught.value.problems} == {(GRASP, True)}
+        return
+    policy = bundle.load_files(text)
+    assert isinstance(policy.validate_params("grasp_object", {"object_id": "mug_1", "force_n": 1}), tuple)
+    assert isinstance(policy.validate_params("grasp_object", {"object_id": "mug_1", "force_n": 40}), dict)
+
+
+def test_an_input_may_name_the_dialect_it_is_written_in():
+    text = files()
+    text[GRASP] = text[GRASP].replace("  properties:\n", f"  $schema: {DIALECT}\n  properties:\n")
+    assert bundle.load_files(text).capabilities["grasp_object"].inputs["$schema"] == DIALECT
+
+
+@pytest.fixture
+def asked():
+    """Serve a JSON Schema that refuses nothing, and list the paths that were asked for."""
+    paths = []
+
+    class Anything(BaseHTTPRequestHandler):
+        def do_GET(self):
+            paths.append(self.path)
+            self.send_response(200)
+            self.end_headers()
+            self.wfile.write(b"{}")
+
+        def log_message(self, *_):
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Anything) as server:
+        thread = Thread(target=server.serve_forever, args=(0.01,))
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}/", paths
+        server.shutdown()
+        thread.join()
+
+
+LEADING_OUT = ["{$ref: 'URLa'}", "{$dynamicRef: 'URLa'}", "{$schema: 'URLa'}", "{$id: 'URL', $ref: b}",
+               "{properties: {a: {$schema: 'URLa'}}}", "{default: {$ref: 'URLa'}, $ref: '#/default'}"]  # fmt: skip
+
+
+@pytest.mark.parametrize("schema", LEADING_OUT)
+def test_loading_asks_nobody_for_what_a_policy_refers_to(asked, schema):
+    url, paths = asked
+    found = schema.replace("URL", url)
+    text = files()
+    text[GRASP] = text[GRASP].replace("  properties:\n", f"  allOf: [{found}]\n  properties:\n")
+    with pytest.raises(PolicyErrors, match=url):
+        bundle.load_files(text)
+    assert paths == []
+
+
+@pytest.mark.parametrize("schema", LEADING_OUT)
+def test_what_validates_inputs_could_not_ask_either(asked, tmp_path, schema):
+    url, paths = asked
+    (tmp_path / "a").write_text("{}")
+    (tmp_path / "b").write_text("{}")
+    for base in (url, f"{tmp_path.as_uri()}/"):
+        document, _ = parse("any.yaml", schema.replace("URL", base))
+        with suppress(ValueError, jsonschema_rs.ValidationError):
+            validator(document.value).is_valid({"a": 1})
+    assert paths == []
+    with pytest.raises((ValueError, jsonschema_rs.ValidationError)):
+        validator({"$ref": f"{tmp_path.as_uri()}/a"})
 
 
 def test_a_file_nothing_would_read_is_an_error():

@@ -27,7 +27,8 @@ SEEN_BESIDES = {
     "resuming what went on", "approval nobody asks for", "approval required, and nobody asks", "unknown signal",
     "unknown failure", "unknown threshold", "threshold of another unit", "two thresholds", "else without persist_ms",
     "recovery without capability", "uncovered failures", "no approval", "unknown sensor", "a review without its mode",
-    "a review of nothing",
+    "a review of nothing", "a reference to a file", "a reference to an address", "a reference that is long",
+    "a dialect to be fetched", "an origin of references",
 }  # fmt: skip
 
 
