@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Mapping
+from collections.abc import Awaitable, Mapping, Sequence
 from typing import Any, Self
 
 import httpx
@@ -108,14 +108,16 @@ class ReinsClient:
         """Close the connection."""
         self._http.close()
 
-    def invoke(
+    def invoke(  # noqa: PLR0913 - a proposal has that many fields
         self,
         capability: str,
+        inputs: Mapping[str, Any] | None = None,
         /,
         *,
         mode: str | None = None,
         cell: str | None = None,
         metadata: Document | None = None,
+        preconditions: Sequence[str] | None = None,
         recovery_preference: str | None = None,
         capability_version: str | None = None,
         idempotency_key: str | None = None,
@@ -123,6 +125,11 @@ class ReinsClient:
         **params: Any,  # noqa: ANN401 - whatever the capability's own schema declares
     ) -> Result:
         """Propose a capability and wait for its end.
+
+        The named options are the proposal's own, as `POST /v1/invocations` has them: `mode`, `cell`, `metadata` (say
+        `{"confidence": 0.9}`), `preconditions` (conditions checked beside the capability's own),
+        `recovery_preference` and `capability_version`. Every other keyword is an input of the capability; what is
+        called like an option, or is no Python name, stands in `inputs`: `invoke("mix", {"mode": "fast"}, speed_mps=1)`.
 
         Returns the result of a completed invocation. Raises `Refused` if it was not launched, `ExecutionFailed` if it
         ended without success, `Problem` if the request was malformed or not allowed, `Unsendable` if it could
@@ -134,19 +141,46 @@ class ReinsClient:
             "mode": mode,
             "cell": cell,
             "metadata": metadata,
+            "preconditions": preconditions,
             "recovery_preference": recovery_preference,
             "capability_version": capability_version,
         }
-        return self._run(invoke(proposal(capability, params, options), idempotency_key, self._defers, on_update))
+        return self._run(
+            invoke(proposal(capability, inputs, params, options), idempotency_key, self._defers, on_update)
+        )
 
     def follow(self, invocation: str, *, on_update: OnUpdate | None = None) -> Result:
         """Wait for the end of an invocation proposed earlier, say before a restart. Raises as `invoke` does."""
         first = self.call("GET", path_of(invocation))
         return conclude(self._run(follow(first, on_update)))
 
-    def check(self, capability: str, /, *, mode: str | None = None, cell: str | None = None, **params: Any) -> Document:  # noqa: ANN401
-        """Return what would be decided, without proposing."""
-        return self.call("POST", "/v1/check", json=proposal(capability, params, {"mode": mode, "cell": cell}))
+    def check(
+        self,
+        capability: str,
+        inputs: Mapping[str, Any] | None = None,
+        /,
+        *,
+        mode: str | None = None,
+        cell: str | None = None,
+        metadata: Document | None = None,
+        preconditions: Sequence[str] | None = None,
+        recovery_preference: str | None = None,
+        capability_version: str | None = None,
+        **params: Any,  # noqa: ANN401
+    ) -> Document:
+        """Return what would be decided, without proposing; options and inputs are those of `invoke`.
+
+        Raises `Problem` if the request was malformed or not allowed, `Unsendable`, `Unreachable`.
+        """
+        options = {
+            "mode": mode,
+            "cell": cell,
+            "metadata": metadata,
+            "preconditions": preconditions,
+            "recovery_preference": recovery_preference,
+            "capability_version": capability_version,
+        }
+        return self.call("POST", "/v1/check", json=proposal(capability, inputs, params, options))
 
     def trace(self, invocation: str) -> list[Document]:
         """Return τ_t: all events of an invocation in order."""
@@ -207,14 +241,16 @@ class AsyncReinsClient:
         """Close the connection."""
         await self._http.aclose()
 
-    def invoke(
+    def invoke(  # noqa: PLR0913 - a proposal has that many fields
         self,
         capability: str,
+        inputs: Mapping[str, Any] | None = None,
         /,
         *,
         mode: str | None = None,
         cell: str | None = None,
         metadata: Document | None = None,
+        preconditions: Sequence[str] | None = None,
         recovery_preference: str | None = None,
         capability_version: str | None = None,
         idempotency_key: str | None = None,
@@ -226,10 +262,13 @@ class AsyncReinsClient:
             "mode": mode,
             "cell": cell,
             "metadata": metadata,
+            "preconditions": preconditions,
             "recovery_preference": recovery_preference,
             "capability_version": capability_version,
         }
-        return self._run(invoke(proposal(capability, params, options), idempotency_key, self._defers, on_update))
+        return self._run(
+            invoke(proposal(capability, inputs, params, options), idempotency_key, self._defers, on_update)
+        )
 
     async def follow(self, invocation: str, *, on_update: OnUpdate | None = None) -> Result:
         """Wait for the end of an invocation proposed earlier; see `ReinsClient.follow`."""
@@ -239,14 +278,27 @@ class AsyncReinsClient:
     def check(
         self,
         capability: str,
+        inputs: Mapping[str, Any] | None = None,
         /,
         *,
         mode: str | None = None,
         cell: str | None = None,
+        metadata: Document | None = None,
+        preconditions: Sequence[str] | None = None,
+        recovery_preference: str | None = None,
+        capability_version: str | None = None,
         **params: Any,  # noqa: ANN401
     ) -> Awaitable[Document]:
-        """Return what would be decided, without proposing."""
-        return self.call("POST", "/v1/check", json=proposal(capability, params, {"mode": mode, "cell": cell}))
+        """Return what would be decided, without proposing; see `ReinsClient.check`."""
+        options = {
+            "mode": mode,
+            "cell": cell,
+            "metadata": metadata,
+            "preconditions": preconditions,
+            "recovery_preference": recovery_preference,
+            "capability_version": capability_version,
+        }
+        return self.call("POST", "/v1/check", json=proposal(capability, inputs, params, options))
 
     async def trace(self, invocation: str) -> list[Document]:
         """Return τ_t: all events of an invocation in order."""

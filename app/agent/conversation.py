@@ -205,8 +205,16 @@ def conclude(invocation: Document) -> Result:
     raise (Refused if invocation["status"] in _BEFORE_LAUNCH else ExecutionFailed)(invocation)
 
 
-def proposal(capability: str, params: Mapping[str, Any], options: Mapping[str, Any]) -> Document:
-    """Return the body of a proposal; options that are None are left out."""
-    body: Document = {"capability": capability, "params": dict(params)}
+def proposal(
+    capability: str, inputs: Mapping[str, Any] | None, params: Mapping[str, Any], options: Mapping[str, Any]
+) -> Document:
+    """Return the body of a proposal; options that are None are left out.
+
+    Raises `Unsendable` where a parameter stands in both `inputs` and `params`.
+    """
+    given = dict(inputs or {})
+    if twice := sorted(given.keys() & params.keys()):
+        raise Unsendable(f"`{twice[0]}` is given twice; valid is once, in the mapping or by keyword; nothing was sent")
+    body: Document = {"capability": capability, "params": {**given, **params}}
     body.update({name: value for name, value in options.items() if value is not None})
     return body

@@ -1,5 +1,6 @@
 import itertools
 import re
+from inspect import signature
 from urllib.parse import parse_qs, quote, urlsplit
 
 import pytest
@@ -14,6 +15,7 @@ from app.agent.client import (
     Unreachable,
     Unsendable,
 )
+from app.api.wire import ProposalBody
 
 from .scripted_server import Turn, serve
 
@@ -93,6 +95,54 @@ async def test_each_asynchronous_poll_names_the_version_known_already():
         async with AsyncReinsClient(server.url, "t") as client:
             await client.invoke("navigate_to", target="dock")
     assert _seen(server.turns) == [None, ["2026-01-01T00:00:00.1Z"], ["2026-01-01T00:00:00.2Z"]]
+
+
+OPTIONS = {
+    "mode": "careful",
+    "cell": "workcell-1",
+    "metadata": {"confidence": 0.9},
+    "preconditions": ["arm_ready"],
+    "recovery_preference": "rollback",
+    "capability_version": "^1.0.0",
+}
+EVERYTHING = {"capability": "mix", "params": {"mode": "fast", "metadata": "none", "speed_mps": 0.1}, **OPTIONS}
+
+
+def done(_: Turn):
+    return 201, invocation("completed", outcome="succeeded")
+
+
+def test_sends_every_option_of_a_proposal_beside_inputs_that_are_called_like_one():
+    with serve(done) as server, ReinsClient(server.url, "t") as client:
+        client.invoke("mix", {"mode": "fast", "metadata": "none"}, speed_mps=0.1, **OPTIONS)
+        client.check("mix", {"mode": "fast", "metadata": "none"}, speed_mps=0.1, **OPTIONS)
+        client.check("mix", speed_mps=0.1)
+    assert [turn.path for turn in server.turns] == ["/v1/invocations", "/v1/check", "/v1/check"]
+    assert [turn.body for turn in server.turns[:2]] == [EVERYTHING, EVERYTHING]
+    assert server.turns[2].body == {"capability": "mix", "params": {"speed_mps": 0.1}}
+
+
+@pytest.mark.anyio
+async def test_sends_every_option_of_a_proposal_asynchronously():
+    with serve(done) as server:
+        async with AsyncReinsClient(server.url, "t") as client:
+            await client.invoke("mix", {"mode": "fast", "metadata": "none"}, speed_mps=0.1, **OPTIONS)
+            await client.check("mix", {"mode": "fast", "metadata": "none"}, speed_mps=0.1, **OPTIONS)
+    assert [turn.body for turn in server.turns] == [EVERYTHING, EVERYTHING]
+
+
+def test_an_input_that_is_given_twice_is_not_sent():
+    with serve(done) as server, ReinsClient(server.url, "t") as client:
+        with pytest.raises(Unsendable, match="`speed_mps` is given twice; valid is once"):
+            client.check("mix", {"speed_mps": 1}, speed_mps=0.1)
+        assert server.turns == []
+
+
+def test_the_options_are_those_that_the_server_takes():
+    own = set(ProposalBody.model_fields) - {"capability", "params"}
+    for method in (ReinsClient.invoke, ReinsClient.check, AsyncReinsClient.invoke, AsyncReinsClient.check):
+        keywords = {name for name, found in signature(method).parameters.items() if found.kind is found.KEYWORD_ONLY}
+        assert keywords - {"idempotency_key", "on_update"} == own == set(OPTIONS)
 
 
 def test_raises_refused_with_the_reasons_of_a_denial():
