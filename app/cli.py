@@ -197,7 +197,8 @@ def approver(
 ) -> None:
     """Answer escalations as a simulated person of given habits would; Ctrl-C ends. Never in front of a real robot.
 
-    The token is taken from the data directory's tokens.json, under the key that the habits name as `approver`.
+    The token is taken from the data directory's tokens.json, under the key that the habits name as `approver`. A
+    question whose answer the server does not take, say an edit that does not fit the capability, is left and named.
     """
     from app.demo import approve
 

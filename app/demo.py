@@ -115,6 +115,7 @@ async def _approve(client: AsyncReinsClient, habits: Habits) -> None:
             client,
             habits,
             on_answer=lambda asked, answer: say(answered(asked, answer)),
+            on_skip=lambda asked, why: say_error(skipped(asked, why)),
         )
         await approver.run()
 
@@ -122,6 +123,11 @@ async def _approve(client: AsyncReinsClient, habits: Habits) -> None:
 def answered(asked: Document, answer: Answer) -> str:
     """Say what was asked, what the approver said, and what the question is since: an approval may leave it pending."""
     return f"{asked['capability']} {asked['id']}: {answer.decision}, now {answer.status}"
+
+
+def skipped(asked: Document, why: ReinsError) -> str:
+    """Say what was asked, and why the approver leaves it to somebody else."""
+    return f"{asked['capability']} {asked['id']}: left to somebody else, the answer was not taken: {why}"
 
 
 def _play(data: DataDir, url: str, habits: Habits | None) -> int:

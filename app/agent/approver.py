@@ -11,8 +11,12 @@ is recorded under its own name.
     rules:                   # the first that matches decides; none matches: deny
       - match: {capability: [grasp_object], risk: [medium]}
         decision: approve
+        edit: {force_n: 40}  # approved with this instead; nothing less is approved
       - match: {kind: [session]}
         decision: approve
+
+An edit that the capability does not take, or that policy refuses, is no reason to approve without it: that question is
+left to somebody else, `on_skip` is told why, and the others are answered as ever.
 """
 
 from __future__ import annotations
@@ -27,10 +31,11 @@ from typing import Any, TypeAlias, cast
 
 import yaml
 
-from app.agent.client import AsyncReinsClient, Document, Problem, ReinsError
+from app.agent.client import AsyncReinsClient, Document, Problem, ReinsError, Unsendable
 
 _POLL_S = 0.1
 _ANSWERED = frozenset({"already_resolved", "already_approved"})
+_NOT_MINE = frozenset({"edit_refused", "own_proposal"})  # with all 422: the server takes other answers, not this one
 _MATCHABLE = frozenset({"capability", "risk", "kind", "agent"})
 _DECISIONS = ("approve", "deny", "ignore")
 _LARGEST = 10**15
@@ -75,6 +80,7 @@ class Answer:
 
 
 OnAnswer: TypeAlias = Callable[[Document, Answer], None]
+OnSkip: TypeAlias = Callable[[Document, ReinsError], None]
 
 
 def load_habits(path: Path) -> Habits:
@@ -174,12 +180,23 @@ def decide(habits: Habits, escalation: Document, draw: float) -> Answer:
 class ScriptedApprover:
     """Polls for pending escalations and answers each once, after its reading time; again where the cell was away."""
 
-    def __init__(self, client: AsyncReinsClient, habits: Habits, *, on_answer: OnAnswer = lambda _e, _a: None) -> None:
-        """Answer through `client`, whose token names the operator; `on_answer` is told of every answer given."""
+    def __init__(
+        self,
+        client: AsyncReinsClient,
+        habits: Habits,
+        *,
+        on_answer: OnAnswer = lambda _e, _a: None,
+        on_skip: OnSkip = lambda _e, _r: None,
+    ) -> None:
+        """Answer through `client`, whose token names the operator.
+
+        `on_answer` is told of every answer given, `on_skip` of every question whose answer was not taken, and why.
+        """
         self._client = client
         self._habits = habits
         self._random = random.Random(habits.seed)  # noqa: S311 - simulates a person, guards nothing
         self._on_answer = on_answer
+        self._on_skip = on_skip
         self._seen: set[tuple[str, str]] = set()
         self._edited: set[str] = set()
 
@@ -235,7 +252,11 @@ class ScriptedApprover:
         path = f"/v1/escalations/{escalation['id']}"
         try:
             return await self._client.call("POST", f"{path}/resolve", json=body)
+        except Unsendable as unfit:  # an edit that is no JSON
+            return self._skip(escalation, unfit)
         except Problem as refused:
+            if refused.status == 422 or refused.code in _NOT_MINE:
+                return self._skip(escalation, refused)
             if refused.status != 409:  # somebody else was faster, or it expired while being read
                 raise
             if refused.code == "cell_offline":  # for now: the question waits on, so it is read again
@@ -244,6 +265,11 @@ class ScriptedApprover:
                 return None
         resolved: Document = await self._client.call("GET", path)
         return resolved if self._gave(answer, resolved) else None
+
+    def _skip(self, escalation: Document, why: ReinsError) -> None:
+        """Leave a question to somebody else; put anew, it is edited anew."""
+        self._edited.discard(escalation["id"])
+        self._on_skip(escalation, why)
 
     def _gave(self, answer: Answer, resolved: Document) -> bool:
         """Say whether an answer stands that was asked for again because the reply to it was lost."""

@@ -7,7 +7,7 @@ import pytest
 
 from app.agent.approver import Answer, ScriptedApprover, decide, load_habits, parse_habits
 from app.agent.client import AsyncReinsClient, Problem
-from app.demo import answered, approve
+from app.demo import answered, approve, skipped
 
 from .scripted_server import Turn, serve
 
@@ -292,6 +292,64 @@ async def test_leaves_with_the_servers_own_words_when_an_answer_is_refused():
         async with AsyncReinsClient(server.url, "t") as client:
             with pytest.raises(Problem, match="role_forbidden: not this role"):
                 await ScriptedApprover(client, parse_habits(HABITS)).run()
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize(
+    ("status", "code"), [(422, "params_invalid"), (422, "malformed_json"), (409, "edit_refused"), (403, "own_proposal")]
+)
+async def test_leaves_a_question_that_its_edit_does_not_fit_and_answers_the_others(status, code):
+    pending = [escalation(id="esc_1"), escalation(id="esc_2", risk="high")]
+
+    def answer(turn: Turn):
+        if turn.method == "GET":
+            return 200, {"items": pending, "next": None}
+        if "params" in turn.body:
+            pending[0] = escalation(id="esc_1", digest="sha256:b")  # put anew, say under another profile
+            return status, {"code": code, "detail": "`force_n` does not fit"}
+        return 200, escalation(status="denied")
+
+    given: list[str] = []
+    left: list[tuple[str, str]] = []
+    with serve(answer) as server:
+        async with AsyncReinsClient(server.url, "t") as client:
+            approver = ScriptedApprover(
+                client, parse_habits(HABITS),
+                on_answer=lambda asked, _: given.append(asked["id"]),
+                on_skip=lambda asked, why: left.append((asked["digest"], str(why))),
+            )  # fmt: skip
+            task = asyncio.create_task(approver.run())
+            while not given or len(left) < 2:
+                await asyncio.sleep(0.01)
+                assert not task.done(), task.exception()
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+    assert given == ["esc_2"]
+    assert [digest for digest, _ in left] == ["sha256:a", "sha256:b"]
+    assert left[0][1] == f"{status} {code}: `force_n` does not fit"
+    edits = [turn.body["params"] for turn in server.turns if turn.method == "POST" and "esc_1" in turn.path]
+    assert edits == [{"object_id": "mug_1", "force_n": 40}] * 2
+
+
+@pytest.mark.anyio
+async def test_leaves_a_question_whose_edit_cannot_be_sent():
+    habits = parse_habits({**HABITS, "rules": [{"decision": "approve", "edit": {"force_n": float("nan")}}]})
+    left = asyncio.Event()
+    with serve(lambda _turn: (200, {"items": [escalation()], "next": None})) as server:
+        async with AsyncReinsClient(server.url, "t") as client:
+            approver = ScriptedApprover(client, habits, on_skip=lambda _asked, _why: left.set())
+            task = asyncio.create_task(approver.run())
+            await asyncio.wait_for(left.wait(), 5)
+            assert not task.done()
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+    assert {turn.method for turn in server.turns} == {"GET"}
+
+
+def test_says_which_question_was_left_and_why():
+    why = Problem(422, "params_invalid", "`farce_n` is unknown")
+    said = f"operate_tool esc_1: left to somebody else, the answer was not taken: {why}"
+    assert skipped({"id": "esc_1", "capability": "operate_tool"}, why) == said
 
 
 def test_says_what_became_of_the_question_beside_what_was_answered():
