@@ -16,6 +16,7 @@ import orjson
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
+from starlette.routing import Match
 
 from app.api.faults import field_errors
 from app.audit.errors import RecordDamaged, RecordUnavailable, RecordUnreadable, RowUnreadable
@@ -234,5 +235,12 @@ def install(app: FastAPI) -> None:
     async def known(request: Request, error: Exception) -> Response:
         return as_problem(error).response(request.url.path)
 
+    async def other_method(request: Request, _: Exception) -> Response:
+        """The router names the methods of the first route at a path; a path has one route for each method."""
+        matching = [route for route in app.routes if route.matches(request.scope)[0] is not Match.NONE]
+        methods = sorted({method for route in matching for method in getattr(route, "methods", ())})
+        return as_problem(HTTPException(405, headers={"Allow": ", ".join(methods)})).response(request.url.path)
+
     for kind, _ in PROBLEMS:
         app.add_exception_handler(kind, known)
+    app.add_exception_handler(405, other_method)

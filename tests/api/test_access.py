@@ -133,3 +133,18 @@ def test_an_entry_without_a_route_stops_the_start() -> None:
 def test_only_what_holds_no_secret_is_public() -> None:
     public = {path for (_, path), roles in ACCESS.items() if roles is None}
     assert public == {"/healthz", "/readyz", "/openapi.json", *pages.VIEWS, pages.ICON, pages.ASSETS}
+
+
+async def test_a_method_that_a_path_does_not_know_is_answered_with_all_that_it_knows(house: House) -> None:
+    known: dict[str, set[str]] = {}
+    for method, path in ACCESS:
+        if method != WEBSOCKET:
+            known.setdefault(path, set()).add(method)
+    assert known["/v1/invocations"] == {"GET", "POST"}
+    async with house.client(None) as anybody:
+        for path, methods in known.items():
+            here = path.replace("{id}", "x").replace("{digest}", "x").replace("{name}", "x").replace("{file}", "x")
+            answer = await anybody.request("DELETE", here)
+            assert (answer.status_code, answer.json()["code"]) == (405, "method_not_allowed"), path
+            assert answer.headers["allow"] == ", ".join(sorted(methods)), path
+        assert (await anybody.request("GET", "/v1/check")).headers["allow"] == "POST"
