@@ -58,13 +58,13 @@ def _to_second(second: int) -> str:
 
 
 def parse_rfc3339(text: str) -> float:
-    """Read an RFC 3339 time with an offset and return seconds since 1970-01-01T00:00:00Z.
+    """Read an RFC 3339 time with an offset and return seconds since 1970-01-01T00:00:00Z; `t` and `z` may be small.
 
     Raises:
         ValueError: the text is no time, or names no offset (a local time means nothing on another machine).
     """
     try:
-        moment = datetime.fromisoformat(text)
+        moment = datetime.fromisoformat(text.upper())
     except ValueError as error:
         raise ValueError(f"`{text}` is no RFC 3339 time: valid is for instance `2026-03-01T09:30:00.250Z`") from error
     if moment.tzinfo is None:

@@ -35,6 +35,7 @@ def test_a_written_time_is_what_the_calendar_says_cut_to_the_millisecond(seconds
 
 def test_reads_any_offset() -> None:
     assert parse_rfc3339("2026-03-01T10:30:00+01:00") == parse_rfc3339("2026-03-01T09:30:00.000Z")
+    assert parse_rfc3339("2026-03-01t09:30:00.250z") == parse_rfc3339("2026-03-01T09:30:00.250Z")  # RFC 3339, 5.6
     assert rfc3339(0) == "1970-01-01T00:00:00.000Z"
 
 
