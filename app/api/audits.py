@@ -110,13 +110,16 @@ class StreamQuery(BaseModel):
 
 async def events(request: Request, query: Annotated[EventQuery, Query()]) -> Response:
     """Return events of the log in order of `seq`; `next` is the `after` that continues, null at the end."""
-    filters = query.model_dump()
+    filters = query.model_dump(exclude={"after", "limit"})
     for bound in ("since", "until"):
         filters[bound] = None if filters[bound] is None else parse_rfc3339(filters[bound])
     _within_the_log(request, "after", query.after)
-    found = await parts_of(request).store.events(**filters)
-    more = len(found) == query.limit
-    return answer({"items": [orjson.Fragment(event.body) for event in found], "next": found[-1].seq if more else None})
+    store = parts_of(request).store
+    found = await store.events(**filters, after=query.after, limit=query.limit)
+    following = found[-1].seq if len(found) == query.limit else None
+    if following is not None and not await store.events(**filters, after=following, limit=1):
+        following = None  # a page may end just where the log does
+    return answer({"items": [orjson.Fragment(event.body) for event in found], "next": following})
 
 
 async def checkpoint(request: Request) -> Response:

@@ -59,14 +59,34 @@ async def test_pages_through_the_log_without_gap(house: House) -> None:
     assert seen == list(range(1, len(seen) + 1))
 
 
+async def test_a_page_that_ends_where_the_log_does_is_the_last(house: House) -> None:
+    (name,) = await refuse(house)
+    async with house.client("auditor") as auditor:
+        under = f"/v1/audit/events?invocation={name}"
+        everything = (await auditor.get(under)).json()
+        count, last = len(everything["items"]), everything["items"][-1]["seq"]
+        exact = (await auditor.get(f"{under}&limit={count}")).json()
+        short = (await auditor.get(f"{under}&limit={count - 1}")).json()
+        rest = (await auditor.get(f"{under}&limit=1&after={short['next']}")).json()
+        most = (await auditor.get(f"/v1/audit/events?limit={audits.MAX_EVENTS}&after={last - 1}")).json()
+    assert count > 1
+    assert exact == everything
+    assert everything["next"] is None
+    assert [event["seq"] for event in short["items"] + rest["items"]] == [e["seq"] for e in everything["items"]]
+    assert rest["next"] is None
+    assert most["next"] is None
+
+
 async def test_filters_the_log(house: House) -> None:
     (name,) = await refuse(house)
     async with house.client("auditor") as auditor:
         mine = (await auditor.get(f"/v1/audit/events?invocation={name}&kind=proposal&actor=planner")).json()["items"]
         future = (await auditor.get("/v1/audit/events?since=2999-01-01T00:00:00Z")).json()["items"]
         past = (await auditor.get("/v1/audit/events?until=2001-01-01T00:00:00%2B01:00")).json()["items"]
+        small = (await auditor.get(f"/v1/audit/events?invocation={name}&since=2001-01-01t00:00:00z")).json()["items"]
     assert [(event["invocation"], event["kind"]) for event in mine] == [(name, "proposal")]
     assert (future, past) == ([], [])
+    assert {event["invocation"] for event in small} == {name}
 
 
 @pytest.mark.parametrize(
