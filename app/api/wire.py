@@ -1,14 +1,16 @@
 """What comes in: strict reading of JSON bodies, and the models of what a request may say.
 
-JSON parsers forgive what a safety case cannot: of two equal keys one wins silently, `NaN` and `1e999` become numbers,
-half a surrogate pair becomes text that cannot be stored. Here each of them is refused, with the place where it stands.
-Bodies are bounded before they are parsed (256 kB, also while streaming), nesting at 32, a text at 4,096 characters.
+JSON parsers forgive what a safety case cannot: of two equal keys one wins silently, `NaN` and `1e999` become numbers, a
+long integer becomes another one, half a surrogate pair becomes text that cannot be stored. Here each of them is
+refused, with the place where it stands. Bodies are bounded before they are parsed (256 kB, also while streaming),
+nesting at 32, a text at 4,096 characters.
 FastAPI's own body parsing is not used.
 """
 
 from __future__ import annotations
 
 import json
+import re
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast
 
 import orjson
@@ -32,6 +34,10 @@ MAX_ITEMS = 64
 MAX_KEY = 255
 UTF_8 = frozenset({"", "charset=utf-8", 'charset="utf-8"'})
 
+_ANY_DIGIT = bytes.maketrans(b"123456789", b"000000000")
+_MANY_DIGITS = b"0" * 16  # fewer are exact in a double
+_TOKENS = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"|-?[0-9][0-9.eE+-]*')  # texts and numbers of what is JSON
+_MOST_DIGITS = 19
 _CONSTANTS = (b"NaN", b"Infinity", b"-Infinity")
 
 # -- what a request may say --------------------------------------------------------------------------------------------
@@ -272,7 +278,8 @@ def parse(raw: bytes) -> object:
 
     Raises:
         Problem: 422 `malformed_json`, with the position: no JSON, no UTF-8, NaN or an infinity, a number beyond double
-        precision, half a surrogate pair, a key given twice, nesting deeper than 32.
+        range, an integer that no double or no 64 bits hold exactly, half a surrogate pair, a key given twice, nesting
+        deeper than 32.
     """
     try:
         value = orjson.loads(raw)
@@ -284,6 +291,8 @@ def parse(raw: bytes) -> object:
     # Every member needs a colon, so as many colons as members leaves no room for a second member of the same name.
     if raw.count(b":") != members:
         _refuse_duplicates(raw)
+    if _MANY_DIGITS in raw.translate(_ANY_DIGIT):  # at a glance: a pattern would take as long as all the rest
+        _refuse_inexact(raw)
     return value
 
 
@@ -401,6 +410,24 @@ def _refuse_duplicates(raw: bytes) -> None:
         json.loads(raw, object_pairs_hook=unique, parse_int=len, parse_float=len)  # only the keys matter here
     except RecursionError:  # what nests so deep was given first and hidden by a second member of its name
         raise Problem("malformed_json", f"the body nests deeper than `{MAX_DEPTH}` levels") from None
+
+
+def _refuse_inexact(raw: bytes) -> None:
+    """Refuse integers that a reader of the record would take for others: its numbers are doubles (RFC 8259, 6)."""
+    for found in _TOKENS.finditer(raw):
+        digits = found[0].removeprefix(b"-")
+        if digits.isdigit() and not (len(digits) <= _MOST_DIGITS and _exact(int(found[0]))):
+            before = raw[: found.start()].decode()
+            line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
+            shown = found[0][:40].decode()
+            what = (
+                f"`{shown}` is an integer beyond double precision: valid are those that a double holds, within 64 bits"
+            )
+            raise _malformed(what, len(before), line, column)
+
+
+def _exact(number: int) -> bool:
+    return -(2**63) <= number < 2**63 and int(float(number)) == number
 
 
 def _short_texts(raw: bytes) -> bool:

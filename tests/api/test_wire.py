@@ -33,6 +33,11 @@ MALFORMED = {
     "Infinity": b'{"capability": "x", "params": {"force_n": Infinity}}',
     "minus Infinity": b'{"capability": "x", "params": {"force_n": -Infinity}}',
     "beyond double": b'{"capability": "x", "params": {"force_n": 1e999}}',
+    "integer that no double holds": b'{"capability": "x", "params": {"force_n": 9007199254740993}}',
+    "integer below zero that no double holds": b'{"capability": "x", "params": {"force_n": -9007199254740993}}',
+    "integer beyond 64 bits": b'{"capability": "x", "params": {"force_n": 18446744073709551616}}',
+    "integer in a list": b'{"capability": "x", "params": {"a": ["\\"", 9007199254740993]}}',
+    "endless integer in a text's shadow": b'{"capability": "1e5", "n": 1' + b"0" * 5000 + b"}",
     "lone surrogate": b'{"capability": "x", "params": {"object_id": "\\ud800"}}',
     "no UTF-8": b'{"capability": "\xff"}',
     "byte order mark": b'\xef\xbb\xbf{"capability": "x"}',
@@ -63,6 +68,36 @@ def test_names_the_place_of_a_syntax_error() -> None:
         parse(b'{\n"capability" "x"}')
 
 
+@pytest.mark.parametrize(
+    ("raw", "where"),
+    [
+        (b'{"a": 9007199254740993}', "line 1, column 7, character 6"),
+        (b'{"\xc3\xa4": "9007199254740993",\n "b": [-9007199254740993]}', "line 2, column 8, character 33"),
+    ],
+)
+def test_names_the_place_of_an_integer_that_no_double_holds(raw: bytes, where: str) -> None:
+    with pytest.raises(Problem, match=rf"9007199254740993` is an integer beyond double precision: .* \({where}\)"):
+        parse(raw)
+    assert where == _where(b"!", raw)
+
+
+def _where(mark: bytes, raw: bytes) -> str:
+    """Return where the parser itself would say that something stands."""
+    begin = raw.rindex(b"-" if b"-" in raw else b"9007199254740993")
+    with pytest.raises(Problem) as refused:
+        parse(raw[:begin] + mark + raw[begin:])
+    return refused.value.detail.rpartition("(")[2].rstrip(")")
+
+
+@given(st.integers(-(2**80), 2**80))
+def test_an_integer_is_read_as_itself_or_not_at_all(number: int) -> None:
+    try:
+        assert parse(b'{"n": %d}' % number) == {"n": number}
+        assert float(number) == number
+    except Problem:
+        assert float(number) != number or not -(2**63) <= number < 2**63
+
+
 def test_names_a_key_that_is_given_twice() -> None:
     with pytest.raises(Problem, match="`force_n` is given twice"):
         parse(MALFORMED["duplicate key inside"])
@@ -72,7 +107,9 @@ def test_names_a_key_that_is_given_twice() -> None:
     "raw",
     [
         b'{"a": "x:y", "b": {"c": [":", {"a": 1}]}, "c": 1}',
-        b'{"a": 1e308, "b": -0.0, "c": 18446744073709551615, "d": 123456789012345678901234567890}',
+        b'{"a": 1e308, "b": -0.0, "c": 9007199254740992, "d": -9223372036854775808, "e": 9007199254740994}',
+        b'{"a": 0.30000000000000004, "b": 123456789012345678901234567890e0, "c": 12345678901234567890.5}',
+        b'{"a": "9007199254740993", "b": "\\"9007199254740993", "9007199254740993": "\\\\"}',
         b'{"a": "\\ud83d\\ude00", "b": "\\u0000"}',
         b"[" * MAX_DEPTH + b"]" * MAX_DEPTH,
     ],
