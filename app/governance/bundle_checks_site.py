@@ -6,8 +6,9 @@ from fractions import Fraction
 from itertools import combinations
 from typing import TYPE_CHECKING, TypeAlias
 
+from app.governance import bundle_build
 from app.governance.bundle_checks import ASKING
-from app.governance.places import inside
+from app.governance.places import inside, on_surface
 from app.governance.policy_model import GOVERNANCE
 
 if TYPE_CHECKING:
@@ -84,6 +85,7 @@ def site(reader: Reader, shape: shapes.SiteShape) -> Iterator[PolicyError]:
         yield from reader.unknown(("objects", name, "surface"), "surface", found.surface, shape.surfaces)
     yield from _polygons(reader, shape)
     yield from _places(reader, shape)
+    yield from _resting(reader, shape)
 
 
 def _polygons(reader: Reader, shape: shapes.SiteShape) -> Iterator[PolicyError]:
@@ -136,3 +138,19 @@ def _places(reader: Reader, shape: shapes.SiteShape) -> Iterator[PolicyError]:
             if held.kind == "forbidden" and inside((target.x_m, target.y_m), corners):
                 message = f"target `{name}` lies in the forbidden zone `{zone}`: nothing could ever go there"
                 yield reader.problem(("targets", name), message, ["a place outside every forbidden zone"])
+
+
+def _resting(reader: Reader, shape: shapes.SiteShape) -> Iterator[PolicyError]:
+    """An object lies over its surface (its edge included), and no two of them at one point."""
+    built = bundle_build.site(shape)
+    there: dict[tuple[str, float, float], str] = {}
+    for name, found in built.objects.items():
+        surface = built.surfaces.get(found.surface)
+        lies = f"`{name}` lies at ({found.x_m:g}, {found.y_m:g})"
+        if surface is not None and not on_surface((found.x_m, found.y_m), surface):
+            halves = f"{surface.half_x_m:g} m along and {surface.half_y_m:g} m across"
+            valid = [f"within {halves} of ({surface.x_m:g}, {surface.y_m:g}), turned by {surface.yaw_rad:g} rad"]
+            yield reader.problem(("objects", name), f"{lies}, which is not on `{surface.name}`", valid)
+        other = there.setdefault((found.surface, found.x_m, found.y_m), name)
+        if other != name:
+            yield reader.problem(("objects", name), f"{lies}, where `{other}` lies already")

@@ -274,6 +274,13 @@ BROKEN = [
      "site.yaml:8: targets.dock: target `dock` lies in the forbidden zone `press_area`"),
     ("a target outside the site", SITE, "dock: {x_m: 0.8, y_m: 0.8", "dock: {x_m: 50, y_m: 0.8",
      "site.yaml:8: targets.dock: `dock` lies at (50, 0.8), outside the site; valid: `x_m from 0 to 8`"),
+    ("an object beside its surface", SITE, "surface: bench_a, x_m: 1.45,", "surface: bench_a, x_m: 7.0,",
+     "site.yaml:33: objects.mug_1: `mug_1` lies at (7, 5.25), which is not on `bench_a`; valid: `within 0.7 m along "
+     "and 0.35 m across of (1.6, 5.4), turned by 0 rad`"),
+    ("an object beside its surface when that is turned", SITE, "half_y_m: 0.35, yaw_rad: 0.0, target: bench_a_stand",
+     "half_y_m: 0.1, yaw_rad: 1.5708, target: bench_a_stand", "site.yaml:33: objects.mug_1: `mug_1` lies at"),
+    ("two objects at one point", SITE, "surface: bench_a, x_m: 1.75,", "surface: bench_a, x_m: 1.45,",
+     "site.yaml:34: objects.glass_1: `glass_1` lies at (1.45, 5.25), where `mug_1` lies already"),
     ("an object outside the site", SITE, "x_m: 7.35, y_m: 2.8}", "x_m: 7.35, y_m: 6.8}", "`solvent_1` lies at"),
 ]  # fmt: skip
 
