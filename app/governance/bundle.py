@@ -112,7 +112,8 @@ def _read(directory: Path, *, tests: bool) -> dict[str, str]:
         except OSError as error:  # a link that leads nowhere, a folder: what was meant to be read there does not decide
             problems.append(PolicyError(file=name, line=0, key="", message=f"cannot be read: {error.strerror}"))
         except UnicodeDecodeError as error:
-            problems.append(PolicyError(file=name, line=0, key="", message=f"cannot be read as UTF-8 text: {error}"))
+            line = error.object[: error.start].count(b"\n") + 1
+            problems.append(PolicyError(file=name, line=line, key="", message=f"cannot be read as UTF-8 text: {error}"))
     if problems:
         raise PolicyErrors(problems)
     return files

@@ -633,8 +633,8 @@ def test_a_directory_that_is_not_there_is_an_error(tmp_path):
 
 
 def test_a_file_that_is_no_text_is_an_error(tmp_path):
-    (tmp_path / "site.yaml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(PolicyErrors, match="UTF-8"):
+    (tmp_path / "site.yaml").write_bytes("site: café\n# two\nstart: ".encode() + b"\xff\xfe\x00\n")
+    with pytest.raises(PolicyErrors, match=r"site\.yaml:3: cannot be read as UTF-8 text"):
         bundle.load(tmp_path)
 
 
