@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final, cast, get_args, get_origin
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
@@ -14,7 +14,10 @@ from app.governance.errors import PolicyError
 if TYPE_CHECKING:
     from app.governance.bundle_yaml import Document
 
+Misfit: TypeAlias = Mapping[str, Any]  # as pydantic tells it
+
 _QUOTED: Final = re.compile(r"'([^']*)'")
+_SCALARS: Final = {"float": "float_type", "str": "string_type"}  # a union's members, and how each says what misfits
 _UNIONS: Final = frozenset({"float", "str", "int", "bool", "constrained-str", "ScaledLimit"})
 
 
@@ -23,10 +26,30 @@ def fit(shape: type[Any], document: Document) -> tuple[Any | None, list[PolicyEr
     try:
         return shape.model_validate(document.value), []
     except ValidationError as error:
-        return None, [_problem(shape, document, cast("Mapping[str, Any]", found)) for found in error.errors()]
+        return None, [_problem(shape, document, found) for found in _told(cast("list[Misfit]", error.errors()))]
 
 
-def _problem(shape: type[BaseModel], document: Document, found: Mapping[str, Any]) -> PolicyError:
+def _told(misfits: Sequence[Misfit]) -> list[Misfit]:
+    """Tell once what does not fit a union, which pydantic tells once for every member.
+
+    What is wrong inside a mapping is told if the value is one; of anything else, that it is none of the members.
+    """
+    unions = {found["loc"][:-1]: found["input"] for found in misfits if _of_member(found, "float")}
+    told: list[Misfit] = []
+    for found in misfits:
+        place = next((loc for loc in unions if found["loc"][: len(loc)] == loc), None)
+        if place is None or (isinstance(unions[place], dict) and not any(_of_member(found, name) for name in _SCALARS)):
+            told.append(found)
+        elif not isinstance(unions[place], dict) and _of_member(found, "float"):
+            told.append({**found, "type": "union"})
+    return told
+
+
+def _of_member(found: Misfit, name: str) -> bool:
+    return found["loc"][-1:] == (name,) and found["type"] == _SCALARS[name]
+
+
+def _problem(shape: type[BaseModel], document: Document, found: Misfit) -> PolicyError:
     path = _known_path(tuple(found["loc"]))
     kind, context = str(found["type"]), cast("Mapping[str, Any]", found.get("ctx", {}))
     key, valid = dotted(path), ()
@@ -37,6 +60,9 @@ def _problem(shape: type[BaseModel], document: Document, found: Mapping[str, Any
         message = f"key `{found['loc'][-1]}` is missing"
     elif kind == "literal_error":
         message, valid = f"`{found['input']}` is not valid", tuple(_QUOTED.findall(str(context["expected"])))
+    elif kind == "union":
+        keys = ", ".join(f"`{name}`" for name in _keys_at(shape, path))
+        message = f"expected a number, a name, or a mapping of {keys}; found `{_short(found['input'])}`"
     elif kind in ("model_type", "dict_type", "list_type"):
         message = f"expected a {'list' if kind == 'list_type' else 'mapping'}, found `{_short(found['input'])}`"
     else:

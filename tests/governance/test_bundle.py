@@ -281,6 +281,8 @@ BROKEN = [
      "half_y_m: 0.1, yaw_rad: 1.5708, target: bench_a_stand", "site.yaml:33: objects.mug_1: `mug_1` lies at"),
     ("two objects at one point", SITE, "surface: bench_a, x_m: 1.75,", "surface: bench_a, x_m: 1.45,",
      "site.yaml:34: objects.glass_1: `glass_1` lies at (1.45, 5.25), where `mug_1` lies already"),
+    ("a threshold that is a list", HUMAN, "above: 5\n", "above: [5]\n",
+     "watch[11].above: expected a number, a name, or a mapping of `limit`, `times`; found `[5]`"),
     ("an object outside the site", SITE, "x_m: 7.35, y_m: 2.8}", "x_m: 7.35, y_m: 6.8}", "`solvent_1` lies at"),
 ]  # fmt: skip
 
@@ -359,6 +361,36 @@ def test_a_fault_inside_a_schema_is_told_with_its_own_line(old, new, said):
         bundle.load_files({**files(), GRASP: text.replace(old, new)})
     assert said in str(caught.value)
     assert [problem.line for problem in caught.value.problems] == [line]
+
+
+@pytest.mark.parametrize(
+    ("above", "said"),
+    [
+        ("{limit: contact_force}", ["watch[11].above.limit: `contact_force` is not valid; valid: `tcp_speed_mps`, "]),
+        ("{limit: 3, times: 0}", ["watch[11].above.limit: `3` is not valid; ", "watch[11].above.times: `0`: input sh"]),
+        ("{times: 1}", ["watch[11].above.limit: key `limit` is missing"]),
+        ("true", ["watch[11].above: expected a number, a name, or a mapping of `limit`, `times`; found `True`"]),
+    ],
+)
+def test_what_is_wrong_with_a_threshold_is_told_once(above, said):
+    text = {**files(), HUMAN: files()[HUMAN].replace("above: 5\n", f"above: {above}\n", 1)}
+    with pytest.raises(PolicyErrors) as caught:
+        bundle.load_files(text)
+    told = [str(problem).partition(": ")[2] for problem in caught.value.problems]
+    assert len(told) == len(said)
+    assert all(line.startswith(words) for line, words in zip(told, said, strict=True)), told
+
+
+def test_a_threshold_that_fits_nothing_hides_no_fault_beside_it():
+    text = {**files(), SITE: files()[SITE].replace("{pull_down: down, push_up: up}", "{float: {a: 1}, str: {a: 1}}")}
+    text[HUMAN] = text[HUMAN].replace("above: 5\n", "above: [5]\n    for_ms: soon\n", 1)
+    with pytest.raises(PolicyErrors) as caught:
+        bundle.load_files(text)
+    assert [problem.key.rpartition(".")[2] for problem in caught.value.problems] == [
+        "above",
+        "for_ms",
+        *["actions"] * 2,
+    ]
 
 
 def test_reports_all_problems_together_in_order():
