@@ -242,6 +242,7 @@ def test_shows_values_as_people_read_them_and_no_longer_than_a_line() -> None:
 
 SEPARATION = "  reaction_s: 0.1\n"
 ROWS = "  - on: contact\n    do: [ask_human]\n", "  - on: contact\n    do: [retry, ask_human]\n"
+NEW_ROW = "  - on: retries_exhausted\n    do: [ask_human]\n"
 
 
 @pytest.mark.parametrize(
@@ -250,7 +251,7 @@ ROWS = "  - on: contact\n    do: [ask_human]\n", "  - on: contact\n    do: [retr
         (SEPARATION, "  reaction_s: 0.09\n", "reaction_s: 0.1", "reaction_s: 0.09"),
         (*ROWS, "rule: {on: contact, do: [ASK_HUMAN]", "rule: {on: contact, do: [RETRY, ASK_HUMAN]"),
         (ROWS[0], "", "rule: {on: contact, do: [ASK_HUMAN]", "no row"),
-        ("  - on: contact\n", f"{ROWS[0]}  - on: contact\n", "no row", "rule: {on: contact, do: [ASK_HUMAN]"),
+        ("  - on: any\n", f"{NEW_ROW}  - on: any\n", "no row", "rule: {on: retries_exhausted, do: [ASK_HUMAN]"),
         ("critical: 2}}", "high: 2, critical: 2}}", "critical: 2", "high: 2, critical: 2"),
     ],
 )
