@@ -41,7 +41,7 @@ export class Presses {
     target.addEventListener('pointermove', (event) => event.buttons === 0 && this.held.has(pointerOf(event)) && up(event), how);
     target.addEventListener('keydown', (event) => this.key(event, true), how);
     target.addEventListener('keyup', (event) => this.key(event, false), how);
-    target.addEventListener('blur', () => this.letGo(), how);
+    target.addEventListener('blur', (event) => event.target === target && this.letGo(), how); // and not what has the focus in it
     return () => end.abort();
   }
 
