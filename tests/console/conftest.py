@@ -106,10 +106,15 @@ class Person:
         expect(button).to_be_enabled()
         self.press("Enter")
 
+    def tap(self, button: Locator) -> None:
+        """Bring a button into sight, and tap it when it takes a press: out of sight none does that has just come."""
+        button.scroll_into_view_if_needed()
+        button.tap()
+
     def twice(self, button: Locator, after_ms: int) -> dict[str, float]:
         """Press twice in the same place, whatever stands there by the second time; returns where that was."""
-        expect(button).to_be_enabled()
         button.scroll_into_view_if_needed()
+        expect(button).to_be_enabled()
         at = box(button)
         x, y = at["x"] + at["width"] / 2, at["y"] + at["height"] / 2
         touches = self.page.evaluate("navigator.maxTouchPoints > 0")

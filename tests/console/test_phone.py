@@ -61,12 +61,12 @@ def test_a_stop_is_left_in_two_steps_on_the_fleet_page(server: ServerProcess, pe
     card.get_by_role("button", name="Emergency stop of workcell-1").tap()
     expect(card.get_by_text("workcell-1 is latched")).to_be_visible()
     with person.page.expect_request("**/v1/cells/workcell-1/reset") as first:
-        card.get_by_role("button", name="Reset…").tap()
+        person.tap(card.get_by_role("button", name="Reset…"))
     assert first.value.post_data_json == {"step": "arm"}
     assert server.cell()["latched"] is True
     expect(card.get_by_role("button", name="Keep stopped")).to_be_focused()
     with person.page.expect_request("**/v1/cells/workcell-1/reset") as second:
-        card.get_by_role("button", name="Yes, reset the stop").tap()
+        person.tap(card.get_by_role("button", name="Yes, reset the stop"))
     assert (second.value.post_data_json or {})["step"] == "confirm"
     expect(card.get_by_role("button", name="Emergency stop of workcell-1")).to_be_visible()
     assert server.cell()["latched"] is False

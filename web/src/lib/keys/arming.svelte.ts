@@ -9,7 +9,7 @@ export const ARM_MS = 700;
  * Whether a control, or a group of them, takes a press.
  *
  * After a press another control may stand under the same finger: the second tap of a double one is no answer to it.
- * What has just come waits until it is in sight, until what was held when it came has been let go, and for `ARM_MS`
+ * What has just come waits until it is in sight or has the focus, until what was held when it came has been let go, and for `ARM_MS`
  * from then; a press that it did not take begins that anew. Never for what stops or pauses: that counts at once.
  */
 export class Arming {
@@ -95,7 +95,10 @@ export class Arming {
     element.addEventListener('click', (event) => refuse(event, null), how);
     element.addEventListener('pointerdown', (event) => refuse(event, pointerOf(event)), how);
     element.addEventListener('keydown', (event) => (event.key === 'Enter' || event.key === ' ') && refuse(event, keyOf(event)), how);
-    const seen = new IntersectionObserver((entries) => this.sight(entries.at(-1)?.isIntersecting === true));
+    // By keyboard, or by ear, one may be at it where it is out of sight.
+    const attended = (): boolean => element.contains(document.activeElement);
+    element.addEventListener('focusin', () => this.inSight || this.sight(true), how);
+    const seen = new IntersectionObserver((entries) => this.sight(entries.at(-1)?.isIntersecting === true || attended()));
     seen.observe(element);
     const deaf = presses.onUp((what) => this.letGo(what));
     return () => {
