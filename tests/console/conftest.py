@@ -60,6 +60,8 @@ NARROWEST = {"width": 320, "height": 640}
 MAGNIFIED = {"width": 320, "height": 256}  # 1280 x 1024 at 400 % (WCAG 1.4.10)
 SIDEWAYS = {"width": 844, "height": 390}
 SIDEWAYS_SMALL = {"width": 667, "height": 375}
+# Approve stands where it is first asked to be read, if reasons and values do not fit on the screen.
+ANSWERS = ("^Deny", "^(Approve|Read it first)")
 # A page is laid out anew, its observers see the new size, and the scene is drawn in it: each in a frame of its own.
 THREE_FRAMES = """async () => {
     for (let frame = 0; frame < 3; frame += 1) await new Promise((done) => requestAnimationFrame(done));

@@ -11,6 +11,7 @@ from playwright.sync_api import Page, expect
 
 from tests.conftest import ServerProcess
 from tests.console.conftest import (
+    ANSWERS,
     DESK,
     DESK_SMALL,
     PHONE,
@@ -154,7 +155,7 @@ def test_on_a_phone_held_sideways_nothing_is_covered_while_one_is_asked_and_whil
     for part in ("needs approval in", "Grip force", "Reason if denied"):
         row = card.get_by_text(re.compile(part, re.IGNORECASE)).first
         row.scroll_into_view_if_needed()
-        for answer in ("^Deny", "^Approve"):
+        for answer in ANSWERS:
             expect(person.button(re.compile(answer))).to_be_in_viewport(ratio=1)
             assert overlap(box(person.button(re.compile(answer))), box(row)) is False
         assert out_of_reach(stop(person)) == []
@@ -176,7 +177,7 @@ def test_on_a_phone_both_answers_are_in_sight_and_the_stop_is_pressed_by_touch(
 ) -> None:
     person = people.sit(server, size=size)
     floor.ask()
-    for answer in ("^Deny", "^Approve"):
+    for answer in ANSWERS:
         button = person.button(re.compile(answer))
         expect(button).to_be_in_viewport(ratio=1)
         assert box(button)["height"] >= THUMB_PX

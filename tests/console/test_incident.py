@@ -14,6 +14,7 @@ from playwright.sync_api import Locator, expect
 
 from tests.conftest import ServerProcess, Servers, until
 from tests.console.conftest import (
+    ANSWERS,
     DESK,
     PHONE,
     THREE_FRAMES,
@@ -288,7 +289,7 @@ def test_in_an_incident_on_a_phone_answers_and_stop_stay_in_reach(
     expect(more).to_be_in_viewport(ratio=1)
     more.tap()
     expect(cards(person)).to_have_accessible_name(REST[0])
-    for answer in ("^Deny", "^Approve"):
+    for answer in ANSWERS:
         expect(person.button(re.compile(answer))).to_be_in_viewport(ratio=1)
     assert out_of_reach(stop(person)) == []
     assert wider_than_the_screen(person.page) == []

@@ -9,6 +9,7 @@ from playwright.sync_api import Locator, expect
 
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import (
+    ANSWERS,
     PHONE,
     SIDEWAYS,
     SIDEWAYS_SMALL,
@@ -102,7 +103,7 @@ def test_on_a_phone_held_sideways_what_is_done_to_a_session_is_within_reach(
     asked = floor.ask()
     floor.drive_off()
     acts = ("^Pause", "^Resume", "^Roll back")
-    for words in (("^Deny", "^(Approve|Read it first)", *acts), acts):
+    for words in ((*ANSWERS, *acts), acts):
         for size in (SIDEWAYS, SIDEWAYS_SMALL):
             person.page.set_viewport_size(size)
             person.page.evaluate(THREE_FRAMES)
