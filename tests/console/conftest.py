@@ -406,3 +406,13 @@ def floor(server: ServerProcess) -> Iterator[Floor]:
     made = Floor(server)
     yield made
     made.clear()
+
+
+@pytest.fixture
+def free_again(server: ServerProcess) -> Iterator[None]:
+    """Nobody keeps the controls for the next test."""
+    yield
+    control = server.cell()["control"]
+    if control is not None:
+        server.post(f"/v1/invocations/{control['invocation']}/release", {"then": "end"})
+    until(lambda: server.cell()["control"] is None and server.cell()["busy"] is None, what="controls that are free")

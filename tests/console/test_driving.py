@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
 from playwright.sync_api import CDPSession, expect
 
@@ -26,7 +24,7 @@ from tests.console.conftest import (
     wider_than_the_screen,
 )
 
-pytestmark = [pytest.mark.browser, pytest.mark.process]
+pytestmark = [pytest.mark.browser, pytest.mark.process, pytest.mark.usefixtures("free_again")]
 # A gamepad that a test plugs in and steers, and an ear for the commands that the page hands to its link.
 BENCH = """
     const buttons = Array.from({ length: 16 }, () => ({ value: 0 }));
@@ -62,16 +60,6 @@ def take_controls(person: Person, what: str = IDLE) -> None:
     expect(person.region("Drive by hand")).to_contain_text(what)
     person.button("Take the controls").click()
     expect(person.page.get_by_text(LET_GO)).to_be_visible()
-
-
-@pytest.fixture(autouse=True)
-def free_again(server: ServerProcess) -> Iterator[None]:
-    """Nobody keeps the controls for the next test."""
-    yield
-    control = server.cell()["control"]
-    if control is not None:
-        server.post(f"/v1/invocations/{control['invocation']}/release", {"then": "end"})
-    until(lambda: server.cell()["control"] is None and server.cell()["busy"] is None, what="controls that are free")
 
 
 def at_rest(floor: Floor) -> tuple[float, float]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 
 import pytest
 from playwright.sync_api import Locator, expect
@@ -11,7 +10,7 @@ from playwright.sync_api import Locator, expect
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import DESK, PHONE, Floor, People, Person, box, stop
 
-pytestmark = [pytest.mark.browser, pytest.mark.process]
+pytestmark = [pytest.mark.browser, pytest.mark.process, pytest.mark.usefixtures("free_again")]
 # An ear for the commands that the page hands to its link.
 LISTENING = """
     window.jogs = [];
@@ -25,16 +24,6 @@ PUSHES = "window.jogs.filter((jog) => jog.grip !== null || [...jog.base, ...jog.
 LET_GO = "Hold to run; let go to stop"
 SOON = pytest.mark.parametrize("after_ms", [150, 300])
 SIZES = pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
-
-
-@pytest.fixture(autouse=True)
-def free_again(server: ServerProcess) -> Iterator[None]:
-    """Nobody keeps the controls for the next test."""
-    yield
-    control = server.cell()["control"]
-    if control is not None:
-        server.post(f"/v1/invocations/{control['invocation']}/release", {"then": "end"})
-    until(lambda: server.cell()["control"] is None and server.cell()["busy"] is None, what="controls that are free")
 
 
 def listed(person: Person, kind: str) -> list[str]:
