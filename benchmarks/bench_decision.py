@@ -22,6 +22,7 @@ from app.governance.admission import admit
 from app.governance.bundle import load_files
 from app.governance.guard import check
 from app.governance.model import CellFacts, Context, ObjectFact, PolicyOutcome, Proposal, WorldFacts
+from app.governance.policy_model import SENSORS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -86,7 +87,7 @@ def _files(rules: int) -> dict[str, str]:
             "payload_kg": {"max": 3, **limit},
         },
         "rules": [_rule(skills[index // APPLYING], index) for index in range(rules)],
-        "stale_after_ms": {"arm": 50},
+        "stale_after_ms": dict.fromkeys(SENSORS, 50),
         "watch": [{"id": "speed", "signal": "tcp_speed_mps", "above": 0.3, "response": {"enter": "stop"}}],
         "recovery": [{"on": "any", "do": ["terminate"]}],
         "authority": {"modes": ["review-only"]},
