@@ -82,7 +82,7 @@ class Page:
 
     def response(self, accepted: str) -> Response:
         """Return the page in the best form that is accepted."""
-        accepts = _accepted(accepted)
+        accepts = encodings(accepted)
         encoding = next((name for name in ENCODINGS if name in accepts and name in self.forms), "")
         headers = {"Cache-Control": self.kept, "Vary": "Accept-Encoding"}
         if encoding:
@@ -119,7 +119,7 @@ def _forms(path: Path) -> dict[str, bytes]:
     return forms
 
 
-def _accepted(header: str) -> set[str]:
+def encodings(header: str) -> set[str]:
     """Return the encodings an `Accept-Encoding` names, without those it gives no weight."""
     accepted: set[str] = set()
     for part in header.lower().split(","):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import orjson
 from fastapi import Path, Query
@@ -16,26 +17,30 @@ from app.api.access import caller
 from app.api.frame import Json
 from app.api.listing import PageQuery
 from app.api.openapi import Answers, answer, declare
+from app.api.pages import encodings
 from app.api.parts import parts_of
 from app.api.wire import read_body
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from fastapi import APIRouter
 
     from app.governance.policy import PolicySet
 
 Digest = Annotated[str, Path(pattern=r"^sha256:[0-9a-f]{64}$", description="`sha256:…` over the files of a version.")]
 UNKNOWN = ("request_invalid", "policy_unknown")
+COMPRESSED_B: Final = 200_000  # at most: what is longer would hold other requests up while it is compressed
 
 
 async def capabilities(request: Request) -> Response:
     """List the registered capabilities, each with the JSON Schema of its inputs."""
-    return Json(_capabilities(parts_of(request).policy()))
+    return _described(_capabilities(parts_of(request).policy()), request)
 
 
 async def active(request: Request) -> Response:
     """Describe the policy set in force: its digest, profiles, limits and rules."""
-    return Json(_active(parts_of(request).policy()))
+    return _described(_active(parts_of(request).policy()), request)
 
 
 async def versions(request: Request, query: Annotated[PageQuery, Query()]) -> Response:
@@ -105,13 +110,24 @@ async def set_shadow(request: Request, digest: Digest) -> Response:
 
 # A set is immutable and may hold ten thousand rules: it is described once.
 @lru_cache(maxsize=1)
-def _capabilities(policy: PolicySet) -> bytes:
-    return orjson.dumps({"items": policy.manifests(), "next": None})
+def _capabilities(policy: PolicySet) -> Mapping[str, bytes]:
+    return _forms(orjson.dumps({"items": policy.manifests(), "next": None}))
 
 
 @lru_cache(maxsize=1)
-def _active(policy: PolicySet) -> bytes:
-    return orjson.dumps(policy.describe())
+def _active(policy: PolicySet) -> Mapping[str, bytes]:
+    return _forms(orjson.dumps(policy.describe()))
+
+
+def _forms(body: bytes) -> Mapping[str, bytes]:
+    return {"": body} if len(body) > COMPRESSED_B else {"": body, "gzip": gzip.compress(body, mtime=0)}
+
+
+def _described(forms: Mapping[str, bytes], request: Request) -> Response:
+    headers = {"Vary": "Accept-Encoding"}
+    if "gzip" in forms and "gzip" in encodings(request.headers.get("accept-encoding", "")):
+        return Json(forms["gzip"], headers={**headers, "Content-Encoding": "gzip"})
+    return Json(forms[""], headers=headers)
 
 
 def register(router: APIRouter) -> None:

@@ -251,3 +251,15 @@ async def test_lists_capabilities_with_their_input_schemas(house: House) -> None
     assert {"navigate_to", "grasp_object", "operate_tool"} <= set(names)
     assert all(item["inputs"]["type"] == "object" for item in listed["items"])
     assert active["version"] == house.runtime.kernel.policy.digest
+
+
+@pytest.mark.parametrize("path", ["/v1/capabilities", "/v1/policies/active"])
+async def test_what_policy_says_is_sent_compressed_to_whoever_takes_it(house: House, path: str) -> None:
+    async with house.client() as agent:
+        whole = await agent.get(path, headers={"Accept-Encoding": "identity"})
+        packed = await agent.get(path, headers={"Accept-Encoding": "br, gzip"})
+    assert [one.headers.get("content-encoding") for one in (whole, packed)] == [None, "gzip"]
+    assert [one.headers["vary"] for one in (whole, packed)] == ["Accept-Encoding"] * 2
+    assert [one.headers["cache-control"] for one in (whole, packed)] == ["no-store"] * 2
+    assert packed.json() == whole.json()
+    assert int(packed.headers["content-length"]) < int(whole.headers["content-length"]) / 2
