@@ -190,7 +190,7 @@ def test_a_question_that_a_rollback_withdraws_says_who_ordered_it(
     expect(person.region("Waiting for you").get_by_role("article")).to_be_visible()
     assert server.post(f"/v1/invocations/{session}/rollback", {}, key="operator_2").is_success
     told = person.page.get_by_role("status").filter(has_text="is not open any more")
-    expect(told).to_contain_text("It was withdrawn: operator_2 is having it rolled back.")
+    expect(told).to_contain_text("It was withdrawn: operator_2 ordered a rollback.")
 
 
 def test_what_would_be_approved_in_vain_is_kept_back_and_what_was_says_why(

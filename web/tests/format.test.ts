@@ -47,6 +47,7 @@ describe('quantities', () => {
 
 describe('the server’s words', () => {
   it('have names in quotes, and are a sentence', () => {
+    expect(quoted('`inv_01ABCDEFGHJKMNPQRSTVWX` runs; valid: take that over')).toBe('“inv_…STVWX” runs. What works: take that over'.replace('…S', '…RS'));
     expect([quoted('a `b` c'), sentence('the bytes of `25` differ'), sentence('Done.')]).toEqual(['a “b” c', 'The bytes of “25” differ.', 'Done.']);
   });
 });

@@ -334,10 +334,18 @@ describe('a question that others closed', () => {
 
   it('that was withdrawn says by whose word, and only of what has ended that it is over', () => {
     const running = invocation({ status: 'recovering' });
-    expect(words([asks('pending'), word('rollback'), asks('withdrawn')], running)).toBe('It was withdrawn: operator is having it rolled back.');
+    expect(words([asks('pending'), word('rollback'), asks('withdrawn')], running)).toBe('It was withdrawn: operator ordered a rollback.');
     expect(words([asks('pending'), word('takeover'), asks('withdrawn')], running)).toBe('It was withdrawn: operator took over.');
     expect(words([word('takeover'), asks('pending'), word('pause'), asks('withdrawn')], running)).toBe('It was withdrawn.');
     expect(words([asks('pending'), asks('withdrawn')], invocation({ outcome: 'stopped' }))).toBe('It is over.');
+  });
+
+  it('is told to whoever did it without their name', () => {
+    const mine = (log: LogEvent[], me: string): string | null => closingOf(log, ASKED, null, me).words;
+    expect(mine([about('denied', 'deny')], 'operator_2')).toBe('You denied.');
+    expect(mine([about('approved', 'approve')], 'operator_2')).toBe('You approved it.');
+    expect(mine([asks('pending'), word('takeover'), asks('withdrawn')], 'operator')).toBe('It was withdrawn: you took over.');
+    expect(mine([about('denied', 'deny')], 'operator')).toBe('operator_2 denied.');
   });
 
   it('is nothing that can be told of where the record is not here', () => {

@@ -37,7 +37,7 @@ describe('the review of a session', () => {
     expect(reviewOf('inv_1', known(review({ invocation: 'inv_2' })), [event('outcome', { outcome: 'succeeded' })])).toBeNull();
   });
   it('says why it is due', () => {
-    expect(dueWords(review())).toBe('What ended as stopped is reviewed in sim-relaxed');
+    expect(dueWords(review())).toBe('What ended as “stopped” is reviewed in sim-relaxed');
   });
   it('stands in the log with its verdict and note', () => {
     const verdict = { by: 'auditor', at: '', verdict: 'objected', note: 'too late' };

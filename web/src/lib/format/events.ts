@@ -1,6 +1,6 @@
 import type { Escalation, Grant, InputSchema, Invocation, Json, LogEvent } from '../api/documents';
 import { deniedWords } from './denied';
-import { goodOutcome, outcomeTone, outcomeWords, shortId, statusWords, type Tone } from './status';
+import { goodOutcome, outcomeTone, outcomeWords, statusWords, withShortIds, type Tone } from './status';
 import { titleOf, words } from './capability';
 import { newestEdit, stepsText } from './edited';
 import { entryOf } from './entry';
@@ -31,8 +31,6 @@ const NOTHING_KNOWN: Known = { inputs: () => ({}), grant: () => null, turnedAway
 
 type Body = LogEvent['body'];
 type Writer = (body: Body, event: LogEvent, known: Known) => Line;
-
-const LONG_ID = /\b(inv|esc|grant|lease|rev)_[0-9A-Z]{20,}\b/g;
 
 const str = (value: Json | undefined): string => (typeof value === 'string' ? value : '');
 const num = (value: Json | undefined): number | null => (typeof value === 'number' ? value : null);
@@ -345,7 +343,7 @@ const WRITERS: Record<string, Writer> = {
 /** One event in words. */
 export function eventLine(event: LogEvent, known: Known = NOTHING_KNOWN): Line {
   const said = entryOf(WRITERS, event.kind)?.(event.body, event, known) ?? line('dot', 'quiet', words(event.kind));
-  return { ...said, strong: plain(said.strong), text: plain(said.text.replace(LONG_ID, shortId)) };
+  return { ...said, strong: plain(said.strong), text: plain(withShortIds(said.text)) };
 }
 
 /** One line of a log that is read by the newest first, and how often it was said in a row. */

@@ -1,8 +1,9 @@
 import { plain } from './plain';
+import { withShortIds } from './status';
 
-/** The server's words for a person: names stand in quotes, not in backticks. */
+/** The server's words for a person: names stand in quotes, not in backticks, ids are short, and what is valid is a sentence. */
 export function quoted(said: string): string {
-  return plain(said).replace(/`([^`]*)`/g, '“$1”');
+  return withShortIds(plain(said).replace(/`([^`]*)`/g, '“$1”')).replace(/; valid: /g, '. What works: ');
 }
 
 /** As `quoted`, with a capital, and a full stop where there is none. */

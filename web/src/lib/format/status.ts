@@ -21,12 +21,12 @@ export function statusWords(status: string): { text: string; tone: Tone } {
   return entryOf<{ text: string; tone: Tone }>(STATUS, status) ?? { text: status.replaceAll('_', ' '), tone: 'plain' };
 }
 
-/** What the robot reports of itself, the gravest thing first. */
 /** Who sits here, as the console was told: `ann, operator`, or where they stand at a cell, `ann, operator at workcell-1`. */
 export function whoWords({ name, role, station }: { name: string; role: string; station: string | null }): string {
   return `${name}, ${role}${station === null ? '' : ` at ${station}`}`;
 }
 
+/** What the robot reports of itself, the gravest thing first. */
 export function robotSays(cell: Cell | null): { text: string; tone: Tone } {
   if (cell === null) return { text: 'No cell', tone: 'quiet' };
   const grave = graveOf(cell);
@@ -90,6 +90,13 @@ export function outcomeTone(outcome: string): Tone {
 
 export function shortId(id: string): string {
   return id.length > 14 ? `${id.slice(0, 4)}…${id.slice(-6)}` : id;
+}
+
+const LONG_ID = /\b(inv|esc|grant|lease|rev)_[0-9A-Z]{20,}\b/g;
+
+/** A text in which ids stand as they do everywhere else. */
+export function withShortIds(text: string): string {
+  return text.replace(LONG_ID, shortId);
 }
 
 /** The first digits of a digest: enough to tell two policies apart at a glance. */

@@ -15,7 +15,7 @@ export interface Closing {
 
 /** What withdraws a question: the word of somebody who decides otherwise than by an answer. */
 const INSTEAD: Record<string, string> = {
-  rollback: 'is having it rolled back',
+  rollback: 'ordered a rollback',
   takeover: 'took over',
   cancel: 'cancelled it',
   stop: 'stopped it',
@@ -26,32 +26,40 @@ const text = (value: Json | undefined): string => (typeof value === 'string' ? v
 const record = (value: Json | undefined): Record<string, Json> => (typeof value === 'object' && value !== null && !Array.isArray(value) ? value : {});
 const question = (event: LogEvent): Record<string, Json> => record(event.body['escalation']);
 
-/** Says how a question ended, as the record has it; `invocation` is what it was about, as far as that is known. */
-export function closingOf(events: readonly LogEvent[], asked: Asked, invocation: Invocation | null): Closing {
+/** Who reads of what they did themselves is not told their own name. */
+type Naming = (actor: string) => string;
+
+/** Says how a question ended, as the record has it; `invocation` is what it was about, as far as that is known, `me` whoever reads. */
+export function closingOf(events: readonly LogEvent[], asked: Asked, invocation: Invocation | null, me: string | null = null): Closing {
+  const named: Naming = (actor) => (actor === me ? 'you' : actor);
   const told = events.filter((event) => question(event)['id'] === asked.id);
   const last = told.findLast((event) => question(event)['status'] !== 'pending');
   const over = invocation?.outcome == null ? null : 'It is over.';
   // What its cell withdraws is not recorded as an answer: whose word it was is.
-  if (last === undefined) return { words: instead(events, asked, Infinity) ?? over, inVain: false };
-  if (question(last)['status'] === 'approved') return approved(events, asked, last);
-  return { words: unapproved(events, asked, last) ?? over ?? 'It was withdrawn.', inVain: false };
+  if (last === undefined) return { words: instead(events, asked, Infinity, named) ?? over, inVain: false };
+  if (question(last)['status'] === 'approved') return approved(events, asked, last, named);
+  return { words: unapproved(events, asked, last, named) ?? over ?? 'It was withdrawn.', inVain: false };
 }
 
-function unapproved(events: readonly LogEvent[], asked: Asked, last: LogEvent): string | null {
-  if (question(last)['status'] === 'denied') return `${last.actor} denied.`;
+function first(name: string): string {
+  return name === 'you' ? 'You' : name;
+}
+
+function unapproved(events: readonly LogEvent[], asked: Asked, last: LogEvent, named: Naming): string | null {
+  if (question(last)['status'] === 'denied') return `${first(named(last.actor))} denied.`;
   if (question(last)['status'] === 'expired') return 'Nobody answered in time.';
-  return instead(events, asked, last.seq);
+  return instead(events, asked, last.seq, named);
 }
 
-function instead(events: readonly LogEvent[], { invocation }: Asked, before: number): string | null {
+function instead(events: readonly LogEvent[], { invocation }: Asked, before: number, named: Naming): string | null {
   // What a cell asks is recorded as its own report, which names no question.
   const since = events.findLast((event) => event.kind === 'escalation' && event.invocation === invocation && event.seq < before)?.seq ?? 0;
   const word = events.findLast((event) => event.kind === 'human' && event.invocation === invocation && event.seq > since && 'role' in event.body && Object.hasOwn(INSTEAD, text(event.body['op'])));
-  return word === undefined ? null : `It was withdrawn: ${word.actor} ${INSTEAD[text(word.body['op'])]}.`;
+  return word === undefined ? null : `It was withdrawn: ${named(word.actor)} ${INSTEAD[text(word.body['op'])]}.`;
 }
 
-function approved(events: readonly LogEvent[], { invocation }: Asked, last: LogEvent): Closing {
-  const by = last.actor;
+function approved(events: readonly LogEvent[], { invocation }: Asked, last: LogEvent, named: Naming): Closing {
+  const by = first(named(last.actor));
   if (question(last)['kind'] === 'session') return { words: `${by} let it go on.`, inVain: false };
   const next = events.find((event) => event.seq > last.seq && event.invocation === invocation && (event.kind === 'launch' || event.kind === 'outcome'));
   if (next === undefined) return { words: `${by} approved it.`, inVain: false };

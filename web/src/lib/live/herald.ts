@@ -30,15 +30,15 @@ export class Herald {
     return this.untold.size === 0 ? null : Math.max(0, this.spokeMs + TOGETHER_MS - nowMs);
   }
 
-  /** Returns what is to be said now, once, and that it waits for `whom`; null while nothing is due. */
-  speak(nowMs: number, where: (item: Escalation) => string = () => '', whom = 'you'): string | null {
+  /** Returns what is to be said now, once, and that it waits for `whom`; `held` says what the gripper of its cell holds; null while nothing is due. */
+  speak(nowMs: number, where: (item: Escalation) => string = () => '', whom = 'you', held: (item: Escalation) => string | null = () => null): string | null {
     if (this.dueInMs(nowMs) !== 0) return null;
     const fresh = this.waiting.filter((item) => this.untold.has(item.id));
     this.untold = new Set();
     const first = fresh[0];
     if (first === undefined) return null;
     this.spokeMs = nowMs;
-    const named = `${titleOf(first.capability, first.effective)}${where(first)}, ${first.risk} risk.`;
+    const named = `${titleOf(first.capability, first.effective, held(first))}${where(first)}, ${first.risk} risk.`;
     if (fresh.length === 1) return `Waiting for ${whom}: ${named}`;
     return `${fresh.length} new questions, ${this.waiting.length} wait for ${whom}. Most urgent of the new: ${named}`;
   }

@@ -20,7 +20,6 @@ const HELD: Record<string, string> = {
   implausible: 'A sensor says what cannot be.',
   retries: 'The tries that policy allows are used up.',
   control_lapsed: 'Whoever drove by hand fell silent.',
-  confirm: 'Policy wants a person to confirm the next phase.',
   link: 'The link to the cell broke off for a while.',
   stall: 'It makes no headway.',
   timeout: 'It takes longer than policy allows.',
@@ -30,9 +29,17 @@ const HELD: Record<string, string> = {
   rollback_unavailable: 'It cannot be rolled back: there is nothing to go back to, or it was tried already.',
 };
 
+/** Before which phase a person is to confirm it, as the cell says it. */
+const CONFIRM = /^confirm:(.+)$/;
+
+function heldWords(code: string): string {
+  const phase = CONFIRM.exec(code)?.[1];
+  return phase === undefined ? (entryOf(HELD, code) ?? '') : `Policy wants a person to confirm “${plain(phase)}” before it begins.`;
+}
+
 function lineOf(reason: Reason, held: boolean, inputs: Inputs): ReasonLine {
   const icon = /separation|person/.test(`${reason.rule} ${reason.code}`) ? 'person' : held ? 'hand' : 'scale';
-  const strong = held ? (entryOf(HELD, reason.code) ?? '') : '';
+  const strong = held ? heldWords(reason.code) : '';
   const said = strong === '' ? sentence(reason.message, inputs) : 'The robot holds where it is and waits.';
   // What a person may say is worth a sentence only where a person is asked what becomes of a session.
   const text = held && reason.remedy !== '' ? `${said} ${sentence(reason.remedy, inputs)}` : said;

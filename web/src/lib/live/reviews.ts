@@ -1,5 +1,6 @@
 import type { Json, LogEvent, Review, ReviewVerdict, Risk } from '../api/documents';
 import { plain } from '../format/plain';
+import { outcomeWords } from '../format/status';
 
 const RISKS: Record<Risk, number> = { critical: 3, high: 2, medium: 1, low: 0 };
 
@@ -26,5 +27,6 @@ export function reviewOf(invocation: string, known: Readonly<Record<string, Revi
 
 /** Why a review is due, as one sentence. */
 export function dueWords(review: Review): string {
-  return review.reasons.map((reason) => plain(reason.message).replaceAll('`', '')).map((said) => said.replace(/^./, (c) => c.toUpperCase())).join('; ');
+  const said = review.reasons.map(({ message }) => plain(message).replace(/`([a-z_]+)`/g, (_, outcome: string) => `“${outcomeWords(outcome)}”`).replaceAll('`', ''));
+  return said.map((words) => words.replace(/^./, (c) => c.toUpperCase())).join('; ');
 }

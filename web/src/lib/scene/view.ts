@@ -206,11 +206,12 @@ export class CellView {
     const found = new Map<string, Label>();
     const info = this.info;
     if (info === null) return found;
+    for (const [name, body] of this.bodies.byName) this.nameBody(found, name, body);
+    // Where there is room for one name, the robot's is worth more than the floor's.
     for (const zone of info.scene.zones) {
       const [x, y] = middle(zone.polygon);
       found.set(`zone ${zone.name}`, { text: zone.name, at: new Vector3(x, y, 0.02), tone: this.trouble.zones.has(zone.name) ? 'danger' : 'plain' });
     }
-    for (const [name, body] of this.bodies.byName) this.nameBody(found, name, body);
     if (this.gap !== null && this.trouble.figure !== null) found.set('gap', { text: this.trouble.figure, at: this.beside(this.gap), tone: 'danger' });
     this.people().forEach((at, k) => found.set(`person ${k}`, { text: `person ${k + 1}`, at: at.setZ(1.75 + HEAD_M), tone: 'warn' }));
     return found;
