@@ -207,7 +207,7 @@ def test_what_would_be_approved_in_vain_is_kept_back_and_what_was_says_why(
     assert server.get(f"/v1/escalations/{asked['escalation']['id']}")["status"] == "pending"
     floor.answer(asked, "approve")  # from where the console's word does not reach
     told = person.page.get_by_role("status").filter(has_text="is not open any more")
-    expect(told).to_contain_text(re.compile("operator approved it, but it was deferred: .*"))
+    expect(told).to_contain_text(re.compile("You approved it, but it was deferred: .*"))
     assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "deferred"
     floor.made.remove(asked["id"])
 
