@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.conftest import PACE, ServerProcess, Servers
+from tests.conftest import LAPSED, PACE, ServerProcess, Servers, until
 from tests.test_contract import pending
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(180)]
@@ -64,3 +67,49 @@ def test_silence_ends_the_session_and_is_nobodys_answer(servers: Servers, tmp_pa
     assert server.await_status(session, "failed")["outcome"] == "terminated"
     closed = server.get(f"/v1/escalations/{question['id']}")
     assert (closed["status"], closed["approvals"], closed["denial"]) == ("expired", [], None)
+
+
+KEPT = ("phase", "on_deny", "on_timeout", "expires_at", "digest", "status")
+
+
+def frozen(servers: Servers, server: ServerProcess) -> ServerProcess:
+    """Have a server say nothing until its cell holds for that."""
+    before = server.log.read_bytes().count(LAPSED)
+    os.kill(server.process.pid, signal.SIGSTOP)
+    try:
+        until(lambda: server.log.read_bytes().count(LAPSED) > before, what="the cell's link lapses")
+    finally:
+        os.kill(server.process.pid, signal.SIGCONT)
+    return server
+
+
+def killed(servers: Servers, server: ServerProcess) -> ServerProcess:
+    server.kill()
+    policies = server.data.parent / "policies"
+    return servers.start(server.data, "--pace", PACE, "--policies", str(policies), wait_cells=False)
+
+
+@pytest.mark.parametrize("lose", [frozen, killed])
+@pytest.mark.parametrize(("decision", "outcome"), [("approve", "succeeded"), ("deny", "rolled_back")])
+def test_a_phase_waits_on_its_own_terms_over_a_lost_link(
+    servers: Servers,
+    tmp_path: Path,
+    lose: Callable[[Servers, ServerProcess], ServerProcess],
+    decision: str,
+    outcome: str,
+) -> None:
+    server = confirming(servers, tmp_path, on_deny="rollback")
+    session, question = held(server)
+    server = lose(servers, server)
+
+    def asked() -> dict[str, Any]:
+        return server.get(f"/v1/escalations/{question['id']}")
+
+    until(lambda: "link" in [reason["code"] for reason in asked()["reasons"]], what="the cell says why it holds")
+    assert {name: asked()[name] for name in KEPT} == {name: question[name] for name in KEPT}
+    assert asked()["reasons"][: len(question["reasons"])] == question["reasons"]
+    shown = server.get(f"/v1/invocations/{session}")["escalation"]
+    assert (shown["id"], shown["expires_at"]) == (question["id"], question["expires_at"])
+    until(lambda: server.cell()["online"], what="the cell is back")
+    resolve(server, question, decision)
+    assert server.await_status(session, "completed", "failed")["outcome"] == outcome

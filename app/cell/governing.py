@@ -415,7 +415,7 @@ class Governing:
         """Hold and wait for a human."""
         run = self.run
         run.brake(self.seen)
-        run.escalated_by, run.hold_after_recovery = reason, ""  # whoever is asked now need not be asked once more
+        run.escalated(reason)
         self._become(Event.ESCALATE, reason)
         self._tell_anyway(telling.escalation(run.id, reason, run.failed))
 
@@ -481,7 +481,7 @@ class Governing:
 
     def confirm(self) -> str | None:
         """Let the phase begin that waits for a confirmation."""
-        return self.go_on() if self.run.escalated_by.startswith("confirm:") else "nothing_to_confirm"
+        return self.go_on() if self.run.unconfirmed else "nothing_to_confirm"
 
     def stop(self) -> str | None:
         """Stop by category 1 and end."""

@@ -182,6 +182,17 @@ class Run:
         phases = self.grant.authorization.confirm_before
         return phase in phases and phase not in self.confirmed and self.doing is Doing.ATTEMPT and self.moves()
 
+    def escalated(self, reason: str) -> None:
+        """Note why a human is asked. A lost link answers nothing: a phase that waited to be confirmed waits on."""
+        if reason != LINK or not self.unconfirmed:
+            self.escalated_by = reason
+        self.hold_after_recovery = ""  # whoever is asked now need not be asked once more
+
+    @property
+    def unconfirmed(self) -> bool:
+        """Say whether a phase waits for a human to confirm it."""
+        return self.status is Status.ESCALATED and self.escalated_by.startswith("confirm:")
+
     def confirm(self) -> None:
         """Note that a human let the phase begin that was asked about, if that was the question."""
         if self.escalated_by.startswith("confirm:"):

@@ -425,8 +425,7 @@ def _go_on(session: Session) -> str | None:
     run = session.run
     if run.hold_after_recovery == LINK and run.status in {Status.RECOVERING, Status.PAUSED}:
         return session.go_on_after_recovery()
-    waits = run.status is Status.ESCALATED and run.escalated_by.startswith("confirm:")
-    return "needs_confirmation" if waits else session.go_on()
+    return "needs_confirmation" if run.unconfirmed else session.go_on()
 
 
 _OPS: Final = {

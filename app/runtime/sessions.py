@@ -327,10 +327,12 @@ class Sessions:
             and now_s > parse_rfc3339(invocation.updated_at) + GOES_ON_S
         ):  # what lets it go on is sent once, and may be lost or refused
             message = "it was answered, and the session waits all the same"
-            await self._ask(invocation.id, "not_gone_on", message, await self._phase(invocation))
+            await self._ask(invocation.id, "not_gone_on", message)
 
     async def _phase(self, invocation: Invocation) -> str | None:
-        """Return the phase that a session waits for, by the last question about it."""
+        """Return the phase that a held session waits for, by the last question about it."""
+        if invocation.status is not Status.ESCALATED:
+            return None
         last = last_question(await events_of(self._register.store, invocation=invocation.id))
         return None if last is None else last.get("phase")
 
@@ -338,7 +340,7 @@ class Sessions:
         return [known for known in self._register.live() if known.cell == cell and known.status in SESSION]
 
     @uncut
-    async def _ask(self, name: str, code: str, message: str, phase: str | None = None) -> None:
+    async def _ask(self, name: str, code: str, message: str) -> None:
         """Escalate a session, unless a human has been asked already."""
         entry = self._register.entry(name)
         if entry is None:
@@ -347,7 +349,7 @@ class Sessions:
             present = entry.newest
             if present.status not in SESSION or self._desk.pending_for(name) is not None:
                 return
-            now = self._register.now()
+            phase, now = await self._phase(present), self._register.now()
             question = self._desk.session_question(present, [reason(RULE, code, message)], phase)
             asked = present.evolve(now, status=Status.ESCALATED, escalation=question.reference())
             await self._desk.commit([escalation_event(question)], question, asked)

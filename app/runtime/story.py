@@ -19,7 +19,7 @@ from app.runtime.failures import described, failure
 from app.runtime.hands import LAPSED, driven, followed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from app.protocol import UpEvent
     from app.runtime.desk import Desk
@@ -140,10 +140,13 @@ class Story:
         if question is None and (asked_before or _answered_meanwhile(version, event)):
             return NOTHING
         phase, reasons = _asked(event)
-        if event.body.get("reason") == CHANGED:
+        code = event.body.get("reason")
+        if code == CHANGED:
             reasons = self._desk.departed.get(version.id, reasons)
         if question is None:
             asked = self._desk.session_question(version, reasons, phase)
+        elif question.phase is not None and code == LINK:  # it goes on waiting for that, on the terms it was asked on
+            asked = question.evolve(at, reasons=_with_link(question))
         elif phase != question.phase:  # its terms are those of what it waits for
             asked = replace(self._desk.session_question(version, reasons, phase), id=question.id)
         else:
@@ -203,6 +206,12 @@ def _answered_meanwhile(version: Invocation, event: UpEvent) -> bool:
     """
     answered = (version.escalation or NOTHING).get("status") in {APPROVED, DENIED, EXPIRED}
     return answered and version.status is Status.ESCALATED and event.body.get("reason") == LINK
+
+
+def _with_link(question: Escalation) -> Sequence[Mapping[str, str]]:
+    """Return why a phase waits, and that the cell's link lapsed meanwhile, said once."""
+    lapsed = reason(RULE, LINK, f"the cell's link lapsed meanwhile; `{question.phase}` waits to be confirmed as before")
+    return question.reasons if lapsed in question.reasons else [*question.reasons, lapsed]
 
 
 def _asked(event: UpEvent) -> tuple[str | None, list[dict[str, str]]]:

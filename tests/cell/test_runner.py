@@ -776,6 +776,52 @@ def test_a_hand_back_asks_what_its_own_authorization_has_confirmed(rig: Rig, bef
     assert rig.last("escalation")["reason"] == "confirm:release"
 
 
+def test_a_phase_waits_on_over_a_lost_link_and_goes_on_by_its_own_word_alone(rig: Rig) -> None:
+    rig.cell.script.releases = True
+    rig.launch(confirm_before=("release",))
+    rig.until_status("escalated")
+    for _ in range(2):
+        rig.runner.hold("link")
+        assert rig.runner.human("inv-1", "confirm", "operator") == "holding"
+        rig.runner.welcomed()
+    assert [body["reason"] for body in rig.of("escalation")] == ["confirm:release", "link", "link"]
+    assert rig.runner.human("inv-1", "resolve_continue", "operator") == "needs_confirmation"
+    rig.ticks(50)
+    assert (rig.runner.status, rig.moving()) == ("escalated", False)
+    assert rig.runner.human("inv-1", "confirm", "operator") is None
+    assert rig.finish()["outcome"] == "succeeded"
+    assert len(rig.of("escalation")) == 3
+
+
+def test_a_session_that_its_link_held_asks_once_it_comes_to_a_phase(rig: Rig) -> None:
+    rig.cell.script.releases = True
+    rig.launch(confirm_before=("release",))
+    rig.ticks(20)
+    rig.runner.hold("link")
+    rig.runner.welcomed()
+    rig.ticks(50)
+    assert rig.runner.human("inv-1", "confirm", "operator") == "nothing_to_confirm"
+    assert rig.runner.human("inv-1", "resolve_continue", "operator") is None
+    rig.until_status("escalated")
+    assert rig.last("escalation")["reason"] == "confirm:release"
+    assert rig.runner.human("inv-1", "confirm", "operator") is None
+    assert rig.finish()["outcome"] == "succeeded"
+
+
+def test_a_rollback_that_is_held_has_nothing_to_confirm(rig: Rig) -> None:
+    rig.cell.script.releases, rig.cell.script.base_mps = True, 0.0
+    rig.launch(confirm_before=("release",))
+    rig.until_status("escalated")
+    assert rig.runner.human("inv-1", "rollback", "operator") is None
+    rig.until(lambda: rig.runs("retrace") == 1)
+    assert rig.runner.human("inv-1", "pause", "operator") is None
+    rig.runner.hold("link")
+    rig.runner.welcomed()
+    assert rig.runner.human("inv-1", "confirm", "operator") == "nothing_to_confirm"
+    assert rig.runner.human("inv-1", "resolve_continue", "operator") is None
+    assert rig.finish()["outcome"] == "rolled_back"
+
+
 def test_there_is_nothing_to_confirm_where_nothing_waits(rig: Rig) -> None:
     rig.launch()
     rig.ticks(20)

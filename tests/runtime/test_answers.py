@@ -242,3 +242,57 @@ async def test_a_session_that_was_held_already_waits_on_the_phases_terms(confirm
     again = await runtime.desk.get(question["id"])
     assert (question["phase"], again["phase"], again["on_deny"]) == (None, "drive", "rollback")
     assert again["expires_at"] < question["expires_at"]
+
+
+TERMS = ("id", "digest", "phase", "on_deny", "on_timeout", "expires_at", "created_at")
+
+
+def terms(question: dict[str, Any]) -> dict[str, Any]:
+    return {name: question[name] for name in TERMS}
+
+
+async def test_a_lost_link_leaves_a_phase_its_terms_and_is_said_once(confirming: tuple[Runtime, HandCell]) -> None:
+    runtime, cell = confirming
+    session, question = await waiting(runtime, cell)
+    before = await runtime.governor.invocation(session, AGENT)
+    for _ in range(2):
+        await cell.report("escalation", session, reason="link", failure=None)
+    after = await runtime.desk.get(question["id"])
+    assert terms(after) == terms(question)
+    assert [one["code"] for one in after["reasons"]] == ["confirm:drive", "link"]
+    assert await runtime.governor.invocation(session, AGENT) == before
+    await answer(runtime, question)
+    await until(lambda: cell.ops() == ["confirm"])
+
+
+async def test_a_phase_keeps_its_terms_over_a_restart_of_the_server(house: House, policy: PolicySet) -> None:
+    house.policy = replace(policy, authority=replace(policy.authority, confirm_before=(WAITS,)))
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        session, question = await waiting(runtime, cell)
+    async with house.open() as runtime:
+        back = await HandCell(runtime, seq=cell.seq, invocation=session, status="escalated").dial()
+        await back.report("escalation", session, reason="link", failure=None)
+        assert terms(await runtime.desk.get(question["id"])) == terms(question)
+        await answer(runtime, question)
+        await until(lambda: back.ops() == ["confirm"])
+
+
+async def test_a_phase_whose_confirmation_was_lost_is_asked_about_as_that_phase(
+    confirming: tuple[Runtime, HandCell],
+) -> None:
+    runtime, cell = confirming
+    session, question = await waiting(runtime, cell)
+    await answer(runtime, question)
+    await cell.hang_up()
+    away = runtime.fleet.cell(cell.id)
+    assert away.absent_since_s is not None
+    away.absent_since_s -= 0.5
+    back = await HandCell(runtime, seq=cell.seq, invocation=session, status="escalated").dial()
+    await until(lambda: runtime.desk.pending_for(session) is not None)
+    again = runtime.desk.pending_for(session)
+    assert again is not None
+    assert (again.phase, again.on_deny, again.reasons[0]["code"]) == ("drive", "rollback", "link_returned")
+    await answer(runtime, again.public())
+    await until(lambda: back.ops() == ["confirm"])
