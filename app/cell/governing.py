@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from app.cell.substrate import Substrate
     from app.cell.telling import Recorder
     from app.governance.model import (
+        Command,
         CoveredRecovery,
         Observation,
         Params,
@@ -99,9 +100,7 @@ class Governing:
             except Exception as error:  # whatever a skill does wrong must not take the watcher along
                 command, report = hold(run.previous), self._failed(error)
             if run.confirms and run.waits_for_confirmation(report.phase):
-                run.rate = 0.0
-                self.escalate(f"confirm:{report.phase}")
-                command = hold(run.previous)
+                command = self._wait_before(report.phase)
         if run.given is not None:
             command = run.yielding(command, self.seen)
         command, _ = clamp(command, run.previous, run.bounds, self.seen.jacobian, period_s)
@@ -123,6 +122,14 @@ class Governing:
             except JournalUnavailable:
                 self._end_unrecorded()
         return seen
+
+    def _wait_before(self, phase: str) -> Command:
+        """Hold before a phase that a human has to confirm; a session that comes to rest asks once it is let go on."""
+        run = self.run
+        run.rate = 0.0
+        if run.moves():
+            self.escalate(f"confirm:{phase}")
+        return hold(run.previous)
 
     def _end_unrecorded(self) -> None:
         """Come to rest and end, although a rule has more to say in every tick than can be written down."""

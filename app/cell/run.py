@@ -180,7 +180,7 @@ class Run:
     def waits_for_confirmation(self, phase: str) -> bool:
         """Say whether a phase may not begin before a human has confirmed it."""
         phases = self.grant.authorization.confirm_before
-        return phase in phases and phase not in self.confirmed and self.doing is Doing.ATTEMPT and self.moves()
+        return phase in phases and phase not in self.confirmed and self.doing is Doing.ATTEMPT
 
     def escalated(self, reason: str) -> None:
         """Note why a human is asked. A lost link answers nothing: a phase that waited to be confirmed waits on."""

@@ -808,6 +808,27 @@ def test_a_session_that_its_link_held_asks_once_it_comes_to_a_phase(rig: Rig) ->
     assert rig.finish()["outcome"] == "succeeded"
 
 
+@pytest.mark.parametrize(("held_by", "word"), [("link", "resolve_continue"), ("pause", "resume")])
+def test_no_phase_begins_unconfirmed_while_a_session_comes_to_rest(rig: Rig, held_by: str, word: str) -> None:
+    rig.cell.script.releases = True
+    rig.launch(confirm_before=("release",))
+    session = rig.runner.session
+    assert session is not None
+    rig.until(lambda: session.run.report.progress > 0.49)
+    if held_by == "link":
+        rig.runner.hold("link")
+        rig.runner.welcomed()
+    else:
+        assert rig.runner.human("inv-1", "pause", "operator") is None
+    rig.until(lambda: session.run.report.phase == "release")
+    assert not rig.moving()
+    rig.ticks(50)
+    assert rig.runner.human("inv-1", word, "operator") is None
+    rig.until(lambda: bool(rig.of("escalation")) and rig.last("escalation")["reason"] == "confirm:release")
+    assert rig.runner.human("inv-1", "confirm", "operator") is None
+    assert rig.finish()["outcome"] == "succeeded"
+
+
 def test_a_rollback_that_is_held_has_nothing_to_confirm(rig: Rig) -> None:
     rig.cell.script.releases, rig.cell.script.base_mps = True, 0.0
     rig.launch(confirm_before=("release",))
