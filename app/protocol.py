@@ -24,7 +24,7 @@ from app.governance.control import GOING_ON
 LEASE_MS = 300
 BEAT_MS = 75
 STATE_MS = 100
-VERSION = 9
+VERSION = 10
 
 
 class Message(BaseModel):
@@ -71,7 +71,8 @@ class Human(Message):
     """An operator's word on a running session. `resolve_*` answer an escalation the session waits on.
 
     `let_go` and `end_takeover` are about a session that a human drives: nobody holds its lease any more, or it is done.
-    `escalate` is the server's own: another policy is in force, to which the session does not conform.
+    `escalate` is the server's own: another policy is in force, to which the session does not conform. So is a word that
+    nobody said (`expired`): `resolve_terminate` or `rollback`, as policy says of a question nobody answers in time.
     """
 
     type: Literal["human"] = "human"
@@ -81,6 +82,7 @@ class Human(Message):
         "let_go", "end_takeover", "escalate",
     ]  # fmt: skip
     actor: str
+    expired: bool = False
 
     @property
     def restrains(self) -> bool:

@@ -21,13 +21,18 @@ ENTRY = "{capability: navigate_to, profile: human-shared, phases: [settle], with
 
 
 def confirming(
-    servers: Servers, tmp_path: Path, *, within_s: float = 60.0, on_deny: str = "terminate"
+    servers: Servers,
+    tmp_path: Path,
+    *,
+    within_s: float = 60.0,
+    on_deny: str = "terminate",
+    on_timeout: str = "terminate",
 ) -> ServerProcess:
     """Serve a policy in which a drive waits for a human before it settles at its target."""
     folder = tmp_path / "policies"
     shutil.copytree(POLICIES, folder)
     file = folder / "authority.yaml"
-    entry = ENTRY % (within_s, on_deny, "terminate")
+    entry = ENTRY % (within_s, on_deny, on_timeout)
     file.write_text(file.read_text().replace("confirm_before: []", f"confirm_before: [{entry}]"))
     return servers.start(None, "--pace", PACE, "--policies", str(folder))
 
@@ -61,10 +66,22 @@ def test_a_confirmed_phase_goes_on_and_a_denied_one_is_undone(servers: Servers, 
     assert server.cell()["facts"]["base"] == pytest.approx(began, abs=0.15)
 
 
-def test_silence_ends_the_session_and_is_nobodys_answer(servers: Servers, tmp_path: Path) -> None:
-    server = confirming(servers, tmp_path, within_s=1.0)
+@pytest.mark.parametrize(
+    ("on_timeout", "outcome", "codes"),
+    [("terminate", "terminated", ["expired"]), ("rollback", "rolled_back", ["expired", "verified"])],
+)
+def test_silence_ends_the_session_and_is_nobodys_answer(
+    servers: Servers, tmp_path: Path, on_timeout: str, outcome: str, codes: list[str]
+) -> None:
+    server = confirming(servers, tmp_path, within_s=1.0, on_timeout=on_timeout)
     session, question = held(server)
-    assert server.await_status(session, "failed")["outcome"] == "terminated"
+    ended = server.await_status(session, "failed")
+    assert (ended["outcome"], [why["code"] for why in ended["failure"]["reasons"]]) == (outcome, codes)
+    trace = server.get(f"/v1/invocations/{session}/trace", key="agent")["items"]
+    (end,) = [event["body"] for event in trace if event["kind"] == "outcome"]
+    assert [code for code in (end["failure"], end["code"]) if code] == codes
+    (word,) = [event["body"] for event in trace if event["kind"] == "human"]
+    assert (word["actor"], word["expired"]) == ("server", True)
     closed = server.get(f"/v1/escalations/{question['id']}")
     assert (closed["status"], closed["approvals"], closed["denial"]) == ("expired", [], None)
 

@@ -132,7 +132,7 @@ class GovernedCell:
             case Launch():
                 self._runner.launch(_signed(order), anew=order.anew)
             case Human():
-                self._runner.human(order.invocation, order.op, order.actor)
+                self._runner.human(order.invocation, order.op, order.actor, expired=order.expired)
             case Jog():
                 wish = Wish(order.base, order.tool, order.grip)
                 self._runner.jog(order.invocation, order.n, wish, order.actor)

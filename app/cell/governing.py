@@ -47,7 +47,10 @@ OVERSPEED: Final = "overspeed"
 PRESSING: Final = frozenset({"contact_force_n", "residual_nm"})
 HELD: Final = {Status.PAUSED: Event.RESUME_RECOVERY, Status.ESCALATED: Event.CONTINUE_RECOVERY}
 """How a rollback that is held goes on."""
-STOP: Final = End(Outcome.STOPPED, "operator", 1)
+OPERATOR: Final = "operator"
+EXPIRED: Final = "expired"
+"""Why a session ends, or is undone: an operator said so, or nobody answered in time."""
+STOP: Final = End(Outcome.STOPPED, OPERATOR, 1)
 RUNNING: Final = SkillState.RUNNING
 FAILED: Final = SkillState.FAILED
 
@@ -500,12 +503,12 @@ class Governing:
         self.end(End(Outcome.CANCELLED, "cancelled"))
         return None
 
-    def terminate(self) -> str | None:
-        """Come to rest and end: a human decided so."""
-        self.end(End(Outcome.TERMINATED, "operator"))
+    def terminate(self, code: str = OPERATOR) -> str | None:
+        """Come to rest and end: a human decided so, or nobody did in time."""
+        self.end(End(Outcome.TERMINATED, code))
         return None
 
-    def roll_back(self) -> str | None:
+    def roll_back(self, code: str = OPERATOR) -> str | None:
         """Undo what the session did, by the rollback its authorization covers; one under way is only carried on."""
         run = self.run
         if run.undoing:
@@ -514,7 +517,7 @@ class Governing:
             return "rollback_unavailable"  # what became of that is being mended, and waits for no answer
         run.paused_by.clear()
         run.responding = released(run.responding)
-        unavailable = self._roll_back("operator")
+        unavailable = self._roll_back(code)
         if unavailable is not None:
             self.escalate(unavailable)  # whoever asked for it is there to decide
         return unavailable

@@ -14,7 +14,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from app.cell import telling
-from app.cell.governing import Governing
+from app.cell.governing import OPERATOR, Governing
 from app.cell.journal import JournalUnavailable
 from app.cell.run import Bind, Doing, End
 from app.cell.steering import NOTHING, Steering, asks
@@ -345,12 +345,12 @@ class Session(Governing):
         """Let an escalated session go on, but not one that a human has driven: that takes a new authorization."""
         return "needs_authorization" if self._displaced else super().go_on()
 
-    def roll_back(self) -> str | None:
+    def roll_back(self, code: str = OPERATOR) -> str | None:
         """Undo what the session did, a human's driving included, by the rollback its authorization covers."""
         run = self.run
         if not self._displaced or run.undoing:
-            return super().roll_back()
-        decision = roll_back("operator", run.recovery, run.used, run.grant.authorization.recoveries)
+            return super().roll_back(code)
+        decision = roll_back(code, run.recovery, run.used, run.grant.authorization.recoveries)
         if decision is None:
             return "rollback_unavailable"
         if self.steering is not None:

@@ -16,10 +16,11 @@ why, and what could not be recorded is kept and recorded as soon as it can be.
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import TYPE_CHECKING, Final, NamedTuple
+from functools import partial
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 from app.cell import telling
-from app.cell.governing import STOP, PlanOf, Ports, Verify
+from app.cell.governing import EXPIRED, STOP, PlanOf, Ports, Verify
 from app.cell.handover import Session
 from app.cell.journal import USED, Entry, Journal, JournalUnavailable
 from app.cell.run import LINK, Doing, End, Run, Unprepared
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
     from app.cell.substrate import Skill, Substrate
     from app.governance.model import Json, Observation, Wish
     from app.governance.permit import Grant
+
+Deed: TypeAlias = "Callable[[Session], str | None]"
 
 CATCH_UP_TICKS: Final = 100
 _NOTHING: Final[Mapping[str, tuple[str, str]]] = {}
@@ -211,13 +214,17 @@ class Runner:
             return "holding"
         return session.jog(number, wish, actor)
 
-    def human(self, invocation: str, op: str, actor: str) -> str | None:
-        """Do an operator's word on the session; return None, or the code of why it could not be done."""
+    def human(self, invocation: str, op: str, actor: str, *, expired: bool = False) -> str | None:
+        """Do an operator's word on the session, or what follows where nobody said one in time (`expired`).
+
+        Returns:
+            None, or the code of why it could not be done.
+        """
         session = self._session
         if session is None or session.run.id != invocation:
             return "no_such_session"
-        refused = self._obey(session, op)
-        self._record.say_anyway(telling.human(invocation, op, actor, refused))
+        refused = self._obey(session, op, _SILENCE if expired else _OPS)
+        self._record.say_anyway(telling.human(invocation, op, actor, refused, expired=expired))
         return refused
 
     def estop(self, actor: str) -> None:
@@ -309,13 +316,13 @@ class Runner:
 
     # -- inside --------------------------------------------------------------------------------------------------------
 
-    def _obey(self, session: Session, op: str) -> str | None:
+    def _obey(self, session: Session, op: str, deeds: Mapping[str, Deed]) -> str | None:
         ending = session.run.next
         if isinstance(ending, End) and not (op == "stop" and ending.yields_to(STOP)):
             return "ending"
         if self.holding and op in GOING_ON:
             return "holding"
-        deed = _OPS.get(op)
+        deed = deeds.get(op)
         if deed is None:
             return "unknown_op"
         try:
@@ -428,7 +435,7 @@ def _go_on(session: Session) -> str | None:
     return "needs_confirmation" if run.unconfirmed else session.go_on()
 
 
-_OPS: Final = {
+_OPS: Final[Mapping[str, Deed]] = {
     "escalate": _hold_for_policy,
     "pause": Session.pause,
     "resume": Session.resume,
@@ -440,6 +447,10 @@ _OPS: Final = {
     "resolve_terminate": Session.terminate,
     "let_go": Session.let_go,
     "end_takeover": Session.end_takeover,
+}
+_SILENCE: Final[Mapping[str, Deed]] = {
+    "rollback": partial(Session.roll_back, code=EXPIRED),
+    "resolve_terminate": partial(Session.terminate, code=EXPIRED),
 }
 
 

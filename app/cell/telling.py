@@ -227,9 +227,10 @@ def asked_again(invocation: str, failed: str) -> Saying:
     return Saying(EventKind.RECOVERY, invocation, CELL, body)
 
 
-def human(invocation: str, op: str, actor: str, refused: str | None) -> Saying:
-    """An operator said something, and whether it was done."""
-    return Saying(EventKind.HUMAN, invocation, actor, {"op": op, "done": refused is None, "refused": refused})
+def human(invocation: str, op: str, actor: str, refused: str | None, *, expired: bool = False) -> Saying:
+    """An operator said something, or nobody did in time (`expired`), and whether it was done."""
+    body: dict[str, Json] = {"op": op, "done": refused is None, "refused": refused}
+    return Saying(EventKind.HUMAN, invocation, actor, {**body, "expired": True} if expired else body)
 
 
 def jog(invocation: str, actor: str, number: int, wish: Wish, refused: str) -> Saying:

@@ -249,9 +249,8 @@ class Desk(Questions):
         now = self.register.now()
         closed = present.evolve(now, status=EXPIRED)
         ended = invocation.evolve(now, escalation=closed.reference())
-        await self.end_session(
-            invocation, present.on_timeout, SERVER, self.commit([escalation_event(closed)], closed, ended)
-        )
+        recording = self.commit([escalation_event(closed)], closed, ended)
+        await self.end_session(invocation, present.on_timeout, SERVER, recording, expired=True)
 
     async def _expire_approval(self, present: Escalation, invocation: Invocation) -> None:
         now = self.register.now()

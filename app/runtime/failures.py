@@ -37,6 +37,7 @@ KNOWN: Final[Mapping[str, tuple[str, str]]] = {
     "recovery_failed": ("recovering from it failed, too", "leave it to a human"),
     "link_lost": ("the link to the cell was lost", "propose it again when the link holds"),
     "operator": ("an operator ended it", "ask before it is proposed again"),
+    "expired": ("nobody answered in time", "propose it again when somebody is on duty"),
     "taken_over": ("a human took the controls", "look at `takeover.facts`: the state it left"),
     "control_lapsed": ("the human at the controls left without a word", "wait until somebody has seen to the robot"),
     "cancelled": ("it was cancelled", ""),

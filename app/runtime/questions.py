@@ -180,9 +180,15 @@ class Questions:
         self.hold(escalation)
 
     async def end_session(
-        self, invocation: Invocation, ending: str, actor: str, recording: Coroutine[Any, Any, None]
+        self,
+        invocation: Invocation,
+        ending: str,
+        actor: str,
+        recording: Coroutine[Any, Any, None],
+        *,
+        expired: bool = False,
     ) -> None:
-        """Have a held session come to rest, or undone where policy says so.
+        """Have a held session come to rest, or undone where policy says so of a denial, or of silence (`expired`).
 
         Coming to rest is sent first, as any restraint. Undoing moves, so it is recorded first; where it cannot be
         recorded, or the cell is away or ending the session already, the session comes to rest instead.
@@ -191,7 +197,7 @@ class Questions:
             RecordUnavailable: it is not recorded; the session comes to rest all the same.
         """
         cell = self.fleet.cell(invocation.cell or "")
-        rest = Human(invocation=invocation.id, op="resolve_terminate", actor=actor)
+        rest = Human(invocation=invocation.id, op="resolve_terminate", actor=actor, expired=expired)
         if ending != ROLLBACK or not self.fleet.attached(cell) or cell.ending(invocation.id):
             self.fleet.restrain(cell, rest)
             await recording
@@ -199,7 +205,8 @@ class Questions:
         since = cell.restraints
         try:
             await recording
-            self.fleet.order(cell, Human(invocation=invocation.id, op="rollback", actor=actor), since=since)
+            undo = Human(invocation=invocation.id, op="rollback", actor=actor, expired=expired)
+            self.fleet.order(cell, undo, since=since)
         except RecordUnavailable:
             self.fleet.restrain(cell, rest)
             raise

@@ -219,7 +219,7 @@ class Sessions:
             events = await events_of(self._register.store, invocation=known.id)
             await self._compare_answered(events)
             if (word := _last_word(known, events)) is not None:
-                said = {"invocation": known.id, "op": word, "actor": SERVER}
+                said = {"invocation": known.id, "actor": SERVER, **word}
                 self._fleet.restrain(self._fleet.cell(known.cell), Human.model_validate(said))
 
     async def _compare_answered(self, events: Sequence[Event]) -> None:
@@ -381,17 +381,17 @@ class Sessions:
         await self._sealed(name, lost=code in LOST_WITH_CELL)
 
 
-def _last_word(known: Invocation, events: Sequence[Event]) -> str | None:
-    """Return by which word a session was to end, if the log has that one was said."""
+def _last_word(known: Invocation, events: Sequence[Event]) -> dict[str, Any] | None:
+    """Return by which word a session was to end, if the log has that one was said, or that nobody said one in time."""
     words = (event.payload() for event in events if event.kind == EventKind.HUMAN)
     said = ("end_takeover" if body.get("then") == "end" else str(body.get("op")) for body in words)
     if (word := ended_by(said)) is not None:
-        return word
+        return {"op": word}
     answered = last_question(events)
     if known.status is not Status.ESCALATED or answered is None or answered["status"] not in _ENDS_AS:
         return None
     undone = answered.get(_ENDS_AS[answered["status"]]) == ROLLBACK
-    return None if undone else "resolve_terminate"
+    return None if undone else {"op": "resolve_terminate", "expired": answered["status"] == EXPIRED}
 
 
 def _member(what: str, value: object, valid: Any) -> None:  # noqa: ANN401  # an enumeration or a set of one

@@ -849,6 +849,56 @@ def test_there_is_nothing_to_confirm_where_nothing_waits(rig: Rig) -> None:
     assert rig.runner.human("inv-1", "confirm", "operator") == "nothing_to_confirm"
 
 
+# -- silence ---------------------------------------------------------------------------------------------------------
+
+
+def waiting_for_release(rig: Rig) -> None:
+    rig.cell.script.releases, rig.cell.script.base_mps = True, 0.0
+    rig.launch(confirm_before=("release",))
+    rig.until_status("escalated")
+
+
+def test_silence_ends_a_session_as_expired_and_no_operator(rig: Rig) -> None:
+    waiting_for_release(rig)
+    assert rig.runner.human("inv-1", "resolve_terminate", "server", expired=True) is None
+    ended = rig.finish()
+    assert (ended["outcome"], ended["code"], ended["failure"]) == ("terminated", "expired", None)
+    assert rig.last("human") == {"op": "resolve_terminate", "done": True, "refused": None, "expired": True}
+
+
+def test_silence_undoes_a_session_as_expired(rig: Rig) -> None:
+    waiting_for_release(rig)
+    assert rig.runner.human("inv-1", "rollback", "server", expired=True) is None
+    ended = rig.finish()
+    assert (ended["outcome"], ended["code"], ended["failure"]) == ("rolled_back", "verified", "expired")
+    assert rig.last("recovery")["failure"] == "expired"
+
+
+def test_an_operator_who_ends_what_silence_could_not_undo_is_named(rig: Rig) -> None:
+    rig.recovery = replace(RECOVERY, rollback_capability=None)
+    waiting_for_release(rig)
+    assert rig.runner.human("inv-1", "rollback", "server", expired=True) == "rollback_unavailable"
+    assert rig.last("escalation")["reason"] == "rollback_unavailable"
+    assert rig.runner.human("inv-1", "resolve_terminate", "olivia") is None
+    ended = rig.finish()
+    assert (ended["outcome"], ended["code"], ended["failure"]) == ("terminated", "operator", None)
+
+
+def test_an_operators_stop_takes_the_place_of_silence(rig: Rig) -> None:
+    waiting_for_release(rig)
+    assert rig.runner.human("inv-1", "rollback", "server", expired=True) is None
+    assert rig.runner.human("inv-1", "stop", "olivia") is None
+    ended = rig.finish()
+    assert (ended["outcome"], ended["code"]) == ("stopped", "operator")
+
+
+def test_silence_lets_nothing_go_on(rig: Rig) -> None:
+    waiting_for_release(rig)
+    for word in ("confirm", "resolve_continue", "resume"):
+        assert rig.runner.human("inv-1", word, "server", expired=True) == "unknown_op"
+    assert (rig.runner.status, rig.moving()) == ("escalated", False)
+
+
 # -- orders ----------------------------------------------------------------------------------------------------------
 
 

@@ -199,6 +199,7 @@ async def test_a_denied_phase_is_undone_where_policy_says_so(confirming: tuple[R
     closed = await answer(runtime, question, decision="deny", code="unsafe_now")
     assert (closed["status"], closed["denial"]["code"]) == ("denied", "unsafe_now")
     await until(lambda: cell.ops() == ["rollback"])
+    assert [word.expired for word in cell.all("human")] == [False]
     await cell.report("status", session, status="recovering")
     seen = await runtime.governor.invocation(session, AGENT)
     assert (seen["status"], seen["escalation"]["code"]) == ("recovering", "unsafe_now")
@@ -211,6 +212,7 @@ async def test_silence_about_a_phase_does_what_policy_says_of_it(
     _, question = await waiting(runtime, cell)
     house.wall_s.offset_s = 61.0
     await until(lambda: cell.ops() == ["rollback"])
+    assert [word.expired for word in cell.all("human")] == [True]
     await until(lambda: runtime.desk.pending() == [])
     assert (await runtime.desk.get(question["id"]))["status"] == "expired"
 

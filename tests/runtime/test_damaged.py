@@ -171,6 +171,7 @@ async def test_a_session_that_was_to_end_while_its_cell_was_away_ends_whatever_b
         back = await HandCell(second, seq=cell.seq, invocation=question.invocation, status="escalated").dial()
         await back.state(status="escalated")
         await until(lambda: back.ops() == ["resolve_terminate"])
+        assert [word.expired for word in back.all("human")] == [answer == "expired"]
         anew = second.desk.pending_for(question.invocation)
         assert anew is not None
         with pytest.raises(Conflict) as refusal:

@@ -655,5 +655,10 @@ async def test_silence_about_a_held_session_terminates_it(house: House, runtime:
     await until(lambda: cell.ops() == ["resolve_terminate"])
     await until(lambda: runtime.desk.pending_for(document["id"]) is None)
     assert (await runtime.desk.get(question["id"]))["status"] == "expired"
-    await cell.ended(document["id"], "terminated")
-    assert (await runtime.governor.invocation(document["id"], AGENT))["outcome"] == "terminated"
+    assert [word.expired for word in cell.all("human")] == [True]
+    await cell.report("outcome", document["id"], outcome="terminated", code="expired")
+    over = await runtime.governor.invocation(document["id"], AGENT)
+    assert over["outcome"] == "terminated"
+    assert [(reason["code"], reason["message"]) for reason in over["failure"]["reasons"]] == [
+        ("expired", "nobody answered in time")
+    ]
