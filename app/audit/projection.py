@@ -46,7 +46,11 @@ FIELDS: Final = (
 )  # fmt: skip
 ADMISSION: Final = ("outcome", "reasons", "retry_after_s")  # of an event's body: what the document says of it
 POLICY: Final = ("outcome", "reasons", "changes")
-QUESTION: Final = ("id", "status", "code")  # a phase that begins gives a question another time, and the document not
+QUESTION: Final = (
+    "id",
+    "status",
+    "code",
+)  # an earlier release left the document with the deadline before a phase's own
 
 
 def rebuild(events: Iterable[Event]) -> dict[str, Any]:

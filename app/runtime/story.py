@@ -152,7 +152,7 @@ class Story:
         else:
             asked = question.evolve(at, reasons=reasons)
         self.questions[asked.id] = asked
-        if question is None or version.status is not Status.ESCALATED:
+        if version.status is not Status.ESCALATED or version.escalation != asked.reference():
             terms = replace(version.terms, asked_tick=event.tick)
             self._versions[version.id] = version.evolve(
                 at, status=Status.ESCALATED, escalation=asked.reference(), terms=terms

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from dataclasses import replace
 from typing import Any
@@ -16,7 +17,7 @@ from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, InvalidParams
 from app.runtime.escalation import read_escalation
 
-from .conftest import AGENT, AUDITOR, OPERATOR, OPERATOR_2, HandCell, House, grasp, navigate, until
+from .conftest import AGENT, AUDITOR, OPERATOR, OPERATOR_2, PATIENCE_S, HandCell, House, grasp, navigate, until
 from .test_desk import answer, asked, held
 
 pytestmark = pytest.mark.anyio
@@ -240,10 +241,16 @@ async def test_a_cell_that_is_away_is_owed_rest_and_no_undoing(confirming: tuple
 async def test_a_session_that_was_held_already_waits_on_the_phases_terms(confirming: tuple[Runtime, HandCell]) -> None:
     runtime, cell = confirming
     document, question = await held(runtime, cell)
+    polling = asyncio.ensure_future(
+        runtime.governor.wait(document["id"], AGENT, PATIENCE_S, known_updated_at=document["updated_at"])
+    )
     await cell.report("escalation", document["id"], reason="confirm:drive", failure=None)
     again = await runtime.desk.get(question["id"])
     assert (question["phase"], again["phase"], again["on_deny"]) == (None, "drive", "rollback")
     assert again["expires_at"] < question["expires_at"]
+    shown = (await runtime.governor.invocation(document["id"], AGENT))["escalation"]
+    assert shown == {"id": again["id"], "status": "pending", "expires_at": again["expires_at"]}
+    assert (await polling)["escalation"] == shown, "whoever waits for a change hears of this one"
 
 
 TERMS = ("id", "digest", "phase", "on_deny", "on_timeout", "expires_at", "created_at")
