@@ -277,13 +277,14 @@ class Controls:
         Raises:
             NotFound: no such cell.
             Conflict: `not_latched`, `cell_offline`; `not_armed`, the code is not the one that was given to this person
-                since the last stop, or its time is over.
+                since the last stop, or its time is over: whoever had armed the reset has to arm it anew.
             RecordUnavailable: nothing was recorded, it stays latched.
         """
         cell = self._resettable(cell_id)
         armed, cell.arming = cell.arming, None
         if code is not None and not _confirms(armed, cell, principal, code):
-            raise Conflict("not_armed", f"`{code[:64]}` confirms no reset of `{cell.id}`; valid: arm it again")
+            disarmed = "" if armed is None else f", and the one that `{armed.by}` armed is off"
+            raise Conflict("not_armed", f"`{code[:64]}` confirms no reset of `{cell.id}`{disarmed}; valid: arm it anew")
         self.desk.grants.drop(cell.id, "estop", principal.name)  # none outlives a stop that the cell latched by itself
         before, unkept = cell.stops, cell.latch_unkept
         cell.latch_unkept = False  # or the latch could follow the word that leaves it into the record

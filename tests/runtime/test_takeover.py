@@ -355,8 +355,11 @@ async def test_a_reset_is_confirmed_by_who_armed_it_and_not_after_another_stop(
         return governor.arm_reset("workcell-1", OPERATOR)["arming"]["code"]
 
     code = arm()
-    assert (await refused(governor.reset("workcell-1", OPERATOR_2, code))).code == "not_armed"
-    assert (await refused(governor.reset("workcell-1", OPERATOR, code))).code == "not_armed"
+    others = await refused(governor.reset("workcell-1", OPERATOR_2, code))
+    own = await refused(governor.reset("workcell-1", OPERATOR, code))
+    assert (others.code, own.code) == ("not_armed", "not_armed")
+    assert str(others).endswith("and the one that `olivia` armed is off; valid: arm it anew")
+    assert str(own).endswith("confirms no reset of `workcell-1`; valid: arm it anew")
     code = arm()
     await governor.estop("workcell-1", AGENT)
     assert (await refused(governor.reset("workcell-1", OPERATOR, code))).code == "not_armed"
