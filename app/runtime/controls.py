@@ -168,10 +168,15 @@ class Controls:
         """Say whether a word is legal for what was said before it.
 
         A session that asked, and has its answer, may be paused: it may move already, its cell's word of it is on its
-        way. One that is undone because a human said so may be told once more: it is, or it is carried on.
+        way. One that is paused, by its cell's own word, may be resumed: where that cannot be recorded, the refusal says
+        so. One that is undone because a human said so may be told once more: it is, or it is carried on.
         """
         if op == "pause":
             return present.status is Status.ESCALATED and self.desk.pending_for(present.id) is None
+        if op == "resume":
+            state = self.fleet.cell(present.cell or UNNAMED).state
+            said = None if state is None or state.invocation != present.id else state.status
+            return said == Status.PAUSED and present.status in {Status.RUNNING, Status.RECOVERING}
         return op == "rollback" and present.status is Status.RECOVERING and present.terms.undone_by is not None
 
     async def _loosen(self, op: str, cell: Cell, present: Invocation, principal: Principal) -> dict[str, Any]:

@@ -355,6 +355,27 @@ async def test_a_word_out_of_place_is_refused(runtime: Runtime, cell: HandCell, 
     assert cell.ops() == []
 
 
+async def test_a_pause_that_the_record_cannot_take_is_left_by_no_resume_that_it_cannot_take_either(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def broken(*_: Any) -> list[int]:
+        raise RecordUnavailable("disk full")
+
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    name = document["id"]
+    await cell.launched(name)
+    with monkeypatch.context() as full:
+        full.setattr(runtime.store, "append", broken)
+        paused = await runtime.governor.pause(name, OPERATOR)
+        assert (paused["status"], paused["recorded"]) == ("running", False)
+        await cell.state(status="paused")
+        with pytest.raises(RecordUnavailable, match="disk full"):
+            await runtime.governor.resume(name, OPERATOR)
+        assert cell.ops() == ["pause"]
+    await runtime.governor.resume(name, OPERATOR)
+    await until(lambda: cell.ops() == ["pause", "resume"])
+
+
 @pytest.mark.parametrize("op", ["pause", "resume", "rollback", "cancel"])
 async def test_what_was_stopped_only_comes_to_rest(runtime: Runtime, cell: HandCell, op: str) -> None:
     document, _ = await runtime.governor.propose(AGENT, navigate())
