@@ -1,5 +1,6 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
 import { ARM_MS, Arming } from '../src/lib/keys/arming.svelte';
+import { wasMoved, type Standing } from '../src/lib/keys/standing';
 import { Presses } from '../src/lib/keys/presses';
 
 let pressed: Presses;
@@ -17,6 +18,10 @@ afterEach(() => {
   arming.end();
   vi.useRealTimers();
 });
+
+function at(top: number, scrolledY = 0): Standing {
+  return { left: 10, top, right: 110, bottom: top + 44, scrolledX: 0, scrolledY };
+}
 
 function shown(): void {
   arming.begin();
@@ -79,6 +84,30 @@ describe('a control that has just come', () => {
     expect(arming.ready).toBe(false);
   });
 
+  it('takes no finger for a while after the page moved it, but keys', () => {
+    shown();
+    vi.advanceTimersByTime(ARM_MS);
+    arming.stood(at(100));
+    arming.stood(at(148)); // a banner came above it
+    expect(arming.press('key Enter')).toBe(true);
+    vi.advanceTimersByTime(ARM_MS - 1);
+    pressed.down('pointer 1');
+    expect(arming.press('pointer 1', true)).toBe(false);
+    expect(arming.ready).toBe(false); // nor the click that comes of it
+    pressed.up('pointer 1');
+    vi.advanceTimersByTime(ARM_MS);
+    expect(arming.press('pointer 2', true)).toBe(true);
+  });
+
+  it('takes a finger where whoever scrolled moved it, or nothing did', () => {
+    shown();
+    vi.advanceTimersByTime(ARM_MS);
+    for (const stands of [at(100), at(20, 80), at(25, 80), at(25, 80)]) arming.stood(stands);
+    expect(arming.press('pointer 1', true)).toBe(true);
+    for (const top of [28, 31, 34]) arming.stood(at(top, 80)); // little by little is moved, too
+    expect(arming.press('pointer 1', true)).toBe(false);
+  });
+
   it('waits for nothing that a window without the focus would never hear the end of', () => {
     pressed.down('key ArrowDown');
     pressed.down('pointer 1');
@@ -87,5 +116,18 @@ describe('a control that has just come', () => {
     vi.advanceTimersByTime(ARM_MS);
     expect(arming.ready).toBe(true);
     expect(pressed.now.size).toBe(0);
+  });
+});
+
+describe('what the page moves', () => {
+  it.each([
+    ['by a banner above', at(100), at(148), true],
+    ['by what grew beside it', at(100), { ...at(100), left: 40 }, true],
+    ['by a few pixels', at(100), at(107), false],
+    ['by scrolling', at(100), at(20, 80), false],
+    ['while what it sticks to is scrolled', at(100), at(100, 80), false],
+    ['by a banner while one scrolls', at(100), at(68, 80), true],
+  ])('%s', (_, before, now, moved) => {
+    expect(wasMoved(before, now)).toBe(moved);
   });
 });

@@ -327,9 +327,9 @@ describe('a question that others closed', () => {
     const answer = about('approved', 'approve');
     const busy = event('outcome', { status: 'deferred', outcome: 'deferred', reasons: [{ message: 'the cell `workcell-1` is busy' }] }, 'inv_1', 'server');
     const late = closingOf([answer, busy], ASKED, invocation({ status: 'deferred', outcome: 'deferred' }));
-    expect(late).toEqual({ words: 'operator_2 approved it, but it was deferred: the cell workcell-1 is busy.', inVain: true });
+    expect(late).toEqual({ words: 'operator_2 approved it, but it was deferred: the cell workcell-1 is busy.', inVain: true, lapsed: false });
     const refused = closingOf([about('approved', 'approve'), event('launch', { refused: 'no_plan' })], ASKED, null);
-    expect(refused).toEqual({ words: 'operator_2 approved it, but in vain: launch refused: no plan.', inVain: true });
+    expect(refused).toEqual({ words: 'operator_2 approved it, but in vain: launch refused: no plan.', inVain: true, lapsed: false });
   });
 
   it('that was withdrawn says by whose word, and only of what has ended that it is over', () => {

@@ -11,6 +11,8 @@ export interface Closing {
   words: string | null;
   /** Approved, and refused or deferred all the same. */
   inVain: boolean;
+  /** Its time ran out. */
+  lapsed: boolean;
 }
 
 /** What withdraws a question: the word of somebody who decides otherwise than by an answer. */
@@ -36,9 +38,9 @@ export function closingOf(events: readonly LogEvent[], asked: Asked, invocation:
   const last = told.findLast((event) => question(event)['status'] !== 'pending');
   const over = invocation?.outcome == null ? null : 'It is over.';
   // What its cell withdraws is not recorded as an answer: whose word it was is.
-  if (last === undefined) return { words: instead(events, asked, Infinity, named) ?? over, inVain: false };
+  if (last === undefined) return { words: instead(events, asked, Infinity, named) ?? over, inVain: false, lapsed: false };
   if (question(last)['status'] === 'approved') return approved(events, asked, last, named);
-  return { words: unapproved(events, asked, last, named) ?? over ?? 'It was withdrawn.', inVain: false };
+  return { words: unapproved(events, asked, last, named) ?? over ?? 'It was withdrawn.', inVain: false, lapsed: question(last)['status'] === 'expired' };
 }
 
 function first(name: string): string {
@@ -60,13 +62,19 @@ function instead(events: readonly LogEvent[], { invocation }: Asked, before: num
 
 function approved(events: readonly LogEvent[], { invocation }: Asked, last: LogEvent, named: Naming): Closing {
   const by = first(named(last.actor));
-  if (question(last)['kind'] === 'session') return { words: `${by} let it go on.`, inVain: false };
+  if (question(last)['kind'] === 'session') return { words: `${by} let it go on.`, inVain: false, lapsed: false };
   const next = events.find((event) => event.seq > last.seq && event.invocation === invocation && (event.kind === 'launch' || event.kind === 'outcome'));
-  if (next === undefined) return { words: `${by} approved it.`, inVain: false };
-  if (next.kind === 'outcome') return { words: `${by} approved it, but it was ${outcomeWords(text(next.body['outcome']))}${because(next)}.`, inVain: true };
-  if (!('refused' in next.body)) return { words: `${by} approved it: it was launched.`, inVain: false };
+  const what = edited(last) ? 'approved it, edited' : 'approved it';
+  if (next === undefined) return { words: `${by} ${what}.`, inVain: false, lapsed: false };
+  if (next.kind === 'outcome') return { words: `${by} ${what}, but it was ${outcomeWords(text(next.body['outcome']))}${because(next)}.`, inVain: true, lapsed: false };
+  if (!('refused' in next.body)) return { words: `${by} ${what}: it was launched.`, inVain: false, lapsed: false };
   const { strong, text: why } = eventLine(next);
-  return { words: `${by} approved it, but in vain: ${strong.toLowerCase()}${why}.`, inVain: true };
+  return { words: `${by} ${what}, but in vain: ${strong.toLowerCase()}${why}.`, inVain: true, lapsed: false };
+}
+
+function edited(answer: LogEvent): boolean {
+  const { edits } = question(answer);
+  return Array.isArray(edits) && edits.length > 0;
 }
 
 /** The first of an outcome's reasons. */

@@ -9,6 +9,7 @@ import { Link } from '../socket/link';
 import type { Down, Jog, Scene } from '../socket/messages';
 import { clock, serverMs } from './clock.svelte';
 import { fromSnapshot, grantOf, merged, NOTHING, type Documents } from './documents';
+import { Lapses } from './lapses.svelte';
 import { Pace } from './pace';
 import { Quiet } from './quiet';
 
@@ -56,6 +57,7 @@ export class Console {
     grant: (id) => grantOf(this.docs, id),
     turnedAway: (verdict) => turnedAway(this.docs.events, verdict),
   };
+  readonly lapses = new Lapses();
   jogRefused = $state<string | null>(null);
   /** Cells as asked for by name, while no socket says which there are: the stop needs no seat. */
   private listed = $state.raw<string[]>([]);
@@ -237,11 +239,13 @@ export class Console {
         break;
       case 'snapshot':
         this.latest = fromSnapshot(message, this.latest);
+        this.lapses.take(message.events);
         this.heardAtMs = clock.read();
         this.draw(); // at once: from now on it is the present
         break;
       case 'update':
         this.latest = merged(this.latest, message);
+        this.lapses.take(message.events);
         this.pace.ask();
         if (message.events?.some((event) => event.kind === 'policy_activated') === true) void this.fetchPolicy();
         break;
