@@ -68,6 +68,12 @@ class Incident:
             if len(self.made) == 1:
                 expect(cards(person)).to_have_accessible_name(FIRST)
 
+    def ask(self, cell: str, capability: str, **params: Any) -> str:
+        proposed = self.server.launch(capability, cell, **params)
+        assert proposed["status"] == "awaiting_approval", proposed["admission"]
+        self.made.append(proposed["id"])
+        return proposed["id"]
+
     def drive(self, cell: str, **params: Any) -> None:
         proposed = self.server.launch("navigate_to", cell, **params)
         assert proposed["status"] == "running", proposed["admission"]
@@ -302,19 +308,100 @@ def test_in_an_incident_on_a_phone_answers_and_stop_stay_in_reach(
     expect(cards(person)).to_have_accessible_name(REST[1])
 
 
-def test_on_a_phone_the_session_and_a_question_share_a_line_above_the_stop_and_the_stop_names_its_cell(
+def test_on_a_phone_a_question_that_comes_or_goes_moves_no_pause_and_the_stop_names_its_cell(
     server: ServerProcess, people: People, incident: Incident
 ) -> None:
     person = people.sit(server, size=PHONE)
-    incident.begin(person)
-    expect(rows(person)).to_have_count(4)
     incident.drive("workcell-1", target="dock")
-    back, named = person.button("Roll back"), person.page.locator("footer .docked")
-    expect(back).to_be_in_viewport(ratio=1)
-    expect(named).to_contain_text(FIRST)
-    line, name, answer = box(back), box(named), box(deny(person))
-    assert line["y"] <= name["y"] + name["height"] / 2 <= line["y"] + line["height"] <= answer["y"]
-    assert name["x"] + name["width"] <= box(person.button("Pause"))["x"]
+    pause = person.button("Pause")
+    expect(pause).to_be_enabled()
+    stands = box(pause)
+    incident.ask("workcell-2", "operate_tool", tool="press", action="press")
+    expect(deny(person)).to_be_visible()
+    assert box(pause) == stands
+    answer, named = box(deny(person)), box(person.page.locator("footer .docked"))
+    assert named["y"] + named["height"] <= answer["y"]
+    assert answer["y"] + answer["height"] <= stands["y"]
+    assert stands["y"] + stands["height"] <= box(stop(person))["y"]
+    pause.tap()
+    server.await_status(incident.made[0], "paused")
     expect(stop(person)).to_contain_text("workcell-1")
     assert out_of_reach(stop(person)) == []
     assert wider_than_the_screen(person.page) == []
+
+
+def hands_off(server: ServerProcess) -> None:
+    """Have nobody drive workcell-1, and nobody hold its stop."""
+    control = server.cell()["control"]
+    if control is not None:
+        server.post(f"/v1/invocations/{control['invocation']}/release", {"then": "end"})
+    if server.cell()["latched"]:
+        server.post("/v1/cells/workcell-1/reset")
+    until(lambda: server.cell()["control"] is None and not server.cell()["latched"], what="a cell that is free")
+
+
+def test_a_question_that_comes_or_goes_moves_no_pad_under_the_finger_that_drives(
+    server: ServerProcess, people: People, incident: Incident
+) -> None:
+    person = people.sit(server, size=PHONE)
+    person.button("Drive").tap()
+    person.button("Take the controls").tap()
+    try:
+        expect(person.page.get_by_text("Hold to run; let go to stop")).to_be_visible()
+        pads = person.region("Drive by hand").get_by_role("button")
+        stand = [box(button) for button in pads.all()]
+        assert len(stand) > 12  # the ways of base and tool, and what else stands there
+        proposed = incident.ask("workcell-2", "operate_tool", tool="press", action="press")
+        badge = person.button(re.compile("^Menu *, *1 *question waits"))
+        expect(badge).to_be_visible()
+        assert [box(button) for button in pads.all()] == stand
+        expect(person.page.locator("footer .choice")).to_have_count(0)
+        badge.tap()
+        person.page.get_by_role("navigation").get_by_role("button", name="1 question").tap()
+        expect(deny(person)).to_be_in_viewport()
+        server.post(f"/v1/invocations/{proposed}/cancel")
+        expect(badge).to_have_count(0)
+        person.page.evaluate("document.querySelector('#page').scrollTop = 0")
+        assert [box(button) for button in pads.all()] == stand
+    finally:
+        hands_off(server)
+
+
+def test_a_banner_that_moves_the_answers_keeps_fingers_off_them_for_a_moment(
+    server: ServerProcess, people: People, incident: Incident
+) -> None:
+    person = people.sit(server)
+    asked = incident.ask("workcell-2", "operate_tool", tool="press", action="press")
+    approve = person.button(re.compile("^Approve"))
+    expect(approve).to_be_enabled()
+    stood = box(approve)
+    assert server.post("/v1/cells/workcell-1/takeover", key="operator_2").is_success
+    try:
+        person.page.wait_for_function(
+            "(top) => document.querySelector('.choice .accent').getBoundingClientRect().top > top + 20", arg=stood["y"]
+        )
+        stands = box(approve)
+        person.page.mouse.click(stands["x"] + stands["width"] / 2, stands["y"] + stands["height"] / 2)
+        expect(approve).to_be_disabled()
+        expect(approve).to_be_enabled()
+        assert server.get(f"/v1/invocations/{asked}")["status"] == "awaiting_approval"
+    finally:
+        hands_off(server)
+
+
+def test_a_stop_on_the_fleets_page_stays_where_it_is_when_a_banner_comes(
+    server: ServerProcess, people: People, incident: Incident
+) -> None:
+    person = people.sit(server)
+    person.page.evaluate("location.hash = '#/fleet'")
+    button = person.button("Emergency stop of workcell-2")
+    expect(button).to_be_visible()
+    stands = box(button)
+    try:
+        server.post("/v1/cells/workcell-1/estop", key="operator_2")
+        expect(person.page.locator(".banners").get_by_role("button", name="Reset…")).to_be_visible()
+        assert box(button)["y"] == pytest.approx(stands["y"], abs=2)
+    finally:
+        hands_off(server)
+    expect(person.page.locator(".banners").get_by_role("button", name="Reset…")).to_have_count(0)
+    assert box(button)["y"] == pytest.approx(stands["y"], abs=2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 
 import pytest
 from playwright.sync_api import Route, expect
@@ -16,22 +17,47 @@ CELL = "/v1/cells/workcell-1"
 ANSWER = re.compile(r"^(Asks a person\. It would wait until|Deferred\. Not now: )")
 
 
-def test_a_question_that_nobody_answers_goes_by_itself(server: ServerProcess, people: People, floor: Floor) -> None:
-    person = people.sit(server)
+@pytest.fixture
+def hurried(server: ServerProcess) -> Iterator[None]:
+    """Whoever is asked has three seconds to answer."""
     with server.client() as client:
         assert client.put(f"{CELL}/profile", json={"profile": "real-restricted"}).is_success
-    try:
-        asked = floor.ask(confidence=0.3)
-        card = person.page.get_by_role("article", name="Grasp mug_1")
-        expect(card).to_contain_text(re.compile("0:0[123]"))
-        expect(card).to_contain_text("then denied")
-        expect(card).to_have_count(0)
-        ended = floor.settled(asked["id"])
-        assert (ended["status"], ended["outcome"]) == ("denied", "expired")
-        expect(person.region("Events")).to_contain_text("The question is expired")
-    finally:
-        with server.client() as client:
-            client.put(f"{CELL}/profile", json={"profile": "human-shared"})
+        yield
+        client.put(f"{CELL}/profile", json={"profile": "human-shared"})
+
+
+@pytest.mark.usefixtures("hurried")
+def test_a_question_that_nobody_answers_goes_by_itself(server: ServerProcess, people: People, floor: Floor) -> None:
+    person = people.sit(server)
+    asked = floor.ask(confidence=0.3)
+    card = person.page.get_by_role("article", name="Grasp mug_1")
+    expect(card).to_contain_text(re.compile("0:0[123]"))
+    expect(card).to_contain_text("then denied")
+    expect(card).to_have_count(0)
+    ended = floor.settled(asked["id"])
+    assert (ended["status"], ended["outcome"]) == ("denied", "expired")
+    expect(person.region("Events")).to_contain_text("The question is expired")
+
+
+@pytest.mark.usefixtures("hurried")
+def test_what_lapsed_is_told_whole_until_it_is_put_away_whatever_page_one_was_on(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    person.page.evaluate("location.hash = '#/audit'")
+    for _ in range(2):
+        floor.settled(floor.ask(confidence=0.3)["id"])
+    person.page.evaluate("location.hash = '#/live'")
+    told = person.region("Waiting for you").get_by_role("status").filter(has_text="lapsed")
+    lapse = r"Grasp mug_1 \(\d\d:\d\d:\d\d, nobody answered\)"
+    expect(told).to_contain_text(re.compile(rf"2 questions lapsed: {lapse}; {lapse}\."))
+    third = floor.ask(confidence=0.3)  # before one's eyes it is no other matter
+    expect(person.page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
+    floor.settled(third["id"])
+    expect(told).to_contain_text("3 questions lapsed:")
+    person.button("Put away what lapsed").click()
+    expect(told).to_have_count(0)
+    assert person.page.evaluate("document.activeElement.id") == "page"
 
 
 def hostile(server: ServerProcess, name: str) -> None:
