@@ -350,6 +350,7 @@ def test_a_question_that_comes_or_goes_moves_no_pad_under_the_finger_that_drives
         expect(person.page.get_by_text("Hold to run; let go to stop")).to_be_visible()
         pads = person.region("Drive by hand").get_by_role("button")
         stand = [box(button) for button in pads.all()]
+        top = person.page.evaluate("document.querySelector('#page').scrollTop")
         assert len(stand) > 12  # the ways of base and tool, and what else stands there
         proposed = incident.ask("workcell-2", "operate_tool", tool="press", action="press")
         badge = person.button(re.compile("^Menu *, *1 *question waits"))
@@ -361,7 +362,7 @@ def test_a_question_that_comes_or_goes_moves_no_pad_under_the_finger_that_drives
         expect(deny(person)).to_be_in_viewport()
         server.post(f"/v1/invocations/{proposed}/cancel")
         expect(badge).to_have_count(0)
-        person.page.evaluate("document.querySelector('#page').scrollTop = 0")
+        person.page.evaluate("(top) => { document.querySelector('#page').scrollTop = top; }", top)
         assert [box(button) for button in pads.all()] == stand
     finally:
         hands_off(server)
