@@ -46,11 +46,7 @@ FIELDS: Final = (
 )  # fmt: skip
 ADMISSION: Final = ("outcome", "reasons", "retry_after_s")  # of an event's body: what the document says of it
 POLICY: Final = ("outcome", "reasons", "changes")
-QUESTION: Final = (
-    "id",
-    "status",
-    "code",
-)  # an earlier release left the document with the deadline before a phase's own
+QUESTION: Final = ("id", "status", "code")  # an earlier release left the document with an older deadline
 
 
 def rebuild(events: Iterable[Event]) -> dict[str, Any]:
