@@ -29,7 +29,8 @@ DEFAULT_PROFILE: Final = "human-shared"  # the strictest
 CELL_TOKEN_VARIABLE: Final = "REINS_CELL_TOKEN"  # noqa: S105  # the variable's name
 MAX_CELLS: Final = 16
 _KEY_BYTES: Final = 32
-_NAME: Final = re.compile(r"[a-z0-9][a-z0-9_-]{0,39}")
+CELL_ID: Final = re.compile(r"[a-z0-9][a-z0-9_-]{0,39}")
+VALID_CELL_ID: Final = "lower-case letters, digits, `-` and `_`, up to 40"
 _PACKAGE: Final = Path(__file__).resolve().parent
 
 
@@ -139,9 +140,7 @@ class CellSettings:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be meant."""
-        _demand(
-            _NAME.fullmatch(self.id) is not None, "id", self.id, "lower-case letters, digits, `-` and `_`, up to 40"
-        )
+        _demand(CELL_ID.fullmatch(self.id) is not None, "id", self.id, VALID_CELL_ID)
         _demand(bool(self.token), "token", "", f"a cell's token in the variable {CELL_TOKEN_VARIABLE}")
         one = (self.server is None) != (self.server_file is None)
         _demand(one, "server", self.server, "either an address like http://127.0.0.1:8000 or a server file")

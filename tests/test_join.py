@@ -101,6 +101,14 @@ def test_a_wrong_token_does_not_get_in(servers: Servers, hand: Hand) -> None:
     assert not online(server)
 
 
+def test_a_cell_in_the_name_of_a_person_is_told_why_it_does_not_get_in(servers: Servers, hand: Hand) -> None:
+    server = servers.start(cells=0)
+    process, log = hand.join(server, token_of(server), "--id", "operator")
+    until(lambda: "answered 422: `operator` reads like `operator`" in log.read_text(), 60.0, "the cell says why")
+    assert process.poll() is None
+    assert server.get("/v1/cells")["items"] == []
+
+
 def test_a_cell_with_a_robot_that_cannot_be_driven_does_not_start(servers: Servers, hand: Hand, tmp_path: Path) -> None:
     model = tmp_path / "robot.xml"
     model.write_text("<mujoco><worldbody><body name='box'><geom size='0.1'/></body></worldbody></mujoco>")

@@ -124,6 +124,7 @@ def create_app(  # noqa: PLR0913  # every part of a server, by name
         versions=versions,
         shadow=shadow,
         principals=principals,
+        roll=Roll(principals, store),
         checks=dict(checks or {}),
     )
     app.state.pages = pages.read_pages(pages.FOLDER)
@@ -209,9 +210,8 @@ async def _lifespan(app: FastAPI) -> AsyncGenerator[None]:
     gc.freeze()
     gc.set_threshold(COLLECT_AFTER_OBJECTS, 10, 10)
     parts: Parts = app.state.parts
-    roll = Roll(parts.principals, parts.store)
-    await roll.open()
-    keeping = asyncio.create_task(roll.keep(), name="roll")
+    await parts.roll.open()
+    keeping = asyncio.create_task(parts.roll.keep(), name="roll")
     try:
         yield
     finally:

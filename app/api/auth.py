@@ -228,7 +228,7 @@ def issue_token(
         raise ValueError(
             f"`{name}` is no principal name: valid are 1 to 128 printable characters, no blank around them"
         )
-    if role is not Role.CELL and _as_read(name) in map(_as_read, _machines(data_dir)):
+    if role is not Role.CELL and as_read(name) in map(as_read, _machines(data_dir)):
         raise ValueError(f"`{name}` is what the record calls a machine: valid is another name")
     token = _new_token(role)
     expires_at = None if ttl_s is None else clock.rfc3339(clock.wall_s() + ttl_s)
@@ -240,7 +240,7 @@ def issue_token(
         if other is not None:
             raise ValueError(f"`{name}` has the role `{other}` already: valid is that role, or another name")
         names = [one["name"] for one in known]
-        alike = next((one for one in names if _as_read(one) == _as_read(name)), name)
+        alike = next((one for one in names if as_read(one) == as_read(name)), name)
         if name not in names and alike != name:  # two people who read as one would count as two approvers
             raise ValueError(f"`{name}` reads like `{alike}`, who is there already: valid is that, or another name")
         rows = [*known, row if station is None else {**row, "station": station}]
@@ -248,7 +248,7 @@ def issue_token(
     return token
 
 
-def _as_read(name: str) -> str:
+def as_read(name: str) -> str:
     """Return what a reader tells names apart by: not by capitals, nor by how wide a blank is or how coded an accent."""
     return " ".join(unicodedata.normalize("NFKC", name).casefold().split())
 

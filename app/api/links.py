@@ -14,19 +14,21 @@ from typing import TYPE_CHECKING
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from app.api.access import WEBSOCKET, allowed_roles, authorize
+from app.api.auth import MACHINES, as_read
 from app.api.parts import parts_of
 from app.api.problems import Problem
 from app.api.staying import close_code, until_refused
+from app.config import CELL_ID, VALID_CELL_ID
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from fastapi import APIRouter
 
+    from app.api.parts import Parts
     from app.runtime.link import Attachment
 
 PATH = "/v1/cells/{id}/link"
-MAX_ID = 128
 POLICY_VIOLATION = 1008
 
 
@@ -54,7 +56,7 @@ async def link(socket: WebSocket) -> None:
     let_in = partial(authorize, socket, parts_of(socket).principals, allowed_roles(WEBSOCKET, PATH))
     try:
         let_in()
-        _check_name(cell_id)
+        _check_name(cell_id, parts_of(socket))
     except Problem as problem:
         await socket.send_denial_response(problem.response(socket.url.path))
         return
@@ -84,9 +86,17 @@ async def _stay_known(attachment: Attachment, let_in: Callable[[], object]) -> N
     attachment.shut(close_code(refusal), refusal.detail)
 
 
-def _check_name(cell_id: str) -> None:
-    if len(cell_id) > MAX_ID or not cell_id.isprintable():
-        raise Problem("request_invalid", f"valid cell names have at most {MAX_ID} printable characters")
+def _check_name(cell_id: str, parts: Parts) -> None:
+    """Refuse a name that is none, or under which the record would hold somebody else's words. Raises `Problem`."""
+    if CELL_ID.fullmatch(cell_id) is None:
+        raise Problem("request_invalid", f"`{cell_id}` is no name of a cell: valid are {VALID_CELL_ID}")
+    read = as_read(cell_id)
+    taken = next((name for name in (*MACHINES, *parts.policy().agents) if as_read(name) == read), None)
+    taken = taken or parts.roll.alike(cell_id)
+    if taken is not None:
+        raise Problem(
+            "request_invalid", f"`{cell_id}` reads like `{taken}`, whom the record calls so: valid is another name"
+        )
 
 
 def register(router: APIRouter) -> None:

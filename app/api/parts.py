@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from starlette.requests import HTTPConnection
 
     from app.api.auth import Principals
+    from app.api.roll import Roll
     from app.audit.store import AuditStore
     from app.governance.policy import PolicySet
     from app.runtime.broadcast import Broadcast
@@ -55,6 +56,7 @@ class Parts:
     versions: Versions
     shadow: Shadow
     principals: Principals
+    roll: Roll
     verifying: asyncio.Lock = field(default_factory=asyncio.Lock)
     replaying: asyncio.Lock = field(default_factory=asyncio.Lock)
     streams: Seats = field(default_factory=lambda: Seats(code="too_many_streams", limit=MAX_STREAMS, each=EACH_STREAMS))

@@ -12,11 +12,11 @@ import asyncio
 import logging
 from typing import TYPE_CHECKING, Any, Final
 
-from app.api.auth import LOOK_AGAIN_S
+from app.api.auth import LOOK_AGAIN_S, as_read
 from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft
 from app.clock import rfc3339
-from app.governance.model import EventKind
+from app.governance.model import EventKind, Role
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -39,6 +39,7 @@ class Roll:
         self._principals = principals
         self._store = store
         self._recorded: dict[str, dict[str, Any]] = {}
+        self._named: dict[str, str] = {}  # everyone who was ever on it and is no cell, by how their names are read
 
     async def open(self) -> None:
         """Read what the log says already, and record what it does not.
@@ -80,9 +81,17 @@ class Roll:
             except RecordUnavailable as error:
                 log.warning("a change of principals is not recorded, so what is new does not count yet: %s", error)
 
+    def alike(self, name: str) -> str | None:
+        """Return who is, or ever was, on the roll under a name that reads like this one; cells do not count."""
+        listed = (credential.principal for credential in self._principals.look().values())
+        new = {as_read(one.name): one.name for one in listed if one.role is not Role.CELL}  # may not be recorded yet
+        return self._named.get(as_read(name)) or new.get(as_read(name))
+
     def _note(self, word: Mapping[str, Any]) -> None:
         entry = dict(word)
         op, credential = entry.pop("op"), str(entry["credential"])
+        if entry["role"] != Role.CELL:
+            self._named[as_read(entry["principal"])] = entry["principal"]
         if op == "withdrawn":
             self._recorded.pop(credential, None)
         else:

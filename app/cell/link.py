@@ -22,6 +22,7 @@ import random
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NoReturn, Protocol
 
+import orjson
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus, WebSocketException
 
@@ -66,6 +67,7 @@ PATIENCE_S: Final = 5.0  # for the handshake and the welcome
 FAREWELL_S: Final = 0.5  # for the last events to be acknowledged
 MIND_S: Final = 0.05
 MAX_FRAME_BYTES: Final = 16 * 1024 * 1024
+MAX_WHY: Final = 300
 
 
 class LinkLost(Exception):
@@ -386,8 +388,19 @@ def _plain(error: Exception) -> str:
     match error:
         case InvalidStatus():
             code = error.response.status_code
-            return f"the server answered {code}" + (": is the cell's token valid?" if code in {401, 403} else "")
+            return f"the server answered {code}" + (
+                ": is the cell's token valid?" if code in {401, 403} else _why(error)
+            )
         case TimeoutError():
             return "the server did not answer in time"
         case _:
             return str(error) or type(error).__name__
+
+
+def _why(refused: InvalidStatus) -> str:
+    """Return what a server says of its refusal, as one line; nothing where it does not say it as ours do."""
+    try:
+        detail = str(orjson.loads(refused.response.body or b"")["detail"])
+    except (ValueError, TypeError, KeyError):
+        return ""
+    return f": {detail[:MAX_WHY]}" if detail.isprintable() else ""

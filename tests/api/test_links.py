@@ -1,9 +1,15 @@
 from __future__ import annotations
 
+from dataclasses import replace
+from urllib.parse import quote
+
+import orjson
 import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from app.api.auth import issue_token
+from app.governance.model import Role
 from app.protocol import ROW, ProtocolError, pack_batch, unpack_batch
 from tests.api.conftest import CELL, House
 
@@ -44,9 +50,43 @@ def test_a_frame_of_telemetry_that_names_no_invocation_is_malformed(name: bytes)
         unpack_batch(bytes(frame))
 
 
-async def test_refuses_a_cell_whose_name_cannot_be_recorded(house: House) -> None:
+async def refusal(house: House, name: str) -> str:
+    """Dial in under a name and return why that was refused."""
     headers = {"Authorization": f"Bearer {house.cell_token}"}
     with pytest.raises(InvalidStatus) as refused:
-        async with connect(link_url(house, "x" * 129), additional_headers=headers, proxy=None):
+        async with connect(link_url(house, quote(name, safe="")), additional_headers=headers, proxy=None):
             pass
-    assert refused.value.response.status_code == 422
+    problem = orjson.loads(refused.value.response.body or b"")
+    assert (refused.value.response.status_code, problem["code"]) == (422, "request_invalid")
+    assert not house.runtime.fleet.knows(name)
+    return problem["detail"]
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["x" * 41, "..", "Workcell-1", "café", "work\N{RIGHT-TO-LEFT OVERRIDE}cell", "a b", "-x", "workcell-1\n", "a.b"],
+)
+async def test_refuses_a_cell_whose_name_is_none(house: House, name: str) -> None:
+    assert "no name of a cell: valid are lower-case letters" in await refusal(house, name)
+
+
+@pytest.mark.parametrize("name", ["operator", "operator_2", "auditor", "planner", "server", "cell"])
+async def test_refuses_a_cell_in_the_name_of_a_person_an_agent_or_the_server(house: House, name: str) -> None:
+    before = await house.runtime.register.store.events(actor=name, limit=1000)
+    assert f"reads like `{name}`" in await refusal(house, name)
+    assert await house.runtime.register.store.events(actor=name, limit=1000) == before, "nothing is recorded under it"
+
+
+async def test_refuses_a_cell_in_the_name_of_an_agent_that_has_no_token(house: House) -> None:
+    parts, policy = house.app.state.parts, house.runtime.kernel.policy
+    other = replace(policy, agents={"mover": policy.agents["planner"]})
+    house.app.state.parts = replace(parts, policy=lambda: other)
+    try:
+        assert "reads like `mover`" in await refusal(house, "mover")
+    finally:
+        house.app.state.parts = parts
+
+
+async def test_refuses_a_cell_in_a_name_that_reads_like_somebodys(house: House) -> None:
+    issue_token(house.folder, name="Lena", role=Role.OPERATOR)
+    assert "reads like `Lena`" in await refusal(house, "lena")

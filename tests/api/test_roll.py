@@ -132,3 +132,19 @@ async def test_a_token_issued_while_the_server_runs_is_recorded_and_counts(house
                 break
     principals: Principals = house.app.state.parts.principals
     await eventually(lambda: may_enter(principals, token))
+
+
+async def test_a_name_stays_somebodys_after_its_token_is_withdrawn(tmp_path: Path, store: AuditStore) -> None:
+    principals = open_principals(tmp_path)
+    issue_token(tmp_path, name="Lena  M", role=Role.OPERATOR)
+    issue_token(tmp_path, name="workcell-2", role=Role.CELL)
+    roll = Roll(principals, store)
+    await roll.open()
+    assert (roll.alike("lena m"), roll.alike("workcell-2"), roll.alike("nobody")) == ("Lena  M", None, None)
+    issue_token(tmp_path, name="Otto", role=Role.OPERATOR)
+    assert roll.alike("otto") == "Otto", "who is new has the name before the record knows"
+    withdraw(tmp_path, "Lena  M")
+    await roll.update()
+    again = Roll(open_principals(tmp_path), store)
+    await again.open()
+    assert (roll.alike("lena m"), again.alike("lena m")) == ("Lena  M", "Lena  M")
