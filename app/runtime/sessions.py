@@ -27,7 +27,7 @@ from contextlib import AsyncExitStack, suppress
 from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.documents import TABLES, follow, is_founded, nothing_said
-from app.audit.errors import RecordUnavailable
+from app.audit.errors import AuditError, RecordUnavailable
 from app.audit.event import EventDraft
 from app.clock import monotonic_s, parse_rfc3339
 from app.governance.control import Phase, refused
@@ -114,17 +114,21 @@ class Sessions:
     async def absorb(self, cell: str, events: Sequence[UpEvent], rows: Sequence[RowWrite]) -> None:
         """Record reports with the rows given, and what follows from them, all of it or nothing.
 
+        Reports of an invocation that the cell never had are kept, outside its trace.
+
         Raises:
             RecordUnavailable: nothing was recorded.
         """
+        names = {event.invocation for event in events if event.invocation is not None}
+        strange = frozenset([name for name in names if not await self._had(cell, name)])
         async with AsyncExitStack() as locks:
             versions: dict[str, Invocation] = {}
-            for name in sorted({event.invocation for event in events if event.invocation is not None}):
+            for name in sorted(names - strange):
                 entry = self._register.entry(name)
                 if entry is not None:
                     await locks.enter_async_context(entry.lock)
                     versions[name] = entry.newest
-            story = Story(self._desk, versions)
+            story = Story(self._desk, versions, strange)
             for event in events:
                 story.tell(cell, event, self._register.now())
             questions = story.questions.values()
@@ -137,6 +141,21 @@ class Sessions:
         for version in story.changed():
             if version.final:
                 self._seal_soon(version, cell)
+
+    async def _had(self, cell: str, name: str) -> bool:
+        """Say whether an invocation, live or over, is this cell's.
+
+        Raises:
+            RecordUnavailable: the record cannot say now.
+        """
+        known = self._register.newest(name)
+        if known is not None:
+            return known.cell == cell
+        try:
+            row = await self._register.store.row("invocations", id=name)
+        except AuditError as error:
+            raise RecordUnavailable(str(error)) from error
+        return row is not None and row["cell"] == cell
 
     def _keep_control(self, before: Invocation, version: Invocation) -> None:
         """Keep the lease of a cell's controls in step with what became of the session they were of.
@@ -234,10 +253,12 @@ class Sessions:
             self._register.unfounded.setdefault(question["id"], "its row is not what was asked and answered")
 
     async def attached(self, cell: str, hello: Hello) -> None:
-        """Record that a cell is there."""
-        place = self._fleet.cell(cell)
+        """Record that a cell is there, in the trace of the invocation that it holds, if it has that from here."""
+        place, held = self._fleet.cell(cell), None
+        with suppress(RecordUnavailable):  # its word says which one all the same
+            held = hello.invocation if hello.invocation and await self._had(cell, hello.invocation) else None
         body = {"link": "attached", **hello.model_dump(exclude={"type", "version", "cell"})}
-        draft = EventDraft(kind=EventKind.CELL, actor=cell, body=body, invocation=hello.invocation)
+        draft = EventDraft(kind=EventKind.CELL, actor=cell, body=body, invocation=held)
         try:
             await self._fleet.introduce(place, [draft])
         except RecordUnavailable:

@@ -40,9 +40,10 @@ DONE: Final = frozenset({Outcome.SUCCEEDED, Outcome.RECOVERED})
 class Story:
     """Reports in order, and the versions they make of the live invocations they are about."""
 
-    def __init__(self, desk: Desk, versions: dict[str, Invocation]) -> None:
-        """Begin with versions whose locks are held."""
+    def __init__(self, desk: Desk, versions: dict[str, Invocation], strange: frozenset[str] = frozenset()) -> None:
+        """Begin with versions whose locks are held; `strange` are invocations that the cell never had."""
         self._desk = desk
+        self._strange = strange
         self._before = dict(versions)
         self._versions = versions
         self.drafts: list[EventDraft] = []
@@ -59,14 +60,15 @@ class Story:
     def tell(self, cell: str, event: UpEvent, at: str) -> None:
         """Take one report."""
         name = event.invocation
+        if name in self._strange:  # a trace holds nobody's word but that of the cell which had it
+            self.drafts.append(_stray(cell, event))
+            return
         version = None if name is None else self._versions.get(name)
         live = (
             version is not None and not version.final
         )  # a late word cannot raise the dead; it is recorded all the same
         added = self._follow(version, event, at) if version is not None and live else NOTHING
-        body = {**event.body, **added, "cell_seq": event.seq, "cell_at_s": event.at_s, "tick": event.tick}
-        if event.actor not in (cell, ITSELF):
-            body["actor"] = event.actor
+        body = {**_said(cell, event), **added}
         kind = event.kind
         if kind == EventKind.OUTCOME and not live:  # an invocation has one outcome, and this one came after it
             kind, body = EventKind.CELL, {**body, "late": EventKind.OUTCOME}
@@ -196,6 +198,21 @@ class Story:
         if known:
             return known[-1] if known[-1].status == PENDING else None
         return self._desk.pending_for(name)
+
+
+def _said(cell: str, event: UpEvent) -> dict[str, Any]:
+    """Return a report as the record holds it."""
+    body = {**event.body, "cell_seq": event.seq, "cell_at_s": event.at_s, "tick": event.tick}
+    return body if event.actor in (cell, ITSELF) else {**body, "actor": event.actor}
+
+
+def _stray(cell: str, event: UpEvent) -> EventDraft:
+    """Return what a cell says of an invocation that it never had: kept, and in no invocation's trace.
+
+    It is not refused: a cell that outlived a record restored from a copy would report it for ever, and move no more.
+    """
+    body = {**_said(cell, event), "stray": event.kind, "of": event.invocation}
+    return EventDraft(kind=EventKind.CELL, actor=cell, body=body)
 
 
 def _answered_meanwhile(version: Invocation, event: UpEvent) -> bool:

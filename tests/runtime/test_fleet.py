@@ -232,6 +232,37 @@ async def test_a_cell_cannot_speak_for_anothers_session(runtime: Runtime, cell: 
     assert (await runtime.governor.invocation(name, AGENT))["status"] == "running"
 
 
+async def test_a_trace_holds_no_word_of_a_cell_that_never_had_the_invocation(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    other = await HandCell(runtime, id="workcell-2", invocation=name).dial()
+    await cell.ended(name, "succeeded")
+    await other.report("human", name, op="resume", actor="operator")
+    await other.report("outcome", "inv_made_up", outcome="succeeded")
+    assert other.closed is None, "it goes on, whatever it reports of a record that was lost"
+    assert "workcell-2" not in {event["actor"] for event in await runtime.governor.trace(name, AUDITOR)}
+    assert not await runtime.register.store.events(invocation="inv_made_up")
+    said = await runtime.register.store.events(actor="workcell-2")
+    assert {event.kind for event in said} == {"cell"}
+    bodies = [event.payload() for event in said]
+    assert [body.get("invocation") for body in bodies if body.get("link") == "attached"] == [name]
+    strays = [(body["stray"], body["of"], body["cell_seq"]) for body in bodies if "stray" in body]
+    assert strays == [("human", name, 1), ("outcome", "inv_made_up", 2)]
+
+
+async def test_what_a_cell_reports_again_of_an_invocation_that_is_over_is_in_its_trace(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        name = await running(first, cell)
+        await cell.ended(name, "succeeded")
+        await cell.hang_up()
+    async with house.open() as second:
+        back = await HandCell(second, boot="boot-2", seq=cell.seq, invocation=name).dial()
+        await back.report("alert", name, signal="warning", rule="separation")
+        trace = await second.governor.trace(name, AUDITOR)
+    assert [(event["kind"], event["actor"]) for event in trace[-2:]] == [("cell", CELL), ("alert", CELL)]
+
+
 async def test_terminal_statuses_absorb_late_words(runtime: Runtime, cell: HandCell) -> None:
     name = await running(runtime, cell)
     await cell.report("status", name, status="completed")
