@@ -16,7 +16,10 @@ again under that key finds the same invocation, and launches nothing a second ti
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, cast
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 Document: TypeAlias = dict[str, Any]
 
@@ -69,10 +72,12 @@ class Problem(_Interrupted):
 class NotCompleted(ReinsError):
     """A proposal that did not end in success: `invocation` is the whole document, `reasons` what to replan on."""
 
+    PARTS: ClassVar[tuple[str, ...]] = ("admission", "policy", "failure")  # of the document, that say why
+
     def __init__(self, invocation: Document) -> None:
-        """Collect the reasons of admission, policy and outcome."""
+        """Collect the reasons."""
         self.invocation = invocation
-        self.reasons = reasons_of(invocation)
+        self.reasons = reasons_of(invocation, self.PARTS)
         said = "; ".join(reason.message or reason.code for reason in self.reasons) or "no reason given"
         super().__init__(f"`{invocation['capability']}` {invocation['status']}: {said}")
 
@@ -87,7 +92,12 @@ class Refused(NotCompleted):
 
 
 class ExecutionFailed(NotCompleted):
-    """Launched, and ended otherwise than by success; `outcome` says how (`terminated`, `stopped`, `fault`, …)."""
+    """Launched, and ended otherwise than by success; `outcome` says how (`terminated`, `stopped`, `fault`, …).
+
+    `reasons` are those of its end alone: what policy said to let it launch is in `invocation`.
+    """
+
+    PARTS = ("failure",)
 
     @property
     def outcome(self) -> str:
@@ -122,13 +132,13 @@ class Result:
         return list(document(self.invocation.get("policy")).get("changes") or [])
 
 
-def reasons_of(invocation: Document) -> tuple[Reason, ...]:
-    """Return all reasons of an invocation document: admission first, then policy, then those of its end.
+def reasons_of(invocation: Document, parts: Sequence[str]) -> tuple[Reason, ...]:
+    """Return the reasons that parts of an invocation document hold, in that order.
 
     A part holds a list of `reasons`, or is itself the only one.
     """
     found: list[Document] = []
-    for part in ("admission", "policy", "failure"):
+    for part in parts:
         said = document(invocation.get(part))
         found += cast("list[Document]", said.get("reasons") or ([said] if "code" in said else []))
     return tuple(

@@ -73,7 +73,7 @@ def test_planning_names_what_the_site_does_not_know():
         (Refused(ended("denied", ("organization/hazmat", "rule"))), True, ()),
         (Refused(ended("rejected", ("admission", "unknown_capability"))), True, ()),
         (ExecutionFailed(ended("failed", outcome="stopped")), True, ()),
-        (ExecutionFailed(ended("failed", ("cell", "holding"), outcome="fault")), False, ()),
+        (ExecutionFailed(failed_of("holding")), False, ()),
         (ExecutionFailed(failed_of("grasp_failed")), False, ("navigate_to", "inspect_area")),
         (ExecutionFailed(failed_of("object_lost")), False, ()),
         (ExecutionFailed(failed_of("blocked")), False, ()),
