@@ -103,7 +103,7 @@ def create_app(  # noqa: PLR0913  # every part of a server, by name
         versions: every version of policy.
         shadow: what a candidate would decide on live traffic.
         principals: who may come in.
-        checks: further readiness questions by name; each returns what is broken, or None.
+        checks: further questions of readiness about cells, by name; each returns what is broken, or None.
 
     Raises:
         RouteUnguarded: a route and the table of roles do not match.
@@ -179,15 +179,22 @@ async def healthz(request: Request) -> Response:
 async def readyz(request: Request) -> Response:
     """Say whether a proposal could launch; 503 while not.
 
-    `broken` says what is in the way: the store, each cell, the policy.
+    `broken` says what is in the way: the store, the policy, and each cell where none can take a proposal. Where one
+    can, what ails the others is `impaired`, absent where nothing does.
     """
     parts = parts_of(request)
     await parts.store.look()
     broken = parts.governor.ready()
+    ailing = parts.fleet.unusable()
     for name, question in parts.checks.items():
         if (trouble := question()) is not None:
-            broken[name] = trouble
-    return answer({"ready": not broken, "broken": broken}, 503 if broken else 200)
+            ailing[name] = trouble
+    if parts.fleet.problems():
+        broken |= ailing
+    document = {"ready": not broken, "broken": broken}
+    if impaired := {name: why for name, why in ailing.items() if name not in broken}:
+        document["impaired"] = impaired
+    return answer(document, 503 if broken else 200)
 
 
 async def openapi(request: Request) -> Response:

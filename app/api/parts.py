@@ -43,7 +43,7 @@ class Parts:
     """The runtime behind the door.
 
     `policy` returns the policy set in force (one reference, read once per request). `checks` are further questions
-    `/readyz` asks: each returns what is broken, or None.
+    about cells that `/readyz` asks: each returns what is broken, or None.
     """
 
     governor: Governor

@@ -109,15 +109,15 @@ class Fleet:
     def choose(self) -> Cell | None:
         """Return the cell for a proposal that names none: one that is free, else one to wait for, else any.
 
-        A latched or holding cell is not free; it is chosen only where no other is there. A busy one is worth waiting
-        for, a latched one is not.
+        A latched cell, one that holds and one that says nothing of use is not free; it is chosen only where no other is
+        there. A busy one is worth waiting for, a latched one is not.
         """
         if not self._cells:
             return None
         cells = self.cells()
         fresh = [cell for cell in cells if cell.fresh]
         usable = [cell for cell in fresh if not self.latched(cell)]
-        awake = [cell for cell in usable if cell.state is None or not (cell.state.holding or cell.state.fault)]
+        awake = [cell for cell in usable if self._trouble(cell) is None]
         free = [cell for cell in awake if self.busy(cell) is None]
         return next(iter(free or awake or usable or fresh or cells), None)
 
@@ -182,19 +182,27 @@ class Fleet:
         }
 
     def problems(self) -> dict[str, str]:
-        """Return what is wrong, by cell; empty where a proposal could launch."""
+        """Return what is in the way of any launch, by cell; empty where some cell could take a proposal."""
         if not self._cells:
             return {"cells": "no cell has ever attached"}
-        found: dict[str, str] = {}
-        for cell in self.cells():
-            facts = self.facts(cell)
-            if not facts.online:
-                found[f"cell/{cell.id}"] = "not attached, or silent"
-            elif cell.trouble is not None:
-                found[f"cell/{cell.id}"] = cell.trouble
-            elif facts.holding_link:
-                found[f"cell/{cell.id}"] = "holds: its link's lease lapsed"
-        return {**found, **self.faults()}
+        found = self.unusable()
+        return found if len(found) == len(self._cells) else {}
+
+    def unusable(self) -> dict[str, str]:
+        """Return why cells take no proposal now, by cell, whether others do or not."""
+        known = {f"cell/{cell.id}": self._trouble(cell) for cell in self.cells()}
+        return {name: why for name, why in known.items() if why is not None}
+
+    def _trouble(self, cell: Cell) -> str | None:
+        """Return why a cell takes no proposal, however free it is; None where it may take one."""
+        if cell.state is None or not cell.fresh:
+            return "not attached, or silent"
+        if (fault := _fault(cell.state)) is not None:
+            return fault
+        self._world(cell, cell.state)  # which finds out
+        if cell.trouble is not None:
+            return cell.trouble
+        return "holds: its link's lease lapsed" if cell.state.holding else None
 
     def faults(self) -> dict[str, str]:
         """Return why cells that are there move nothing, by cell: they can record nothing, or their guard broke."""

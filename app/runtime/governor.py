@@ -275,7 +275,7 @@ class Governor(Takeovers, Controls):
             after = events[-1].seq
 
     def ready(self) -> dict[str, str]:
-        """Return what is in the way of a launch, by part (`store`, `policy`, `cell/…`, …); empty when nothing is."""
+        """Return what is in the way of any launch, by part (`store`, `policy`, `cell/…`, …); empty when nothing is."""
         broken = self.fleet.problems()
         if self.broken:
             broken["background"] = self.broken

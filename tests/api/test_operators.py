@@ -1,11 +1,12 @@
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 
-from tests.api.conftest import CELL, House, eventually
+from tests.api.conftest import CELL, House, eventually, open_house
 
 pytestmark = pytest.mark.anyio
 
@@ -144,6 +145,20 @@ async def test_says_what_is_broken_while_nothing_could_launch(house: House) -> N
     assert (away.status_code, away.json()["ready"]) == (503, False)
     assert away.json()["broken"]
     assert (there.status_code, there.json()) == (200, {"ready": True, "broken": {}})
+
+
+async def test_is_ready_without_a_cell_that_others_stand_in_for_and_names_it(tmp_path: Path) -> None:
+    async with open_house(tmp_path / "data", "sim-relaxed") as house, house.client(None) as anyone:
+        house.app.state.parts.checks["children"] = lambda: "`workcell-2` ended"
+        async with house.cell("workcell-2"):
+            pass
+        async with house.cell():
+            there = await anyone.get("/readyz")
+            missing = {"cell/workcell-2": "not attached, or silent", "children": "`workcell-2` ended"}
+            assert (there.status_code, there.json()) == (200, {"ready": True, "broken": {}, "impaired": missing})
+        away = await anyone.get("/readyz")
+    assert away.status_code == 503
+    assert away.json() == {"ready": False, "broken": {"cell/workcell-1": "not attached, or silent", **missing}}
 
 
 async def test_says_which_grants_and_rows_hold_for_nothing(house: House) -> None:

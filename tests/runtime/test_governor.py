@@ -698,6 +698,19 @@ async def test_readiness_names_what_is_broken(runtime: Runtime) -> None:
     assert "not attached" in runtime.governor.ready()[f"cell/{CELL}"]
 
 
+async def test_a_server_is_ready_while_one_cell_is_whatever_ails_the_others(runtime: Runtime, cell: HandCell) -> None:
+    other = await HandCell(runtime, id="workcell-2").dial()
+    assert runtime.governor.ready() == {}, "one that has said nothing yet"
+    cell.facts["surprise"] = 1
+    await cell.state()
+    assert set(runtime.governor.ready()) == {f"cell/{CELL}", "cell/workcell-2"}
+    await other.state()
+    assert runtime.governor.ready() == {}
+    assert "surprise" in runtime.fleet.unusable()[f"cell/{CELL}"]
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    assert (document["status"], document["cell"]) == ("running", "workcell-2")
+
+
 async def test_a_failed_session_tells_the_agent_what_went_wrong_first_and_how_it_ended(
     runtime: Runtime, cell: HandCell
 ) -> None:

@@ -57,6 +57,9 @@ class Readiness(Document):
 
     ready: bool
     broken: dict[str, str]
+    impaired: dict[str, str] | None = Field(
+        default=None, description="What does not work and is in nobody's way, cells above all that others stand in for."
+    )
 
 
 class FieldError(Document):
