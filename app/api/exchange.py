@@ -6,11 +6,15 @@ streams and answers without a body begin as early as before.
 
 What is no HTTP is refused here, before there is a request that a route could refuse. So is a handshake that the
 websocket's reader would not read to its end; uvicorn leaves such a peer without an answer for good.
+
+A peer that begins a request and does not go on has its connection closed: whoever holds many such open, and nobody
+knows yet who that is, would take the descriptors by which somebody else comes in to stop a robot. Each connection looks
+at itself once a second, so that a request costs no timer and no reading of a clock.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, ClassVar, Final, cast
 
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 from websockets.http11 import MAX_LINE_LENGTH, MAX_NUM_HEADERS
@@ -27,7 +31,11 @@ if TYPE_CHECKING:
 FRAMING = (b"content-length", b"transfer-encoding")  # header fields that say that a body follows
 SPARE_BYTES = 64  # of a line, for what is neither name nor value
 HEAD_BYTES = 65_536  # of one request: its line, its header fields, whatever else of it is no body
+LOOK_S: Final = 1.0
+MOST_LOOKS: Final = 5  # at a peer that lets others wait
+HEAD, BODY, NOTHING = "head", "body", "nothing"  # what of a request has not come yet
 TOO_LARGE = Problem("head_too_large", f"valid: at most {HEAD_BYTES} bytes of request line and header fields")
+BODY_LATE = Problem("body_late", f"valid: no {MOST_LOOKS * LOOK_S:.0f} s without a part of the body")
 
 
 class HeadTooLarge(Exception):
@@ -37,7 +45,22 @@ class HeadTooLarge(Exception):
 class Exchanges(HttpToolsProtocol):
     """One connection's exchanges."""
 
+    look_s: ClassVar[float] = LOOK_S
+
     _unread = 0  # bytes that came since the parser last had something whole
+    _owed = HEAD
+    _looks = 0  # since the peer last did what it owes
+    _looking: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin, and keep an eye on the peer."""
+        super().connection_made(transport)
+        self._looking = self.loop.call_later(self.look_s, self._look)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """End."""
+        self._look_away()
+        super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
         """Read what came; what never becomes whole, say a field without an end, is not kept without one either."""
@@ -49,21 +72,26 @@ class Exchanges(HttpToolsProtocol):
     def on_message_begin(self) -> None:
         """Begin to read a request."""
         self._unread = 0
+        self._owed = HEAD
         super().on_message_begin()
 
     def on_body(self, body: bytes) -> None:
         """Take a part of the body; how much of it is read is a route's matter."""
         self._unread = 0
+        if not self.cycle.response_complete:  # nobody waits for what comes behind the answer
+            self._looks = 0
         super().on_body(body)
 
     def on_message_complete(self) -> None:
         """End a request."""
-        self._unread = 0
+        self._unread = self._looks = 0
+        self._owed = NOTHING
         super().on_message_complete()
 
     def on_headers_complete(self) -> None:
         """Begin an exchange, and see to how it is answered."""
-        self._unread = 0
+        self._unread = self._looks = 0
+        self._owed = BODY
         if self._too_large():
             raise HeadTooLarge  # ends the parser, which has it refused below
         before = self.cycle
@@ -82,6 +110,7 @@ class Exchanges(HttpToolsProtocol):
         elif longest > MAX_LINE_LENGTH - SPARE_BYTES:
             found = f"a line of it has over {longest} bytes; valid: at most {MAX_LINE_LENGTH - SPARE_BYTES}"
         else:
+            self._look_away()
             super().handle_websocket_upgrade()
             return
         self._refuse(Problem("handshake_invalid", f"the websocket's handshake cannot be read: {found}"))
@@ -103,19 +132,57 @@ class Exchanges(HttpToolsProtocol):
             return False
         return all(value == b"0" and name == b"content-length" for name, value in self.headers if name in FRAMING)
 
+    def _look(self) -> None:
+        """See whether the peer lets others wait, and end that once it has for long enough."""
+        self._looking = self.loop.call_later(self.look_s, self._look)
+        if self.transport.is_closing():
+            if self._looks >= MOST_LOOKS:  # it does not even take the last word
+                self.transport.abort()
+        elif not self._lets_wait():
+            self._looks = 0
+        elif self._looks < MOST_LOOKS - 1:
+            self._looks += 1
+        else:
+            self._looks = MOST_LOOKS
+            self._end_late()
+
+    def _look_away(self) -> None:
+        if self._looking is not None:
+            self._looking.cancel()
+            self._looking = None
+
+    def _lets_wait(self) -> bool:
+        """Say whether something is owed by the peer, and not by the application, which may take its time."""
+        if self.flow.read_paused:
+            return False
+        if not self._answered():  # who waits for the word to go on, and was not given it, owes no body
+            return self._owed is BODY and not self.cycle.waiting_for_100_continue
+        # Of a connection that rests uvicorn takes care, until something comes that need not be a request.
+        return self._owed is not NOTHING or self.timeout_keep_alive_task is None
+
+    def _end_late(self) -> None:
+        if self._owed is not BODY or self._answered() or self.cycle.response_started:
+            self.transport.close()
+        else:
+            self._refuse(BODY_LATE)
+
+    def _answered(self) -> bool:
+        """Say whether everything that came whole is answered."""
+        cycle = cast("RequestResponseCycle | None", self.cycle)
+        return cycle is None or cycle.response_complete
+
     def _too_large(self) -> Problem | None:
         size = len(self.url) + sum(len(name) + len(value) for name, value in self.headers)
         return TOO_LARGE if size > HEAD_BYTES else None
 
     def _end(self, problem: Problem) -> None:
         """Refuse what comes now, and end the connection once what came whole before it is answered."""
-        cycle = cast("RequestResponseCycle | None", self.cycle)
-        if cycle is None or cycle.response_complete:
+        if self._answered():
             self._refuse(problem)
-        elif not cycle.more_body:
-            cycle.keep_alive = False
+        elif not self.cycle.more_body:
+            self.cycle.keep_alive = False
             self.flow.pause_reading()
-        elif cycle.response_started:
+        elif self.cycle.response_started:
             self.transport.close()
         else:
             self._refuse(problem)

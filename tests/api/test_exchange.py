@@ -4,12 +4,14 @@ import asyncio
 import contextlib
 from collections.abc import AsyncGenerator
 from typing import Any, cast
+from urllib.parse import urlsplit
 
 import pytest
 import uvicorn
+from websockets.asyncio.client import connect
 
 from app.api.exchange import HEAD_BYTES, Answer, Exchanges
-from tests.api.conftest import Door, eventually
+from tests.api.conftest import Door, House, eventually
 
 pytestmark = pytest.mark.anyio
 
@@ -91,8 +93,11 @@ class Site:
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
         if scope["type"] == "lifespan":
-            for _ in range(2):
-                await send({"type": (await receive())["type"] + ".complete"})
+            await self.live(receive, send)
+            return
+        if scope["path"] == "/refused":
+            await send({"type": "http.response.start", "status": 401, "headers": [(b"content-length", b"0")]})
+            await send({"type": "http.response.body", "body": b""})
             return
         if scope["path"] == "/early":
             await send({"type": "http.response.start", "status": 200, "headers": []})
@@ -110,11 +115,23 @@ class Site:
             await self.go_on.wait()
         await send({"type": "http.response.body", "body": body or b"late" if streams else body})
 
+    async def live(self, receive: Any, send: Any) -> None:
+        for _ in range(2):
+            await send({"type": (await receive())["type"] + ".complete"})
+
+
+class Hasty(Exchanges):
+    """Has little time for who lets others wait."""
+
+    look_s = 0.02
+
 
 @contextlib.asynccontextmanager
-async def served(site: Site) -> AsyncGenerator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
+async def served(
+    site: Site, http: type[Exchanges] = Exchanges
+) -> AsyncGenerator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
     """Connect to a server of its own."""
-    server = Door(uvicorn.Config(site, port=0, log_level="warning", http=Exchanges))
+    server = Door(uvicorn.Config(site, port=0, log_level="warning", http=http))
     serving = asyncio.create_task(server.serve())
     await eventually(lambda: server.started)
     reader, writer = await asyncio.open_connection(*server.servers[0].sockets[0].getsockname()[:2])
@@ -207,3 +224,131 @@ async def test_a_large_body_is_no_large_head() -> None:
         for size in (3 * HEAD_BYTES, 4):
             assert (await reader.readuntil(END)).startswith(b"HTTP/1.1 200")
             await reader.readexactly(size)
+
+
+# -- who lets others wait --------------------------------------------------------------------------------------------
+
+BODY_TO_COME = b"POST / HTTP/1.1\r\nHost: here\r\nContent-Length: 100" + END
+
+
+@contextlib.asynccontextmanager
+async def dripping(writer: asyncio.StreamWriter, what: bytes) -> AsyncGenerator[None]:
+    """Send something again and again, as long as the connection takes it."""
+
+    async def drip() -> None:
+        with contextlib.suppress(ConnectionError):
+            while True:
+                writer.write(what)
+                await writer.drain()
+                await asyncio.sleep(Hasty.look_s / 2)
+
+    dropping = asyncio.create_task(drip())
+    try:
+        yield
+    finally:
+        dropping.cancel()
+        await asyncio.wait({dropping})
+
+
+async def until_a_silent_one_was_cut_off(writer: asyncio.StreamWriter) -> None:
+    """Wait for as long as nobody may let others wait, twice."""
+    for _ in range(2):
+        reader, silent = await asyncio.open_connection(*writer.get_extra_info("peername")[:2])
+        assert await reader.read() == b""
+        silent.close()
+
+
+@pytest.mark.parametrize("begun", [b"", b"GET / HT", b"GET / HTTP/1.1\r\nHost: here\r\nX: "])
+@pytest.mark.parametrize("first", [b"", request("POST", "/", b"first")], ids=["at once", "behind another"])
+async def test_who_does_not_end_a_head_is_cut_off(first: bytes, begun: bytes) -> None:
+    async with served(Site(), Hasty) as (reader, writer):
+        if first:
+            writer.write(first)
+            await reader.readuntil(END)
+            assert await reader.readexactly(5) == b"first"
+        writer.write(begun or (b"\r\n" if first else b""))
+        assert await reader.read() == b""
+
+
+async def test_a_head_that_drips_is_cut_off_as_well() -> None:
+    async with served(Site(), Hasty) as (reader, writer):
+        writer.write(b"GET / HTTP/1.1\r\nX: ")
+        async with dripping(writer, b"y"):
+            with contextlib.suppress(ConnectionResetError):  # what was sent last found nobody
+                assert await reader.read() == b""
+
+
+async def test_a_body_that_stops_coming_is_refused() -> None:
+    async with served(Site(), Hasty) as (reader, writer):
+        writer.write(BODY_TO_COME + b"be")
+        head, _, problem = (await reader.read()).partition(END)
+    assert head.startswith(b"HTTP/1.1 408")
+    assert b"connection: close" in head
+    assert b"body_late" in problem
+
+
+async def test_a_body_that_stops_coming_ends_an_answer_that_has_begun() -> None:
+    async with served(Site(), Hasty) as (reader, writer):
+        writer.write(BODY_TO_COME.replace(b"/ ", b"/early ", 1))
+        assert (await reader.read()).count(b"HTTP/1.1 ") == 1
+
+
+async def test_nobody_is_waited_for_who_drips_a_body_behind_its_answer() -> None:
+    async with served(Site(), Hasty) as (reader, writer):
+        writer.write(BODY_TO_COME.replace(b"/ ", b"/refused ", 1).replace(b"100", b"1000000"))
+        assert (await reader.readuntil(END)).startswith(b"HTTP/1.1 401")
+        async with dripping(writer, b"y"):
+            with contextlib.suppress(ConnectionResetError):
+                assert await reader.read() == b""
+
+
+async def test_who_is_cut_off_keeps_nothing_open_by_not_reading() -> None:
+    size = 32 * 1024 * 1024  # more than the sockets hold
+    async with served(Site(), Hasty) as (reader, writer):
+        writer.write(request("POST", "/", bytes(size)) + b"GET / HT")
+        assert (await reader.readuntil(END)).startswith(b"HTTP/1.1 200")
+        await until_a_silent_one_was_cut_off(writer)
+        with contextlib.suppress(ConnectionResetError):
+            assert len(await reader.read()) < size
+
+
+async def test_a_body_that_comes_slowly_is_waited_for() -> None:
+    async with served(Site(), Hasty) as (reader, writer):
+        writer.write(b"POST / HTTP/1.1\r\nHost: here\r\nTransfer-Encoding: chunked" + END)
+        async with dripping(writer, b"1\r\ny\r\n"):
+            await until_a_silent_one_was_cut_off(writer)
+        writer.write(b"0" + END)
+        assert (await reader.readuntil(END)).startswith(b"HTTP/1.1 200")
+
+
+async def test_an_answer_takes_its_time_whatever_has_come_of_the_next_request() -> None:
+    site = Site()
+    async with served(site, Hasty) as (reader, writer):
+        writer.write(request("GET", "/stream") + b"GET / HT")
+        await until_a_silent_one_was_cut_off(writer)
+        site.go_on.set()
+        assert (await reader.readuntil(END)).startswith(b"HTTP/1.1 200")
+        assert await reader.readuntil(b"0" + END) == b"4\r\nlate\r\n0" + END
+        writer.write(b"TP/1.1\r\nHost: here" + END)
+        assert (await reader.readuntil(END)).startswith(b"HTTP/1.1 200")
+
+
+async def test_a_connection_may_rest_between_requests() -> None:
+    async with served(Site(), Hasty) as (reader, writer):
+        for _ in range(2):
+            writer.write(request("POST", "/", b"body"))
+            assert (await reader.readuntil(END)).startswith(b"HTTP/1.1 200")
+            assert await reader.readexactly(4) == b"body"
+            await until_a_silent_one_was_cut_off(writer)
+
+
+async def test_a_websocket_may_be_silent(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Exchanges, "look_s", Hasty.look_s)
+    url = urlsplit(house.url)
+    headers = {"Authorization": f"Bearer {house.tokens['operator']}"}
+    async with connect(f"ws://{url.netloc}/v1/console", additional_headers=headers, proxy=None) as console:
+        for _ in range(2):
+            reader, silent = await asyncio.open_connection(url.hostname, url.port)
+            assert await reader.read() == b""
+            silent.close()
+        await (await console.ping())
