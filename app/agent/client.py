@@ -76,11 +76,14 @@ def _address(url: str) -> httpx.URL:
         found = httpx.URL(url)
     except httpx.InvalidURL as error:
         raise ValueError(f"url `{url}`: {error}; valid is for instance `http://127.0.0.1:8000`") from error
+    if found.port is not None and not 0 < found.port <= MAX_PORT:
+        raise ValueError(f"url `{url}`: valid is a port from 1 to {MAX_PORT}, for instance `http://127.0.0.1:8000`")
     if found.scheme not in ("http", "https") or not found.host:
         raise ValueError(f"url `{url}`: valid is http:// or https:// and a host, for instance `http://127.0.0.1:8000`")
     return found
 
 
+MAX_PORT = 65535
 _NOTHING = Reply(status=0, json=None)
 _TIMEOUT = httpx.Timeout(10.0, read=WAIT_S + 15.0)
 

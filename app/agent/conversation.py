@@ -96,6 +96,8 @@ def _check_sendable(call: Call) -> None:
             raise Unsendable(f"{wrong}; nothing was sent")
     if not call.path.isprintable():
         raise Unsendable(f"the path is {call.path!r}; valid are printable characters; nothing was sent")
+    if not call.path.startswith("/") or call.path.startswith("//"):  # the token is for this client's server alone
+        raise Unsendable(f"the path is `{call.path}`; valid is one that begins with a single `/`; nothing was sent")
 
 
 def _misfits(value: object, name: str, depth: int = 0) -> Iterator[str]:

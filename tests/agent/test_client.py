@@ -276,8 +276,34 @@ async def test_a_value_that_cannot_be_sent_is_named_and_nothing_is_sent(given, m
     assert server.turns == []
 
 
+@pytest.mark.anyio
+async def test_a_path_that_leads_to_another_host_is_not_asked():
+    with serve(lambda _: (200, {})) as server, serve(lambda _: (200, {})) as other:
+        host = other.url.removeprefix("http:")
+        for path in (f"{other.url}/x", f"{host}/x", "v1/capabilities", ""):
+            valid = re.escape(f"the path is `{path}`; valid is one that begins with a single `/`")
+            with ReinsClient(server.url, "t") as client, pytest.raises(Unsendable, match=valid):
+                client.call("GET", path)
+            async with AsyncReinsClient(server.url, "t") as client:
+                with pytest.raises(Unsendable, match=valid):
+                    await client.call("GET", path)
+    assert server.turns == other.turns == []
+
+
 @pytest.mark.parametrize("client", [ReinsClient, AsyncReinsClient])
-@pytest.mark.parametrize("url", ["nourl", "", "http://", "localhost:8000", "ftp://robot", "http://robot:port"])
+@pytest.mark.parametrize(
+    "url",
+    [
+        "nourl",
+        "",
+        "http://",
+        "localhost:8000",
+        "ftp://robot",
+        "http://robot:port",
+        "http://robot:99999",
+        "http://robot:0",
+    ],
+)
 def test_an_address_that_names_no_server_is_refused_at_once(client, url):
     with pytest.raises(ValueError, match=re.escape(f"url `{url}`: ") + ".*valid is .*`http://127.0.0.1:8000`"):
         client(url, "t")
