@@ -27,6 +27,10 @@ STATE_MS = 100
 VERSION = 10
 
 
+Count: TypeAlias = Annotated[int, Field(strict=True, ge=0, lt=2**63)]  # as the record can write down
+Name: TypeAlias = Annotated[str, Field(max_length=4096)]  # a path at most
+
+
 class Message(BaseModel):
     """A message of the link: unknown fields, NaN and infinities are errors."""
 
@@ -162,27 +166,27 @@ class Hello(Message):
 
     type: Literal["hello"] = "hello"
     version: int = VERSION
-    cell: str
-    boot: str
-    robot: str
-    policy_digest: str | None
-    profile: str | None
-    invocation: str | None
+    cell: Name
+    boot: Name
+    robot: Name
+    policy_digest: Name | None
+    profile: Name | None
+    invocation: Name | None
     latched: bool
     journal: Annotated[str, Field(min_length=1, max_length=64)]  # which file the numbers count in; another, others
-    last_seq: int
+    last_seq: Count
 
 
 class UpEvent(Message):
     """One thing that happened on the cell, in the log's kinds; `at_s` is its wall clock, `tick` its control tick."""
 
     type: Literal["event"] = "event"
-    seq: int
+    seq: Count
     at_s: float
-    tick: int
-    kind: str
-    invocation: str | None
-    actor: str
+    tick: Count
+    kind: Name
+    invocation: Name | None
+    actor: Name
     body: dict[str, JsonValue]
 
 
@@ -231,7 +235,7 @@ class State(Message):
 
     type: Literal["state"] = "state"
     at_s: float
-    tick: int
+    tick: Count
     invocation: str | None
     status: str | None
     latched: bool

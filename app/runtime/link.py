@@ -17,7 +17,7 @@ import base64
 from collections import deque
 from typing import TYPE_CHECKING, Any, Final, Protocol, assert_never
 
-from app.audit.errors import RecordUnavailable
+from app.audit.errors import EventMalformed, RecordUnavailable
 from app.clock import monotonic_s
 from app.protocol import (
     VERSION,
@@ -307,7 +307,7 @@ class Attachment:
             await self._hub.record(self.cell, journal, batch)
         except RecordUnavailable:
             return False
-        except ProtocolError as error:
+        except (ProtocolError, EventMalformed) as error:  # the second: what JSON may say and the record cannot
             self.shut(PROTOCOL_VIOLATION, str(error))
             await asyncio.Event().wait()  # `detach` ends this task; nothing more is taken from this link
         return True

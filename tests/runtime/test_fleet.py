@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,11 +12,12 @@ import pytest
 from app.audit.errors import RecordUnavailable
 from app.audit.event import RowWrite
 from app.audit.telemetry_reading import read_telemetry
-from app.protocol import BEAT_MS, CHANNELS, ROW, Beat, Hello, Sighting, encode, pack_batch
+from app.protocol import BEAT_MS, CHANNELS, ROW, VERSION, Beat, Hello, Sighting, encode, pack_batch
 from app.runtime import cells as cells_module
 from app.runtime import sessions as sessions_module
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
+from app.runtime.link import PROTOCOL_VIOLATION
 
 from .conftest import AGENT, AT_BENCH, AUDITOR, CELL, OPERATOR, OPERATOR_2, HandCell, House, navigate, until
 
@@ -86,6 +88,39 @@ async def test_a_bad_first_word_closes_the_link(runtime: Runtime, frame: str | b
     assert cell.closed is not None
     assert why in cell.closed[1]
     await attachment.detach()
+
+
+HELLO: dict[str, Any] = {
+    "type": "hello", "version": VERSION, "cell": CELL, "boot": "b", "robot": "r", "policy_digest": None,
+    "profile": None, "invocation": None, "latched": False, "journal": "j", "last_seq": 0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("last_seq", 10**30), ("last_seq", -1), ("last_seq", True), ("robot", "x" * 5_000), ("invocation", "x" * 5_000)],
+)
+async def test_a_first_word_holds_nothing_that_the_record_cannot(runtime: Runtime, field: str, value: object) -> None:
+    cell = HandCell(runtime)
+    attachment = await runtime.fleet.attach(CELL, cell)
+    await attachment.receive(json.dumps({**HELLO, field: value}))
+    await until(lambda: cell.closed is not None)
+    assert cell.closed is not None
+    assert (cell.closed[0], f"hello.{field}" in cell.closed[1]) == (PROTOCOL_VIOLATION, True)
+    assert not runtime.fleet.knows(CELL)
+    await attachment.detach()
+
+
+@pytest.mark.parametrize("change", [{"tick": 10**30}, {"tick": -1}, {"body": {"n": 10**30}}])
+async def test_a_report_that_cannot_be_recorded_ends_the_link_and_says_why(
+    runtime: Runtime, cell: HandCell, change: dict[str, Any]
+) -> None:
+    assert cell.attachment is not None
+    await cell.attachment.receive(json.dumps({**cell.event("cell").model_dump(), **change}))
+    await until(lambda: cell.closed is not None)
+    assert cell.closed is not None
+    assert cell.closed[0] == PROTOCOL_VIOLATION
+    assert runtime.fleet.cell(CELL).up_seq == 0
 
 
 async def test_a_cell_has_one_link(runtime: Runtime, cell: HandCell) -> None:
