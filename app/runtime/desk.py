@@ -360,7 +360,9 @@ def _check_answer(present: Escalation, principal: Principal, digest: str, outdat
     if stale is not None:
         raise Conflict(stale, f"{_SINCE[stale]} since that was asked: it is decided again, and may be asked anew")
     if digest != present.digest:
-        raise Conflict("digest_mismatch", f"`{digest}` is not what is asked now: valid is `{present.digest}`")
+        # Not which one would count: whoever answers has to have read what it stands for.
+        message = f"`{digest}` is not what is asked now: the question has changed; valid is to read it again first"
+        raise Conflict("digest_mismatch", message)
     if principal.name == present.agent:
         raise Forbidden("own_proposal", "nobody answers for what they proposed themselves")
 

@@ -47,6 +47,8 @@ async def test_a_denial_ends_it_and_its_words_never_reach_the_agent(shared_house
         question = await ask(shared_house)
         wrong = await resolve(operator, {**question, "digest": "sha256:00"})
         assert (wrong.status_code, wrong.json()["code"]) == (409, "digest_mismatch")
+        assert "the question has changed; valid is to read it again" in wrong.json()["detail"]
+        assert question["digest"] not in wrong.text, "nobody answers by a digest that they were not shown"
         assert (await resolve(operator, question, decision="deny", comment="the boss is coming")).status_code == 200
         assert not cell.launches
     async with shared_house.client() as agent:
