@@ -58,7 +58,7 @@ def diff(
 
     [bold]reins policy diff policies candidate[/]
     """
-    policies = [load_policy(find_policies(folder)) for folder in (old, new)]
+    policies = [load_policy(find_policies(folder, called)) for called, folder in (("OLD", old), ("NEW", new))]
     found = _compared(policies[0], policies[1], effort, all_s)
     undecided = [one for one in found.decisions if not one.decided]
     if json:

@@ -179,14 +179,18 @@ def _check_seed(seed: int) -> None:
     _demand(seed >= 0, "seed", seed, "0 or more")
 
 
-def find_policies(flag: Path | None) -> Path:
+def find_policies(flag: Path | None, called: str = "policies") -> Path:
     """Return the policy directory: the one named, else `./policies`, else the one shipped with Reins.
+
+    Args:
+        flag: the directory that was named, if one was.
+        called: what the command calls it.
 
     Raises:
         ConfigError: the one named is no directory, or none is installed.
     """
     if flag is not None:
-        _demand(flag.is_dir(), "policies", flag, "a directory of policy files")
+        _demand(flag.is_dir(), called, flag, "a directory of policy files")
         return flag.resolve()
     places = (Path("policies"), _PACKAGE.parent / "policies", _PACKAGE / "shipped" / "policies")
     for place in places:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 from pathlib import Path
 
@@ -51,6 +52,14 @@ def test_a_policy_from_a_template_is_proved_and_written_and_says_what_next(tmp_p
     code, said = new(place, *REDUCED)
     assert code == 2
     assert "nothing is written over" in said
+
+
+def test_what_the_documentation_shows_can_be_pasted_where_nobody_is_asked(tmp_path: Path) -> None:
+    page = (POLICIES.parent / "docs" / "policy.md").read_text().replace("\\\n", " ")
+    shown = [shlex.split(line) for line in page.splitlines() if line.startswith("    reins policy new candidate ")]
+    assert len(shown) == 1
+    code, said = new(tmp_path / "candidate", *shown[0][4:], "--no-ask")
+    assert code == 0, said
 
 
 def test_what_is_not_given_is_asked_for_until_it_can_be_taken(tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ from app.governance.policy_model import GOVERNANCE
 from app.governance.vocabulary import Vocabulary, properties, referring
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from app.governance.bundle_yaml import Document
@@ -98,7 +98,7 @@ def _read(directory: Path, *, tests: bool) -> dict[str, str]:
     if not directory.is_dir():
         raise PolicyErrors([PolicyError(file=str(directory), line=0, key="", message="there is no such directory")])
     files: dict[str, str] = {}
-    problems: list[PolicyError] = []
+    problems = _linked(directory, (TESTS_FOLDER,) if tests else _FOLDERS)
     for path in sorted(directory.rglob("*")):
         name = path.relative_to(directory).as_posix()
         if not _meant(path) or (PurePosixPath(name).parts[0] == TESTS_FOLDER) is not tests:
@@ -117,6 +117,13 @@ def _read(directory: Path, *, tests: bool) -> dict[str, str]:
     if problems:
         raise PolicyErrors(problems)
     return files
+
+
+def _linked(directory: Path, folders: Iterable[str]) -> list[PolicyError]:
+    """Say which folders are links: what lies behind one is not read, and would be missed without a word."""
+    message = "is a link to a directory, and such a link is not followed: valid is a directory of its own"
+    linked = [name for name in folders if (path := directory / name).is_symlink() and path.is_dir()]
+    return [PolicyError(file=name, line=0, key="", message=message) for name in linked]
 
 
 def _content(path: Path) -> bytes | None:

@@ -709,6 +709,17 @@ def test_a_file_may_be_long_and_a_link(tmp_path):
     assert bundle.load(tmp_path / "policies").site == shipped().site
 
 
+@pytest.mark.parametrize(("read", "folder"), [(bundle.load, "capabilities"), (bundle.read_cases, "tests")])
+def test_a_folder_that_is_a_link_is_said_not_to_be_followed(tmp_path, read, folder):
+    shutil.copytree(POLICIES, tmp_path / "policies")
+    (tmp_path / "policies" / folder).rename(tmp_path / "elsewhere")
+    (tmp_path / "policies" / folder).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(PolicyErrors) as found:
+        read(tmp_path / "policies")
+    said = "is a link to a directory, and such a link is not followed: valid is a directory of its own"
+    assert [(problem.file, problem.message) for problem in found.value.problems] == [(folder, said)]
+
+
 def test_the_same_files_make_the_same_digest_and_another_byte_another():
     assert bundle.load_files(dict(reversed(files().items()))).digest == shipped().digest
     changed = {**files(), H: files()[H] + "\n"}

@@ -305,3 +305,10 @@ def test_what_is_undecided_has_a_code_of_its_own(tmp_path: Any) -> None:
     done = CliRunner().invoke(app, ["policy", "diff", str(POLICIES), str(tmp_path), "--effort", "1"])
     assert done.exit_code == 13, done.output
     assert "could not be decided" in done.stdout
+
+
+def test_a_directory_that_is_none_is_named_as_the_argument_it_is() -> None:
+    for called, words in (("NEW", [str(POLICIES), "nowhere"]), ("OLD", ["nowhere", str(POLICIES)])):
+        done = CliRunner().invoke(app, ["policy", "diff", *words])
+        assert done.exit_code != 0
+        assert f"`{called}` is `nowhere`" in f"{done.output}{done.exception}"
