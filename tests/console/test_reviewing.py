@@ -48,7 +48,7 @@ def test_an_auditor_gives_a_verdict_and_a_note_by_keyboard(
     opened.focus()
     person.press("Enter")
     form = queue(person).get_by_role("form")
-    expect(form).to_contain_text("What ended as stopped is reviewed in sim-relaxed")
+    expect(form).to_contain_text("What ended as “stopped” is reviewed in sim-relaxed")
     expect(form.get_by_role("button", name="Record the verdict")).to_be_disabled()
     expect(form.get_by_role("button", name="Record the verdict")).to_have_accessible_description(
         "Choose a verdict first."
