@@ -20,9 +20,10 @@ const LOOK_MS = 100;
  */
 export class Arming {
   ready = $state(false);
+  /** Whether the page moved it a moment ago: then a key counts, and no finger. */
+  moved = $state(false);
   private inSight = false;
   private stands: Standing | null = null;
-  private moved = $state(false);
   private settling: ReturnType<typeof setTimeout> | undefined;
   /** What is held and was not meant for this: it has to be let go first. */
   private awaited: readonly string[] = [];
@@ -78,7 +79,7 @@ export class Arming {
 
   /**
    * Watches over an element, and says of it that it takes no press yet; one that says itself whether it is disabled
-   * (`aria-disabled`) has to heed `ready` there. Begins anew with whatever the control is `about`.
+   * (`aria-disabled`) has to heed `ready` and `moved` there. Begins anew with whatever the control is `about`.
    */
   over(about: unknown = null): Attachment<HTMLElement> {
     track(about);
