@@ -23,6 +23,7 @@ from tests.console.conftest import (
     stop,
     wider_than_the_screen,
 )
+from tests.console.test_access import overlap
 
 pytestmark = [pytest.mark.browser, pytest.mark.process, pytest.mark.usefixtures("free_again")]
 # A gamepad that a test plugs in and steers, and an ear for the commands that the page hands to its link.
@@ -330,6 +331,22 @@ def test_whoever_drives_sees_the_robot_above_the_pad(
         expect(person.button(name)).to_be_in_viewport(ratio=1)
     if size == PHONE:
         assert out_of_reach(stop(person)) == []
+
+
+def test_no_button_of_the_pad_lies_over_another_however_wide_the_window_is(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    take_controls(person)
+    pads = person.region("Drive by hand").get_by_role("button")
+    expect(person.button("End session")).to_be_visible()
+    for width in (320, 390, 560, 761, 800, 860, 912, 1024, 1101, 1241, 1280, 1440, 1920):
+        person.page.set_viewport_size({"width": width, "height": 1000})
+        person.page.evaluate(THREE_FRAMES)
+        boxes = [(button.get_attribute("aria-label") or button.inner_text(), box(button)) for button in pads.all()]
+        assert len(boxes) > 12
+        over = [(one, other) for k, (one, at) in enumerate(boxes) for other, to in boxes[:k] if overlap(at, to)]
+        assert over == [], f"at {width} px"
 
 
 def test_the_controls_outlive_a_reload_and_go_to_another_window_only_when_asked(

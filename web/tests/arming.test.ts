@@ -19,8 +19,8 @@ afterEach(() => {
   vi.useRealTimers();
 });
 
-function at(top: number, scrolledY = 0): Standing {
-  return { left: 10, top, right: 110, bottom: top + 44, scrolledX: 0, scrolledY };
+function at(top: number, scrolledY = 0, heights = 1_500): Standing {
+  return { left: 10, top, right: 110, bottom: top + 44, scrolledX: 0, scrolledY, heights };
 }
 
 function shown(): void {
@@ -127,6 +127,8 @@ describe('what the page moves', () => {
     ['by scrolling', at(100), at(20, 80), false],
     ['while what it sticks to is scrolled', at(100), at(100, 80), false],
     ['by a banner while one scrolls', at(100), at(68, 80), true],
+    ['by a page that scrolls as a banner comes', at(100), at(46, 54, 1_446), true],
+    ['by a page that has less to scroll', at(100, 80), at(140, 40, 1_460), true],
   ])('%s', (_, before, now, moved) => {
     expect(wasMoved(before, now)).toBe(moved);
   });
