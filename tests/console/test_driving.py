@@ -349,6 +349,39 @@ def test_no_button_of_the_pad_lies_over_another_however_wide_the_window_is(
         assert over == [], f"at {width} px"
 
 
+TABLET = {"width": 768, "height": 1024}
+# What any banner does to the page, and whether the pad says that no finger counts on it where that moved it.
+BANNER = """() => new Promise((done) => {
+    const pads = document.querySelector('.pads');
+    const stood = pads.getBoundingClientRect().top;
+    const banner = document.createElement('div');
+    banner.style.height = '60px';
+    document.querySelector('.banners').append(banner);
+    const look = () => {
+        const guarded = pads.hasAttribute('data-arming');
+        const moved = Math.abs(pads.getBoundingClientRect().top - stood) > 8;
+        if (guarded || !moved) return done({ moved, guarded });
+        requestAnimationFrame(look);
+    };
+    setTimeout(look, 100);
+})"""
+
+
+@pytest.mark.parametrize("size", [PHONE, TABLET, SIDEWAYS], ids=["phone", "tablet", "sideways"])
+def test_a_banner_moves_no_pad_or_has_it_take_no_finger(
+    server: ServerProcess, people: People, floor: Floor, size: dict[str, int]
+) -> None:
+    person = people.sit(server, size=size)
+    if size == TABLET:
+        person.press("t")
+    else:
+        person.button("Drive").tap()
+    person.button("Take the controls").click()
+    expect(person.page.get_by_text(LET_GO)).to_be_visible()
+    moved = size == SIDEWAYS  # where height is short, the pad begins at the top
+    assert person.page.evaluate(BANNER) == {"moved": moved, "guarded": moved}
+
+
 def test_the_controls_outlive_a_reload_and_go_to_another_window_only_when_asked(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
