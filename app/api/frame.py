@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from typing import TYPE_CHECKING, Any
 
 from starlette.requests import Request
@@ -25,6 +26,7 @@ SECURITY_HEADERS: tuple[tuple[bytes, bytes], ...] = (
     (b"x-frame-options", b"DENY"),
     (b"content-security-policy", b"default-src 'none'; frame-ancestors 'none'"),
 )
+PREFERRED = ("br", "gzip")  # of the encodings there are, the best first
 HEADERS = "reins.headers"  # where in the scope a page says which headers it is sent with instead
 
 
@@ -40,6 +42,23 @@ class Json(Response):
         if headers is not None:
             for name, value in headers.items():
                 self.raw_headers.append((name.lower().encode("latin-1"), value.encode("latin-1")))
+
+
+def best_form(forms: Mapping[str, bytes], accept_encoding: str) -> tuple[bytes, dict[str, str]]:
+    """Return a body in the best of its forms that is accepted, and the headers that say so.
+
+    Args:
+        forms: the bytes by encoding, `""` for those that are not encoded.
+        accept_encoding: the header of the request; an encoding without weight is not accepted.
+    """
+    accepted: set[str] = set()
+    for part in accept_encoding.lower().split(","):
+        name, _, weight = part.strip().partition(";")
+        if not re.fullmatch(r"\s*q=0(\.0*)?\s*", weight):
+            accepted.add(name.strip())
+    encoding = next((name for name in PREFERRED if name in accepted and name in forms), "")
+    headers = {"Vary": "Accept-Encoding"}
+    return forms[encoding], {**headers, "Content-Encoding": encoding} if encoding else headers
 
 
 class Frame:

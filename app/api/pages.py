@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 from starlette.requests import Request
 from starlette.responses import Response
 
-from app.api.frame import HEADERS
+from app.api.frame import HEADERS, best_form
 from app.api.problems import Problem
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ INDEX: Final = "index.html"
 VIEWS: Final = ("/", "/live", "/audit", "/policy", "/fleet")  # one page, which reads its own address
 ICON: Final = "/icon.svg"
 ASSETS: Final = "/assets/{file}"
-ENCODINGS: Final = {"br": ".br", "gzip": ".gz"}  # in the order they are preferred
+ENCODINGS: Final = {"br": ".br", "gzip": ".gz"}  # by what the build adds to a name
 HASHED: Final = re.compile(r"assets/.+-[A-Za-z0-9_-]{8}\.[a-z0-9]+")
 FOR_GOOD: Final = "public, max-age=31536000, immutable"
 
@@ -82,12 +82,8 @@ class Page:
 
     def response(self, accepted: str) -> Response:
         """Return the page in the best form that is accepted."""
-        accepts = encodings(accepted)
-        encoding = next((name for name in ENCODINGS if name in accepts and name in self.forms), "")
-        headers = {"Cache-Control": self.kept, "Vary": "Accept-Encoding"}
-        if encoding:
-            headers["Content-Encoding"] = encoding
-        return Response(self.forms[encoding], 200, headers, self.media_type)
+        body, headers = best_form(self.forms, accepted)
+        return Response(body, 200, {"Cache-Control": self.kept, **headers}, self.media_type)
 
 
 def read_pages(folder: Path) -> dict[str, Page]:
@@ -117,16 +113,6 @@ def _forms(path: Path) -> dict[str, bytes]:
         if beside.is_file():
             forms[encoding] = beside.read_bytes()
     return forms
-
-
-def encodings(header: str) -> set[str]:
-    """Return the encodings an `Accept-Encoding` names, without those it gives no weight."""
-    accepted: set[str] = set()
-    for part in header.lower().split(","):
-        name, _, weight = part.strip().partition(";")
-        if not re.fullmatch(r"\s*q=0(\.0*)?\s*", weight):
-            accepted.add(name.strip())
-    return accepted
 
 
 async def view(request: Request) -> Response:

@@ -14,10 +14,9 @@ from starlette.responses import Response
 from app.api import documents
 from app.api import policy_documents as models
 from app.api.access import caller
-from app.api.frame import Json
+from app.api.frame import Json, best_form
 from app.api.listing import PageQuery
 from app.api.openapi import Answers, answer, declare
-from app.api.pages import encodings
 from app.api.parts import parts_of
 from app.api.wire import read_body
 
@@ -124,10 +123,8 @@ def _forms(body: bytes) -> Mapping[str, bytes]:
 
 
 def _described(forms: Mapping[str, bytes], request: Request) -> Response:
-    headers = {"Vary": "Accept-Encoding"}
-    if "gzip" in forms and "gzip" in encodings(request.headers.get("accept-encoding", "")):
-        return Json(forms["gzip"], headers={**headers, "Content-Encoding": "gzip"})
-    return Json(forms[""], headers=headers)
+    body, headers = best_form(forms, request.headers.get("accept-encoding", ""))
+    return Json(body, headers=headers)
 
 
 def register(router: APIRouter) -> None:

@@ -346,44 +346,33 @@ def test_on_a_phone_a_question_that_comes_or_goes_moves_no_pause_and_the_stop_na
     assert wider_than_the_screen(person.page) == []
 
 
-def hands_off(server: ServerProcess) -> None:
-    """Have nobody drive workcell-1, and nobody hold its stop."""
-    control = server.cell()["control"]
-    if control is not None:
-        server.post(f"/v1/invocations/{control['invocation']}/release", {"then": "end"})
-    if server.cell()["latched"]:
-        server.post("/v1/cells/workcell-1/reset")
-    until(lambda: server.cell()["control"] is None and not server.cell()["latched"], what="a cell that is free")
-
-
+@pytest.mark.usefixtures("free_again")
 def test_a_question_that_comes_or_goes_moves_no_pad_under_the_finger_that_drives(
     server: ServerProcess, people: People, incident: Incident
 ) -> None:
     person = people.sit(server, size=PHONE)
     person.button("Drive").tap()
     person.button("Take the controls").tap()
-    try:
-        expect(person.page.get_by_text("Hold to run; let go to stop")).to_be_visible()
-        pads = person.region("Drive by hand").get_by_role("button")
-        stand = [box(button) for button in pads.all()]
-        top = person.page.evaluate("document.querySelector('#page').scrollTop")
-        assert len(stand) > 12  # the ways of base and tool, and what else stands there
-        proposed = incident.ask("workcell-2", "operate_tool", tool="press", action="press")
-        badge = person.button(re.compile("^Menu *, *1 *question waits"))
-        expect(badge).to_be_visible()
-        assert [box(button) for button in pads.all()] == stand
-        expect(person.page.locator("footer .choice")).to_have_count(0)
-        badge.tap()
-        person.page.get_by_role("navigation").get_by_role("button", name="1 question").tap()
-        expect(deny(person)).to_be_in_viewport()
-        server.post(f"/v1/invocations/{proposed}/cancel")
-        expect(badge).to_have_count(0)
-        person.page.evaluate("(top) => { document.querySelector('#page').scrollTop = top; }", top)
-        assert [box(button) for button in pads.all()] == stand
-    finally:
-        hands_off(server)
+    expect(person.page.get_by_text("Hold to run; let go to stop")).to_be_visible()
+    pads = person.region("Drive by hand").get_by_role("button")
+    stand = [box(button) for button in pads.all()]
+    top = person.page.evaluate("document.querySelector('#page').scrollTop")
+    assert len(stand) > 12  # the ways of base and tool, and what else stands there
+    proposed = incident.ask("workcell-2", "operate_tool", tool="press", action="press")
+    badge = person.button(re.compile("^Menu *, *1 *question waits"))
+    expect(badge).to_be_visible()
+    assert [box(button) for button in pads.all()] == stand
+    expect(person.page.locator("footer .choice")).to_have_count(0)
+    badge.tap()
+    person.page.get_by_role("navigation").get_by_role("button", name="1 question").tap()
+    expect(deny(person)).to_be_in_viewport()
+    server.post(f"/v1/invocations/{proposed}/cancel")
+    expect(badge).to_have_count(0)
+    person.page.evaluate("(top) => { document.querySelector('#page').scrollTop = top; }", top)
+    assert [box(button) for button in pads.all()] == stand
 
 
+@pytest.mark.usefixtures("free_again")
 def test_a_banner_that_moves_the_answers_keeps_fingers_off_them_for_a_moment(
     server: ServerProcess, people: People, incident: Incident
 ) -> None:
@@ -394,15 +383,12 @@ def test_a_banner_that_moves_the_answers_keeps_fingers_off_them_for_a_moment(
     escalation = f"/v1/escalations/{server.get(f'/v1/invocations/{asked}')['escalation']['id']}"
     person.page.evaluate(PRESS_ONCE_MOVED)
     assert server.post("/v1/cells/workcell-1/takeover", key="operator_2").is_success
-    try:
-        person.page.wait_for_function("window.pressed !== undefined")
-        assert person.page.evaluate("window.pressed").startswith("Approve")
-        expect(approve).to_be_enabled()
-        assert server.get(escalation)["approvals"] == []
-        approve.click()
-        until(lambda: server.get(escalation)["approvals"] != [], what="an approval")
-    finally:
-        hands_off(server)
+    person.page.wait_for_function("window.pressed !== undefined")
+    assert person.page.evaluate("window.pressed").startswith("Approve")
+    expect(approve).to_be_enabled()
+    assert server.get(escalation)["approvals"] == []
+    approve.click()
+    until(lambda: server.get(escalation)["approvals"] != [], what="an approval")
 
 
 def test_a_stop_on_the_fleets_page_stays_where_it_is_when_a_banner_comes(
@@ -418,6 +404,6 @@ def test_a_stop_on_the_fleets_page_stays_where_it_is_when_a_banner_comes(
         expect(person.page.locator(".banners").get_by_role("button", name="Reset…")).to_be_visible()
         assert box(button)["y"] == pytest.approx(stands["y"], abs=2)
     finally:
-        hands_off(server)
+        server.post("/v1/cells/workcell-1/reset")
     expect(person.page.locator(".banners").get_by_role("button", name="Reset…")).to_have_count(0)
     assert box(button)["y"] == pytest.approx(stands["y"], abs=2)
