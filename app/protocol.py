@@ -24,7 +24,7 @@ from app.governance.control import GOING_ON
 LEASE_MS = 300
 BEAT_MS = 75
 STATE_MS = 100
-VERSION = 10
+VERSION = 11
 
 
 Count: TypeAlias = Annotated[int, Field(strict=True, ge=0, lt=2**63)]  # as the record can write down
@@ -120,9 +120,10 @@ class Estop(Message):
 
 
 class Reset(Message):
-    """Leave a latched stop. Moves nothing."""
+    """Leave a latched stop. Moves nothing. The cell names it in its state once it has heard it."""
 
     type: Literal["reset"] = "reset"
+    id: Annotated[str, Field(min_length=1, max_length=64)]
     actor: str
 
 
@@ -239,6 +240,7 @@ class State(Message):
     invocation: str | None
     status: str | None
     latched: bool
+    reset: Annotated[str, Field(max_length=64)] = ""  # the last reset that was heard, whatever came of it
     holding: bool  # the lease lapsed or no welcome yet
     policy_digest: str | None
     profile: str | None

@@ -88,6 +88,7 @@ class GovernedCell:
         self._policies: dict[str, PolicySet] = {}
         self._policies_digest = ""
         self._profile: str | None = None
+        self._reset = ""
         self._journal, self._outbox, self._wall = journal, outbox, wall
         for entry in journal.unacknowledged():
             self._tell(entry)
@@ -140,6 +141,7 @@ class GovernedCell:
                 self._runner.estop(order.actor)
             case Reset():
                 self._runner.reset(order.actor)
+                self._reset = order.id
             case Shutdown():
                 self._runner.hold("shutdown")
             case news:
@@ -172,6 +174,7 @@ class GovernedCell:
             invocation=view.invocation,
             status=view.status,
             latched=view.latched,
+            reset=self._reset,
             holding=bool(view.holding),
             policy_digest=self._policies_digest,
             profile=self._profile,

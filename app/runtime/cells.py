@@ -125,6 +125,7 @@ class Cell:
     control: Control | None = None  # who drives it by hand
     control_at: str = ""  # since when, by the wall clock
     arming: Arming | None = None  # the first of the two steps out of a latched stop
+    reset: str = ""  # the one that it was told, and has not said to have heard: what it says until then is older
 
     @property
     def up_seq(self) -> int:

@@ -15,7 +15,7 @@ from app.audit.event import EventDraft
 from app.clock import monotonic_s, rfc3339
 from app.governance.authority import refusal
 from app.governance.model import SESSION, AuthorityMode, EventKind, Outcome, Role, Status
-from app.protocol import Estop, Human, Reset, SetProfile
+from app.protocol import Estop, Human, SetProfile
 from app.runtime.cells import Arming
 from app.runtime.drafts import cell_word, escalation_event, human_event, outcome_event
 from app.runtime.errors import Conflict, NotFound
@@ -300,9 +300,7 @@ class Controls:
             raise
         if cell.stops == before:
             cell.latched = cell.latch_unkept = False
-            if self.fleet.attached(cell):  # else it says itself, when it is back, whether it is latched still
-                self.fleet.order(cell, Reset(actor=principal.name), since=cell.restraints)
-                await self.fleet.unlatched(cell)
+            await self.fleet.unlatch(cell, principal.name)
         return self.fleet.document(cell)
 
     def arm_reset(self, cell_id: str, principal: Principal) -> dict[str, Any]:

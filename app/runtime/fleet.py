@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import secrets
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
@@ -21,7 +22,7 @@ from app.audit.errors import RecordUnavailable, RowUnreadable
 from app.audit.event import RowWrite
 from app.clock import monotonic_s
 from app.governance.model import SESSION, CellFacts, EventKind
-from app.protocol import BEAT_MS, LEASE_MS, Estop, Human, Launch, Policy, ProtocolError, Watch
+from app.protocol import BEAT_MS, LEASE_MS, Estop, Human, Launch, Policy, ProtocolError, Reset, Watch
 from app.runtime.cells import FRESH_S, KEPT, Cell, Reunion, read_world
 from app.runtime.errors import Conflict, NotFound
 from app.runtime.link import DEAD_S, SILENT_S, TRY_LATER, Attachment
@@ -148,8 +149,8 @@ class Fleet:
         return self._default_profile if cell is None else cell.profile
 
     def latched(self, cell: Cell) -> bool:
-        """Say whether an emergency stop is latched, on the server or on the cell."""
-        return cell.latched or (cell.state is not None and cell.state.latched)
+        """Say whether a stop is latched, on the server or on the cell, which may not have heard of its reset yet."""
+        return cell.latched or bool(cell.reset) or (cell.state is not None and cell.state.latched)
 
     def _world(self, cell: Cell, state: State) -> WorldFacts | None:
         if cell.world is None and cell.trouble is None:
@@ -254,12 +255,20 @@ class Fleet:
         if cell is not None:
             cell.expected_until_s = monotonic_s() + EXPECTED_S if coming else 0.0
 
-    async def unlatched(self, cell: Cell) -> None:
-        """Wait, shortly, until the cell says after this moment that no stop is latched on it."""
-        since_s = monotonic_s()
+    async def unlatch(self, cell: Cell, actor: str) -> None:
+        """Have a cell that is there leave its latched stop; waits, shortly, until it says that it has heard of that.
+
+        What it says before may be older than the stop itself. One that is away says when it is back whether it is
+        latched still.
+        """
+        if not self.attached(cell):
+            return
+        reset = Reset(id=secrets.token_hex(8), actor=actor)
+        cell.reset = reset.id
+        self.order(cell, reset, since=cell.restraints)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(RESET_S):
-                while cell.state is None or cell.state.latched or cell.state_at_s <= since_s:
+                while cell.reset == reset.id:
                     await cell.stated.wait()
 
     # -- speaking to a cell ------------------------------------------------------------------------------------------
@@ -364,6 +373,7 @@ class Fleet:
         cell.journal = hello.journal  # another one counts for itself, and those before it stay known
         cell.attachment = attachment
         cell.state = None
+        cell.reset = ""
         cell.absent_since_s = None
         cell.expected_until_s = 0.0
         cell.recalled = False
@@ -446,6 +456,8 @@ class Fleet:
         """Keep the newest state."""
         cell.state = state
         cell.state_at_s = monotonic_s()
+        if state.reset == cell.reset:
+            cell.reset = ""
         cell.stated.set()
         cell.stated = asyncio.Event()
         cell.world = None

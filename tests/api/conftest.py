@@ -102,6 +102,7 @@ class Puppet:
     cell: str = CELL
     invocation: str | None = None
     latched: bool = False
+    reset: str = ""
     seq: int = 0
     launches: list[dict[str, Any]] = field(default_factory=list)
     words: list[str] = field(default_factory=list)
@@ -137,6 +138,7 @@ class Puppet:
             invocation=self.invocation,
             status="running" if self.invocation else None,
             latched=self.latched,
+            reset=self.reset,
             holding=False,
             policy_digest=None,
             profile=None,
@@ -166,8 +168,8 @@ class Puppet:
             case Estop():
                 self.latched = True
                 await self.say_state()
-            case Reset():
-                self.latched = False
+            case Reset(id=told):
+                self.latched, self.reset = False, told
                 await self.say_state()
             case Watch(on=on):
                 self.watched.append(on)

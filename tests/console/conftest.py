@@ -364,7 +364,7 @@ def built() -> None:
 
 @pytest.fixture
 def people(request: pytest.FixtureRequest, browser: Browser) -> Iterator[People]:
-    """Whoever sits down at a console; they have left before the floor is cleared: no page says a stop once more then."""
+    """Who sits down at a console; they have left before the floor is cleared, so no page says a stop once more then."""
     if "floor" in request.fixturenames:
         request.getfixturevalue("floor")
     made = People(browser)

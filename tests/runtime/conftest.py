@@ -18,7 +18,7 @@ from app.audit.store import AuditStore
 from app.governance.bundle import load
 from app.governance.model import Role
 from app.governance.policy import PolicySet
-from app.protocol import Down, Hello, State, UpEvent, decode_down, encode
+from app.protocol import Down, Estop, Hello, Reset, State, UpEvent, decode_down, encode
 from app.runtime import cells as cells_module
 from app.runtime import fleet as fleet_module
 from app.runtime.assembly import Runtime
@@ -103,11 +103,19 @@ class HandCell:
     invocation: str | None = None
     status: str | None = None
     latched: bool = False
+    reset: str = ""
+    obeys: bool = True  # a stop and a reset, and says so
 
     async def send(self, frame: str) -> None:
         if self.closed:
             raise ConnectionError("the link is closed")
-        self.heard.append(decode_down(frame))
+        message = decode_down(frame)
+        self.heard.append(message)
+        if self.obeys and isinstance(message, Estop | Reset):
+            self.latched = isinstance(message, Estop)
+            if isinstance(message, Reset):
+                self.reset = message.id
+            await self.state()
 
     async def close(self, code: int, reason: str) -> None:
         self.closed = (code, reason)
@@ -142,6 +150,7 @@ class HandCell:
             "invocation": self.invocation,
             "status": self.status,
             "latched": self.latched,
+            "reset": self.reset,
             "holding": False,
             "policy_digest": self.runtime.kernel.policy.digest,
             "profile": "human-shared",

@@ -558,15 +558,16 @@ async def test_an_emergency_stop_is_latched_and_launches_are_rejected(runtime: R
 
 
 async def test_a_reset_is_answered_when_the_cell_says_so_itself(runtime: Runtime, cell: HandCell) -> None:
+    cell.obeys = False
     await runtime.governor.estop(CELL, AGENT)
-    cell.latched = True
-    await cell.state()
     resetting = asyncio.create_task(runtime.governor.reset(CELL, OPERATOR))
-    await cell.expect("reset")
-    await cell.state()  # on its way when the reset came
+    told = await cell.expect("reset")
+    for latched in (False, True):  # said before it heard of the stop, and before it heard of the reset
+        await cell.state(latched=latched)
+        document, _ = await runtime.governor.propose(AGENT, navigate())
+        assert document["admission"]["reasons"][0]["code"] == "estop_latched"
     assert not resetting.done()
-    cell.latched = False
-    await cell.state()
+    await cell.state(reset=told.id)
     assert not (await resetting)["latched"]
     document, _ = await runtime.governor.propose(AGENT, navigate())
     assert document["status"] == "running"
@@ -576,8 +577,9 @@ async def test_a_reset_that_the_cell_does_not_confirm_says_that_it_is_latched(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fleet_module, "RESET_S", 0.05)
+    cell.obeys = False
     await runtime.governor.estop(CELL, AGENT)
-    await cell.state(latched=True)
+    await cell.state()
     assert (await runtime.governor.reset(CELL, OPERATOR))["latched"]
 
 

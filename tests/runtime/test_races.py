@@ -636,7 +636,8 @@ async def test_a_reset_that_was_recorded_is_answered_so_although_its_cell_has_le
     await late.recorded.wait()
     await cell.hang_up()
     late.go.set()
-    assert not (await resetting)["latched"]
+    assert (await resetting)["latched"], "as it last said itself"
+    assert not runtime.fleet.cell(CELL).latched
     again = await HandCell(runtime, seq=cell.seq, latched=True).dial()
     await again.state()
     assert runtime.governor.cells()[0]["latched"], "a cell that latched it says so itself"
