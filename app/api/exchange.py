@@ -9,11 +9,13 @@ websocket's reader would not read to its end; uvicorn leaves such a peer without
 
 A peer that begins a request and does not go on has its connection closed: whoever holds many such open, and nobody
 knows yet who that is, would take the descriptors by which somebody else comes in to stop a robot. Each connection looks
-at itself once a second, so that a request costs no timer and no reading of a clock.
+at itself once a second, so that a request costs no timer and no reading of a clock. Who comes when there are too many
+already takes the place of those that have let others wait for longest, or that rest; what is being answered is let be.
 """
 
 from __future__ import annotations
 
+import resource
 from typing import TYPE_CHECKING, ClassVar, Final, cast
 
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
@@ -33,9 +35,18 @@ SPARE_BYTES = 64  # of a line, for what is neither name nor value
 HEAD_BYTES = 65_536  # of one request: its line, its header fields, whatever else of it is no body
 LOOK_S: Final = 1.0
 MOST_LOOKS: Final = 5  # at a peer that lets others wait
+MOST_CONNECTIONS: Final = 4096
 HEAD, BODY, NOTHING = "head", "body", "nothing"  # what of a request has not come yet
 TOO_LARGE = Problem("head_too_large", f"valid: at most {HEAD_BYTES} bytes of request line and header fields")
 BODY_LATE = Problem("body_late", f"valid: no {MOST_LOOKS * LOOK_S:.0f} s without a part of the body")
+
+
+def most_connections() -> int:
+    """Return how many connections there may be before some of them make room: three quarters of the descriptors."""
+    descriptors, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if descriptors == resource.RLIM_INFINITY:
+        return MOST_CONNECTIONS
+    return min(MOST_CONNECTIONS, descriptors * 3 // 4)
 
 
 class HeadTooLarge(Exception):
@@ -46,7 +57,9 @@ class Exchanges(HttpToolsProtocol):
     """One connection's exchanges."""
 
     look_s: ClassVar[float] = LOOK_S
+    most: ClassVar[int] = most_connections()
 
+    _since_s = 0.0
     _unread = 0  # bytes that came since the parser last had something whole
     _owed = HEAD
     _looks = 0  # since the peer last did what it owes
@@ -56,6 +69,9 @@ class Exchanges(HttpToolsProtocol):
         """Begin, and keep an eye on the peer."""
         super().connection_made(transport)
         self._looking = self.loop.call_later(self.look_s, self._look)
+        self._since_s = self.loop.time()
+        if len(self.connections) > self.most:
+            self._make_room()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End."""
@@ -145,6 +161,14 @@ class Exchanges(HttpToolsProtocol):
         else:
             self._looks = MOST_LOOKS
             self._end_late()
+
+    def _make_room(self) -> None:
+        """End an eighth of the connections: first those whose peers let others wait, of each kind the oldest first."""
+        others = [one for one in self.connections if isinstance(one, Exchanges) and one is not self]
+        waited_for = {one: one._lets_wait() for one in others if one._lets_wait() or one._answered()}
+        for one in sorted(waited_for, key=lambda one: (not waited_for[one], one._since_s))[: self.most // 8 + 1]:
+            self.connections.discard(one)
+            one.transport.abort()
 
     def _look_away(self) -> None:
         if self._looking is not None:

@@ -3,7 +3,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import AsyncGenerator
-from typing import Any, cast
+from typing import Any, TypeAlias, cast
 from urllib.parse import urlsplit
 
 import pytest
@@ -14,6 +14,8 @@ from app.api.exchange import HEAD_BYTES, Answer, Exchanges
 from tests.api.conftest import Door, House, eventually
 
 pytestmark = pytest.mark.anyio
+
+Visit: TypeAlias = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 END = b"\r\n\r\n"
 
@@ -352,3 +354,62 @@ async def test_a_websocket_may_be_silent(house: House, monkeypatch: pytest.Monke
             assert await reader.read() == b""
             silent.close()
         await (await console.ping())
+
+
+# -- where there is no room ------------------------------------------------------------------------------------------
+
+
+class Crowded(Exchanges):
+    """Has room for few."""
+
+    most = 8
+
+
+@contextlib.asynccontextmanager
+async def crowd(writer: asyncio.StreamWriter, size: int) -> AsyncGenerator[list[Visit]]:
+    """Connect so many times more to whom somebody is connected to."""
+    came = [await asyncio.open_connection(*writer.get_extra_info("peername")[:2]) for _ in range(size)]
+    try:
+        yield came
+    finally:
+        for _, one in came:
+            one.close()
+
+
+async def answered(visit: Visit, asked: bytes = request("POST", "/")) -> bool:
+    """Say whether a connection answers, and is not cut off instead."""
+    reader, writer = visit
+    with contextlib.suppress(ConnectionError, asyncio.IncompleteReadError):
+        writer.write(asked)
+        return (await reader.readuntil(END)).startswith(b"HTTP/1.1 200")
+    return False
+
+
+async def test_who_comes_where_there_is_no_room_takes_the_place_of_who_lets_others_wait_for_longest() -> None:
+    site = Site()
+    async with served(site, Crowded) as (reader, writer), crowd(writer, 1) as (resting,):
+        assert await answered((reader, writer), request("GET", "/stream"))
+        assert await answered(resting)
+        async with crowd(writer, 20) as silent:
+            for _, one in silent:
+                one.write(b"GET / HT")
+            async with crowd(writer, 1) as (newcomer,):
+                assert await answered(newcomer)
+            rest = b"TP/1.1\r\nHost: here" + END
+            stayed = [await answered(one, rest) for one in silent]
+        assert stayed == sorted(stayed), "the oldest went first"
+        assert not stayed[0]
+        assert stayed[-1]
+        assert await answered(resting)
+        site.go_on.set()
+        assert await reader.readuntil(b"0" + END) == b"4\r\nlate\r\n0" + END
+
+
+async def test_where_all_rest_who_comes_takes_the_place_of_the_oldest() -> None:
+    async with served(Site(), Crowded) as first, contextlib.AsyncExitStack() as came:
+        visits = [first]
+        for _ in range(12):
+            assert await answered(visits[-1])
+            visits += await came.enter_async_context(crowd(first[1], 1))
+        assert await answered(visits[-1])
+        assert not await answered(first)
