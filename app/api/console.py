@@ -241,12 +241,14 @@ class Console:
                 raise NotAWord("`hello` was said already: valid once, first")
 
     async def _stop(self, word: Estop) -> None:
-        """Stop a cell and latch it; of one that is latched, or that there is not, nothing is done or recorded.
+        """Stop a cell and latch it; of one that stays latched, or that there is not, nothing is done or recorded.
 
-        A console that says it here says it over HTTP too, where it is answered.
+        A console that says it here says it over HTTP too, where it is answered. While somebody is leaving the stop it
+        repeats nothing, and keeps the cell stopped.
         """
         fleet = self._parts.fleet
-        if fleet.knows(word.cell) and not fleet.cell(word.cell).latched:
+        cell = fleet.cell(word.cell) if fleet.knows(word.cell) else None
+        if cell is not None and not (cell.latched and cell.armed_by is None and not cell.resetting):
             await self._parts.governor.estop(word.cell, self._principal)
 
     def _jog(self, word: Jog) -> None:

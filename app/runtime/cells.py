@@ -125,6 +125,7 @@ class Cell:
     control: Control | None = None  # who drives it by hand
     control_at: str = ""  # since when, by the wall clock
     arming: Arming | None = None  # the first of the two steps out of a latched stop
+    resetting: int = 0  # resets that are being recorded
     reset: str = ""  # the one that it was told, and has not said to have heard: what it says until then is older
 
     @property
@@ -142,6 +143,12 @@ class Cell:
             and self.state is not None
             and monotonic_s() - self.state_at_s <= FRESH_S
         )
+
+    @property
+    def armed_by(self) -> str | None:
+        """Return who may take the second step out of a latched stop now."""
+        armed = self.arming
+        return None if armed is None or armed.stops != self.stops or monotonic_s() > armed.until_s else armed.by
 
     def note(self, restraint: Human, *, there: bool) -> None:
         """Note a restraint that is being said, to a cell that is there or is not."""

@@ -17,7 +17,7 @@ from app.governance.authority import refusal
 from app.governance.model import SESSION, AuthorityMode, EventKind, Outcome, Role, Status
 from app.protocol import Estop, Human, SetProfile
 from app.runtime.cells import Arming
-from app.runtime.drafts import cell_word, escalation_event, human_event, outcome_event
+from app.runtime.drafts import SERVER, cell_word, escalation_event, human_event, outcome_event
 from app.runtime.errors import Conflict, NotFound
 from app.runtime.handback import take_back
 from app.runtime.invocation import may_see
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 UNNAMED: Final = ""
 CONFIRM_S: Final = 10.0  # between the two steps of a reset
+NOT_CONFIRMED: Final = "not_confirmed"  # a word of which the cell has not said that it heard it
 
 # Which statuses an operator's word is legal in, and whether it restrains.
 OPERATIONS: Final[Mapping[str, tuple[frozenset[Status], bool]]] = {
@@ -272,7 +273,8 @@ class Controls:
     async def reset(self, cell_id: str, principal: Principal, code: str | None = None) -> dict[str, Any]:
         """Leave a latched stop; recorded first, moves nothing.
 
-        The answer waits, shortly, for the cell to say so itself; its `latched` is what a launch would meet.
+        The answer waits, shortly, for the cell to say so itself; its `latched` is what a launch would meet. Where the
+        cell does not say so, the record says that behind the reset (`not_confirmed`).
 
         Args:
             cell_id: which cell.
@@ -286,21 +288,27 @@ class Controls:
             RecordUnavailable: nothing was recorded, it stays latched.
         """
         cell = self._resettable(cell_id)
+        confirmed = code is None or _confirms(cell, principal, code)
         armed, cell.arming = cell.arming, None
-        if code is not None and not _confirms(armed, cell, principal, code):
+        if not confirmed:
             disarmed = "" if armed is None else f", and the one that `{armed.by}` armed is off"
             raise Conflict("not_armed", f"`{code[:64]}` confirms no reset of `{cell.id}`{disarmed}; valid: arm it anew")
         self.desk.grants.drop(cell.id, "estop", principal.name)  # none outlives a stop that the cell latched by itself
         before, unkept = cell.stops, cell.latch_unkept
         cell.latch_unkept = False  # or the latch could follow the word that leaves it into the record
+        cell.resetting += 1
         try:
             await self.fleet.keep(cell, [cell_word("reset", cell, principal)], estop=False)
         except RecordUnavailable:
             cell.latch_unkept = unkept or cell.latch_unkept
             raise
+        finally:
+            cell.resetting -= 1
         if cell.stops == before:
             cell.latched = cell.latch_unkept = False
-            await self.fleet.unlatch(cell, principal.name)
+            if not await self.fleet.unlatch(cell, principal.name):
+                body = {"what": NOT_CONFIRMED, "op": "reset", "cell": cell.id}
+                await self.register.say(EventDraft(kind=EventKind.CELL, actor=SERVER, body=body))
         return self.fleet.document(cell)
 
     def arm_reset(self, cell_id: str, principal: Principal) -> dict[str, Any]:
@@ -354,11 +362,13 @@ class Controls:
         return self.fleet.document(cell)
 
 
-def _confirms(armed: Arming | None, cell: Cell, principal: Principal, code: str) -> bool:
-    if armed is None:
-        return False
-    same = secrets.compare_digest(armed.code.encode(), code.encode())
-    return same and armed.by == principal.name and armed.stops == cell.stops and monotonic_s() <= armed.until_s
+def _confirms(cell: Cell, principal: Principal, code: str) -> bool:
+    armed = cell.arming
+    return (
+        armed is not None
+        and cell.armed_by == principal.name
+        and secrets.compare_digest(armed.code.encode(), code.encode())
+    )
 
 
 def _message(op: str, invocation: Invocation, principal: Principal) -> Human:

@@ -150,7 +150,11 @@ class Fleet:
 
     def latched(self, cell: Cell) -> bool:
         """Say whether a stop is latched, on the server or on the cell, which may not have heard of its reset yet."""
-        return cell.latched or bool(cell.reset) or (cell.state is not None and cell.state.latched)
+        if cell.latched or cell.reset:
+            return True
+        hello = None if cell.attachment is None else cell.attachment.hello
+        said = hello if cell.state is None else cell.state
+        return said is not None and said.latched
 
     def _world(self, cell: Cell, state: State) -> WorldFacts | None:
         if cell.world is None and cell.trouble is None:
@@ -179,6 +183,7 @@ class Fleet:
             "facts": None if state is None else state.facts,
             "gauges": {} if state is None else state.gauges,
             "control": cell.control_document(),
+            "armed_by": cell.armed_by,
             "session": None if state is None or state.session is None else state.session.model_dump(),
         }
 
@@ -255,14 +260,14 @@ class Fleet:
         if cell is not None:
             cell.expected_until_s = monotonic_s() + EXPECTED_S if coming else 0.0
 
-    async def unlatch(self, cell: Cell, actor: str) -> None:
+    async def unlatch(self, cell: Cell, actor: str) -> bool:
         """Have a cell that is there leave its latched stop; waits, shortly, until it says that it has heard of that.
 
         What it says before may be older than the stop itself. One that is away says when it is back whether it is
-        latched still.
+        latched still. Returns whether the cell has said that it heard.
         """
         if not self.attached(cell):
-            return
+            return False
         reset = Reset(id=secrets.token_hex(8), actor=actor)
         cell.reset = reset.id
         self.order(cell, reset, since=cell.restraints)
@@ -270,6 +275,7 @@ class Fleet:
             async with asyncio.timeout(RESET_S):
                 while cell.reset == reset.id:
                     await cell.stated.wait()
+        return cell.state is not None and cell.state.reset == reset.id
 
     # -- speaking to a cell ------------------------------------------------------------------------------------------
 

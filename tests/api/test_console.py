@@ -400,6 +400,41 @@ async def test_a_stop_said_here_is_that_of_http_and_said_again_changes_nothing(h
         assert (await operator.post(f"/v1/cells/{CELL}/reset")).status_code == 200
 
 
+async def test_a_stop_said_here_while_somebody_resets_keeps_the_cell_stopped(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reset = f"/v1/cells/{CELL}/reset"
+    cell = house.runtime.fleet
+
+    async def said(screen: Screen) -> None:
+        stops = cell.cell(CELL).stops
+        await screen.say(type="estop", cell=CELL)
+        await eventually(lambda: cell.cell(CELL).stops == stops + 1)
+
+    async with house.cell(), signed_in(house, "auditor") as screen, house.client("operator") as operator:
+        await screen.until_type("snapshot")
+        await operator.post(f"/v1/cells/{CELL}/estop")
+        armed = (await operator.post(reset, json={"step": "arm"})).json()
+        assert armed["armed_by"] == "operator"
+        await said(screen)
+        answer = await operator.post(reset, json={"step": "confirm", "code": armed["arming"]["code"]})
+        assert (answer.status_code, answer.json()["code"]) == (409, "not_armed")
+        keep, reached, goes_on = cell.keep, asyncio.Event(), asyncio.Event()
+
+        async def slow(*args: Any, **how: Any) -> None:
+            if not how["estop"]:
+                reached.set()
+                await goes_on.wait()
+            await keep(*args, **how)
+
+        monkeypatch.setattr(cell, "keep", slow)
+        resetting = asyncio.create_task(operator.post(reset))
+        await reached.wait()
+        await said(screen)
+        goes_on.set()
+        assert (await resetting).json()["latched"]
+
+
 async def test_an_escalation_appears_and_its_answer_too(shared_house: House) -> None:
     def about(message: dict[str, Any], status: str) -> bool:
         return any(question["status"] == status for question in message.get("escalations", []))

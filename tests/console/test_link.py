@@ -96,7 +96,7 @@ def test_a_cell_that_falls_silent_is_not_shown_as_the_present(
         expect(person.page.locator(".live .session.stale")).to_be_visible()
         person.press(".")
         expect(robot).to_contain_text("Not heard, stop sent")
-        expect(person.alert("workcell-1 is not heard.")).to_contain_text("the robot has not confirmed it")
+        expect(person.alert("workcell-1 is not heard.")).to_contain_text("that the robot stands is not confirmed")
         expect(person.page.get_by_text("Nothing moves")).to_have_count(0)
         expect(person.page.locator("header").get_by_role("button", name="stopped")).to_have_count(0)
     finally:

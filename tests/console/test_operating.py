@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
 from typing import TYPE_CHECKING
 
 import pytest
@@ -153,10 +155,40 @@ def test_the_second_step_of_a_reset_goes_when_it_is_dead_and_says_why(
     assert server.post("/v1/cells/workcell-1/estop", key="operator_2").is_success
     expect(again).to_contain_text("operator_2 has pressed the stop again since.")
     expect(yes).to_have_count(0)
+    for step, why in (
+        ({"step": "arm"}, "operator_2 has begun to reset it since"),
+        ({"step": "confirm", "code": "12345678"}, "What you began is void"),
+    ):
+        person.enter(reset)
+        expect(yes).to_be_visible()
+        server.post("/v1/cells/workcell-1/reset", step, key="operator_2")
+        expect(again).to_contain_text(why)
+        expect(yes).to_have_count(0)
     person.enter(reset)
     expect(yes).to_be_visible()
     expect(again).to_contain_text("The time to confirm is over.")
     expect(yes).to_have_count(0)
+    assert server.cell()["latched"] is True
+
+
+def test_a_reset_that_the_cell_did_not_hear_is_told_to_whoever_confirmed_it(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    latched = person.alert("is latched")
+    person.press(".")
+    expect(latched).to_contain_text("Pressed by operator at")
+    person.button("Reset…").click()
+    cell = server.cell_pid()
+    assert cell is not None
+    os.kill(cell, signal.SIGSTOP)
+    try:
+        person.button("Yes, reset the stop").click()
+        expect(person.region("Events")).to_contain_text("Reset not confirmed: workcell-1 has not said that it heard it")
+    finally:
+        os.kill(cell, signal.SIGCONT)
+    expect(latched).to_contain_text("workcell-1 has not said that it heard the reset by operator, and stays stopped.")
+    expect(latched).to_contain_text("Pressed by operator at")
     assert server.cell()["latched"] is True
 
 

@@ -12,6 +12,7 @@ import pytest
 
 from app.audit.errors import RecordUnavailable
 from app.governance.permit import SignedAuthorization, verify
+from app.runtime import controls as controls_module
 from app.runtime import fleet as fleet_module
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, InvalidParams, NotFound
@@ -581,6 +582,32 @@ async def test_a_reset_that_the_cell_does_not_confirm_says_that_it_is_latched(
     await runtime.governor.estop(CELL, AGENT)
     await cell.state()
     assert (await runtime.governor.reset(CELL, OPERATOR))["latched"]
+    said = [(event.kind, event.payload()) for event in await runtime.store.events()][-2:]
+    assert [kind for kind, _ in said] == ["human", "cell"]
+    assert said[-1][1] == {"what": "not_confirmed", "op": "reset", "cell": CELL}
+    monkeypatch.undo()
+    cell.obeys = True
+    assert not (await runtime.governor.reset(CELL, OPERATOR))["latched"]
+
+
+async def test_who_may_take_the_second_step_of_a_reset_is_known_until_it_is_void(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def armed_by() -> str | None:
+        return runtime.governor.cells()[0]["armed_by"]
+
+    await runtime.governor.estop(CELL, AGENT)
+    assert armed_by() is None
+    assert runtime.governor.arm_reset(CELL, OPERATOR)["armed_by"] == OPERATOR.name == armed_by()
+    with pytest.raises(Conflict, match="is off"):
+        await runtime.governor.reset(CELL, OPERATOR_2, "12345678")
+    assert armed_by() is None
+    runtime.governor.arm_reset(CELL, OPERATOR_2)
+    await runtime.governor.estop(CELL, AGENT)
+    assert armed_by() is None
+    monkeypatch.setattr(controls_module, "CONFIRM_S", -1.0)
+    runtime.governor.arm_reset(CELL, OPERATOR_2)
+    assert armed_by() is None
 
 
 async def test_a_reset_does_not_leave_a_stop_that_came_while_it_was_recorded(

@@ -1,7 +1,7 @@
 import { describe, expect, it } from 'vitest';
 import type { Cell, LogEvent } from '../src/lib/api/documents';
 import { differences } from '../src/lib/fleet/profiles';
-import { secondsLeft, stopOf, whyWithdrawn } from '../src/lib/live/reset';
+import { secondsLeft, stopOf, unheardOf, VOIDED, whyWithdrawn } from '../src/lib/live/reset';
 import { heard, profileBarrier, resetBarrier, samePolicy } from '../src/lib/fleet/rights';
 import { event } from './samples';
 
@@ -29,18 +29,25 @@ describe('who may act', () => {
 });
 
 describe('the second step of a reset', () => {
-  const offered = { code: '1', sinceMs: Date.parse('2026-01-01T00:00:10Z'), untilMs: Date.parse('2026-01-01T00:00:20Z') };
+  const offered = { by: 'ann', code: '1', sinceMs: Date.parse('2026-01-01T00:00:10Z'), untilMs: Date.parse('2026-01-01T00:00:20Z') };
   const stop = (at: string, name: string): LogEvent => ({ ...event('human', { op: 'estop', cell: name }, null, 'operator_2'), at });
   const [before, after, elsewhere] = [stop('2026-01-01T00:00:09Z', 'workcell-1'), stop('2026-01-01T00:00:12Z', 'workcell-1'), stop('2026-01-01T00:00:12Z', 'workcell-2')];
 
   it('stands until its time is over', () => {
     expect([offered.untilMs - 1_500, offered.untilMs, offered.untilMs + 1].map((now) => secondsLeft(offered, now))).toEqual([2, 0, 0]);
-    expect(whyWithdrawn(offered, 'workcell-1', [before, elsewhere], offered.untilMs - 1)).toBeNull();
-    expect(whyWithdrawn(offered, 'workcell-1', [], offered.untilMs)).toContain('time to confirm is over');
+    expect(whyWithdrawn(offered, 'workcell-1', [before, elsewhere], offered.untilMs - 1, 'ann')).toBeNull();
+    expect(whyWithdrawn(offered, 'workcell-1', [], offered.untilMs, 'ann')).toContain('time to confirm is over');
+    expect(whyWithdrawn(offered, 'workcell-1', [], offered.untilMs - 500, null)).toContain('time to confirm is over');
+  });
+
+  it('falls with whatever voids it, and says whose that is where it knows', () => {
+    const now = offered.untilMs - 2_000;
+    expect(whyWithdrawn(offered, 'workcell-1', [], now, 'bob')).toContain('bob has begun to reset it since');
+    expect(whyWithdrawn(offered, 'workcell-1', [], now, null)).toBe(VOIDED);
   });
 
   it('falls with a new stop, and says whose', () => {
-    expect(whyWithdrawn(offered, 'workcell-1', [before, after], offered.untilMs)).toContain('operator_2 has pressed the stop again');
+    expect(whyWithdrawn(offered, 'workcell-1', [before, after], offered.untilMs, null)).toContain('operator_2 has pressed the stop again');
   });
 });
 
@@ -49,6 +56,16 @@ describe('the stop a cell is latched by', () => {
   it('is the first one since the reset before it, of this cell', () => {
     const log = [word('estop', 'ann'), word('reset', 'ann'), word('estop', 'eve', 'workcell-2'), word('estop', 'bob'), word('estop', 'ann')];
     expect(stopOf('workcell-1', log)).toEqual({ by: 'bob', at: '2026-11-22T10:00:01.000Z' });
+  });
+  it('is the same one after a reset that the cell has not heard', () => {
+    const unheard = event('cell', { what: 'not_confirmed', op: 'reset', cell: 'workcell-1' }, null, 'server');
+    const log = [word('estop', 'ann'), word('reset', 'bob'), unheard];
+    expect(stopOf('workcell-1', log)?.by).toBe('ann');
+    expect(stopOf('workcell-1', [...log, word('reset', 'bob'), unheard])?.by).toBe('ann');
+    expect(stopOf('workcell-1', [...log, word('reset', 'bob')])).toBeNull();
+    expect(stopOf('workcell-1', [...log.slice(0, 2), word('estop', 'eve'), unheard])?.by).toBe('eve');
+    expect([log, log.slice(0, 2), [...log, word('estop', 'eve')], [...log, word('reset', 'bob')]].map((words) => unheardOf('workcell-1', words))).toEqual(['bob', null, null, null]);
+    expect(unheardOf('workcell-2', log)).toBeNull();
   });
   it('is not known where the record of it is not here', () => {
     expect(stopOf('workcell-1', [word('estop', 'ann'), word('reset', 'ann')])).toBeNull();

@@ -59,6 +59,7 @@ class CellDocument(Document):
     arming: ArmingDocument | None = Field(
         default=None, description="Stands in the answer to the first step of a reset."
     )
+    armed_by: str | None = Field(description="Who may take the second step of a reset now.")
     session: SittingDocument | None
     recorded: bool | None = Field(default=None, description="Stands in the answer to an emergency stop alone.")
 

@@ -140,6 +140,8 @@ export interface Cell {
   control?: Control | null;
   /** Stands in the answer to the first step of a reset. */
   arming?: { code: string; expires_at: string } | null;
+  /** Who may take the second step of a reset now. */
+  armed_by?: string | null;
   recorded?: boolean | null;
 }
 

@@ -1,7 +1,12 @@
 import type { LogEvent } from '../api/documents';
 
+const CLOCKS_MS = 1_000;
+/** What the server says of a second step that is none any more, where nothing else tells why. */
+export const VOIDED = 'What you began is void: a reset was begun or confirmed elsewhere since. Begin again.';
+
 /** The second step out of a latched stop, as it was offered to this person. */
 export interface Offered {
+  by: string;
   code: string;
   /** When the first step was asked for, and until when the second counts: the server's wall clock. */
   sinceMs: number;
@@ -10,9 +15,30 @@ export interface Offered {
 
 /** Who pressed the stop that a cell is latched by, and when; null where the record of it is not here. */
 export function stopOf(cell: string, events: readonly LogEvent[]): { by: string; at: string } | null {
-  const words = events.filter(({ kind, body }) => kind === 'human' && body['cell'] === cell && (body['op'] === 'estop' || body['op'] === 'reset'));
-  const first = words[words.findLastIndex(({ body }) => body['op'] === 'reset') + 1]; // whoever pressed it after them changed nothing
-  return first === undefined ? null : { by: first.actor, at: first.at };
+  let stop: LogEvent | null = null;
+  let left: LogEvent | null = null; // by the last reset
+  for (const event of events.filter(({ body }) => body['cell'] === cell)) {
+    if (isWord(event, 'estop')) stop ??= event; // whoever presses it after them changes nothing
+    else if (isWord(event, 'reset')) [stop, left] = [null, stop];
+    else if (isUnheard(event)) stop ??= left;
+  }
+  return stop === null ? null : { by: stop.actor, at: stop.at };
+}
+
+/** Whose reset the cell was not heard to have had, if that was the last word on its stop; null: nobody's. */
+export function unheardOf(cell: string, events: readonly LogEvent[]): string | null {
+  const words = events.filter((event) => event.body['cell'] === cell && (isWord(event, 'estop') || isWord(event, 'reset') || isUnheard(event)));
+  const last = words.at(-1);
+  return last !== undefined && isUnheard(last) ? (words.findLast((event) => isWord(event, 'reset'))?.actor ?? last.actor) : null;
+}
+
+function isWord({ kind, body }: LogEvent, op: string): boolean {
+  return kind === 'human' && body['op'] === op;
+}
+
+/** Whether an event says that a reset came to nothing: the cell was not heard to have had it. */
+function isUnheard({ kind, body }: LogEvent): boolean {
+  return kind === 'cell' && body['what'] === 'not_confirmed' && body['op'] === 'reset';
 }
 
 /** Whole seconds that are left to confirm. */
@@ -20,9 +46,12 @@ export function secondsLeft({ untilMs }: Offered, nowMs: number): number {
   return Math.max(0, Math.ceil((untilMs - nowMs) / 1000));
 }
 
-/** Why the second step may not be taken any more, in words; null while it may. */
-export function whyWithdrawn(offered: Offered, cell: string, events: readonly LogEvent[], nowMs: number): string | null {
-  const stop = events.findLast(({ kind, at, body }) => kind === 'human' && Date.parse(at) > offered.sinceMs && body['op'] === 'estop' && body['cell'] === cell);
+/** Why the second step may not be taken any more, in words; null while it may. `armedBy`: whose it is, null: nobody's. */
+export function whyWithdrawn(offered: Offered, cell: string, events: readonly LogEvent[], nowMs: number, armedBy: string | null): string | null {
+  const stop = events.findLast((event) => isWord(event, 'estop') && Date.parse(event.at) > offered.sinceMs && event.body['cell'] === cell);
   if (stop !== undefined) return `${stop.actor} has pressed the stop again since. Begin again once the cause is known.`;
-  return offered.untilMs <= nowMs ? 'The time to confirm is over. Begin again.' : null;
+  // Its end is told by two clocks.
+  if (offered.untilMs - (armedBy === null ? CLOCKS_MS : 0) <= nowMs) return 'The time to confirm is over. Begin again.';
+  if (armedBy === offered.by) return null;
+  return armedBy === null ? VOIDED : `${armedBy} has begun to reset it since, which voids what you began. Agree on who does it.`;
 }
