@@ -259,7 +259,7 @@ class ScriptedApprover:
                 return self._skip(escalation, refused)
             if refused.status != 409:  # somebody else was faster, or it expired while being read
                 raise
-            if refused.code == "cell_offline":  # for now: the question waits on, so it is read again
+            if refused.code in ("cell_offline", "control_held"):  # for now: the question waits on, so it is read again
                 self._seen.discard(_bound_to(escalation))
             if refused.code not in _ANSWERED:
                 return None

@@ -185,7 +185,14 @@ CELL_CODES = ("request_invalid", "cell_unknown", "record_unavailable")
 def _questions(router: APIRouter) -> None:
     question = documents.EscalationDocument
     late = ("already_resolved", "escalation_expired", "record_unavailable")
-    answering = ("own_proposal", "cell_offline", "params_invalid", "already_approved", "digest_mismatch")
+    answering = (
+        "own_proposal",
+        "control_held",
+        "cell_offline",
+        "params_invalid",
+        "already_approved",
+        "digest_mismatch",
+    )
     refused = ("edit_refused", "grant_refused", "ending", "policy_changed", "profile_changed")
     declare(
         router,

@@ -26,7 +26,7 @@ from app.clock import rfc3339
 from app.governance import recorded
 from app.governance.bundle import load_files
 from app.governance.decision import decide
-from app.governance.model import Proposal
+from app.governance.model import Proposal, Status
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Mapping
@@ -260,15 +260,25 @@ class _Again:
 
 
 def _same(decision: Decision, admission: Body, verdict: Body | None, kept: Body) -> bool:
-    if decision.status != kept["decided"]:
-        return False
-    if not admission.get("recheck"):  # what a recheck says of admission may end with a word of the runtime's own
-        found = decision.admission
-        if found.outcome != admission["outcome"] or found.retry_after_s != admission.get("retry_after_s"):
-            return False
-        if not _same_reasons(found.reasons, admission["reasons"]):
-            return False
-    return _same_verdict(decision, verdict)
+    return (
+        decision.status == kept["decided"]
+        and _same_admission(decision, admission, kept)
+        and _same_verdict(decision, verdict)
+    )
+
+
+def _same_admission(decision: Decision, admission: Body, kept: Body) -> bool:
+    if admission.get("recheck"):  # what it says of admission may end with a word of the runtime's own
+        return True
+    found = decision.admission
+    if kept["decided"] == Status.AWAITING_APPROVAL and admission.get("status") == Status.DEFERRED:
+        # Nobody was asked, for want of room, and that is what was said last.
+        return _same_reasons(found.reasons, admission["reasons"][:-1])
+    return (
+        found.outcome == admission["outcome"]
+        and found.retry_after_s == admission.get("retry_after_s")
+        and _same_reasons(found.reasons, admission["reasons"])
+    )
 
 
 def _same_verdict(decision: Decision, verdict: Body | None) -> bool:

@@ -218,6 +218,9 @@ class Answer:
             raise Conflict("ending", f"the session is coming to its end after `{word}`: it cannot go on")
         if not self._fleet.attached(cell):
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to go on")
+        if cell.driven(self._invocation.id):  # whoever took over has answered what was asked
+            raise Conflict("control_held", f"somebody drives `{cell.id}` by hand; valid: they hand back")
+        link = cell.attachment
         if reasons := self._questions.kept_back(self._invocation):
             raise Conflict("resume_refused", "the policy in force does not let it go on; valid: deny", reasons=reasons)
         since, now = cell.restraints, self._register.now()
@@ -228,7 +231,8 @@ class Answer:
         await self._commit_session("approve", closed)
         # Only who was asked about a phase confirms one: the cell may wait for a word that is not known here yet.
         op = "resolve_continue" if closed.phase is None else "confirm"
-        if self._fleet.attached(cell):  # else it was answered all the same, and is asked about again
+        # On another link, or on none: it was answered all the same, and is asked about again.
+        if self._fleet.attached(cell) and cell.attachment is link:
             word = Human(invocation=self._invocation.id, op=op, actor=self._principal.name)
             self._fleet.order(cell, word, since=since)
         return closed

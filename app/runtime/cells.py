@@ -23,6 +23,7 @@ FRESH_S: Final = 1.0  # a state older than this says nothing
 ENDING: Final = frozenset(
     {"stop", "cancel", "resolve_terminate", "end_takeover"}
 )  # after these a session only comes to rest
+PAUSE: Final = "pause"
 KEPT: Final = frozenset({"profile", "estop", "journals"})  # settings of a cell, by what precedes its name
 _WORLD: Final = TypeAdapter(WorldFacts)
 _JOURNALS: Final = TypeAdapter(dict[str, int])
@@ -145,6 +146,14 @@ class Cell:
         )
 
     @property
+    def outlived(self) -> bool:
+        """Say whether the newest state is from before the last session's end: it came before, or names that session."""
+        if self.state_at_s < self.ended_at_s:
+            return True
+        names = self.state is not None and self.state.invocation is not None and self.state.invocation == self.ended
+        return names and monotonic_s() - self.ended_at_s <= FRESH_S  # a stray is told to stop after that
+
+    @property
     def armed_by(self) -> str | None:
         """Return who may take the second step out of a latched stop now."""
         armed = self.arming
@@ -164,15 +173,31 @@ class Cell:
 
         What is refused as the end of a takeover that never was ends nothing, unless somebody takes over just then.
         """
-        taking = self.control is not None and self.control.invocation == invocation
-        if op not in ENDING or (refused == "not_taken_over" and not taking):
+        if op not in ENDING or (refused == "not_taken_over" and not self.driven(invocation)):
             self.owed.pop((op, invocation), None)
+        if op == PAUSE and refused:
+            self.restrained.pop((op, invocation), None)
 
     def lifted(self, since: int) -> None:
         """Note that the session goes on by the word of somebody who knew of the restraints up to that number."""
-        for (op, invocation), (number, _) in self.restrained.items():
+        for (op, invocation), (number, _) in tuple(self.restrained.items()):
             if number <= since:
                 self.heard(op, invocation)
+                if op == PAUSE:
+                    del self.restrained[op, invocation]
+
+    def driven(self, invocation: str) -> bool:
+        """Say whether somebody drives a session by hand."""
+        return self.control is not None and self.control.invocation == invocation
+
+    def paused(self, invocation: str) -> bool:
+        """Say whether an operator's pause of a session stands, on its way to the cell or heard by it.
+
+        A state may be older than a pause that is in the record already.
+        """
+        session = None if self.state is None else self.state.session
+        said = (PAUSE, invocation) in self.owed or (PAUSE, invocation) in self.restrained
+        return said or (session is not None and "operator" in session.paused_by)
 
     def ending(self, invocation: str) -> str | None:
         """Return the word by which an invocation's session is coming to its end, if one was said."""

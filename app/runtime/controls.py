@@ -127,7 +127,7 @@ class Controls:
                 "rollback_ordered",
                 "an operator ordered that this be undone; valid: wait for its end, or ask an operator",
             )
-        if principal.role is Role.AGENT and cell.control is not None and cell.control.invocation == present.id:
+        if principal.role is Role.AGENT and cell.driven(present.id):
             raise Conflict("control_held", "a human has the controls; valid: wait until they give it back or end it")
         return await self._restrain("cancel", present, principal)
 
@@ -184,10 +184,10 @@ class Controls:
         """Record a word on which a session moves, then send it; nothing is kept for a cell that is away."""
         if not self.fleet.attached(cell):
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to {op}")
-        since = cell.restraints
+        since, link = cell.restraints, cell.attachment
         undone_by = await self._record(op, present, principal)
         try:
-            self.fleet.order(cell, _message(op, present, principal), since=since)
+            self.fleet.order(cell, _message(op, present, principal), since=since, link=link)
         except Conflict as error:  # the cell left while this was recorded: nothing comes of it, and the record says so
             await take_back(self.register, op, present.id, error.code, undone_by=undone_by)
             raise
@@ -290,7 +290,7 @@ class Controls:
         cell = self._resettable(cell_id)
         confirmed = code is None or _confirms(cell, principal, code)
         armed, cell.arming = cell.arming, None
-        if not confirmed:
+        if code is not None and not confirmed:
             disarmed = "" if armed is None else f", and the one that `{armed.by}` armed is off"
             raise Conflict("not_armed", f"`{code[:64]}` confirms no reset of `{cell.id}`{disarmed}; valid: arm it anew")
         self.desk.grants.drop(cell.id, "estop", principal.name)  # none outlives a stop that the cell latched by itself

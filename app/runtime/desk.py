@@ -125,6 +125,8 @@ class Desk(Questions):
         if decision == "deny" and params is not None:
             raise InvalidParams([{"path": "params", "message": "go with an approval; valid: none with a denial"}])
         entry = await self._open(escalation_id)
+        if decision == "approve" and entry.newest.cell is not None:
+            await self.fleet.settle(self.fleet.cell(entry.newest.cell))
         async with entry.lock:
             present = await self._present(escalation_id, entry.newest)
             _check_answer(present, principal, digest, self.outdated(present))

@@ -175,7 +175,7 @@ class Fleet:
             "latched": self.latched(cell),
             "profile": cell.profile,
             "busy": self.busy(cell),
-            "status": None if state is None else state.status,
+            "status": None if state is None or cell.outlived else state.status,
             "holding_link": state is not None and state.holding,
             "fault": None if state is None else _fault(state),
             "robot": None if hello is None else hello.robot,
@@ -184,7 +184,7 @@ class Fleet:
             "gauges": {} if state is None else state.gauges,
             "control": cell.control_document(),
             "armed_by": cell.armed_by,
-            "session": None if state is None or state.session is None else state.session.model_dump(),
+            "session": None if state is None or state.session is None or cell.outlived else state.session.model_dump(),
         }
 
     def problems(self) -> dict[str, str]:
@@ -232,7 +232,7 @@ class Fleet:
         cell = self._cells.get(cell_id or "")
         if cell is None:
             return
-        if cell.control is not None and cell.control.invocation == invocation:
+        if cell.driven(invocation):
             cell.control = None
         if cell.claim != invocation:
             return
@@ -246,10 +246,11 @@ class Fleet:
     async def settle(self, cell: Cell | None) -> None:
         """Wait for facts newer than the last session's end: what it changed counts for the next decision.
 
-        Waits no longer than the facts that are there count for. Whoever decides then meets a cell that is silent, not
-        what its world looked like before.
+        A state that names that session was on its way when it ended, whenever it came. Waits no longer than the facts
+        that are there count for. Whoever decides then meets a cell that is silent, not what its world looked like
+        before.
         """
-        while cell is not None and cell.fresh and cell.state_at_s < cell.ended_at_s:
+        while cell is not None and cell.fresh and cell.outlived:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(max(0.0, cell.state_at_s + FRESH_S - monotonic_s())):
                     await cell.stated.wait()
@@ -297,7 +298,7 @@ class Fleet:
             attachment.post(message, urgent=True)
         return there
 
-    def order(self, cell: Cell, message: Message, *, since: int) -> None:
+    def order(self, cell: Cell, message: Message, *, since: int, link: Line | None = None) -> None:
         """Send something that was recorded, and behind it every restraint that was said while it was.
 
         Recording takes time, and a restraint does not wait for it: whoever pauses what somebody else is resuming right
@@ -307,12 +308,14 @@ class Fleet:
             cell: whom to.
             message: what.
             since: the cell's `restraints` when it was decided.
+            link: the one that the cell had when it was decided, where it may be sent on no other: a cell that was away
+                meanwhile may hold for what nobody knew of.
 
         Raises:
             Conflict: `cell_offline`, the cell is not there; nothing is kept for later.
         """
         attachment = cell.attachment
-        if attachment is None or not attachment.welcomed:
+        if attachment is None or not attachment.welcomed or link not in (None, attachment):
             raise Conflict("cell_offline", f"the cell `{cell.id}` is not attached")
         if isinstance(message, Launch | Human):
             cell.lifted(since)
@@ -380,6 +383,8 @@ class Fleet:
         cell.attachment = attachment
         cell.state = None
         cell.reset = ""
+        if present is not None:
+            cell.control = None  # it ended with the link, whose `leave` comes too late now
         cell.absent_since_s = None
         cell.expected_until_s = 0.0
         cell.recalled = False

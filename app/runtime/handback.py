@@ -74,7 +74,7 @@ class Handbacks:
                 f"the cell `{cell.id}` has not said for {FACTS_S:g} s where the robot is, so nothing can be decided on "
                 "that; valid: again when it does, or `end`",
             )
-        if then == "resume" and _paused(cell, present.id):
+        if then == "resume" and cell.paused(present.id):  # handing back is no word against it
             raise Conflict(
                 "paused", f"an operator paused `{present.id}`; valid: resume it and hand back, or `rollback`, `end`"
             )
@@ -206,12 +206,6 @@ def _held_by(cell: Cell, invocation: str, principal: Principal) -> Control:
     if control.phase is Phase.RETURNING:
         raise Conflict("control_held", f"`{control.holder}` hands `{cell.id}` back; valid: once that has failed")
     return control
-
-
-def _paused(cell: Cell, invocation: str) -> bool:
-    """Say whether an operator's pause stands, heard by the cell or on its way: handing back is no word against it."""
-    session = None if cell.state is None else cell.state.session
-    return ("pause", invocation) in cell.owed or (session is not None and "operator" in session.paused_by)
 
 
 def _keep(cell: Cell, control: Control) -> None:

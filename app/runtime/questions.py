@@ -198,7 +198,8 @@ class Questions:
         """
         cell = self.fleet.cell(invocation.cell or "")
         rest = Human(invocation=invocation.id, op="resolve_terminate", actor=actor, expired=expired)
-        if ending != ROLLBACK or not self.fleet.attached(cell) or cell.ending(invocation.id):
+        still = cell.driven(invocation.id) or not self.fleet.attached(cell) or cell.ending(invocation.id)
+        if ending != ROLLBACK or still:  # nothing is undone under somebody's hand
             self.fleet.restrain(cell, rest)
             await recording
             return

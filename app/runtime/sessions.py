@@ -286,7 +286,9 @@ class Sessions:
             await self._fault(believed, "session_lost", "the cell is back without the session")
             return
         known = self._register.newest(believed)
-        if known is not None and known.takeover is not None and known.takeover["state"] in OPEN:
+        # Who drives now took it on this very link: a lease ends with the link it was given on.
+        lost = None if known is None or place.driven(believed) else known.takeover
+        if lost is not None and lost["state"] in OPEN:
             self._fleet.restrain(place, Human(invocation=believed, op="let_go", actor=SERVER))
             await self._never_taken(place, believed)
         if place.lapsed:
@@ -298,9 +300,8 @@ class Sessions:
         if entry is None:
             return
         async with entry.lock:
-            present, control = entry.newest, place.control
-            anew = control is not None and control.invocation == name  # somebody takes it on the new link
-            if present.terms.taking and not anew and not present.final:
+            present = entry.newest
+            if present.terms.taking and not place.driven(name) and not present.final:
                 body = {"what": "never_taken", "cell": place.id}
                 draft = EventDraft(kind=EventKind.CELL, actor=SERVER, invocation=name, body=body)
                 await self._register.append([draft], versions=[never_taken(present, self._register.now())])

@@ -129,7 +129,7 @@ class Succession:
 
     def _restrain(self, present: Invocation) -> None:
         cell = self._fleet.cell(present.cell or "")
-        if cell.control is not None and cell.control.invocation == present.id:
+        if cell.driven(present.id):
             self._fleet.loosen(cell, SERVER)
         self._fleet.restrain(cell, Human(invocation=present.id, op="escalate", actor=SERVER))
 

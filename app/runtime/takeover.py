@@ -56,11 +56,13 @@ class Takeovers(Handbacks):
         cell = self.fleet.cell(present.cell or "")
         self._allow_takeover(present.profile)
         self._reachable(cell, present.id)
+        if present.capability == TAKEOVER and (cell.control is None or cell.control.lapsed(monotonic_s())):
+            raise Conflict("ending", "whoever drove it has let go, and with that it ends; valid: the idle cell, then")
         before, how = self._take(cell, principal, present.id)
         since = cell.restraints  # what is said from here on has the last word, however long the record takes
         now = self.register.now()
         cell.control_at = cell.control_at if how is Taking.RENEWED else now
-        document = cell.control_document() or {}
+        document, mine = cell.control_document() or {}, cell.takings
         try:
             if how is Taking.GRANTED:
                 await self._change_hands(cell, present.id, principal, since)
@@ -69,7 +71,8 @@ class Takeovers(Handbacks):
                     self._still(cell)
                 await self.register.append([self._word("takeover", present, principal, document, how)])
         except BaseException:
-            if cell.control is not None and cell.control.lease == document.get("lease"):
+            whole = how is Taking.GRANTED and cell.takings == mine  # with it goes what was renewed of it
+            if cell.control is not None and (whole or cell.control.lease == document.get("lease")):
                 cell.control = before
             raise
         return document

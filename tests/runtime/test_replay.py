@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from app.audit.replay import Replay, replay, then_in_force
 from app.audit.replaying import replay_in_processes
 from app.governance.model import Mode
+from app.runtime import questions
 from app.runtime.assembly import Runtime
 from app.runtime.errors import InvalidParams
 from app.runtime.invocation import ProposalRequest
@@ -178,6 +179,22 @@ async def test_an_approval_is_a_second_decision_with_its_own_context(house: Hous
     assert not any("context" in event["body"] for event in shown)
     found = replay(house.folder, then_in_force(house.folder))
     assert (found.decisions, found.changed) == (2, [])
+
+
+@pytest.mark.anyio
+async def test_a_question_for_which_people_had_no_room_is_decided_alike(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(questions, "MOST_OF_AGENT", 1)
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        made = [(await runtime.governor.propose(AGENT, grasp()))[0]["status"] for _ in range(2)]
+    assert made == ["awaiting_approval", "deferred"]
+    found = replay(house.folder, then_in_force(house.folder))
+    assert (found.decisions, found.changed) == (2, [])
+    mug = "\n  - {id: no-mug, applies_to: [grasp_object], then: deny, because: It stays.}\n"
+    assert len(replay_in_processes(house.folder, edited(ORGANIZATION, "rules:\n", f"rules:{mug}")).changed) == 2
 
 
 def test_a_decision_recorded_without_its_context_is_counted_and_left_out(tmp_path: Path) -> None:

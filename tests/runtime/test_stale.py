@@ -1,0 +1,246 @@
+"""What comes after an event may have been said before it: no such word, state or link answers for what is newer."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from app.clock import monotonic_s
+from app.governance.control import LAPSE_S
+from app.protocol import LEASE_MS
+from app.runtime.assembly import Runtime
+from app.runtime.errors import Conflict
+
+from .conftest import AGENT, AT_BENCH, CELL, OPERATOR, OPERATOR_2, HandCell, grasp, until
+from .test_fleet import Late, running
+
+pytestmark = pytest.mark.anyio
+
+WORDS = ("launch", "human")
+ELSEWHERE = {**AT_BENCH, "base": [5.0, 1.0, 0.0], "objects": {}}
+
+
+async def driven(runtime: Runtime, cell: HandCell) -> str:
+    """Begin a session, and have an operator drive it; the cell has said so."""
+    name = await running(runtime, cell)
+    await runtime.governor.take_over(name, OPERATOR)
+    await cell.report("launch", name, capability="takeover")
+    await cell.report("status", name, status="running", reason="taken_over")
+    return name
+
+
+async def fall_silent(runtime: Runtime) -> None:
+    """Let whoever drives be silent for as long as that ends a lease."""
+    place = runtime.fleet.cell(CELL)
+    assert place.control is not None
+    place.control = replace(place.control, heard_s=monotonic_s() - LAPSE_S - 0.1)
+    await runtime.governor.lapse_due()
+
+
+async def ended(runtime: Runtime, cell: HandCell) -> str:
+    """Begin a session, and end it; no newer state of the cell has come since."""
+    name = await running(runtime, cell)
+    await cell.report("outcome", name, outcome="succeeded", code="done")
+    return name
+
+
+def launches(cell: HandCell) -> int:
+    return len(cell.all("launch"))
+
+
+async def settled() -> None:
+    """Let everything that waits for nothing else be done."""
+    for _ in range(50):
+        await asyncio.sleep(0)
+
+
+async def test_a_question_is_not_approved_once_somebody_has_taken_over(runtime: Runtime, cell: HandCell) -> None:
+    name = await driven(runtime, cell)
+    await fall_silent(runtime)
+    await cell.report("status", name, status="escalated", reason="control_lapsed")
+    await cell.report("escalation", name, reason="control_lapsed", failure="taken_over")
+    question = runtime.desk.pending_for(name)
+    assert question is not None
+    await runtime.governor.take_over(name, OPERATOR_2)
+    before = launches(cell)
+    with pytest.raises(Conflict) as refusal:
+        await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    assert refusal.value.code == "control_held"
+    await settled()
+    assert launches(cell) == before
+
+
+async def test_a_denial_that_undoes_undoes_nothing_under_somebodys_hand(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    await cell.report("status", name, status="escalated", reason="confirm:release")
+    await cell.report("escalation", name, reason="confirm:release")
+    question = runtime.desk.pending_for(name)
+    assert question is not None
+    runtime.desk.hold(replace(question, on_deny="rollback"))
+    await runtime.governor.take_over(name, OPERATOR_2)
+    await runtime.desk.resolve(question.id, OPERATOR, "deny", question.digest)
+    await until(lambda: "resolve_terminate" in cell.ops())
+    assert "rollback" not in cell.ops()
+
+
+async def test_a_lost_takeover_ends_none_that_was_taken_on_the_new_link(runtime: Runtime, cell: HandCell) -> None:
+    name = await driven(runtime, cell)
+    await cell.hang_up()
+    again = HandCell(runtime, seq=cell.seq, invocation=name, status="running")
+    owed = again.event("status", name, status="paused", reason="watch")  # said before the link was lost
+    await again.dial()
+    await again.state()
+    await runtime.governor.take_over(name, OPERATOR)
+    await again.expect("launch")
+    await again.say(owed)
+    await again.acknowledged(owed.seq)
+    await settled()
+    words = [
+        message.type if message.type == "launch" else message.op for message in again.heard if message.type in WORDS
+    ]
+    assert "let_go" not in words[words.index("launch") :]
+    assert runtime.fleet.cell(CELL).driven(name)
+
+
+async def test_a_link_that_is_replaced_takes_the_lease_along_that_was_given_on_it(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    name = await driven(runtime, cell)
+    assert cell.attachment is not None
+    cell.attachment.heard_s -= 2.0  # silent, and open
+    again = await HandCell(runtime, seq=cell.seq, invocation=name, status="running").dial()
+    assert not runtime.fleet.cell(CELL).driven(name)
+    await until(lambda: "let_go" in again.ops())
+
+
+async def test_nobody_is_given_the_controls_of_a_cell_whose_driver_has_let_go(runtime: Runtime, cell: HandCell) -> None:
+    lease = await runtime.governor.take_cell(CELL, OPERATOR)
+    cell.invocation, cell.status = lease["invocation"], "running"
+    await cell.report("launch", cell.invocation, capability="takeover")
+    await cell.report("status", cell.invocation, status="running")
+    await cell.state()
+    await fall_silent(runtime)
+    await until(lambda: "let_go" in cell.ops())  # with which it ends
+    with pytest.raises(Conflict) as refusal:
+        await runtime.governor.take_cell(CELL, OPERATOR_2)
+    assert refusal.value.code == "ending"
+    await cell.ended(lease["invocation"], "taken_over")
+    assert (await runtime.governor.take_cell(CELL, OPERATOR_2))["invocation"] != lease["invocation"]
+
+
+async def test_an_approval_right_after_an_outcome_waits_for_what_the_session_changed(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    asked, _ = await runtime.governor.propose(AGENT, grasp())
+    assert asked["status"] == "awaiting_approval"
+    await ended(runtime, cell)
+    question = runtime.desk.pending_for(asked["id"])
+    assert question is not None
+    before = launches(cell)
+    answering = asyncio.create_task(runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest))
+    await settled()
+    assert not answering.done()
+    cell.facts, cell.invocation, cell.status = ELSEWHERE, None, None
+    await cell.state()
+    await answering
+    await settled()
+    assert launches(cell) == before
+
+
+async def test_a_state_that_names_the_session_that_ended_is_older_than_its_end(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    await ended(runtime, cell)
+    shown = runtime.governor.cells()[0]
+    assert (shown["busy"], shown["status"], shown["session"]) == (None, None, None)
+    proposing = asyncio.create_task(runtime.governor.propose(AGENT, grasp()))
+    await settled()
+    await cell.state()  # of the tick before
+    await settled()
+    assert not proposing.done()
+    cell.facts, cell.invocation, cell.status = ELSEWHERE, None, None
+    await cell.state()
+    document, _ = await proposing
+    assert document["status"] not in ("awaiting_approval", "running")
+
+
+async def test_a_pause_stands_although_a_state_from_before_it_comes(runtime: Runtime, cell: HandCell) -> None:
+    name = await driven(runtime, cell)
+    await runtime.governor.pause(name, OPERATOR_2)
+    await cell.report("human", name, op="pause", refused=None)
+    before = launches(cell)
+    releasing = asyncio.create_task(runtime.governor.release(name, OPERATOR, "resume"))
+    await settled()
+    await cell.state()
+    with pytest.raises(Conflict) as refusal:
+        await releasing
+    assert refusal.value.code == "paused"
+    assert launches(cell) == before
+    assert runtime.fleet.cell(CELL).driven(name)
+
+
+async def test_a_pause_that_the_cell_refused_or_somebody_lifted_is_none(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    place = runtime.fleet.cell(CELL)
+    await runtime.governor.pause(name, OPERATOR)
+    assert place.paused(name)
+    await cell.report("human", name, op="pause", refused="no_such_session")
+    assert not place.paused(name)
+    await runtime.governor.pause(name, OPERATOR)
+    await cell.report("human", name, op="pause", refused=None)
+    await cell.report("status", name, status="paused", reason="operator")
+    assert place.paused(name)
+    await runtime.governor.resume(name, OPERATOR)
+    assert not place.paused(name)
+
+
+@pytest.mark.parametrize("word", ["approve", "resume"])
+async def test_what_lets_a_session_go_on_is_sent_on_no_other_link_than_it_was_said_on(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch, word: str
+) -> None:
+    name = await running(runtime, cell)
+    status = "escalated" if word == "approve" else "paused"
+    await cell.report("status", name, status=status, reason="separation_m")
+    await cell.report("escalation", name, reason="separation_m") if word == "approve" else None
+    question = runtime.desk.pending_for(name)
+    late = Late(runtime, monkeypatch)
+
+    async def say() -> Any:
+        if question is None:
+            return await runtime.governor.resume(name, OPERATOR)
+        return await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+
+    saying = asyncio.create_task(say())
+    await late.recorded.wait()
+    await cell.hang_up()
+    await asyncio.sleep(LEASE_MS / 1000 + 0.05)  # longer than a lease: the cell holds, and waits for a human
+    again = HandCell(runtime, seq=cell.seq, invocation=name, status=status)
+    dialling = asyncio.create_task(again.dial())
+    await until(lambda: runtime.fleet.cell(CELL).attachment is again.attachment is not None)
+    late.go.set()
+    with contextlib.suppress(Conflict):
+        await saying
+    await dialling
+    await again.state()
+    await settled()
+    assert not {"resolve_continue", "resume"} & set(again.ops())
+
+
+async def test_of_two_presses_that_take_over_none_keeps_the_lease_of_a_takeover_that_was_refused(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    name = await running(runtime, cell)
+    entry = runtime.register.entry(name)
+    assert entry is not None
+    async with entry.lock:  # something about the session is being recorded
+        first = asyncio.create_task(runtime.governor.take_over(name, OPERATOR))
+        await until(lambda: runtime.fleet.cell(CELL).driven(name))
+        await runtime.governor.take_over(name, OPERATOR)
+        await cell.state(holding=True)  # its link lapsed: nobody may drive now
+    with pytest.raises(Conflict):
+        await first
+    assert runtime.fleet.cell(CELL).control is None
