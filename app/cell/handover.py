@@ -259,7 +259,7 @@ class Session(Governing):
         try:
             run.skill = substrate.bind(steering.grant, permit.capability, permit.params)
         except SubstrateError as error:
-            self._tell_anyway(telling.launch_refused(run.id, error.failure, error.detail))
+            self._tell_anyway(telling.launch_refused(run.id, error.failure, error.detail, permit.id))
             self.escalate(error.failure)
             return
         self._foreign = True

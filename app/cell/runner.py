@@ -194,14 +194,14 @@ class Runner:
             return self._refuse(error.invocation, error.code, error.detail)
         permit = grant.authorization
         if (why := self._not_now(grant, anew=anew)) is not None:
-            return self._refuse(permit.invocation, *why)
+            return self._refuse(permit.invocation, *why, permit.id)
         used: dict[str, Json] = {USED + permit.id: permit.expires_at_s, "open": permit.invocation}
         try:
             self._record.require_room()
             self._record.say(telling.launch(permit), marks=used)
             self._record.sync()
         except JournalUnavailable as error:
-            return self._refuse(permit.invocation, "journal_unavailable", str(error))
+            return self._refuse(permit.invocation, "journal_unavailable", str(error), permit.id)
         session = self._session
         return self._begin(grant) if session is None else self._change_hands(session, grant)
 
@@ -363,10 +363,10 @@ class Runner:
             session.hand_back(grant)
             return None
         code = session.take_over(grant)
-        return None if code is None else self._refuse(permit.invocation, code, "nothing changed hands")
+        return None if code is None else self._refuse(permit.invocation, code, "nothing changed hands", permit.id)
 
-    def _refuse(self, invocation: str | None, code: str, detail: str) -> str:
-        self._record.say_anyway(telling.launch_refused(invocation, code, detail))
+    def _refuse(self, invocation: str | None, code: str, detail: str, permit: str | None = None) -> str:
+        self._record.say_anyway(telling.launch_refused(invocation, code, detail, permit))
         return code
 
     def _begin(self, grant: Grant) -> str | None:

@@ -154,9 +154,10 @@ def launch(permit: Authorization) -> Saying:
     return Saying(EventKind.LAUNCH, permit.invocation, CELL, body)
 
 
-def launch_refused(invocation: str | None, code: str, detail: str) -> Saying:
-    """An authorization was not good enough; nothing moved."""
-    return Saying(EventKind.LAUNCH, invocation, CELL, {"refused": code, "detail": detail})
+def launch_refused(invocation: str | None, code: str, detail: str, permit: str | None = None) -> Saying:
+    """An authorization, the `permit` where that is known, was not good enough; nothing moved."""
+    which: dict[str, Json] = {} if permit is None else {"permit": permit}
+    return Saying(EventKind.LAUNCH, invocation, CELL, {**which, "refused": code, "detail": detail})
 
 
 def status(invocation: str, now: Status, before: Status | None, reason: str) -> Saying:

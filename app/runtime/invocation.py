@@ -84,7 +84,7 @@ class Terms:
     preconditions: tuple[str, ...] = ()
     recovery_preference: Strategy | None = None
     metadata: Params = field(default_factory=dict[str, Any])
-    authorization: str | None = None
+    authorization: str | None = None  # the newest that was sent, whoever's hands it is for
     launched_at_s: float | None = None
     confirmed: bool = False  # the cell said that it has the session
     version: str | None = None  # of the capability, as the agent asked for it

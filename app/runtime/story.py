@@ -79,6 +79,10 @@ class Story:
 
     def _follow(self, version: Invocation, event: UpEvent, at: str) -> Mapping[str, Any]:
         """Change the invocation as the report says; returns what the record adds to the report."""
+        if event.kind == EventKind.LAUNCH and "refused" in event.body:
+            permit = event.body.get("permit")
+            if permit is not None and permit != version.terms.authorization:  # another has been sent since
+                return NOTHING
         version = self._in_whose_hands(version, event, at)
         match event.kind:
             case EventKind.LAUNCH if "refused" not in event.body:

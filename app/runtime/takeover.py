@@ -164,7 +164,8 @@ class Takeovers(Handbacks):
             driving = replace(present, capability=TAKEOVER, effective=judgement.effective(params))
             where, document = cell.control.where, cell.control_document() or {}
             async with self.kernel.launch(driving, judgement, anew=True, since=since) as launch:
-                now, terms = self.register.now(), replace(present.terms, taking=True)
+                now, permit = self.register.now(), launch.invocation.terms.authorization
+                terms = replace(present.terms, taking=True, authorization=permit)
                 version = present.evolve(now, takeover=taken(where, now), terms=terms)
                 word = self._word("takeover", present, principal, document, Taking.GRANTED)
                 await self.register.append([word, *launch.events], launch.rows, [version])

@@ -1202,7 +1202,7 @@ def test_a_change_of_hands_begins_nothing_once_the_session_is_over(rig: Rig, cap
     assert rig.finish()["outcome"] == "succeeded"
     late = signed(id="auth-2", capability=capability)
     assert rig.runner.launch(late, anew=True) == "no_such_session"
-    assert rig.last("launch")["refused"] == "no_such_session"
+    assert (rig.last("launch")["permit"], rig.last("launch")["refused"]) == ("auth-2", "no_such_session")
     assert rig.runner.invocation is None
 
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import contextlib
 from dataclasses import replace
 from typing import Any
 
+import orjson
 import pytest
 
 from app.clock import monotonic_s
 from app.governance.control import LAPSE_S
-from app.protocol import LEASE_MS
+from app.protocol import LEASE_MS, Launch
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
 
@@ -244,3 +246,28 @@ async def test_of_two_presses_that_take_over_none_keeps_the_lease_of_a_takeover_
     with pytest.raises(Conflict):
         await first
     assert runtime.fleet.cell(CELL).control is None
+
+
+async def test_a_refusal_of_an_earlier_authorization_takes_nothing_of_a_later_one(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    name = await running(runtime, cell)
+    await runtime.governor.take_over(name, OPERATOR)
+    first = permit_of(await cell.expect("launch", 2))
+    await fall_silent(runtime)
+    await runtime.governor.take_over(name, OPERATOR_2)
+    await cell.report("launch", name, permit=first, refused="holding", detail="")
+    await cell.report("human", name, op="let_go", refused="not_taken_over")
+    await cell.report("launch", name, capability="takeover")
+    await cell.report("status", name, status="running", reason="taken_over")
+    place = runtime.fleet.cell(CELL)
+    assert place.control is not None
+    assert place.control.holder == OPERATOR_2.name
+    assert (await runtime.governor.invocation(name, AGENT))["takeover"]["state"] == "held"
+    second = permit_of(await cell.expect("launch", 3))
+    await cell.report("launch", name, permit=second, refused="unreachable", detail="")
+    assert (await runtime.governor.invocation(name, AGENT))["takeover"]["state"] == "lapsed"
+
+
+def permit_of(launch: Launch) -> str:
+    return str(orjson.loads(base64.b64decode(launch.body))["id"])
