@@ -165,8 +165,9 @@ class Exchanges(HttpToolsProtocol):
     def _make_room(self) -> None:
         """End an eighth of the connections: first those whose peers let others wait, of each kind the oldest first."""
         others = [one for one in self.connections if isinstance(one, Exchanges) and one is not self]
-        waited_for = {one: one._lets_wait() for one in others if one._lets_wait() or one._answered()}
-        for one in sorted(waited_for, key=lambda one: (not waited_for[one], one._since_s))[: self.most // 8 + 1]:
+        waited_for = {one: one._lets_wait() for one in others if one._lets_wait() or one._rests()}
+        first = sorted(waited_for, key=lambda one: (not waited_for[one], -one._looks, one._since_s))
+        for one in first[: self.most // 8 + 1]:
             self.connections.discard(one)
             one.transport.abort()
 
@@ -189,6 +190,10 @@ class Exchanges(HttpToolsProtocol):
             self.transport.close()
         else:
             self._refuse(BODY_LATE)
+
+    def _rests(self) -> bool:
+        """Say whether nothing is owed to the peer any more, not even what has been written and has not left yet."""
+        return self._answered() and not self.transport.get_write_buffer_size()
 
     def _answered(self) -> bool:
         """Say whether everything that came whole is answered."""

@@ -289,18 +289,23 @@ class Session(Governing):
     def _not_anew(self, code: str, detail: str) -> None:
         """The plan cannot begin from here: whoever has the controls keeps them; where nobody has, a human is asked."""
         if self.steering is None:
-            self._handing = None
-            self._tell_anyway(telling.launch_refused(self.run.id, code, detail))
+            permit, self._handing = self._handed, None
+            self._tell_anyway(telling.launch_refused(self.run.id, code, detail, permit))
             self.run.failed = TAKEN_OVER
             super().escalate(code)
         else:
             self._keep_the_controls(self.steering, code, detail)
             self._bind_takeover(self.steering)
 
+    @property
+    def _handed(self) -> str | None:
+        """Return the authorization by which the session is being handed back."""
+        return None if self._handing is None else self._handing.authorization.id
+
     def _keep_the_controls(self, steering: Steering, code: str, detail: str) -> None:
         steering.rest()
-        self._handing, self.run.next = None, None
-        self._tell_anyway(telling.launch_refused(self.run.id, code, detail))
+        permit, self._handing, self.run.next = self._handed, None, None
+        self._tell_anyway(telling.launch_refused(self.run.id, code, detail, permit))
         self._become(Event.TAKE_OVER, code)
 
     # -- restraints and other words ------------------------------------------------------------------------------------

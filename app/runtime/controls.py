@@ -304,11 +304,12 @@ class Controls:
             raise
         finally:
             cell.resetting -= 1
-        if cell.stops == before:
-            cell.latched = cell.latch_unkept = False
-            if not await self.fleet.unlatch(cell, principal.name):
-                body = {"what": NOT_CONFIRMED, "op": "reset", "cell": cell.id}
-                await self.register.say(EventDraft(kind=EventKind.CELL, actor=SERVER, body=body))
+        async with cell.unlatching:
+            if cell.stops == before:  # none has come while this was recorded, or waited for another reset
+                cell.latched = cell.latch_unkept = False
+                if not await self.fleet.unlatch(cell, principal.name):
+                    body = {"what": NOT_CONFIRMED, "op": "reset", "cell": cell.id}
+                    await self.register.say(EventDraft(kind=EventKind.CELL, actor=SERVER, body=body))
         return self.fleet.document(cell)
 
     def arm_reset(self, cell_id: str, principal: Principal) -> dict[str, Any]:

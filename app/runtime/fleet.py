@@ -384,7 +384,7 @@ class Fleet:
         cell.state = None
         cell.reset = ""
         if present is not None:
-            cell.control = None  # it ended with the link, whose `leave` comes too late now
+            self.loosen(cell, "server")  # the lease ended with the link, whose `leave` comes too late now
         cell.absent_since_s = None
         cell.expected_until_s = 0.0
         cell.recalled = False

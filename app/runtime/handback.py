@@ -128,12 +128,14 @@ class Handbacks:
         if entry is None:
             raise Conflict("wrong_status", f"`{invocation}` has ended")
         async with entry.lock:
-            present, document = entry.newest, cell.control_document() or {}
+            present, document, link = entry.newest, cell.control_document() or {}, cell.attachment
             word = self._word("release", present, principal, document, then="rollback")
             terms = replace(present.terms, undone_by=principal.name)
             await self.register.append([word], versions=[self._given_back(cell, present, "rollback", terms=terms)])
         try:
-            self.fleet.order(cell, Human(invocation=invocation, op="rollback", actor=principal.name), since=since)
+            self.fleet.order(
+                cell, Human(invocation=invocation, op="rollback", actor=principal.name), since=since, link=link
+            )
         except Conflict as error:  # the cell left while this was recorded
             await take_back(self.register, "rollback", invocation, error.code)
             raise

@@ -354,7 +354,7 @@ class Kernel:
             RecordUnavailable: the log was found to be damaged; nothing is sent.
         """
         cell = self._fleet.cell(invocation.cell or "")
-        since = cell.restraints if since is None else since
+        since, link = cell.restraints if since is None else since, cell.attachment
         try:
             self._undamaged()
             self._fleet.claim(cell, invocation.id)
@@ -367,7 +367,8 @@ class Kernel:
             raise
         if not anew and self.overtaken(invocation, judgement):
             return  # another policy or profile came into force while this was recorded, and does not let it begin
-        if self._fleet.attached(cell):
+        same = not anew or cell.attachment is link  # a cell that was away holds, maybe for what nobody knew of
+        if same and self._fleet.attached(cell):
             self._fleet.order(
                 cell,
                 Launch(

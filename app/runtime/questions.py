@@ -203,11 +203,11 @@ class Questions:
             self.fleet.restrain(cell, rest)
             await recording
             return
-        since = cell.restraints
+        since, link = cell.restraints, cell.attachment
         try:
             await recording
             undo = Human(invocation=invocation.id, op="rollback", actor=actor, expired=expired)
-            self.fleet.order(cell, undo, since=since)
+            self.fleet.order(cell, undo, since=since, link=link)
         except RecordUnavailable:
             self.fleet.restrain(cell, rest)
             raise

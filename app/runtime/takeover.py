@@ -23,7 +23,7 @@ from app.protocol import Jog
 from app.runtime.drafts import SERVER
 from app.runtime.errors import Conflict
 from app.runtime.handback import Handbacks
-from app.runtime.hands import taken
+from app.runtime.hands import OPEN, taken
 from app.runtime.invocation import Invocation, Terms
 from app.runtime.uncut import uncut
 
@@ -56,7 +56,8 @@ class Takeovers(Handbacks):
         cell = self.fleet.cell(present.cell or "")
         self._allow_takeover(present.profile)
         self._reachable(cell, present.id)
-        if present.capability == TAKEOVER and (cell.control is None or cell.control.lapsed(monotonic_s())):
+        lapsed = cell.control is None or cell.control.lapsed(monotonic_s())
+        if present.capability == TAKEOVER and lapsed and (present.takeover or {}).get("state") in OPEN:
             raise Conflict("ending", "whoever drove it has let go, and with that it ends; valid: the idle cell, then")
         before, how = self._take(cell, principal, present.id)
         since = cell.restraints  # what is said from here on has the last word, however long the record takes

@@ -11,6 +11,7 @@ from typing import Any
 import orjson
 import pytest
 
+from app.audit.event import Event
 from app.clock import monotonic_s
 from app.governance.control import LAPSE_S
 from app.protocol import LEASE_MS, Launch
@@ -271,3 +272,52 @@ async def test_a_refusal_of_an_earlier_authorization_takes_nothing_of_a_later_on
 
 def permit_of(launch: Launch) -> str:
     return str(orjson.loads(base64.b64decode(launch.body))["id"])
+
+
+async def test_a_stop_that_comes_while_one_reset_waits_for_another_is_left_by_neither(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    cell.obeys = False
+    await runtime.governor.estop(CELL, AGENT)
+    first = asyncio.create_task(runtime.governor.reset(CELL, OPERATOR))
+    told, recorded = await cell.expect("reset"), runtime.store.size
+    second = asyncio.create_task(runtime.governor.reset(CELL, OPERATOR_2))
+    await until(lambda: runtime.store.size > recorded)
+    await runtime.governor.estop(CELL, AGENT)
+    cell.latched, cell.reset = True, told.id
+    await cell.state()
+    assert (await first)["latched"]
+    assert (await second)["latched"]
+    assert len(cell.all("reset")) == 1
+
+
+async def test_two_resets_at_once_are_heard_one_after_the_other(runtime: Runtime, cell: HandCell) -> None:
+    await runtime.governor.estop(CELL, AGENT)
+    both = await asyncio.gather(
+        runtime.governor.reset(CELL, OPERATOR), runtime.governor.reset(CELL, OPERATOR_2), return_exceptions=True
+    )
+    assert all(isinstance(one, Conflict) or not one["latched"] for one in both)
+    assert not any(event.kind == "cell" and "not_confirmed" in event.body.decode() for event in await history(runtime))
+
+
+async def test_an_idle_cell_is_taken_again_whose_session_stands_after_it_was_given_back(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    lease = await runtime.governor.take_cell(CELL, OPERATOR)
+    name = cell.invocation = lease["invocation"]
+    cell.status = "running"
+    await cell.report("launch", name, capability="takeover")
+    await cell.report("status", name, status="running")
+    await cell.state()
+    releasing = asyncio.create_task(runtime.governor.release(name, OPERATOR, "rollback"))
+    await until(lambda: "rollback" in cell.ops())
+    await cell.report("status", name, status="recovering", reason="ROLLBACK")
+    await releasing
+    await cell.report("status", name, status="escalated", reason="no_path")  # and stands halfway
+    await cell.report("escalation", name, reason="no_path")
+    assert runtime.fleet.cell(CELL).control is None
+    assert (await runtime.governor.take_cell(CELL, OPERATOR_2))["invocation"] == name
+
+
+async def history(runtime: Runtime) -> list[Event]:
+    return await runtime.store.events(limit=1000)
