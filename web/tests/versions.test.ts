@@ -2,6 +2,7 @@ import { deflateRawSync } from 'node:zlib';
 import { describe, expect, it } from 'vitest';
 import type { Comparison, Version } from '../src/lib/api/documents';
 import { candidateOf, filesOf, inOrder, lineSpan, read, standings } from '../src/lib/policy/candidate';
+import { Draft } from '../src/lib/policy/draft.svelte';
 import { decidedAs, deedOf, shortVersion } from '../src/lib/policy/versions';
 import { unzip, ZipError } from '../src/lib/policy/zip';
 
@@ -167,5 +168,42 @@ describe('a version', () => {
   it('is said in words', () => {
     expect(shortVersion('sha256:0123456789abcdef')).toBe('0123456789ab');
     expect([decidedAs('awaiting_approval (modify)'), decidedAs('denied (deny)'), decidedAs('invalid')]).toEqual(['awaiting approval, with bounds', 'denied', 'invalid']);
+  });
+});
+
+describe('a draft', () => {
+  const server = (files: Record<string, string>) => ({
+    versions: () => Promise.resolve({ items: [], next: null, active: 'sha256:1', why: '' }),
+    policyFiles: () => Promise.resolve({ files, promises: null }),
+  });
+  const change = [new File(['profile: a\nnew: 1'], 'a.yaml')];
+
+  it('asks what is in force, and takes from it what was not picked', async () => {
+    const draft = new Draft();
+    await draft.take(change, server(WHOLE));
+    expect(draft.files).toEqual({ ...WHOLE, 'profiles/a.yaml': 'profile: a\nnew: 1' });
+    expect(draft.listed[0]).toEqual({ path: 'profiles/a.yaml', standing: 'changed' });
+  });
+
+  it('is none where nobody says what is in force, and says why', async () => {
+    const draft = new Draft();
+    await draft.take(change, { ...server(WHOLE), versions: () => Promise.reject(new TypeError('Failed to fetch')) });
+    expect([draft.empty, draft.trouble, draft.busy]).toEqual([true, 'TypeError: Failed to fetch', null]);
+  });
+
+  it('is of the last pick, whichever is answered last, and of none that was discarded', async () => {
+    const draft = new Draft();
+    let answer = (): void => undefined;
+    const late = { ...server(WHOLE), versions: () => new Promise<Awaited<ReturnType<ReturnType<typeof server>['versions']>>>((done) => (answer = () => done({ items: [], next: null, active: 'sha256:0', why: '' }))) };
+    const first = draft.take([], late);
+    await draft.take(change, server(WHOLE));
+    answer();
+    await first;
+    expect(draft.files['profiles/a.yaml']).toBe('profile: a\nnew: 1');
+    const second = draft.take([], late);
+    draft.clear();
+    answer();
+    await second;
+    expect([draft.empty, draft.busy]).toEqual([true, null]);
   });
 });

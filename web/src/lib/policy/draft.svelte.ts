@@ -1,10 +1,10 @@
 import { ApiError, type Api } from '../api/client';
 import type { Version } from '../api/documents';
-import { candidateOf, filesOf, inOrder, read, standings, type Fault, type Files } from './candidate';
+import { candidateOf, filesOf, inOrder, read, standings, type Candidate, type Fault, type Files } from './candidate';
 import { said } from './versions.svelte';
 
 /** The candidate that is being brought; it outlives the page that shows it, as long as the tab. */
-class Draft {
+export class Draft {
   files = $state.raw<Files>({});
   live = $state.raw<Files>({});
   leftOut = $state.raw<string[]>([]);
@@ -14,6 +14,7 @@ class Draft {
   why = $state('');
   trouble = $state<string | null>(null);
   busy = $state<'reading' | 'checking' | null>(null);
+  private taking = 0;
 
   get empty(): boolean {
     return Object.keys(this.files).length === 0;
@@ -24,30 +25,30 @@ class Draft {
   }
 
   clear(): void {
+    this.taking += 1;
     this.files = {};
     this.faults = [];
     this.leftOut = [];
     this.chosen = null;
     this.trouble = null;
+    if (this.busy === 'reading') this.busy = null;
     this.why = '';
   }
 
-  /** Takes what was picked; none: begins with what is in force. */
-  async take(picked: File[], api: Api, active: string | null): Promise<void> {
+  /** Takes what was picked; none: begins with what is in force, which is asked for anew, as what a page has heard is absent or old. */
+  async take(picked: File[], api: Pick<Api, 'versions' | 'policyFiles'>): Promise<void> {
+    const mine = ++this.taking;
     this.busy = 'reading';
     this.trouble = null;
     this.faults = [];
     try {
-      this.live = active === null ? {} : filesOf(await api.policyFiles(active));
-      const found = candidateOf(await read(picked), this.live);
-      this.files = found.files;
-      this.leftOut = found.leftOut;
-      this.partial = found.partial;
-      this.chosen = this.listed.find(({ standing }) => standing === 'new' || standing === 'changed')?.path ?? this.listed[0]?.path ?? null;
+      const [texts, { active }] = await Promise.all([read(picked), api.versions(1)]);
+      const live = filesOf(await api.policyFiles(active));
+      if (mine === this.taking) this.begin(candidateOf(texts, live), live);
     } catch (error) {
-      this.trouble = said(error);
+      if (mine === this.taking) this.trouble = said(error);
     }
-    this.busy = null;
+    if (mine === this.taking) this.busy = null;
   }
 
   write(path: string, text: string): void {
@@ -68,6 +69,14 @@ class Draft {
     } finally {
       this.busy = null;
     }
+  }
+
+  private begin(found: Candidate, live: Files): void {
+    this.live = live;
+    this.files = found.files;
+    this.leftOut = found.leftOut;
+    this.partial = found.partial;
+    this.chosen = this.listed.find(({ standing }) => standing === 'new' || standing === 'changed')?.path ?? this.listed[0]?.path ?? null;
   }
 
   private refused(error: unknown): void {
