@@ -81,7 +81,7 @@ class Session(Governing):
         except ValueError as error:
             self._tell_anyway(telling.cell("no_plan", telling.CELL, str(error)))
             return "no_plan"
-        self.steering, self._displaced = self._steering(grant, plan, alone=False), True
+        self.steering, self._handing, self._displaced = self._steering(grant, plan, alone=False), None, True
         run.brake(self.seen)
         run.next = Bind(Doing.TAKEOVER, careful=False)
         run.deciding, run.failed, run.escalated_by, run.hold_after_recovery = None, "", "", ""

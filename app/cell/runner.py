@@ -191,7 +191,7 @@ class Runner:
         try:
             grant = self._admit(signed)
         except PermitError as error:
-            return self._refuse(error.invocation, error.code, error.detail)
+            return self._refuse(error.invocation, error.code, error.detail, error.permit)
         permit = grant.authorization
         if (why := self._not_now(grant, anew=anew)) is not None:
             return self._refuse(permit.invocation, *why, permit.id)

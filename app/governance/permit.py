@@ -46,13 +46,17 @@ class PermitError(GovernanceError):
         code: Which check it failed, stable.
         detail: What was found and what would be valid.
         invocation: Which invocation it was for, once the signature was found good; None before that.
+        permit: Which authorization it is, likewise.
     """
 
-    def __init__(self, code: PermitCode, detail: str, invocation: str | None = None) -> None:
+    def __init__(
+        self, code: PermitCode, detail: str, invocation: str | None = None, permit: str | None = None
+    ) -> None:
         """Keep the facts; the message is made of them."""
         self.code: PermitCode = code
         self.detail = detail
         self.invocation = invocation
+        self.permit = permit
         super().__init__(f"{code}: {detail}")
 
 
@@ -163,7 +167,7 @@ def verify(
     )
     for code, refused, detail in checks:
         if refused:
-            raise PermitError(code, detail, permit.invocation)
+            raise PermitError(code, detail, permit.invocation, permit.id)
     return Grant(authorization=permit, _proof=_PROOF)
 
 

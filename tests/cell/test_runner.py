@@ -16,7 +16,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from app.cell.display import sitting
 from app.cell.journal import Journal, JournalUnavailable
 from app.cell.runner import Runner, run_session
-from app.governance.model import CoveredRecovery, Outcome, RecoveryRule, SkillReport, Strategy
+from app.governance.model import CoveredRecovery, Outcome, RecoveryRule, SkillReport, Strategy, Wish
 from app.governance.permit import SignedAuthorization, mint
 from app.protocol import CHANNELS, ROW
 from tests.cell.rig import COVERED, DIGEST, KEY, NOW_S, PERMIT, PLAN, RECOVERY, RULES, Rig, rule, signed
@@ -91,6 +91,7 @@ def test_nothing_moves_without_a_session(rig: Rig) -> None:
 def test_a_bad_permit_is_refused_recorded_and_moves_nothing(rig: Rig, permit: SignedAuthorization, code: str) -> None:
     assert rig.runner.launch(permit) == code
     assert rig.last("launch")["refused"] == code
+    assert rig.last("launch").get("permit") == (None if code == "bad_signature" else "auth-1")
     rig.ticks(20)
     assert rig.cell.bound == []
     assert not rig.moving()
@@ -1218,6 +1219,19 @@ def test_a_human_who_is_let_go_of_while_the_session_is_handed_back_leaves_it_wai
     assert (rig.runner.status, rig.moving()) == ("escalated", False)
     assert rig.runner.launch(signed(id="auth-4"), anew=True) is None
     assert rig.finish()["outcome"] in {"succeeded", "recovered"}
+
+
+def test_a_human_who_takes_over_from_a_way_back_has_the_controls(rig: Rig) -> None:
+    rig.launch()
+    rig.ticks(60)
+    assert rig.runner.launch(signed(id="auth-2", capability="takeover"), anew=True) is None
+    rig.ticks(5)
+    assert rig.runner.human("inv-1", "let_go", "server") is None
+    assert rig.runner.launch(signed(id="auth-3"), anew=True) is None
+    assert rig.runner.launch(signed(id="auth-4", capability="takeover"), anew=True) is None
+    rig.until(lambda: rig.runner.jog("inv-1", 1, Wish(grip="open"), "operator") != "coming_to_rest")
+    assert rig.runner.jog("inv-1", 2, Wish(), "operator") is None
+    assert rig.runner.jog("inv-1", 3, Wish(base=(0.1, 0.0, 0.0)), "operator") is None
 
 
 def test_a_change_of_hands_that_cannot_be_recorded_does_not_pass_for_the_end_of_what_still_moves(
