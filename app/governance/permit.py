@@ -49,9 +49,7 @@ class PermitError(GovernanceError):
         permit: Which authorization it is, likewise.
     """
 
-    def __init__(
-        self, code: PermitCode, detail: str, invocation: str | None = None, permit: str | None = None
-    ) -> None:
+    def __init__(self, code: PermitCode, detail: str, invocation: str | None = None, permit: str | None = None) -> None:
         """Keep the facts; the message is made of them."""
         self.code: PermitCode = code
         self.detail = detail

@@ -413,3 +413,16 @@ async def test_where_all_rest_who_comes_takes_the_place_of_the_oldest() -> None:
             visits += await came.enter_async_context(crowd(first[1], 1))
         assert await answered(visits[-1])
         assert not await answered(first)
+
+
+async def test_who_is_still_sent_an_answer_makes_no_room() -> None:
+    size = 32 * 1024 * 1024  # more than the sockets hold
+    async with served(Site(), Crowded) as (reader, writer), contextlib.AsyncExitStack() as came:
+        writer.write(request("POST", "/", bytes(size)))
+        assert (await reader.readuntil(END)).startswith(b"HTTP/1.1 200")
+        visits = []
+        for _ in range(12):
+            visits += await came.enter_async_context(crowd(writer, 1))
+            assert await answered(visits[-1])
+        assert not await answered(visits[0])
+        assert len(await reader.readexactly(size)) == size

@@ -285,6 +285,7 @@ def test_what_cannot_be_bound_anew_stays_in_the_human_hand(tmp_path: Path) -> No
     for _ in range(100):
         shop.runner.tick()
     assert shop.last("launch")["refused"] == "unreachable", shop.story()
+    assert shop.last("launch")["permit"] == "auth-3"
     assert shop.runner.status == "running"
     assert console.press(Wish(base=(0.3, 0.0, 0.0)), 30) is None
 

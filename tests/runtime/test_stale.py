@@ -201,24 +201,39 @@ async def test_a_pause_that_the_cell_refused_or_somebody_lifted_is_none(runtime:
     assert not place.paused(name)
 
 
-@pytest.mark.parametrize("word", ["approve", "resume"])
-async def test_what_lets_a_session_go_on_is_sent_on_no_other_link_than_it_was_said_on(
+@pytest.mark.parametrize("word", ["approve", "resume", "rollback", "take over", "hand back", "hand back undone"])
+async def test_what_moves_a_session_is_sent_on_no_other_link_than_it_was_said_on(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch, word: str
 ) -> None:
-    name = await running(runtime, cell)
-    status = "escalated" if word == "approve" else "paused"
+    governor = runtime.governor
+    name = await (driven(runtime, cell) if word.startswith("hand") else running(runtime, cell))
+    status = {"approve": "escalated", "resume": "paused"}.get(word, "running")
     await cell.report("status", name, status=status, reason="separation_m")
     await cell.report("escalation", name, reason="separation_m") if word == "approve" else None
     question = runtime.desk.pending_for(name)
     late = Late(runtime, monkeypatch)
 
     async def say() -> Any:
-        if question is None:
-            return await runtime.governor.resume(name, OPERATOR)
-        return await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+        match word:
+            case "approve":
+                assert question is not None
+                return await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+            case "resume":
+                return await governor.resume(name, OPERATOR)
+            case "rollback":
+                return await governor.rollback(name, OPERATOR)
+            case "take over":
+                return await governor.take_over(name, OPERATOR)
+            case _:
+                then = "rollback" if word.endswith("undone") else "resume"
+                return await governor.release(name, OPERATOR, then)
 
     saying = asyncio.create_task(say())
-    await late.recorded.wait()
+    if word.startswith("hand"):  # it is decided from where the robot is by then
+        await settled()
+        await cell.state()
+    await until(lambda: late.recorded.is_set() or saying.done())
+    assert not saying.done(), saying.result()
     await cell.hang_up()
     await asyncio.sleep(LEASE_MS / 1000 + 0.05)  # longer than a lease: the cell holds, and waits for a human
     again = HandCell(runtime, seq=cell.seq, invocation=name, status=status)
@@ -230,7 +245,8 @@ async def test_what_lets_a_session_go_on_is_sent_on_no_other_link_than_it_was_sa
     await dialling
     await again.state()
     await settled()
-    assert not {"resolve_continue", "resume"} & set(again.ops())
+    assert not {"resolve_continue", "resume", "rollback"} & set(again.ops())
+    assert launches(again) == 0
 
 
 async def test_of_two_presses_that_take_over_none_keeps_the_lease_of_a_takeover_that_was_refused(
