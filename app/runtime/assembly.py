@@ -111,7 +111,7 @@ class Runtime:
         """
         drafts, rows = await self.versions.recall(take_directory=self._take_directory)
         await self.register.recall()
-        await self.fleet.recall()
+        await self.fleet.roster.recall()
         await self.desk.recall()
         await self.sessions.recall()
         body: dict[str, Any] = {

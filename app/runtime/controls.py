@@ -260,7 +260,7 @@ class Controls:
         self.fleet.restrain(cell, Estop(actor=principal.name))
         self.desk.grants.drop(cell.id, "estop", principal.name)
         try:
-            await self.fleet.keep(cell, [word], estop=True)
+            await self.fleet.roster.keep(cell, [word], estop=True)
         except RecordUnavailable:
             cell.latch_unkept = True
             await self.register.say(word)
@@ -298,7 +298,7 @@ class Controls:
         cell.latch_unkept = False  # or the latch could follow the word that leaves it into the record
         cell.resetting += 1
         try:
-            await self.fleet.keep(cell, [cell_word("reset", cell, principal)], estop=False)
+            await self.fleet.roster.keep(cell, [cell_word("reset", cell, principal)], estop=False)
         except RecordUnavailable:
             cell.latch_unkept = unkept or cell.latch_unkept
             raise
@@ -352,7 +352,7 @@ class Controls:
             body={"cell": cell.id, "before": cell.profile, "profile": profile},
         )
         before = cell.profile
-        await self.fleet.keep(cell, [draft], profile=profile)
+        await self.fleet.roster.keep(cell, [draft], profile=profile)
         cell.profile = profile
         if profile != before:
             self.desk.grants.drop(cell.id, "profile_changed", principal.name)

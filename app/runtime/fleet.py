@@ -3,9 +3,6 @@
 `restrain` sends at once and asks nobody; `order` is for everything that lets something move, and its caller has
 recorded it already. A cell that is away is owed its restraints: it gets them with its next welcome, before anything
 else. What lets something move is never kept for later.
-
-Cells are remembered across restarts (profile, latched stop, how far its reports are in the log), so that a server that
-has just started knows whom it waits for.
 """
 
 from __future__ import annotations
@@ -13,31 +10,26 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import secrets
-from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
-import orjson
-
-from app.audit.errors import RecordUnavailable, RowUnreadable
-from app.audit.event import RowWrite
+from app.audit.errors import RecordUnavailable
 from app.clock import monotonic_s
 from app.governance.model import SESSION, CellFacts, EventKind
 from app.protocol import BEAT_MS, LEASE_MS, Estop, Human, Launch, Policy, ProtocolError, Reset, Watch
-from app.runtime.cells import FRESH_S, KEPT, Cell, Reunion, read_world
-from app.runtime.errors import Conflict, NotFound
+from app.runtime.cells import FRESH_S, Reunion, read_world
+from app.runtime.errors import Conflict
 from app.runtime.link import DEAD_S, SILENT_S, TRY_LATER, Attachment
-from app.runtime.recollection import events_of
+from app.runtime.roster import Roster
 from app.runtime.screens import Screens
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Mapping, Sequence
 
-    from app.audit.event import EventDraft
     from app.governance.control import Control
     from app.governance.model import WorldFacts
     from app.protocol import Hello, Jog, Message, Sighting, State, UpEvent
-    from app.runtime.cells import Line
+    from app.runtime.cells import Cell, Line
     from app.runtime.link import Link
     from app.runtime.register import Register
     from app.runtime.reports import Reports
@@ -54,8 +46,7 @@ class Fleet:
     def __init__(self, register: Register, *, default_profile: str) -> None:
         """Take the register and the profile of a cell never seen before."""
         self._register = register
-        self._default_profile = default_profile
-        self._cells: dict[str, Cell] = {}
+        self.roster = Roster(register, default_profile=default_profile)
         self._closings: set[asyncio.Task[None]] = set()
         self._reports: Reports | None = None
         self.screens = Screens(self.show_cell)
@@ -72,7 +63,7 @@ class Fleet:
         self.kernel_key = kernel_key
         self.policy_digest = policy_digest
         self.policy_files = policy_files
-        for cell in self._cells.values():
+        for cell in self.cells():
             if cell.attachment is not None and cell.attachment.welcomed:
                 cell.attachment.post(Policy(digest=policy_digest, files=dict(policy_files)))
 
@@ -94,18 +85,15 @@ class Fleet:
         Raises:
             NotFound: never heard of.
         """
-        try:
-            return self._cells[cell_id]
-        except KeyError:
-            raise NotFound("cell", cell_id) from None
+        return self.roster.cell(cell_id)
 
     def cells(self) -> list[Cell]:
         """Return all cells, by name."""
-        return [self._cells[name] for name in sorted(self._cells)]
+        return self.roster.cells()
 
     def knows(self, cell_id: str) -> bool:
         """Say whether the cell was ever heard of."""
-        return cell_id in self._cells
+        return cell_id in self.roster
 
     def choose(self) -> Cell | None:
         """Return the cell for a proposal that names none: one that is free, else one to wait for, else any.
@@ -113,8 +101,6 @@ class Fleet:
         A latched cell, one that holds and one that says nothing of use is not free; it is chosen only where no other is
         there. A busy one is worth waiting for, a latched one is not.
         """
-        if not self._cells:
-            return None
         cells = self.cells()
         fresh = [cell for cell in cells if cell.fresh]
         usable = [cell for cell in fresh if not self.latched(cell)]
@@ -146,7 +132,7 @@ class Fleet:
 
     def profile(self, cell: Cell | None) -> str:
         """Return the profile a cell works under; the default one where there is no cell."""
-        return self._default_profile if cell is None else cell.profile
+        return self.roster.default_profile if cell is None else cell.profile
 
     def latched(self, cell: Cell) -> bool:
         """Say whether a stop is latched, on the server or on the cell, which may not have heard of its reset yet."""
@@ -189,10 +175,10 @@ class Fleet:
 
     def problems(self) -> dict[str, str]:
         """Return what is in the way of any launch, by cell; empty where some cell could take a proposal."""
-        if not self._cells:
+        if not self.cells():
             return {"cells": "no cell has ever attached"}
         found = self.unusable()
-        return found if len(found) == len(self._cells) else {}
+        return found if len(found) == len(self.cells()) else {}
 
     def unusable(self) -> dict[str, str]:
         """Return why cells take no proposal now, by cell, whether others do or not."""
@@ -229,7 +215,7 @@ class Fleet:
 
     def release(self, cell_id: str | None, invocation: str, *, ended: bool = False) -> None:
         """Let the cell go, if this invocation has it; `ended` where the cell itself said that the session is over."""
-        cell = self._cells.get(cell_id or "")
+        cell = self.roster.get(cell_id)
         if cell is None:
             return
         if cell.driven(invocation):
@@ -257,7 +243,7 @@ class Fleet:
 
     def expect(self, cell_id: str, coming: bool) -> None:
         """Note that a cell's process is being started, or that nobody starts it any more."""
-        cell = self._cells.get(cell_id)
+        cell = self.roster.get(cell_id)
         if cell is not None:
             cell.expected_until_s = monotonic_s() + EXPECTED_S if coming else 0.0
 
@@ -344,7 +330,7 @@ class Fleet:
 
     def show_cell(self, cell_id: str, on: bool) -> None:
         """Have a cell show itself, or not any more; one that is away is asked again at its welcome."""
-        cell = self._cells.get(cell_id)
+        cell = self.roster.get(cell_id)
         if cell is not None and cell.attachment is not None and cell.attachment.welcomed:
             cell.attachment.post(Watch(on=on))
 
@@ -359,10 +345,7 @@ class Fleet:
 
         The caller passes every frame to the attachment's `receive`, and calls `detach` when the socket is gone.
         """
-        cell = self._cells.get(cell_id)
-        if cell is None:
-            cell = Cell(id=cell_id, profile=self._default_profile)
-        return Attachment(self, cell, link)
+        return Attachment(self, self.roster.newcomer(cell_id), link)
 
     async def take_place(self, attachment: Attachment, hello: Hello) -> None:
         """Make this the cell's link, unless another one lives; a new cell is recorded first.
@@ -370,7 +353,7 @@ class Fleet:
         Raises:
             ProtocolError: the cell has a link that was heard within the last second.
         """
-        cell = self._cells.setdefault(attachment.cell.id, attachment.cell)
+        cell = self.roster.stays(attachment.cell)
         attachment.cell = cell
         present = cell.attachment
         if present is not None and not present.closed and present.silent_s() < DEAD_S:
@@ -515,99 +498,12 @@ class Fleet:
             if event.kind == EventKind.HUMAN and event.invocation is not None:
                 cell.heard(str(event.body.get("op")), event.invocation, event.body.get("refused"))
 
-    # -- remembering -------------------------------------------------------------------------------------------------
-
-    async def keep(self, cell: Cell, drafts: Sequence[EventDraft], **settings: str | bool) -> None:
-        """Record events together with settings of a cell (`profile`, `estop`). Raises `RecordUnavailable`."""
-        now = self._register.now()
-        rows = [
-            RowWrite(
-                table="settings",
-                values={"name": f"{name}/{cell.id}", "value": orjson.dumps(value), "updated_at": now},
-            )
-            for name, value in settings.items()
-        ]
-        await self._register.append(drafts, rows)
-
-    async def keep_late(self) -> None:
-        """Record the cells that came and the stops that were latched while the record could take nothing.
-
-        What fails now is tried again.
-        """
-        for cell in self.cells():
-            if cell.row_unkept:
-                with contextlib.suppress(RecordUnavailable):
-                    await self.introduce(cell, [])
-            if cell.latch_unkept:
-                cell.latch_unkept = False
-                try:
-                    await self.keep(cell, [], estop=True)
-                except RecordUnavailable:
-                    cell.latch_unkept = cell.latched
-
-    async def introduce(self, cell: Cell, drafts: Sequence[EventDraft]) -> None:
-        """Record that a cell is there, so that it is known after a restart.
-
-        Raises:
-            RecordUnavailable: it is not; `keep_late` does it, without the drafts.
-        """
-        async with cell.recording:  # or an older count could follow a newer one into the record
-            try:
-                await self._register.append(drafts, cell.progress(cell.taken, self._register.now()))
-            except RecordUnavailable:
-                cell.row_unkept = True
-                raise
-            cell.row_unkept = False
-
-    async def recall(self) -> None:
-        """Read back which cells there are, their profiles and latched stops, and who had them when the server ended.
-
-        A cell whose own row is missing, because the record could take none when it came, is known by whatever names it:
-        a stop must not be forgotten with it.
-        """
-        for row in await self._register.store.rows("cell_progress"):
-            cell = self._recalled(row["cell"])
-            cell.journal, cell.taken = row["journal"], {row["journal"]: row["up_seq"]}
-        for row in await self._register.store.rows("settings"):
-            name, _, cell_id = row["name"].partition("/")
-            if name in KEPT and cell_id:
-                cell = self._recalled(cell_id)
-                try:
-                    self._register.stored.read("settings", row, partial(cell.recall, name))
-                except RowUnreadable:
-                    cell.latched |= name == "estop"  # whoever knows no better holds
-        for invocation in self._register.live():
-            if invocation.cell is not None:
-                cell = self._recalled(invocation.cell)
-                cell.claim = invocation.id if invocation.status in SESSION else cell.claim
-        await self._believe_the_log()
-
-    def _recalled(self, cell_id: str) -> Cell:
-        """Return a cell of an earlier run, which is away."""
-        if cell_id not in self._cells:
-            self._cells[cell_id] = Cell(
-                id=cell_id, profile=self._default_profile, recalled=True, absent_since_s=monotonic_s()
-            )
-        return self._cells[cell_id]
-
-    async def _believe_the_log(self) -> None:
-        """Put every cell under the profile that was chosen for it last, whatever its row says."""
-        chosen: dict[str, str] = {}
-        for event in await events_of(self._register.store, kind=EventKind.PROFILE_CHANGED):
-            body: dict[str, Any] = event.payload()
-            chosen[body["cell"]] = body["profile"]
-        for cell in self._cells.values():
-            profile = chosen.get(cell.id, self._default_profile)
-            if cell.profile != profile:
-                self._register.unfounded[f"profile/{cell.id}"] = f"its row says `{cell.profile}`"
-                cell.profile = profile
-
     # -- keeping on --------------------------------------------------------------------------------------------------
 
     async def beat(self) -> None:
         """Keep every link's lease alive, for ever."""
         while True:
-            for cell in self._cells.values():
+            for cell in self.cells():
                 if cell.attachment is not None and cell.attachment.welcomed:
                     cell.attachment.beat()
             await asyncio.sleep(BEAT_MS / 1000)
@@ -620,7 +516,7 @@ class Fleet:
 
     async def tend_once(self) -> None:
         """Close silent links, and have what is overdue seen to."""
-        await self.keep_late()
+        await self.roster.keep_late()
         for cell in self.cells():
             attachment = cell.attachment
             if attachment is not None and attachment.silent_s() > SILENT_S:

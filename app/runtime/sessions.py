@@ -225,7 +225,7 @@ class Sessions:
             await asyncio.wait(self._seals)
         for invocation in self._telemetry.open():
             await self._sealed(invocation)
-        await self._fleet.keep_late()
+        await self._fleet.roster.keep_late()
         await self._register.say_unsaid()
 
     # -- coming and going --------------------------------------------------------------------------------------------
@@ -260,7 +260,7 @@ class Sessions:
         body = {"link": "attached", **hello.model_dump(exclude={"type", "version", "cell"})}
         draft = EventDraft(kind=EventKind.CELL, actor=cell, body=body, invocation=held)
         try:
-            await self._fleet.introduce(place, [draft])
+            await self._fleet.roster.introduce(place, [draft])
         except RecordUnavailable:
             await self._register.say(draft)
 

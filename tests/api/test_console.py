@@ -419,7 +419,7 @@ async def test_a_stop_said_here_while_somebody_resets_keeps_the_cell_stopped(
         await said(screen)
         answer = await operator.post(reset, json={"step": "confirm", "code": armed["arming"]["code"]})
         assert (answer.status_code, answer.json()["code"]) == (409, "not_armed")
-        keep, reached, goes_on = cell.keep, asyncio.Event(), asyncio.Event()
+        keep, reached, goes_on = cell.roster.keep, asyncio.Event(), asyncio.Event()
 
         async def slow(*args: Any, **how: Any) -> None:
             if not how["estop"]:
@@ -427,7 +427,7 @@ async def test_a_stop_said_here_while_somebody_resets_keeps_the_cell_stopped(
                 await goes_on.wait()
             await keep(*args, **how)
 
-        monkeypatch.setattr(cell, "keep", slow)
+        monkeypatch.setattr(cell.roster, "keep", slow)
         resetting = asyncio.create_task(operator.post(reset))
         await reached.wait()
         await said(screen)

@@ -1,0 +1,155 @@
+"""Which cells there are, and what the record keeps of each: its profile, a latched stop, how far its reports are in.
+
+A server that has just started knows by it whom it waits for, and who is stopped. What the record could not take when it
+was due is taken down as soon as it can.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import orjson
+
+from app.audit.errors import RecordUnavailable, RowUnreadable
+from app.audit.event import RowWrite
+from app.clock import monotonic_s
+from app.governance.model import SESSION, EventKind
+from app.runtime.cells import KEPT, Cell
+from app.runtime.errors import NotFound
+from app.runtime.recollection import events_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from app.audit.event import EventDraft
+    from app.runtime.register import Register
+
+
+class Roster:
+    """The cells of one server, by name; one that was heard of stays."""
+
+    def __init__(self, register: Register, *, default_profile: str) -> None:
+        """Take the register and the profile of a cell never seen before."""
+        self._register = register
+        self._cells: dict[str, Cell] = {}
+        self.default_profile = default_profile
+
+    def __contains__(self, cell_id: str) -> bool:
+        """Say whether the cell was ever heard of."""
+        return cell_id in self._cells
+
+    def cell(self, cell_id: str) -> Cell:
+        """Return a cell.
+
+        Raises:
+            NotFound: never heard of.
+        """
+        try:
+            return self._cells[cell_id]
+        except KeyError:
+            raise NotFound("cell", cell_id) from None
+
+    def cells(self) -> list[Cell]:
+        """Return all cells, by name."""
+        return [self._cells[name] for name in sorted(self._cells)]
+
+    def get(self, cell_id: str | None) -> Cell | None:
+        """Return a cell, or None where nobody has heard of it."""
+        return self._cells.get(cell_id or "")
+
+    def newcomer(self, cell_id: str) -> Cell:
+        """Return a cell that says this name; one never heard of is kept once it `stays`."""
+        return self._cells.get(cell_id) or Cell(id=cell_id, profile=self.default_profile)
+
+    def stays(self, cell: Cell) -> Cell:
+        """Keep a cell, and return the one there is by its name."""
+        return self._cells.setdefault(cell.id, cell)
+
+    # -- what the record keeps ---------------------------------------------------------------------------------------
+
+    async def keep(self, cell: Cell, drafts: Sequence[EventDraft], **settings: str | bool) -> None:
+        """Record events together with settings of a cell (`profile`, `estop`). Raises `RecordUnavailable`."""
+        now = self._register.now()
+        rows = [
+            RowWrite(
+                table="settings",
+                values={"name": f"{name}/{cell.id}", "value": orjson.dumps(value), "updated_at": now},
+            )
+            for name, value in settings.items()
+        ]
+        await self._register.append(drafts, rows)
+
+    async def keep_late(self) -> None:
+        """Record the cells that came and the stops that were latched while the record could take nothing.
+
+        What fails now is tried again.
+        """
+        for cell in self.cells():
+            if cell.row_unkept:
+                with contextlib.suppress(RecordUnavailable):
+                    await self.introduce(cell, [])
+            if cell.latch_unkept:
+                cell.latch_unkept = False
+                try:
+                    await self.keep(cell, [], estop=True)
+                except RecordUnavailable:
+                    cell.latch_unkept = cell.latched
+
+    async def introduce(self, cell: Cell, drafts: Sequence[EventDraft]) -> None:
+        """Record that a cell is there, so that it is known after a restart.
+
+        Raises:
+            RecordUnavailable: it is not; `keep_late` does it, without the drafts.
+        """
+        async with cell.recording:  # or an older count could follow a newer one into the record
+            try:
+                await self._register.append(drafts, cell.progress(cell.taken, self._register.now()))
+            except RecordUnavailable:
+                cell.row_unkept = True
+                raise
+            cell.row_unkept = False
+
+    async def recall(self) -> None:
+        """Read back which cells there are, their profiles and latched stops, and who had them when the server ended.
+
+        A cell whose own row is missing, because the record could take none when it came, is known by whatever names it:
+        a stop must not be forgotten with it.
+        """
+        for row in await self._register.store.rows("cell_progress"):
+            cell = self._recalled(row["cell"])
+            cell.journal, cell.taken = row["journal"], {row["journal"]: row["up_seq"]}
+        for row in await self._register.store.rows("settings"):
+            name, _, cell_id = row["name"].partition("/")
+            if name in KEPT and cell_id:
+                cell = self._recalled(cell_id)
+                try:
+                    self._register.stored.read("settings", row, partial(cell.recall, name))
+                except RowUnreadable:
+                    cell.latched |= name == "estop"  # whoever knows no better holds
+        for invocation in self._register.live():
+            if invocation.cell is not None:
+                cell = self._recalled(invocation.cell)
+                cell.claim = invocation.id if invocation.status in SESSION else cell.claim
+        await self._believe_the_log()
+
+    def _recalled(self, cell_id: str) -> Cell:
+        """Return a cell of an earlier run, which is away."""
+        if cell_id not in self._cells:
+            self._cells[cell_id] = Cell(
+                id=cell_id, profile=self.default_profile, recalled=True, absent_since_s=monotonic_s()
+            )
+        return self._cells[cell_id]
+
+    async def _believe_the_log(self) -> None:
+        """Put every cell under the profile that was chosen for it last, whatever its row says."""
+        chosen: dict[str, str] = {}
+        for event in await events_of(self._register.store, kind=EventKind.PROFILE_CHANGED):
+            body: dict[str, Any] = event.payload()
+            chosen[body["cell"]] = body["profile"]
+        for cell in self._cells.values():
+            profile = chosen.get(cell.id, self.default_profile)
+            if cell.profile != profile:
+                self._register.unfounded[f"profile/{cell.id}"] = f"its row says `{cell.profile}`"
+                cell.profile = profile
