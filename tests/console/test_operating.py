@@ -179,6 +179,7 @@ def test_a_reset_that_the_cell_did_not_hear_is_told_to_whoever_confirmed_it(
     person.press(".")
     expect(latched).to_contain_text("Pressed by operator at")
     person.button("Reset…").click()
+    person.button("Yes, reset the stop").wait_for()
     cell = server.cell_pid()
     assert cell is not None
     os.kill(cell, signal.SIGSTOP)

@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Locator, expect
 
 from tests.conftest import ServerProcess, until
-from tests.console.conftest import DESK, PHONE, Floor, People, Person, box, stop
+from tests.console.conftest import DESK, PHONE, Floor, People, Person, at_once, box, stop
 
 pytestmark = [pytest.mark.browser, pytest.mark.process, pytest.mark.usefixtures("free_again")]
 # An ear for the commands that the page hands to its link.
@@ -76,7 +76,9 @@ def test_an_approval_pressed_twice_on_a_phone_rolls_nothing_back(
     expect(person.button("Roll back")).to_be_enabled()
     assert rolled_back == []
     person.button("Roll back").tap()
+    until(lambda: rolled_back or person.page.wait_for_timeout(20), what="a rollback that was asked for")
     assert server.await_status(asked["id"], "failed", "completed")["outcome"] == "rolled_back"
+    person.page.wait_for_timeout(20)  # for what else the browser has to tell
     assert len(rolled_back) == 1
 
 
@@ -99,6 +101,20 @@ def test_a_reset_pressed_twice_goes_no_further_than_its_first_step(
     assert safe["x"] <= at["x"] <= safe["x"] + safe["width"]
     yes.click()
     until(lambda: not server.cell()["latched"], what="a stop that is reset")
+
+
+@pytest.mark.parametrize("where", ["live", "fleet"])
+def test_the_safe_choice_has_the_focus_however_often_its_first_step_was_pressed_meanwhile(
+    server: ServerProcess, people: People, floor: Floor, where: str
+) -> None:
+    person = people.sit(server)
+    if where == "fleet":
+        person.page.evaluate("location.hash = '#/fleet'")
+    stop(person).click()
+    here = person.region("workcell-1") if where == "fleet" else person.page
+    with at_once("**/reset", person):
+        person.twice(here.get_by_role("button", name="Reset…"), 150)
+    expect(here.get_by_role("button", name="Keep stopped")).to_be_focused()
 
 
 @SOON
