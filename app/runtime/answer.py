@@ -10,6 +10,7 @@ it as policy says: it comes to rest (sent first), or is undone (recorded first).
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from app.governance.policy_model import Denial
-    from app.runtime.cells import Cell
+    from app.runtime.cells import Cell, Moment
     from app.runtime.escalation import Escalation
     from app.runtime.grant import Standing
     from app.runtime.invocation import Invocation, Principal
@@ -220,28 +221,27 @@ class Answer:
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to go on")
         if cell.driven(self._invocation.id):  # whoever took over has answered what was asked
             raise Conflict("control_held", f"somebody drives `{cell.id}` by hand; valid: they hand back")
-        link = cell.attachment
+        decided = cell.moment
         if reasons := self._questions.kept_back(self._invocation):
             raise Conflict("resume_refused", "the policy in force does not let it go on; valid: deny", reasons=reasons)
-        since, now = cell.restraints, self._register.now()
+        now = self._register.now()
         approval = {"by": self._principal.name, "at": now, "digest": self._escalation.digest}
         closed = self._escalation.evolve(now, status=APPROVED, approvals=(approval,))
         if lapsed(self._invocation):
-            return await self._go_on_anew(cell, closed, since)
+            return await self._go_on_anew(cell, closed, decided)
         await self._commit_session("approve", closed)
         # Only who was asked about a phase confirms one: the cell may wait for a word that is not known here yet.
         op = "resolve_continue" if closed.phase is None else "confirm"
-        # On another link, or on none: it was answered all the same, and is asked about again.
-        if self._fleet.attached(cell) and cell.attachment is link:
-            word = Human(invocation=self._invocation.id, op=op, actor=self._principal.name)
-            self._fleet.order(cell, word, since=since)
+        word = Human(invocation=self._invocation.id, op=op, actor=self._principal.name)
+        with suppress(Conflict):  # it was answered all the same, and is asked about again
+            self._fleet.order(cell, word, decided=decided)
         return closed
 
-    async def _go_on_anew(self, cell: Cell, closed: Escalation, since: int) -> Escalation:
+    async def _go_on_anew(self, cell: Cell, closed: Escalation, decided: Moment) -> Escalation:
         """Let a session go on that a human drove and left: what it does is decided again, and bound anew."""
         kernel, present = self._kernel, self._invocation
         judgement, approvals = await readmitted(kernel, self._register, cell, present, self._principal)
-        async with kernel.launch(present, judgement, approvals, anew=True, since=since) as launch:
+        async with kernel.launch(present, judgement, approvals, anew=decided) as launch:
             terms = replace(launch.invocation.terms, undone_by=None)  # it goes on: its end is the agent's as well
             version = present.evolve(
                 closed.updated_at,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 import orjson
 from pydantic import TypeAdapter, ValidationError
@@ -66,6 +66,17 @@ class Line(Protocol):
     def shut(self, code: int, reason: str) -> None:
         """Close the link and say why."""
         ...
+
+
+class Moment(NamedTuple):
+    """How a cell stood when somebody decided to let something move: their word counts for that, and for nothing newer.
+
+    Recording takes time, and a restraint does not wait for it: whoever pauses what somebody else is resuming right now
+    has the last word. And a cell that was away meanwhile may hold for what nobody knew of.
+    """
+
+    restraints: int
+    link: Line | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,6 +164,11 @@ class Cell:
             return True
         names = self.state is not None and self.state.invocation is not None and self.state.invocation == self.ended
         return names and monotonic_s() - self.ended_at_s <= FRESH_S  # a stray is told to stop after that
+
+    @property
+    def moment(self) -> Moment:
+        """Return how it stands now, for whoever decides on it."""
+        return Moment(self.restraints, self.attachment)
 
     @property
     def armed_by(self) -> str | None:

@@ -184,10 +184,10 @@ class Controls:
         """Record a word on which a session moves, then send it; nothing is kept for a cell that is away."""
         if not self.fleet.attached(cell):
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to {op}")
-        since, link = cell.restraints, cell.attachment
+        decided = cell.moment
         undone_by = await self._record(op, present, principal)
         try:
-            self.fleet.order(cell, _message(op, present, principal), since=since, link=link)
+            self.fleet.order(cell, _message(op, present, principal), decided=decided)
         except Conflict as error:  # the cell left while this was recorded: nothing comes of it, and the record says so
             await take_back(self.register, op, present.id, error.code, undone_by=undone_by)
             raise
@@ -358,7 +358,7 @@ class Controls:
             self.desk.grants.drop(cell.id, "profile_changed", principal.name)
             await self.desk.grants.record_ends()
         if self.fleet.attached(cell):
-            self.fleet.order(cell, SetProfile(profile=profile), since=cell.restraints)
+            self.fleet.order(cell, SetProfile(profile=profile), decided=cell.moment)
         await self.desk.decide_again()  # what was asked was shown under the former profile
         return self.fleet.document(cell)
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from app.governance.control import Control
     from app.governance.model import WorldFacts
     from app.protocol import Hello, Jog, Message, Sighting, State, UpEvent
-    from app.runtime.cells import Cell, Line
+    from app.runtime.cells import Cell, Line, Moment
     from app.runtime.link import Link
     from app.runtime.register import Register
     from app.runtime.reports import Reports
@@ -257,7 +257,7 @@ class Fleet:
             return False
         reset = Reset(id=secrets.token_hex(8), actor=actor)
         cell.reset = reset.id
-        self.order(cell, reset, since=cell.restraints)
+        self.order(cell, reset, decided=cell.moment)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(RESET_S):
                 while cell.reset == reset.id:
@@ -284,31 +284,35 @@ class Fleet:
             attachment.post(message, urgent=True)
         return there
 
-    def order(self, cell: Cell, message: Message, *, since: int, link: Line | None = None) -> None:
+    def order(self, cell: Cell, message: Message, *, decided: Moment) -> None:
         """Send something that was recorded, and behind it every restraint that was said while it was.
-
-        Recording takes time, and a restraint does not wait for it: whoever pauses what somebody else is resuming right
-        now must have the last word.
 
         Args:
             cell: whom to.
             message: what.
-            since: the cell's `restraints` when it was decided.
-            link: the one that the cell had when it was decided, where it may be sent on no other: a cell that was away
-                meanwhile may hold for what nobody knew of.
+            decided: how the cell stood when it was decided.
 
         Raises:
-            Conflict: `cell_offline`, the cell is not there; nothing is kept for later.
+            Conflict: `cell_offline`, the cell is not there, or was away meanwhile; nothing is kept for later.
         """
-        attachment = cell.attachment
-        if attachment is None or not attachment.welcomed or link not in (None, attachment):
-            raise Conflict("cell_offline", f"the cell `{cell.id}` is not attached")
+        attachment = self.check(cell, decided)
         if isinstance(message, Launch | Human):
-            cell.lifted(since)
+            cell.lifted(decided.restraints)
         attachment.post(message)
         for number, restraint in cell.restrained.values():
-            if number > since:
+            if number > decided.restraints:
                 attachment.post(restraint)
+
+    def check(self, cell: Cell, decided: Moment) -> Line:
+        """Return the link that a cell has had ever since something was decided.
+
+        Raises:
+            Conflict: `cell_offline`, it is not there, or was away meanwhile.
+        """
+        attachment = cell.attachment
+        if attachment is None or not attachment.welcomed or attachment is not decided.link:
+            raise Conflict("cell_offline", f"the cell `{cell.id}` is not attached, or was away meanwhile")
+        return attachment
 
     def jog(self, cell: Cell, command: Jog) -> bool:
         """Pass a jog command on; only the newest one waits, and one that is not sent at once is never kept.

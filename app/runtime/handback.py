@@ -27,7 +27,7 @@ from app.runtime.uncut import uncut
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from app.runtime.cells import Cell
+    from app.runtime.cells import Cell, Moment
     from app.runtime.desk import Desk
     from app.runtime.fleet import Fleet
     from app.runtime.invocation import Principal
@@ -67,7 +67,7 @@ class Handbacks:
             raise Conflict("nothing_to_resume", "nothing ran before; valid: `rollback`, `end`")
         if then == "end":
             return await self._end(cell, present, principal)
-        since = cell.restraints
+        decided = cell.moment
         if not await self._newer(cell) and then == "resume":  # a rollback is the cell's own to judge
             raise Conflict(
                 "facts_stale",
@@ -82,9 +82,9 @@ class Handbacks:
         cell.control = returning(control)
         try:
             if then == "resume":
-                await self._resume(cell, present.id, principal, since)
+                await self._resume(cell, present.id, principal, decided)
             else:
-                await self._roll_back(cell, present.id, principal, since)
+                await self._roll_back(cell, present.id, principal, decided)
         except BaseException:
             _keep(cell, control)
             raise
@@ -107,7 +107,7 @@ class Handbacks:
         await self.register.say(self._word("release", present, principal, document, then="end"))
         return await self._returned(present.id, "end")
 
-    async def _resume(self, cell: Cell, invocation: str, principal: Principal, since: int) -> None:
+    async def _resume(self, cell: Cell, invocation: str, principal: Principal, decided: Moment) -> None:
         entry = self.register.entry(invocation)
         if entry is None:
             raise Conflict("wrong_status", f"`{invocation}` has ended")
@@ -115,27 +115,26 @@ class Handbacks:
             present = entry.newest
             judgement, approvals = await readmitted(self.kernel, self.register, cell, present, principal)
             document = cell.control_document() or {}
-            async with self.kernel.launch(present, judgement, approvals, anew=True, since=since) as launch:
+            async with self.kernel.launch(present, judgement, approvals, anew=decided) as launch:
                 word = self._word("release", present, principal, document, then="resume")
                 terms = replace(launch.invocation.terms, undone_by=None)  # it goes on: its end is the agent's as well
-                decided = judgement.policy.digest  # it may be another one that is in force by now
-                version = self._given_back(cell, present, "resume", terms=terms, policy_version=decided)
+                digest = judgement.policy.digest  # it may be another one that is in force by now
+                version = self._given_back(cell, present, "resume", terms=terms, policy_version=digest)
                 recheck = judgement.recheck_events(present)
                 await self.register.append([word, *recheck, *launch.events], launch.rows, [version])
 
-    async def _roll_back(self, cell: Cell, invocation: str, principal: Principal, since: int) -> None:
+    async def _roll_back(self, cell: Cell, invocation: str, principal: Principal, decided: Moment) -> None:
         entry = self.register.entry(invocation)
         if entry is None:
             raise Conflict("wrong_status", f"`{invocation}` has ended")
         async with entry.lock:
-            present, document, link = entry.newest, cell.control_document() or {}, cell.attachment
+            present, document = entry.newest, cell.control_document() or {}
             word = self._word("release", present, principal, document, then="rollback")
             terms = replace(present.terms, undone_by=principal.name)
             await self.register.append([word], versions=[self._given_back(cell, present, "rollback", terms=terms)])
         try:
-            self.fleet.order(
-                cell, Human(invocation=invocation, op="rollback", actor=principal.name), since=since, link=link
-            )
+            undo = Human(invocation=invocation, op="rollback", actor=principal.name)
+            self.fleet.order(cell, undo, decided=decided)
         except Conflict as error:  # the cell left while this was recorded
             await take_back(self.register, "rollback", invocation, error.code)
             raise

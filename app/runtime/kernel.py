@@ -8,7 +8,7 @@ mints: the authorization becomes durable inside the context, and is sent only wh
 from __future__ import annotations
 
 import base64
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -42,8 +42,9 @@ from app.governance.policy_model import GOVERNANCE
 from app.governance.recorded import KEY as CIRCUMSTANCES
 from app.governance.recorded import circumstances
 from app.protocol import Launch
+from app.runtime.cells import Moment
 from app.runtime.drafts import SERVER
-from app.runtime.errors import InvalidParams
+from app.runtime.errors import Conflict, InvalidParams
 from app.runtime.identity import Identities
 from app.runtime.invocation import reasons_document
 from app.runtime.link import key_text
@@ -334,8 +335,7 @@ class Kernel:
         judgement: Judgement,
         approvals: tuple[str, ...] = (),
         *,
-        anew: bool = False,
-        since: int | None = None,
+        anew: Moment | None = None,
     ) -> AsyncGenerator[Launching]:
         """Claim the cell, mint, let the caller make it durable inside, and only then send it.
 
@@ -347,14 +347,17 @@ class Kernel:
             invocation: what is launched.
             judgement: what was decided on it.
             approvals: who approved it.
-            anew: it is a session that has the cell already and keeps it, whatever becomes of this: it changes hands.
-            since: the cell's `restraints` when whoever wants this began; by itself, now.
+            anew: it is a session that has the cell already and keeps it, whatever becomes of this: it changes hands. So
+                the cell stood when that was decided.
 
         Raises:
+            Conflict: `cell_offline`, the cell of a session that is to change hands was away meanwhile.
             RecordUnavailable: the log was found to be damaged; nothing is sent.
         """
         cell = self._fleet.cell(invocation.cell or "")
-        since, link = cell.restraints if since is None else since, cell.attachment
+        restraints = cell.restraints
+        if anew is not None:
+            self._fleet.check(cell, anew)
         try:
             self._undamaged()
             self._fleet.claim(cell, invocation.id)
@@ -362,22 +365,18 @@ class Kernel:
             signed = mint(authorization, self._key)
             yield self._launching(invocation, authorization, signed.body.decode())
         except BaseException:
-            if not anew:
+            if anew is None:
                 self._fleet.release(cell.id, invocation.id)
             raise
-        if not anew and self.overtaken(invocation, judgement):
+        if anew is None and self.overtaken(invocation, judgement):
             return  # another policy or profile came into force while this was recorded, and does not let it begin
-        same = not anew or cell.attachment is link  # a cell that was away holds, maybe for what nobody knew of
-        if same and self._fleet.attached(cell):
-            self._fleet.order(
-                cell,
-                Launch(
-                    body=base64.b64encode(signed.body).decode(),
-                    signature=base64.b64encode(signed.signature).decode(),
-                    anew=anew,
-                ),
-                since=since,
-            )
+        message = Launch(
+            body=base64.b64encode(signed.body).decode(),
+            signature=base64.b64encode(signed.signature).decode(),
+            anew=anew is not None,
+        )
+        with suppress(Conflict):  # what has not begun may begin on any link: a cell that is back knows of nothing then
+            self._fleet.order(cell, message, decided=anew or Moment(restraints, cell.attachment))
 
     def _undamaged(self) -> None:
         if (damage := self._register.store.damage) is not None:

@@ -203,11 +203,11 @@ class Questions:
             self.fleet.restrain(cell, rest)
             await recording
             return
-        since, link = cell.restraints, cell.attachment
+        decided = cell.moment
         try:
             await recording
             undo = Human(invocation=invocation.id, op="rollback", actor=actor, expired=expired)
-            self.fleet.order(cell, undo, since=since, link=link)
+            self.fleet.order(cell, undo, decided=decided)
         except RecordUnavailable:
             self.fleet.restrain(cell, rest)
             raise

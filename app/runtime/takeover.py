@@ -30,7 +30,7 @@ from app.runtime.uncut import uncut
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from app.runtime.cells import Cell
+    from app.runtime.cells import Cell, Moment
     from app.runtime.invocation import Principal
     from app.runtime.kernel import Judgement
 
@@ -60,13 +60,13 @@ class Takeovers(Handbacks):
         if present.capability == TAKEOVER and lapsed and (present.takeover or {}).get("state") in OPEN:
             raise Conflict("ending", "whoever drove it has let go, and with that it ends; valid: the idle cell, then")
         before, how = self._take(cell, principal, present.id)
-        since = cell.restraints  # what is said from here on has the last word, however long the record takes
+        decided = cell.moment
         now = self.register.now()
         cell.control_at = cell.control_at if how is Taking.RENEWED else now
         document, mine = cell.control_document() or {}, cell.takings
         try:
             if how is Taking.GRANTED:
-                await self._change_hands(cell, present.id, principal, since)
+                await self._change_hands(cell, present.id, principal, decided)
             else:
                 if how is Taking.PREEMPTED:
                     self._still(cell)
@@ -148,7 +148,7 @@ class Takeovers(Handbacks):
         cell.takings += how is Taking.GRANTED
         return before, how
 
-    async def _change_hands(self, cell: Cell, invocation: str, principal: Principal, since: int) -> None:
+    async def _change_hands(self, cell: Cell, invocation: str, principal: Principal, decided: Moment) -> None:
         entry, mine = self.register.entry(invocation), cell.takings
         if entry is None:
             raise Conflict("wrong_status", f"`{invocation}` has ended")
@@ -164,7 +164,7 @@ class Takeovers(Handbacks):
             _held_to(judgement)
             driving = replace(present, capability=TAKEOVER, effective=judgement.effective(params))
             where, document = cell.control.where, cell.control_document() or {}
-            async with self.kernel.launch(driving, judgement, anew=True, since=since) as launch:
+            async with self.kernel.launch(driving, judgement, anew=decided) as launch:
                 now, permit = self.register.now(), launch.invocation.terms.authorization
                 terms = replace(present.terms, taking=True, authorization=permit)
                 version = present.evolve(now, takeover=taken(where, now), terms=terms)

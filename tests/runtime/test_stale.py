@@ -249,6 +249,41 @@ async def test_what_moves_a_session_is_sent_on_no_other_link_than_it_was_said_on
     assert launches(again) == 0
 
 
+@pytest.mark.parametrize("word", ["hand back", "approve"])
+async def test_what_waits_for_its_turn_is_said_on_no_other_link_either(
+    runtime: Runtime, cell: HandCell, word: str
+) -> None:
+    name = await driven(runtime, cell)
+    entry = runtime.register.entry(name)
+    assert entry is not None
+    if word == "approve":
+        await fall_silent(runtime)
+        await cell.report("status", name, status="escalated", reason="control_lapsed")
+        await cell.report("escalation", name, reason="control_lapsed")
+    question = runtime.desk.pending_for(name)
+
+    async def say() -> Any:
+        if question is None:
+            return await runtime.governor.release(name, OPERATOR, "resume")
+        return await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+
+    async with entry.lock:  # something about the session is being recorded
+        saying = asyncio.create_task(say())
+        await settled()
+        await cell.state()
+        await settled()
+        await cell.hang_up()
+        again = HandCell(runtime, seq=cell.seq, invocation=name, status="escalated")
+        dialling = asyncio.create_task(again.dial())
+        await until(lambda: runtime.fleet.cell(CELL).attachment is again.attachment is not None)
+    with pytest.raises(Conflict):
+        await saying
+    await dialling
+    await again.state()
+    await settled()
+    assert launches(again) == 0
+
+
 async def test_of_two_presses_that_take_over_none_keeps_the_lease_of_a_takeover_that_was_refused(
     runtime: Runtime, cell: HandCell
 ) -> None:
