@@ -24,7 +24,7 @@ from app.governance.control import GOING_ON
 LEASE_MS = 300
 BEAT_MS = 75
 STATE_MS = 100
-VERSION = 11
+VERSION = 12
 
 
 Count: TypeAlias = Annotated[int, Field(strict=True, ge=0, lt=2**63)]  # as the record can write down
@@ -100,11 +100,13 @@ Triple: TypeAlias = tuple[float, float, float]
 class Jog(Message):
     """What the human at the controls wants, good for 100 ms of the cell's ticks; only the newest one matters.
 
-    Speeds in the base frame: `base` (vx, vy, wz) in m/s and rad/s, `tool` (vx, vy, vz) in m/s.
+    Speeds in the base frame: `base` (vx, vy, wz) in m/s and rad/s, `tool` (vx, vy, vz) in m/s. `lease` is the one it
+    comes by: under another than the last, nothing moves before a command of nothing.
     """
 
     type: Literal["jog"] = "jog"
     invocation: str
+    lease: str
     actor: str
     n: int
     base: Triple

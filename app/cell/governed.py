@@ -136,7 +136,7 @@ class GovernedCell:
                 self._runner.human(order.invocation, order.op, order.actor, expired=order.expired)
             case Jog():
                 wish = Wish(order.base, order.tool, order.grip)
-                self._runner.jog(order.invocation, order.n, wish, order.actor)
+                self._runner.jog(order.invocation, order.lease, order.n, wish, order.actor)
             case Estop():
                 self._runner.estop(order.actor)
             case Reset():

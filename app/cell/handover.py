@@ -118,11 +118,12 @@ class Session(Governing):
 
     # -- the hand on the controls --------------------------------------------------------------------------------------
 
-    def jog(self, number: int, wish: Wish, actor: str) -> str | None:
+    def jog(self, lease: str, number: int, wish: Wish, actor: str) -> str | None:
         """Take a command; return None, or why it is not done."""
         steering = self.steering
         if steering is None:
             return "not_taken_over"
+        steering.come_by(lease)
         steering.number, steering.actor = number, actor
         if not asks(wish):
             steering.take(wish, self._tick)

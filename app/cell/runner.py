@@ -205,14 +205,14 @@ class Runner:
         session = self._session
         return self._begin(grant) if session is None else self._change_hands(session, grant)
 
-    def jog(self, invocation: str, number: int, wish: Wish, actor: str) -> str | None:
+    def jog(self, invocation: str, lease: str, number: int, wish: Wish, actor: str) -> str | None:
         """Take a command of the human at the controls; return None, or the code of why it is not done."""
         session = self._session
         if session is None or session.run.id != invocation:
             return "no_such_session"
         if self.holding:
             return "holding"
-        return session.jog(number, wish, actor)
+        return session.jog(lease, number, wish, actor)
 
     def human(self, invocation: str, op: str, actor: str, *, expired: bool = False) -> str | None:
         """Do an operator's word on the session, or what follows where nobody said one in time (`expired`).

@@ -2,7 +2,8 @@
 
 A command is good for `EXPIRES_MS` of the cell's own ticks. Whatever stopped the motion, a key that is still held does
 not start it again: it takes a command of nothing first (`release_first`), which is what letting go of the key sends. So
-does the first motion of all. A command that only expired is no such stop: the next one goes on.
+does the first motion of all, and of every lease: a key that somebody held before they had the controls starts nothing.
+A command that only expired is no such stop: the next one goes on.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ class Steering:
         grant: What they drive under.
         plan: What they are watched by.
         alone: Whether the session is nothing but this driving.
+        lease: By which the newest command came.
         number: Of the newest command.
         refused: Why the newest command was not done; empty where it was.
         armed: Whether a motion may begin: nothing was wanted since whatever stopped the last one.
@@ -46,6 +48,7 @@ class Steering:
     plan: WatchPlan
     alone: bool
     period_s: float
+    lease: str = ""
     actor: str = ""
     number: int = -1
     refused: str = ""
@@ -63,6 +66,12 @@ class Steering:
         if tick >= self._expires:
             self._wish = NOTHING
         return self._wish
+
+    def come_by(self, lease: str) -> None:
+        """Note by which lease a command comes: under a new one nothing is wanted yet."""
+        if lease != self.lease:
+            self.lease = lease
+            self.rest()
 
     def take(self, wish: Wish, tick: int) -> None:
         """Let a command count from now on."""

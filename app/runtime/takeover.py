@@ -242,6 +242,7 @@ class Takeovers(Handbacks):
             return why
         message = Jog.model_construct(
             invocation=cell.control.invocation,
+            lease=lease,
             actor=principal.name,
             n=number,
             base=wish.base,
@@ -259,8 +260,9 @@ class Takeovers(Handbacks):
     def _still(self, cell: Cell) -> None:
         control = cell.control
         if control is not None:
-            resting = (0.0, 0.0, 0.0)
-            self.fleet.jog(cell, Jog(invocation=control.invocation, actor=SERVER, n=0, base=resting, tool=resting))
+            here, resting = control.invocation, (0.0, 0.0, 0.0)
+            # By no lease: it is the new holder who has to let go, and nobody does so for them.
+            self.fleet.jog(cell, Jog(invocation=here, lease="", actor=SERVER, n=0, base=resting, tool=resting))
 
     async def watch_leases(self) -> None:
         """Take the controls out of hands that have fallen silent, for ever."""

@@ -1229,9 +1229,9 @@ def test_a_human_who_takes_over_from_a_way_back_has_the_controls(rig: Rig) -> No
     assert rig.runner.human("inv-1", "let_go", "server") is None
     assert rig.runner.launch(signed(id="auth-3"), anew=True) is None
     assert rig.runner.launch(signed(id="auth-4", capability="takeover"), anew=True) is None
-    rig.until(lambda: rig.runner.jog("inv-1", 1, Wish(grip="open"), "operator") != "coming_to_rest")
-    assert rig.runner.jog("inv-1", 2, Wish(), "operator") is None
-    assert rig.runner.jog("inv-1", 3, Wish(base=(0.1, 0.0, 0.0)), "operator") is None
+    rig.until(lambda: rig.runner.jog("inv-1", "lease", 1, Wish(grip="open"), "operator") != "coming_to_rest")
+    assert rig.runner.jog("inv-1", "lease", 2, Wish(), "operator") is None
+    assert rig.runner.jog("inv-1", "lease", 3, Wish(base=(0.1, 0.0, 0.0)), "operator") is None
 
 
 def test_a_change_of_hands_that_cannot_be_recorded_does_not_pass_for_the_end_of_what_still_moves(

@@ -25,13 +25,13 @@ STOPS_WITHIN = 16  # ticks: 100 ms until a command expires, 50 ms down to nothin
 class Console:
     """A hand on the keys: every command is said anew each 50 ms, as a console does."""
 
-    def __init__(self, shop: Workshop, invocation: str = "inv-1") -> None:
-        self.shop, self.invocation, self.number = shop, invocation, 0
+    def __init__(self, shop: Workshop, invocation: str = "inv-1", lease: str = "lease") -> None:
+        self.shop, self.invocation, self.lease, self.number = shop, invocation, lease, 0
         self.fastest_base, self.fastest_tool = 0.0, 0.0
 
     def say(self, wish: Wish) -> str | None:
         self.number += 1
-        return self.shop.runner.jog(self.invocation, self.number, wish, "operator")
+        return self.shop.runner.jog(self.invocation, self.lease, self.number, wish, "operator")
 
     def hold(self, wish: Wish, ticks: int) -> str | None:
         """Hold a key for so long; return the last refusal."""
@@ -237,6 +237,20 @@ def test_somebody_too_near_stops_the_hand_and_a_key_still_held_does_not_start_it
     assert console.press(away, 30) is None
 
 
+@pytest.mark.parametrize("stilled", [False, True], ids=["renewed", "pre-empted"])
+def test_a_key_held_by_whoever_gets_a_lease_starts_nothing_until_it_is_let_go(tmp_path: Path, stilled: bool) -> None:
+    shop, console = idle(tmp_path)
+    ahead = Wish(base=(0.2, 0.0, 0.0))
+    assert console.press(ahead, 60) is None
+    if stilled:  # as the server does where one lease takes the place of another
+        assert shop.runner.jog("inv-1", "", 0, Wish(), "server") is None
+    other = Console(shop, lease="another")
+    assert other.hold(ahead, 60) == "release_first"
+    assert shop.cell.truth().base_speed_mps < 0.02
+    assert other.press(ahead, 30) is None
+    assert shop.cell.truth().base_speed_mps > 0.1
+
+
 def test_a_tool_out_of_reach_stays_and_says_so(tmp_path: Path) -> None:
     shop, console = idle(tmp_path)
     for _ in range(400):
@@ -263,7 +277,7 @@ def test_a_session_is_taken_over_driven_and_bound_anew_from_where_the_robot_is(t
     assert shop.runner.status == "running"
     anew = permit(shop, "navigate_to", 3, **shop._filled("navigate_to", DRIVE))
     assert shop.runner.launch(mint(anew, KEY)) is None, shop.story()
-    assert shop.runner.jog("inv-1", 999, Wish(base=(0.1, 0.0, 0.0)), "operator") == "returning"
+    assert shop.runner.jog("inv-1", "lease", 999, Wish(base=(0.1, 0.0, 0.0)), "operator") == "returning"
     assert shop.finish()["outcome"] == "recovered"
     x, y, _ = shop.cell.truth().base
     assert hypot(x - 0.8, y - 0.8) < 0.05

@@ -111,8 +111,11 @@ async def test_who_stands_at_the_cell_takes_it_from_who_does_not(
     local = await runtime.governor.take_over(driving, LOCAL)
     assert (local["holder"], local["where"]) == ("oskar", "local")
     assert len(cell.all("launch")) == 2
-    assert (await cell.expect("jog")).base == (0.0, 0.0, 0.0)
+    still = await cell.expect("jog")
+    assert (still.base, still.lease) == ((0.0, 0.0, 0.0), "")
     assert jog(runtime, OPERATOR, remote, 9) == "not_holder"
+    assert jog(runtime, LOCAL, local, 1) is None
+    assert (await cell.expect("jog", 2)).lease == local["lease"]
     assert (await refused(runtime.governor.take_over(driving, OPERATOR))).code == "control_held"
     told = [event["body"] for event in await runtime.governor.trace(driving, OPERATOR)]
     assert [body["how"] for body in told if body.get("op") == "takeover"] == ["granted", "preempted"]
