@@ -56,8 +56,21 @@ class Desk(Questions):
         """Take where changes are recorded, where orders go, and who decides."""
         super().__init__(register, fleet, kernel)
         self.departed: dict[str, list[dict[str, str]]] = {}  # why sessions do not conform to the policy in force
+        self.conformed: dict[str, list[dict[str, str]]] = {}  # why they did not to one before it
         self.reviews = Reviews(register, kernel)
         self.decide_again: Callable[[], Awaitable[None]] = _nothing_waits
+
+    def outdated(self, question: Escalation) -> str | None:
+        """Return why a question is not the one to ask now; None where it is.
+
+        A session's is not where it does not say what the policy in force has against going on, or says what one before
+        it had: who read it would answer for what they were never shown.
+        """
+        if question.kind == APPROVAL:
+            return super().outdated(question)
+        unsaid = any(why not in question.reasons for why in self.departed.get(question.invocation, ()))
+        over = any(why in question.reasons for why in self.conformed.get(question.invocation, ()))
+        return POLICY_CHANGED if unsaid or over else None
 
     # -- reading -----------------------------------------------------------------------------------------------------
 
@@ -135,6 +148,7 @@ class Desk(Questions):
             match present.kind, decision:
                 case "session", "approve":
                     final = await answer.go_on(params)
+                    self.departed.pop(present.invocation, None)  # with a human's word, to which policy leaves it
                 case "session", _:
                     final = await answer.end(why)
                 case _, "approve":

@@ -153,9 +153,7 @@ class Questions:
         return None
 
     def outdated(self, question: Escalation) -> str | None:
-        """Return why a question about a launch is not the one to ask now; None where it is, or a session asks it."""
-        if question.kind != APPROVAL:
-            return None
+        """Return why a question about a launch is not the one to ask now; None where it is."""
         if question.policy_version != self.kernel.policy.digest:
             return POLICY_CHANGED
         cell = self.fleet.cell(question.cell) if question.cell else None

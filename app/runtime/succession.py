@@ -3,6 +3,7 @@
 1. Standing grants of the former policy end at once.
 2. Sessions that the new policy would not let go on as they are (`governance.continuing`) are told to hold, before
    anything is recorded. The cell asks a human then, for the reasons given here.
+   One that is held already is not told: its question is asked anew, with these reasons.
 3. What waits for approval is decided again: it ends, launches, or is asked anew, bound to the new version. The same
    when a cell is put under another profile, but that launches nothing.
 4. What was decided before and is recorded only now is sent only if the new policy would let it go on as well, and never
@@ -29,7 +30,7 @@ from app.governance.model import SESSION, AdmissionOutcome, EventKind, Outcome, 
 from app.protocol import Human
 from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
 from app.runtime.errors import InvalidParams, NotFound
-from app.runtime.escalation import PROFILE_CHANGED, WITHDRAWN, bound_digest
+from app.runtime.escalation import APPROVAL, PROFILE_CHANGED, WITHDRAWN, bound_digest
 from app.runtime.invocation import reasons_document
 from app.runtime.kernel import ANOTHER_PROFILE
 from app.runtime.kernel import CHANGED as CONDITIONS_CHANGED
@@ -91,9 +92,10 @@ class Succession:
         self._desk.grants.look()
         done: list[EventDraft] = []
         for present in self._register.live():
-            if present.status not in SESSION or present.policy_version == self._kernel.policy.digest:
+            if present.status not in SESSION:
                 continue
             found = self.departure(present)
+            self._conforms(present.id, reasons_document(found.reasons))
             if found:
                 done.append(self._hold(present, found))
         return done
@@ -111,6 +113,12 @@ class Succession:
         """Return why nobody may let a session go on; empty where a human's word is enough."""
         found = self.departure(present)
         return [] if found.askable else reasons_document(found.reasons)
+
+    def _conforms(self, name: str, reasons: list[dict[str, str]]) -> None:
+        """Note that a session departs for no other reasons any more."""
+        desk = self._desk
+        before = (*desk.conformed.get(name, ()), *desk.departed.pop(name, ()))
+        desk.conformed[name] = [why for why in before if why not in reasons]
 
     def _hold(self, present: Invocation, found: Departure) -> EventDraft:
         reasons = reasons_document(found.reasons)
@@ -156,16 +164,25 @@ class Succession:
     def hold_again(self) -> None:
         """Tell sessions once more to hold, which were on their way to their cell when they were told."""
         now_s = self._register.now_s()
+        self._forget()
         for name, told_s in tuple(self._holding.items()):
             present = self._register.newest(name)
-            if present is None or present.status not in SESSION:
-                del self._holding[name]
-                self._desk.departed.pop(name, None)
-            elif present.status is Status.ESCALATED:
+            if present is None or present.status not in SESSION or present.status is Status.ESCALATED:
                 del self._holding[name]
             elif present.terms.confirmed and now_s - told_s >= AGAIN_S:
                 self._holding[name] = now_s
                 self._restrain(present)
+
+    def _forget(self) -> None:
+        """Forget how sessions departed that are over, or were let go on under the policy in force."""
+        desk, policy = self._desk, self._kernel.policy.digest
+        for name in {*desk.departed, *desk.conformed}:
+            present = self._register.newest(name)
+            if present is None or present.status not in SESSION:
+                desk.departed.pop(name, None)
+                desk.conformed.pop(name, None)
+            elif present.policy_version == policy:
+                desk.departed.pop(name, None)
 
     # -- what was decided before and recorded after --------------------------------------------------------------------
 
@@ -214,7 +231,10 @@ class Succession:
     # -- what waits for approval ---------------------------------------------------------------------------------------
 
     async def decide_again(self) -> None:
-        """Decide again on everything that waits for approval under another policy or profile than the one in force."""
+        """Decide again on everything that waits for approval under another policy or profile than the one in force.
+
+        What a held session asks is asked anew where that policy has something else against its going on.
+        """
         for known in self._desk.pending():
             entry = self._register.entry(known.invocation)
             if entry is None or self._desk.outdated(known) is None:
@@ -224,7 +244,8 @@ class Succession:
                 why = None if present is None else self._desk.outdated(present)
                 if present is not None and why is not None:
                     with contextlib.suppress(RecordUnavailable):  # `watch` tries again; answers are refused meanwhile
-                        await self._anew(replace(present, renewed=why), entry.newest)
+                        ask = self._anew if present.kind == APPROVAL else self._say_why
+                        await ask(replace(present, renewed=why), entry.newest)
 
     async def _anew(self, question: Escalation, invocation: Invocation) -> None:
         """Decide on what waits for approval; an approver's edit stands in the place of what was requested.
@@ -327,6 +348,23 @@ class Succession:
         shown = decided.evolve(now, escalation=asked.reference())
         drafts = [*judgement.recheck_events(shown), escalation_event(asked)]
         await self._desk.commit(drafts, asked, shown)
+
+    async def _say_why(self, question: Escalation, invocation: Invocation) -> None:
+        """Have a held session's question say what the policy in force has against its going on, and nobody else's."""
+        now, policy = self._register.now(), self._kernel.policy.digest
+        told, over = self._desk.departed.get(invocation.id, []), self._desk.conformed.get(invocation.id, [])
+        kept = [why for why in question.reasons if why not in told and why not in over]
+        bound = bound_digest(replace(invocation, policy_version=policy), question.effective, question.phase)
+        former = [digest for digest in (*question.former_digests, question.digest) if digest != bound]
+        asked = question.evolve(
+            now,
+            reasons=[*kept, *told],
+            digest=bound,
+            former_digests=former,
+            policy_version=policy,
+            acknowledged=(),
+        )
+        await self._desk.commit([escalation_event(asked)], asked, invocation.evolve(now, escalation=asked.reference()))
 
     async def close(self) -> None:
         """Wait for what is being ended."""

@@ -436,6 +436,64 @@ async def test_where_only_a_humans_word_is_missing_one_lets_the_session_go_on(ru
     await until(lambda: "resolve_continue" in cell.ops())
 
 
+@pytest.mark.parametrize("phase", [None, "drive"])
+async def test_a_question_that_stands_says_what_another_policy_has_against_it_and_then_no_more(
+    runtime: Runtime, cell: HandCell, phase: str | None
+) -> None:
+    made = await running(runtime, cell)
+    await cell.report("status", made["id"], status="escalated", reason="separation")
+    await cell.report("escalation", made["id"], reason="separation" if phase is None else f"confirm:{phase}")
+    desk = runtime.desk
+    asked = desk.pending_for(made["id"])
+    assert asked is not None
+
+    async def answer(digest: str) -> Any:
+        return await desk.resolve(asked.id, OPERATOR, "approve", digest)
+
+    before = runtime.kernel.policy.digest
+    await runtime.versions.activate(await brought(runtime, ASKING), ENGINEER, "look first")
+    with pytest.raises(Conflict) as refused:
+        await answer(asked.digest)
+    assert refused.value.code == "policy_changed"
+    await until(lambda: desk.outdated(desk.pending_for(made["id"]) or asked) is None)
+    anew = desk.pending_for(made["id"])
+    assert anew is not None
+    assert (anew.id, anew.phase, anew.expires_at) == (asked.id, phase, asked.expires_at)
+    assert [*anew.reasons][: len(asked.reasons)] == [*asked.reasons]
+    assert {why["code"] for why in anew.reasons} - {why["code"] for why in asked.reasons}
+    assert anew.policy_version == runtime.kernel.policy.digest
+    with pytest.raises(Conflict) as refused:
+        await answer(asked.digest)
+    assert refused.value.code == "policy_changed"
+
+    for engineer in (ENGINEER, ENGINEER_2):
+        await runtime.versions.activate(before, engineer, "no need")
+    await until(lambda: (desk.pending_for(made["id"]) or anew).digest != anew.digest)
+    again = desk.pending_for(made["id"])
+    assert again is not None
+    assert [*again.reasons] == [*asked.reasons]
+    await answer(again.digest)
+    await until(lambda: {"resolve_continue", "confirm"} & set(cell.ops()))
+
+
+async def test_who_let_a_session_go_on_is_not_asked_the_same_with_the_next_question(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    made = await running(runtime, cell)
+    await cell.report("escalation", made["id"], reason="separation")
+    await runtime.versions.activate(await brought(runtime, ASKING), ENGINEER, "look first")
+    await until(lambda: any(len(asked.reasons) == 2 for asked in runtime.desk.pending()))
+    question = runtime.desk.pending_for(made["id"])
+    assert question is not None
+    await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    await cell.report("status", made["id"], status="running", reason="operator")
+    await cell.report("status", made["id"], status="escalated", reason="separation")
+    question = runtime.desk.pending_for(made["id"])
+    assert question is not None
+    assert len(question.reasons) == 1
+    assert runtime.desk.outdated(question) is None
+
+
 async def test_a_loosening_leaves_what_runs_alone(runtime: Runtime, cell: HandCell) -> None:
     made = await running(runtime, cell)
     await put_in_force(runtime, FASTER)
