@@ -39,7 +39,7 @@ class Steered(Protocol):
 
     @property
     def refused(self) -> str:
-        """Return why the last wish could not be done (`unreachable`), or nothing."""
+        """Return why the last wish could not be done (`unreachable`, `blocked`), or nothing."""
         ...
 
     def steer(self, wish: Wish) -> None:

@@ -3,7 +3,8 @@
 The wish is a velocity. It is held to 0.95 of what was authorized, along its own direction, and followed with a bounded
 acceleration; the way down takes `STOP_S`, whatever the speed. The tool keeps its attitude: every tick the point a step
 ahead is solved for by differential inverse kinematics, and where the arm does not get there, or only by a swing of its
-joints, it stays and says `unreachable`.
+joints, it stays and says `unreachable`. A base that does not get on although it is driven has met something no sensor
+told of: it stops pushing, says `blocked`, and is driven again once the hand has let go of it.
 """
 
 from __future__ import annotations
@@ -30,6 +31,9 @@ _LARGEST_TURN_RADPS, _BASE_RADIUS_M = 0.8, 0.45
 _GRIP_RAMP_NPS = 100.0
 _IN_HAND_M = 0.06
 _RESTING: Vec3 = (0.0, 0.0, 0.0)
+_PUSHED_TICKS = 30  # a base that drives off is behind its command for a tenth of that
+_PUSHED_SHARE = 0.3  # of the commanded speed
+_PUSHED_MPS, _PUSHED_RADPS = 0.03, 0.1  # below that the noise of odometry would decide
 
 
 class Jog:
@@ -47,6 +51,9 @@ class Jog:
         self._grip_n = 0.98 * number(params, "grip_force_n", SOFT_CLOSE_N)
         self._wish = Wish()
         self._base, self._tool = _Followed(BASE_ACCELERATION), _Followed(ARM_ACCELERATION)
+        self._sent: Vec3 = _RESTING
+        self._pushing = 0
+        self._met: Vec3 | None = None  # which way something stood that the base has met
         self._tick = -1
         self._touching = 0
         self.refused = ""
@@ -70,10 +77,24 @@ class Jog:
             self._tool.rest()
         self._tick = observation.tick
         wish = self._wish
-        vx, vy, wz = self._base.follow(self._driven(wish.base))
+        blocked = self._blocked()
+        vx, vy, wz = self._base.follow(_RESTING if blocked else self._driven(wish.base))
         tool = self._tool.follow(_held(wish.tool, self._tool_mps))
         self._grip(wish.grip)
-        return self._moved(tool, rate)._replace(base_velocity=(vx * rate, vy * rate, wz * rate))
+        moved = self._moved(tool, rate)
+        if blocked:
+            self.refused = "blocked"
+        self._sent = (vx * rate, vy * rate, wz * rate)
+        return moved._replace(base_velocity=self._sent)
+
+    def _blocked(self) -> bool:
+        """Say whether the base has met something, and the hand still pushes that way."""
+        if self._met is not None and _along(self._wish.base, self._met) <= 0.0:
+            self._met = None
+        if self._met is None:
+            self._pushing = self._pushing + 1 if _stands_against(self._sent, self._body.seen.base_velocity) else 0
+            self._met = self._sent if self._pushing >= _PUSHED_TICKS else None
+        return self._met is not None
 
     def _driven(self, wanted: Vec3) -> Vec3:
         """Hold the base to its speed, and its turning to what moves no point of the robot faster than that."""
@@ -142,6 +163,21 @@ class Jog:
 def takeover(params: Mapping[str, Json], senses: Senses, observation: Observation, held: Command) -> Jog:
     """Prepare to be steered, from the command that is being held."""
     return Jog(params, Body(senses, observation, held, careful=False))
+
+
+def _along(velocity: Vec3, way: Vec3) -> float:
+    return velocity[0] * way[0] + velocity[1] * way[1] + velocity[2] * way[2]
+
+
+def _stands_against(sent: Vec3, seen: Vec3) -> bool:
+    """Say whether a base that is driven hardly moves that way, nor turns."""
+    speed, turn = hypot(sent[0], sent[1]), abs(sent[2])
+    if speed < _PUSHED_MPS and turn < _PUSHED_RADPS:
+        return False
+    along = _along((*sent[:2], 0.0), seen)
+    goes = speed >= _PUSHED_MPS and along > _PUSHED_SHARE * speed * speed
+    turns = turn >= _PUSHED_RADPS and sent[2] * seen[2] > _PUSHED_SHARE * turn * turn
+    return not goes and not turns
 
 
 def _held(wanted: Vec3, limit: float) -> Vec3:

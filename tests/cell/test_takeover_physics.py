@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, hypot, sin
+from math import cos, dist, hypot, sin
 from pathlib import Path
 
 import pytest
@@ -249,6 +249,38 @@ def test_a_key_held_by_whoever_gets_a_lease_starts_nothing_until_it_is_let_go(tm
     assert shop.cell.truth().base_speed_mps < 0.02
     assert other.press(ahead, 30) is None
     assert shop.cell.truth().base_speed_mps > 0.1
+
+
+@pytest.mark.parametrize(("speed_mps", "why"), [(0.1, "blocked"), (0.2, "blocked"), (0.3, "base-tracking")])
+def test_a_base_that_has_met_something_stops_pushing_and_says_so(tmp_path: Path, speed_mps: float, why: str) -> None:
+    shop, console = idle(tmp_path)
+    ahead = Wish(base=(speed_mps, 0.0, 0.0))
+    for _ in range(200):
+        console.hold(ahead, 5)
+        if refused(shop):
+            break
+    assert refused(shop) == why, shop.story()
+    console.hold(ahead, 60)
+    assert refused(shop) == why
+    held = shop.runner.session
+    assert held is not None
+    assert held.run.previous.base_velocity == (0.0, 0.0, 0.0)
+    stood = shop.cell.truth().base
+    assert console.press(Wish(base=(-0.1, 0.0, 0.0)), 100) is None
+    assert refused(shop) == ""
+    assert dist(shop.cell.truth().base[:2], stood[:2]) > 0.05
+
+
+@pytest.mark.parametrize(
+    "wish", [(0.04, 0.0, 0.0), (0.0, -0.1, 0.0), (-0.3, 0.0, 0.0), (0.0, 0.0, 0.2), (-0.1, 0.1, 0.3)]
+)
+def test_a_base_that_gets_on_is_not_taken_for_one_that_has_met_something(
+    tmp_path: Path, wish: tuple[float, float, float]
+) -> None:
+    shop, console = idle(tmp_path)
+    for _ in range(60):
+        console.hold(Wish(base=wish), 5)
+        assert refused(shop) == ""
 
 
 def test_a_tool_out_of_reach_stays_and_says_so(tmp_path: Path) -> None:

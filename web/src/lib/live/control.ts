@@ -62,6 +62,7 @@ const WHY: Record<string, string> = {
   paused: 'the session is paused',
   holding: 'the cell holds, its link was away',
   unreachable: 'the arm does not reach there',
+  blocked: 'the base has met something; let go, then drive away from it',
   separation: 'a person is too near',
   zone: 'a forbidden zone is too near',
   stale: 'a sensor is silent',
