@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from fastapi import Query
+from pydantic import Field
 from starlette.requests import Request
 from starlette.responses import Response
 
 from app.api import documents
 from app.api.access import caller
-from app.api.listing import Identifier, PageQuery
+from app.api.listing import Filter, Identifier, PageQuery
 from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
 from app.api.wire import GrantBody, ReviewRequestBody, VerdictBody, read_body
@@ -30,7 +31,11 @@ class GrantQuery(PageQuery):
 class ReviewQuery(PageQuery):
     """Filters of the list of reviews."""
 
-    status: Literal["waiting", "accepted", "objected", "inconclusive"] | None = None
+    status: Annotated[
+        Literal["waiting", "judged", "accepted", "objected", "inconclusive"] | None,
+        Field(description="`judged` is whatever has a verdict."),
+    ] = None
+    invocation: Filter = None
 
 
 async def grants(request: Request, query: Annotated[GrantQuery, Query()]) -> Response:

@@ -21,7 +21,7 @@ from app.clock import monotonic_s, wall_s
 from app.runtime.outlet import Key, Outlet
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from app.audit.event import Event
     from app.audit.store import AuditStore
@@ -61,6 +61,7 @@ class Broadcast:
         self._escalations: dict[str, Escalation] = {}
         self._grants: dict[str, Standing] = {}
         self._reviews: dict[str, Review] = {}
+        self._queued = False  # how many reviews wait may have changed
         self._cells: dict[str, Mapping[str, Any]] = {}
         self._consoles: set[Outlet] = set()
         self._joining: dict[Outlet, int | None] = {}
@@ -166,9 +167,10 @@ class Broadcast:
             self._grants[version.id] = version
             self._schedule()
 
-    def _reviewed(self, version: Review) -> None:
+    def _reviewed(self, versions: Sequence[Review]) -> None:
         if self._consoles:
-            self._reviews[version.id] = version
+            self._reviews.update((version.id, version) for version in versions)
+            self._queued = True
             self._schedule()
 
     def _stated(self, cell: Cell) -> None:
@@ -229,6 +231,8 @@ class Broadcast:
         ):
             if changed:
                 parts.append(b'"%s":' % name + orjson.dumps([one.public() for one in changed.values()]))
+        if self._queued:
+            parts.append(b'"reviews_waiting":%d' % self._desk.reviews.count)
         if cells := self._changed_cells():
             parts.append(b'"cells":' + orjson.dumps(cells))
         self._forget()
@@ -247,7 +251,7 @@ class Broadcast:
 
     def _forget(self) -> None:
         self._fresh, self._invocations, self._escalations = [], {}, {}
-        self._grants, self._reviews = {}, {}
+        self._grants, self._reviews, self._queued = {}, {}, False
 
     def _followed(self, version: Invocation) -> bool:
         """Say whether consoles know of it or will see it go on: of what ended before they could, events tell."""
@@ -299,6 +303,7 @@ class Broadcast:
             "escalations": [one.public() for one in self._desk.pending()],
             "grants": [one.public() for one in self._desk.grants.active()],
             "reviews": [one.public() for one in self._desk.reviews.waiting()],
+            "reviews_waiting": self._desk.reviews.count,
         }
         return b"," + orjson.dumps(documents)[1:]
 

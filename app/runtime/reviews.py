@@ -1,26 +1,29 @@
 """Review afterwards: finished sessions that policy marks wait for a human's verdict.
 
 A session comes up for review in the same append as its end. A verdict moves nothing: it is recorded, once. What a
-reviewer writes (`note`) stays in the record and never reaches an agent.
+reviewer writes (`note`) stays in the record and never reaches an agent; the verdict is in the session's trace.
 """
 
 from __future__ import annotations
 
 import asyncio
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
+from app.audit.errors import AuditError
 from app.audit.event import RowWrite
 from app.governance.authority import refusal, reviewed
 from app.governance.model import AuthorityMode, Reason, Status
 from app.runtime.drafts import SERVER, review_event
 from app.runtime.errors import Conflict, Forbidden, NotFound
 from app.runtime.invocation import reasons_document
+from app.runtime.queue import Queue, rank
 from app.runtime.review import Review, read_review
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from app.audit.event import EventDraft
     from app.governance.model import Outcome
@@ -29,7 +32,11 @@ if TYPE_CHECKING:
     from app.runtime.register import Register
 
 WAITING: Final = "waiting"
-SHOWN: Final = 100  # as many as anybody wants to see at once; the rest waits in the record
+JUDGED: Final = "judged"  # as a filter of the list: whatever the verdict is
+VERDICTS: Final = ("accepted", "objected", "inconclusive")
+SHOWN: Final = 100  # as many as anybody wants to see at once; the rest follows as these are judged
+HELD: Final = 1000  # so that the record is read through once for many verdicts
+PAGE: Final = 200  # while a page is parsed, nothing else goes on
 ENDED: Final = frozenset({Status.COMPLETED, Status.FAILED})
 
 
@@ -40,9 +47,11 @@ class Reviews:
         """Take where sessions end, and what knows policy."""
         self._register = register
         self._kernel = kernel
-        self._waiting: dict[str, Review] = {}
+        self._queue = Queue(HELD)
+        self._shown: set[str] = set()
+        self._arrived: list[Review] | None = None  # while the record is read: what it may not have had yet
         self._lock = asyncio.Lock()
-        self.on_changed: Callable[[Review], None] = lambda _: None
+        self.on_changed: Callable[[Sequence[Review]], None] = lambda _: None
         register.on_ending = self.due
 
     # -- coming up ---------------------------------------------------------------------------------------------------
@@ -77,12 +86,20 @@ class Reviews:
 
     def _hold(self, review: Review) -> None:
         if review.status == WAITING:
-            self._waiting[review.id] = review
-            if len(self._waiting) > SHOWN:
-                del self._waiting[next(iter(self._waiting))]
+            self._queue.add(review)
+            if self._arrived is not None:
+                self._arrived.append(review)
+            self._tell()
         else:
-            self._waiting.pop(review.id, None)
-        self.on_changed(review)
+            self._queue.remove(review)
+            self._tell(review)
+
+    def _tell(self, *closed: Review) -> None:
+        """Tell what has its verdict, and what is now among those that are shown; how many wait may be all there is."""
+        shown = self.waiting()
+        fresh = [review for review in shown if review.id not in self._shown]
+        self._shown = {review.id for review in shown}
+        self.on_changed([*closed, *fresh])
 
     @uncut
     async def request(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
@@ -113,14 +130,25 @@ class Reviews:
     # -- reading -----------------------------------------------------------------------------------------------------
 
     def waiting(self) -> list[Review]:
-        """Return the newest reviews that wait, the newest first, at most `SHOWN`."""
-        return list(reversed(self._waiting.values()))
+        """Return what is judged first of all that waits, at most `SHOWN`: by risk, then by how long it has waited."""
+        return self._queue.first(SHOWN)
+
+    @property
+    def count(self) -> int:
+        """How many wait, whether they are shown or not."""
+        return len(self._queue)
 
     async def list(
-        self, *, status: str | None = None, limit: int = 50, cursor: str | None = None
+        self,
+        *,
+        status: str | None = None,
+        invocation: str | None = None,
+        limit: int = 50,
+        cursor: str | None = None,
     ) -> tuple[list[dict[str, Any]], str | None]:
         """Return reviews, newest first, and the cursor behind them. Raises `ValueError` on a bad limit or cursor."""
-        page = await self._register.store.page("reviews", {"status": status}, limit=limit, cursor=cursor)
+        wanted = {"status": VERDICTS if status == JUDGED else status, "invocation": invocation}
+        page = await self._register.store.page("reviews", wanted, limit=limit, cursor=cursor)
         return self._register.stored.those_of("reviews", page.items, _shown), page.next
 
     # -- judging -----------------------------------------------------------------------------------------------------
@@ -152,15 +180,35 @@ class Reviews:
             closed = replace(present, status=verdict, verdict=said, updated_at=now)
             await self._register.append([review_event("verdict", principal.name, closed)], [closed.row()])
             self._hold(closed)
-            if not self._waiting:  # more may wait than were shown
-                await self.recall()
+            if self._queue.short_of(SHOWN):
+                with suppress(AuditError):  # the verdict is recorded, whatever reading says; the next one reads again
+                    await self.recall()
         return closed.public()
 
     async def recall(self) -> None:
-        """Read back the newest reviews that waited when the server ended."""
-        page = await self._register.store.page("reviews", {"status": WAITING}, limit=SHOWN)
-        for review in self._register.stored.those_of("reviews", page.items[::-1], read_review):
-            self._waiting[review.id] = review
+        """Read what waits from the record, the number of all and the first of them; no verdict is taken meanwhile."""
+        self._arrived = []
+        try:
+            best, names = await self._read()
+            best += [review for review in self._arrived if review.id not in names]
+            self._queue.replace(best, names | {review.id for review in self._arrived})
+        finally:
+            self._arrived = None
+        self._tell()
+
+    async def _read(self) -> tuple[list[Review], set[str]]:
+        """Return the first that wait in the record, at most `HELD`, and the names of all of them."""
+        best: list[Review] = []
+        names: set[str] = set()
+        cursor: str | None = None
+        while True:
+            page = await self._register.store.page("reviews", {"status": WAITING}, limit=PAGE, cursor=cursor)
+            found = self._register.stored.those_of("reviews", page.items, read_review)
+            names.update(review.id for review in found)
+            best = sorted([*best, *found], key=rank)[:HELD]
+            cursor = page.next
+            if cursor is None:
+                return best, names
 
 
 def _shown(document: bytes) -> dict[str, Any]:

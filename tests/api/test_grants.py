@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 
+from app.runtime import reviews
 from tests.api.conftest import CELL, House, eventually
 from tests.api.test_console import signed_in
 from tests.api.test_operators import DRIVE, GRASP, ask, resolve
@@ -112,6 +113,31 @@ async def test_a_stopped_session_waits_for_one_verdict(house: House) -> None:
         assert "the boss" not in (await agent.get(f"/v1/invocations/{document['id']}/trace")).text
         again = await auditor.post("/v1/reviews", json={"invocation": document["id"]})
         assert (again.status_code, again.json()["code"]) == (409, "already_reviewed")
+
+
+async def test_every_console_is_told_how_many_reviews_wait_and_what_slides_in(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reviews, "SHOWN", 1)
+    async with house.cell() as cell, house.client() as agent, house.client("operator") as operator:
+        for _ in range(3):
+            document = {"status": "deferred"}
+            while document["status"] == "deferred":  # a puppet says how it is when it is told to
+                await cell.say_state()
+                document = (await agent.post("/v1/invocations", json=DRIVE)).json()
+            await operator.post(f"/v1/invocations/{document['id']}/stop")
+            await eventually(lambda name=document["id"]: house.runtime.register.newest(name) is None)
+        newer, middle, oldest = (await operator.get("/v1/reviews?status=waiting")).json()["items"]
+        async with signed_in(house) as screen:
+            snapshot = await screen.until_type("snapshot")
+            assert (snapshot["reviews"], snapshot["reviews_waiting"]) == ([oldest], 3)
+            closed = (await operator.post(f"/v1/reviews/{oldest['id']}/resolve", json={"verdict": "accepted"})).json()
+            update = await screen.until(lambda message: "reviews_waiting" in message)
+            assert (update["reviews"], update["reviews_waiting"]) == ([closed, middle], 2)
+        judged = (await operator.get("/v1/reviews?status=judged&limit=1")).json()["items"]
+        assert judged == [closed]
+        asked = await operator.get(f"/v1/reviews?invocation={newer['invocation']}")
+        assert asked.json() == {"items": [newer], "next": None}
 
 
 async def test_every_console_sees_grants_come_and_go(shared_house: House) -> None:
