@@ -5,29 +5,49 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
-from playwright.sync_api import Locator, expect
+from playwright.sync_api import Locator, Route, expect
 
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import PHONE, THREE_FRAMES, Floor, People, Person
+from tests.console.wire import wire_to
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 CELL = "/v1/cells/workcell-1"
+BROKEN = r"WebSocket connection|ERR_CONNECTION|ERR_EMPTY_RESPONSE|ERR_FAILED|Failed to load resource"
 
 
 @pytest.fixture
-def stopped(server: ServerProcess, floor: Floor) -> Iterator[dict[str, Any]]:
-    """A session that ended as `stopped` where policy wants a person to look at such."""
+def reviewed(server: ServerProcess) -> Iterator[None]:
+    """Policy wants a person to look at what is stopped; nothing waits when the test is over."""
     with server.client() as client:
         assert client.put(f"{CELL}/profile", json={"profile": "sim-relaxed"}).is_success
+    yield
+    for review in server.get("/v1/reviews?status=waiting")["items"]:
+        judge(server, review, "accepted")
+    with server.client() as client:
+        client.put(f"{CELL}/profile", json={"profile": "human-shared"})
+
+
+@pytest.fixture
+def stopped(server: ServerProcess, floor: Floor, reviewed: None) -> dict[str, Any]:
+    """A session that ended as `stopped` where policy wants a person to look at such."""
+    return stop_one(server, floor)
+
+
+def stop_one(server: ServerProcess, floor: Floor) -> dict[str, Any]:
     x, y = floor.base()
     session = floor.drive(x_m=x, y_m=y - 0.4 if y > 4 else y + 0.4, yaw_rad=1.5708)
     until(lambda: floor.speed() > 0.05, what="a base that moves")
     assert server.post(f"{CELL}/estop").is_success
-    yield server.await_status(session["id"], "failed")
-    with server.client() as client:
-        client.put(f"{CELL}/profile", json={"profile": "human-shared"})
+    return server.await_status(session["id"], "failed")
+
+
+def judge(server: ServerProcess, review: dict[str, Any], verdict: str) -> None:
+    path = f"/v1/reviews/{review['id']}/resolve"
+    assert server.post(path, {"verdict": verdict}, key="operator_2").is_success
 
 
 def queue(person: Person) -> Locator:
@@ -91,3 +111,80 @@ def test_of_two_reviewers_one_wins_and_the_other_is_told(
     expect(elsewhere).to_be_focused()  # whatever others do
     expect(one.region("Review")).to_contain_text("Reviewed by operator: inconclusive")
     assert kept(server, stopped)["status"] == "inconclusive"
+
+
+def test_a_late_answer_closes_its_own_form_and_what_was_written_is_kept(
+    server: ServerProcess, people: People, floor: Floor, stopped: dict[str, Any]
+) -> None:
+    floor.clear()
+    second = stop_one(server, floor)
+    person = people.sit(server)
+    held: list[Route] = []
+
+    def hold(route: Route) -> None:
+        held.append(route)
+
+    person.page.route("**/v1/reviews/*/resolve", hold)
+    rows = queue(person).get_by_role("button", name=re.compile("Drive to"))
+    expect(rows).to_have_count(2)
+    expect(queue(person).get_by_role("heading")).to_have_text("To review 2")
+    queue(person).get_by_text("Verdicts given").click()
+    rows.first.click()
+    form = queue(person).get_by_role("form")
+    form.get_by_role("radio", name=re.compile("Accepted")).check()
+    form.get_by_role("button", name="Record the verdict").click()
+    until(lambda: held or person.page.wait_for_timeout(20), what="a verdict on its way")
+    rows.last.click()
+    expect(form).to_have_accessible_name(f"Verdict on {second['id']}")
+    note = form.get_by_role("textbox")
+    note.fill("Half a sentence")
+    form.get_by_role("radio", name=re.compile("Objected")).check()
+    held[0].continue_()
+    expect(queue(person).get_by_role("status")).to_contain_text("Recorded: accepted.")
+    expect(queue(person)).to_contain_text("accepted by operator")
+    expect(rows).to_have_count(1)
+    expect(note).to_have_value("Half a sentence")
+    rows.click()
+    expect(form).to_have_count(0)
+    rows.click()
+    expect(note).to_have_value("Half a sentence")
+    person.page.evaluate("location.hash = '#/fleet'")
+    expect(person.page.get_by_role("heading", name="Fleet")).to_be_visible()
+    person.page.evaluate("location.hash = '#/live'")
+    expect(note).to_have_value("Half a sentence")
+    expect(form.get_by_role("radio", name=re.compile("Objected"))).to_be_checked()
+    queue(person).get_by_text("Verdicts given").click()
+    expect(queue(person)).to_contain_text("accepted by operator")
+    judge(server, kept(server, second), "inconclusive")
+    expect(queue(person)).to_contain_text("Your note was not recorded: “Half a sentence”")
+    expect(queue(person)).to_contain_text("inconclusive by operator_2")
+
+
+def test_what_became_of_a_review_while_the_link_was_down_is_told_and_the_note_stays(
+    server: ServerProcess, people: People, stopped: dict[str, Any]
+) -> None:
+    with wire_to(urlsplit(server.url).port or 0) as wire:
+        person = people.sit(server, at=f"http://127.0.0.1:{wire.port}")
+        person.expects(BROKEN)
+        queue(person).get_by_role("button", name=re.compile("Drive to")).click()
+        form = queue(person).get_by_role("form")
+        form.get_by_role("textbox").fill("It stood too near.")
+        form.get_by_role("radio", name=re.compile("Accepted")).check()
+        record = form.get_by_role("button", name="Record the verdict")
+        person.page.route("**/v1/reviews/*/resolve", lambda route: route.abort())
+        record.focus()
+        person.press("Enter")
+        expect(form.get_by_role("alert")).to_contain_text("it is not known whether your verdict was recorded")
+        expect(record).to_be_focused()
+        wire.cut()
+        expect(person.alert("Link down.")).to_be_visible()
+        expect(record).to_be_disabled()
+        expect(form).to_be_focused()
+        judge(server, kept(server, stopped), "objected")
+        wire.mend()
+        expect(queue(person).get_by_role("status").first).to_have_text("operator_2 reviewed it: objected.")
+        expect(form).to_have_count(0)
+        expect(queue(person)).to_contain_text("Your note was not recorded: “It stood too near.”")
+        expect(queue(person).get_by_role("heading")).to_have_text("To review 0")
+        queue(person).get_by_role("button", name="Understood").click()
+        expect(queue(person).get_by_text("It stood too near.")).to_have_count(0)

@@ -123,7 +123,7 @@ describe('the cell that is looked at', () => {
     page = new Console('secret');
     const cells = [cell(), cell({ id: 'workcell-2' }), cell({ id: 'workcell-3', online: false })];
     worker().up();
-    worker().say({ type: 'snapshot', seq: 1, cells, invocations: [], escalations: [], grants: [], reviews: [], events: [] });
+    worker().say({ type: 'snapshot', seq: 1, cells, invocations: [], escalations: [], grants: [], reviews: [], reviews_waiting: 0, events: [] });
   });
   afterEach(() => {
     page.end();
@@ -158,7 +158,7 @@ describe('the cell that is looked at', () => {
     const invocations = [asks('mug', 1), asks('driver', 2), asks('there', 3, { cell: 'workcell-2' }), invocation({ id: 'runs' })];
     const escalations = [about('mug'), about('driver'), about('there', { cell: 'workcell-2' })];
     const shown = (asked: string | null, busy: string | null): (string | undefined)[] => {
-      worker().say({ type: 'snapshot', seq: 2, cells: [cell({ busy }), cell({ id: 'workcell-2', busy: null })], invocations, escalations, grants: [], reviews: [], events: [] });
+      worker().say({ type: 'snapshot', seq: 2, cells: [cell({ busy }), cell({ id: 'workcell-2', busy: null })], invocations, escalations, grants: [], reviews: [], reviews_waiting: 0, events: [] });
       page.asked = asked;
       return [page.session?.id, page.question?.id];
     };

@@ -1,6 +1,6 @@
 import { describe, expect, it } from 'vitest';
 import type { Grant, Review } from '../src/lib/api/documents';
-import { EVENTS_KEPT, INVOCATIONS_KEPT, merged, NOTHING, VERDICTS_KEPT, type Documents } from '../src/lib/state/documents';
+import { EVENTS_KEPT, INVOCATIONS_KEPT, merged, NOTHING, VERDICTS_KEPT, WAITING_KEPT, type Documents } from '../src/lib/state/documents';
 import { cell, escalation, event, invocation } from './samples';
 
 const at = (second: number): string => new Date(Date.parse('2026-11-22T10:00:00Z') + second * 1000).toISOString();
@@ -63,6 +63,14 @@ describe('what a console keeps over a shift', () => {
     });
     const after = shift(300, before);
     expect([after.invocations['runs']?.status, after.reviews['waits']?.status, after.grants['stands']?.status]).toEqual(['escalated', 'waiting', 'active']);
+  });
+
+  it('is the reviews that are judged first, and how many wait in all', () => {
+    const many = Array.from({ length: WAITING_KEPT + 7 }, (_, k) => review({ id: `rev_${k}`, created_at: at(k), ...(k === WAITING_KEPT + 6 ? { risk: 'high' } : {}) }));
+    const kept = many.reduce((before, one, k) => merged(before, { seq: k, reviews: [one], reviews_waiting: k + 1 }), NOTHING);
+    expect([count(kept.reviews), kept.reviewsWaiting]).toEqual([WAITING_KEPT, WAITING_KEPT + 7]);
+    expect([`rev_${WAITING_KEPT + 6}`, 'rev_0', `rev_${WAITING_KEPT - 1}`].map((id) => id in kept.reviews)).toEqual([true, true, false]);
+    expect(merged(kept, { seq: 999 }).reviewsWaiting).toBe(WAITING_KEPT + 7);
   });
 
   it('is the same value as before where nothing was said of it', () => {

@@ -145,6 +145,7 @@ export class Api {
   acknowledge = (id: string): Promise<Escalation> => this.call('POST', `/v1/escalations/${seg(id)}/acknowledge`);
   revoke = (id: string): Promise<Grant> => this.call('POST', `/v1/grants/${seg(id)}/revoke`);
   reviews = (query: URLSearchParams): Promise<List<Review>> => this.get(`/v1/reviews?${query}`);
+  reviewsOf = (invocation: string): Promise<List<Review>> => this.get(`/v1/reviews?invocation=${seg(invocation)}`);
   review = (id: string, verdict: ReviewVerdict, note: string): Promise<Review> =>
     this.call('POST', `/v1/reviews/${seg(id)}/resolve`, note === '' ? { verdict } : { verdict, note });
 

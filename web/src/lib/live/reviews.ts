@@ -1,4 +1,5 @@
 import type { Json, LogEvent, Review, ReviewVerdict, Risk } from '../api/documents';
+import { entryOf } from '../format/entry';
 import { plain } from '../format/plain';
 import { outcomeWords } from '../format/status';
 
@@ -10,11 +11,29 @@ export const VERDICTS: readonly { verdict: ReviewVerdict; says: string; means: s
   { verdict: 'inconclusive', says: 'Inconclusive', means: 'the record does not tell' },
 ];
 
-/** What waits for a verdict: the higher risk first, then what has waited longest. */
+/** What waits for a verdict: the higher risk first, then what has waited longest. The server chooses in the same order what to tell of. */
 export function waitingOf(reviews: Readonly<Record<string, Review>>): Review[] {
   return Object.values(reviews)
     .filter((review) => review.status === 'waiting')
-    .sort((a, b) => RISKS[b.risk] - RISKS[a.risk] || a.created_at.localeCompare(b.created_at) || a.id.localeCompare(b.id));
+    .sort((a, b) => gravity(b) - gravity(a) || inOrder(a.created_at, b.created_at) || inOrder(a.id, b.id));
+}
+
+/** What has a verdict, the newest verdict first. */
+export function judgedOf(reviews: readonly Review[]): Review[] {
+  return reviews.filter((review) => review.verdict !== null).sort((a, b) => inOrder(b.verdict?.at ?? '', a.verdict?.at ?? ''));
+}
+
+/** How much of what waits is shown, where that is not all. */
+export function shownWords(shown: number, all: number): string {
+  return shown < all ? `${shown} of ${all} shown; the rest follow as these are judged.` : '';
+}
+
+function gravity({ risk }: Review): number {
+  return entryOf(RISKS, risk) ?? -1;
+}
+
+function inOrder(a: string, b: string): number {
+  return a < b ? -1 : a > b ? 1 : 0;
 }
 
 /** The review of a session: the newest version that is known, or else the one that its trace ends with. */

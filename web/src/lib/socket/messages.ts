@@ -11,6 +11,8 @@ export interface Changes {
   cells?: Cell[];
   grants?: Grant[];
   reviews?: Review[];
+  /** How many wait, those included that are not told of. */
+  reviews_waiting?: number;
 }
 
 export interface Shape {

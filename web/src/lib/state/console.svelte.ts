@@ -3,6 +3,8 @@ import type { Capability, Cell, Escalation, InputSchema, Invocation, PolicySet }
 import { entryOf } from '../format/entry';
 import { turnedAway, type Known } from '../format/events';
 import { Lasting, withLasting } from '../live/lasting';
+import { Reviewing } from '../live/reviewing.svelte';
+import { Titles } from '../live/titles.svelte';
 import type { Health } from '../socket/connection';
 import type { PoseFrame } from '../socket/frame';
 import { Link } from '../socket/link';
@@ -58,6 +60,8 @@ export class Console {
     turnedAway: (verdict) => turnedAway(this.docs.events, verdict),
   };
   readonly lapses = new Lapses();
+  readonly titles: Titles;
+  readonly reviewing: Reviewing;
   jogRefused = $state<string | null>(null);
   /** Cells as asked for by name, while no socket says which there are: the stop needs no seat. */
   private listed = $state.raw<string[]>([]);
@@ -86,6 +90,8 @@ export class Console {
 
   constructor(token: string) {
     this.api = new Api(token);
+    this.titles = new Titles(this.api);
+    this.reviewing = new Reviewing(this.api, () => this.me?.name ?? null, (review) => this.titles.of(review));
     this.link = new Link(token, {
       message: (message) => this.take(message),
       frame: (frame) => this.show(frame),
@@ -197,6 +203,7 @@ export class Console {
     clearTimeout(this.policyAgain);
     clearTimeout(this.lapsing);
     this.policyTurn += 1;
+    this.reviewing.end();
     this.link.end();
   }
 
@@ -242,6 +249,7 @@ export class Console {
         this.lapses.take(message.events);
         this.heardAtMs = clock.read();
         this.draw(); // at once: from now on it is the present
+        this.reviewing.resume(this.docs.reviews);
         break;
       case 'update':
         this.latest = merged(this.latest, message);
@@ -262,6 +270,7 @@ export class Console {
     const nowMs = performance.now();
     clearTimeout(this.lapsing);
     if (this.latest !== NOTHING) this.docs = { ...this.latest, cells: withLasting(this.latest.cells, this.violations, nowMs) };
+    this.reviewing.follow(this.docs.reviews);
     const dueMs = this.violations.dueInMs(nowMs);
     if (dueMs !== null) this.lapsing = setTimeout(() => this.pace.ask(), dueMs);
     this.watchFirst();

@@ -1,5 +1,6 @@
 import type { Cell, Escalation, Grant, Invocation, LogEvent, Review } from '../api/documents';
 import { entryOf } from '../format/entry';
+import { waitingOf } from '../live/reviews';
 import type { Changes } from '../socket/messages';
 
 /** Everything the server has told this console, by id. A value: `merged` makes the next one. */
@@ -10,6 +11,8 @@ export interface Documents {
   escalations: Record<string, Escalation>;
   grants: Record<string, Grant>;
   reviews: Record<string, Review>;
+  /** How many wait, those included that are not among `reviews`. */
+  reviewsWaiting: number;
   /** Oldest first. */
   events: LogEvent[];
 }
@@ -17,8 +20,10 @@ export interface Documents {
 export const EVENTS_KEPT = 1_000;
 export const INVOCATIONS_KEPT = 200;
 export const VERDICTS_KEPT = 100;
+/** As many as the server tells of. */
+export const WAITING_KEPT = 100;
 
-export const NOTHING: Documents = { seq: 0, cells: {}, invocations: {}, escalations: {}, grants: {}, reviews: {}, events: [] };
+export const NOTHING: Documents = { seq: 0, cells: {}, invocations: {}, escalations: {}, grants: {}, reviews: {}, reviewsWaiting: 0, events: [] };
 
 /** Returns what a snapshot says; of what was known before, only events that it continues without a gap. */
 export function fromSnapshot(snapshot: Changes, before: Documents): Documents {
@@ -37,6 +42,7 @@ export function merged(before: Documents, changes: Changes): Documents {
     escalations: pendingOnly(put(before.escalations, changes.escalations)),
     grants: standing(put(before.grants, changes.grants)),
     reviews: judged(put(before.reviews, changes.reviews)),
+    reviewsWaiting: changes.reviews_waiting ?? before.reviewsWaiting,
     events: appended(before.events, changes.events),
   };
 }
@@ -56,9 +62,11 @@ function standing(all: Record<string, Grant>): Record<string, Grant> {
   return only(all, (item) => item.status === 'active');
 }
 
-/** What waits for a verdict is kept until it has one; of the rest, the newest. */
+/** What is judged first is kept until it has its verdict; of those that have one, the newest. */
 function judged(all: Record<string, Review>): Record<string, Review> {
-  return bounded(all, (item) => item.status === 'waiting', (item) => item.verdict?.at ?? item.created_at, VERDICTS_KEPT);
+  const beyond = Object.keys(all).length <= WAITING_KEPT ? [] : waitingOf(all).slice(WAITING_KEPT);
+  const near = beyond.length === 0 ? all : only(all, (item) => !beyond.includes(item)); // the server tells of them again in time
+  return bounded(near, (item) => item.status === 'waiting', (item) => item.verdict?.at ?? item.created_at, VERDICTS_KEPT);
 }
 
 /** What is not over is kept whatever comes after it: no flood of refusals hides the session that runs. */
