@@ -201,6 +201,8 @@ class Governor(Takeovers, Controls):
     async def check(self, principal: Principal, request: ProposalRequest) -> dict[str, Any]:
         """Return what would become of a proposal now, as an invocation without id; nothing is recorded.
 
+        There is no question yet that could say why people are asked, so `asks` does.
+
         Raises:
             InvalidParams: parameters that do not fit the schema, or an unknown cell.
         """
@@ -212,6 +214,8 @@ class Governor(Takeovers, Controls):
             del document[absent]
         if document["status"] is Status.RUNNING:
             document["status"] = "allowed"
+        if (asks := judgement.asking_document()) is not None:
+            document["asks"] = asks
         return document
 
     # -- reading -----------------------------------------------------------------------------------------------------

@@ -157,6 +157,13 @@ class Judgement(NamedTuple):
             "changes": [change._asdict() for change in verdict.changes],
         }
 
+    def asking_document(self) -> dict[str, Any] | None:
+        """Return as JSON what people would be asked; None where nobody is."""
+        need = self.need
+        if need is None:
+            return None
+        return {"reasons": reasons_document(need.reasons), "needed": need.approvers, "within_s": need.within_s}
+
     def events(self, invocation: Invocation) -> list[EventDraft]:
         """Return the events of the decision, as the invocation shows it."""
         mark = {} if invocation.grant is None else {"grant": invocation.grant}

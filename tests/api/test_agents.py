@@ -9,7 +9,7 @@ import httpx
 import pytest
 
 from app.api.auth import issue_token
-from app.clock import monotonic_s
+from app.clock import monotonic_s, parse_rfc3339
 from app.governance.model import Role
 from tests.api.conftest import House, eventually
 
@@ -17,6 +17,7 @@ pytestmark = pytest.mark.anyio
 
 DRIVE: dict[str, Any] = {"capability": "navigate_to", "params": {"target": "dock", "speed_mps": 1.9}}
 UNKNOWN: dict[str, Any] = {"capability": "fly_to", "params": {"height_m": 3}}
+SHARED = "human-shared/authority"
 
 
 @asynccontextmanager
@@ -210,6 +211,28 @@ async def test_a_check_says_what_would_become_of_it_and_records_nothing(house: H
         assert not {"id", "created_at", "updated_at"} & allowed.keys()
         assert house.runtime.store.size == before
         assert not cell.launches
+
+
+async def test_a_check_says_why_people_would_be_asked_as_their_question_does(shared_house: House) -> None:
+    async with shared_house.cell(), shared_house.client() as agent, shared_house.client("operator") as operator:
+        await eventually(lambda: shared_house.runtime.store.size)
+        unsure = ["organization/low-confidence", "human-shared/tcp_speed_mps", SHARED]
+        for metadata, rules in (({}, [SHARED]), ({"confidence": 0.3}, unsure)):
+            grasp = {"capability": "grasp_object", "params": {"object_id": "mug_1"}, "metadata": metadata}
+            checked = (await agent.post("/v1/check", json=grasp)).json()
+            proposed = (await agent.post("/v1/invocations", json=grasp)).json()
+            asked = (await operator.get(f"/v1/escalations/{proposed['escalation']['id']}")).json()
+            asks = checked.pop("asks")
+            assert [reason["rule"] for reason in asks["reasons"]] == rules
+            assert (asks["reasons"], asks["needed"]) == (asked["reasons"], asked["needed"])
+            within_s = parse_rfc3339(asked["expires_at"]) - parse_rfc3339(asked["created_at"])
+            assert asks["within_s"] == pytest.approx(within_s, abs=0.01)
+            for of_its_own in ("id", "created_at", "updated_at"):
+                del proposed[of_its_own]
+            assert checked == {**proposed, "escalation": None}  # and nothing else
+            await agent.post(f"/v1/invocations/{asked['invocation']}/cancel")
+        for other in (DRIVE, UNKNOWN):
+            assert "asks" not in (await agent.post("/v1/check", json=other)).json()
 
 
 async def test_a_person_checks_for_an_agent_and_an_agent_for_itself_alone(house: House) -> None:

@@ -8,6 +8,7 @@ from app.api.documents.base import Anything, Document, ReasonDocument
 from app.api.documents.cells import ArmingDocument, CellDocument, CellList, LeaseDocument, SittingDocument
 from app.api.documents.invocations import (
     AdmissionDocument,
+    AskingDocument,
     ChangeDocument,
     EscalationReference,
     FailureDocument,
@@ -58,6 +59,7 @@ __all__ = [
     "Anything",
     "ApprovalDocument",
     "ArmingDocument",
+    "AskingDocument",
     "CapabilityDocument",
     "CapabilityList",
     "CellDocument",

@@ -122,6 +122,14 @@ class InvocationList(Document):
     next: str | None
 
 
+class AskingDocument(Document):
+    """What authority asks for before launch: so many different people's approval, within so many seconds, and why."""
+
+    reasons: list[ReasonDocument]
+    needed: int
+    within_s: float
+
+
 class VerdictDocument(Document):
     """What would become of a proposal now: an invocation without id and times; `allowed` where it would launch."""
 
@@ -136,5 +144,8 @@ class VerdictDocument(Document):
     admission: AdmissionDocument
     policy: PolicyDocument | None
     escalation: EscalationReference | None
+    asks: AskingDocument | None = Field(
+        default=None, description="Why people would be asked, and how many; stands with `awaiting_approval` alone."
+    )
     grant: str | None = Field(default=None, description="The standing grant under which it would launch.")
     outcome: Outcome | None
