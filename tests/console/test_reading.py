@@ -9,12 +9,25 @@ import pytest
 from playwright.sync_api import Route, expect
 
 from tests.conftest import ServerProcess, until
-from tests.console.conftest import DESK, DESK_SMALL, PHONE, Floor, People, box, on_top, wider_than_the_screen
+from tests.console.conftest import (
+    DESK,
+    DESK_SMALL,
+    PHONE,
+    THREE_FRAMES,
+    Floor,
+    People,
+    at_once,
+    box,
+    on_top,
+    wider_than_the_screen,
+)
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 CELL = "/v1/cells/workcell-1"
 # Of a grasp, wherever the robot stands by then: what is within its reach is asked about.
-ANSWER = re.compile(r"^(Asks a person\. It would wait until|Deferred\. Not now: )")
+ANSWER = re.compile(
+    r"^(Asks a person: .*needs approval in human-shared; 1 approval within 120 s\.$|Deferred\. Not now: )"
+)
 
 
 @pytest.fixture
@@ -257,3 +270,21 @@ def test_an_answer_of_policy_is_marked_once_its_question_has_changed(server: Ser
     expect(form).to_contain_text("Asked before something above changed. Ask again.")
     form.get_by_label(re.compile("^Grip force")).fill("50")
     expect(form).not_to_contain_text("Ask again")
+
+
+def test_an_answer_that_comes_late_is_no_answer_about_another_capability(server: ServerProcess, people: People) -> None:
+    person = people.sit(server)
+    person.page.evaluate("location.hash = '#/policy/safe_retreat/human-shared'")
+    form = person.region("What would happen if…")
+    with at_once("**/v1/check", person):
+        form.get_by_role("button", name="Ask policy").click()
+        form.get_by_label("Capability").select_option("release_and_retract")
+        expect(form.get_by_label("Capability")).to_have_value("release_and_retract")
+    expect(form.get_by_role("definition").first).to_have_text("safe_retreat")
+    expect(form).to_contain_text("Asked before something above changed. Ask again.")
+    with person.page.expect_response("**/v1/check"), at_once("**/v1/check", person):
+        form.get_by_role("button", name="Ask policy").click()
+        person.page.evaluate("location.hash = '#/live'")  # and who has gone on to another page is let be
+        expect(form).to_have_count(0)
+    person.page.evaluate(THREE_FRAMES)
+    expect(person.region("Waiting for you")).to_be_visible()

@@ -1,7 +1,7 @@
 import { describe, expect, it } from 'vitest';
 import type { Capability, PolicySet } from '../src/lib/api/documents';
 import { boundText, confirmRule, confirmText, effectOf, moved, rulesFor, squareOf, type Rule } from '../src/lib/policy/matrix';
-import { fieldsOf, readParams } from '../src/lib/policy/proposal';
+import { fieldsOf, readParams, verdictWords } from '../src/lib/policy/proposal';
 
 const rule = (over: Partial<Rule>): Rule => ({ id: 'organization/r', applies_to: null, profiles: null, when: null, then: 'modify', set: {}, because: '', remedy: '', ...over });
 const RULES = [
@@ -116,5 +116,14 @@ describe('the what-if form', () => {
     expect(readParams(fields, { target: 'dock', speed_mps: '0,5', clearance_m: '' })).toEqual({ params: { target: 'dock', speed_mps: 0.5 }, faults: {} });
     expect(readParams(fields, { target: 'dock', speed_mps: '99' }).faults).toEqual({});
     expect(readParams(fields, { speed_mps: 'fast' }).faults).toEqual({ target: 'needed', speed_mps: 'a number, please' });
+  });
+
+  it('says why people are asked, how many, and within what time', () => {
+    const reason = (message: string) => ({ rule: 'r', code: 'c', message, remedy: '' });
+    const asks = { reasons: [reason('medium risk needs approval in human-shared')], needed: 1, within_s: 120 };
+    expect(verdictWords({ status: 'awaiting_approval', asks })).toMatchObject({ word: 'Asks a person:', says: 'medium risk needs approval in human-shared; 1 approval within 120 s.' });
+    const two = { reasons: [reason('The press needs two.'), reason('`operate_tool` needs approval')], needed: 2, within_s: 300 };
+    expect(verdictWords({ status: 'awaiting_approval', asks: two }).says).toBe('The press needs two; “operate_tool” needs approval; 2 approvals within 300 s.');
+    expect(verdictWords({ status: 'awaiting_approval' }).says).toBe('It would wait until people approve it.');
   });
 });

@@ -50,9 +50,17 @@ export interface Invocation {
   updated_at: string;
 }
 
-/** What would become of a proposal now. */
+/** What authority asks for before launch: so many different people's approval, within so many seconds, and why. */
+export interface Asking {
+  reasons: Reason[];
+  needed: number;
+  within_s: number;
+}
+
+/** What would become of a proposal now; `asks` stands where people would be asked. */
 export type Verdict = Omit<Invocation, 'id' | 'status' | 'created_at' | 'updated_at'> & {
   status: 'allowed' | 'rejected' | 'deferred' | 'denied' | 'awaiting_approval';
+  asks?: Asking | null;
 };
 
 export interface Approval {

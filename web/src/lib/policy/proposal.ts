@@ -1,6 +1,7 @@
-import type { Capability, InputSchema, Json, Params, PolicySet } from '../api/documents';
+import type { Asking, Capability, InputSchema, Json, Params, PolicySet } from '../api/documents';
 import { entryOf } from '../format/entry';
 import { labelFor, unitOf } from '../format/quantity';
+import { quoted } from '../format/quoted';
 
 /** One input of the form, made from the capability's JSON Schema. */
 export interface Field {
@@ -95,20 +96,27 @@ function valueOf(field: Field, text: string): Json {
   return /^-?(\d+\.?\d*|\.\d+)$/.test(cleaned) ? Number(cleaned) : null;
 }
 
-/** What a verdict comes to, in a word, a tone, and a sentence. */
-export function verdictWords(status: string): { word: string; tone: 'ok' | 'warn' | 'danger' | 'quiet'; says: string } {
+/** What a verdict comes to, in a word, a tone, and a sentence that goes on from the word. */
+export function verdictWords({ status, asks }: { status: string; asks?: Asking | null }): { word: string; tone: 'ok' | 'warn' | 'danger' | 'quiet'; says: string } {
   switch (status) {
     case 'allowed':
-      return { word: 'Allowed', tone: 'ok', says: 'It would be launched, with the values below.' };
+      return { word: 'Allowed.', tone: 'ok', says: 'It would be launched, with the values below.' };
     case 'awaiting_approval':
-      return { word: 'Asks a person', tone: 'warn', says: 'It would wait until people approve it.' };
+      if (asks == null) return { word: 'Asks a person.', tone: 'warn', says: 'It would wait until people approve it.' };
+      return { word: 'Asks a person:', tone: 'warn', says: askedWords(asks) };
     case 'denied':
-      return { word: 'Denied', tone: 'danger', says: 'Policy forbids it.' };
+      return { word: 'Denied.', tone: 'danger', says: 'Policy forbids it.' };
     case 'rejected':
-      return { word: 'Rejected', tone: 'danger', says: 'It would not even be considered.' };
+      return { word: 'Rejected.', tone: 'danger', says: 'It would not even be considered.' };
     case 'deferred':
-      return { word: 'Deferred', tone: 'quiet', says: 'Not now: the agent would have to propose it again later.' };
+      return { word: 'Deferred.', tone: 'quiet', says: 'Not now: the agent would have to propose it again later.' };
     default:
-      return { word: status.replaceAll('_', ' '), tone: 'quiet', says: '' };
+      return { word: `${status.replaceAll('_', ' ')}.`, tone: 'quiet', says: '' };
   }
+}
+
+/** Why people are asked, how many of them, and how long they have. */
+function askedWords({ reasons, needed, within_s: withinS }: Asking): string {
+  const why = reasons.map(({ message }) => quoted(message).replace(/\.$/, ''));
+  return `${[...why, `${needed} approval${needed === 1 ? '' : 's'} within ${withinS} s`].join('; ')}.`;
 }
