@@ -1,7 +1,7 @@
 import { describe, expect, it } from 'vitest';
 import type { Capability, PolicySet } from '../src/lib/api/documents';
 import { boundText, confirmRule, confirmText, effectOf, moved, rulesFor, squareOf, type Rule } from '../src/lib/policy/matrix';
-import { fieldsOf, readParams, verdictWords } from '../src/lib/policy/proposal';
+import { fieldsOf, readConfidence, readParams, verdictWords } from '../src/lib/policy/proposal';
 
 const rule = (over: Partial<Rule>): Rule => ({ id: 'organization/r', applies_to: null, profiles: null, when: null, then: 'modify', set: {}, because: '', remedy: '', ...over });
 const RULES = [
@@ -116,6 +116,12 @@ describe('the what-if form', () => {
     expect(readParams(fields, { target: 'dock', speed_mps: '0,5', clearance_m: '' })).toEqual({ params: { target: 'dock', speed_mps: 0.5 }, faults: {} });
     expect(readParams(fields, { target: 'dock', speed_mps: '99' }).faults).toEqual({});
     expect(readParams(fields, { speed_mps: 'fast' }).faults).toEqual({ target: 'needed', speed_mps: 'a number, please' });
+  });
+
+  it.each([
+    ['0,5', 0.5], [' .25 ', 0.25], ['1', 1], ['', null], ['0x1', undefined], ['1e-1', undefined], ['Infinity', undefined], ['-0.1', undefined], ['1.01', undefined],
+  ])('reads %j as a confidence as its other numbers are read', (text, confidence) => {
+    expect(readConfidence(text)).toBe(confidence);
   });
 
   it('says why people are asked, how many, and within what time', () => {

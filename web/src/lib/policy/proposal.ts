@@ -83,15 +83,19 @@ export function readParams(fields: readonly Field[], typed: Record<string, strin
 
 /** A confidence from 0 to 1; null where none is stated, undefined where it is none. */
 export function readConfidence(text: string): number | null | undefined {
-  const cleaned = text.trim().replace(',', '.');
-  if (cleaned === '') return null;
-  const value = Number(cleaned);
-  return value >= 0 && value <= 1 ? value : undefined;
+  if (text.trim() === '') return null;
+  const value = decimal(text.trim());
+  return value !== null && value >= 0 && value <= 1 ? value : undefined;
 }
 
 function valueOf(field: Field, text: string): Json {
   if (field.kind === 'flag') return text === 'yes';
   if (field.kind !== 'number') return text;
+  return decimal(text);
+}
+
+/** A number as people write it, and in no way that only programmers do; null where it is none. */
+function decimal(text: string): number | null {
   const cleaned = text.replace(',', '.');
   return /^-?(\d+\.?\d*|\.\d+)$/.test(cleaned) ? Number(cleaned) : null;
 }
