@@ -1,9 +1,11 @@
 import { deflateRawSync } from 'node:zlib';
 import { describe, expect, it } from 'vitest';
+import { ApiError } from '../src/lib/api/client';
 import type { Comparison, Version } from '../src/lib/api/documents';
 import { candidateOf, filesOf, inOrder, lineSpan, read, standings } from '../src/lib/policy/candidate';
 import { Draft } from '../src/lib/policy/draft.svelte';
 import { decidedAs, deedOf, shortVersion } from '../src/lib/policy/versions';
+import { Versions } from '../src/lib/policy/versions.svelte';
 import { unzip, ZipError } from '../src/lib/policy/zip';
 
 /** An archive as packers write it: local headers with their data, the central directory, its end. */
@@ -205,5 +207,42 @@ describe('a draft', () => {
     answer();
     await second;
     expect([draft.empty, draft.busy]).toEqual([true, null]);
+  });
+});
+
+describe('a list of versions', () => {
+  const version = (digest: string): Version => ({
+    digest, status: 'former', source: 'request', by: 'ada', why: 'w', against: null, rules: 1, cases: 2, proved: 'all', verdict: 'proved', awaiting: null, activations: [], created_at: '', updated_at: '',
+  });
+  const problem = (status: number, code: string) => new ApiError({ title: code, status, detail: code, code });
+  const list = { versions: () => Promise.resolve({ items: [version('sha256:new')], next: '2', active: 'sha256:old', why: 'w' }) };
+
+  it('asks for what it does not reach to, and says that there is none only where the server does', async () => {
+    const asked: string[] = [];
+    const version_ = (digest: string) => {
+      asked.push(digest);
+      return digest === 'sha256:old' ? Promise.resolve(version(digest)) : Promise.reject(problem(404, 'policy_unknown'));
+    };
+    const versions = new Versions({ ...list, version: version_ });
+    expect([versions.asked, versions.find('sha256:old'), versions.inForce]).toEqual([false, undefined, null]);
+    await versions.refresh();
+    expect([versions.asked, versions.find('sha256:old'), versions.find('sha256:none')]).toEqual([true, undefined, undefined]);
+    for (const digest of ['sha256:new', 'sha256:old', 'sha256:none']) await versions.seek(digest);
+    expect(asked).toEqual(['sha256:old', 'sha256:none']);
+    expect([versions.find('sha256:old')?.digest, versions.inForce?.digest, versions.find('sha256:none')]).toEqual(['sha256:old', 'sha256:old', null]);
+  });
+
+  it('takes no failure for a no, nor an older answer for a newer one', async () => {
+    const answers: ((of: Version | Error) => void)[] = [];
+    const versions = new Versions({ ...list, version: () => new Promise((done, fail) => answers.push((of) => (of instanceof Error ? fail(of) : done(of)))) });
+    const [first, second] = [versions.seek('sha256:old'), versions.seek('sha256:old')];
+    answers[1]?.({ ...version('sha256:old'), why: 'newer' });
+    answers[0]?.(problem(404, 'policy_unknown'));
+    await Promise.all([first, second]);
+    expect(versions.find('sha256:old')?.why).toBe('newer');
+    const third = versions.seek('sha256:constructor');
+    answers[2]?.(problem(0, 'unreachable'));
+    await third;
+    expect([versions.find('sha256:constructor'), versions.trouble]).toEqual([undefined, 'Unreachable.']);
   });
 });

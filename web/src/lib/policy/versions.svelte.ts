@@ -1,5 +1,9 @@
+import { SvelteMap } from 'svelte/reactivity';
 import { ApiError, type Api } from '../api/client';
 import type { Comparison, Shadow, Version } from '../api/documents';
+
+/** What the server answers where it has no version of a name, or what was asked for is no name of one. */
+const NONE = new Set(['policy_unknown', 'request_invalid']);
 
 /** What the server says of versions, as this tab last heard it. */
 export class Versions {
@@ -8,16 +12,35 @@ export class Versions {
   active = $state<string | null>(null);
   why = $state('');
   trouble = $state<string | null>(null);
+  /** Whether the list has been asked for: before that, what it lacks is nothing to go by. */
+  asked = $state(false);
+  /** What was asked for by its digest, as the list does not reach to it; null where the server knows none. */
+  private readonly apart = new SvelteMap<string, { turn: number; version: Version | null }>();
+  private turn = 0;
   private limit = 50;
 
-  constructor(private readonly api: Pick<Api, 'versions'>) {}
+  constructor(private readonly api: Pick<Api, 'versions' | 'version'>) {}
 
   get inForce(): Version | null {
-    return this.find(this.active);
+    return this.active === null ? null : (this.find(this.active) ?? null);
   }
 
-  find(digest: string | null): Version | null {
-    return this.items.find((item) => item.digest === digest) ?? null;
+  /** A version; null where the server says that there is none, undefined as long as nothing is known of it. */
+  find(digest: string): Version | null | undefined {
+    return this.items.find((item) => item.digest === digest) ?? this.apart.get(digest)?.version;
+  }
+
+  /** Asks for a version by its digest, unless the list holds it. */
+  async seek(digest: string): Promise<void> {
+    if (this.items.some((item) => item.digest === digest)) return;
+    this.turn += 1;
+    const mine = this.turn;
+    try {
+      this.hear(digest, mine, await this.api.version(digest));
+    } catch (error) {
+      if (error instanceof ApiError && NONE.has(error.code)) this.hear(digest, mine, null);
+      else this.trouble = said(error);
+    }
   }
 
   async refresh(): Promise<void> {
@@ -31,11 +54,17 @@ export class Versions {
     } catch (error) {
       this.trouble = said(error);
     }
+    this.asked = true;
   }
 
   async more(): Promise<void> {
     this.limit = Math.min(200, this.limit + 50);
     await this.refresh();
+  }
+
+  /** Keeps an answer, unless that to a later question has come before it. */
+  private hear(digest: string, turn: number, version: Version | null): void {
+    if (turn > (this.apart.get(digest)?.turn ?? 0)) this.apart.set(digest, { turn, version });
   }
 }
 
