@@ -6,15 +6,16 @@ import re
 import shutil
 import zipfile
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Locator, expect
+from playwright.sync_api import Locator, Route, expect
 
 from app.api.auth import issue_token
 from app.governance.model import Role
 from tests.conftest import ServerProcess, Servers, until
-from tests.console.conftest import PHONE, ROOT, People, Person, wider_than_the_screen
+from tests.console.conftest import PHONE, ROOT, THREE_FRAMES, People, Person, at_once, wider_than_the_screen
 from tests.console.test_access import AXE, faults
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
@@ -155,6 +156,87 @@ def test_an_archive_of_one_file_stands_for_a_change_and_an_auditor_only_looks(
     looked = auditor.page.get_by_role("region", name=re.compile("^Version "))
     expect(looked).to_contain_text("Engineers put versions in force; you may look.")
     expect(looked.get_by_role("button", name="Put in force")).to_have_count(0)
+
+
+def begin(engineer: Person, line: str, why: str) -> tuple[Locator, Locator]:
+    """Begin a candidate with what is in force and one line more; returns its region, and its editor."""
+    engineer.page.evaluate("location.hash = '#/policy/Versions/new'")
+    bring = engineer.region("Bring a candidate")
+    with at_once("**/v1/policies?limit=1", engineer):
+        bring.get_by_role("button", name="Edit what is in force").click()
+        expect(bring.get_by_role("status")).to_have_text("What is in force is being read…")
+    editor = bring.get_by_role("textbox", name=re.compile("yaml$"))
+    editor.press("Control+Home")
+    engineer.page.keyboard.type(line)
+    say_why(bring, why)
+    return bring, editor
+
+
+def test_who_goes_on_while_a_candidate_is_checked_loses_nothing_and_is_not_fetched_back(
+    changing: ServerProcess, people: People
+) -> None:
+    engineer = seat(people, changing, "engineer")
+    kept = engineer.page.get_by_role("status").filter(has_text="What you brought was kept as version")
+
+    def checked() -> AbstractContextManager[object]:
+        return engineer.page.expect_response(lambda answer: answer.request.method == "POST" and answer.status == 201)
+
+    bring, _ = begin(engineer, "# left\n", "left while it is checked")
+    with checked(), at_once("**/v1/policies", engineer):
+        bring.get_by_role("button", name="Check and keep").click()
+        engineer.page.evaluate("location.hash = '#/fleet'")
+        expect(engineer.page.get_by_role("heading", name="Fleet")).to_be_visible()
+    engineer.page.evaluate(THREE_FRAMES)
+    assert engineer.page.evaluate("location.hash") == "#/fleet"
+    versions(engineer)
+    kept.get_by_role("link").click()
+    view = engineer.page.get_by_role("region", name=re.compile("^Version "))
+    expect(view).to_contain_text("left while it is checked")
+    expect(kept).to_have_count(0)
+
+    bring, editor = begin(engineer, "# first\n", "changed while it is checked")
+    with checked(), at_once("**/v1/policies", engineer):
+        bring.get_by_role("button", name="Check and keep").click()
+        expect(bring.get_by_role("status").first).to_contain_text("What you change meanwhile is not in it")
+        expect(bring.get_by_role("button", name="Discard")).to_be_disabled()
+        editor.press("Control+Home")
+        engineer.page.keyboard.type("# second\n")
+    expect(kept).to_contain_text("What was changed since is not in it.")
+    expect(editor).to_have_value(re.compile("^# second\n# first\n"))
+    expect(editor).to_be_focused()
+    bring.get_by_role("button", name="Check and keep").click()
+    expect(view).to_contain_text("changed while it is checked")
+    expect(kept).to_have_count(0)
+
+
+def test_a_version_that_the_list_does_not_reach_to_is_read_by_its_digest(
+    changing: ServerProcess, people: People
+) -> None:
+    engineer = seat(people, changing, "engineer")
+    engineer.expects(r"status of (404|422)")
+    active = changing.get("/v1/policies", key="engineer")["active"]
+    files = changing.get(f"/v1/policies/{active}/files", key="engineer")["files"]
+    body = {"files": {**files, PROFILE: f"# beyond the list\n{files[PROFILE]}"}, "why": "beyond the list"}
+    brought = changing.post("/v1/policies", body, key="engineer").json()
+
+    def cut(route: Route) -> None:
+        answer = route.fetch()
+        route.fulfill(response=answer, json={**answer.json(), "items": [], "next": "50"})
+
+    engineer.page.route("**/v1/policies?limit=50", cut)
+    engineer.page.goto(f"{changing.url}/#/policy/Versions")
+    engineer.page.reload()
+    said = engineer.page.get_by_role("status").filter(has_text=re.compile("^(Reading…|There is no such version.)$"))
+    view = engineer.page.get_by_role("region", name=re.compile("^Version "))
+    expect(view).to_contain_text("In force")
+    for digest, found in ((brought["digest"], brought["why"]), ("sha256:" + "0" * 64, None), ("nonsense", None)):
+        with at_once(f"**/v1/policies/{digest.replace(':', '*')}", engineer):
+            engineer.page.evaluate(f"location.hash = '#/policy/Versions/{digest}'")
+            expect(said).to_have_text("Reading…")
+        if found is None:
+            expect(said).to_have_text("There is no such version.")
+        else:
+            expect(view).to_contain_text(found)
 
 
 @pytest.mark.parametrize("size", [None, PHONE], ids=["desk", "phone"])

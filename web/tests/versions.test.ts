@@ -1,5 +1,5 @@
 import { deflateRawSync } from 'node:zlib';
-import { describe, expect, it } from 'vitest';
+import { describe, expect, it, vi } from 'vitest';
 import { ApiError } from '../src/lib/api/client';
 import type { Comparison, Version } from '../src/lib/api/documents';
 import { candidateOf, filesOf, inOrder, lineSpan, read, standings } from '../src/lib/policy/candidate';
@@ -120,11 +120,12 @@ describe('a candidate', () => {
   });
 });
 
+const version = (over: Partial<Version> = {}): Version => ({
+  digest: 'sha256:b', status: 'candidate', source: 'request', by: 'ada', why: 'w', against: 'sha256:a', rules: 1, cases: 2, proved: 'all', verdict: 'proved', awaiting: null, activations: [],
+  created_at: '', updated_at: '', ...over,
+});
+
 describe('a version', () => {
-  const version = (over: Partial<Version> = {}): Version => ({
-    digest: 'sha256:b', status: 'candidate', source: 'request', by: 'ada', why: 'w', against: 'sha256:a', rules: 1, cases: 2, proved: 'all', verdict: 'proved', awaiting: null, activations: [],
-    created_at: '', updated_at: '', ...over,
-  });
   const active = version({ digest: 'sha256:a', status: 'active', activations: [{ at: '', by: ['ada'], why: '', former: 'sha256:z', direction: null }] });
   const found = (direction: Comparison['direction']): Comparison => ({ direction, differences: [] });
   const deed = (version: Version, active: Version | null, who: { name: string; role: string } | null, live: boolean, found: Comparison | null) => deedOf({ version, active, who, live, found });
@@ -208,22 +209,63 @@ describe('a draft', () => {
     await second;
     expect([draft.empty, draft.busy]).toEqual([true, null]);
   });
+
+  /** A draft that is being checked, and what the server says in the end. */
+  async function checked() {
+    const draft = new Draft();
+    await draft.take(change, server(WHOLE));
+    draft.why = 'for a visit';
+    let answer = (_: Version | ApiError): void => undefined;
+    const propose = vi.fn((..._: [Record<string, string>, string]) => new Promise<Version>((done, fail) => (answer = (of) => (of instanceof ApiError ? fail(of) : done(of)))));
+    const done = draft.bring({ propose });
+    return { draft, propose, say: (of: Version | ApiError) => (answer(of), done) };
+  }
+  const fault = (file: string) => ({ field: 'rules', message: 'm', file, line: 2 });
+  const refusal = new ApiError({ title: 't', status: 422, detail: 'd', code: 'policy_invalid', errors: [fault('site.yaml')] });
+
+  it('goes once it is kept, as it was sent', async () => {
+    const { draft, propose, say } = await checked();
+    draft.write('site.yaml', 'other');
+    draft.write('site.yaml', 'site: a');
+    await say(version());
+    expect(propose.mock.calls[0]?.[1]).toBe('for a visit');
+    expect([draft.empty, draft.why, draft.kept?.digest, draft.busy]).toEqual([true, '', 'sha256:b', null]);
+  });
+
+  it.each([
+    ['a file', (draft: Draft) => draft.write('site.yaml', 'other')],
+    ['the reason', (draft: Draft) => (draft.why = 'for two visits')],
+  ])('stays as it is where %s was changed while it was checked', async (_, changed) => {
+    const { draft, say } = await checked();
+    changed(draft);
+    const before = [draft.files, draft.why];
+    await say(version());
+    expect([draft.files, draft.why]).toEqual(before);
+    expect([draft.kept?.digest, draft.busy]).toEqual(['sha256:b', null]);
+  });
+
+  it('leads to its first fault, but nobody away from what they write', async () => {
+    const quiet = await checked();
+    await quiet.say(refusal);
+    expect([quiet.draft.chosen, quiet.draft.kept, quiet.draft.faults.length]).toEqual(['site.yaml', null, 1]);
+    const writing = await checked();
+    writing.draft.write('profiles/a.yaml', 'profile: a\nnew: 2');
+    await writing.say(refusal);
+    expect([writing.draft.chosen, writing.draft.faults.length]).toEqual(['profiles/a.yaml', 1]);
+  });
 });
 
 describe('a list of versions', () => {
-  const version = (digest: string): Version => ({
-    digest, status: 'former', source: 'request', by: 'ada', why: 'w', against: null, rules: 1, cases: 2, proved: 'all', verdict: 'proved', awaiting: null, activations: [], created_at: '', updated_at: '',
-  });
   const problem = (status: number, code: string) => new ApiError({ title: code, status, detail: code, code });
-  const list = { versions: () => Promise.resolve({ items: [version('sha256:new')], next: '2', active: 'sha256:old', why: 'w' }) };
+  const list = { versions: () => Promise.resolve({ items: [version({ digest: 'sha256:new' })], next: '2', active: 'sha256:old', why: 'w' }) };
 
   it('asks for what it does not reach to, and says that there is none only where the server does', async () => {
     const asked: string[] = [];
-    const version_ = (digest: string) => {
+    const ask = (digest: string) => {
       asked.push(digest);
-      return digest === 'sha256:old' ? Promise.resolve(version(digest)) : Promise.reject(problem(404, 'policy_unknown'));
+      return digest === 'sha256:old' ? Promise.resolve(version({ digest })) : Promise.reject(problem(404, 'policy_unknown'));
     };
-    const versions = new Versions({ ...list, version: version_ });
+    const versions = new Versions({ ...list, version: ask });
     expect([versions.asked, versions.find('sha256:old'), versions.inForce]).toEqual([false, undefined, null]);
     await versions.refresh();
     expect([versions.asked, versions.find('sha256:old'), versions.find('sha256:none')]).toEqual([true, undefined, undefined]);
@@ -236,7 +278,7 @@ describe('a list of versions', () => {
     const answers: ((of: Version | Error) => void)[] = [];
     const versions = new Versions({ ...list, version: () => new Promise((done, fail) => answers.push((of) => (of instanceof Error ? fail(of) : done(of)))) });
     const [first, second] = [versions.seek('sha256:old'), versions.seek('sha256:old')];
-    answers[1]?.({ ...version('sha256:old'), why: 'newer' });
+    answers[1]?.(version({ digest: 'sha256:old', why: 'newer' }));
     answers[0]?.(problem(404, 'policy_unknown'));
     await Promise.all([first, second]);
     expect(versions.find('sha256:old')?.why).toBe('newer');

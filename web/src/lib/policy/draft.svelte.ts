@@ -14,6 +14,8 @@ export class Draft {
   why = $state('');
   trouble = $state<string | null>(null);
   busy = $state<'reading' | 'checking' | null>(null);
+  /** The version that was kept of it while it was changed, or nobody saw; until somebody looks at it. */
+  kept = $state.raw<Version | null>(null);
   private taking = 0;
 
   get empty(): boolean {
@@ -55,20 +57,29 @@ export class Draft {
     this.files = { ...this.files, [path]: text };
   }
 
-  /** Has the server check it; returns the version it is kept as, or null where there are faults. */
-  async bring(api: Api): Promise<Version | null> {
+  /**
+   * Has the server check it, and says which version it is kept as (`kept`), where there are no faults.
+   *
+   * That takes a while, in which it may be changed: only as it was sent it has been brought, and goes.
+   */
+  async bring(api: Pick<Api, 'propose'>): Promise<void> {
+    const sent = { files: this.files, why: this.why };
     this.busy = 'checking';
     this.trouble = null;
+    this.kept = null;
     try {
-      const kept = await api.propose(this.files, this.why.trim());
+      this.kept = await api.propose(sent.files, sent.why.trim());
       this.faults = [];
-      return kept;
+      if (this.still(sent)) this.clear();
     } catch (error) {
-      this.refused(error);
-      return null;
-    } finally {
-      this.busy = null;
+      this.refused(error, this.still(sent));
     }
+    this.busy = null;
+  }
+
+  private still({ files, why }: { files: Files; why: string }): boolean {
+    const names = Object.keys(files);
+    return why === this.why && names.length === Object.keys(this.files).length && names.every((name) => files[name] === this.files[name]);
   }
 
   private begin(found: Candidate, live: Files): void {
@@ -79,13 +90,14 @@ export class Draft {
     this.chosen = this.listed.find(({ standing }) => standing === 'new' || standing === 'changed')?.path ?? this.listed[0]?.path ?? null;
   }
 
-  private refused(error: unknown): void {
+  /** Leads to the first fault, but nobody away from what they write meanwhile. */
+  private refused(error: unknown, lead: boolean): void {
     if (!(error instanceof ApiError) || error.code !== 'policy_invalid') {
       this.trouble = said(error);
       return;
     }
     this.faults = inOrder((error.problem.errors ?? []).map(({ field, message, file, line }) => ({ file: file ?? '', line: line ?? 0, field, message })));
-    this.chosen = this.faults.find(({ file }) => file in this.files)?.file ?? this.chosen;
+    if (lead) this.chosen = this.faults.find(({ file }) => file in this.files)?.file ?? this.chosen;
   }
 }
 
