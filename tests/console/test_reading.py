@@ -288,3 +288,39 @@ def test_an_answer_that_comes_late_is_no_answer_about_another_capability(server:
         expect(form).to_have_count(0)
     person.page.evaluate(THREE_FRAMES)
     expect(person.region("Waiting for you")).to_be_visible()
+
+
+def test_what_is_not_read_yet_of_a_trace_is_not_shown_as_none(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    asked = floor.ask()
+    events = person.region("Events of the session").get_by_role("heading", name="Events").locator("..")
+    moment = person.page.get_by_role("slider", name="Moment of the session")
+    with at_once(f"**/v1/invocations/{asked['id']}/trace", person):
+        person.page.evaluate(f"location.hash = '#/audit/{asked['id']}'")
+        expect(person.region("Replay")).to_contain_text("Reading…")
+        expect(events).to_have_text(re.compile(r"^Events\s*–\s*Show the record$"))
+        expect(person.region("Replay")).not_to_contain_text("+0.0 s")
+        expect(moment).to_have_attribute("aria-valuetext", "not known yet")
+    expect(events).to_contain_text(re.compile(r"[1-9] of [1-9]"))
+    expect(person.region("Replay")).to_contain_text(re.compile(r"\+\d+\.\d s of \+"))
+
+
+def test_what_is_chosen_can_be_told_where_the_system_chooses_the_colours(server: ServerProcess, people: People) -> None:
+    person = people.sit(server)
+    page = person.page
+    page.emulate_media(forced_colors="active")
+    page.evaluate("location.hash = '#/policy/grasp_object/human-shared'")
+    marked = {
+        "square": page.get_by_role("table").first.get_by_role("button"),
+        "tab": page.get_by_role("navigation", name="Policy").get_by_role("link"),
+        "page": page.get_by_role("navigation", name="Pages").get_by_role("link"),
+    }
+    edge = "(all) => all.map((one) => [one.matches('[aria-current], [aria-pressed=true]'), "
+    edge += "parseFloat(getComputedStyle(one).borderBottomWidth)])"
+    for name, all_of in marked.items():
+        expect(all_of.first).to_be_visible()
+        found = all_of.evaluate_all(edge)
+        (chosen,) = [width for current, width in found if current]
+        assert chosen > max(width for current, width in found if not current) + 1, name
