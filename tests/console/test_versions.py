@@ -197,11 +197,12 @@ def test_who_goes_on_while_a_candidate_is_checked_loses_nothing_and_is_not_fetch
     bring, editor = begin(engineer, "# first\n", "changed while it is checked")
     with checked(), at_once("**/v1/policies", engineer):
         bring.get_by_role("button", name="Check and keep").click()
-        expect(bring.get_by_role("status").first).to_contain_text("What you change meanwhile is not in it")
+        expect(bring.get_by_text("What you change meanwhile is not in it")).to_be_in_viewport()
         expect(bring.get_by_role("button", name="Discard")).to_be_disabled()
         editor.press("Control+Home")
         engineer.page.keyboard.type("# second\n")
     expect(kept).to_contain_text("What was changed since is not in it.")
+    expect(kept).to_be_in_viewport()
     expect(editor).to_have_value(re.compile("^# second\n# first\n"))
     expect(editor).to_be_focused()
     bring.get_by_role("button", name="Check and keep").click()
