@@ -294,11 +294,12 @@ def test_what_is_not_read_yet_of_a_trace_is_not_shown_as_none(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
     person = people.sit(server)
-    asked = floor.ask()
+    drive = floor.drive_off()
+    floor.clear()  # the record of what is over stays as it is
     events = person.region("Events of the session").get_by_role("heading", name="Events").locator("..")
     moment = person.page.get_by_role("slider", name="Moment of the session")
-    with at_once(f"**/v1/invocations/{asked['id']}/trace", person):
-        person.page.evaluate(f"location.hash = '#/audit/{asked['id']}'")
+    with at_once(f"**/v1/invocations/{drive['id']}/trace", person):
+        person.page.evaluate(f"location.hash = '#/audit/{drive['id']}'")
         expect(person.region("Replay")).to_contain_text("Reading…")
         expect(events).to_have_text(re.compile(r"^Events\s*–\s*Show the record$"))
         expect(person.region("Replay")).not_to_contain_text("+0.0 s")

@@ -16,7 +16,12 @@ export class Orders {
   });
   private readonly may = $derived.by(() => this.console.live && this.console.me?.role === 'operator');
   private readonly restraints = $derived.by(() => restraintsOf(this.status, holdersOf(this.console.cell)));
-  readonly pausable = $derived.by(() => this.may && this.restraints.pausable);
+  // A session that its cell says to move again may be paused, whatever the record of it says still: no pause is lost.
+  readonly pausable = $derived.by(() => {
+    const { cell } = this.console;
+    const moves = this.status !== null && restraintsOf(cell?.status ?? null, holdersOf(cell)).pausable;
+    return this.may && (moves || this.restraints.pausable);
+  });
   readonly resumable = $derived.by(() => this.may && this.restraints.resumable);
   // A rollback is had once, and nobody rolls back what somebody else drives. Where a denial of what the session asks is
   // its rollback, the question's own button says so, and there is no other.

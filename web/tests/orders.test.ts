@@ -1,0 +1,27 @@
+import { describe, expect, it } from 'vitest';
+import { Orders } from '../src/lib/live/orders.svelte';
+import type { Console } from '../src/lib/state/console.svelte';
+import { cell, heldBy, invocation } from './samples';
+
+/** What an operator may order of a session, of which its record says one thing and its cell another. */
+function orders(recorded: string, said: string, ...by: string[]): { may: string; told: string[] } {
+  const session = invocation({ status: recorded as never });
+  const told: string[] = [];
+  const seen = { session, cell: cell({ busy: session.id, status: said, session: heldBy(...by) }), live: true, me: { role: 'operator' }, docs: { escalations: {}, events: [] }, api: { operate: (_: string, word: string) => Promise.resolve(told.push(word)) } };
+  const given = new Orders(seen as unknown as Console);
+  given.pause();
+  given.resume();
+  return { may: [given.pausable ? 'pause' : '', given.resumable ? 'resume' : ''].join(' ').trim(), told };
+}
+
+describe('what is ordered of a session', () => {
+  it.each([
+    ['running', 'running', [], 'pause', ['pause']],
+    ['paused', 'paused', ['operator'], 'resume', ['resume']],
+    ['paused', 'running', [], 'pause', ['pause']], // resumed, and the record is late
+    ['escalated', 'running', [], 'pause', ['pause']], // answered, and the record is late
+    ['escalated', 'escalated', [], '', []],
+  ])('that its record calls %s and its cell %s, held by %j, is: %s', (recorded, said, by, may, told) => {
+    expect(orders(recorded, said, ...by)).toEqual({ may, told });
+  });
+});
