@@ -40,6 +40,9 @@ NO_TLS = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
 LAPSED = b"link down: nothing heard for"
 
 
+LAPSES: pytest.StashKey[int] = pytest.StashKey()
+
+
 class LinkLapsed(AssertionError):
     """A test failed while a cell's link lapsed: the machine was too busy for a lease of 300 ms. It runs once more."""
 
@@ -52,12 +55,23 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_call() -> Generator[None, object, object]:
+def pytest_runtest_setup(item: pytest.Item) -> Generator[None, object, object]:
+    """Count from here on: a server may be the test's own, and what it was brought to be what the test is about."""
+    item.stash[LAPSES] = Servers.lapses()
+    return (yield from telling_lapses(item))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
+    return (yield from telling_lapses(item))
+
+
+def telling_lapses(item: pytest.Item) -> Generator[None, object, object]:
     """Tell a test whose cell held by design, because nobody was heard in time, from one that found something."""
-    before = Servers.lapses()
     try:
         return (yield)
     except (Exception, pytest.fail.Exception) as error:
+        before = item.stash[LAPSES]
         if Servers.lapses() > before:
             raise LinkLapsed(f"links lapsed {Servers.lapses() - before} times meanwhile") from error
         raise

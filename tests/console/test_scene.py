@@ -68,7 +68,9 @@ def approached(built: None, tmp_path: Path) -> Iterator[ServerProcess]:
     servers = Servers(tmp_path)
     try:
         server = servers.start(None, "--pace", "1", "--scenario", str(scenario))
-        server.await_status(server.launch("navigate_to", target="bench_b_stand")["id"], "escalated")
+        held = server.await_status(server.launch("navigate_to", target="bench_b_stand")["id"], "escalated")
+        why = server.get(f"/v1/escalations/{held['escalation']['id']}")["reasons"]
+        assert "separation" in [reason["code"] for reason in why], why
         yield server
     finally:
         servers.end()
