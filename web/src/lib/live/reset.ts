@@ -2,7 +2,7 @@ import type { LogEvent } from '../api/documents';
 
 const CLOCKS_MS = 1_000;
 /** What the server says of a second step that is none any more, where nothing else tells why. */
-export const VOIDED = 'What you began is void: a reset was begun or confirmed elsewhere since. Begin again.';
+export const VOIDED = 'What you began is void: the stop was pressed again, or a reset begun or confirmed elsewhere since. Begin again.';
 
 /** The second step out of a latched stop, as it was offered to this person. */
 export interface Offered {
@@ -46,10 +46,16 @@ export function secondsLeft({ untilMs }: Offered, nowMs: number): number {
   return Math.max(0, Math.ceil((untilMs - nowMs) / 1000));
 }
 
+/** Who has pressed the stop since the second step was offered, in words; null where nobody has, or the record of it is not here yet. */
+export function pressedAgain(offered: Offered, cell: string, events: readonly LogEvent[]): string | null {
+  const stop = events.findLast((event) => isWord(event, 'estop') && Date.parse(event.at) > offered.sinceMs && event.body['cell'] === cell);
+  return stop === undefined ? null : `${stop.actor} has pressed the stop again since. Begin again once the cause is known.`;
+}
+
 /** Why the second step may not be taken any more, in words; null while it may. `armedBy`: whose it is, null: nobody's. */
 export function whyWithdrawn(offered: Offered, cell: string, events: readonly LogEvent[], nowMs: number, armedBy: string | null): string | null {
-  const stop = events.findLast((event) => isWord(event, 'estop') && Date.parse(event.at) > offered.sinceMs && event.body['cell'] === cell);
-  if (stop !== undefined) return `${stop.actor} has pressed the stop again since. Begin again once the cause is known.`;
+  const pressed = pressedAgain(offered, cell, events);
+  if (pressed !== null) return pressed;
   // Its end is told by two clocks.
   if (offered.untilMs - (armedBy === null ? CLOCKS_MS : 0) <= nowMs) return 'The time to confirm is over. Begin again.';
   if (armedBy === offered.by) return null;
