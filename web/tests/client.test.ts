@@ -45,7 +45,7 @@ const ask = (asked: Promise<unknown>): void => void asked.catch(() => undefined)
 const settled = (): Promise<void> => new Promise((resolve) => setTimeout(resolve, 5));
 
 describe('a server that holds its answers back', () => {
-  it('is asked three things at once, one of those that take long, and the stop at any time', async () => {
+  it('is asked three things at once, one of those that take long, and what restrains at any time', async () => {
     const held = new Held();
     const api = new Api('secret', held.fetch);
     for (const id of ['a', 'b', 'c']) ask(api.telemetryFile(id));
@@ -55,6 +55,10 @@ describe('a server that holds its answers back', () => {
     expect(new Set(held.under)).toEqual(new Set([long, ...short]));
     ask(api.estop('workcell-1'));
     expect(held.under.at(-1)).toBe('/v1/cells/workcell-1/estop');
+    ask(api.operate('a', 'resume'));
+    ask(api.operate('a', 'pause'));
+    await settled();
+    expect(held.under.slice(-2)).toEqual(['/v1/cells/workcell-1/estop', '/v1/invocations/a/pause']);
   });
 
   it('is asked for the next one once the answer is read to its end, not when it begins', async () => {

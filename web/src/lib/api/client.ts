@@ -45,6 +45,8 @@ const STOP_PATIENCE_MS = 1_500;
 const LONG_PATIENCE_MS = 120_000;
 /** A browser opens six connections to a server, for all of its tabs; a request beyond them waits, whatever it says. */
 const AT_ONCE = 3;
+/** Pauses have connections of their own, and leave one for the stop. */
+const PAUSES_AT_ONCE = 2;
 
 type Method = 'GET' | 'POST' | 'PUT' | 'DELETE';
 
@@ -79,6 +81,7 @@ export interface Offer {
 export class Api {
   private readonly few = new Gate(AT_ONCE);
   private readonly one = new Gate(1);
+  private readonly pauses = new Gate(PAUSES_AT_ONCE);
 
   constructor(
     private readonly token: string,
@@ -169,8 +172,11 @@ export class Api {
   telemetryFile = (id: string, part = 1): Promise<Blob> =>
     this.inTurn({ long: true }, () => this.send('GET', `/v1/audit/telemetry/${seg(id)}/mcap?part=${part}`, undefined, { long: true }, blobOf));
 
-  operate = (id: string, word: 'pause' | 'resume' | 'stop' | 'rollback' | 'cancel'): Promise<Invocation> =>
-    this.call('POST', `/v1/invocations/${seg(id)}/${word}`);
+  /** What restrains waits for nothing that is read. */
+  operate = (id: string, word: 'pause' | 'resume' | 'stop' | 'rollback' | 'cancel'): Promise<Invocation> => {
+    const say = (): Promise<Invocation> => this.send('POST', `/v1/invocations/${seg(id)}/${word}`, undefined, {}, jsonOf<Invocation>);
+    return word === 'pause' || word === 'stop' ? this.pauses.through(say) : this.inTurn({}, say);
+  };
 
   takeOver = (id: string): Promise<Control> => this.call('POST', `/v1/invocations/${seg(id)}/takeover`);
   /** Takes the controls of a cell in which nothing runs. */
