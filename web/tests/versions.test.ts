@@ -1,7 +1,7 @@
 import { deflateRawSync } from 'node:zlib';
 import { describe, expect, it, vi } from 'vitest';
 import { ApiError } from '../src/lib/api/client';
-import type { Comparison, Version } from '../src/lib/api/documents';
+import type { Comparison, Version, VersionList } from '../src/lib/api/documents';
 import { candidateOf, filesOf, inOrder, lineSpan, read, standings } from '../src/lib/policy/candidate';
 import { Draft } from '../src/lib/policy/draft.svelte';
 import { decidedAs, deedOf, shortVersion } from '../src/lib/policy/versions';
@@ -272,6 +272,21 @@ describe('a list of versions', () => {
     for (const digest of ['sha256:new', 'sha256:old', 'sha256:none']) await versions.seek(digest);
     expect(asked).toEqual(['sha256:old', 'sha256:none']);
     expect([versions.find('sha256:old')?.digest, versions.inForce?.digest, versions.find('sha256:none')]).toEqual(['sha256:old', 'sha256:old', null]);
+  });
+
+  it('shows no older list in the place of a newer one, in whichever order they come', async () => {
+    const answers: ((of: VersionList | Error) => void)[] = [];
+    const versions = new Versions({ version: (digest) => Promise.resolve(version({ digest })), versions: () => new Promise((done, fail) => answers.push((of) => (of instanceof Error ? fail(of) : done(of)))) });
+    const listed = (active: string): VersionList => ({ items: [version({ digest: active })], next: null, active, why: '' });
+    const asked = [versions.refresh(), versions.refresh(), versions.refresh(), versions.refresh()];
+    answers[1]?.(listed('sha256:second'));
+    answers[0]?.(listed('sha256:first'));
+    await Promise.all(asked.slice(0, 2));
+    expect([versions.active, versions.items[0]?.digest]).toEqual(['sha256:second', 'sha256:second']);
+    answers[3]?.(listed('sha256:fourth'));
+    answers[2]?.(problem(0, 'unreachable'));
+    await Promise.all(asked);
+    expect([versions.active, versions.trouble]).toEqual(['sha256:fourth', null]);
   });
 
   it('takes no failure for a no, nor an older answer for a newer one', async () => {

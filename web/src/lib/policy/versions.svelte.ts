@@ -17,6 +17,9 @@ export class Versions {
   /** What was asked for by its digest, as the list does not reach to it; null where the server knows none. */
   private readonly apart = new SvelteMap<string, { turn: number; version: Version | null }>();
   private turn = 0;
+  /** Of the list: how often it was asked for, and which of these answers is shown. */
+  private listings = 0;
+  private shown = 0;
   private limit = 50;
 
   constructor(private readonly api: Pick<Api, 'versions' | 'version'>) {}
@@ -43,15 +46,21 @@ export class Versions {
     }
   }
 
+  /** Asks for the list anew; what was asked for before the list that is shown tells nothing any more. */
   async refresh(): Promise<void> {
+    this.listings += 1;
+    const mine = this.listings;
     try {
       const found = await this.api.versions(this.limit);
+      if (mine < this.shown) return;
+      this.shown = mine;
       this.items = found.items;
       this.next = found.next === null ? null : String(found.next);
       this.active = found.active;
       this.why = found.why;
       this.trouble = null;
     } catch (error) {
+      if (mine < this.shown) return;
       this.trouble = said(error);
     }
     this.asked = true;
