@@ -18,7 +18,7 @@ from websockets.typing import Subprotocol
 from app.api.console import SUBPROTOCOL
 from app.api.parts import EACH_CONSOLES
 from tests.conftest import ServerProcess, Servers, until
-from tests.console.conftest import Floor, People
+from tests.console.conftest import THREE_FRAMES, Floor, People
 from tests.console.wire import Wire, wire_to
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
@@ -77,6 +77,27 @@ def test_a_link_that_goes_is_told_and_what_came_meanwhile_is_there_when_it_is_ba
         expect(person.page.locator(".live .stale")).to_have_count(0)
         person.button(re.compile("^Deny")).click()
         assert floor.settled(asked["id"])["status"] == "denied"
+
+
+def test_a_question_to_policy_outlasts_the_link_it_is_written_over(server: ServerProcess, people: People) -> None:
+    with wire_to(urlsplit(server.url).port or 0) as wire:
+        person = people.sit(server, at=f"http://127.0.0.1:{wire.port}")
+        person.expects(BROKEN)
+        person.press("3")
+        form = person.region("What would happen if…")
+        form.get_by_label("Object (needed)").select_option("mug_1")
+        force = form.get_by_label(re.compile("^Grip force"))
+        force.fill("50")
+        form.get_by_role("button", name="Ask policy").click()
+        expect(form).to_contain_text("Policy version")
+        wire.cut()
+        expect(person.alert("Link down.")).to_be_visible()
+        with person.page.expect_response("**/v1/capabilities"):
+            wire.mend()
+        person.page.evaluate(THREE_FRAMES)
+        expect(force).to_have_value("50")
+        expect(form.get_by_label("Object (needed)")).to_have_value("mug_1")
+        expect(form).to_contain_text("Policy version")
 
 
 def test_a_cell_that_falls_silent_is_not_shown_as_the_present(
