@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from playwright.sync_api import CDPSession, expect
+from playwright.sync_api import CDPSession, Route, expect
 
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import (
@@ -292,6 +292,28 @@ def test_whoever_drives_is_told_that_the_session_is_paused_and_resumes_it(
     expect(person.alert("It is coming to its end.")).to_be_visible()
     person.button("Understood").click()
     expect(person.alert("It is coming to its end.")).to_have_count(0)
+
+
+def test_why_the_controls_were_not_given_is_said_as_long_as_it_is_so(
+    server: ServerProcess, people: People, floor: Floor, free_again: None
+) -> None:
+    one, other = people.sit(server), people.sit(server, "operator_2")
+    one.expects("409")
+    for person in (one, other):
+        person.press("t")
+        expect(person.button("Take the controls")).to_be_enabled()
+    panel = one.region("Drive by hand")
+    held: list[Route] = []
+    one.page.route("**/takeover", lambda route: held.append(route))  # noqa: PLW0108 (Playwright takes no built-in)
+    one.button("Take the controls").click()
+    until(lambda: held or one.page.wait_for_timeout(20), what="a request that is held")
+    other.button("Take the controls").click()
+    expect(panel).to_contain_text("operator_2 (remote) has the controls")
+    held[0].continue_()
+    expect(panel.get_by_role("alert")).to_contain_text("operator_2")
+    other.button("End session").click()
+    expect(one.button("Take the controls")).to_be_visible()
+    expect(panel.get_by_role("alert")).to_have_count(0)
 
 
 def test_a_session_is_paused_by_a_button_while_the_controls_are_offered_or_somebody_elses(
