@@ -24,4 +24,18 @@ describe('what is ordered of a session', () => {
   ])('that its record calls %s and its cell %s, held by %j, is: %s', (recorded, said, by, may, told) => {
     expect(orders(recorded, said, ...by)).toEqual({ may, told });
   });
+
+  it('names the cell that a refusal is about once another one is looked at', async () => {
+    const session = invocation({ status: 'running', cell: 'workcell-1' });
+    const here = { session, cell: cell({ busy: session.id, status: 'running' }), live: true, me: { role: 'operator' }, docs: { escalations: {}, events: [] }, api: { operate: () => Promise.reject(new Error('No answer.')) } };
+    const seen = { ...here };
+    const given = new Orders(seen as unknown as Console);
+    given.pause();
+    await Promise.resolve().then(() => undefined);
+    expect(given.problem).toBe('No answer.');
+    seen.cell = cell({ id: 'workcell-2' });
+    expect(given.problem).toBe('Pause in workcell-1: No answer.');
+    given.understood();
+    expect(given.problem).toBe('');
+  });
 });

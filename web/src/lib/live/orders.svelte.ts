@@ -3,10 +3,11 @@ import { holdersOf, restraintsOf } from './control';
 import { deniedIsUndone } from './held';
 
 type Word = 'pause' | 'resume' | 'rollback';
+const SAYS: Record<Word, string> = { pause: 'Pause', resume: 'Resume', rollback: 'Roll back' };
 
 /** What may be ordered of the session that one looks at, and what became of it; for every button that orders it. */
 export class Orders {
-  problem = $state('');
+  private refused = $state.raw<{ cell: string | null; word: Word; why: string } | null>(null);
 
   constructor(private readonly console: Console) {}
 
@@ -33,6 +34,17 @@ export class Orders {
     return this.status === 'running' || this.status === 'paused' || this.status === 'escalated';
   });
 
+  /** Why what was ordered last was not done; who looks at another cell by now is told of which it was ordered. */
+  get problem(): string {
+    if (this.refused === null) return '';
+    const { cell, word, why } = this.refused;
+    return cell === (this.console.cell?.id ?? null) ? why : `${SAYS[word]} in ${cell ?? 'no cell'}: ${why}`;
+  }
+
+  understood(): void {
+    this.refused = null;
+  }
+
   pause(): void {
     if (this.pausable) void this.say('pause');
   }
@@ -48,11 +60,11 @@ export class Orders {
   private async say(word: Word): Promise<void> {
     const { session } = this.console;
     if (session === null) return;
-    this.problem = '';
+    this.refused = null;
     try {
       await this.console.api.operate(session.id, word);
     } catch (error) {
-      this.problem = error instanceof Error ? error.message : String(error);
+      this.refused = { cell: session.cell ?? null, word, why: error instanceof Error ? error.message : String(error) };
     }
   }
 }
