@@ -66,6 +66,7 @@ describe('a verdict in the making', () => {
   let record: Record<string, Review>;
   let down: boolean;
   let asked: string[];
+  let forgotten: boolean;
   let reviewing: Reviewing;
 
   const refusal = (code: string): ApiError => new ApiError({ title: '', status: 0, detail: code, code });
@@ -73,7 +74,7 @@ describe('a verdict in the making', () => {
 
   beforeEach(() => {
     vi.useFakeTimers({ now: 0 });
-    [answers, record, down, asked] = [[], {}, false, []];
+    [answers, record, down, asked, forgotten] = [[], {}, false, [], false];
     reviewing = new Reviewing(
       {
         review: () => new Promise<Review>((resolve, reject) => answers.push({ give: resolve, fail: (code) => reject(refusal(code)) })),
@@ -83,7 +84,7 @@ describe('a verdict in the making', () => {
         },
       },
       () => 'operator',
-      (one) => one.id,
+      (one) => (forgotten ? 'Grasp object' : one.id),
     );
     reviewing.resume(known(A, B));
   });
@@ -105,6 +106,14 @@ describe('a verdict in the making', () => {
     answers[1]?.give(judged('objected', B));
     await next;
     expect([reviewing.open, reviewing.told]).toEqual([null, 'Recorded: objected.']);
+  });
+
+  it('is told of by what it was about when it was sent, though the console knows that no more', async () => {
+    const sending = reviewing.send(written(A, 'accepted', ''));
+    forgotten = true;
+    answers[0]?.give(judged('accepted', A));
+    await sending;
+    expect(reviewing.told).toBe('rev_a: Recorded: accepted.');
   });
 
   it('is kept as long as its review waits, whether a form shows it or not', () => {

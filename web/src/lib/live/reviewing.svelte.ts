@@ -90,15 +90,16 @@ export class Reviewing {
   async send(draft: Draft): Promise<boolean> {
     const { verdict, review } = draft;
     if (draft.sending || verdict === '') return false;
+    const title = this.title(review); // what waits no more may be forgotten before the answer comes
     draft.sending = true;
     draft.problem = '';
     try {
-      this.settle(await this.api.review(review.id, verdict, draft.note.trim()), true);
+      this.settle(await this.api.review(review.id, verdict, draft.note.trim()), true, title);
       return true;
     } catch (error) {
       draft.problem = said(error);
       draft.sending = false; // what is recorded takes no second verdict
-      if (draft.forms === 0) this.told = `${this.title(review)}: ${draft.problem}`;
+      if (draft.forms === 0) this.told = `${title}: ${draft.problem}`;
       this.resume(this.known); // what came meanwhile was left to the answer
       return false;
     }
@@ -109,7 +110,7 @@ export class Reviewing {
     this.known = known;
     for (const { review, sending } of Object.values(this.drafts)) {
       const newest = entryOf(known, review.id);
-      if (newest !== undefined && newest.verdict !== null && !sending) this.settle(newest, false);
+      if (newest !== undefined && newest.verdict !== null && !sending) this.settle(newest, false, this.title(newest));
     }
   }
 
@@ -140,18 +141,18 @@ export class Reviewing {
   }
 
   /** A review has its verdict, whoever gave it: nothing that was written for it goes without a word. */
-  private settle(closed: Review, mine: boolean): void {
+  private settle(closed: Review, mine: boolean, title: string): void {
     const draft = entryOf(this.drafts, closed.id);
     if (draft === undefined || closed.verdict === null) return;
     this.drop(closed.id);
     const { by, verdict, note } = closed.verdict;
     const typed = draft.note.trim();
-    if (!mine && typed !== '' && typed !== note) this.left = [{ review: closed, title: this.title(closed), note: typed }, ...this.left].slice(0, LEFT_KEPT);
+    if (!mine && typed !== '' && typed !== note) this.left = [{ review: closed, title, note: typed }, ...this.left].slice(0, LEFT_KEPT);
     const words = mine ? `Recorded: ${verdict}.` : `${by === this.me() ? 'You' : by} reviewed it: ${verdict}.`;
     if (this.open === closed.id) {
       this.open = null;
       this.told = words;
-    } else if (mine) this.told = `${this.title(closed)}: ${words}`; // it was closed, or another one opened, while this was sent
+    } else if (mine) this.told = `${title}: ${words}`; // it was closed, or another one opened, while this was sent
   }
 
   private drop(id: string): void {
