@@ -128,6 +128,26 @@ def test_a_cell_that_falls_silent_is_not_shown_as_the_present(
     expect(person.page.locator(".live .stale")).to_have_count(0)
 
 
+def test_whoever_loses_the_controls_with_the_cells_link_is_told_so(
+    server: ServerProcess, people: People, floor: Floor, free_again: None
+) -> None:
+    person = people.sit(server)
+    person.press("t")
+    person.button("Take the controls").click()
+    expect(person.button("End session")).to_be_enabled()
+    pid = server.cell_pid()
+    assert pid is not None
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        expect(person.alert("workcell-1 is not heard.")).to_be_visible()
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    expect(person.alert("You have lost the controls.")).to_contain_text("The cell had lost the server")
+    person.button("Understood").click()
+    expect(person.alert("You have lost the controls.")).to_have_count(0)
+    expect(person.button("Take the controls")).to_be_enabled()
+
+
 def test_a_stop_needs_no_seat(server: ServerProcess, people: People, floor: Floor) -> None:
     with ExitStack() as seats:
         for _ in range(EACH_CONSOLES):

@@ -3,7 +3,7 @@ import type { Escalation, Invocation, LogEvent, Risk } from '../src/lib/api/docu
 import { gaugesFor, readGauge, unfinished, type GaugeSpec } from '../src/lib/live/gauges';
 import { History } from '../src/lib/live/history';
 import { closingOf } from '../src/lib/live/closed';
-import { handsOn, holdersOf, leaseLapsed, pausedWords, pauseEndedOf, pauserOf, refusalWords, restraintsOf, unreachedWords } from '../src/lib/live/control';
+import { cutOff, handsOn, holdersOf, leaseLapsed, pausedWords, pauseEndedOf, pauserOf, refusalWords, restraintsOf, unreachedWords } from '../src/lib/live/control';
 import { deniedIsUndone, goingOn } from '../src/lib/live/held';
 import { reasonLines } from '../src/lib/live/reasons';
 import { askedOf, stagesOf } from '../src/lib/live/stages';
@@ -231,6 +231,14 @@ describe('the controls of a cell', () => {
     expect(leaseLapsed(lapsed, 'lease_1')).toBe(true);
     expect(leaseLapsed(lapsed, 'lease_0')).toBe(false);
     expect(leaseLapsed(event('human', { op: 'release', lease: 'lease_1' }), 'lease_1')).toBe(false);
+  });
+
+  it('are lost, too, where the session they were for ended with its cell’s link', () => {
+    const taken = event('human', { op: 'takeover', how: 'granted', lease: 'lease_1' }, 'inv_1', 'ann');
+    const over = (code: string, name = 'inv_1'): LogEvent => event('outcome', { outcome: 'taken_over', code }, name);
+    expect(cutOff([taken, over('link')], 'lease_1')).toBe(true);
+    expect([cutOff([taken, over('handed_back')], 'lease_1'), cutOff([taken, over('link', 'inv_2')], 'lease_1')]).toEqual([false, false]);
+    expect([cutOff([taken, over('link')], 'lease_0'), cutOff([over('link')], 'lease_1'), cutOff([taken, over('link')], null)]).toEqual([false, false, false]);
   });
 
   it('name who paused what one drives: the newest word of a person, not what its cell echoes', () => {

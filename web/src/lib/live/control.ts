@@ -51,6 +51,13 @@ export function leaseLapsed(event: LogEvent, lease: string | null): boolean {
   return event.kind === 'human' && event.body['op'] === 'control_lapsed' && event.body['lease'] === lease;
 }
 
+/** Whether the session that this lease was for has ended because its cell was away from the server for too long. */
+export function cutOff(events: readonly LogEvent[], lease: string | null): boolean {
+  const taken = events.findLast(({ kind, body }) => kind === 'human' && body['op'] === 'takeover' && body['lease'] === lease);
+  if (lease === null || taken === undefined) return false;
+  return events.some(({ kind, invocation, body }) => kind === 'outcome' && invocation === taken.invocation && body['code'] === 'link');
+}
+
 const WHY: Record<string, string> = {
   not_holder: 'you do not have the controls any more',
   lease_lapsed: 'nothing was heard from you for three seconds',
