@@ -244,6 +244,23 @@ describe('a draft', () => {
     expect([draft.kept?.digest, draft.busy]).toEqual(['sha256:b', null]);
   });
 
+  it('is nobody else’s: who signs in after its writer finds none, nor hears what became of it', async () => {
+    const { draft, say } = await checked();
+    draft.belongsTo('ann');
+    draft.belongsTo('ann'); // after a link that went, or signed in anew
+    expect([draft.empty, draft.why, draft.busy]).toEqual([false, 'for a visit', 'checking']);
+    draft.belongsTo('bob');
+    expect([draft.empty, draft.why, draft.busy]).toEqual([true, '', null]);
+    draft.why = 'of bob';
+    await say(version());
+    expect([draft.why, draft.kept, draft.busy]).toEqual(['of bob', null, null]);
+    const refused = await checked();
+    refused.draft.belongsTo('ann');
+    refused.draft.belongsTo('bob');
+    await refused.say(refusal);
+    expect([refused.draft.faults, refused.draft.trouble]).toEqual([[], null]);
+  });
+
   it('leads to its first fault, but nobody away from what they write', async () => {
     const quiet = await checked();
     await quiet.say(refusal);

@@ -17,6 +17,8 @@ export class Draft {
   /** The version that was kept of it while it was changed, or nobody saw; until somebody looks at it. */
   kept = $state.raw<Version | null>(null);
   private taking = 0;
+  /** Who writes it. */
+  private by: string | null = null;
 
   get empty(): boolean {
     return Object.keys(this.files).length === 0;
@@ -24,6 +26,15 @@ export class Draft {
 
   get listed(): ReturnType<typeof standings> {
     return standings(this.files, this.live);
+  }
+
+  /** Is written by this person from now on: what somebody else left in the tab is nothing for them to bring. */
+  belongsTo(name: string): void {
+    if (this.by !== null && this.by !== name) {
+      this.clear();
+      this.kept = this.busy = null;
+    }
+    this.by = name;
   }
 
   clear(): void {
@@ -64,14 +75,18 @@ export class Draft {
    */
   async bring(api: Pick<Api, 'propose'>): Promise<void> {
     const sent = { files: this.files, why: this.why };
+    const { by } = this;
     this.busy = 'checking';
     this.trouble = null;
     this.kept = null;
     try {
-      this.kept = await api.propose(sent.files, sent.why.trim());
+      const kept = await api.propose(sent.files, sent.why.trim());
+      if (by !== this.by) return; // whoever sits here by now has brought nothing
+      this.kept = kept;
       this.faults = [];
       if (this.still(sent)) this.clear();
     } catch (error) {
+      if (by !== this.by) return;
       this.refused(error, this.still(sent));
     }
     this.busy = null;
