@@ -316,6 +316,22 @@ def test_why_the_controls_were_not_given_is_said_as_long_as_it_is_so(
     expect(panel.get_by_role("alert")).to_have_count(0)
 
 
+def test_a_pause_that_is_refused_stands_where_it_was_pressed(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    person.expects("409")
+    floor.drive_off()
+    pause = person.button("Pause")
+    expect(pause).to_be_in_viewport(ratio=1)
+    at = box(pause)
+    problem = {"title": "Conflict", "status": 409, "code": "ending", "detail": "it is coming to its end"}
+    person.page.route("**/pause", lambda route: route.fulfill(status=409, json=problem))
+    pause.click()
+    expect(person.alert("It is coming to its end.")).to_be_in_viewport(ratio=1)
+    assert box(pause) == at
+
+
 def test_a_session_is_paused_by_a_button_while_the_controls_are_offered_or_somebody_elses(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
