@@ -56,9 +56,15 @@ describe('a server that holds its answers back', () => {
     ask(api.estop('workcell-1'));
     expect(held.under.at(-1)).toBe('/v1/cells/workcell-1/estop');
     ask(api.operate('a', 'resume'));
+    ask(api.resolve('b', { decision: 'approve', digest: 'sha256:b' }));
     ask(api.operate('a', 'pause'));
+    ask(api.release('a', 'end'));
+    ask(api.resolve('b', { decision: 'deny', digest: 'sha256:b', code: 'unsafe' }));
     await settled();
-    expect(held.under.slice(-2)).toEqual(['/v1/cells/workcell-1/estop', '/v1/invocations/a/pause']);
+    expect(held.under.slice(-2)).toEqual(['/v1/invocations/a/pause', '/v1/invocations/a/release']);
+    held.begin('/v1/invocations/a/pause')();
+    await settled();
+    expect(held.under.at(-1)).toBe('/v1/escalations/b/resolve');
   });
 
   it('is asked for the next one once the answer is read to its end, not when it begins', async () => {

@@ -1,4 +1,4 @@
-import { describe, expect, it } from 'vitest';
+import { afterEach, describe, expect, it, vi } from 'vitest';
 import { Orders } from '../src/lib/live/orders.svelte';
 import type { Console } from '../src/lib/state/console.svelte';
 import { cell, heldBy, invocation } from './samples';
@@ -15,6 +15,8 @@ function orders(recorded: string, said: string, ...by: string[]): { may: string;
 }
 
 describe('what is ordered of a session', () => {
+  afterEach(() => vi.useRealTimers());
+
   it.each([
     ['running', 'running', [], 'pause', ['pause']],
     ['paused', 'paused', ['operator'], 'resume', ['resume']],
@@ -37,5 +39,21 @@ describe('what is ordered of a session', () => {
     expect(given.problem).toBe('Pause in workcell-1: No answer.');
     given.understood();
     expect(given.problem).toBe('');
+  });
+
+  it('is said to be on its way once it has had no answer for a while', async () => {
+    vi.useFakeTimers();
+    const session = invocation({ status: 'running' });
+    let answer: () => void = () => undefined;
+    const operate = (): Promise<void> => new Promise((resolve) => (answer = resolve));
+    const seen = { session, cell: cell({ busy: session.id, status: 'running' }), live: true, me: { role: 'operator' }, docs: { escalations: {}, events: [] }, api: { operate } };
+    const given = new Orders(seen as unknown as Console);
+    given.pause();
+    expect([given.unanswered, given.pausable]).toEqual([null, true]);
+    await vi.advanceTimersByTimeAsync(500);
+    expect([given.unanswered, given.pausable]).toEqual(['pause', true]); // pressed again, it is said again
+    answer();
+    await vi.advanceTimersByTimeAsync(0);
+    expect(given.unanswered).toBe(null);
   });
 });

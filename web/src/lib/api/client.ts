@@ -45,8 +45,8 @@ const STOP_PATIENCE_MS = 1_500;
 const LONG_PATIENCE_MS = 120_000;
 /** A browser opens six connections to a server, for all of its tabs; a request beyond them waits, whatever it says. */
 const AT_ONCE = 3;
-/** Pauses have connections of their own, and leave one for the stop. */
-const PAUSES_AT_ONCE = 2;
+/** What restrains has connections of its own, and leaves one for the stop. */
+const RESTRAINTS_AT_ONCE = 2;
 
 type Method = 'GET' | 'POST' | 'PUT' | 'DELETE';
 
@@ -54,6 +54,8 @@ type Method = 'GET' | 'POST' | 'PUT' | 'DELETE';
 interface How {
   /** It may take a while, and waits for others that may. */
   long?: boolean;
+  /** It stops, ends or takes back something, and waits for nothing that is read. */
+  restrains?: boolean;
   patienceMs?: number;
   /** Ended by whoever does not want the answer any more. */
   until?: AbortSignal | undefined;
@@ -81,7 +83,7 @@ export interface Offer {
 export class Api {
   private readonly few = new Gate(AT_ONCE);
   private readonly one = new Gate(1);
-  private readonly pauses = new Gate(PAUSES_AT_ONCE);
+  private readonly restraints = new Gate(RESTRAINTS_AT_ONCE);
 
   constructor(
     private readonly token: string,
@@ -97,7 +99,8 @@ export class Api {
   }
 
   /** What takes long is asked for one by one, and all together leave a browser's connections free for the stop. */
-  private inTurn<T>({ long = false }: How, call: () => Promise<T>): Promise<T> {
+  private inTurn<T>({ long = false, restrains = false }: How, call: () => Promise<T>): Promise<T> {
+    if (restrains) return this.restraints.through(call);
     const asked = (): Promise<T> => this.few.through(call);
     return long ? this.one.through(asked) : asked();
   }
@@ -144,9 +147,9 @@ export class Api {
     this.call('POST', '/v1/check', proposal);
 
   resolve = (id: string, answer: Answer): Promise<Escalation> =>
-    this.call('POST', `/v1/escalations/${seg(id)}/resolve`, answer);
+    this.call('POST', `/v1/escalations/${seg(id)}/resolve`, answer, { restrains: answer.decision === 'deny' });
   acknowledge = (id: string): Promise<Escalation> => this.call('POST', `/v1/escalations/${seg(id)}/acknowledge`);
-  revoke = (id: string): Promise<Grant> => this.call('POST', `/v1/grants/${seg(id)}/revoke`);
+  revoke = (id: string): Promise<Grant> => this.call('POST', `/v1/grants/${seg(id)}/revoke`, undefined, { restrains: true });
   reviews = (query: URLSearchParams): Promise<List<Review>> => this.get(`/v1/reviews?${query}`);
   reviewsOf = (invocation: string): Promise<List<Review>> => this.get(`/v1/reviews?invocation=${seg(invocation)}`);
   review = (id: string, verdict: ReviewVerdict, note: string): Promise<Review> =>
@@ -172,17 +175,14 @@ export class Api {
   telemetryFile = (id: string, part = 1): Promise<Blob> =>
     this.inTurn({ long: true }, () => this.send('GET', `/v1/audit/telemetry/${seg(id)}/mcap?part=${part}`, undefined, { long: true }, blobOf));
 
-  /** What restrains waits for nothing that is read. */
-  operate = (id: string, word: 'pause' | 'resume' | 'stop' | 'rollback' | 'cancel'): Promise<Invocation> => {
-    const say = (): Promise<Invocation> => this.send('POST', `/v1/invocations/${seg(id)}/${word}`, undefined, {}, jsonOf<Invocation>);
-    return word === 'pause' || word === 'stop' ? this.pauses.through(say) : this.inTurn({}, say);
-  };
+  operate = (id: string, word: 'pause' | 'resume' | 'stop' | 'rollback' | 'cancel'): Promise<Invocation> =>
+    this.call('POST', `/v1/invocations/${seg(id)}/${word}`, undefined, { restrains: word === 'pause' || word === 'stop' || word === 'cancel' });
 
   takeOver = (id: string): Promise<Control> => this.call('POST', `/v1/invocations/${seg(id)}/takeover`);
   /** Takes the controls of a cell in which nothing runs. */
   takeCell = (cell: string): Promise<Control> => this.call('POST', `/v1/cells/${seg(cell)}/takeover`);
   release = (id: string, then: 'resume' | 'rollback' | 'end'): Promise<Invocation> =>
-    this.call('POST', `/v1/invocations/${seg(id)}/release`, { then });
+    this.call('POST', `/v1/invocations/${seg(id)}/release`, { then }, { restrains: then === 'end' });
 }
 
 function seg(id: string): string {

@@ -5,9 +5,14 @@ import { deniedIsUndone } from './held';
 type Word = 'pause' | 'resume' | 'rollback';
 const SAYS: Record<Word, string> = { pause: 'Pause', resume: 'Resume', rollback: 'Roll back' };
 
+/** A word is taken to be on its way, and nothing worth a line, for so long. */
+const SOON_MS = 400;
+
 /** What may be ordered of the session that one looks at, and what became of it; for every button that orders it. */
 export class Orders {
   private refused = $state.raw<{ cell: string | null; word: Word; why: string } | null>(null);
+  /** What was ordered, and has had no answer for a while. */
+  unanswered = $state.raw<Word | null>(null);
 
   constructor(private readonly console: Console) {}
 
@@ -61,10 +66,13 @@ export class Orders {
     const { session } = this.console;
     if (session === null) return;
     this.refused = null;
+    const late = setTimeout(() => (this.unanswered = word), SOON_MS);
     try {
       await this.console.api.operate(session.id, word);
     } catch (error) {
       this.refused = { cell: session.cell ?? null, word, why: error instanceof Error ? error.message : String(error) };
     }
+    clearTimeout(late);
+    this.unanswered = null;
   }
 }
