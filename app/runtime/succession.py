@@ -329,12 +329,13 @@ class Succession:
         decided = invocation.evolve(
             now, effective=effective, status=Status.AWAITING_APPROVAL, outcome=None, **judgement.parts()
         )
+        bound = bound_digest(decided, effective)
         asked = question.evolve(
             now,
             constrained=effective if not question.edits else question.constrained,
             effective=effective,
-            digest=bound_digest(decided, effective),
-            former_digests=(*question.former_digests, question.digest),
+            digest=bound,
+            former_digests=_former(question, bound),
             policy_version=judgement.policy.digest,
             profile=judgement.profile,
             reasons=reasons_document(wanted.reasons),
@@ -355,12 +356,11 @@ class Succession:
         told, over = self._desk.departed.get(invocation.id, []), self._desk.conformed.get(invocation.id, [])
         kept = [why for why in question.reasons if why not in told and why not in over]
         bound = bound_digest(replace(invocation, policy_version=policy), question.effective, question.phase)
-        former = [digest for digest in (*question.former_digests, question.digest) if digest != bound]
         asked = question.evolve(
             now,
             reasons=[*kept, *told],
             digest=bound,
-            former_digests=former,
+            former_digests=_former(question, bound),
             policy_version=policy,
             acknowledged=(),
         )
@@ -370,3 +370,8 @@ class Succession:
         """Wait for what is being ended."""
         if self._ending:
             await asyncio.wait(self._ending)
+
+
+def _former(question: Escalation, bound: str) -> tuple[str, ...]:
+    """Return what a question was bound to before; what it is bound to again, as before, is worth an answer again."""
+    return tuple(digest for digest in (*question.former_digests, question.digest) if digest != bound)

@@ -437,6 +437,22 @@ async def test_a_question_shown_under_one_profile_is_not_approved_under_another(
     assert orjson.loads(b64decode(launch.body))["profile"] == "human-shared"
 
 
+async def test_a_question_is_answered_where_its_cell_is_under_the_former_profile_again(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    await runtime.governor.set_profile(CELL, "real-restricted", OPERATOR)
+    params = {"object_id": "mug_1", "force_n": 30, "speed_mps": 0.1}
+    request = ProposalRequest(capability="grasp_object", params=params, metadata={"confidence": 0.2})
+    _, question = await asked(runtime, request)
+    for profile in ("human-shared", "real-restricted"):
+        await runtime.governor.set_profile(CELL, profile, OPERATOR)
+    again = await runtime.desk.get(question["id"])
+    assert (again["profile"], again["digest"] in again["former_digests"]) == ("real-restricted", False)
+    assert (await answer(runtime, again))["status"] == "approved"
+    (launch,) = cell.all("launch")
+    assert orjson.loads(b64decode(launch.body))["profile"] == "real-restricted"
+
+
 async def test_nothing_launches_by_a_cell_s_coming_under_a_profile_that_asks_nobody(
     runtime: Runtime, cell: HandCell
 ) -> None:

@@ -562,6 +562,29 @@ async def test_what_waits_is_asked_anew_and_an_old_answer_has_a_code_of_its_own(
     assert (launched["status"], launched["policy_version"], launched["effective"]["force_n"]) == ("running", digest, 30)
 
 
+@pytest.mark.parametrize("decision", ["approve", "deny"])
+async def test_what_waits_is_answered_where_the_former_version_is_in_force_again(
+    runtime: Runtime, cell: HandCell, decision: str
+) -> None:
+    made, question = await waiting(runtime)
+    before = runtime.kernel.policy.digest
+    await runtime.versions.activate(await brought(runtime, WEAKER), ENGINEER, "softer")
+    anew = runtime.desk.pending_for(made["id"])
+    assert anew is not None
+    for engineer in (ENGINEER, ENGINEER_2):
+        await runtime.versions.activate(before, engineer, "no need")
+    again = runtime.desk.pending_for(made["id"])
+    assert again is not None
+    assert (again.policy_version, [*again.former_digests]) == (before, [anew.digest])
+    with pytest.raises(Conflict) as refused:
+        await runtime.desk.resolve(question.id, OPERATOR, decision, anew.digest)
+    assert refused.value.code == "policy_changed"
+    await cell.state()
+    await runtime.desk.resolve(again.id, OPERATOR, decision, again.digest)
+    answered = await runtime.governor.invocation(made["id"], AGENT)
+    assert answered["status"] == {"approve": "running", "deny": "denied"}[decision]
+
+
 async def test_what_waits_and_is_denied_now_ends_denied(runtime: Runtime, cell: HandCell) -> None:
     made, question = await waiting(runtime)
     await runtime.versions.activate(await brought(runtime, FORBIDDEN), ENGINEER, "no mugs")
