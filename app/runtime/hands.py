@@ -9,6 +9,7 @@
 | returning | the human gives the session back | binds it anew, or begins the rollback | returned |
 | returning | | refuses | held, with the code of why |
 | lapsed | nobody has the controls; someone is asked | binds it anew, or begins the rollback | returned |
+| held, returning, lapsed | | never says how it ended: the server ends it | ended |
 
 The agent reads it: codes, numbers and names, never a person's words. `facts` is the state it faces after the takeover.
 """
@@ -66,6 +67,13 @@ def given_back(takeover: Mapping[str, Any], then: str, facts: Mapping[str, Any] 
     """Return what a document says while a human gives the session back."""
     kept = {key: value for key, value in takeover.items() if key != "refused"}
     return {**kept, "state": RETURNING, "then": then, "facts": None if facts is None else facing(facts)}
+
+
+def over(takeover: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
+    """Return what a document says once the session has ended: nobody has its controls any more."""
+    if takeover is None or takeover["state"] not in (*OPEN, LAPSED):
+        return takeover
+    return {**takeover, "state": ENDED}
 
 
 def facing(facts: Mapping[str, Any]) -> dict[str, Any]:

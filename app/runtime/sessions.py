@@ -37,7 +37,7 @@ from app.protocol import Human, ProtocolError
 from app.runtime.cells import ended_by
 from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
 from app.runtime.escalation import DENIED, EXPIRED, PENDING, ROLLBACK, WITHDRAWN
-from app.runtime.hands import HELD, OPEN, never_taken
+from app.runtime.hands import HELD, OPEN, never_taken, over
 from app.runtime.kernel import LAUNCH_WITHIN_S
 from app.runtime.recollection import events_of, last_question
 from app.runtime.story import DONE, RULE, Story
@@ -393,6 +393,7 @@ class Sessions:
             open_question = self._desk.withdrawal(name)
             changes: dict[str, Any] = {} if open_question is None else {"escalation": open_question.reference()}
             changes["failure"] = None if outcome in DONE else {"reasons": [reason(RULE, code, message)]}
+            changes["takeover"] = over(present.takeover)
             ended = present.evolve(self._register.now(), status=final_status(outcome), outcome=outcome, **changes)
             rows = [] if open_question is None else [open_question.row()]
             drafts = [] if open_question is None else [escalation_event(open_question)]

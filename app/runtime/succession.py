@@ -31,6 +31,7 @@ from app.protocol import Human
 from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
 from app.runtime.errors import InvalidParams, NotFound
 from app.runtime.escalation import APPROVAL, PROFILE_CHANGED, WITHDRAWN, bound_digest
+from app.runtime.hands import over
 from app.runtime.invocation import reasons_document
 from app.runtime.kernel import ANOTHER_PROFILE
 from app.runtime.kernel import CHANGED as CONDITIONS_CHANGED
@@ -223,7 +224,11 @@ class Succession:
             if present.final:
                 return
             ended = present.evolve(
-                self._register.now(), status=Status.FAILED, outcome=Outcome.FAULT, failure={"reasons": reasons}
+                self._register.now(),
+                status=Status.FAILED,
+                outcome=Outcome.FAULT,
+                failure={"reasons": reasons},
+                takeover=over(present.takeover),
             )
             with contextlib.suppress(RecordUnavailable):  # then it ends as a launch that nobody confirmed
                 await self._register.append([outcome_event(ended, SERVER, *reasons)], (), [ended])

@@ -348,6 +348,27 @@ async def test_a_lost_link_takes_the_controls_away(runtime: Runtime, cell: HandC
     assert "let_go" in back.ops()
 
 
+@pytest.mark.parametrize("idle", [True, False])
+async def test_nobody_has_the_controls_of_what_was_lost_with_its_cell(
+    runtime: Runtime, cell: HandCell, idle: bool
+) -> None:
+    if idle:
+        name = (await runtime.governor.take_cell("workcell-1", OPERATOR))["invocation"]
+    else:
+        request = ProposalRequest(capability="navigate_to", params={"target": "dock", "speed_mps": 0.3})
+        name = (await runtime.governor.propose(AGENT, request))[0]["id"]
+        await cell.launched(name)
+        await runtime.governor.take_over(name, OPERATOR)
+    await cell.expect("launch", 1 if idle else 2)
+    await cell.hang_up()
+    back = HandCell(runtime)
+    back.seq = cell.seq
+    await back.dial()
+    await until(lambda: runtime.register.newest(name) is None)
+    document = await runtime.governor.invocation(name, OPERATOR)
+    assert (document["outcome"], document["takeover"]["state"]) == ("fault", "ended"), document
+
+
 async def test_a_reset_is_confirmed_by_who_armed_it_and_not_after_another_stop(
     runtime: Runtime, cell: HandCell
 ) -> None:
