@@ -250,8 +250,9 @@ class Versions:
             if not version.activations:  # what was in force before may come back
                 _demand_versions(active, candidate)
             version, found = await self._sound(version, candidate, active)
-            if found.loosens and not version.vouches(active.digest) - {principal.name}:
-                return await self._wait_for_second(version, found, principal, why), False
+            present = await self.load(active.digest)
+            if found.loosens and not version.vouches(present) - {principal.name}:
+                return await self._wait_for_second(version, present, found, principal, why), False
             version = await self._enter(version, candidate, found, principal, why)
         return version.public(), True
 
@@ -264,14 +265,13 @@ class Versions:
         return version.evolve(version.updated_at, proved=version.proved or found.proved, doubt=""), comparison
 
     async def _wait_for_second(
-        self, version: Version, found: Comparison, principal: Principal, why: str
+        self, version: Version, present: Version, found: Comparison, principal: Principal, why: str
     ) -> dict[str, Any]:
-        active, first = self._kernel.policy.digest, version.awaiting
-        if first is not None and first["against"] == active:
+        if version.waits(present):
             message = f"`{principal.name}` wants it in force already, and it loosens: it takes another engineer"
             raise Conflict("second_engineer_needed", message)
         now = self._register.now()
-        word = {"by": principal.name, "at": now, "why": why, "against": active}
+        word = {"by": principal.name, "at": now, "why": why, "against": present.digest}
         waiting = version.evolve(now, status=AWAITING, awaiting=word)
         said = waiting.event("awaiting_second", principal.name, awaiting=word, comparison=found.brief())
         await self._register.append([said], [waiting.row()])
@@ -281,11 +281,12 @@ class Versions:
         self, version: Version, candidate: PolicySet, found: Comparison, principal: Principal, why: str
     ) -> Version:
         former = self._kernel.policy
-        by = sorted(version.vouches(former.digest) | {principal.name}) if found.loosens else [principal.name]
+        present = await self.load(former.digest)
+        by = sorted(version.vouches(present) | {principal.name}) if found.loosens else [principal.name]
         activation = {"by": by, "why": why, "former": former.digest, "direction": found.direction}
         now = self._register.now()
         entered = version.entered(now, activation)
-        left = (await self.load(former.digest)).evolve(now, status=FORMER)
+        left = present.evolve(now, status=FORMER)
         body = {
             "policy_version": candidate.digest,
             "source": REQUEST,
