@@ -30,6 +30,7 @@ RULE: Final = "runtime/session"
 ITSELF: Final = "cell"  # how a cell names itself as an actor
 CONFIRM: Final = "confirm:"  # how a cell says which phase waits
 LINK: Final = "link"  # how a cell says that it holds because its link had lapsed
+LOST: Final = frozenset({LINK, "link_lost", "link_returned"})  # and how the server says that it was lost
 ONWARD: Final = "let it go on from where it is held, or end it"  # what a human may say of a held session
 ANEW: Final = "let it go on with a new attempt, or end it"  # and of one that had failed
 CONFIRM_RULE: Final = "authority/confirm_before"
@@ -151,7 +152,7 @@ class Story:
             reasons = self._desk.departed.get(version.id, reasons)
         if question is None:
             asked = self._desk.session_question(version, reasons, phase)
-        elif question.phase is not None and code == LINK:  # it goes on waiting for that, on the terms it was asked on
+        elif code == LINK and not _of_the_link(question):  # it waits as before, on the terms it was asked on
             asked = question.evolve(at, reasons=_with_link(question))
         elif phase != question.phase:  # its terms are those of what it waits for
             asked = replace(self._desk.session_question(version, reasons, phase), id=question.id)
@@ -229,9 +230,15 @@ def _answered_meanwhile(version: Invocation, event: UpEvent) -> bool:
     return answered and version.status is Status.ESCALATED and event.body.get("reason") == LINK
 
 
+def _of_the_link(question: Escalation) -> bool:
+    """Say whether a question is about nothing but a link that was lost, by the server's word or the cell's."""
+    return question.phase is None and {why["code"] for why in question.reasons} <= LOST
+
+
 def _with_link(question: Escalation) -> Sequence[Mapping[str, str]]:
-    """Return why a phase waits, and that the cell's link lapsed meanwhile, said once."""
-    lapsed = reason(RULE, LINK, f"the cell's link lapsed meanwhile; `{question.phase}` waits to be confirmed as before")
+    """Return why a session waits, and that the cell's link lapsed meanwhile, said once."""
+    waits = "the session waits" if question.phase is None else f"`{question.phase}` waits to be confirmed"
+    lapsed = reason(RULE, LINK, f"the cell's link lapsed meanwhile; {waits} as before")
     return question.reasons if lapsed in question.reasons else [*question.reasons, lapsed]
 
 

@@ -274,6 +274,18 @@ async def test_a_lost_link_leaves_a_phase_its_terms_and_is_said_once(confirming:
     await until(lambda: cell.ops() == ["confirm"])
 
 
+async def test_a_lost_link_takes_no_reason_away_from_a_question(confirming: tuple[Runtime, HandCell]) -> None:
+    """Whoever answers for a session that a person stands in the way of is not told of the link alone."""
+    runtime, cell = confirming
+    document, question = await held(runtime, cell)
+    for kind, more in (("status", {"status": "escalated"}), ("escalation", {"failure": None})) * 2:
+        await cell.report(kind, document["id"], reason="link", **more)
+    after = await runtime.desk.get(question["id"])
+    assert [*after["reasons"]][:-1] == [*question["reasons"]]
+    assert after["reasons"][-1]["code"] == "link"
+    assert after["digest"] == question["digest"]
+
+
 async def test_a_phase_keeps_its_terms_over_a_restart_of_the_server(house: House, policy: PolicySet) -> None:
     house.policy = replace(policy, authority=replace(policy.authority, confirm_before=(WAITS,)))
     async with house.open() as runtime:
