@@ -57,6 +57,9 @@ OVERTAKEN: Final = reason(
 OTHER_PROFILE: Final = reason(
     RULE, PROFILE_CHANGED, "the cell was put under another profile before this began", "propose again"
 )
+FORMER_HELD: Final = reason(
+    RULE, CHANGED, "a policy that is not in force any more held this; it waits for a human", "let it go on, or end it"
+)
 REVOKED: Final = reason(
     "authority/grants", "grant_ended", "the standing grant it was allowed by ended before this began", "propose again"
 )
@@ -359,11 +362,11 @@ class Succession:
         """Have a held session's question say what the policy in force has against its going on, and nobody else's."""
         now, policy = self._register.now(), self._kernel.policy.digest
         told, over = self._desk.departed.get(invocation.id, []), self._desk.conformed.get(invocation.id, [])
-        kept = [why for why in question.reasons if why not in told and why not in over]
+        kept = [why for why in question.reasons if why not in (*told, *over, FORMER_HELD)]
         bound = bound_digest(replace(invocation, policy_version=policy), question.effective, question.phase)
         asked = question.evolve(
             now,
-            reasons=[*kept, *told],
+            reasons=[*kept, *told] or [FORMER_HELD],
             digest=bound,
             former_digests=_former(question, bound),
             policy_version=policy,

@@ -493,6 +493,22 @@ async def test_a_question_that_stands_says_what_another_policy_has_against_it_an
     await until(lambda: {"resolve_continue", "confirm"} & set(cell.ops()))
 
 
+async def test_what_a_former_policy_alone_held_is_not_asked_without_a_reason(runtime: Runtime, cell: HandCell) -> None:
+    made = await running(runtime, cell)
+    before = runtime.kernel.policy.digest
+    await runtime.versions.activate(await brought(runtime, ASKING), ENGINEER, "look first")
+    await cell.report("status", made["id"], status="escalated", reason="policy_changed")
+    await cell.report("escalation", made["id"], reason="policy_changed")
+    asked = runtime.desk.pending_for(made["id"])
+    assert asked is not None
+    for engineer in (ENGINEER, ENGINEER_2):
+        await runtime.versions.activate(before, engineer, "no need")
+    again = runtime.desk.pending_for(made["id"])
+    assert again is not None
+    assert again.reasons != asked.reasons
+    assert [why["code"] for why in again.reasons] == ["policy_changed"]
+
+
 async def test_who_let_a_session_go_on_is_not_asked_the_same_with_the_next_question(
     runtime: Runtime, cell: HandCell
 ) -> None:
