@@ -13,6 +13,7 @@ carry it out. What they return and raise stands in `answers`.
 from __future__ import annotations
 
 import asyncio
+import re
 import time
 from collections.abc import Awaitable, Mapping, Sequence
 from typing import Any, Self
@@ -57,13 +58,18 @@ __all__ = [
 
 
 def _reply(response: httpx.Response) -> Reply:
-    after = response.headers.get("retry-after", "")
     kind = response.headers.get("content-type", "")
     try:
         content = response.json() if "json" in kind else response.text
-    except ValueError:  # says that it is JSON, and is not: `_read` shows it
+    except (ValueError, RecursionError):  # says that it is JSON, and is not, or bottomless: `_read` shows it
         content = response.text
-    return Reply(status=response.status_code, json=content, retry_after_s=float(after) if after.isdigit() else None)
+    return Reply(status=response.status_code, json=content, retry_after_s=_patience_s(response))
+
+
+def _patience_s(response: httpx.Response) -> float | None:
+    """Return how long a server asks to be left alone; what is no such number says nothing."""
+    after = response.headers.get("retry-after", "")
+    return float(after) if _SECONDS.fullmatch(after) else None
 
 
 def _authorization(token: str) -> dict[str, str]:
@@ -84,6 +90,7 @@ def _address(url: str) -> httpx.URL:
 
 
 MAX_PORT = 65535
+_SECONDS = re.compile(r"[0-9]{1,6}")
 _NOTHING = Reply(status=0, json=None)
 _TIMEOUT = httpx.Timeout(10.0, read=WAIT_S + 15.0)
 

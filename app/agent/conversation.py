@@ -24,6 +24,7 @@ _TERMINAL = _BEFORE_LAUNCH | {"completed", "failed"}
 _SEND_ATTEMPTS = 8
 _BACKOFF_S = 0.2
 _BACKOFF_MAX_S = 5.0
+_MAX_PATIENCE_S = 1e6  # what is longer is no time to wait
 _MAX_DEPTH = 32
 _MAX_KEY = 255
 _ATTEMPTS = uuid.UUID("6f1c5a52-3f0e-4d0b-9a53-0d7a0b1f7c11")  # sets our keys apart from whatever else is named so
@@ -165,11 +166,16 @@ def invoke(body: Document, key: str | None, defers: int, on_update: OnUpdate | N
             error.idempotency_key, error.invocation = first_key, next(iter(heard), None)
             raise
         if invocation["status"] == "deferred" and attempt < defers:
-            patience = document(invocation.get("admission")).get("retry_after_s") or 1.0
-            yield Sleep(seconds=max(float(patience), _backoff_s(attempt)))
+            yield Sleep(seconds=max(_patience_s(invocation), _backoff_s(attempt)))
             continue
         return conclude(invocation)
     raise AssertionError("unreachable: the last attempt always concludes")
+
+
+def _patience_s(deferred: Document) -> float:
+    """Return after how long to propose again; a second, where an answer names no time that can be waited."""
+    said = document(deferred.get("admission")).get("retry_after_s")
+    return float(said) if isinstance(said, int | float) and 0 < said <= _MAX_PATIENCE_S else 1.0
 
 
 def _nth_key(first: str, attempt: int) -> str:
@@ -183,6 +189,7 @@ def follow(invocation: Document, on_update: OnUpdate | None) -> Talk[Document]:
     """
     told: tuple[Any, ...] = ()
     while True:
+        _check_invocation(invocation)
         seen = (invocation["status"], invocation.get("updated_at"))
         if on_update is not None and seen != told:
             on_update(invocation)
@@ -193,6 +200,14 @@ def follow(invocation: Document, on_update: OnUpdate | None) -> Talk[Document]:
         if invocation.get("updated_at"):
             query["seen"] = str(invocation["updated_at"])
         invocation = yield from send(Call(method="GET", path=path_of(invocation["id"]), query=query))
+
+
+def _check_invocation(invocation: Document) -> None:
+    """Raise `Problem` for an answer that is no invocation: whatever came of the proposal, it does not say."""
+    name, status = invocation.get("id"), invocation.get("status")
+    if not (isinstance(name, str) and name.isascii() and isinstance(status, str)):
+        said = ascii(invocation)[:80]
+        raise Problem(200, "unreadable_answer", f"`{said}` is no invocation; valid is the URL of a server")
 
 
 def path_of(invocation: str) -> str:

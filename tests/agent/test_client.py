@@ -316,6 +316,24 @@ def test_a_token_that_fits_no_header_is_refused_without_repeating_it(client):
     assert "geheim" not in str(caught.value)
 
 
+@pytest.mark.parametrize("answer", [{}, {"id": 5, "status": "running"}, {"id": "inv_1", "status": ["running"]}])
+def test_an_answer_that_is_no_invocation_says_under_which_key_it_may_have_begun(answer):
+    with (
+        serve(lambda _: (201, answer)) as server,
+        ReinsClient(server.url, "t") as client,
+        pytest.raises(Problem, match="unreadable_answer") as caught,
+    ):
+        client.invoke("navigate_to", target="dock", idempotency_key="key-1")
+    assert caught.value.idempotency_key == "key-1"
+
+
+@pytest.mark.parametrize("after", ["9" * 30, "\u00b2", "-1", "soon"])
+def test_a_time_that_cannot_be_waited_breaks_nothing_off(after):
+    answers = iter([(503, {"code": "record_unavailable"}), (201, invocation("completed", outcome="succeeded"))])
+    with serve(lambda _: next(answers), {"retry-after": after}) as server, ReinsClient(server.url, "t") as client:
+        assert client.invoke("navigate_to", target="dock").outcome == "succeeded"
+
+
 def test_an_answer_that_is_no_document_is_shown():
     with (
         serve(lambda _: (200, "welcome to another server")) as server,
