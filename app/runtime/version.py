@@ -98,14 +98,19 @@ class Version:
         kept = (*self.activations, {"at": at, **activation})[-KEPT_ACTIVATIONS:]
         return self.evolve(at, status=ACTIVE, awaiting=None, activations=kept)
 
+    @property
+    def since(self) -> str:
+        """Return since when it is in force, where it is."""
+        return str(self.activations[-1]["at"]) if self.activations else self.created_at
+
     def waits(self, active: Version) -> bool:
         """Say whether somebody's word stands that it should take the place of what is in force.
 
         A word on what has left force meanwhile was about another change, and counts for nothing; not even where that is
         in force again.
         """
-        first, since = self.awaiting, active.activations[-1]["at"] if active.activations else active.created_at
-        return first is not None and first["against"] == active.digest and str(first["at"]) >= str(since)
+        first = self.awaiting
+        return first is not None and first["against"] == active.digest and str(first["at"]) >= active.since
 
     def vouches(self, active: Version) -> frozenset[str]:
         """Return who has said already that it should take the place of what is in force.
@@ -113,7 +118,8 @@ class Version:
         Bringing it counts for whoever brought it, as long as it was never in force and what it was compared with is.
         """
         asked = {str(self.awaiting["by"])} if self.awaiting is not None and self.waits(active) else set[str]()
-        brought = self.source == REQUEST and not self.activations and self.against == active.digest
+        compared = self.against == active.digest and self.created_at >= active.since
+        brought = self.source == REQUEST and not self.activations and compared
         return frozenset(asked | {self.by} if brought else asked)
 
     def public(self) -> dict[str, Any]:

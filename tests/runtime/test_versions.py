@@ -336,6 +336,15 @@ async def test_a_word_about_another_change_counts_for_nothing(runtime: Runtime) 
     assert not entered
 
 
+async def test_bringing_is_no_word_any_more_where_another_change_came_and_went(runtime: Runtime) -> None:
+    wide, digest = runtime.kernel.policy.digest, await brought(runtime, FASTER)
+    await runtime.versions.activate(await brought(runtime, SLOWER), ENGINEER, "a visitor")
+    for engineer in (ENGINEER, ENGINEER_2):
+        await runtime.versions.activate(wide, engineer, "the visitor left")
+    document, entered = await runtime.versions.activate(digest, ENGINEER_2, "faster")
+    assert (entered, document["status"]) == (False, "awaiting_second")
+
+
 async def test_a_word_from_before_another_change_counts_for_nothing_where_that_is_undone(runtime: Runtime) -> None:
     """Whoever tightened since, because of what they saw, has not said that they want the loosening all the same."""
     wide, digest = runtime.kernel.policy.digest, await brought(runtime, FASTER)

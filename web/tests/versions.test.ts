@@ -154,6 +154,13 @@ describe('a version', () => {
     expect(deed(waiting, version({ digest: 'sha256:c', status: 'active' }), ada, true, found('loosens'))).toMatchObject({ label: 'Give the first word', barrier: null });
   });
 
+  it('waits for nobody’s second word where another change came and went since the first', () => {
+    const back = version({ ...active, activations: [{ at: '2026-01-02T00:00:00Z', by: ['bob', 'eve'], why: '', former: 'sha256:z', direction: null }] });
+    const waiting = version({ status: 'awaiting_second', awaiting: { by: 'ada', at: '2026-01-01T00:00:00Z', why: '', against: 'sha256:a' } });
+    expect(deed(waiting, back, bob, true, found('loosens'))).toMatchObject({ label: 'Give the first word', says: expect.stringContaining('yours is the first word') as string });
+    expect(deed({ ...waiting, awaiting: { by: 'ada', at: '2026-01-03T00:00:00Z', why: '', against: 'sha256:a' } }, back, bob, true, found('loosens'))?.label).toBe('Give the second word');
+  });
+
   it('that was in force is gone back to, or put in force again', () => {
     const former = version({ digest: 'sha256:z', status: 'former', activations: active.activations });
     expect(deed(former, active, ada, true, found('tightens'))?.label).toBe('Roll back to this');

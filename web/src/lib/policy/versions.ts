@@ -68,7 +68,12 @@ export function deedOf(of: Situation): Deed | null {
 /** Who gave the first word on it in the place of what is in force now. */
 function wordGiven({ version, active }: Situation): string | null {
   const { awaiting } = version;
-  return awaiting !== null && awaiting.against === active?.digest ? awaiting.by : null;
+  return awaiting !== null && stands(awaiting.against, awaiting.at, active) ? awaiting.by : null;
+}
+
+/** Whether a word was said of what is in force, since it is: what has changed meanwhile makes it a word on another change. */
+function stands(against: string | null, at: string, active: Version | null): boolean {
+  return active !== null && against === active.digest && at >= (active.activations.at(-1)?.at ?? active.created_at);
 }
 
 function labelOf(of: Situation): string {
@@ -105,7 +110,7 @@ function takesTwo(of: Situation): boolean {
 
 /** Whether bringing it counts as the first word: as long as nothing has changed since. */
 function vouched({ version, active }: Situation): boolean {
-  return version.source === 'request' && version.activations.length === 0 && version.against === active?.digest;
+  return version.source === 'request' && version.activations.length === 0 && stands(version.against, version.created_at, active);
 }
 
 /** Which way decisions of a group of the shadow go, in words. */
