@@ -1,6 +1,6 @@
 import { describe, expect, it } from 'vitest';
 import type { Cell, LogEvent } from '../src/lib/api/documents';
-import { differences } from '../src/lib/fleet/profiles';
+import { differences, takesOver } from '../src/lib/fleet/profiles';
 import { secondsLeft, stopOf, unheardOf, VOIDED, whyWithdrawn } from '../src/lib/live/reset';
 import { heard, profileBarrier, resetBarrier, samePolicy } from '../src/lib/fleet/rights';
 import { event } from './samples';
@@ -20,6 +20,10 @@ describe('who may act', () => {
   ])('%s: profile %s, reset %s', (role, profile, reset) => {
     expect(profileBarrier({ role, live: true }) === null).toBe(profile);
     expect(resetBarrier({ role, live: true, cell: cell() }) === null).toBe(reset);
+  });
+
+  it('nobody takes the controls under a profile that does not say so; one that is not read yet is the server’s to judge', () => {
+    expect([STRICT, { authority: { modes: ['interrupt-enabled', 'takeover-enabled'] } }, {}, undefined].map(takesOver)).toEqual([false, true, false, true]);
   });
 
   it('nobody does while the link is down', () => {
