@@ -6,6 +6,7 @@ import { newestEdit, stepsText } from './edited';
 import { entryOf } from './entry';
 import { plain } from './plain';
 import { labelFor, valueOf } from './quantity';
+import { ruleWords } from './rules';
 import { clockTime } from './time';
 
 export type EventIcon = 'dot' | 'scale' | 'check' | 'alert' | 'pause' | 'stop' | 'hand' | 'undo' | 'person' | 'plug' | 'flag' | 'log' | 'refused';
@@ -38,29 +39,6 @@ const obj = (value: Json | undefined): Record<string, Json> =>
   value !== null && typeof value === 'object' && !Array.isArray(value) ? value : {};
 const list = (value: Json | undefined): Json[] => (Array.isArray(value) ? value : []);
 const line = (icon: EventIcon, tone: Tone, text: string, strong = ''): Line => ({ icon, tone, strong, text });
-
-/** Rules of the watcher in words; others speak by their name. */
-const RULES: Record<string, string> = {
-  separation: 'Separation',
-  'contact-force': 'Contact force',
-  'grip-force': 'Grip force',
-  'tcp-speed': 'Tool speed',
-  'base-speed': 'Base speed',
-  zone: 'Zone margin',
-  'external-torque': 'External torque',
-  slip: 'Slip',
-  'grip-lost': 'Grip lost',
-  stall: 'No progress',
-  timeout: 'Time limit',
-  stale: 'Sensor stale',
-  implausible: 'Sensor implausible',
-  postcondition: 'Result not verified',
-  'watch/completion': 'Completion',
-};
-
-export function ruleWords(rule: string): string {
-  return entryOf(RULES, rule) ?? words(rule.replace(/^.*\//, '').replaceAll('-', '_'));
-}
 
 function reading(rule: string, value: number | null, limit: number | null): string {
   if (value === null) return '';
@@ -261,10 +239,17 @@ function launch(body: Body): Line {
   return line('dot', 'plain', `Launched under ${str(body['permit']).replace(/^auth_/, '').slice(-6)}`);
 }
 
+/** What ends a session that somebody drives, though they did not end it. */
+const ENDS: Record<string, string> = {
+  [ROLLBACK_FAILED]: ROLLBACK_FAILED,
+  link: 'ended, as the cell had lost the server',
+  control_lapsed: 'ended, as its holder fell silent',
+};
+
 function outcome(body: Body): Line {
   const label = str(body['outcome']);
   const good = goodOutcome(label);
-  const why = str(body['failure']) || (str(body['code']) === ROLLBACK_FAILED ? ROLLBACK_FAILED : '');
+  const why = str(body['failure']) || (entryOf(ENDS, str(body['code'])) ?? '');
   return line(good ? 'flag' : outcomeTone(label) === 'human' ? 'person' : 'stop', outcomeTone(label), why === '' || good ? '' : `, ${why.replaceAll('_', ' ')}`, words(outcomeWords(label)));
 }
 

@@ -1,6 +1,6 @@
 import type { Escalation, InputSchema, Invocation, Reason } from '../api/documents';
 import { entryOf } from '../format/entry';
-import { ruleWords } from '../format/events';
+import { ruleWords } from '../format/rules';
 import { plain } from '../format/plain';
 import { labelFor } from '../format/quantity';
 
