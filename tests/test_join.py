@@ -49,6 +49,7 @@ class Hand:
                 env={**os.environ, CELL_TOKEN_VARIABLE: token},
             )
         self.started.append(process)
+        Servers.logs.add(log)  # where its link lapses, it says so here
         return process, log
 
     def end(self) -> None:
