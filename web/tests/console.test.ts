@@ -139,6 +139,14 @@ describe('the cell that is looked at', () => {
     expect(page.seen).toBe(true);
   });
 
+  it('changes by nobody’s hand but the person’s: another that attaches takes nothing away from it', () => {
+    worker().say({ type: 'update', seq: 2, cells: [cell({ id: 'alpha' })] });
+    vi.advanceTimersByTime(100);
+    expect([page.cells.length, page.cell?.id, page.stoppable]).toEqual([4, 'workcell-1', 'workcell-1']);
+    page.select('alpha');
+    expect(page.stoppable).toBe('alpha');
+  });
+
   it('is never drawn as the one that was looked at before', () => {
     described('workcell-1');
     worker().frame(0);
@@ -166,5 +174,33 @@ describe('the cell that is looked at', () => {
     expect(shown('esc_mug', 'runs')).toEqual(['runs', 'esc_mug']);
     expect(shown('esc_there', null)).toEqual(['driver', undefined]);
     expect([shown(null, null), shown('esc_gone', null)]).toEqual([['driver', undefined], ['driver', undefined]]);
+  });
+});
+
+describe('the cell that a stop is for while no socket says which there are', () => {
+  afterEach(() => {
+    vi.useRealTimers();
+    vi.unstubAllGlobals();
+  });
+
+  it('stays what it was when asking again fails, or another attaches', async () => {
+    vi.useFakeTimers({ now: 0 });
+    const answers: (() => Promise<Response>)[] = [
+      () => Promise.resolve(Response.json({ items: [{ id: 'workcell-1' }] })),
+      () => Promise.reject(new TypeError('no network')),
+      () => Promise.resolve(Response.json({ items: [{ id: 'alpha' }, { id: 'workcell-1' }] })),
+    ];
+    vi.stubGlobal('Worker', PlayedWorker);
+    vi.stubGlobal('location', { protocol: 'https:', host: 'here' });
+    vi.stubGlobal('sessionStorage', { getItem: () => null, setItem: () => undefined });
+    vi.stubGlobal('fetch', () => (answers.shift() ?? (() => Promise.reject(new TypeError('no network'))))());
+    const page = new Console('secret');
+    const stoppable: (string | null)[] = [];
+    for (let k = 0; k < 3; k += 1) {
+      await vi.advanceTimersByTimeAsync(1_000);
+      stoppable.push(page.stoppable);
+    }
+    page.end();
+    expect(stoppable).toEqual(['workcell-1', 'workcell-1', 'workcell-1']);
   });
 });

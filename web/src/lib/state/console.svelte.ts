@@ -273,7 +273,13 @@ export class Console {
     this.reviewing.follow(this.docs.reviews);
     const dueMs = this.violations.dueInMs(nowMs);
     if (dueMs !== null) this.lapsing = setTimeout(() => this.pace.ask(), dueMs);
+    this.stay();
     this.watchFirst();
+  }
+
+  /** Whoever has chosen no cell stays with the one that they see: one that attaches later takes no stop away from it. */
+  private stay(): void {
+    if (this.selected === null && this.stoppable !== null) this.select(this.stoppable);
   }
 
   private takeAboutCell(message: Down): void {
@@ -305,8 +311,9 @@ export class Console {
     this.listing = true;
     try {
       this.listed = (await this.api.cells()).items.map((cell) => cell.id).sort();
+      this.stay();
     } catch {
-      this.listed = []; // asked again in a second; the banner says that nothing is known
+      // asked again in a second; a cell that was there is stopped, whatever became of this question
     }
     this.listing = false;
   }
