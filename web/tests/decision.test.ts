@@ -199,6 +199,28 @@ describe('a decision', () => {
     expect([sent.length, decision.ready]).toEqual([1, false]);
   });
 
+  it('is denied though an approval is on its way, which says nothing any more', async () => {
+    const answers: { give: (of: Escalation) => void; fail: (code: string) => void }[] = [];
+    reply = () => new Promise((give, fail) => answers.push({ give, fail: (code) => fail(new ApiError({ title: '', status: 409, detail: 'x', code })) }));
+    const decision = decide();
+    const approval = decision.approve();
+    expect([decision.ready, decision.deniable]).toEqual([false, true]);
+    const denial = decision.deny();
+    expect([sent.map((one) => one.decision), decision.sending, decision.deniable]).toEqual([['approve', 'deny'], 'deny', false]);
+    answers[1]?.give(escalation({ status: 'denied' }));
+    await denial;
+    answers[0]?.fail('already_resolved');
+    await approval;
+    expect([decision.problem, decision.late, decision.sending]).toEqual(['', false, 'deny']);
+    const second = decide();
+    const [first, refused] = [second.approve(), second.deny()];
+    answers[2]?.give(escalation({ status: 'approved' }));
+    await first;
+    answers[3]?.fail('already_resolved');
+    await refused;
+    expect([second.problem, second.late]).toEqual(['Somebody has answered this already.', true]);
+  });
+
   it('can be given again where one approval was not enough', async () => {
     reply = () => Promise.resolve(escalation({ digest: 'sha256:2' }));
     const decision = decide();

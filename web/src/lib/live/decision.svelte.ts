@@ -47,6 +47,10 @@ export class Decision {
   asked: Escalation;
   private timer: ReturnType<typeof setTimeout> | undefined;
   private turn = 0;
+  /** Counts the answers: what an older one meets says nothing any more. */
+  private sends = 0;
+  /** The question has its answer: its card goes with the next update, and takes no other one until then. */
+  private over = $state(false);
 
   constructor(
     private readonly api: Asks,
@@ -66,6 +70,8 @@ export class Decision {
     return `${this.edited ? 'Approve edit' : 'Approve'}${allowing}`;
   });
   readonly ready = $derived.by(() => this.sending === null && mayApprove(this.check));
+  /** A denial waits for no approval that is on its way. */
+  readonly deniable = $derived.by(() => this.sending !== 'deny' && !this.over);
   /** What a press of approve is about: what is asked, what was typed, and what policy said to it. */
   readonly shown = $derived.by(() => JSON.stringify([this.asked.digest, this.typed, this.check, this.offer, this.ready]));
 
@@ -117,7 +123,7 @@ export class Decision {
   }
 
   deny(): Promise<Escalation | null> {
-    if (this.sending !== null) return Promise.resolve(null);
+    if (!this.deniable) return Promise.resolve(null);
     const answer: Answer = { decision: 'deny', digest: this.asked.digest };
     if (this.code !== '') answer.code = this.code;
     return this.send(answer);
@@ -138,20 +144,24 @@ export class Decision {
   }
 
   private async send(answer: Answer): Promise<Escalation | null> {
+    const turn = (this.sends += 1);
     this.sending = answer.decision;
     this.problem = this.withheld = '';
-    let over = false;
     try {
       const answered = await this.api.resolve(this.asked.id, answer);
-      over = answered.status !== 'pending'; // the card goes with the next update; until then it takes no second answer
+      if (answered.status !== 'pending') this.over = true;
       return answered;
     } catch (error) {
-      this.late = error instanceof ApiError && error.code === 'already_resolved';
-      this.problem = error instanceof ApiError ? refusal(error, answer) : String(error instanceof Error ? error.message : error);
+      if (turn === this.sends) this.refuse(error, answer);
       return null;
     } finally {
-      if (!over) this.sending = null;
+      if (turn === this.sends && !this.over) this.sending = null;
     }
+  }
+
+  private refuse(error: unknown, answer: Answer): void {
+    this.late = error instanceof ApiError && error.code === 'already_resolved';
+    this.problem = error instanceof ApiError ? refusal(error, answer) : String(error instanceof Error ? error.message : error);
   }
 }
 
