@@ -5,6 +5,7 @@ import { turnedAway, type Known } from '../format/events';
 import { Lasting, withLasting } from '../live/lasting';
 import { Reviewing } from '../live/reviewing.svelte';
 import { Titles } from '../live/titles.svelte';
+import { Unheeded } from '../live/unheeded.svelte';
 import type { Health } from '../socket/connection';
 import type { PoseFrame } from '../socket/frame';
 import { Link } from '../socket/link';
@@ -60,6 +61,7 @@ export class Console {
     turnedAway: (verdict) => turnedAway(this.docs.events, verdict),
   };
   readonly lapses = new Lapses();
+  readonly unheeded = new Unheeded();
   readonly titles: Titles;
   readonly reviewing: Reviewing;
   jogRefused = $state<string | null>(null);
