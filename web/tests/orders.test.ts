@@ -56,4 +56,27 @@ describe('what is ordered of a session', () => {
     await vi.advanceTimersByTimeAsync(0);
     expect(given.unanswered).toBe(null);
   });
+
+  it('is said to be on its way beside the session that it was ordered of, and to none other', async () => {
+    vi.useFakeTimers();
+    const [one, two] = ['1', '2'].map((k) => ({ session: invocation({ id: `inv_${k}`, status: 'running', cell: `workcell-${k}` }), cell: cell({ id: `workcell-${k}`, busy: `inv_${k}`, status: 'running' }) }));
+    const answers: { give: () => void; fail: () => void }[] = [];
+    const operate = (): Promise<void> => new Promise((give, fail) => answers.push({ give, fail: () => fail(new Error('No answer.')) }));
+    const seen = { ...one, live: true, me: { role: 'operator' }, docs: { escalations: {}, events: [] }, api: { operate } };
+    const given = new Orders(seen as unknown as Console);
+    given.pause();
+    await vi.advanceTimersByTimeAsync(500);
+    Object.assign(seen, two);
+    expect(given.unanswered).toBe(null);
+    given.pause();
+    await vi.advanceTimersByTimeAsync(500);
+    answers[0]?.fail();
+    await vi.advanceTimersByTimeAsync(0);
+    expect([given.unanswered, given.problem]).toEqual(['pause', 'Pause in workcell-1: No answer.']);
+    given.pause(); // of another cell, it takes nothing back
+    answers[1]?.fail();
+    answers[2]?.fail();
+    await vi.advanceTimersByTimeAsync(0);
+    expect([given.unanswered, given.problem, given.told]).toEqual([null, 'Pause in workcell-1: No answer. No answer.', 'Pause in workcell-1: No answer. Pause in workcell-2: No answer.']);
+  });
 });

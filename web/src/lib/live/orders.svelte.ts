@@ -8,11 +8,18 @@ const SAYS: Record<Word, string> = { pause: 'Pause', resume: 'Resume', rollback:
 /** A word is taken to be on its way, and nothing worth a line, for so long. */
 const SOON_MS = 400;
 
-/** What may be ordered of the session that one looks at, and what became of it; for every button that orders it. */
+interface Refusal {
+  cell: string | null;
+  word: Word;
+  why: string;
+}
+
+/** What may be ordered of the session that one looks at, and what became of it; for every button that orders it, on whatever page. */
 export class Orders {
-  private refused = $state.raw<{ cell: string | null; word: Word; why: string } | null>(null);
-  /** What was ordered, and has had no answer for a while. */
-  unanswered = $state.raw<Word | null>(null);
+  /** What was refused last in each cell. */
+  private refused = $state.raw<readonly Refusal[]>([]);
+  /** What was ordered of which session, and has had no answer for a while. */
+  private waiting = $state.raw<readonly { session: string; word: Word }[]>([]);
 
   constructor(private readonly console: Console) {}
 
@@ -39,15 +46,24 @@ export class Orders {
     return this.status === 'running' || this.status === 'paused' || this.status === 'escalated';
   });
 
-  /** Why what was ordered last was not done; who looks at another cell by now is told of which it was ordered. */
+  /** What was ordered of the session that one looks at, and has had no answer for a while. */
+  get unanswered(): Word | null {
+    return this.waiting.findLast(({ session }) => session === this.console.session?.id)?.word ?? null;
+  }
+
+  /** Why what was ordered was not done; who looks at another cell by now is told of which it was ordered. */
   get problem(): string {
-    if (this.refused === null) return '';
-    const { cell, word, why } = this.refused;
-    return cell === (this.console.cell?.id ?? null) ? why : `${SAYS[word]} in ${cell ?? 'no cell'}: ${why}`;
+    const here = this.console.cell?.id ?? null;
+    return this.refused.map((one) => (one.cell === here ? one.why : named(one))).join(' ');
+  }
+
+  /** The same for who does not see where it was ordered. */
+  get told(): string {
+    return this.refused.map(named).join(' ');
   }
 
   understood(): void {
-    this.refused = null;
+    this.refused = [];
   }
 
   pause(): void {
@@ -65,14 +81,21 @@ export class Orders {
   private async say(word: Word): Promise<void> {
     const { session } = this.console;
     if (session === null) return;
-    this.refused = null;
-    const late = setTimeout(() => (this.unanswered = word), SOON_MS);
+    const { id } = session;
+    const cell = session.cell ?? null;
+    this.refused = this.refused.filter((one) => one.cell !== cell);
+    const late = setTimeout(() => (this.waiting = [...this.waiting, { session: id, word }]), SOON_MS);
     try {
-      await this.console.api.operate(session.id, word);
+      await this.console.api.operate(id, word);
     } catch (error) {
-      this.refused = { cell: session.cell ?? null, word, why: error instanceof Error ? error.message : String(error) };
+      const why = error instanceof Error ? error.message : String(error);
+      this.refused = [...this.refused.filter((one) => one.cell !== cell), { cell, word, why }];
     }
     clearTimeout(late);
-    this.unanswered = null;
+    this.waiting = this.waiting.filter((one) => one.session !== id || one.word !== word);
   }
+}
+
+function named({ cell, word, why }: Refusal): string {
+  return `${SAYS[word]} in ${cell ?? 'no cell'}: ${why}`;
 }

@@ -3,6 +3,7 @@ import type { Capability, Cell, Escalation, InputSchema, Invocation, PolicySet }
 import { entryOf } from '../format/entry';
 import { turnedAway, type Known } from '../format/events';
 import { Lasting, withLasting } from '../live/lasting';
+import { Orders } from '../live/orders.svelte';
 import { Reviewing } from '../live/reviewing.svelte';
 import { Titles } from '../live/titles.svelte';
 import { Unheeded } from '../live/unheeded.svelte';
@@ -62,6 +63,7 @@ export class Console {
   };
   readonly lapses = new Lapses();
   readonly unheeded = new Unheeded();
+  readonly orders = new Orders(this);
   readonly titles: Titles;
   readonly reviewing: Reviewing;
   jogRefused = $state<string | null>(null);
