@@ -67,6 +67,10 @@ export class Console {
   readonly titles: Titles;
   readonly reviewing: Reviewing;
   jogRefused = $state<string | null>(null);
+  /** The cell whose controls came when nobody looked at it any more; until whoever asked for them knows. */
+  cameLate = $state<string | null>(null);
+  /** Whoever sat here has signed out, or was shown out. */
+  ended = false;
   /** Cells as asked for by name, while no socket says which there are: the stop needs no seat. */
   private listed = $state.raw<string[]>([]);
   private listing = false;
@@ -202,6 +206,7 @@ export class Console {
   }
 
   end(): void {
+    this.ended = true;
     clearInterval(this.looking);
     clearInterval(this.attending);
     clearTimeout(this.policyAgain);
