@@ -3,7 +3,7 @@ import type { Escalation, Invocation, LogEvent, Risk } from '../src/lib/api/docu
 import { gaugesFor, readGauge, unfinished, type GaugeSpec } from '../src/lib/live/gauges';
 import { History } from '../src/lib/live/history';
 import { closingOf } from '../src/lib/live/closed';
-import { cutOff, handsOn, holdersOf, leaseLapsed, pausedWords, pauseEndedOf, pauserOf, refusalWords, restraintsOf, unreachedWords } from '../src/lib/live/control';
+import { handsOn, holdersOf, lossOf, pausedWords, pauseEndedOf, pauserOf, refusalWords, restraintsOf, unreachedWords } from '../src/lib/live/control';
 import { deniedIsUndone, goingOn } from '../src/lib/live/held';
 import { reasonLines } from '../src/lib/live/reasons';
 import { askedOf, stagesOf } from '../src/lib/live/stages';
@@ -228,17 +228,24 @@ describe('the controls of a cell', () => {
 
   it('are lost where the log says so of their lease', () => {
     const lapsed = event('human', { op: 'control_lapsed', cell: 'workcell-1', holder: 'ann', lease: 'lease_1' });
-    expect(leaseLapsed(lapsed, 'lease_1')).toBe(true);
-    expect(leaseLapsed(lapsed, 'lease_0')).toBe(false);
-    expect(leaseLapsed(event('human', { op: 'release', lease: 'lease_1' }), 'lease_1')).toBe(false);
+    expect(lossOf([lapsed], 'lease_1')).toContain('for three seconds');
+    expect([lossOf([lapsed], 'lease_0'), lossOf([lapsed], null)]).toEqual([null, null]);
+    expect(lossOf([event('human', { op: 'release', lease: 'lease_1' })], 'lease_1')).toBe(null);
   });
 
-  it('are lost, too, where the session they were for ended with its cell’s link', () => {
-    const taken = event('human', { op: 'takeover', how: 'granted', lease: 'lease_1' }, 'inv_1', 'ann');
+  it('are lost, too, where the session they were for ended, or was made to wait, whatever did that', () => {
+    const taken = (lease = 'lease_1'): LogEvent => event('human', { op: 'takeover', how: 'granted', lease }, 'inv_1', 'ann');
     const over = (code: string, name = 'inv_1'): LogEvent => event('outcome', { outcome: 'taken_over', code }, name);
-    expect(cutOff([taken, over('link')], 'lease_1')).toBe(true);
-    expect([cutOff([taken, over('handed_back')], 'lease_1'), cutOff([taken, over('link', 'inv_2')], 'lease_1')]).toEqual([false, false]);
-    expect([cutOff([taken, over('link')], 'lease_0'), cutOff([over('link')], 'lease_1'), cutOff([taken, over('link')], null)]).toEqual([false, false, false]);
+    const waits = event('escalation', { reason: 'control_lapsed', failure: 'taken_over' });
+    const asked = event('escalation', { escalation: { id: 'esc_1', status: 'withdrawn' } });
+    expect(lossOf([taken(), over('link')], 'lease_1')).toContain('The cell had lost the server');
+    expect(lossOf([taken(), event('human', { op: 'stop', role: 'operator' }, 'inv_1', 'bob'), over('operator')], 'lease_1')).toBe('bob ended what was driven.');
+    expect(lossOf([taken(), over('journal_unavailable')], 'lease_1')).toBe('What you drove is over: journal unavailable.');
+    expect(lossOf([taken(), waits], 'lease_1')).toBe('The robot came to rest, and the session waits for a person.');
+    expect(lossOf([taken(), event('intervention', { intervention: 'ESCALATE', former: 'sha256:1' }), waits], 'lease_1')).toContain('Another policy came into force');
+    const untold = [[taken(), asked], [taken(), over('estop')], [taken(), over('link', 'inv_2')], [over('link'), taken()], [taken(), event('human', { op: 'release', lease: 'lease_1' }), over('operator')], [taken(), taken('lease_2'), over('link')]];
+    expect(untold.map((log) => lossOf(log, 'lease_1'))).toEqual(untold.map(() => null));
+    expect([lossOf([taken(), over('link')], 'lease_0'), lossOf([over('link')], 'lease_1')]).toEqual([null, null]);
   });
 
   it('name who paused what one drives: the newest word of a person, not what its cell echoes', () => {

@@ -46,16 +46,47 @@ export function unreachedWords({ live, cell }: { live: boolean; cell: Pick<Cell,
   return cell?.online === true ? null : `${cell?.id ?? 'the cell'} is not heard`;
 }
 
+const SILENT = 'Nothing was heard from this window for three seconds, so the robot came to rest.';
+const CUT = 'The cell had lost the server: the robot came to rest, and what you drove is over.';
+/** What the banners of a stop and of a cell's fault tell already. */
+const TOLD = new Set(['estop', 'guard_broken']);
+
+/**
+ * Why the controls that were had by this lease are lost, in words: whatever took them, but what its holder or another
+ * holder did. Null where that is not known, as of a lease that was given back, or not yet taken.
+ */
+export function lossOf(events: readonly LogEvent[], lease: string | null): string | null {
+  if (lease === null) return null;
+  if (events.some((event) => leaseLapsed(event, lease))) return SILENT;
+  const at = events.findLastIndex((event) => isTaking(event) && event.body['lease'] === lease);
+  const since = at === -1 ? [] : events.slice(at + 1).filter(({ invocation }) => invocation === events[at]?.invocation);
+  if (since.some((event) => isTaking(event) || (event.kind === 'human' && event.body['op'] === 'release'))) return null;
+  const end = since.find(({ kind }) => kind === 'outcome');
+  return end === undefined ? heldWords(since) : endWords(end.body['code'], since);
+}
+
+/** Of a session that was taken out of somebody's hands and has not ended: its cell's own report says that it waits. */
+function heldWords(since: readonly LogEvent[]): string | null {
+  if (!since.some(({ kind, body }) => kind === 'escalation' && 'reason' in body)) return null;
+  const changed = since.some(({ kind, body }) => kind === 'intervention' && 'former' in body);
+  return `${changed ? 'Another policy came into force: the' : 'The'} robot came to rest, and the session waits for a person.`;
+}
+
+function endWords(said: LogEvent['body'][string] | undefined, since: readonly LogEvent[]): string | null {
+  const code = typeof said === 'string' ? said : '';
+  if (TOLD.has(code)) return null;
+  if (code === 'link') return CUT;
+  const word = since.findLast(({ kind, body }) => kind === 'human' && 'role' in body && (body['op'] === 'stop' || body['op'] === 'cancel'));
+  return word === undefined ? `What you drove is over: ${code.replaceAll('_', ' ')}.` : `${word.actor} ended what was driven.`;
+}
+
 /** Whether an event says that this lease ended because its holder fell silent. */
-export function leaseLapsed(event: LogEvent, lease: string | null): boolean {
+function leaseLapsed(event: LogEvent, lease: string): boolean {
   return event.kind === 'human' && event.body['op'] === 'control_lapsed' && event.body['lease'] === lease;
 }
 
-/** Whether the session that this lease was for has ended because its cell was away from the server for too long. */
-export function cutOff(events: readonly LogEvent[], lease: string | null): boolean {
-  const taken = events.findLast(({ kind, body }) => kind === 'human' && body['op'] === 'takeover' && body['lease'] === lease);
-  if (lease === null || taken === undefined) return false;
-  return events.some(({ kind, invocation, body }) => kind === 'outcome' && invocation === taken.invocation && body['code'] === 'link');
+function isTaking({ kind, body }: LogEvent): boolean {
+  return kind === 'human' && body['op'] === 'takeover';
 }
 
 const WHY: Record<string, string> = {
