@@ -82,28 +82,53 @@ export class Closer {
   found = $state.raw<Comparison | null>(null);
   shadow = $state.raw<Shadow | null>(null);
   trouble = $state<string | null>(null);
+  /** Why it is not known whether it decides in the shadow. */
+  dark = $state<string | null>(null);
+  /** Counts what was asked, or said, of the shadow: an older answer tells nothing any more. */
+  private looks = 0;
+  private seen = 0;
 
   constructor(
-    private readonly api: Pick<Api, 'comparison' | 'shadow'>,
+    private readonly api: Pick<Api, 'comparison' | 'shadow' | 'setShadow'>,
     private readonly digest: string,
   ) {}
 
-  /** Has it compared, until nobody wants to know any more. */
+  /** Has it compared, until nobody wants to know any more. What it was compared with before is in force no more. */
   async compare(until?: AbortSignal): Promise<void> {
-    this.trouble = null;
+    this.trouble = this.found = null;
     try {
-      this.found = await this.api.comparison(this.digest, until);
+      const found = await this.api.comparison(this.digest, until);
+      if (until?.aborted !== true) this.found = found;
     } catch (error) {
       if (until?.aborted !== true) this.trouble = said(error);
     }
   }
 
   async look(): Promise<void> {
+    const mine = (this.looks += 1);
     try {
-      this.shadow = await this.api.shadow(this.digest);
+      const found = await this.api.shadow(this.digest);
+      if (mine < this.seen) return;
+      this.seen = mine;
+      this.shadow = found;
+      this.dark = null;
     } catch (error) {
-      this.trouble = said(error);
+      if (mine >= this.seen) this.dark = said(error);
     }
+  }
+
+  /** Has it decide in the shadow, or not any more. What was asked of the shadow before that is answered tells nothing any more. */
+  async setShadow(on: boolean, why: string): Promise<void> {
+    const now = await this.api.setShadow(this.digest, on, why);
+    this.looks += 1;
+    this.seen = this.looks;
+    this.shadow = now;
+  }
+
+  /** Asks once more for what could not be had. */
+  async again(until?: AbortSignal): Promise<void> {
+    const [compared, seen] = [this.trouble === null, this.dark === null];
+    await Promise.all([compared ? null : this.compare(until), seen ? null : this.look()]);
   }
 }
 
