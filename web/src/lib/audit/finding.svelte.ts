@@ -1,0 +1,81 @@
+import { ApiError, type Api } from '../api/client';
+import type { Invocation, LogEvent } from '../api/documents';
+import { findEvents, findSessions, NOTHING_WANTED, renewed, type Wanted } from './search';
+
+export type Sought = 'sessions' | 'events';
+
+/** What was looked for in the record, and what was found: of several answers the one to the newest question. */
+export class Finding {
+  /** What was asked for: what is still being typed filters nothing yet. */
+  asked = $state.raw<Wanted>(NOTHING_WANTED);
+  what = $state<Sought>('sessions');
+  sessions = $state.raw<Invocation[]>([]);
+  events = $state.raw<LogEvent[]>([]);
+  next = $state.raw<string | number | null>(null);
+  busy = $state(false);
+  why = $state('');
+  private turn = 0;
+  private renewals = 0;
+
+  constructor(private readonly api: Pick<Api, 'events' | 'invocations'>) {}
+
+  get count(): number {
+    return this.what === 'sessions' ? this.sessions.length : this.events.length;
+  }
+
+  /** Looks for something else, or anew. */
+  async look(what: Sought, wanted: Wanted): Promise<void> {
+    this.what = what;
+    this.asked = wanted;
+    await this.find(false);
+  }
+
+  async more(): Promise<void> {
+    await this.find(true);
+  }
+
+  /** Reads the beginning of the list of sessions anew: what is listed is no less true if that fails. */
+  async renew(): Promise<void> {
+    if (this.what !== 'sessions' || (this.busy && this.count === 0)) return; // it is on its way
+    this.renewals += 1;
+    const [turn, mine] = [this.turn, this.renewals];
+    const found = await findSessions(this.api, this.asked, null).catch(() => null);
+    if (found === null || turn !== this.turn || mine !== this.renewals) return;
+    ({ items: this.sessions, next: this.next } = renewed({ items: this.sessions, next: this.next }, found));
+  }
+
+  private async find(more: boolean): Promise<void> {
+    this.turn += 1;
+    const mine = this.turn;
+    this.busy = true;
+    try {
+      const found = await (this.what === 'sessions' ? this.moreSessions(more) : this.moreEvents(more));
+      if (mine !== this.turn) return;
+      found();
+      this.why = '';
+    } catch (error) {
+      if (mine === this.turn) this.why = error instanceof ApiError ? error.message : String(error);
+    }
+    if (mine === this.turn) this.busy = false;
+  }
+
+  /** Returns what puts the found ones on screen, if nothing else was asked for meanwhile. */
+  private async moreSessions(more: boolean): Promise<() => void> {
+    const from = more && typeof this.next === 'string' ? this.next : null;
+    const found = await findSessions(this.api, this.asked, from);
+    return () => {
+      const before = from === null ? [] : this.sessions;
+      this.sessions = [...before, ...found.items.filter(({ id }) => !before.some((listed) => listed.id === id))];
+      this.next = found.next;
+    };
+  }
+
+  private async moreEvents(more: boolean): Promise<() => void> {
+    const from = more && typeof this.next === 'number' ? this.next : null;
+    const found = await findEvents(this.api, this.asked, from ?? 0);
+    return () => {
+      this.events = from === null ? found.items : [...this.events, ...found.items];
+      this.next = found.next;
+    };
+  }
+}

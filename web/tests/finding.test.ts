@@ -1,0 +1,65 @@
+import { beforeEach, describe, expect, it } from 'vitest';
+import { ApiError } from '../src/lib/api/client';
+import type { Invocation, List, LogEvent } from '../src/lib/api/documents';
+import { Finding } from '../src/lib/audit/finding.svelte';
+import { NOTHING_WANTED } from '../src/lib/audit/search';
+import { event, invocation } from './samples';
+
+describe('what is looked for in the record', () => {
+  let sessions: { give: (...ids: string[]) => void; fail: () => void }[];
+  let events: ((next: number | null, ...items: LogEvent[]) => void)[];
+  let finding: Finding;
+  const listed = (): string[] => finding.sessions.map(({ id }) => id);
+  const settled = (): Promise<void> => new Promise((resolve) => setTimeout(resolve));
+
+  beforeEach(() => {
+    [sessions, events] = [[], []];
+    finding = new Finding({
+      invocations: () =>
+        new Promise<List<Invocation>>((give, fail) =>
+          sessions.push({ give: (...ids) => give({ items: ids.map((id) => invocation({ id })), next: 'more' }), fail: () => fail(new ApiError({ title: '', status: 0, detail: 'no answer', code: 'unreachable' })) }),
+        ),
+      events: () => new Promise<List<LogEvent>>((give) => events.push((next, ...items) => give({ items, next }))),
+    });
+  });
+
+  it('is told of by the answer to the newest question, and by its failure alone', async () => {
+    void finding.look('sessions', NOTHING_WANTED);
+    void finding.look('sessions', { ...NOTHING_WANTED, actor: 'planner' });
+    sessions[1]?.give(...Array.from({ length: 50 }, (_, k) => `inv_${k}`));
+    await settled();
+    sessions[0]?.fail();
+    await settled();
+    expect([listed().length, finding.why, finding.busy]).toEqual([50, '', false]);
+  });
+
+  it('is read anew by the newest of those readings', async () => {
+    const many = Array.from({ length: 50 }, (_, k) => `old_${k}`);
+    void finding.look('sessions', NOTHING_WANTED);
+    sessions[0]?.give(...many);
+    await settled();
+    void finding.renew();
+    void finding.renew();
+    sessions[2]?.give('inv_b', 'inv_a', ...many);
+    await settled();
+    sessions[1]?.give('inv_a', ...many);
+    await settled();
+    expect(listed().slice(0, 2)).toEqual(['inv_b', 'inv_a']);
+  });
+
+  it('begins anew with what is found elsewhere: nothing is listed twice', async () => {
+    const logged = [event('launch', {}), event('outcome', {})];
+    void finding.look('events', NOTHING_WANTED);
+    events[0]?.(null, ...logged);
+    await settled();
+    void finding.look('sessions', NOTHING_WANTED);
+    sessions[0]?.give(...Array.from({ length: 50 }, (_, k) => `inv_${k}`));
+    await settled();
+    void finding.look('events', NOTHING_WANTED);
+    void finding.more(); // of the sessions that it still ends with
+    events[1]?.(null, ...logged);
+    events[2]?.(null, ...logged);
+    await settled();
+    expect(finding.events.map(({ seq }) => seq)).toEqual(logged.map(({ seq }) => seq));
+  });
+});
