@@ -3,7 +3,8 @@ import { ApiError, type Answer } from '../src/lib/api/client';
 import type { Escalation, Params, Verdict } from '../src/lib/api/documents';
 import { checkOf, mayApprove, readEdit, rowsOf } from '../src/lib/live/edit';
 import { ARM_MS } from '../src/lib/keys/arming.svelte';
-import { coverOf } from '../src/lib/live/grants';
+import { standingDenial } from '../src/lib/live/denials';
+import { another, coverOf } from '../src/lib/live/grants';
 import { Decision } from '../src/lib/live/decision.svelte';
 import { escalation, invocation } from './samples';
 
@@ -235,6 +236,22 @@ describe('a decision', () => {
     await decision.deny();
     await first;
     expect([sent.length, decision.problem]).toEqual([1, 'Somebody has answered this already.']);
+  });
+});
+
+describe('the reason of a denial', () => {
+  const [first, other] = ['unsafe', 'not_now'].map((code) => ({ code, says: code }));
+
+  it('is one that the policy in force declares, or the denial would be refused', () => {
+    expect(['', 'not_now', 'dropped'].map((code) => standingDenial(code, escalation(), [first, other].flatMap((one) => one ?? [])))).toEqual(['unsafe', 'not_now', 'unsafe']);
+    expect(standingDenial('not_now', escalation(), [])).toBe('not_now'); // where none is known, what was chosen stands
+  });
+});
+
+describe('what is offered in advance', () => {
+  it('is of the object that is named beside it', () => {
+    const of = { scope: 'object', minutes: 5, object: 'mug_1' } as const;
+    expect([another(of, 'mug_1'), another(of, 'mug_2'), another(of, null), another({ scope: 'time', minutes: 5 }, null), another(null, 'mug_1')]).toEqual([false, true, true, false, false]);
   });
 });
 

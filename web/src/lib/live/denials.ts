@@ -31,3 +31,8 @@ export function likelyDenial(escalation: Escalation, denials: readonly Denial[])
   const fitting = aboutPeople ? denials.find((denial) => denial.code === 'person_in_the_way') : undefined;
   return (fitting ?? denials[0])?.code ?? '';
 }
+
+/** The code that was chosen, as long as the policy in force declares it: another one would refuse the denial with it. */
+export function standingDenial(chosen: string, escalation: Escalation, denials: readonly Denial[]): string {
+  return denials.length === 0 || denials.some(({ code }) => code === chosen) ? chosen : likelyDenial(escalation, denials);
+}

@@ -1,3 +1,4 @@
+import type { Offer } from '../api/client';
 import type { Escalation, Grant } from '../api/documents';
 import { words } from '../format/capability';
 import { inBrief, plain } from '../format/plain';
@@ -15,6 +16,11 @@ export function coverOf({ capability, agent, cell, scope, object, task }: Cover)
   const named = `“${words(capability).toLowerCase()}”`;
   const which = { time: `every ${named}`, object: `${named} of ${plain(object ?? 'one object')}`, task: `${named} for its task${task === null ? '' : ` “${apart(task)}”`}` };
   return `${which[scope]} by ${plain(agent)} in ${plain(cell)}`;
+}
+
+/** Whether what is offered names another object than what the gripper holds by now: nobody allows what they do not read. */
+export function another(offer: Offer | null, object: string | null): boolean {
+  return offer?.object !== undefined && offer.object !== object;
 }
 
 /** Words of an agent's own within ours, where no element can set them apart: isolates do (Unicode UAX 9, 2.4.2). */
