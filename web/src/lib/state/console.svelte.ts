@@ -5,6 +5,7 @@ import { turnedAway, type Known } from '../format/events';
 import { Lasting, withLasting } from '../live/lasting';
 import { Orders } from '../live/orders.svelte';
 import { Reviewing } from '../live/reviewing.svelte';
+import { Revoking } from '../live/revoking.svelte';
 import { Titles } from '../live/titles.svelte';
 import { Unheeded } from '../live/unheeded.svelte';
 import type { Health } from '../socket/connection';
@@ -66,6 +67,7 @@ export class Console {
   readonly orders = new Orders(this);
   readonly titles: Titles;
   readonly reviewing: Reviewing;
+  readonly revoking: Revoking;
   jogRefused = $state<string | null>(null);
   /** The cell whose controls came when nobody looked at it any more; until whoever asked for them knows. */
   cameLate = $state<string | null>(null);
@@ -99,6 +101,7 @@ export class Console {
   constructor(token: string) {
     this.api = new Api(token);
     this.titles = new Titles(this.api);
+    this.revoking = new Revoking(this.api);
     this.reviewing = new Reviewing(this.api, () => this.me?.name ?? null, (review) => this.titles.of(review));
     this.link = new Link(token, {
       message: (message) => this.take(message),
