@@ -12,6 +12,7 @@ class Drive {
     const kept = sessionStorage.getItem(KEY);
     if (kept === null) return;
     void this.hold(kept).then((alone) => {
+      if (sessionStorage.getItem(KEY) !== kept) return; // another was taken meanwhile, or whoever had it has left
       if (alone) this.lease ??= kept;
       else sessionStorage.removeItem(KEY);
     });

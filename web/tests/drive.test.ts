@@ -1,0 +1,45 @@
+import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
+
+describe('a lease that is remembered across a reload', () => {
+  let stored: Map<string, string>;
+  let grant: ((alone: boolean) => void)[];
+  const settled = (): Promise<void> => new Promise((resolve) => setTimeout(resolve));
+
+  beforeEach(() => {
+    stored = new Map([['reins.lease', 'lease_1']]);
+    grant = [];
+    vi.resetModules();
+    vi.stubGlobal('sessionStorage', { getItem: (key: string) => stored.get(key) ?? null, setItem: (key: string, value: string) => stored.set(key, value), removeItem: (key: string) => stored.delete(key) });
+    const request = (_: string, __: object, held: () => Promise<void>): Promise<void> =>
+      new Promise((resolve, reject) =>
+        grant.push((alone) => {
+          if (alone) void held().then(resolve);
+          else reject(new Error('held elsewhere'));
+        }),
+      );
+    vi.stubGlobal('navigator', { locks: { request } });
+  });
+  afterEach(() => vi.unstubAllGlobals());
+
+  it.each([[true, 'lease_1', 'lease_1'], [false, null, undefined]])('is this window’s where it alone has it: %s', async (alone, lease, kept) => {
+    const { drive } = await import('../src/lib/state/drive.svelte');
+    grant[0]?.(alone);
+    await settled();
+    expect([drive.lease, stored.get('reins.lease')]).toEqual([lease, kept]);
+  });
+
+  it('takes nothing from one that was taken before that was known, nor comes back to who has left', async () => {
+    const { drive } = await import('../src/lib/state/drive.svelte');
+    drive.took('lease_2');
+    grant[0]?.(false);
+    await settled();
+    expect([drive.lease, stored.get('reins.lease')]).toEqual(['lease_2', 'lease_2']);
+    stored.set('reins.lease', 'lease_1');
+    vi.resetModules();
+    const { drive: another } = await import('../src/lib/state/drive.svelte');
+    another.leave();
+    grant.at(-1)?.(true);
+    await settled();
+    expect(another.lease).toBe(null);
+  });
+});
