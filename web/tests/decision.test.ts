@@ -157,6 +157,19 @@ describe('a decision', () => {
     expect([decision.edited, decision.check.is]).toEqual([false, 'untouched']);
   });
 
+  it('loses nothing that was typed while it was on its way, whatever policy gives back', async () => {
+    const decision = decide();
+    decision.type('force_n', '70');
+    await vi.advanceTimersByTimeAsync(300);
+    checks[0]?.(verdict({ effective: EFFECTIVE }));
+    await vi.advanceTimersByTimeAsync(0);
+    reply = () => Promise.resolve(escalation());
+    const approval = decision.approve();
+    decision.type('force_n', '40');
+    await approval;
+    expect([decision.typed, decision.check.is]).toEqual([{ force_n: '40' }, 'checking']);
+  });
+
   it('takes the value policy gives back, and approves that once there was time to read it', async () => {
     const decision = decide();
     decision.type('force_n', '70');

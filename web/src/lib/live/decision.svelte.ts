@@ -110,8 +110,10 @@ export class Decision {
     const answer: Answer = { decision: 'approve', digest: this.asked.digest };
     if (this.edited) answer.params = this.edit.params;
     if (this.offer !== null) answer.grant = this.offer;
+    const { typed } = this;
     const answered = await this.send(answer);
-    if (answer.params !== undefined && answered?.status === 'pending' && answered.digest === answer.digest) this.giveBack(answer.params, answered.effective);
+    const same = answered?.status === 'pending' && answered.digest === answer.digest && this.typed === typed; // what was typed meanwhile stands
+    if (answer.params !== undefined && same) this.giveBack(answer.params, answered.effective);
     return answered;
   }
 
