@@ -46,6 +46,19 @@ describe('the check of the log', () => {
   });
 });
 
+describe('a log that does not hold', () => {
+  it('holds no more for a check that got no answer', async () => {
+    const check = new LogCheck();
+    const api = { checkpoint: () => Promise.resolve(signed), verify: () => Promise.resolve({ ...found, size: 39 }) };
+    await check.run(api);
+    const bad = check.now;
+    await check.run({ ...api, verify: () => Promise.reject(new Error('no answer')) });
+    expect([bad.is, check.now]).toEqual(['bad', bad]);
+    await check.run({ ...api, verify: () => Promise.resolve(found) });
+    expect(check.now.is).toBe('good');
+  });
+});
+
 describe('looking for events', () => {
   it('asks the log for what it can filter, times as instants', () => {
     const query = eventQuery({ ...NOTHING_WANTED, kind: 'alert', actor: ' planner ', since: '2026-03-01T09:30:00' }, 7, 100);

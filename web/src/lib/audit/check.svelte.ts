@@ -12,14 +12,16 @@ export class LogCheck {
   }
 
   async run(api: Pick<Api, 'checkpoint' | 'verify'>): Promise<void> {
-    if (this.now.is === 'checking') return;
+    const before = this.now;
+    if (before.is === 'checking') return;
     this.now = { is: 'checking' };
     try {
       const signed = await api.checkpoint();
       this.now = judge(signed, await api.verify(), this.seen, Date.now());
       if (this.now.is === 'good') this.seen = { size: this.now.size, root: this.now.root };
     } catch (error) {
-      this.now = { is: 'unknown', why: error instanceof ApiError ? error.message : String(error), atMs: Date.now() };
+      // No answer takes back what one has said.
+      this.now = before.is === 'bad' ? before : { is: 'unknown', why: error instanceof ApiError ? error.message : String(error), atMs: Date.now() };
     }
   }
 }
