@@ -73,6 +73,8 @@ describe('what a person orders', () => {
     expect(said(event('outcome', { outcome: 'terminated', code: 'rollback_failed' }))).toBe('Terminated, rollback failed');
     expect(said(event('outcome', { outcome: 'taken_over', code: 'link' }))).toBe('Taken over, ended, as the cell had lost the server');
     expect(said(event('outcome', { outcome: 'taken_over', code: 'operator' }))).toBe('Taken over');
+    expect(said(event('outcome', { outcome: 'fault', code: 'journal_unavailable', failure: null }))).toMatch(/, the cell could not write its journal$/);
+    expect(said(event('outcome', { outcome: 'stopped', code: 'estop' }))).toMatch(/, by an emergency stop$/);
   });
 });
 

@@ -239,11 +239,17 @@ function launch(body: Body): Line {
   return line('dot', 'plain', `Launched under ${str(body['permit']).replace(/^auth_/, '').slice(-6)}`);
 }
 
-/** What ends a session that somebody drives, though they did not end it. */
+/** What ends a session of which no failure tells: what befell its cell, or whoever drove it. */
 const ENDS: Record<string, string> = {
   [ROLLBACK_FAILED]: ROLLBACK_FAILED,
   link: 'ended, as the cell had lost the server',
   control_lapsed: 'ended, as its holder fell silent',
+  estop: 'by an emergency stop',
+  guard_broken: 'what guards the cell broke',
+  journal_unavailable: 'the cell could not write its journal',
+  no_plan: 'the cell had no plan for it',
+  cell_restarted: 'the cell was started anew',
+  shutdown: 'the cell was shut down',
 };
 
 function outcome(body: Body): Line {
