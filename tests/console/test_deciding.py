@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from playwright.sync_api import Locator, expect
+from playwright.sync_api import Locator, Route, expect
 
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import ANSWERS, DESK, PHONE, Floor, People, Person, at_once, box, wider_than_the_screen
@@ -347,6 +347,28 @@ def test_a_grant_says_whole_what_it_covers_and_is_for_a_task_only_where_the_prop
     assert wider_than_the_screen(person.page) == []
     grants.get_by_role("button", name="Revoke the grant for every “grasp object” by planner in workcell-1").click()
     expect(grants).to_have_count(0)
+
+
+def test_a_denial_that_did_not_arrive_is_told_on_whatever_card_or_page(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    person.expects("ERR_FAILED")
+    floor.ask("glass_1")
+    expect(card(person, "Grasp glass_1")).to_be_visible()
+    floor.ask("mug_1")
+    held: list[Route] = []
+    person.page.route("**/resolve", lambda route: held.append(route))  # noqa: PLW0108 (Playwright takes no built-in)
+    person.button(re.compile("^Deny")).click()
+    until(lambda: held or person.page.wait_for_timeout(20), what="a denial that is held")
+    person.press("x")
+    expect(card(person)).to_be_visible()
+    held[0].abort()
+    told = person.alert("Grasp glass_1: No answer from the server")
+    expect(told).to_contain_text("The question still waits.")
+    for page in "21":
+        person.press(page)
+    expect(person.alert("No answer from the server: it is not known whether this arrived.")).to_be_visible()
 
 
 def test_standing_grants_stand_below_what_waits_and_are_revoked_by_keyboard(

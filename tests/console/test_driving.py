@@ -294,6 +294,46 @@ def test_whoever_drives_is_told_that_the_session_is_paused_and_resumes_it(
     expect(person.alert("It is coming to its end.")).to_have_count(0)
 
 
+def test_the_end_of_a_session_waits_for_no_other_word(server: ServerProcess, people: People, floor: Floor) -> None:
+    person = people.sit(server)
+    person.expects("409")
+    drive = floor.drive_off()
+    take_controls(person, HOLDS)
+    held: list[Route] = []
+
+    def hold(route: Route) -> None:
+        held.append(route) if "resume" in (route.request.post_data or "") else route.continue_()
+
+    person.page.route("**/release", hold)
+    person.button("Agent goes on").click()
+    until(lambda: held or person.page.wait_for_timeout(20), what="a word that is held")
+    person.button("End session").click()
+    assert server.await_status(drive["id"], "failed", "completed")["outcome"] == "taken_over"
+    expect(person.button("Take the controls")).to_be_visible()
+    held[0].continue_()
+    expect(person.region("Drive by hand").get_by_role("alert")).to_have_count(0)
+    expect(person.alert("You have lost the controls")).to_have_count(0)
+
+
+def test_the_controls_of_an_idle_cell_that_come_when_it_was_left_are_given_back(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    person.press("t")
+    held: list[Route] = []
+    person.page.route("**/takeover", lambda route: held.append(route))  # noqa: PLW0108 (Playwright takes no built-in)
+    person.button("Take the controls").click()
+    until(lambda: held or person.page.wait_for_timeout(20), what="a request that is held")
+    person.press("4")
+    expect(person.page.get_by_role("heading", name="Fleet")).to_be_visible()
+    held[0].continue_()
+    expect(person.alert("You do not have the controls of workcell-1. They came when you had left it")).to_be_visible()
+    until(lambda: server.cell()["control"] is None, what="controls that were given back", within_s=2.5)
+    person.button("Understood").click()
+    expect(person.alert("You do not have")).to_have_count(0)
+    expect(person.alert("You have lost")).to_have_count(0)
+
+
 def test_why_the_controls_were_not_given_is_said_as_long_as_it_is_so(
     server: ServerProcess, people: People, floor: Floor, free_again: None
 ) -> None:

@@ -8,7 +8,7 @@ import signal
 from typing import TYPE_CHECKING
 
 import pytest
-from playwright.sync_api import Locator, expect
+from playwright.sync_api import Locator, Route, expect
 
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import Floor, People, Person, at_once, far, insist
@@ -42,6 +42,26 @@ def test_a_stop_is_heard_while_typing(server: ServerProcess, people: People, flo
     assert server.cell()["latched"] is False
     person.press("Control+.")
     expect(robot(person)).to_contain_text("Stopped, latched")
+
+
+def test_a_pause_that_is_refused_is_told_on_whatever_page(server: ServerProcess, people: People, floor: Floor) -> None:
+    person = people.sit(server)
+    person.expects("status of 409")
+    floor.drive_off()
+    expect(robot(person)).to_contain_text("Running")
+    held: list[Route] = []
+    person.page.route("**/pause", lambda route: held.append(route))  # noqa: PLW0108 (Playwright takes no built-in)
+    person.press("p")
+    until(lambda: held or person.page.wait_for_timeout(20), what="a pause that is held")
+    person.press("2")
+    expect(person.region("Find")).to_be_visible()
+    problem = {"title": "Conflict", "status": 409, "code": "ending", "detail": "it is coming to its end"}
+    held[0].fulfill(status=409, json=problem)
+    expect(person.alert("Pause in workcell-1: It is coming to its end.")).to_be_visible()
+    person.press("1")
+    expect(person.alert("It is coming to its end.")).to_have_count(1)
+    person.button("Understood").click()
+    expect(person.alert("It is coming to its end.")).to_have_count(0)
 
 
 def test_a_session_is_paused_by_one_key_however_often_and_resumed_by_another(

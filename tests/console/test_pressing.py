@@ -103,6 +103,23 @@ def test_a_reset_pressed_twice_goes_no_further_than_its_first_step(
     until(lambda: not server.cell()["latched"], what="a stop that is reset")
 
 
+def test_a_cell_that_is_kept_stopped_stays_so_though_its_reset_was_on_its_way(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    person.expects("409")
+    said = listed(person, "/estop")
+    stop(person).click()
+    person.button("Reset…").click()
+    with at_once("**/reset", person):
+        person.button("Yes, reset the stop").click()
+        person.button("Keep stopped").click()
+        expect(person.button("Reset…")).to_be_visible()
+        until(lambda: len(said) == 2 or person.page.wait_for_timeout(20), what="a stop that was said again")
+    expect(person.alert("The stop was pressed again")).to_be_visible()
+    assert server.cell()["latched"] is True
+
+
 @pytest.mark.parametrize("where", ["live", "fleet"])
 def test_the_safe_choice_has_the_focus_however_often_its_first_step_was_pressed_meanwhile(
     server: ServerProcess, people: People, floor: Floor, where: str
