@@ -32,6 +32,16 @@ describe('a stop that is pressed', () => {
     vi.useRealTimers();
   });
 
+  it('is told of to who leaves before it is confirmed', async () => {
+    expect(stopper.leaving).toBe(null);
+    void stopper.press(OTHER);
+    void stopper.press(ONE);
+    expect(stopper.leaving).toBe('The stop of workcell-1, workcell-2 is not confirmed. Use the emergency stop at the cell.');
+    answer = () => Promise.resolve({} as Cell);
+    await vi.advanceTimersByTimeAsync(2_000);
+    expect(stopper.leaving).toBe(null);
+  });
+
   it('is said not to be confirmed after the first attempt, and sent on until it is', async () => {
     void stopper.press(ONE);
     await vi.advanceTimersByTimeAsync(1_400);

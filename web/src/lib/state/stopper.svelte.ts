@@ -51,6 +51,12 @@ export class Stopper {
     return Object.keys(this.stops).filter((cell) => this.of(cell).phase === 'failed').sort();
   }
 
+  /** What whoever leaves has to know of what they pressed here; null: nothing. */
+  get leaving(): string | null {
+    const cells = Object.keys(this.stops).sort();
+    return cells.length === 0 ? null : `The stop of ${cells.join(', ')} is not confirmed. Use the emergency stop at the cell.`;
+  }
+
   async press(cell: string): Promise<void> {
     if (this.newest.has(cell) && this.newest.get(cell) === this.asked.get(cell)) return;
     this.presses += 1;
