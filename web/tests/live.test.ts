@@ -243,7 +243,11 @@ describe('the controls of a cell', () => {
     expect(lossOf([taken(), over('journal_unavailable')], 'lease_1')).toBe('What you drove is over: journal unavailable.');
     expect(lossOf([taken(), waits], 'lease_1')).toBe('The robot came to rest, and the session waits for a person.');
     expect(lossOf([taken(), event('intervention', { intervention: 'ESCALATE', former: 'sha256:1' }), waits], 'lease_1')).toContain('Another policy came into force');
-    const untold = [[taken(), asked], [taken(), over('estop')], [taken(), over('link', 'inv_2')], [over('link'), taken()], [taken(), event('human', { op: 'release', lease: 'lease_1' }), over('operator')], [taken(), taken('lease_2'), over('link')]];
+    const [released, kept] = [event('human', { op: 'release', lease: 'lease_1' }), event('launch', { refused: 'no_plan' })];
+    const launched = event('launch', { permit: 'auth_1' });
+    expect(lossOf([taken(), launched, released, kept, over('link')], 'lease_1')).toContain('The cell had lost the server');
+    expect(lossOf([taken(), kept], 'lease_1')).toBe('The cell did not let itself be driven.');
+    const untold = [[taken(), launched, released, launched, over('link')], [taken(), asked], [taken(), over('estop')], [taken(), over('link', 'inv_2')], [over('link'), taken()], [taken(), event('human', { op: 'release', lease: 'lease_1' }), over('operator')], [taken(), taken('lease_2'), over('link')]];
     expect(untold.map((log) => lossOf(log, 'lease_1'))).toEqual(untold.map(() => null));
     expect([lossOf([taken(), over('link')], 'lease_0'), lossOf([over('link')], 'lease_1')]).toEqual([null, null]);
   });

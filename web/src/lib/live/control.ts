@@ -60,13 +60,26 @@ export function lossOf(events: readonly LogEvent[], lease: string | null): strin
   if (events.some((event) => leaseLapsed(event, lease))) return SILENT;
   const at = events.findLastIndex((event) => isTaking(event) && event.body['lease'] === lease);
   const since = at === -1 ? [] : events.slice(at + 1).filter(({ invocation }) => invocation === events[at]?.invocation);
-  if (since.some((event) => isTaking(event) || (event.kind === 'human' && event.body['op'] === 'release'))) return null;
+  if (since.some(isTaking) || isGivenBack(since)) return null;
   const end = since.find(({ kind }) => kind === 'outcome');
   return end === undefined ? heldWords(since) : endWords(end.body['code'], since);
 }
 
-/** Of a session that was taken out of somebody's hands and has not ended: its cell's own report says that it waits. */
+/** Whether they were handed back, and that was not refused: then their holder kept them. */
+function isGivenBack(since: readonly LogEvent[]): boolean {
+  const at = since.findLastIndex(({ kind, body }) => kind === 'human' && body['op'] === 'release');
+  return at !== -1 && !since.slice(at + 1).some(isRefusal);
+}
+
+function isRefusal({ kind, body }: LogEvent): boolean {
+  if (kind === 'launch') return 'refused' in body;
+  return kind === 'cell' ? body['what'] === 'not_sent' : kind === 'human' && body['op'] === 'rollback' && body['done'] === false;
+}
+
+/** Of a session that was taken out of somebody's hands and has not ended: its cell's own report says that it waits, or never let them have it. */
 function heldWords(since: readonly LogEvent[]): string | null {
+  const [first] = since.filter(({ kind }) => kind === 'launch');
+  if (first !== undefined && 'refused' in first.body) return 'The cell did not let itself be driven.';
   if (!since.some(({ kind, body }) => kind === 'escalation' && 'reason' in body)) return null;
   const changed = since.some(({ kind, body }) => kind === 'intervention' && 'former' in body);
   return `${changed ? 'Another policy came into force: the' : 'The'} robot came to rest, and the session waits for a person.`;
