@@ -145,6 +145,11 @@ describe('the cell that is looked at', () => {
     expect([page.cells.length, page.cell?.id, page.stoppable]).toEqual([4, 'workcell-1', 'workcell-1']);
     page.select('alpha');
     expect(page.stoppable).toBe('alpha');
+    page.select('gone');
+    const known = (...ids: string[]): void => worker().say({ type: 'snapshot', seq: 3, cells: ids.map((id) => cell({ id })), invocations: [], escalations: [], grants: [], reviews: [], reviews_waiting: 0, events: [] });
+    known('alpha', 'workcell-1');
+    known('aleph', 'alpha', 'workcell-1');
+    expect([page.cells[0]?.id, page.stoppable]).toEqual(['aleph', 'alpha']);
   });
 
   it('is never drawn as the one that was looked at before', () => {

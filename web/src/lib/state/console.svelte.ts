@@ -289,9 +289,10 @@ export class Console {
     this.watchFirst();
   }
 
-  /** Whoever has chosen no cell stays with the one that they see: one that attaches later takes no stop away from it. */
+  /** Whoever has chosen no cell, or one that there is not, stays with the one that they see: one that attaches later takes no stop away from it. */
   private stay(): void {
-    if (this.selected === null && this.stoppable !== null) this.select(this.stoppable);
+    const seen = this.stoppable;
+    if (seen !== null && seen !== this.selected) this.select(seen);
   }
 
   private takeAboutCell(message: Down): void {
