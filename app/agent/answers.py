@@ -79,7 +79,7 @@ class NotCompleted(ReinsError):
         self.invocation = invocation
         self.reasons = reasons_of(invocation, self.PARTS)
         said = "; ".join(reason.message or reason.code for reason in self.reasons) or "no reason given"
-        super().__init__(f"`{invocation['capability']}` {invocation['status']}: {said}")
+        super().__init__(f"`{invocation.get('capability')}` {invocation.get('status')}: {said}")
 
     @property
     def codes(self) -> frozenset[str]:
@@ -114,44 +114,47 @@ class Result:
     @property
     def id(self) -> str:
         """Identifier, for `trace`."""
-        return str(self.invocation["id"])
+        return str(self.invocation.get("id"))
 
     @property
     def outcome(self) -> str:
         """The outcome label o_t."""
-        return str(self.invocation["outcome"])
+        return str(self.invocation.get("outcome"))
 
     @property
     def effective(self) -> Document:
         """The parameters that were really in force."""
-        return dict(self.invocation["effective"])
+        return dict(document(self.invocation.get("effective")))
 
     @property
     def changes(self) -> list[Document]:
         """What policy constrained: param, requested, effective, rule."""
-        return list(document(self.invocation.get("policy")).get("changes") or [])
+        return documents(document(self.invocation.get("policy")).get("changes"))
 
 
 def reasons_of(invocation: Document, parts: Sequence[str]) -> tuple[Reason, ...]:
     """Return the reasons that parts of an invocation document hold, in that order.
 
-    A part holds a list of `reasons`, or is itself the only one.
+    A part holds a list of `reasons`, or is itself the only one. What is no reason says nothing.
     """
     found: list[Document] = []
     for part in parts:
         said = document(invocation.get(part))
-        found += cast("list[Document]", said.get("reasons") or ([said] if "code" in said else []))
-    return tuple(
-        Reason(
-            rule=item.get("rule", ""),
-            code=item.get("code", ""),
-            message=item.get("message", ""),
-            remedy=item.get("remedy", ""),
-        )
-        for item in found
-    )
+        found += documents(said.get("reasons")) or ([said] if "code" in said else [])
+    return tuple(reason for item in found if (reason := _reason(item)) is not None)
+
+
+def _reason(item: Document) -> Reason | None:
+    words = {name: said for name in ("rule", "code", "message", "remedy") if isinstance(said := item.get(name), str)}
+    return Reason(**{"rule": "", "code": "", "message": "", "remedy": "", **words}) if words else None
 
 
 def document(value: object) -> Document:
     """Return a JSON object as it is, and anything else (an absent part) as an empty one."""
     return cast("Document", value) if isinstance(value, dict) else {}
+
+
+def documents(value: object) -> list[Document]:
+    """Return the JSON objects of a list; anything else holds none."""
+    items = cast("list[object]", value) if isinstance(value, list) else []
+    return [cast("Document", item) for item in items if isinstance(item, dict)]

@@ -43,12 +43,13 @@ from app.agent.conversation import (
     T,
     Talk,
     conclude,
-    follow,
     header_text,
     invoke,
+    listed,
     path_of,
     proposal,
     send,
+    take_up,
 )
 
 __all__ = [
@@ -161,8 +162,7 @@ class ReinsClient:
 
     def follow(self, invocation: str, *, on_update: OnUpdate | None = None) -> Result:
         """Wait for the end of an invocation proposed earlier, say before a restart. Raises as `invoke` does."""
-        first = self.call("GET", path_of(invocation))
-        return conclude(self._run(follow(first, on_update)))
+        return conclude(self._run(take_up(invocation, on_update)))
 
     def check(
         self,
@@ -194,11 +194,11 @@ class ReinsClient:
 
     def trace(self, invocation: str) -> list[Document]:
         """Return τ_t: all events of an invocation in order."""
-        return list(self.call("GET", f"{path_of(invocation)}/trace")["items"])
+        return self._run(listed(Call(method="GET", path=f"{path_of(invocation)}/trace")))
 
     def capabilities(self) -> list[Document]:
         """Return the registered capabilities as their manifests declare them."""
-        return list(self.call("GET", "/v1/capabilities")["items"])
+        return self._run(listed(Call(method="GET", path="/v1/capabilities")))
 
     def call(
         self, method: str, path: str, *, json: Document | None = None, query: Mapping[str, str] | None = None
@@ -282,8 +282,7 @@ class AsyncReinsClient:
 
     async def follow(self, invocation: str, *, on_update: OnUpdate | None = None) -> Result:
         """Wait for the end of an invocation proposed earlier; see `ReinsClient.follow`."""
-        first = await self.call("GET", path_of(invocation))
-        return conclude(await self._run(follow(first, on_update)))
+        return conclude(await self._run(take_up(invocation, on_update)))
 
     def check(
         self,
@@ -312,11 +311,11 @@ class AsyncReinsClient:
 
     async def trace(self, invocation: str) -> list[Document]:
         """Return τ_t: all events of an invocation in order."""
-        return list((await self.call("GET", f"{path_of(invocation)}/trace"))["items"])
+        return await self._run(listed(Call(method="GET", path=f"{path_of(invocation)}/trace")))
 
     async def capabilities(self) -> list[Document]:
         """Return the registered capabilities as their manifests declare them."""
-        return list((await self.call("GET", "/v1/capabilities"))["items"])
+        return await self._run(listed(Call(method="GET", path="/v1/capabilities")))
 
     def call(
         self, method: str, path: str, *, json: Document | None = None, query: Mapping[str, str] | None = None

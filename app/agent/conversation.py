@@ -13,7 +13,17 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias, TypeVar, cast
 from urllib.parse import quote
 
-from app.agent.answers import Document, ExecutionFailed, Problem, Refused, Result, Unreachable, Unsendable, document
+from app.agent.answers import (
+    Document,
+    ExecutionFailed,
+    Problem,
+    Refused,
+    Result,
+    Unreachable,
+    Unsendable,
+    document,
+    documents,
+)
 
 OnUpdate: TypeAlias = Callable[[Document], None]
 
@@ -21,6 +31,8 @@ WAIT_S = 20
 MAX_TOKEN = 1024
 _BEFORE_LAUNCH = frozenset({"rejected", "denied", "deferred"})
 _TERMINAL = _BEFORE_LAUNCH | {"completed", "failed"}
+_STATUSES = _TERMINAL | {"awaiting_approval", "running", "paused", "escalated", "recovering"}
+_DONE = frozenset({"succeeded", "recovered"})
 _SEND_ATTEMPTS = 8
 _BACKOFF_S = 0.2
 _BACKOFF_MAX_S = 5.0
@@ -185,14 +197,18 @@ def _nth_key(first: str, attempt: int) -> str:
 def follow(invocation: Document, on_update: OnUpdate | None) -> Talk[Document]:
     """Long-poll until the invocation has ended, telling every change.
 
-    Each poll names the version known already, so that a change since then is answered at once.
+    Each poll names the version known already, so that a change since then is answered at once. Raises `Problem` for an
+    answer that is no invocation, or another one.
     """
     told: tuple[Any, ...] = ()
+    name = invocation.get("id")
     while True:
-        _check_invocation(invocation)
+        _check_invocation(invocation, name)
         seen = (invocation["status"], invocation.get("updated_at"))
         if on_update is not None and seen != told:
             on_update(invocation)
+        if seen == told:  # it may not have waited at all
+            yield Sleep(seconds=_BACKOFF_S)
         told = seen
         if invocation["status"] in _TERMINAL:
             return invocation
@@ -202,12 +218,37 @@ def follow(invocation: Document, on_update: OnUpdate | None) -> Talk[Document]:
         invocation = yield from send(Call(method="GET", path=path_of(invocation["id"]), query=query))
 
 
-def _check_invocation(invocation: Document) -> None:
-    """Raise `Problem` for an answer that is no invocation: whatever came of the proposal, it does not say."""
+def take_up(name: str, on_update: OnUpdate | None) -> Talk[Document]:
+    """Follow an invocation proposed earlier, by its name. Raises as `follow`."""
+    found = yield from send(Call(method="GET", path=path_of(name)))
+    _check_invocation(found, name)
+    return (yield from follow(found, on_update))
+
+
+def listed(call: Call) -> Talk[list[Document]]:
+    """Return the items of a list. Raises `Problem` for an answer that is none."""
+    answer = yield from send(call)
+    items = answer.get("items")
+    if not isinstance(items, list) or documents(cast("object", items)) != items:
+        raise _unreadable(answer, "is no list of documents; valid is the URL of a server")
+    return documents(cast("object", items))
+
+
+def _check_invocation(invocation: Document, asked: object) -> None:
+    """Raise `Problem` for an answer that is not the invocation asked for: what came of that, it does not say."""
     name, status = invocation.get("id"), invocation.get("status")
     if not (isinstance(name, str) and name.isascii() and isinstance(status, str)):
-        said = ascii(invocation)[:80]
-        raise Problem(200, "unreadable_answer", f"`{said}` is no invocation; valid is the URL of a server")
+        raise _unreadable(invocation, "is no invocation; valid is the URL of a server")
+    if name != asked:
+        raise _unreadable(invocation, f"is not the invocation `{asked}`; valid is the one that was asked for")
+    if status not in _STATUSES:
+        raise _unreadable(invocation, f"has the status {ascii(status)[:40]}; valid: {', '.join(sorted(_STATUSES))}")
+    if status == "completed" and str(invocation.get("outcome")) not in _DONE:
+        raise _unreadable(invocation, f"is completed otherwise than by success; valid: {', '.join(sorted(_DONE))}")
+
+
+def _unreadable(answer: Document, wrong: str) -> Problem:
+    return Problem(200, "unreadable_answer", f"`{ascii(answer)[:80]}` {wrong}")
 
 
 def path_of(invocation: str) -> str:

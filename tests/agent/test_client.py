@@ -16,6 +16,7 @@ from app.agent.client import (
     Unsendable,
 )
 from app.api.wire import ProposalBody
+from app.clock import monotonic_s
 
 from .scripted_server import Turn, serve
 
@@ -74,7 +75,9 @@ def _versions():
 
     def answer(_: Turn):
         now = next(times)
-        return 200, invocation("completed" if now.endswith(".3Z") else "running", updated_at=now)
+        if now.endswith(".3Z"):
+            return 200, invocation("completed", outcome="succeeded", updated_at=now)
+        return 200, invocation("running", updated_at=now)
 
     return answer
 
@@ -325,6 +328,83 @@ def test_an_answer_that_is_no_invocation_says_under_which_key_it_may_have_begun(
     ):
         client.invoke("navigate_to", target="dock", idempotency_key="key-1")
     assert caught.value.idempotency_key == "key-1"
+
+
+@pytest.mark.parametrize(
+    ("last", "wrong"),
+    [
+        ({"id": "inv_2", "status": "running"}, "is not the invocation `inv_1`"),
+        ({"id": "inv_2", "status": "completed", "outcome": "succeeded"}, "is not the invocation `inv_1`"),
+        ({"id": "inv_1", "status": "resting"}, "has the status 'resting'; valid: awaiting_approval, completed,"),
+        ({"id": "inv_1", "status": "completed"}, "is completed otherwise than by success; valid: recovered, succeeded"),
+        ({"id": "inv_1", "status": "completed", "outcome": "stopped"}, "is completed otherwise than by success"),
+        ({"id": "inv_1", "status": "completed", "outcome": ["succeeded"]}, "is completed otherwise than by success"),
+    ],
+)
+@pytest.mark.anyio
+async def test_an_answer_that_is_not_the_invocation_proposed_is_not_believed(last, wrong):
+    running = invocation("running")
+
+    def answer(turn: Turn):
+        return (201, running) if turn.method == "POST" else (200, last)
+
+    with serve(answer) as server:
+        with ReinsClient(server.url, "t") as client, pytest.raises(Problem, match=re.escape(wrong)) as caught:
+            client.invoke("navigate_to", target="dock")
+        assert (caught.value.code, caught.value.invocation) == ("unreadable_answer", running)
+        async with AsyncReinsClient(server.url, "t") as client:
+            with pytest.raises(Problem, match=re.escape(wrong)):
+                await client.follow("inv_1")
+        with ReinsClient(server.url, "t") as client, pytest.raises(Problem, match=re.escape(wrong)):
+            client.follow("inv_1")
+
+
+def test_a_poll_that_is_answered_at_once_with_nothing_new_is_followed_by_a_pause():
+    same, states = invocation("running"), iter(["running"] * 4 + ["completed"])
+
+    def answer(_: Turn):
+        now = next(states)
+        return 200, same if now == "running" else invocation("completed", outcome="succeeded")
+
+    begun_s = monotonic_s()
+    with serve(answer) as server, ReinsClient(server.url, "t") as client:
+        client.follow("inv_1")
+    assert monotonic_s() - begun_s > 0.5
+
+
+@pytest.mark.parametrize("reasons", ["abc", 5, ["abc", 5], {"code": "x"}, [{"code": 5, "message": None}], None])
+@pytest.mark.parametrize("status", ["denied", "failed"])
+def test_reasons_that_are_none_are_no_reason_not_to_say_how_it_ended(status, reasons):
+    ended = {"id": "inv_1", "status": status, "policy": {"reasons": reasons}, "failure": {"reasons": reasons}}
+    with (
+        serve(lambda _: (201, ended)) as server,
+        ReinsClient(server.url, "t") as client,
+        pytest.raises(Refused if status == "denied" else ExecutionFailed, match="no reason given") as caught,
+    ):
+        client.invoke("navigate_to", target="dock")
+    assert caught.value.reasons == ()
+
+
+@pytest.mark.parametrize("odd", ["abc", 5, ["abc"], None])
+def test_a_result_without_what_policy_says_shows_none(odd):
+    bare = {"id": "inv_1", "status": "completed", "outcome": "succeeded", "effective": odd, "policy": {"changes": odd}}
+    with serve(lambda _: (201, bare)) as server, ReinsClient(server.url, "t") as client:
+        result = client.invoke("navigate_to", target="dock")
+    assert (result.id, result.outcome, result.effective, result.changes) == ("inv_1", "succeeded", {}, [])
+
+
+@pytest.mark.parametrize("answer", [{}, {"items": "abc"}, {"items": ["abc"]}, {"items": None}])
+@pytest.mark.anyio
+async def test_a_list_that_is_none_is_a_problem(answer):
+    with serve(lambda _: (200, answer)) as server:
+        with ReinsClient(server.url, "t") as client:
+            for ask in (client.capabilities, lambda: client.trace("inv_1")):
+                with pytest.raises(Problem, match="is no list of documents"):
+                    ask()
+        async with AsyncReinsClient(server.url, "t") as client:
+            for ask in (client.capabilities, lambda: client.trace("inv_1")):
+                with pytest.raises(Problem, match="is no list of documents"):
+                    await ask()
 
 
 @pytest.mark.parametrize("after", ["9" * 30, "\u00b2", "-1", "soon"])
