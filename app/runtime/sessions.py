@@ -345,7 +345,6 @@ class Sessions:
         elif (
             invocation.status is Status.ESCALATED
             and self._desk.pending_for(invocation.id) is None
-            and place.ending(invocation.id) is None
             and now_s > parse_rfc3339(invocation.updated_at) + GOES_ON_S
         ):  # what lets it go on is sent once, and may be lost or refused
             message = "it was answered, and the session waits all the same"
@@ -363,13 +362,15 @@ class Sessions:
 
     @uncut
     async def _ask(self, name: str, code: str, message: str) -> None:
-        """Escalate a session, unless a human has been asked already."""
+        """Escalate a session, unless a human has been asked already, or has had it end: nobody could let it go on."""
         entry = self._register.entry(name)
         if entry is None:
             return
         async with entry.lock:
             present = entry.newest
             if present.status not in SESSION or self._desk.pending_for(name) is not None:
+                return
+            if self._fleet.cell(present.cell or "").ending(name) is not None:
                 return
             phase, now = await self._phase(present), self._register.now()
             question = self._desk.session_question(present, [reason(RULE, code, message)], phase)

@@ -172,6 +172,8 @@ async def test_a_session_that_was_to_end_while_its_cell_was_away_ends_whatever_b
         await back.state(status="escalated")
         await until(lambda: back.ops() == ["resolve_terminate"])
         assert [word.expired for word in back.all("human")] == [answer == "expired"]
+        assert second.desk.pending_for(question.invocation) is None, "nobody could let it go on"
+        await back.report("status", question.invocation, status="escalated", reason="zone_margin_m")
         anew = second.desk.pending_for(question.invocation)
         assert anew is not None
         with pytest.raises(Conflict) as refusal:

@@ -143,6 +143,8 @@ async def test_a_stop_to_a_cell_that_is_away_outlives_the_server(house: House, o
     async with house.open() as second:
         again = await back(second, cell, status="escalated")
         await until(lambda: again.ops() == [op])
+        assert second.desk.pending_for(name) is None, "nobody could let it go on"
+        await again.report("status", name, status="escalated", reason="link")
         question = second.desk.pending_for(name)
         assert question is not None
         with pytest.raises(Conflict) as refusal:
@@ -179,6 +181,36 @@ async def test_a_denial_that_ends_a_session_outlives_the_server(house: House) ->
     async with house.open() as second:
         again = await back(second, cell, status="escalated")
         await until(lambda: again.ops() == ["resolve_terminate"])
+
+
+@pytest.mark.parametrize("word", ["deny", "silence", "stop"])
+async def test_nobody_is_asked_again_about_a_session_that_comes_to_its_end_while_its_cell_is_away(
+    house: House, word: str
+) -> None:
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        name = await running(runtime, cell)
+        if word != "stop":
+            await cell.report("escalation", name, reason="separation_m")
+        question = runtime.desk.pending_for(name)
+        await cell.hang_up()
+        if question is None:
+            await runtime.governor.stop(name, OPERATOR)
+        elif word == "deny":
+            await runtime.desk.resolve(question.id, OPERATOR, "deny", question.digest, code="unsafe_now")
+        else:
+            house.wall_s.offset_s = 3600.0
+            await runtime.desk.expire_due()
+        said = (await runtime.governor.invocation(name, AGENT)).get("escalation")
+        away = runtime.fleet.cell(CELL)
+        assert away.absent_since_s is not None
+        away.absent_since_s -= LOST_S + 0.1
+        await runtime.fleet.tend_once()
+        again = await back(runtime, cell, status="escalated")
+        await until(lambda: again.ops() == ["stop" if word == "stop" else "resolve_terminate"])
+        assert runtime.desk.pending_for(name) is None
+        assert (await runtime.governor.invocation(name, AGENT)).get("escalation") == said
 
 
 # -- what a cell holds, and what the server believes -------------------------------------------------------------------
