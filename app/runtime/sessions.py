@@ -37,14 +37,15 @@ from app.protocol import Human, ProtocolError
 from app.runtime.cells import ended_by
 from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
 from app.runtime.escalation import DENIED, EXPIRED, PENDING, ROLLBACK, WITHDRAWN
+from app.runtime.failures import failure
 from app.runtime.hands import HELD, OPEN, never_taken, over
 from app.runtime.kernel import LAUNCH_WITHIN_S
 from app.runtime.recollection import events_of, last_question
-from app.runtime.story import DONE, RULE, Story
+from app.runtime.story import DONE, RULE, Story, denied
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from app.audit.event import Event, RowWrite
     from app.protocol import Ended, Hello, Sighting, UpEvent
@@ -61,6 +62,7 @@ LAST_ROWS_S: Final = 0.5
 LOST_WITH_CELL: Final = frozenset(
     {"session_lost", "cell_lost", "cell_restarted"}
 )  # how a session ends without its cell
+UNWRITABLE: Final = "journal_unavailable"
 GOES_ON_S: Final = 2.0  # a session that was answered has long begun by then
 UNCONFIRMED_S: Final = LAUNCH_WITHIN_S + 1.0  # by then the permit has run out
 _ENDS_AS: Final = {DENIED: "on_deny", EXPIRED: "on_timeout"}  # what a question says of it
@@ -315,8 +317,9 @@ class Sessions:
         for invocation in self._sessions_of(cell):
             if (end := over.get(invocation.id)) is not None:
                 message = f"the cell cannot write its journal; it says itself that the session is over (`{end.code}`)"
+                told: list[dict[str, str]] = [] if end.code == UNWRITABLE else failure(end.code)["reasons"]
                 with suppress(RecordUnavailable):  # tried again at the next round
-                    await self._finish(invocation.id, Outcome(end.outcome), "journal_unavailable", message)
+                    await self._finish(invocation.id, Outcome(end.outcome), UNWRITABLE, message, told)
 
     async def overdue(self, cell: str) -> None:
         """See to a session whose cell is away, and to what a cell that is there has not done."""
@@ -382,8 +385,10 @@ class Sessions:
         await self._finish(name, Outcome.FAULT, code, message)
 
     @uncut
-    async def _finish(self, name: str, outcome: Outcome, code: str, message: str) -> None:
-        """End a session of which the cell itself has not reported the end."""
+    async def _finish(
+        self, name: str, outcome: Outcome, code: str, message: str, told: Sequence[Mapping[str, str]] = ()
+    ) -> None:
+        """End a session of which the cell itself has not reported the end; `told` is why, as far as it has said so."""
         entry = self._register.entry(name)
         if entry is None:
             return
@@ -393,7 +398,8 @@ class Sessions:
                 return
             open_question = self._desk.withdrawal(name)
             changes: dict[str, Any] = {} if open_question is None else {"escalation": open_question.reference()}
-            changes["failure"] = None if outcome in DONE else {"reasons": [reason(RULE, code, message)]}
+            because = [*denied(self._desk.kernel.policy, present), *told, reason(RULE, code, message)]
+            changes["failure"] = None if outcome in DONE else {"reasons": because}
             changes["takeover"] = over(present.takeover)
             ended = present.evolve(self._register.now(), status=final_status(outcome), outcome=outcome, **changes)
             rows = [] if open_question is None else [open_question.row()]

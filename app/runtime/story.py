@@ -21,6 +21,7 @@ from app.runtime.hands import LAPSED, driven, followed
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from app.governance.policy import PolicySet
     from app.protocol import UpEvent
     from app.runtime.desk import Desk
     from app.runtime.escalation import Escalation
@@ -170,21 +171,11 @@ class Story:
         question = self._open(version.id)
         status, why = final_status(outcome), None if outcome in DONE else failure(*codes)
         if why is not None:
-            why["reasons"][:0] = self._denied(version)
+            why["reasons"][:0] = denied(self._desk.kernel.policy, version)
         if question is not None:
             return self._withdraw(version, question, at, status=status, outcome=outcome, failure=why)
         self._versions[version.id] = version.evolve(at, status=status, outcome=outcome, failure=why)
         return NOTHING
-
-    def _denied(self, version: Invocation) -> list[dict[str, str]]:
-        """Return why a human did not let a held session go on, in the words of the code they chose."""
-        asked = version.escalation or NOTHING
-        code = asked.get("code") if asked.get("status") == DENIED else None
-        policy = self._desk.kernel.policy
-        why = None if code is None else denial(policy, code)
-        if why is None or why == policy.authority.denials[0]:
-            return []
-        return [reason(DENIAL, why.code, why.says, why.remedy)]
 
     def _withdraw(
         self,
@@ -203,6 +194,16 @@ class Story:
         if known:
             return known[-1] if known[-1].status == PENDING else None
         return self._desk.pending_for(name)
+
+
+def denied(policy: PolicySet, version: Invocation) -> list[dict[str, str]]:
+    """Return why a human did not let a held session go on, in the words of the code they chose."""
+    asked = version.escalation or NOTHING
+    code = asked.get("code") if asked.get("status") == DENIED else None
+    why = None if code is None else denial(policy, code)
+    if why is None or why == policy.authority.denials[0]:
+        return []
+    return [reason(DENIAL, why.code, why.says, why.remedy)]
 
 
 def _said(cell: str, event: UpEvent) -> dict[str, Any]:

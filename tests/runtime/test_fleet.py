@@ -12,6 +12,7 @@ import pytest
 from app.audit.errors import RecordUnavailable
 from app.audit.event import RowWrite
 from app.audit.telemetry_reading import read_telemetry
+from app.clock import monotonic_s
 from app.protocol import BEAT_MS, CHANNELS, ROW, VERSION, Beat, Hello, Sighting, encode, pack_batch
 from app.runtime import cells as cells_module
 from app.runtime import sessions as sessions_module
@@ -608,12 +609,37 @@ async def test_what_a_cell_cannot_write_down_ends_all_the_same_and_its_report_co
     await runtime.fleet.tend_once()
     ended = await runtime.governor.invocation(name, AGENT)
     assert (ended["status"], ended["outcome"]) == ("failed", "stopped")
+    assert [why["code"] for why in ended["failure"]["reasons"]] == ["operator", "journal_unavailable"]
     assert await outcome_codes(runtime, name) == ["journal_unavailable"]
     shown = runtime.fleet.document(runtime.fleet.cell(CELL))
     assert (shown["busy"], shown["status"], shown["fault"]) == (None, None, "no room for journal `journal`")
     await cell.report("outcome", name, outcome="stopped", code="operator")
     trace = await runtime.governor.trace(name, AUDITOR)
     assert [event["kind"] for event in trace if event["body"].get("outcome") == "stopped"] == ["outcome", "cell"]
+
+
+@pytest.mark.parametrize("end", ["unrecorded", "lost", "restarted"])
+async def test_why_a_human_let_a_session_not_go_on_is_said_whoever_says_that_it_is_over(
+    runtime: Runtime, cell: HandCell, end: str
+) -> None:
+    name = await running(runtime, cell)
+    await cell.report("escalation", name, reason="separation_m")
+    question = runtime.desk.pending_for(name)
+    assert question is not None
+    await runtime.desk.resolve(question.id, OPERATOR, "deny", question.digest, code="person_in_the_way")
+    cell.invocation = cell.status = None
+    if end == "unrecorded":
+        await cell.state(fault=unrecorded((name, "terminated", "operator")))
+    else:
+        await cell.hang_up()
+    if end == "restarted":
+        await HandCell(runtime, boot="boot-2", seq=cell.seq).dial()
+    elif end == "lost":
+        runtime.fleet.cell(CELL).absent_since_s = monotonic_s() - 2 * sessions_module.ABSENT_S
+    await runtime.fleet.tend_once()
+    codes = [why["code"] for why in (await runtime.governor.invocation(name, AGENT))["failure"]["reasons"]]
+    ends = {"unrecorded": ["operator", "journal_unavailable"], "lost": ["cell_lost"], "restarted": ["session_lost"]}
+    assert codes == ["person_in_the_way", *ends[end]]
 
 
 async def test_a_refused_launch_that_cannot_be_written_down_is_a_fault(runtime: Runtime, cell: HandCell) -> None:
