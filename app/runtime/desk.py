@@ -147,8 +147,10 @@ class Desk(Questions):
             answer = Answer(self, entry.newest, present, principal, comment, grant)
             match present.kind, decision:
                 case "session", "approve":
+                    told = self.departed.get(present.invocation)
                     final = await answer.go_on(params)
-                    self.departed.pop(present.invocation, None)  # with a human's word, to which policy leaves it
+                    if self.departed.get(present.invocation) is told:  # or another policy has something against it now
+                        self.departed.pop(present.invocation, None)  # with a human's word, to which policy leaves it
                 case "session", _:
                     final = await answer.end(why)
                 case _, "approve":

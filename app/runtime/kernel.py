@@ -249,6 +249,7 @@ class Kernel:
         self._key = signing_key
         self._operator_heard_s: float | None = None
         self.overtaken: Callable[[Invocation, Judgement], bool] = lambda _, __: False
+        self.rebound: Callable[[Invocation, Judgement], None] = lambda _, __: None
         self.standing: Callable[[Cell | None], tuple[Grant, ...]] = lambda _: ()
         self.enforce(policy)
 
@@ -384,6 +385,8 @@ class Kernel:
         )
         with suppress(Conflict):  # what has not begun may begin on any link: a cell that is back knows of nothing then
             self._fleet.order(cell, message, decided=anew or Moment(restraints, cell.attachment))
+        if anew is not None:
+            self.rebound(invocation, judgement)
 
     def _undamaged(self) -> None:
         if (damage := self._register.store.damage) is not None:

@@ -23,12 +23,12 @@ async def readmitted(
     Raises:
         Conflict: `resume_refused`, with the reasons.
     """
+    approvals = await _approvals(register, present.id)  # first: nothing is awaited between the decision and the launch
     effective = dict(present.effective or {})
     judgement = kernel.judge(present.proposal(effective), present.agent, cell, within=present)
     reasons = [reason._asdict() for reason in judgement.reasons()]
     if not judgement.conforms(effective):
         raise Conflict("resume_refused", "policy does not let it go on from here", reasons=reasons)
-    approvals = await _approvals(register, present.id)
     if principal.name not in (*approvals, present.agent):
         approvals = (*approvals, principal.name)
     if judgement.need is not None and judgement.need.approvers > len(approvals):

@@ -18,13 +18,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft
 from app.clock import rfc3339
 from app.governance.authority import need
 from app.governance.continuing import ACCEPTED, CHANGED, CONFORMS, Departure, departure
+from app.governance.control import TAKEOVER
 from app.governance.errors import PolicyErrors
 from app.governance.model import SESSION, AdmissionOutcome, EventKind, Outcome, PolicyOutcome, Status
 from app.protocol import Human
@@ -38,7 +39,7 @@ from app.runtime.kernel import CHANGED as CONDITIONS_CHANGED
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable
+    from collections.abc import Awaitable, Callable, Coroutine
 
     from app.governance.model import ApprovalNeed, Reason
     from app.governance.policy import PolicySet
@@ -73,8 +74,9 @@ class Succession:
         self._register, self._fleet, self._desk, self._kernel = register, fleet, desk, kernel
         self._policies: dict[str, PolicySet] = {}  # those that live sessions run under
         self._holding: dict[str, float] = {}  # sessions that are to hold and have not said so; when they were told
-        self._ending: set[asyncio.Task[None]] = set()
+        self._under_way: set[asyncio.Task[None]] = set()
         kernel.overtaken = self.overtaken
+        kernel.rebound = self.rebound
         desk.kept_back = self.kept_back
         desk.decide_again = self.decide_again
 
@@ -96,13 +98,15 @@ class Succession:
         self._desk.grants.look()
         done: list[EventDraft] = []
         for present in self._register.live():
-            if present.status not in SESSION:
-                continue
-            found = self.departure(present)
-            self._conforms(present.id, reasons_document(found.reasons))
-            if found:
-                done.append(self._hold(present, found))
+            if present.status in SESSION:
+                done += self._compare(present)
         return done
+
+    def _compare(self, present: Invocation) -> list[EventDraft]:
+        """Tell a session to hold if it departs from what is in force now; return what was done."""
+        found = self.departure(present)
+        self._conforms(present.id, reasons_document(found.reasons))
+        return [self._hold(present, found)] if found else []
 
     def departure(self, present: Invocation) -> Departure:
         """Say how a session departs from the policy in force."""
@@ -197,8 +201,22 @@ class Succession:
         Another profile does not: whoever puts a cell under one takes what begins from then on to be under that.
         """
         if reasons := self._outlived(launching, judgement):
-            self._abandon_soon(launching.id, reasons)
+            self._soon(self._abandon(launching.id, reasons), f"abandon-{launching.id}")
         return bool(reasons)
+
+    def rebound(self, launching: Invocation, judgement: Judgement) -> None:
+        """Hold a session that was bound anew under a policy which gave way while that was recorded.
+
+        At the change it was compared as what it was bound to before, and might go on as that.
+        """
+        present = self._register.newest(launching.id)
+        if judgement.policy is self._kernel.policy or launching.capability == TAKEOVER or present is None:
+            return
+        if done := self._compare(present):
+            self._soon(self._say(done), f"rebound-{launching.id}")
+
+    async def _say(self, done: list[EventDraft]) -> None:
+        await self._register.say(*done)
 
     def _outlived(self, launching: Invocation, judgement: Judgement) -> list[dict[str, str]]:
         if judgement.profile != self._fleet.profile(self._fleet.cell(launching.cell or "")):
@@ -212,10 +230,10 @@ class Succession:
         found = departure(judgement.policy, self._kernel.policy, proposal, context)
         return [OVERTAKEN, *reasons_document(found.reasons)] if found else []
 
-    def _abandon_soon(self, name: str, reasons: list[dict[str, str]]) -> None:
-        task = asyncio.create_task(self._abandon(name, reasons), name=f"abandon-{name}")
-        self._ending.add(task)
-        task.add_done_callback(self._ending.discard)
+    def _soon(self, doing: Coroutine[Any, Any, None], name: str) -> None:
+        task = asyncio.create_task(doing, name=name)
+        self._under_way.add(task)
+        task.add_done_callback(self._under_way.discard)
 
     async def _abandon(self, name: str, reasons: list[dict[str, str]]) -> None:
         """End what was recorded as launched and never was; nothing has moved."""
@@ -375,9 +393,9 @@ class Succession:
         await self._desk.commit([escalation_event(asked)], asked, invocation.evolve(now, escalation=asked.reference()))
 
     async def close(self) -> None:
-        """Wait for what is being ended."""
-        if self._ending:
-            await asyncio.wait(self._ending)
+        """Wait for what is being ended, or said."""
+        if self._under_way:
+            await asyncio.wait(self._under_way)
 
 
 def _former(question: Escalation, bound: str) -> tuple[str, ...]:

@@ -39,6 +39,7 @@ def edited(name: str, before: str, after: str, files: dict[str, str] | None = No
 
 SLOWER = edited(SHARED, "base_speed_mps: {max: 0.3", "base_speed_mps: {max: 0.2")
 FASTER = edited(SHARED, "base_speed_mps: {max: 0.3", "base_speed_mps: {max: 0.4")
+BLUNTER = edited(SHARED, "sensitivity: 0.9", "sensitivity: 0.8")
 WEAKER = edited(SHARED, "grip_force_n: {max: 60", "grip_force_n: {max: 30")
 FORBIDDEN = edited(ORGANIZATION, "rules:\n", f"rules:{NO_MUG}")
 ASKING = edited(
@@ -534,6 +535,69 @@ async def test_who_let_a_session_go_on_is_not_asked_the_same_with_the_next_quest
     assert question is not None
     assert len(question.reasons) == 1
     assert runtime.desk.outdated(question) is None
+
+
+def first(runtime: Runtime, digest: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have a version come into force before whatever is recorded next, which was decided before that."""
+    append = runtime.store.append
+
+    async def behind(*given: Any) -> Any:
+        monkeypatch.setattr(runtime.store, "append", append)
+        changing = asyncio.create_task(runtime.versions.activate(digest, ENGINEER_2, "at once"))
+        await until(lambda: runtime.kernel.policy.digest == digest)
+        changing.add_done_callback(lambda done: done.result())
+        return await append(*given)
+
+    monkeypatch.setattr(runtime.store, "append", behind)
+
+
+async def test_what_a_policy_says_that_came_while_an_answer_was_recorded_is_asked(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = await running(runtime, cell)
+    await runtime.versions.activate(await brought(runtime, ASKING), ENGINEER, "look first")
+    await cell.report("escalation", made["id"], reason="policy_changed")
+    question = runtime.desk.pending_for(made["id"])
+    assert question is not None
+    twice = await brought(runtime, edited(ORGANIZATION, "{id: look,", "{id: look-again,", ASKING))
+    first(runtime, twice, monkeypatch)
+    await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    assert runtime.kernel.policy.digest == twice
+    await until(lambda: cell.ops()[-2:] == ["resolve_continue", "escalate"])
+    await cell.report("status", made["id"], status="running", reason="operator")
+    await cell.report("status", made["id"], status="escalated", reason="policy_changed")
+    again = runtime.desk.pending_for(made["id"])
+    assert again is not None
+    assert [why["rule"] for why in again.reasons] == ["organization/look-again"]
+
+
+async def test_what_is_bound_anew_under_a_policy_that_gives_way_meanwhile_is_held(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = await running(runtime, cell)
+    before = runtime.kernel.policy.digest
+    await put_in_force(runtime, BLUNTER)
+    await cell.report("launch", made["id"], capability="takeover")
+    await cell.report("escalation", made["id"], reason="control_lapsed", failure="taken_over")
+    question = runtime.desk.pending_for(made["id"])
+    assert question is not None
+    await cell.state()
+    first(runtime, before, monkeypatch)
+    await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    assert runtime.kernel.policy.digest == before
+    version = runtime.register.newest(made["id"])
+    assert version is not None
+    assert version.policy_version != before, "it is bound by the other one"
+    await until(lambda: cell.heard[-1].type == "beat" and bool(cell.ops()))
+    assert [word.type for word in cell.heard if word.type in ("launch", "human")][-2:] == ["launch", "human"]
+    assert set(cell.ops()) == {"escalate"}
+    await cell.report("status", made["id"], status="running", reason="handed_back")
+    await cell.report("status", made["id"], status="escalated", reason="policy_changed")
+    again = runtime.desk.pending_for(made["id"])
+    assert again is not None
+    assert {why["code"] for why in again.reasons} == {"watched_tighter"}
+    (said,) = await bodies(runtime, "intervention")
+    assert (said["code"], said["former"], said["policy_version"]) == ("policy_changed", version.policy_version, before)
 
 
 async def test_a_loosening_leaves_what_runs_alone(runtime: Runtime, cell: HandCell) -> None:
