@@ -128,7 +128,9 @@ class Runtime:
         await self.shadow.recall()
         await self.succession.prepare(self.versions.compiled)
         await self.desk.expire_due()
-        await self.succession.afterwards(self.succession.at_once())
+        done = self.succession.at_once()
+        await self.succession.recall()
+        await self.succession.afterwards(done)
         await self.broadcast.open()
 
     @asynccontextmanager

@@ -36,10 +36,11 @@ from app.runtime.hands import over
 from app.runtime.invocation import reasons_document
 from app.runtime.kernel import ANOTHER_PROFILE
 from app.runtime.kernel import CHANGED as CONDITIONS_CHANGED
+from app.runtime.recollection import events_of
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Coroutine
+    from collections.abc import Awaitable, Callable, Coroutine, Mapping
 
     from app.governance.model import ApprovalNeed, Reason
     from app.governance.policy import PolicySet
@@ -148,6 +149,27 @@ class Succession:
         if cell.driven(present.id):
             self._fleet.loosen(cell, SERVER)
         self._fleet.restrain(cell, Human(invocation=present.id, op="escalate", actor=SERVER))
+
+    async def recall(self) -> None:
+        """Take back from the log what an earlier run of the server told held sessions, for which policy, and why."""
+        desk, policy = self._desk, self._kernel.policy.digest
+        for question in desk.pending():
+            present = self._register.newest(question.invocation)
+            if question.kind == APPROVAL or present is None:
+                continue
+            told = await self._interventions(present.id)
+            bound = present.policy_version == policy  # since then: to this one it conforms
+            now = [why for body in told if body["policy_version"] == policy and not bound for why in body["reasons"]]
+            standing = _each(*desk.departed.get(present.id, ()), *now)
+            if standing:
+                desk.departed[present.id] = standing
+            said = _each(*(why for body in told for why in body["reasons"]))
+            desk.conformed[present.id] = [why for why in said if why not in standing]
+
+    async def _interventions(self, name: str) -> list[dict[str, Any]]:
+        said = await events_of(self._register.store, invocation=name, kind=EventKind.INTERVENTION)
+        bodies: list[dict[str, Any]] = [one.payload() for one in said if one.actor == SERVER]
+        return [body for body in bodies if body["code"] == CHANGED]
 
     # -- afterwards --------------------------------------------------------------------------------------------------
 
@@ -396,6 +418,15 @@ class Succession:
         """Wait for what is being ended, or said."""
         if self._under_way:
             await asyncio.wait(self._under_way)
+
+
+def _each(*reasons: Mapping[str, str]) -> list[dict[str, str]]:
+    """Return reasons, each once."""
+    found: list[dict[str, str]] = []
+    for why in reasons:
+        if why not in found:
+            found.append(dict(why))
+    return found
 
 
 def _former(question: Escalation, bound: str) -> tuple[str, ...]:

@@ -519,6 +519,29 @@ async def test_what_a_former_policy_alone_held_is_not_asked_without_a_reason(run
     assert [why["code"] for why in again.reasons] == ["policy_changed"]
 
 
+async def test_what_a_former_policy_held_is_not_asked_after_a_start_with_another(house: House) -> None:
+    before = house.policy
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        made = await running(runtime, cell)
+        await cell.report("escalation", made["id"], reason="separation")
+    house.policy = bundle.load_files(ASKING)
+    async with house.open() as runtime:
+        asked = runtime.desk.pending_for(made["id"])
+        assert asked is not None
+        assert [why["code"] for why in asked.reasons] == ["separation", "look"]
+    async with house.open() as runtime:
+        asked = runtime.desk.pending_for(made["id"])
+        assert asked is not None
+        assert [why["code"] for why in asked.reasons] == ["separation", "look"], "the same is in force"
+    house.policy = before
+    async with house.open() as runtime:
+        asked = runtime.desk.pending_for(made["id"])
+        assert asked is not None
+        assert [why["code"] for why in asked.reasons] == ["separation"]
+        assert runtime.desk.outdated(asked) is None
+
+
 async def test_who_let_a_session_go_on_is_not_asked_the_same_with_the_next_question(
     runtime: Runtime, cell: HandCell
 ) -> None:
