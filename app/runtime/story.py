@@ -14,7 +14,7 @@ from app.governance.continuing import CHANGED
 from app.governance.model import TERMINAL, EventKind, Outcome, Status
 from app.governance.session import final_status, refused_launch
 from app.runtime.drafts import DENIAL, SERVER, outcome_event, reason
-from app.runtime.escalation import APPROVED, DENIED, EXPIRED, PENDING, WITHDRAWN
+from app.runtime.escalation import APPROVED, DENIED, EXPIRED, PENDING, ROLLBACK, WITHDRAWN
 from app.runtime.failures import described, failure
 from app.runtime.hands import LAPSED, driven, followed
 
@@ -32,6 +32,7 @@ ITSELF: Final = "cell"  # how a cell names itself as an actor
 CONFIRM: Final = "confirm:"  # how a cell says which phase waits
 LINK: Final = "link"  # how a cell says that it holds because its link had lapsed
 LOST: Final = frozenset({LINK, "link_lost", "link_returned"})  # and how the server says that it was lost
+UNAVAILABLE: Final = "rollback_unavailable"  # how a cell says that it cannot undo its session
 ONWARD: Final = "let it go on from where it is held, or end it"  # what a human may say of a held session
 ANEW: Final = "let it go on with a new attempt, or end it"  # and of one that had failed
 CONFIRM_RULE: Final = "authority/confirm_before"
@@ -85,7 +86,7 @@ class Story:
             permit = event.body.get("permit")
             if permit is not None and permit != version.terms.authorization:  # another has been sent since
                 return NOTHING
-        version = self._in_whose_hands(version, event, at)
+        version = self._in_whose_hands(self._undone(version, event, at), event, at)
         match event.kind:
             case EventKind.LAUNCH if "refused" not in event.body:
                 self._versions[version.id] = version.evolve(at, terms=replace(version.terms, confirmed=True))
@@ -102,6 +103,13 @@ class Story:
             case _:
                 pass
         return NOTHING
+
+    def _undone(self, version: Invocation, event: UpEvent, at: str) -> Invocation:
+        """Leave the end of a session to its agent as well, where the cell has no way to undo it as a human ordered."""
+        if version.terms.undone_by is None or not _undoes_nothing(version, event):
+            return version
+        self._versions[version.id] = version.evolve(at, terms=replace(version.terms, undone_by=None))
+        return self._versions[version.id]
 
     def _in_whose_hands(self, version: Invocation, event: UpEvent, at: str) -> Invocation:
         """Follow a takeover: what the cell says decides whose hands its session is in.
@@ -219,6 +227,12 @@ def _stray(cell: str, event: UpEvent) -> EventDraft:
     """
     body = {**_said(cell, event), "stray": event.kind, "of": event.invocation}
     return EventDraft(kind=EventKind.CELL, actor=cell, body=body)
+
+
+def _undoes_nothing(version: Invocation, event: UpEvent) -> bool:
+    """Say whether a cell has no way to undo a session, and is not mending an undoing that failed."""
+    said = event.kind == EventKind.HUMAN and event.body.get("op") == ROLLBACK
+    return said and event.body.get("refused") == UNAVAILABLE and version.status is not Status.RECOVERING
 
 
 def _answered_meanwhile(version: Invocation, event: UpEvent) -> bool:

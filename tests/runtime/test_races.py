@@ -616,6 +616,22 @@ async def test_a_rollback_whose_cell_left_while_it_was_recorded_leaves_the_sessi
     assert (await runtime.governor.cancel(name, AGENT))["recorded"], "nothing is undone that it could call off"
 
 
+async def test_a_rollback_that_the_cell_refuses_leaves_the_session_to_its_agent(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    name = await running(runtime, cell)
+    await runtime.governor.rollback(name, OPERATOR)
+    with pytest.raises(Conflict) as refusal:
+        await runtime.governor.cancel(name, AGENT)
+    assert refusal.value.code == "rollback_ordered"
+    unavailable = "rollback_unavailable"
+    await cell.report("status", name, status="escalated", reason=unavailable)
+    await cell.report("escalation", name, reason=unavailable)
+    await cell.report("human", name, op="rollback", done=False, refused=unavailable, actor=OPERATOR.name)
+    assert (await runtime.governor.cancel(name, AGENT))["status"] == "escalated"
+    await until(lambda: "cancel" in cell.ops())
+
+
 async def test_a_rollback_that_is_not_said_again_is_under_way_all_the_same(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
