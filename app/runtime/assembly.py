@@ -139,12 +139,14 @@ class Runtime:
         await self.start()
         tasks = self._tasks = [
             asyncio.create_task(self.fleet.beat(), name="beat"),
+            asyncio.create_task(self.fleet.watch(), name="links"),
             asyncio.create_task(self.fleet.tend(), name="tend"),
             asyncio.create_task(self.governor.watch_leases(), name="leases"),
             asyncio.create_task(self.broadcast.run(), name="broadcast"),
             asyncio.create_task(self.desk.watch_deadlines(), name="deadlines"),
             asyncio.create_task(self.desk.grants.watch(), name="grants"),
             asyncio.create_task(self.succession.watch(), name="succession"),
+            asyncio.create_task(self.succession.keep_holding(), name="holding"),
         ]
         for task in tasks:
             task.add_done_callback(self._broke)

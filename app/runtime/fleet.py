@@ -512,23 +512,35 @@ class Fleet:
                     cell.attachment.beat()
             await asyncio.sleep(BEAT_MS / 1000)
 
-    async def tend(self) -> None:
-        """See to links that hang and cells that owe something, for ever."""
+    async def watch(self) -> None:
+        """Close links that hang, and stop what nobody believes to run, for ever: no record is waited for."""
         while True:
             await asyncio.sleep(TEND_S)
-            await self.tend_once()
+            self.look()
 
-    async def tend_once(self) -> None:
-        """Close silent links, and have what is overdue seen to."""
-        await self.roster.keep_late()
+    def look(self) -> None:
+        """Close silent links, and tell cells to stop sessions that nobody believes them to have."""
         for cell in self.cells():
             attachment = cell.attachment
             if attachment is not None and attachment.silent_s() > SILENT_S:
                 attachment.shut(TRY_LATER, f"nothing heard for {SILENT_S} s")
             if attachment is not None and attachment.welcomed:
+                self._stop_stray(cell, attachment)
+
+    async def tend(self) -> None:
+        """See to cells that owe something, for ever."""
+        while True:
+            await asyncio.sleep(TEND_S)
+            await self.tend_once()
+
+    async def tend_once(self) -> None:
+        """Have what is overdue seen to."""
+        await self.roster.keep_late()
+        for cell in self.cells():
+            attachment = cell.attachment
+            if attachment is not None and attachment.welcomed:
                 await self.caught_up(attachment)
                 await self._unrecorded(cell, attachment)
-                self._stop_stray(cell, attachment)
             await self._desk.overdue(cell.id)
 
 

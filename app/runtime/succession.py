@@ -185,11 +185,16 @@ class Succession:
         await self.decide_again()
 
     async def watch(self) -> None:
-        """Hold what could not be held at once, and decide again what could not be recorded, for ever."""
+        """Decide again what could not be recorded, for ever."""
+        while True:
+            await asyncio.sleep(AGAIN_S)
+            await self.decide_again()
+
+    async def keep_holding(self) -> None:
+        """Hold what could not be held at once, for ever: however long the record takes for what is decided again."""
         while True:
             await asyncio.sleep(AGAIN_S)
             self.hold_again()
-            await self.decide_again()
 
     def hold_again(self) -> None:
         """Tell sessions once more to hold, which were on their way to their cell when they were told."""

@@ -271,17 +271,17 @@ class Takeovers(Handbacks):
             await self.lapse_due()
 
     async def lapse_due(self) -> None:
-        """Take the controls out of every hand that has fallen silent: sent first, then recorded."""
-        now_s = monotonic_s()
+        """Take the controls out of every hand that has fallen silent: sent first, all of them, then recorded."""
+        now_s, said = monotonic_s(), list[EventDraft]()
         for cell in self.fleet.cells():
             if cell.control is None or not cell.control.lapsed(now_s):
                 continue
             lapsed = self.fleet.loosen(cell, SERVER)
             if lapsed is not None:
                 body = {"op": "control_lapsed", "cell": cell.id, "holder": lapsed.holder, "lease": lapsed.lease}
-                await self.register.say(
-                    EventDraft(kind=EventKind.HUMAN, actor=SERVER, invocation=lapsed.invocation, body=body)
-                )
+                said.append(EventDraft(kind=EventKind.HUMAN, actor=SERVER, invocation=lapsed.invocation, body=body))
+        if said:
+            await self.register.say(*said)
 
 
 def _held_to(judgement: Judgement) -> None:

@@ -17,9 +17,11 @@ from app.governance.control import LAPSE_S
 from app.protocol import BEAT_MS
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
+from app.runtime.link import SILENT_S
 from app.runtime.sessions import LOST_S
+from app.runtime.succession import AGAIN_S
 
-from .conftest import AGENT, CELL, OPERATOR, OPERATOR_2, HandCell, House, grasp, navigate, until
+from .conftest import AGENT, CELL, ENGINEER, OPERATOR, OPERATOR_2, HandCell, House, grasp, navigate, until
 from .test_fleet import Late, SlowCell, running
 from .test_versions import SLOWER, put_in_force
 
@@ -806,3 +808,41 @@ async def test_a_server_whose_work_in_the_background_breaks_is_not_ready_and_let
     beats = len(cell.all("beat"))
     await asyncio.sleep(3 * BEAT_MS / 1000)
     assert len(cell.all("beat")) == beats, "the lease of every cell lapses by that"
+
+
+# -- what waits for nothing --------------------------------------------------------------------------------------------
+
+
+async def test_a_stray_session_is_stopped_and_a_silent_link_closed_while_the_record_takes_nothing(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = await running(runtime, cell)
+    other = await HandCell(runtime, id="workcell-2").dial()
+    await cell.hang_up()
+    gate = Gate(runtime, monkeypatch)
+    away = runtime.fleet.cell(CELL)
+    away.absent_since_s = monotonic_s() - LOST_S - 0.1
+    await gate.reached.wait()  # somebody is to be asked
+    await other.state(invocation="inv_gone", status="running")
+    await until(lambda: other.ops() == ["stop"])
+    assert other.attachment is not None
+    other.attachment.heard_s -= SILENT_S
+    await until(lambda: other.closed is not None)
+    gate.open.set()
+    await until(lambda: runtime.desk.pending_for(name) is not None)
+
+
+async def test_what_departs_is_held_however_long_it_takes_to_decide_again_on_what_waits(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stuck = asyncio.Event()
+    monkeypatch.setattr(runtime.succession, "decide_again", stuck.wait)
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    digest, _ = await runtime.versions.propose(SLOWER, ENGINEER, "a visitor")
+    changing = asyncio.create_task(runtime.versions.activate(digest["digest"], ENGINEER, "a visitor"))
+    await until(lambda: cell.ops().count("escalate") == 1)  # it knows of no session yet, and cannot hold it
+    await asyncio.sleep(2 * AGAIN_S)
+    await cell.launched(document["id"])
+    await until(lambda: cell.ops().count("escalate") >= 2)
+    stuck.set()
+    await changing
