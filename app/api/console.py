@@ -163,6 +163,7 @@ class Console:
         self._principal, self._token = principal, token
         self._outlet = Outlet()
         self._jogged: dict[str, tuple[str, str | None]] = {}  # of cells there are, and of nobody who only looks
+        self._stopping: dict[str, tuple[int, asyncio.Task[object]]] = {}  # by cell: which stop, and who says it
 
     async def run(self, after: int | None) -> None:
         """Show and listen until either side ends it.
@@ -208,7 +209,7 @@ class Console:
         while True:
             word = await _receive(self._socket)
             if isinstance(word, Estop):
-                await self._stop(word)  # before anybody counts what was said
+                self._stop(word)  # before anybody counts what was said
             self._pay(WATCH_COSTS if isinstance(word, Watch) else WORD_COSTS)
             self._take(word)
             taken += 1
@@ -240,16 +241,21 @@ class Console:
             case Hello():
                 raise NotAWord("`hello` was said already: valid once, first")
 
-    async def _stop(self, word: Estop) -> None:
+    def _stop(self, word: Estop) -> None:
         """Stop a cell and latch it; of one that stays latched, or that there is not, nothing is done or recorded.
 
         A console that says it here says it over HTTP too, where it is answered. While somebody is leaving the stop it
-        repeats nothing, and keeps the cell stopped.
+        repeats nothing, and keeps the cell stopped. What is said next, of another cell too, does not wait for the
+        record of it.
         """
         fleet = self._parts.fleet
         cell = fleet.cell(word.cell) if fleet.knows(word.cell) else None
-        if cell is not None and not (cell.latched and cell.armed_by is None and not cell.resetting):
-            await self._parts.governor.estop(word.cell, self._principal)
+        if cell is None or (cell.latched and cell.armed_by is None and not cell.resetting):
+            return
+        said, doing = self._stopping.get(cell.id, (-1, None))
+        if said != cell.stops or doing is None or doing.done():  # else it is about to be done already
+            doing = asyncio.create_task(self._parts.governor.estop(cell.id, self._principal))
+            self._stopping[cell.id] = cell.stops, doing
 
     def _jog(self, word: Jog) -> None:
         """Pass a hold-to-run command on at once, and say what becomes of them whenever that changes."""

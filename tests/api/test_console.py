@@ -389,7 +389,10 @@ async def test_a_stop_said_here_is_that_of_http_and_said_again_changes_nothing(h
         await eventually(lambda: cell.latched)
         await screen.say(type="ping", at_ms=0.0)
         await screen.until_type("pong")
-        (said,) = await stops(operator)
+        async with asyncio.timeout(PATIENCE_S):
+            while not (found := await stops(operator)):
+                await asyncio.sleep(0.01)
+        (said,) = found
         assert (await operator.post(f"/v1/cells/{CELL}/reset")).status_code == 200
         async with house.client(key) as anyone:
             assert (await anyone.post(f"/v1/cells/{CELL}/estop")).status_code == 200
@@ -398,6 +401,29 @@ async def test_a_stop_said_here_is_that_of_http_and_said_again_changes_nothing(h
             posted[name] for name in ("kind", "actor", "invocation", "body")
         ]
         assert (await operator.post(f"/v1/cells/{CELL}/reset")).status_code == 200
+
+
+async def test_a_stop_said_here_does_not_wait_for_the_record_of_the_one_before(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    roster, go_on = house.runtime.fleet.roster, asyncio.Event()
+    keep = roster.keep
+
+    async def slow(*args: Any, **how: Any) -> None:
+        await go_on.wait()
+        await keep(*args, **how)
+
+    async with house.cell() as cell, house.cell("workcell-2") as other, signed_in(house) as screen:
+        await screen.until_type("snapshot")
+        monkeypatch.setattr(roster, "keep", slow)
+        await screen.say(type="estop", cell=CELL)
+        await screen.say(type="estop", cell="workcell-2")
+        await eventually(lambda: cell.latched and other.latched)
+        go_on.set()
+        monkeypatch.setattr(roster, "keep", keep)
+        async with house.client("operator") as operator:
+            for name in (CELL, "workcell-2"):
+                assert (await operator.post(f"/v1/cells/{name}/reset")).status_code == 200
 
 
 async def test_a_stop_said_here_while_somebody_resets_keeps_the_cell_stopped(
