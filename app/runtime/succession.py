@@ -169,7 +169,7 @@ class Succession:
     async def _interventions(self, name: str) -> list[dict[str, Any]]:
         said = await events_of(self._register.store, invocation=name, kind=EventKind.INTERVENTION)
         bodies: list[dict[str, Any]] = [one.payload() for one in said if one.actor == SERVER]
-        return [body for body in bodies if body["code"] == CHANGED]
+        return [body for body in bodies if body.get("code") == CHANGED]
 
     # -- afterwards --------------------------------------------------------------------------------------------------
 
