@@ -157,8 +157,8 @@ class Story:
             return NOTHING
         phase, reasons = _asked(event)
         code = event.body.get("reason")
-        if code == CHANGED:
-            reasons = self._desk.departed.get(version.id, reasons)
+        if code == CHANGED and (told := self._desk.departed.get(version.id)):
+            reasons = [*told, *reasons] if event.body.get("failure") else told  # what had failed is no word of policy's
         if question is None:
             asked = self._desk.session_question(version, reasons, phase)
         elif code == LINK and not _of_the_link(question):  # it waits as before, on the terms it was asked on

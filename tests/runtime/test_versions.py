@@ -503,6 +503,27 @@ async def test_a_question_that_stands_says_what_another_policy_has_against_it_an
     await until(lambda: {"resolve_continue", "confirm"} & set(cell.ops()))
 
 
+async def test_what_had_failed_is_asked_beside_what_another_policy_has_against_it(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    made = await running(runtime, cell)
+    before = runtime.kernel.policy.digest
+    await cell.report("status", made["id"], status="recovering", reason="RETRY")
+    await runtime.versions.activate(await brought(runtime, ASKING), ENGINEER, "look first")
+    await cell.report("status", made["id"], status="escalated", reason="policy_changed")
+    await cell.report("escalation", made["id"], reason="policy_changed", failure="blocked")
+    asked = runtime.desk.pending_for(made["id"])
+    assert asked is not None
+    assert [why["code"] for why in asked.reasons] == ["look", "policy_changed"]
+    assert asked.reasons[1]["message"].startswith("something stands in the way (`blocked`)")
+    assert asked.reasons[1]["remedy"] == "let it go on with a new attempt, or end it"
+    for engineer in (ENGINEER, ENGINEER_2):
+        await runtime.versions.activate(before, engineer, "no need")
+    again = runtime.desk.pending_for(made["id"])
+    assert again is not None
+    assert [*again.reasons] == [asked.reasons[1]]
+
+
 async def test_what_a_former_policy_alone_held_is_not_asked_without_a_reason(runtime: Runtime, cell: HandCell) -> None:
     made = await running(runtime, cell)
     before = runtime.kernel.policy.digest
