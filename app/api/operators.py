@@ -193,7 +193,7 @@ def _questions(router: APIRouter) -> None:
         "already_approved",
         "digest_mismatch",
     )
-    refused = ("edit_refused", "grant_refused", "ending", "policy_changed", "profile_changed")
+    refused = ("edit_refused", "grant_refused", "resume_refused", "ending", "policy_changed", "profile_changed")
     declare(
         router,
         "GET /v1/escalations",
@@ -228,7 +228,7 @@ def _sessions(router: APIRouter) -> None:
     for word, endpoint, body, codes in (
         ("pause", pause, None, interrupt),
         ("stop", stop, None, SESSION_CODES),
-        ("resume", resume, EmptyBody, loosening),
+        ("resume", resume, EmptyBody, (*loosening, "resume_refused")),
         ("rollback", rollback, EmptyBody, (*loosening, "control_held")),
     ):
         answers = Answers(model=documents.InvocationDocument, codes=codes)

@@ -6,6 +6,7 @@ from typing import Any
 import httpx
 import pytest
 
+from app.api.problems import MEDIA_TYPE
 from tests.api.conftest import CELL, House, eventually, open_house
 
 pytestmark = pytest.mark.anyio
@@ -173,3 +174,9 @@ async def test_says_which_grants_and_rows_hold_for_nothing(house: House) -> None
     assert after["status"] == "degraded"
     assert "`grant_forged`" in after["broken"]["grants"]
     assert "`esc_forged`: its row is not what was asked" in after["broken"]["rows"]
+
+
+@pytest.mark.parametrize("route", ["/v1/escalations/{id}/resolve", "/v1/invocations/{id}/resume"])
+async def test_that_another_policy_lets_a_session_not_go_on_is_described(house: House, route: str) -> None:
+    refusals = house.described.document["paths"][route]["post"]["responses"]["409"]["content"][MEDIA_TYPE]
+    assert "resume_refused" in refusals["examples"]
