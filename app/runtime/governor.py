@@ -159,8 +159,8 @@ class Governor(Takeovers, Controls):
             return asking
         by_grant = () if invocation.grant is None else (f"grant:{invocation.grant}",)
         async with self.kernel.launch(invocation, judgement, by_grant) as launch:
-            used = self.desk.grants.use(invocation.grant)
-            await self.register.append([*drafts, *launch.events], [*rows, *launch.rows, *used], [launch.invocation])
+            with self.desk.grants.use(invocation.grant) as used:
+                await self.register.append([*drafts, *launch.events], [*rows, *launch.rows, *used], [launch.invocation])
         return launch.invocation
 
     def _aim(self, request: ProposalRequest) -> Cell | None:

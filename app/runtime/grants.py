@@ -8,6 +8,7 @@ another profile of the cell and another policy. `governance.authority` decides w
 from __future__ import annotations
 
 import asyncio
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.documents import follow, is_founded, nothing_said
@@ -21,7 +22,7 @@ from app.runtime.grant import ACTIVE, LEAST_MINUTES, Standing, read_standing
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Generator, Mapping, Sequence
 
     from app.audit.documents import Said
     from app.audit.event import RowWrite
@@ -184,21 +185,36 @@ class Grants:
         """Say whether a launch may go by a grant still; by none it may."""
         return grant_id is None or grant_id in self._active
 
-    def use(self, grant_id: str | None) -> list[RowWrite]:
-        """Count a launch under a grant; returns what to record together with it, nothing being awaited in between.
+    @contextmanager
+    def use(self, grant_id: str | None) -> Generator[list[RowWrite]]:
+        """Count a launch under a grant, as long as what is to be recorded with it is recorded inside the context.
+
+        Nothing may be awaited between the entrance and the append.
 
         Raises:
             GrantEnded: it has ended since the decision.
         """
         if grant_id is None:
-            return []
+            yield []
+            return
         present = self._active.get(grant_id)
         if present is None:
             raise GrantEnded(grant_id)
         now = self._register.now()
         used = present.evolve(now, uses=present.uses + 1, used_at=now)
         self.hold(used)
-        return [used.row()]
+        try:
+            yield [used.row()]
+        except BaseException:
+            self._not_used(used, present.used_at)
+            raise
+
+    def _not_used(self, used: Standing, before: str | None) -> None:
+        """Take back a use of which there is no record; another one that came meanwhile stays counted."""
+        present = self._active.get(used.id)
+        if present is not None:
+            at = before if present.used_at == used.used_at else present.used_at
+            self.hold(present.evolve(self._register.now(), uses=present.uses - 1, used_at=at))
 
     # -- ending ------------------------------------------------------------------------------------------------------
 

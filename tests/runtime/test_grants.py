@@ -326,3 +326,21 @@ async def test_a_grant_that_ends_between_decision_and_record_answers_for_nothing
     assert (document["status"], "grant" in document) == ("awaiting_approval", False)
     assert runtime.fleet.cell(CELL).claim is None
     assert not cell.all("launch")
+
+
+async def test_a_launch_that_could_not_be_recorded_is_no_use_of_its_grant(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = await grant(runtime)
+
+    async def fails(*_: Any) -> Any:
+        raise RecordUnavailable("disk full")
+
+    monkeypatch.setattr(runtime.store, "append", fails)
+    with pytest.raises(RecordUnavailable):
+        await runtime.governor.propose(AGENT, grasp())
+    monkeypatch.undo()
+    (standing,) = runtime.desk.grants.active()
+    assert (standing.id, standing.uses, standing.used_at) == (given["id"], 0, None)
+    await runtime.governor.propose(AGENT, grasp())
+    assert (await newest(runtime))["uses"] == 1
