@@ -205,9 +205,13 @@ class Story:
 
 
 def denied(policy: PolicySet, version: Invocation) -> list[dict[str, str]]:
-    """Return why a human did not let a held session go on, in the words of the code they chose."""
+    """Return why a human did not let a held session go on, in the words of the code they chose.
+
+    One that runs again goes on by somebody else's word, and ends for other reasons.
+    """
     asked = version.escalation or NOTHING
-    code = asked.get("code") if asked.get("status") == DENIED else None
+    ends = asked.get("status") == DENIED and version.status is not Status.RUNNING
+    code = asked.get("code") if ends else None
     why = None if code is None else denial(policy, code)
     if why is None or why == policy.authority.denials[0]:
         return []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import pytest
@@ -640,6 +640,20 @@ async def test_why_a_human_let_a_session_not_go_on_is_said_whoever_says_that_it_
     codes = [why["code"] for why in (await runtime.governor.invocation(name, AGENT))["failure"]["reasons"]]
     ends = {"unrecorded": ["operator", "journal_unavailable"], "lost": ["cell_lost"], "restarted": ["session_lost"]}
     assert codes == ["person_in_the_way", *ends[end]]
+
+
+async def test_a_denial_is_no_reason_of_what_went_on_after_all(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    await cell.report("status", name, status="escalated", reason="separation_m")
+    question = runtime.desk.pending_for(name)
+    assert question is not None
+    runtime.desk.hold(replace(question, on_deny="rollback"))
+    await runtime.desk.resolve(question.id, OPERATOR, "deny", question.digest, code="person_in_the_way")
+    await cell.report("status", name, status="recovering", reason="ROLLBACK")
+    await cell.report("status", name, status="running", reason="taken_over")  # and handed back
+    await cell.report("outcome", name, outcome="terminated", code="blocked")
+    ended = await runtime.governor.invocation(name, AGENT)
+    assert [why["code"] for why in ended["failure"]["reasons"]] == ["blocked"]
 
 
 async def test_a_refused_launch_that_cannot_be_written_down_is_a_fault(runtime: Runtime, cell: HandCell) -> None:
