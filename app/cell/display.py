@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final, Protocol, cast
 
 from app import protocol
 from app.cell.moment import Moment, Session
+from app.governance.model import Status
 from app.governance.signals import FAR_M, Signals
 from app.protocol import Path, Scene, Sitting, pack_poses
 
@@ -72,7 +73,7 @@ def sitting(session: Governing | None) -> Sitting | None:
         doing=run.doing.value,
         violated=[rules[row].id for row, _ in run.watching.lasting],
         paused_by=sorted(run.paused_by),
-        waits_for=run.escalated_by,
+        waits_for=run.escalated_by if run.status is Status.ESCALATED else "",  # what was asked last is no question now
     )
 
 

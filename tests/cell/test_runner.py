@@ -830,6 +830,20 @@ def test_no_phase_begins_unconfirmed_while_a_session_comes_to_rest(rig: Rig, hel
     assert rig.finish()["outcome"] == "succeeded"
 
 
+def test_what_is_undone_instead_waits_for_nobody(rig: Rig) -> None:
+    rig.cell.script.releases, rig.cell.script.base_mps = True, 0.0
+    rig.launch(confirm_before=("release",))
+    rig.until_status("escalated")
+    assert rig.runner.session is not None
+    shown = sitting(rig.runner.session)
+    assert shown is not None
+    assert shown.waits_for == "confirm:release"
+    assert rig.runner.human("inv-1", "rollback", "operator") is None
+    shown = sitting(rig.runner.session)
+    assert shown is not None
+    assert (rig.runner.status, shown.waits_for) == ("recovering", "")
+
+
 def test_a_rollback_that_is_held_has_nothing_to_confirm(rig: Rig) -> None:
     rig.cell.script.releases, rig.cell.script.base_mps = True, 0.0
     rig.launch(confirm_before=("release",))
