@@ -38,6 +38,7 @@ PACE = "10"
 # looks fifty times a second would do little else.
 NO_TLS = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
 LAPSED = b"link down: nothing heard for"
+INTRODUCED = b"\n  console  http"  # the last line of what a server says of itself, which it begins once it answers
 
 
 LAPSES: pytest.StashKey[int] = pytest.StashKey()
@@ -201,6 +202,7 @@ class Servers:
 
     def await_up(self, server: ServerProcess, path: str) -> ServerProcess:
         until(lambda: self._answers(server, path), START_S, f"the server answers at {path}; see {server.log}")
+        until(lambda: INTRODUCED in server.log.read_bytes(), START_S, f"it says who it is; see {server.log}")
         return server
 
     def _answers(self, server: ServerProcess, path: str) -> bool:
