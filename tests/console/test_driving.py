@@ -356,6 +356,27 @@ def test_why_the_controls_were_not_given_is_said_as_long_as_it_is_so(
     expect(panel.get_by_role("alert")).to_have_count(0)
 
 
+def test_a_refusal_that_is_heard_before_who_has_the_controls_stays(
+    server: ServerProcess, people: People, floor: Floor, free_again: None
+) -> None:
+    one, other = people.sit(server), people.sit(server, "operator_2")
+    one.expects("409")
+    for person in (one, other):
+        person.press("t")
+        expect(person.button("Take the controls")).to_be_enabled()
+    panel = one.region("Drive by hand")
+    problem = {"title": "Conflict", "status": 409, "code": "control_held", "detail": "`operator_2` has the controls"}
+    one.page.route("**/takeover", lambda route: route.fulfill(status=409, json=problem))
+    one.button("Take the controls").click()
+    expect(panel.get_by_role("alert")).to_contain_text("operator_2")
+    other.button("Take the controls").click()
+    expect(panel).to_contain_text("operator_2 (remote) has the controls")
+    one.page.evaluate(THREE_FRAMES)
+    expect(panel.get_by_role("alert")).to_contain_text("operator_2")
+    other.button("End session").click()
+    expect(panel.get_by_role("alert")).to_have_count(0)
+
+
 def test_a_pause_that_is_refused_stands_where_it_was_pressed(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
