@@ -334,14 +334,20 @@ def test_the_controls_of_an_idle_cell_that_come_when_it_was_left_are_given_back(
     expect(person.alert("You have lost")).to_have_count(0)
 
 
-def test_why_the_controls_were_not_given_is_said_as_long_as_it_is_so(
-    server: ServerProcess, people: People, floor: Floor, free_again: None
-) -> None:
+def two_who_may(server: ServerProcess, people: People) -> tuple[Person, Person]:
+    """Sit two people down before the same free controls; the first is refused them."""
     one, other = people.sit(server), people.sit(server, "operator_2")
     one.expects("409")
     for person in (one, other):
         person.press("t")
         expect(person.button("Take the controls")).to_be_enabled()
+    return one, other
+
+
+def test_why_the_controls_were_not_given_is_said_as_long_as_it_is_so(
+    server: ServerProcess, people: People, floor: Floor, free_again: None
+) -> None:
+    one, other = two_who_may(server, people)
     panel = one.region("Drive by hand")
     held: list[Route] = []
     one.page.route("**/takeover", lambda route: held.append(route))  # noqa: PLW0108 (Playwright takes no built-in)
@@ -359,11 +365,7 @@ def test_why_the_controls_were_not_given_is_said_as_long_as_it_is_so(
 def test_a_refusal_that_is_heard_before_who_has_the_controls_stays(
     server: ServerProcess, people: People, floor: Floor, free_again: None
 ) -> None:
-    one, other = people.sit(server), people.sit(server, "operator_2")
-    one.expects("409")
-    for person in (one, other):
-        person.press("t")
-        expect(person.button("Take the controls")).to_be_enabled()
+    one, other = two_who_may(server, people)
     panel = one.region("Drive by hand")
     problem = {"title": "Conflict", "status": 409, "code": "control_held", "detail": "`operator_2` has the controls"}
     one.page.route("**/takeover", lambda route: route.fulfill(status=409, json=problem))
