@@ -244,16 +244,21 @@ class Floor:
 
 @contextmanager
 def at_once(path: str, *people: Person) -> Iterator[None]:
-    """Hold one request of each person at the door of their browser until all have sent theirs; then let all go."""
+    """Hold the requests of each person at the door of their browser until all have sent theirs; then let all go."""
     held: list[Route] = []
+    sent: set[int] = set()
 
-    def hold(route: Route) -> None:
-        held.append(route)
+    def holding(number: int) -> Callable[[Route], None]:
+        def hold(route: Route) -> None:
+            held.append(route)
+            sent.add(number)  # a page may send more than one
 
-    for person in people:
-        person.page.route(path, hold)
+        return hold
+
+    for number, person in enumerate(people):
+        person.page.route(path, holding(number))
     yield
-    until(lambda: len(held) == len(people) or people[0].page.wait_for_timeout(20), what=f"all at {path}")
+    until(lambda: len(sent) == len(people) or people[0].page.wait_for_timeout(20), what=f"all at {path}")
     for route in held:
         route.continue_()
     for person in people:
