@@ -18,7 +18,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Locator, Page, Route, expect, sync_playwright
+from playwright.sync_api import (
+    Browser,
+    BrowserContext,
+    ConsoleMessage,
+    Locator,
+    Page,
+    Playwright,
+    Route,
+    expect,
+    sync_playwright,
+)
 
 from tests.conftest import Ahead, ServerProcess, Servers, until
 
@@ -352,12 +362,24 @@ def chromium() -> str:
 
 
 @pytest.fixture(scope="package")
-def browser() -> Iterator[Browser]:
-    """Chromium, headless; ended with the package, for Playwright keeps an event loop running in this thread."""
-    with sync_playwright() as playwright:
-        driven = playwright.chromium.launch(executable_path=chromium(), args=list(FLAGS))
+def playwright() -> Iterator[Playwright]:
+    """Ended with the package, for Playwright keeps an event loop running in this thread."""
+    with sync_playwright() as made:
+        yield made
+
+
+@pytest.fixture(scope="package")
+def browser(playwright: Playwright) -> Iterator[Browser]:
+    """Chromium, headless."""
+    with playwright.chromium.launch(executable_path=chromium(), args=list(FLAGS)) as driven:
         yield driven
-        driven.close()
+
+
+@pytest.fixture(scope="package")
+def flat_browser(playwright: Playwright) -> Iterator[Browser]:
+    """Chromium as on a machine that draws no 3D: the console says so, and everything else works."""
+    with playwright.chromium.launch(executable_path=chromium(), args=[*FLAGS, "--disable-3d-apis"]) as driven:
+        yield driven
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -368,11 +390,12 @@ def built() -> None:
 
 
 @pytest.fixture
-def people(request: pytest.FixtureRequest, browser: Browser) -> Iterator[People]:
+def people(request: pytest.FixtureRequest) -> Iterator[People]:
     """Who sits down at a console; they have left before the floor is cleared, so no page says a stop once more then."""
     if "floor" in request.fixturenames:
         request.getfixturevalue("floor")
-    made = People(browser)
+    flat = request.node.get_closest_marker("flat") is not None
+    made = People(request.getfixturevalue("flat_browser" if flat else "browser"))
     yield made
     assert made.leave() == []
 

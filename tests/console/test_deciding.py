@@ -10,7 +10,7 @@ from playwright.sync_api import Locator, Route, expect
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import ANSWERS, DESK, PHONE, Floor, People, Person, at_once, box, wider_than_the_screen
 
-pytestmark = [pytest.mark.browser, pytest.mark.process]
+pytestmark = [pytest.mark.browser, pytest.mark.process, pytest.mark.flat]
 
 
 def card(person: Person, title: str = "Grasp mug_1") -> Locator:

@@ -141,3 +141,13 @@ def test_the_cell_is_drawn_and_drawn_again_after_the_graphics_were_lost(
 def test_on_a_phone_the_cell_is_drawn_too(server: ServerProcess, people: People, floor: Floor) -> None:
     person = people.sit(server, size=PHONE)
     until(lambda: drawn(person) > MUCH, what="a cell that is drawn")
+
+
+@pytest.mark.flat
+def test_a_browser_without_3d_says_so_and_shows_the_rest(server: ServerProcess, people: People, floor: Floor) -> None:
+    person = people.sit(server)
+    drive, scene = floor.drive_off(), person.region("The cell in 3D")
+    expect(scene.get_by_text("This browser draws no 3D")).to_be_visible()
+    expect(scene.get_by_role("group", name="Views")).to_have_count(0)
+    scene.get_by_role("button", name="Pause").click()
+    server.await_status(drive["id"], "paused")

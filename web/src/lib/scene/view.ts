@@ -62,7 +62,7 @@ export class CellView {
 
   /** `lost` hears when the graphics card has dropped the picture: it takes another view to draw again. */
   constructor(private readonly host: HTMLElement, layer: HTMLElement, private readonly lost: () => void = () => undefined) {
-    const soft = isSoftware();
+    const soft = drawnBy() === 'processor';
     this.renderer = new WebGLRenderer({ antialias: !soft, powerPreference: 'high-performance' });
     this.ratio = soft ? 1 : Math.min(devicePixelRatio, 2);
     this.renderer.setPixelRatio(this.ratio);
@@ -312,11 +312,12 @@ function above(body: Group, clearM: number): Vector3 {
   return body.position.clone().setZ((box.isEmpty() ? body.position.z : box.max.z) + clearM); // what never moves is drawn as one
 }
 
-/** Whether WebGL is drawn by the processor. */
-function isSoftware(): boolean {
+/** Who draws WebGL here; throws where nobody does, before three.js complains of that on the console. */
+function drawnBy(): 'card' | 'processor' {
   const gl = document.createElement('canvas').getContext('webgl2');
-  const info = gl?.getExtension('WEBGL_debug_renderer_info');
-  const name = gl === null || info === null || info === undefined ? '' : String(gl.getParameter(info.UNMASKED_RENDERER_WEBGL));
-  gl?.getExtension('WEBGL_lose_context')?.loseContext();
-  return /swiftshader|llvmpipe|software/i.test(name);
+  if (gl === null) throw new Error('this browser has no WebGL 2');
+  const info = gl.getExtension('WEBGL_debug_renderer_info');
+  const name = info === null ? '' : String(gl.getParameter(info.UNMASKED_RENDERER_WEBGL));
+  gl.getExtension('WEBGL_lose_context')?.loseContext();
+  return /swiftshader|llvmpipe|software/i.test(name) ? 'processor' : 'card';
 }
