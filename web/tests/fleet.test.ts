@@ -1,7 +1,7 @@
 import { describe, expect, it } from 'vitest';
 import type { Cell, LogEvent } from '../src/lib/api/documents';
 import { differences, takesOver } from '../src/lib/fleet/profiles';
-import { secondsLeft, stopOf, unheardOf, VOIDED, whyWithdrawn } from '../src/lib/live/reset';
+import { lastStopBy, secondsLeft, stopOf, unheardOf, VOIDED, whyWithdrawn } from '../src/lib/live/reset';
 import { heard, profileBarrier, resetBarrier, samePolicy } from '../src/lib/fleet/rights';
 import { event } from './samples';
 
@@ -60,6 +60,10 @@ describe('the stop a cell is latched by', () => {
   it('is the first one since the reset before it, of this cell', () => {
     const log = [word('estop', 'ann'), word('reset', 'ann'), word('estop', 'eve', 'workcell-2'), word('estop', 'bob'), word('estop', 'ann')];
     expect(stopOf('workcell-1', log)).toEqual({ by: 'bob', at: '2026-11-22T10:00:01.000Z' });
+  });
+  it('was last pressed by somebody where the record says so of them and of this cell', () => {
+    const log = [word('estop', 'ann'), word('estop', 'bob'), word('reset', 'ann'), word('estop', 'ann', 'workcell-2')];
+    expect([lastStopBy('ann', 'workcell-1', log), lastStopBy('bob', 'workcell-1', log), lastStopBy('eve', 'workcell-1', log)]).toEqual([log[0]?.seq, log[1]?.seq, null]);
   });
   it('is the same one after a reset that the cell has not heard', () => {
     const unheard = event('cell', { what: 'not_confirmed', op: 'reset', cell: 'workcell-1' }, null, 'server');

@@ -1,7 +1,7 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
 import { ApiError } from '../src/lib/api/client';
 import type { Cell } from '../src/lib/api/documents';
-import { OTHER_LINE_MS, Stopper } from '../src/lib/state/stopper.svelte';
+import { DUE_MS, OTHER_LINE_MS, Stopper } from '../src/lib/state/stopper.svelte';
 
 const ONE = 'workcell-1';
 const OTHER = 'workcell-2';
@@ -11,12 +11,14 @@ describe('a stop that is pressed', () => {
   let answer: () => Promise<Cell>;
   let down: boolean;
   let elsewhere: string[];
+  let seq: number;
   let stopper: Stopper;
 
   beforeEach(() => {
     vi.useFakeTimers({ now: 0 });
     sent = [];
     elsewhere = [];
+    seq = 7;
     down = false;
     answer = () => new Promise((_, reject) => setTimeout(() => reject(new Error('The server did not answer.')), 1_500));
     stopper = new Stopper(
@@ -24,8 +26,7 @@ describe('a stop that is pressed', () => {
         sent.push(cell);
         return answer();
       },
-      () => down,
-      (cell) => elsewhere.push(cell),
+      { linkDown: () => down, otherLine: (cell) => elsewhere.push(cell), seen: () => seq },
     );
   });
   afterEach(() => {
@@ -80,6 +81,52 @@ describe('a stop that is pressed', () => {
     expect(elsewhere).not.toContain(OTHER);
   });
 
+  it('is confirmed by an answer that comes late, and is sent no more from then on', async () => {
+    answer = () => new Promise((resolve) => setTimeout(() => resolve({ id: ONE } as Cell), 3_000));
+    void stopper.press(ONE);
+    await vi.advanceTimersByTimeAsync(2_900);
+    expect([stopper.of(ONE), sent.length]).toEqual([{ phase: 'failed', why: 'The server has not answered yet.', trying: true }, 2]);
+    await vi.advanceTimersByTimeAsync(200);
+    expect([stopper.of(ONE).phase, stopper.unconfirmed]).toEqual(['idle', []]);
+    await vi.advanceTimersByTimeAsync(20_000);
+    expect([sent.length, elsewhere.length, stopper.of(ONE).phase]).toEqual([2, 2, 'idle']);
+  });
+
+  it('has two attempts on their way at most, and what is pressed then goes out on the other line', async () => {
+    answer = () => new Promise(() => undefined);
+    void stopper.press(ONE);
+    await vi.advanceTimersByTimeAsync(60_000);
+    const said = elsewhere.length;
+    void stopper.press(ONE);
+    await vi.advanceTimersByTimeAsync(60_000);
+    expect([sent.length, elsewhere.length - said, stopper.of(ONE).phase]).toEqual([2, 1, 'failed']);
+  });
+
+  it('is not tried again where the server says late that it will not', async () => {
+    const refusal = new ApiError({ code: 'forbidden', title: 'Not yours', status: 403, detail: 'not yours' });
+    answer = () => new Promise((_, reject) => setTimeout(() => reject(refusal), 2_000));
+    void stopper.press(ONE);
+    await vi.advanceTimersByTimeAsync(20_000);
+    expect([stopper.of(ONE), sent.length]).toEqual([{ phase: 'failed', why: 'Not yours.', trying: false }, 2]);
+    answer = () => Promise.resolve({ id: ONE } as Cell);
+    void stopper.press(ONE);
+    await vi.advanceTimersByTimeAsync(0);
+    expect([stopper.of(ONE).phase, sent.length]).toEqual(['idle', 3]);
+  });
+
+  it('is confirmed by the record of it, and by none from before it was pressed', async () => {
+    answer = () => new Promise(() => undefined);
+    void stopper.press(ONE);
+    await vi.advanceTimersByTimeAsync(DUE_MS);
+    stopper.recorded(ONE, 7);
+    stopper.recorded(OTHER, 8);
+    expect(stopper.of(ONE).phase).toBe('failed');
+    stopper.recorded(ONE, 8);
+    expect([stopper.of(ONE).phase, sent.length]).toEqual(['idle', 1]);
+    await vi.advanceTimersByTimeAsync(20_000);
+    expect(sent.length).toBe(1);
+  });
+
   it('is one of a cell of whatever name', () => {
     void stopper.press('constructor');
     expect([sent, stopper.of('constructor').phase, stopper.of('toString').phase]).toEqual([['constructor'], 'sending', 'idle']);
@@ -91,6 +138,7 @@ describe('a stop that is pressed', () => {
     expect(sent.length).toBe(1);
     await vi.advanceTimersByTimeAsync(1_600);
     void stopper.press(ONE);
+    await vi.advanceTimersByTimeAsync(0);
     expect([sent.length, stopper.of(ONE).phase]).toEqual([2, 'failed']);
     await vi.advanceTimersByTimeAsync(300);
     expect(sent.length).toBe(2);

@@ -41,7 +41,6 @@ export class ApiError extends Error {
 export const UNKNOWN = 'unknown';
 const UNREACHABLE: Problem = { title: 'No answer', status: 0, detail: 'The server did not answer.', code: 'unreachable' };
 const PATIENCE_MS = 10_000;
-const STOP_PATIENCE_MS = 1_500;
 const LONG_PATIENCE_MS = 120_000;
 /** A browser opens six connections to a server, for all of its tabs; a request beyond them waits, whatever it says. */
 const AT_ONCE = 3;
@@ -56,7 +55,6 @@ interface How {
   long?: boolean;
   /** It stops, ends or takes back something, and waits for nothing that is read. */
   restrains?: boolean;
-  patienceMs?: number;
   /** Ended by whoever does not want the answer any more. */
   until?: AbortSignal | undefined;
 }
@@ -109,7 +107,7 @@ export class Api {
   private async send<T>(method: Method, path: string, body: unknown, how: How, read: (response: Response) => Promise<T>): Promise<T> {
     const headers: Record<string, string> = { Authorization: `Bearer ${this.token}` };
     if (body !== undefined) headers['Content-Type'] = 'application/json';
-    const patience = AbortSignal.timeout(how.patienceMs ?? (how.long === true ? LONG_PATIENCE_MS : PATIENCE_MS));
+    const patience = AbortSignal.timeout(how.long === true ? LONG_PATIENCE_MS : PATIENCE_MS);
     const signal = how.until === undefined ? patience : AbortSignal.any([patience, how.until]);
     let response: Response;
     try {
@@ -157,7 +155,7 @@ export class Api {
 
   /** Waits for nothing else. */
   estop = (cell: string): Promise<Cell> =>
-    this.send('POST', `/v1/cells/${seg(cell)}/estop`, undefined, { patienceMs: STOP_PATIENCE_MS }, jsonOf<Cell>);
+    this.send('POST', `/v1/cells/${seg(cell)}/estop`, undefined, {}, jsonOf<Cell>);
   /** The first step of a reset; the answer's `arming` bears the code for the second. */
   armReset = (cell: string): Promise<Cell> => this.call('POST', `/v1/cells/${seg(cell)}/reset`, { step: 'arm' });
   confirmReset = (cell: string, code: string): Promise<Cell> =>

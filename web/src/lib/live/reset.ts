@@ -32,6 +32,11 @@ export function unheardOf(cell: string, events: readonly LogEvent[]): string | n
   return last !== undefined && isUnheard(last) ? (words.findLast((event) => isWord(event, 'reset'))?.actor ?? last.actor) : null;
 }
 
+/** The number in the record of this person's last stop of a cell; null where there is none. */
+export function lastStopBy(name: string, cell: string, events: readonly LogEvent[]): number | null {
+  return events.findLast((event) => event.actor === name && isWord(event, 'estop') && event.body['cell'] === cell)?.seq ?? null;
+}
+
 function isWord({ kind, body }: LogEvent, op: string): boolean {
   return kind === 'human' && body['op'] === op;
 }

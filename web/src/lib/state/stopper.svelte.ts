@@ -5,7 +5,12 @@ import { entryOf } from '../format/entry';
 const TRY_AGAIN_MS = 250;
 /** By then a server that is heard has answered; who is not answered says the stop on another line, too. */
 export const OTHER_LINE_MS = 100;
+/** By then an answer is due. It counts all the same whenever it comes: over a slow link a stop may long be obeyed. */
+export const DUE_MS = 1_500;
+/** So many attempts of one press are on their way at a time: what the server hears twice it records twice. */
+const AT_ONCE = 2;
 const LINK_DOWN = 'The link is down.';
+const NO_ANSWER = 'The server has not answered yet.';
 
 /** `sending`: for the first time, and nobody knows yet; `failed`: not confirmed, whether or not it is still sent. */
 export type StopPhase = 'idle' | 'sending' | 'failed';
@@ -20,66 +25,83 @@ export interface Stop {
 
 const NONE: Stop = { phase: 'idle', why: '', trying: false };
 
+/** What a stop has to do with besides the server's answer. */
+interface Around {
+  linkDown?: () => boolean;
+  /** Another line, which answers nothing; said twice, a stop is no other than said once. */
+  otherLine?: (cell: string) => void;
+  /** Up to which event of the record this page has heard. */
+  seen?: () => number;
+}
+
+/** A stop that is being sent; pressed again before it is confirmed, it is still the same. */
+interface Press {
+  /** The newest event that was known when it was pressed. */
+  after: number;
+  /** The attempts that have no answer yet. */
+  open: Set<Promise<unknown>>;
+  /** Whether the newest attempt may still be answered in time. */
+  due: boolean;
+  /** Ends the wait between two attempts. */
+  hurry: () => void;
+}
+
 /**
- * Sends the emergency stop of a cell until the server confirms it; says plainly as soon as one attempt has failed, and
- * goes on trying until it is told that whoever pressed it knows. One of these knows of all cells, whatever page is open.
+ * Sends the emergency stop of a cell until it is confirmed: by the server's answer, however late, or by the record of
+ * it. Says plainly as soon as one attempt has failed or is overdue, and goes on trying until it is told that whoever
+ * pressed it knows. One of these knows of all cells, whatever page is open.
  */
 export class Stopper {
   private stops = $state.raw<Record<string, Stop>>({});
-  private presses = 0;
-  /* eslint-disable svelte/prefer-svelte-reactivity -- nothing is drawn from these */
   /** Of each cell, the press that is being sent; none is given up for another cell's. */
-  private readonly newest = new Map<string, number>();
-  /** Of each cell, the press that waits for the server's answer. */
-  private readonly asked = new Map<string, number>();
-  /* eslint-enable svelte/prefer-svelte-reactivity */
+  // eslint-disable-next-line svelte/prefer-svelte-reactivity -- nothing is drawn from it
+  private readonly newest = new Map<string, Press>();
+  private readonly linkDown: () => boolean;
+  private readonly otherLine: (cell: string) => void;
+  private readonly seen: () => number;
 
-  constructor(
-    private readonly estop: (cell: string) => Promise<Cell>,
-    private readonly linkDown: () => boolean = () => false,
-    /** Another line, which answers nothing; said twice, a stop is no other than said once. */
-    private readonly otherLine: (cell: string) => void = () => undefined,
-  ) {}
+  constructor(private readonly estop: (cell: string) => Promise<Cell>, around: Around = {}) {
+    this.linkDown = around.linkDown ?? (() => false);
+    this.otherLine = around.otherLine ?? (() => undefined);
+    this.seen = around.seen ?? (() => 0);
+  }
 
   /** What became of the stop of this cell; idle where none was pressed, and once it is confirmed. */
   of(cell: string | null): Stop {
     return (cell === null ? undefined : entryOf(this.stops, cell)) ?? NONE;
   }
 
-  /** The cells whose stop is not confirmed. */
+  /** The cells whose stop was pressed here, and is not confirmed yet. */
+  get pressed(): string[] {
+    return Object.keys(this.stops).sort();
+  }
+
+  /** Of these, the ones that should be by now. */
   get unconfirmed(): string[] {
-    return Object.keys(this.stops).filter((cell) => this.of(cell).phase === 'failed').sort();
+    return this.pressed.filter((cell) => this.of(cell).phase === 'failed');
   }
 
   /** What whoever leaves has to know of what they pressed here; null: nothing. */
   get leaving(): string | null {
-    const cells = Object.keys(this.stops).sort();
-    return cells.length === 0 ? null : `The stop of ${cells.join(', ')} is not confirmed. Use the emergency stop at the cell.`;
+    return this.pressed.length === 0 ? null : `The stop of ${this.pressed.join(', ')} is not confirmed. Use the emergency stop at the cell.`;
   }
 
   async press(cell: string): Promise<void> {
-    if (this.newest.has(cell) && this.newest.get(cell) === this.asked.get(cell)) return;
-    this.presses += 1;
-    const press = this.presses;
-    this.newest.set(cell, press);
-    this.begun(cell);
-    // Until it is pressed again, or whoever pressed it knows that it failed.
-    while (this.newest.get(cell) === press) {
-      this.asked.set(cell, press);
-      const error = await this.send(cell);
-      if (this.newest.get(cell) !== press) return;
-      this.asked.delete(cell);
-      if (error !== null) this.say(cell, { phase: 'failed', why: error.message, trying: !final(error) });
-      if (error === null) this.dismiss(cell);
-      if (error === null || final(error)) return;
-      await new Promise((resolve) => setTimeout(resolve, TRY_AGAIN_MS));
-    }
+    const known = this.newest.get(cell);
+    if (known === undefined) await this.insist(cell);
+    else if (!known.due) this.again(cell, known);
   }
 
   /** Whoever pressed it knows. */
   dismiss(cell: string): void {
     this.newest.delete(cell);
     this.stops = Object.fromEntries(Object.entries(this.stops).filter(([known]) => known !== cell));
+  }
+
+  /** The record says that a stop of this person's was obeyed, by an event of that number. */
+  recorded(cell: string, seq: number): void {
+    const press = this.newest.get(cell);
+    if (press !== undefined && seq > press.after) this.dismiss(cell);
   }
 
   /** One that is not confirmed is called so until it is, however often it is pressed. */
@@ -93,17 +115,57 @@ export class Stopper {
     this.stops = { ...this.stops, [cell]: stop };
   }
 
-  private async send(cell: string): Promise<Error | null> {
-    const late = setTimeout(() => this.otherLine(cell), OTHER_LINE_MS);
-    try {
-      await this.estop(cell);
-      return null;
-    } catch (error) {
-      if (!final(error)) this.otherLine(cell);
-      return error instanceof Error ? error : new Error(String(error));
-    } finally {
-      clearTimeout(late);
+  /** Until it is confirmed, or whoever pressed it knows that it failed. */
+  private async insist(cell: string): Promise<void> {
+    // eslint-disable-next-line svelte/prefer-svelte-reactivity -- nothing is drawn from it
+    const press: Press = { after: this.seen(), open: new Set(), due: false, hurry: () => undefined };
+    this.newest.set(cell, press);
+    this.begun(cell);
+    while (this.newest.get(cell) === press) {
+      if (press.open.size < AT_ONCE) await this.attempt(cell, press);
+      else await Promise.race(press.open);
+      if (this.newest.get(cell) === press) {
+        await new Promise<void>((resolve) => {
+          press.hurry = resolve;
+          setTimeout(resolve, TRY_AGAIN_MS);
+        });
+      }
     }
+  }
+
+  private again(cell: string, press: Press): void {
+    this.begun(cell);
+    if (press.open.size >= AT_ONCE) this.otherLine(cell);
+    press.hurry();
+  }
+
+  /** Sends it once; over when it is answered, or overdue. */
+  private async attempt(cell: string, press: Press): Promise<void> {
+    const late = setTimeout(() => this.otherLine(cell), OTHER_LINE_MS);
+    press.due = true;
+    const answered = this.estop(cell)
+      .then(() => null, (error: unknown) => (error instanceof Error ? error : new Error(String(error))))
+      .then((error) => {
+        clearTimeout(late);
+        press.open.delete(answered);
+        this.settle(cell, press, error);
+        return 'answered';
+      });
+    press.open.add(answered);
+    const overdue = new Promise((resolve) => setTimeout(resolve, DUE_MS));
+    const how = await Promise.race([answered, overdue]);
+    press.due = false;
+    if (this.newest.get(cell) !== press) return;
+    if (how === 'answered') this.otherLine(cell);
+    else this.say(cell, { phase: 'failed', why: this.linkDown() ? LINK_DOWN : NO_ANSWER, trying: true });
+  }
+
+  /** Takes an answer, in time or late. */
+  private settle(cell: string, press: Press, error: Error | null): void {
+    if (this.newest.get(cell) !== press) return;
+    if (error === null) this.dismiss(cell);
+    else this.say(cell, { phase: 'failed', why: error.message, trying: !final(error) });
+    if (error !== null && final(error)) this.newest.delete(cell);
   }
 }
 
