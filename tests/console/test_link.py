@@ -79,6 +79,28 @@ def test_a_link_that_goes_is_told_and_what_came_meanwhile_is_there_when_it_is_ba
         assert floor.settled(asked["id"])["status"] == "denied"
 
 
+def test_a_pause_is_sent_though_the_link_is_down_and_what_came_of_it_is_told(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    with wire_to(urlsplit(server.url).port or 0) as wire:
+        person = people.sit(server, at=f"http://127.0.0.1:{wire.port}")
+        person.expects(BROKEN)
+        drive, scene = floor.drive_off(), person.region("The cell in 3D")
+        pause = scene.get_by_role("button", name="Pause")
+        expect(pause).to_have_attribute("aria-disabled", "false")
+        wire.cut()
+        expect(person.alert("Link down.")).to_contain_text("STOP and Pause are still sent")
+        expect(pause).to_have_attribute("aria-disabled", "false")
+        expect(scene.get_by_role("button", name="Resume")).to_have_attribute("aria-disabled", "true")
+        person.press("p")
+        expect(scene.get_by_role("alert")).to_contain_text("The server did not answer.")
+        wire.mend()
+        expect(person.alert("Link down.")).to_have_count(0)
+        person.press("p")
+        expect(scene.get_by_role("button", name="Resume")).to_have_attribute("aria-disabled", "false")
+        server.await_status(drive["id"], "paused")
+
+
 def test_a_question_to_policy_outlasts_the_link_it_is_written_over(server: ServerProcess, people: People) -> None:
     with wire_to(urlsplit(server.url).port or 0) as wire:
         person = people.sit(server, at=f"http://127.0.0.1:{wire.port}")

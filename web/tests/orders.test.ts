@@ -27,6 +27,19 @@ describe('what is ordered of a session', () => {
     expect(orders(recorded, said, ...by)).toEqual({ may, told });
   });
 
+  it('is a pause at most while the link is down', () => {
+    const session = invocation({ status: 'running' });
+    const told: string[] = [];
+    const down = { session, cell: cell({ busy: session.id, status: 'running' }), live: false, me: { role: 'operator' }, docs: { escalations: {}, events: [] }, api: { operate: (_: string, word: string) => Promise.resolve(told.push(word)) } };
+    const given = new Orders(down as unknown as Console);
+    given.rollBack();
+    given.pause();
+    expect([given.pausable, given.undoable, told]).toEqual([true, false, ['pause']]);
+    const held = { ...down, session: invocation({ status: 'paused' }), cell: cell({ busy: session.id, status: 'paused', session: heldBy('operator') }) };
+    expect(new Orders(held as unknown as Console).resumable).toBe(false);
+    expect(new Orders({ ...down, me: { role: 'auditor' } } as unknown as Console).pausable).toBe(false);
+  });
+
   it('names the cell that a refusal is about once another one is looked at', async () => {
     const session = invocation({ status: 'running', cell: 'workcell-1' });
     const here = { session, cell: cell({ busy: session.id, status: 'running' }), live: true, me: { role: 'operator' }, docs: { escalations: {}, events: [] }, api: { operate: () => Promise.reject(new Error('No answer.')) } };

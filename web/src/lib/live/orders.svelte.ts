@@ -27,13 +27,15 @@ export class Orders {
     const { session, cell } = this.console;
     return session !== null && cell?.busy === session.id ? session.status : null;
   });
-  private readonly may = $derived.by(() => this.console.live && this.console.me?.role === 'operator');
+  private readonly operates = $derived.by(() => this.console.me?.role === 'operator');
+  private readonly may = $derived.by(() => this.console.live && this.operates);
   private readonly restraints = $derived.by(() => restraintsOf(this.status, holdersOf(this.console.cell)));
-  // A session that its cell says to move again may be paused, whatever the record of it says still: no pause is lost.
+  // A session that its cell says to move again may be paused, whatever the record of it says still: no pause is lost, nor
+  // where what is shown is not the present. The server decides, and where it does not answer, that is said.
   readonly pausable = $derived.by(() => {
     const { cell } = this.console;
     const moves = this.status !== null && restraintsOf(cell?.status ?? null, holdersOf(cell)).pausable;
-    return this.may && (moves || this.restraints.pausable);
+    return this.operates && (moves || this.restraints.pausable);
   });
   readonly resumable = $derived.by(() => this.may && this.restraints.resumable);
   // A rollback is had once, and nobody rolls back what somebody else drives. Where a denial of what the session asks is
