@@ -114,6 +114,32 @@ describe('a stop that is pressed', () => {
     expect([stopper.of(ONE).phase, sent.length]).toEqual(['idle', 3]);
   });
 
+  it('is under way until the page shows it, and pressed again meanwhile it is sent again', async () => {
+    answer = () => Promise.resolve({ id: ONE } as Cell);
+    let show: () => void = () => undefined;
+    stopper = new Stopper((cell) => (sent.push(cell), answer()), { shown: () => new Promise((resolve) => (show = resolve)) });
+    void stopper.press(ONE);
+    await vi.advanceTimersByTimeAsync(DUE_MS + 1_000);
+    expect([stopper.of(ONE).phase, sent.length]).toEqual(['sending', 1]);
+    const before = show;
+    answer = () => new Promise(() => undefined);
+    void stopper.press(ONE);
+    before();
+    await vi.advanceTimersByTimeAsync(100);
+    expect([stopper.of(ONE).phase, sent.length]).toEqual(['sending', 2]);
+  });
+
+  it('ends once the page shows it', async () => {
+    answer = () => Promise.resolve({ id: ONE } as Cell);
+    let show: () => void = () => undefined;
+    stopper = new Stopper(() => answer(), { shown: () => new Promise((resolve) => (show = resolve)) });
+    void stopper.press(ONE);
+    await vi.advanceTimersByTimeAsync(0);
+    show();
+    await vi.advanceTimersByTimeAsync(0);
+    expect(stopper.of(ONE).phase).toBe('idle');
+  });
+
   it('is confirmed by the record of it, and by none from before it was pressed', async () => {
     answer = () => new Promise(() => undefined);
     void stopper.press(ONE);

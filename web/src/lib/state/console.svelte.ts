@@ -34,6 +34,9 @@ type FrameListener = (frame: PoseFrame) => void;
 const OFF: Health = { state: 'connecting', rttMs: null, framesPerS: 0, why: '' };
 const LOOK_MS = 1_000;
 const QUIET_LOOK_MS = 100;
+/** What a cell was told it has said itself by then, unless it is not heard; and how often that is looked for. */
+const SHOWN_MS = 5_000;
+const LOOK_AT_MS = 20;
 const POLICY_AGAIN_MS = 2_000;
 
 /**
@@ -202,6 +205,13 @@ export class Console {
   /** Says the stop on the socket, which waits for no other request; nothing answers there. */
   stop(cell: string): void {
     this.link.send({ type: 'estop', cell });
+  }
+
+  /** Comes once a cell is shown to be stopped; without its word, soon enough. */
+  async showsStopped(cell: string): Promise<void> {
+    for (let waitedMs = 0; waitedMs < SHOWN_MS && entryOf(this.docs.cells, cell)?.latched !== true; waitedMs += LOOK_AT_MS) {
+      await new Promise((resolve) => setTimeout(resolve, LOOK_AT_MS));
+    }
   }
 
   jog(command: Jog): void {

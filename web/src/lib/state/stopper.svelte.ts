@@ -32,6 +32,8 @@ interface Around {
   otherLine?: (cell: string) => void;
   /** Up to which event of the record this page has heard. */
   seen?: () => number;
+  /** Comes once this page shows a cell to be stopped, or cannot be waited for any longer. */
+  shown?: (cell: string) => Promise<void>;
 }
 
 /** A stop that is being sent; pressed again before it is confirmed, it is still the same. */
@@ -59,11 +61,13 @@ export class Stopper {
   private readonly linkDown: () => boolean;
   private readonly otherLine: (cell: string) => void;
   private readonly seen: () => number;
+  private readonly shown: (cell: string) => Promise<void>;
 
   constructor(private readonly estop: (cell: string) => Promise<Cell>, around: Around = {}) {
     this.linkDown = around.linkDown ?? (() => false);
     this.otherLine = around.otherLine ?? (() => undefined);
     this.seen = around.seen ?? (() => 0);
+    this.shown = around.shown ?? (() => Promise.resolve());
   }
 
   /** What became of the stop of this cell; idle where none was pressed, and once it is confirmed. */
@@ -163,9 +167,16 @@ export class Stopper {
   /** Takes an answer, in time or late. */
   private settle(cell: string, press: Press, error: Error | null): void {
     if (this.newest.get(cell) !== press) return;
-    if (error === null) this.dismiss(cell);
+    if (error === null || final(error)) this.newest.delete(cell);
+    if (error === null) void this.confirmed(cell);
     else this.say(cell, { phase: 'failed', why: error.message, trying: !final(error) });
-    if (error !== null && final(error)) this.newest.delete(cell);
+  }
+
+  /** Between the answer and the page that shows what it says, a stop is under way: nobody takes it for not pressed. */
+  private async confirmed(cell: string): Promise<void> {
+    this.say(cell, { phase: 'sending', why: '', trying: false });
+    await this.shown(cell);
+    if (!this.newest.has(cell)) this.dismiss(cell); // else it was pressed again
   }
 }
 
