@@ -1,6 +1,7 @@
 """The console's door: `WS /v1/console`, as docs/design/console.md says.
 
-The first frame signs in, because a token has no place in a URL and a browser can set no header here. From then on one
+The first frame signs in, because a token has no place in a URL and a browser can set no header here; who can set it has
+signed in by it before the handshake. From then on one
 task reads what the console says, another writes what its outlet holds; whichever ends first ends the other. What is
 shown is made by the runtime, once for all consoles.
 """
@@ -10,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import re
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Final, Literal, TypeAlias
 from urllib.parse import urlsplit
 
@@ -27,7 +29,7 @@ from app.governance.model import Role, Wish
 from app.runtime.outlet import Outlet
 
 if TYPE_CHECKING:
-    from collections.abc import Generator
+    from collections.abc import Callable, Generator
 
     from fastapi import APIRouter
 
@@ -138,14 +140,24 @@ class Refused(Exception):
 
 
 async def console(socket: WebSocket) -> None:
-    """Serve one console until either side ends it."""
+    """Serve one console until either side ends it; whose header is refused gets the problem's own status."""
     offered: list[str] = socket.scope["subprotocols"]
-    await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
-    parts = parts_of(socket)
+    parts, after = parts_of(socket), None
+    recognize = partial(_recognize_by_header, socket, parts) if "authorization" in socket.headers else None
     try:
-        hello, principal = await _sign_in(socket, parts)
+        principal = None if recognize is None else recognize()
+    except Problem as problem:
+        await socket.send_denial_response(problem.response(PATH))
+        return
+    await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
+    try:
+        _check_origin(socket)
+        if recognize is None or principal is None:
+            hello, principal = await _sign_in(socket, parts)
+            recognize, after = partial(_recognize, parts, hello.token), hello.after
+        _check_subprotocol(offered)
         with _seated(parts, principal):
-            await Console(socket, parts, principal, hello.token).run(hello.after)
+            await Console(socket, parts, principal, recognize).run(after)
     except WebSocketDisconnect:
         pass
     except NotAWord as error:
@@ -157,10 +169,12 @@ async def console(socket: WebSocket) -> None:
 class Console:
     """One console that has signed in."""
 
-    def __init__(self, socket: WebSocket, parts: Parts, principal: Principal, token: str) -> None:
-        """Take an accepted socket and who is behind it."""
+    def __init__(
+        self, socket: WebSocket, parts: Parts, principal: Principal, recognize: Callable[[], Principal]
+    ) -> None:
+        """Take an accepted socket, who is behind it, and what says who that is by now, or raises `Problem`."""
         self._socket, self._parts = socket, parts
-        self._principal, self._token = principal, token
+        self._principal, self._recognize = principal, recognize
         self._outlet = Outlet()
         self._jogged: dict[str, tuple[str, str | None]] = {}  # of cells there are, and of nobody who only looks
         self._stopping: dict[str, tuple[int, asyncio.Task[object]]] = {}  # by cell: which stop, and who says it
@@ -279,7 +293,7 @@ class Console:
 
     def _let_in(self) -> None:
         """Recognize who signed in. Raises `Problem`, also where the token stands for another role or station by now."""
-        if _recognize(self._parts, self._token) != self._principal:
+        if self._recognize() != self._principal:
             raise Problem("token_invalid", "the token stands for somebody else now: sign in again")
 
     def _say(self, message: dict[str, object]) -> None:
@@ -290,7 +304,6 @@ async def _sign_in(socket: WebSocket, parts: Parts) -> tuple[Hello, Principal]:
     address = "" if socket.client is None else socket.client.host
     try:
         async with parts.ungreeted.stand(address, HELLO_S):
-            _check_origin(socket)
             hello = await _receive(socket)
     except TimeoutError:
         raise Refused(NO_HELLO, f"nobody signed in within {HELLO_S:.0f} s") from None
@@ -298,8 +311,6 @@ async def _sign_in(socket: WebSocket, parts: Parts) -> tuple[Hello, Principal]:
         raise Refused(NO_SEAT, problem.detail) from problem
     if not isinstance(hello, Hello):
         raise NotAWord(f"a console begins with `hello`, not with `{hello.type}`")
-    if socket.scope["subprotocols"] and SUBPROTOCOL not in socket.scope["subprotocols"]:
-        raise NotAWord(f"the subprotocol is not known here: valid is `{SUBPROTOCOL}`")
     try:
         return hello, _recognize(parts, hello.token)
     except Problem as problem:
@@ -310,6 +321,17 @@ def _recognize(parts: Parts, token: str) -> Principal:
     principal = parts.principals.recognize(token)
     check_role(principal, allowed_roles(WEBSOCKET, PATH) or frozenset())
     return principal
+
+
+def _recognize_by_header(socket: WebSocket, parts: Parts) -> Principal:
+    principal = parts.principals.authenticate(socket.headers)
+    check_role(principal, allowed_roles(WEBSOCKET, PATH) or frozenset())
+    return principal
+
+
+def _check_subprotocol(offered: list[str]) -> None:
+    if offered and SUBPROTOCOL not in offered:
+        raise NotAWord(f"the subprotocol is not known here: valid is `{SUBPROTOCOL}`")
 
 
 def _shown_out(problem: Problem) -> Refused:

@@ -227,7 +227,7 @@ def _sessions(router: APIRouter) -> None:
     loosening = (*interrupt, "cell_offline", "record_unavailable")
     for word, endpoint, body, codes in (
         ("pause", pause, None, interrupt),
-        ("stop", stop, None, SESSION_CODES),
+        ("stop", stop, None, (*SESSION_CODES, "record_unavailable")),
         ("resume", resume, EmptyBody, (*loosening, "resume_refused")),
         ("rollback", rollback, EmptyBody, (*loosening, "control_held")),
     ):

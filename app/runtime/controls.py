@@ -44,6 +44,8 @@ OPERATIONS: Final[Mapping[str, tuple[frozenset[Status], bool]]] = {
     "resume": (frozenset({Status.PAUSED}), False),
     "rollback": (frozenset({Status.RUNNING, Status.PAUSED, Status.ESCALATED}), False),
 }
+# How what waits for approval ends by such a word.
+WITHDRAWN: Final[Mapping[str, Outcome]] = {"cancel": Outcome.CANCELLED, "stop": Outcome.STOPPED}
 ANYWHERE: Final = frozenset({"stop"})  # what no mode of authority is asked for (design, rule 6)
 
 
@@ -79,14 +81,19 @@ class Controls:
         """Let a paused session go on; recorded first. Errors as `rollback`."""
         return await self._operate("resume", invocation_id, principal)
 
+    @uncut
     async def stop(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
-        """End a session by a controlled stop; sent first, and the answer's `recorded` says whether it is in.
+        """End an invocation: a session by a controlled stop, sent first, and the answer's `recorded` says whether it is in.
+
+        One that waits for approval is never launched.
 
         Raises:
             NotFound: there is none that this principal may see.
             Conflict: `wrong_status`, it is over.
+            RecordUnavailable: nothing was recorded, and it goes on waiting; it cannot be launched unrecorded either.
         """
-        return await self._operate("stop", invocation_id, principal)
+        ended = await self._withdrawn("stop", invocation_id, principal)
+        return await self._operate("stop", invocation_id, principal) if ended is None else ended
 
     async def rollback(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
         """Take a session back to where it began; recorded first. Said again, it carries on what is under way.
@@ -110,12 +117,10 @@ class Controls:
         entry = self.register.entry(invocation_id)
         if entry is not None and entry.newest.status in SESSION:
             return await self._cancel(entry.newest, principal)
-        if entry is not None:
-            async with entry.lock:
-                if entry.newest.status is Status.AWAITING_APPROVAL:
-                    return await self._withdraw(entry.newest, principal)
-            if entry.newest.status in SESSION:  # it was approved while this waited
-                return await self._cancel(entry.newest, principal)
+        if (ended := await self._withdrawn("cancel", invocation_id, principal)) is not None:
+            return ended
+        if entry is not None and entry.newest.status in SESSION:  # it was approved while this waited
+            return await self._cancel(entry.newest, principal)
         raise _wrong_status("cancel", (await self.register.load(invocation_id)).status)
 
     async def _cancel(self, present: Invocation, principal: Principal) -> dict[str, Any]:
@@ -131,17 +136,27 @@ class Controls:
             raise Conflict("control_held", "a human has the controls; valid: wait until they give it back or end it")
         return await self._restrain("cancel", present, principal)
 
-    async def _withdraw(self, present: Invocation, principal: Principal) -> dict[str, Any]:
-        question = self.desk.withdrawal(present.id)
-        if question is None:
-            raise _wrong_status("cancel", present.status)
-        ended = present.evolve(
-            self.register.now(), status=Status.DENIED, outcome=Outcome.CANCELLED, escalation=question.reference()
-        )
-        drafts = [human_event("cancel", ended, principal), escalation_event(question)]
-        drafts.append(outcome_event(ended, principal.name))
-        await self.desk.commit(drafts, question, ended)
-        return ended.public()
+    async def _withdrawn(self, op: str, invocation_id: str, principal: Principal) -> dict[str, Any] | None:
+        """End what waits for approval, with its question; None where it does not, or was approved before its turn came."""
+        entry = self.register.entry(invocation_id)
+        if entry is None or entry.newest.status is not Status.AWAITING_APPROVAL:
+            return None
+        if not may_see(principal, entry.newest.agent):
+            raise NotFound("invocation", invocation_id)
+        async with entry.lock:
+            present = entry.newest
+            if present.status is not Status.AWAITING_APPROVAL:
+                return None
+            question = self.desk.withdrawal(present.id)
+            if question is None:
+                raise _wrong_status(op, present.status)
+            ended = present.evolve(
+                self.register.now(), status=Status.DENIED, outcome=WITHDRAWN[op], escalation=question.reference()
+            )
+            drafts = [human_event(op, ended, principal), escalation_event(question)]
+            drafts.append(outcome_event(ended, principal.name))
+            await self.desk.commit(drafts, question, ended)
+            return ended.public()
 
     @uncut
     async def _operate(self, op: str, invocation_id: str, principal: Principal) -> dict[str, Any]:

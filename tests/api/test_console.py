@@ -13,7 +13,7 @@ import httpx
 import orjson
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
-from websockets.exceptions import ConnectionClosed
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.typing import Subprotocol
 
 from app.api import console as door
@@ -120,6 +120,11 @@ async def dial(house: House, **options: Any) -> AsyncIterator[Screen]:
         yield Screen(socket)
 
 
+def bearing(house: House, key: str) -> dict[str, str]:
+    known = {**house.tokens, "cell": house.cell_token}
+    return {"Authorization": f"Bearer {known.get(key, key)}"}
+
+
 @asynccontextmanager
 async def signed_in(house: House, key: str = "operator", after: int | None = None) -> AsyncIterator[Screen]:
     async with dial(house) as screen:
@@ -164,9 +169,31 @@ async def test_people_sign_in_and_are_shown_a_snapshot(house: House, key: str, r
 @pytest.mark.parametrize(("token", "code"), [("nobody's", 4401), ("agent", 4403), ("cell", 4403)])
 async def test_nobody_else_comes_in(house: House, token: str, code: int) -> None:
     async with dial(house) as screen:
-        known = {**house.tokens, "cell": house.cell_token}
-        await screen.say(type="hello", token=known.get(token, token))
+        await screen.say(type="hello", token=bearing(house, token)["Authorization"].removeprefix("Bearer "))
         assert (await screen.ended())[0] == code
+    assert screen.heard == []
+
+
+async def test_who_can_set_a_header_signs_in_by_it(house: House) -> None:
+    async with dial(house, additional_headers=bearing(house, "operator")) as screen:
+        welcome, snapshot = await screen.next(), await screen.next()
+        assert (welcome["type"], welcome["name"], snapshot["type"]) == ("welcome", "operator", "snapshot")
+        await screen.say(type="hello", token=house.tokens["operator"])
+        assert await screen.ended() == (4400, "`hello` was said already: valid once, first")
+
+
+@pytest.mark.parametrize(("key", "status"), [("nobody's", 401), ("agent", 403), ("cell", 403)])
+async def test_whose_header_is_refused_gets_the_problems_own_status(house: House, key: str, status: int) -> None:
+    with pytest.raises(InvalidStatus) as refusal:
+        async with dial(house, additional_headers=bearing(house, key)):
+            pass
+    assert refusal.value.response.status_code == status
+    assert orjson.loads(refusal.value.response.body or b"")["status"] == status
+
+
+async def test_a_page_of_another_origin_is_refused_whatever_header_it_sends(house: House) -> None:
+    async with dial(house, origin="https://elsewhere.example", additional_headers=bearing(house, "operator")) as screen:
+        assert (await screen.ended())[0] == 4403
     assert screen.heard == []
 
 
@@ -505,8 +532,10 @@ async def test_the_end_of_what_consoles_follow_is_told_whatever_floods_in_beside
                 await screen.until(tells_end(asked["invocation"]))
 
 
-async def test_a_console_whose_token_is_withdrawn_is_shown_out(house: House) -> None:
-    async with signed_in(house, "auditor") as screen:
+@pytest.mark.parametrize("by", ["hello", "header"])
+async def test_a_console_whose_token_is_withdrawn_is_shown_out(house: House, by: str) -> None:
+    headed = dial(house, additional_headers=bearing(house, "auditor"))
+    async with signed_in(house, "auditor") if by == "hello" else headed as screen:
         await screen.until_type("snapshot")
         async with house.withdrawn("auditor"), asyncio.timeout(PATIENCE_S):
             assert (await screen.ended())[0] == 4401

@@ -95,6 +95,20 @@ async def test_one_operator_sees_that_another_looks_at_it(shared_house: House) -
         assert (late.status_code, late.json()["code"]) == (409, "already_resolved")
 
 
+async def test_what_waits_for_approval_is_stopped_for_good(shared_house: House) -> None:
+    house = shared_house
+    async with house.cell() as cell, house.client() as agent, house.client("operator") as operator:
+        question = await ask(house)
+        place = f"/v1/invocations/{question['invocation']}"
+        stopped = await operator.post(f"{place}/stop")
+        assert (stopped.status_code, stopped.json()["status"], stopped.json()["outcome"]) == (200, "denied", "stopped")
+        late = await resolve(operator, question)
+        assert (late.status_code, late.json()["code"]) == (409, "already_resolved")
+        trace = (await agent.get(f"{place}/trace")).json()["items"]
+        assert "stop" in [event["body"].get("op") for event in trace if event["kind"] == "human"]
+    assert cell.launches == []
+
+
 async def test_an_operator_pauses_resumes_and_stops_what_runs(house: House) -> None:
     async with house.cell() as cell, house.client() as agent, house.client("operator") as operator:
         document = (await agent.post("/v1/invocations", json=DRIVE)).json()
