@@ -83,7 +83,7 @@ class Controls:
 
     @uncut
     async def stop(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
-        """End an invocation: a session by a controlled stop, sent first, and the answer's `recorded` says whether it is in.
+        """End an invocation: a session by a controlled stop, sent first; the answer's `recorded` says whether it is in.
 
         One that waits for approval is never launched.
 
@@ -137,7 +137,7 @@ class Controls:
         return await self._restrain("cancel", present, principal)
 
     async def _withdrawn(self, op: str, invocation_id: str, principal: Principal) -> dict[str, Any] | None:
-        """End what waits for approval, with its question; None where it does not, or was approved before its turn came."""
+        """End what waits for approval, with its question; None where it does not, or was approved meanwhile."""
         entry = self.register.entry(invocation_id)
         if entry is None or entry.newest.status is not Status.AWAITING_APPROVAL:
             return None
