@@ -138,6 +138,7 @@ class Cell:
     control_at: str = ""  # since when, by the wall clock
     arming: Arming | None = None  # the first of the two steps out of a latched stop
     resetting: int = 0  # resets that are being recorded
+    profiling: asyncio.Lock = field(default_factory=asyncio.Lock)  # and is put under one profile at a time
     unlatching: asyncio.Lock = field(default_factory=asyncio.Lock)  # it is told one reset at a time
     reset: str = ""  # the one that it was told, and has not said to have heard: what it says until then is older
 

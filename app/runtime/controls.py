@@ -361,12 +361,18 @@ class Controls:
         cell = self.fleet.cell(cell_id)
         if profile not in self.kernel.profiles():
             raise NotFound("profile", profile)
+        async with cell.profiling:
+            await self._put_under(cell, profile, principal)
+        await self.desk.decide_again()  # what was asked was shown under the former profile
+        return self.fleet.document(cell)
+
+    async def _put_under(self, cell: Cell, profile: str, principal: Principal) -> None:
+        before = cell.profile
         draft = EventDraft(
             kind=EventKind.PROFILE_CHANGED,
             actor=principal.name,
-            body={"cell": cell.id, "before": cell.profile, "profile": profile},
+            body={"cell": cell.id, "before": before, "profile": profile},
         )
-        before = cell.profile
         await self.fleet.roster.keep(cell, [draft], profile=profile)
         cell.profile = profile
         if profile != before:
@@ -374,8 +380,6 @@ class Controls:
             await self.desk.grants.record_ends()
         if self.fleet.attached(cell):
             self.fleet.order(cell, SetProfile(profile=profile), decided=cell.moment)
-        await self.desk.decide_again()  # what was asked was shown under the former profile
-        return self.fleet.document(cell)
 
 
 def _confirms(cell: Cell, principal: Principal, code: str) -> bool:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import replace
 
+import orjson
 import pytest
 
-from app.governance.model import AuthorityMode
+from app.governance.model import AuthorityMode, EventKind
 from app.governance.policy import PolicySet
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
+from app.runtime.recollection import events_of
 
 from .conftest import AGENT, OPERATOR, HandCell, House, navigate
 
@@ -59,3 +62,19 @@ async def test_the_profile_a_session_was_launched_under_says_what_may_be_done_to
         await runtime.governor.pause(session, OPERATOR)
         await cell.expect("human")
         assert cell.ops() == ["pause"]
+
+
+async def test_of_two_who_put_a_cell_under_a_profile_at_once_the_second_follows_the_first(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    wanted = ("sim-relaxed", "real-restricted")
+    await asyncio.gather(*(runtime.governor.set_profile(cell.id, profile, OPERATOR) for profile in wanted))
+    changes = [
+        orjson.loads(event.body)["body"] for event in await events_of(runtime.store, kind=EventKind.PROFILE_CHANGED)
+    ]
+    assert [(body["before"], body["profile"]) for body in changes] == [
+        ("human-shared", "sim-relaxed"),
+        ("sim-relaxed", "real-restricted"),
+    ]
+    told = [order.profile for order in cell.all("profile")]
+    assert told[-1] == runtime.fleet.cell(cell.id).profile == "real-restricted"
