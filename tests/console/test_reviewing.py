@@ -93,6 +93,47 @@ def test_an_auditor_gives_a_verdict_and_a_note_by_keyboard(
     expect(person.region("Events of the session")).to_contain_text("auditor reviewed: objected")
 
 
+def test_a_trace_gives_its_room_to_what_ran_and_shows_nothing_measured_where_nothing_was(
+    server: ServerProcess, people: People, stopped: dict[str, Any]
+) -> None:
+    person = people.sit(server)
+    until(
+        lambda: server.get(f"/v1/audit/events?invocation={stopped['id']}&kind=telemetry")["items"], what="its telemetry"
+    )
+    person.page.wait_for_timeout(3000)  # as long as its reviewer takes, and longer than it ran
+    judge(server, kept(server, stopped), "accepted")
+    person.page.evaluate(f"location.hash = '#/audit/{stopped['id']}'")
+    events, replay, measured = (
+        person.region("Events of the session"),
+        person.region("Replay"),
+        person.region("Measured and recorded").get_by_role("list", name="What was measured"),
+    )
+    stamp, moment = replay.locator(".stamp"), person.page.get_by_role("slider", name="Moment of the session")
+    expect(stamp).to_have_text("Record, not the present")
+    expect(measured).to_contain_text(re.compile(r"Base speed\s*\d\.\d\d m/s"))
+    ran_s = float(moment.evaluate("(range) => Number(range.max)"))
+    last = events.get_by_role("button", name="operator_2 reviewed: accepted")
+    last.click()
+    expect(moment).to_have_attribute("aria-valuetext", re.compile(r"^\+\d+\.\d s, after the end$"))
+    reviewed_s = float(re.findall(r"[\d.]+", str(moment.get_attribute("aria-valuetext")))[0])
+    assert reviewed_s > ran_s + 2
+    expect(measured).to_contain_text(re.compile(r"Base speed\s*–"))
+    expect(measured).not_to_contain_text(re.compile(r"[\d.]+ (m|N|%)|nobody"))
+    expect(stamp).to_have_text(re.compile(r"^Last recorded, at \+\d"))
+    assert moment.evaluate("(range) => Number(range.value) / Number(range.max)") == pytest.approx(1)
+    person.press("ArrowLeft")
+    expect(last).not_to_have_attribute("aria-current", "step")
+    person.press("ArrowRight")
+    expect(last).to_have_attribute("aria-current", "step")
+    events.get_by_role("button", name=re.compile("Stopped.*by an emergency stop")).click()
+    expect(stamp).to_have_text("Record, not the present")
+    expect(measured).to_contain_text(re.compile(r"Base speed\s*\d\.\d\d m/s"))
+    events.get_by_role("button", name="Authorization signed").click()  # decided before anything ran
+    expect(events.locator("[aria-current=step]")).to_contain_text("Authorization signed")
+    expect(moment).to_have_attribute("aria-valuetext", re.compile("before the launch$"))
+    expect(stamp).to_have_text(re.compile(r"^First recorded, at \+0\.0 s"))
+
+
 def test_of_two_reviewers_one_wins_and_the_other_is_told(
     server: ServerProcess, people: People, stopped: dict[str, Any]
 ) -> None:

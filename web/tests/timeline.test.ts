@@ -1,10 +1,10 @@
 import { afterEach, describe, expect, it, vi } from 'vitest';
 import type { LogEvent, Telemetry } from '../src/lib/api/documents';
 import { Axis } from '../src/lib/audit/axis';
-import { Player } from '../src/lib/audit/player.svelte';
+import { Player, type Recording } from '../src/lib/audit/player.svelte';
 import { frameAt } from '../src/lib/audit/replay';
 import { guardAt, MEASURED } from '../src/lib/scene/separation';
-import { eventAt, hasTelemetry, offset, rowAt, stepTo, timelineOf } from '../src/lib/audit/timeline';
+import { eventAt, goodForS, hasTelemetry, measuredAt, offset, outside, rowAt, stepTo, timelineOf } from '../src/lib/audit/timeline';
 
 const START_MS = Date.parse('2026-03-01T09:30:00.000Z');
 const event = (seq: number, afterS: number, body: LogEvent['body'] = {}): LogEvent => ({
@@ -23,6 +23,11 @@ describe('a timeline', () => {
     const found = timelineOf([event(1, 5, { tick: 1000 }), event(2, 6, { tick: 2000 })], ROWS);
     expect(found.placed.map(({ atS }) => atS)).toEqual([0, 10]);
     expect(found.toS).toBe(10);
+  });
+
+  it('begins with the launch whatever the clock of its robot says: the first row is of the tick behind it', () => {
+    const found = timelineOf([{ ...event(1, 5, { tick: 132 }), kind: 'launch' }, event(2, 5.3, { tick: 167 })], telemetry({ time_s: [1.73, 1.78, 2.07] }));
+    expect(found.placed.map(({ atS }) => Math.round(atS * 100) / 100)).toEqual([-0.01, 0.34]);
   });
 
   it('puts what only the server says in proportion between its neighbours', () => {
@@ -58,6 +63,70 @@ describe('a timeline', () => {
     const found = timelineOf([event(1, 5, { tick: 1000 }), event(2, 6, { tick: 1500 })], ROWS);
     expect([stepTo(found, 0, 1), stepTo(found, 5, 1), stepTo(found, 10, 1)]).toEqual([5, 10, 10]);
     expect([stepTo(found, 7, -1), stepTo(found, 5, -1), stepTo(found, 0, -1)]).toEqual([5, 0, 0]);
+  });
+});
+
+/** Asked at 0 s, launched two minutes later, stopped half a second after its first row, reviewed ten seconds later. */
+const REVIEWED = [
+  { ...event(1, 0), kind: 'proposal' },
+  { ...event(2, 0.5), kind: 'escalation' },
+  { ...event(3, 119.5, { refused: 'stale' }), kind: 'launch' },
+  { ...event(4, 120, { tick: 999 }), kind: 'launch' },
+  { ...event(5, 120.7, { tick: 1050 }), kind: 'outcome' },
+  { ...event(6, 130.7), kind: 'review' },
+];
+const HALF_A_SECOND = telemetry({ time_s: Array.from({ length: 61 }, (_, k) => 10 + k / 100), separation_m: Array.from({ length: 61 }, () => 2) });
+
+describe('what a timeline gives room to', () => {
+  const found = timelineOf(REVIEWED, HALF_A_SECOND);
+
+  it('is what ran, from its launch to its last row, whatever a person took before or after it', () => {
+    expect([found.axis.fromS, found.axis.toS, found.axis.length].map((at) => Math.round(at * 100) / 100)).toEqual([-0.01, 0.6, 0.61]);
+    expect([found.axis.place(-120), found.axis.place(10.5)]).toEqual([0, found.axis.length]);
+    expect([outside(found, -1), outside(found, 0), outside(found, 0.6), outside(found, 0.7)]).toEqual(['before the launch', '', '', 'after the end']);
+  });
+
+  it('keeps the moment of everything else, which is stepped to and named', () => {
+    expect([found.fromS, found.toS].map(Math.round)).toEqual([-120, 11]);
+    const steps = [found.fromS];
+    for (let k = 0; k < 7; k += 1) steps.push(stepTo(found, steps.at(-1) ?? 0, 1));
+    expect(steps.map((at) => eventAt(found.placed, at))).toEqual([0, 1, 2, 3, 4, 5, 5, 5]);
+    expect(eventAt(found.placed, stepTo(found, found.toS, -1))).toBe(4);
+  });
+
+  it('goes on to the newest event where nothing has ended, and is all there is where nothing ran', () => {
+    expect(timelineOf(REVIEWED.slice(0, 4), null).axis.toS).toBeCloseTo(0);
+    const denied = timelineOf([...REVIEWED.slice(0, 2), { ...event(3, 4), kind: 'outcome' }, { ...event(4, 99), kind: 'review' }], null);
+    expect([denied.axis.fromS, denied.axis.toS]).toEqual([0, 4]);
+  });
+});
+
+describe('a reading', () => {
+  const gap = telemetry({ time_s: [0, 0.01, 0.02, 0.03, 2, 2.01, 2.02], separation_m: [1, 1, 1, 1, 3, 3, 3] });
+  const at = (moment: number): boolean => measuredAt(gap, rowAt(gap, 0, moment), 0, moment, goodForS(gap));
+
+  it('is one of its moment alone: there is none in a gap, before the first row or after the last', () => {
+    expect([-0.01, 0, 0.03, 0.1, 0.2, 1.9, 2, 2.1, 2.2].map(at)).toEqual([false, true, true, true, false, false, true, true, false]);
+    expect(measuredAt(null, -1, 0, 0, 1)).toBe(false);
+  });
+
+  it('stands for as long as rows are apart that are drawn one in many', () => {
+    expect(goodForS(telemetry({ time_s: [0, 2, 4, 6] }))).toBe(6);
+    expect(goodForS({ ...telemetry({ time_s: [0, 0.1, 0.2, 0.3, 0.8] }), every: 10 })).toBe(1);
+  });
+
+  it('draws no line through a gap', () => {
+    const drawn = new Axis(0, 3).drawn([0, 0.01, 0.02, 0.03, 2, 2.01, 2.02], [[1, 1, 1, 1, 3, 3, 3]], goodForS(gap));
+    expect(drawn.columns).toEqual([[1, 1, 1, 1, null, 3, 3, 3]]);
+  });
+
+  it('leaves of a moment without one only where things stood', () => {
+    const row = telemetry({
+      time_s: [1], base_x_m: [2], base_y_m: [3], base_yaw_rad: [0], q1_rad: [0], q2_rad: [0], q3_rad: [0], q4_rad: [0], q5_rad: [0], q6_rad: [0], tcp_speed_mps: [0.25],
+    });
+    const [read, stood] = [true, false].map((measured) => frameAt(row, 0, ['base'], ['tcp_speed_mps'], measured));
+    expect([read?.gauges[0], stood?.gauges[0]]).toEqual([0.25, NaN]);
+    expect(stood?.poses).toEqual(read?.poses);
   });
 });
 
@@ -131,14 +200,30 @@ describe('a player', () => {
   it('stays where it was put while the record grows, and within it', () => {
     vi.stubGlobal('cancelAnimationFrame', () => undefined);
     const player = new Player();
-    player.load(new Axis(0, 10), 4);
-    player.grow(new Axis(-1, 20));
+    player.load(recording(new Axis(0, 10)), 4);
+    player.grow(recording(new Axis(-1, 20)));
     expect(player.atS).toBe(4);
     player.seek(-5);
     expect(player.atS).toBe(-1);
-    player.grow(new Axis(0, 3));
+    player.grow(recording(new Axis(0, 3)));
     player.seek(9);
     expect(player.atS).toBe(3);
+  });
+
+  it('plays what ran, wherever it is told to go on from', () => {
+    const frames: FrameRequestCallback[] = [];
+    vi.stubGlobal('cancelAnimationFrame', () => undefined);
+    vi.stubGlobal('requestAnimationFrame', (next: FrameRequestCallback) => frames.push(next));
+    const player = new Player();
+    player.load({ axis: new Axis(0, 10), fromS: -120, toS: 60 }, 0);
+    for (const looked of [60, -120]) {
+      player.seek(looked);
+      expect(player.atS).toBe(looked);
+      player.play();
+      for (const ms of [0, 1000]) frames.at(-1)?.(ms);
+      expect(player.atS).toBeCloseTo(1);
+      player.pause();
+    }
   });
 
   it('passes a long wait as fast as it is drawn', () => {
@@ -146,7 +231,7 @@ describe('a player', () => {
     vi.stubGlobal('cancelAnimationFrame', () => undefined);
     vi.stubGlobal('requestAnimationFrame', (next: FrameRequestCallback) => frames.push(next));
     const player = new Player();
-    player.load(ASKED, -905);
+    player.load(recording(ASKED), -905);
     player.play();
     for (const ms of [0, 5000, 6260, 10_000]) frames.at(-1)?.(ms);
     expect(player.atS).toBeCloseTo(3.74); // 5 s to scale, 1.26 s for 15 minutes, 3.74 s to scale
@@ -154,6 +239,8 @@ describe('a player', () => {
     expect([player.atS, player.playing]).toEqual([16, false]);
   });
 });
+
+const recording = (axis: Axis): Recording => ({ axis, fromS: axis.fromS, toS: axis.toS });
 
 /** Asked within 5 s, answered a quarter of an hour later, run for 16 s. */
 const ASKED = new Axis(-905, 16, [-903, -900, 0, ...Array.from({ length: 160 }, (_, k) => k / 10)]);

@@ -75,9 +75,9 @@ export class Axis {
     return piece.fromS + share * (piece.toS - piece.fromS);
   }
 
-  /** Returns rows as they are drawn: at their places, and with a gap where nothing was recorded. */
-  drawn(times: readonly number[], columns: readonly (readonly (number | null)[])[]): { times: number[]; columns: (number | null)[][] } {
-    const cuts = this.folds.map(({ fromS }) => times.findIndex((at) => at > fromS + 1e-9)).filter((k) => k > 0);
+  /** Returns rows as they are drawn: at their places, and with a gap where for longer than `goodS` nothing was recorded. */
+  drawn(times: readonly number[], columns: readonly (readonly (number | null)[])[], goodS = LONG_S): { times: number[]; columns: (number | null)[][] } {
+    const cuts = times.flatMap((at, k) => (k > 0 && at - (times[k - 1] ?? at) > goodS ? [k] : []));
     const cut = <T>(values: readonly T[], between: (k: number) => T): T[] => {
       const parts = [0, ...cuts].map((from, n) => [...(n === 0 ? [] : [between(from)]), ...values.slice(from, cuts[n])]);
       return parts.flat();

@@ -3,29 +3,36 @@ import { Axis } from './axis';
 export const SPEEDS = [0.5, 1, 2, 4] as const;
 export type Speed = (typeof SPEEDS)[number];
 
-/** A moment of a recording, and how it moves on. */
+/** A recording: what is played of it, and where the first and the last of what was recorded lie. */
+export interface Recording {
+  axis: Axis;
+  fromS: number;
+  toS: number;
+}
+
+/** A moment of a recording, and how it moves on. What came before or after it can be looked at, and is not played. */
 export class Player {
   atS = $state(0);
   playing = $state(false);
   speed = $state<Speed>(1);
-  private axis = $state.raw(new Axis(0, 0));
+  private record = $state.raw<Recording>({ axis: new Axis(0, 0), fromS: 0, toS: 0 });
   private request = 0;
   private lastMs: number | null = null;
 
-  load(axis: Axis, atS: number): void {
+  load(record: Recording, atS: number): void {
     this.pause();
-    this.axis = axis;
+    this.record = record;
     this.atS = atS;
   }
 
   /** Takes other ends of the same recording; what plays goes on. */
-  grow(axis: Axis): void {
-    this.axis = axis;
+  grow(record: Recording): void {
+    this.record = record;
     this.seek(this.atS);
   }
 
   seek(atS: number): void {
-    this.atS = Math.min(this.axis.toS, Math.max(this.axis.fromS, atS));
+    this.atS = Math.min(this.record.toS, Math.max(this.record.fromS, atS));
   }
 
   toggle(): void {
@@ -34,7 +41,7 @@ export class Player {
   }
 
   play(): void {
-    const { fromS, toS } = this.axis;
+    const { fromS, toS } = this.record.axis;
     if (toS <= fromS) return;
     if (this.atS >= toS - 1e-3) this.atS = fromS;
     this.playing = true;
@@ -57,8 +64,9 @@ export class Player {
     const passedS = this.lastMs === null ? 0 : (nowMs - this.lastMs) / 1000;
     this.lastMs = nowMs;
     // Nobody sits through a wait of minutes: what is folded goes by as fast as it is wide.
-    this.seek(this.axis.at(this.axis.place(this.atS) + passedS * this.speed));
-    if (this.atS >= this.axis.toS - 1e-6) this.pause();
+    const { axis } = this.record;
+    this.seek(axis.at(axis.place(this.atS) + passedS * this.speed));
+    if (this.atS >= axis.toS - 1e-6) this.pause();
     else this.request = requestAnimationFrame(this.step);
   };
 }

@@ -63,8 +63,9 @@ function recordedPose(telemetry: Telemetry, body: string, atS: number): readonly
 /**
  * A row as the 3D view takes it: the robot's bodies where they were, people where the tracker saw them (their limbs at
  * rest), things where they were last put. What the record does not hold is left out, not drawn where it is today.
+ * Where the row is not `measured` at the moment that is shown, nothing is left of it but where things stood.
  */
-export function frameAt(telemetry: Telemetry, row: number, bodies: readonly string[], gauges: readonly string[]): PoseFrame | null {
+export function frameAt(telemetry: Telemetry, row: number, bodies: readonly string[], gauges: readonly string[], measured = true): PoseFrame | null {
   const posture = postureAt(telemetry, row);
   if (posture === null) return null;
   const known = bodiesOf(posture);
@@ -76,7 +77,7 @@ export function frameAt(telemetry: Telemetry, row: number, bodies: readonly stri
     if (pose !== null) poses.set(pose, k * 7);
   });
   const values = gauges.map((name) => {
-    const value = at(telemetry, name, row);
+    const value = measured ? at(telemetry, name, row) : null;
     return value === null || (name === 'separation_m' && value > FAR_M) ? NaN : value;
   });
   return { cell: 0, frame: row, tick: 0, atS, poses, gauges: new Float32Array(values) };

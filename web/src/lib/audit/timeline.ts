@@ -2,6 +2,9 @@ import type { LogEvent, Telemetry } from '../api/documents';
 import { Axis } from './axis';
 
 const TICK_S = 0.01;
+const LEAST_GOOD_S = 0.1;
+/** A slider gives a moment back a little less exactly than it took it. */
+const SAME_S = 1e-6;
 
 /** An event with its place on the session's own clock, s; 0 is the first row of telemetry, or else the first event. */
 export interface Placed {
@@ -13,10 +16,12 @@ export interface Placed {
 
 export interface Timeline {
   placed: Placed[];
+  /** From the first to the last of what was recorded; a reviewer may take days. */
   fromS: number;
   toS: number;
   /** Cell time, s, of 0. */
   zeroS: number;
+  /** From the launch to the end of what ran: what a person took to answer before, or to review after it, is none of it. */
   axis: Axis;
 }
 
@@ -28,16 +33,17 @@ export interface Timeline {
  * and before the first and after the last of them at the wall clock's own pace.
  */
 export function timelineOf(events: readonly LogEvent[], telemetry: Telemetry | null): Timeline {
-  const anchors = anchorsOf(events);
   const times = telemetry?.columns['time_s'] ?? [];
   const firstRow = times[0] ?? null;
+  const timeOf = (tick: number): number => tick * TICK_S + aheadOf(events, telemetry);
+  const anchors = anchorsOf(events, timeOf);
   const zeroS = firstRow ?? anchors[0]?.cellS ?? 0;
   const firstWallS = events[0] === undefined ? 0 : wallOf(events[0]);
   const cellOf = (wallS: number): number => interpolate(anchors, wallS) ?? zeroS + wallS - firstWallS;
   const placed = events.map((event) => {
     const tick = event.body['tick'];
     const exact = typeof tick === 'number';
-    return { event, atS: (exact ? tick * TICK_S : cellOf(wallOf(event))) - zeroS, exact };
+    return { event, atS: (exact ? timeOf(tick) : cellOf(wallOf(event))) - zeroS, exact };
   });
   // The record's order is the truth where two clocks meet; time never runs backwards along it.
   let latest = -Infinity;
@@ -46,9 +52,7 @@ export function timelineOf(events: readonly LogEvent[], telemetry: Telemetry | n
     return { ...item, atS: latest };
   });
   const rows = times.map((time) => (time ?? zeroS) - zeroS);
-  const { fromS, toS } = endsOf(ordered, rows.at(-1) ?? 0);
-  const axis = new Axis(fromS, toS, [...ordered.map(({ atS }) => atS), ...rows]);
-  return { placed: ordered, fromS, toS, zeroS, axis };
+  return { placed: ordered, zeroS, ...endsOf(ordered, rows) };
 }
 
 /** Whether a trace says that telemetry was kept: its digest is an event, behind the session's end. */
@@ -56,15 +60,30 @@ export function hasTelemetry(events: readonly LogEvent[]): boolean {
   return events.some((event) => event.kind === 'telemetry');
 }
 
-function anchorsOf(events: readonly LogEvent[]): { wallS: number; cellS: number }[] {
+const launched = (event: LogEvent): boolean => event.kind === 'launch' && (event.body['refused'] ?? '') === '';
+
+/** How far a robot's clock, which rows bear, is ahead of the ticks of its cell, s: the first row is of the tick behind the launch. */
+function aheadOf(events: readonly LogEvent[], telemetry: Telemetry | null): number {
+  const tick = events.find(launched)?.body['tick'];
+  const first = telemetry?.part === 1 ? telemetry.columns['time_s']?.[0] : null;
+  return typeof tick === 'number' && first != null ? first - (tick + 1) * TICK_S : 0;
+}
+
+function anchorsOf(events: readonly LogEvent[], timeOf: (tick: number) => number): { wallS: number; cellS: number }[] {
   return events.flatMap((event) => {
     const tick = event.body['tick'];
-    return typeof tick === 'number' ? [{ wallS: wallOf(event), cellS: tick * TICK_S }] : [];
+    return typeof tick === 'number' ? [{ wallS: wallOf(event), cellS: timeOf(tick) }] : [];
   });
 }
 
-function endsOf(ordered: readonly Placed[], lastRowS: number): { fromS: number; toS: number } {
-  return { fromS: Math.min(0, ordered[0]?.atS ?? 0), toS: Math.max(lastRowS, ordered.at(-1)?.atS ?? 0) };
+/** The axis is of what ran, or where nothing did, of what was decided. */
+function endsOf(ordered: readonly Placed[], rows: readonly number[]): Pick<Timeline, 'axis' | 'fromS' | 'toS'> {
+  const begun = ordered.find(({ event }) => launched(event)) ?? ordered[0];
+  const over = ordered.findLast(({ event }) => event.kind === 'outcome') ?? ordered.at(-1);
+  const [fromS, toS] = [Math.min(begun?.atS ?? 0, rows[0] ?? Infinity), Math.max(over?.atS ?? 0, rows.at(-1) ?? -Infinity)];
+  const moments = [...ordered.map(({ atS }) => atS), ...rows];
+  const axis = new Axis(fromS, Math.max(fromS, toS), moments);
+  return { axis, fromS: Math.min(fromS, ...ordered.slice(0, 1).map(({ atS }) => atS)), toS: Math.max(axis.toS, ...ordered.slice(-1).map(({ atS }) => atS)) };
 }
 
 function wallOf(event: LogEvent): number {
@@ -97,6 +116,21 @@ export function rowAt(telemetry: Telemetry | null, zeroS: number, atS: number): 
   return low;
 }
 
+/** How long a row is good for, s: until well past the next one would have come, also where it is one drawn of many. */
+export function goodForS(telemetry: Telemetry | null): number {
+  const times = telemetry?.columns['time_s'] ?? [];
+  const apart = times.slice(1).map((at, k) => (at ?? 0) - (times[k] ?? 0)).sort((a, b) => a - b);
+  return Math.max(LEAST_GOOD_S * (telemetry?.every ?? 1), 3 * (apart[apart.length >> 1] ?? 0));
+}
+
+/** Whether a row, as `rowAt` finds it, is a reading of that moment; at others, and in gaps, nothing was measured. */
+export function measuredAt(telemetry: Telemetry | null, row: number, zeroS: number, atS: number, goodS: number): boolean {
+  const at = telemetry?.columns['time_s']?.[row];
+  if (at == null) return false;
+  const agoS = atS - (at - zeroS);
+  return agoS >= -SAME_S && agoS <= goodS;
+}
+
 /** The last event at or before a moment; -1 before the first. */
 export function eventAt(placed: readonly Placed[], atS: number): number {
   let found = -1;
@@ -117,4 +151,10 @@ export function stepTo(timeline: Timeline, atS: number, direction: 1 | -1): numb
 /** `+12.4 s`, `−3.0 s` from the first row. */
 export function offset(atS: number): string {
   return `${atS < -0.05 ? '−' : '+'}${Math.abs(atS).toFixed(1)} s`;
+}
+
+/** Which side of what the axis covers a moment lies on; empty within it. */
+export function outside({ axis }: Timeline, atS: number): 'before the launch' | 'after the end' | '' {
+  if (atS < axis.fromS - SAME_S) return 'before the launch';
+  return atS > axis.toS + SAME_S ? 'after the end' : '';
 }
