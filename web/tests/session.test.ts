@@ -4,7 +4,7 @@ import { deniedWords } from '../src/lib/format/denied';
 import { inVainOn } from '../src/lib/live/control';
 import { spares } from '../src/lib/live/grants';
 import { sessionSays } from '../src/lib/live/said';
-import { Sight } from '../src/lib/live/sight.svelte';
+import { inSight, Sight } from '../src/lib/live/sight.svelte';
 import { cell, escalation, event, invocation } from './samples';
 
 describe('an approval that would come to nothing', () => {
@@ -77,23 +77,28 @@ describe('a standing grant', () => {
 });
 
 describe('what is asked', () => {
-  const [reasons, values] = [{} as Element, {} as Element];
+  const line = (at: number): Element => ({ at, compareDocumentPosition: (other: { at: number }) => (other.at > at ? 4 : 2) }) as unknown as Element;
+  const [reasons, values] = [line(1), line(2)];
   const sight = (): Sight => {
     vi.stubGlobal('IntersectionObserver', class { observe(): void {} disconnect(): void {} });
     const made = new Sight();
+    made.watch(values); // whichever comes first
     made.watch(reasons);
-    made.watch(values);
     return made;
   };
 
+  it('can be read of a line that is whole on the screen, or fills it', () => {
+    expect([[true, 45, 44.4], [true, 45, 43], [false, 45, 45], [true, 800, 300], [true, 800, 200]].map(([meets, whole, shown]) => inSight(meets as boolean, whole as number, shown as number, 500))).toEqual([true, false, false, true, false]);
+  });
+
   it('has been read once all of it was on the screen, and while some of it is', () => {
     const made = sight();
-    expect([made.read, made.unread]).toEqual([false, reasons]);
+    expect([made.read, made.unread]).toEqual([false, [reasons, values]]);
     made.note(reasons, true);
-    expect([made.read, made.unread]).toEqual([false, values]);
+    expect([made.read, made.unread]).toEqual([false, [values]]);
     made.note(reasons, false);
     made.note(values, true);
-    expect([made.read, made.unread]).toEqual([true, null]);
+    expect([made.read, made.unread]).toEqual([true, []]);
     made.note(values, false);
     expect(made.read).toBe(false);
     made.note(reasons, true);

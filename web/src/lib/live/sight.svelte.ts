@@ -1,14 +1,23 @@
 import { untrack } from 'svelte';
 
-/** Of a part that fits on the screen this share of it, of a longer one this share of the screen, is enough to have read on. */
-const [OF_PART, OF_SCREEN] = [0.6, 0.5];
-/** An observer speaks at shares of what it watches: these are near enough to tell pixels of a long card by. */
-const SHARES = Array.from({ length: 41 }, (_, k) => k / 40);
+/** Parts are lines: one is read where all of it is on the screen; of one that is longer than that, this share of the screen. */
+const OF_SCREEN = 0.5;
+/** Where a line ends between two pixels. */
+const ROUNDED_PX = 1;
+/** An observer speaks at shares of what it watches: these are near enough to tell pixels of a long line by. */
+const SHARES = [...Array.from({ length: 41 }, (_, k) => k / 40), 0.985, 0.995];
+
+const FOLLOWS = 4; // Node.DOCUMENT_POSITION_FOLLOWING
 
 interface Part {
   element: Element;
   here: boolean;
   seen: boolean;
+}
+
+/** Whether a line can be read: what of it is on the screen, px, of how much, and how high that is. */
+export function inSight(meets: boolean, wholePx: number, shownPx: number, screenPx: number): boolean {
+  return meets && shownPx >= (wholePx > screenPx ? OF_SCREEN * screenPx : wholePx - ROUNDED_PX);
 }
 
 /** Whether what is asked could be read where it stands: all its parts were on the screen, and one of them still is. */
@@ -19,9 +28,9 @@ export class Sight {
     return this.parts.every((part) => part.seen) && this.parts.some((part) => part.here);
   }
 
-  /** The first part that was never on the screen. */
-  get unread(): Element | null {
-    return this.parts.find((part) => !part.seen)?.element ?? null;
+  /** The parts that were never on the screen, from above. */
+  get unread(): readonly Element[] {
+    return this.parts.filter((part) => !part.seen).map(({ element }) => element).sort((a, b) => (a.compareDocumentPosition(b) === FOLLOWS ? -1 : 1));
   }
 
   /** Watches one part; returns how to end that. */
@@ -31,7 +40,7 @@ export class Sight {
       const entry = entries.at(-1);
       if (entry === undefined) return;
       const { boundingClientRect: whole, intersectionRect: shown, rootBounds: screen } = entry;
-      this.note(element, entry.isIntersecting && shown.height >= Math.min(OF_PART * whole.height, OF_SCREEN * (screen?.height ?? Infinity)));
+      this.note(element, inSight(entry.isIntersecting, whole.height, shown.height, screen?.height ?? Infinity));
     }, { threshold: SHARES });
     seen.observe(element);
     return () => {
