@@ -160,6 +160,25 @@ def test_five_at_once_are_sorted_counted_and_told_in_two_sentences(
     ]
 
 
+def test_of_two_cells_each_part_of_the_page_names_its_own(
+    server: ServerProcess, people: People, incident: Incident
+) -> None:
+    person = people.sit(server)
+    incident.drive("workcell-1", target="bench_a_stand")
+    incident.ask("workcell-2", "operate_tool", tool="lever", action="pull_down")
+    session = person.region("Session")
+    expect(cards(person)).to_contain_text("Picture, session and stages on this page are of workcell-1, another cell")
+    expect(session).to_contain_text(re.compile(r"workcell-1\s·\sinv_"))
+    expect(session).to_contain_text("The question that is open is about workcell-2, another cell.")
+    stages = person.page.get_by_role("list", name="The seven stages of the session in workcell-1")
+    expect(stages.locator("..")).to_contain_text(re.compile(r"workcell-1\s· Drive to"))
+    person.button("Show workcell-2").click()
+    expect(cards(person)).not_to_contain_text("another cell")
+    expect(session).to_contain_text(re.compile(r"workcell-2\s·\sinv_"))
+    expect(session).not_to_contain_text("another cell")
+    expect(person.page.get_by_role("list", name="The seven stages of the session in workcell-2")).to_be_visible()
+
+
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
 def test_axe_finds_nothing_where_several_wait_in_two_cells(
     server: ServerProcess, people: People, incident: Incident, size: dict[str, int]
