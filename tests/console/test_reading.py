@@ -123,6 +123,10 @@ def test_the_list_of_keys_shows_arrows_as_arrows(server: ServerProcess, people: 
     expect(keys.get_by_text("←", exact=True)).to_be_visible()
     expect(keys.get_by_text("→", exact=True)).to_be_visible()
     expect(keys).to_contain_text("Go to how the controls are handed back")
+    for where, says in (("At an open question, on Live", "Deny the question"), ("For the session, on Live", "Pause the")):
+        expect(keys.get_by_role("heading", name=where)).to_contain_text("not now")  # and listed all the same
+        expect(keys).to_contain_text(says)
+    expect(keys.get_by_role("heading", name="In a replay, on Audit")).not_to_contain_text("not now")
     keys.get_by_label("Single keys").uncheck()  # who dictates says letters without meaning any
     person.press("4")
     person.press("?")
