@@ -8,6 +8,7 @@ from playwright.sync_api import CDPSession, Route, expect
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import (
     DESK,
+    DESK_SMALL,
     MAGNIFIED,
     PHONE,
     SIDEWAYS,
@@ -254,6 +255,23 @@ def test_a_session_is_taken_over_and_ended_by_keyboard_alone(
     assert server.await_status(session["id"], "failed", "completed")["outcome"] == "taken_over"
     expect(person.button("Take the controls")).to_be_visible()
     expect(panel).to_be_focused()
+
+
+def test_on_a_small_desk_the_way_back_is_named_and_the_legend_keeps_out_of_the_picture(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, size=DESK_SMALL)
+    take_controls(person)
+    back = person.region("Drive by hand").get_by_role("group", name="Hand back")
+    expect(back.get_by_role("heading", name="Hand back")).to_be_in_viewport(ratio=1)
+    expect(back.locator("kbd")).to_be_visible()
+    scene = person.region("The cell in 3D")
+    legend, pause = scene.locator(".legend"), scene.get_by_role("button", name="Pause")
+    expect(legend).to_contain_text("protective distance")
+    assert abs(box(legend)["y"] + box(legend)["height"] - box(pause)["y"] - box(pause)["height"]) < 2  # beside it
+    assert not overlap(box(legend), box(pause))
+    expect(scene.locator(".labels span", has_text="robot")).to_be_visible()
+    assert not overlap(box(legend), box(scene.locator(".labels span", has_text="robot")))
 
 
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])

@@ -17,6 +17,7 @@ from tests.console.conftest import (
     Floor,
     People,
     Person,
+    box,
     far,
     on_top,
     out_of_reach,
@@ -24,6 +25,7 @@ from tests.console.conftest import (
 )
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
+RING_PX = 4  # around what has the focus
 
 
 def says(person: Person) -> Locator:
@@ -102,6 +104,9 @@ def test_approve_is_offered_once_every_line_was_in_sight(
     person = people.sit(server, size=size)
     floor.ask("glass_1")
     expect(person.button(re.compile("^Deny"))).to_be_enabled()
+    expect(person.page.get_by_role("banner")).to_contain_text(re.compile(r"In control\W*nobody"))
+    deny, read = box(person.button(re.compile("^Deny"))), box(person.button("Read it first"))
+    assert read["x"] - deny["x"] - deny["width"] >= RING_PX + 2
     read_all(person)
     expect(person.button(re.compile("^Approve"))).to_be_enabled()
 

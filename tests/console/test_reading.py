@@ -123,7 +123,10 @@ def test_the_list_of_keys_shows_arrows_as_arrows(server: ServerProcess, people: 
     expect(keys.get_by_text("←", exact=True)).to_be_visible()
     expect(keys.get_by_text("→", exact=True)).to_be_visible()
     expect(keys).to_contain_text("Go to how the controls are handed back")
-    for where, says in (("At an open question, on Live", "Deny the question"), ("For the session, on Live", "Pause the")):
+    for where, says in (
+        ("At an open question, on Live", "Deny the question"),
+        ("For the session, on Live", "Pause the"),
+    ):
         expect(keys.get_by_role("heading", name=where)).to_contain_text("not now")  # and listed all the same
         expect(keys).to_contain_text(says)
     expect(keys.get_by_role("heading", name="In a replay, on Audit")).not_to_contain_text("not now")
@@ -322,6 +325,11 @@ def test_what_is_chosen_can_be_told_where_the_system_chooses_the_colours(server:
         "tab": page.get_by_role("navigation", name="Policy").get_by_role("link"),
         "page": page.get_by_role("navigation", name="Pages").get_by_role("link"),
     }
+    colour = "(one) => getComputedStyle(one).color"
+    icons = page.get_by_role("region", name="grasp_object under human-shared").locator("svg")
+    expect(icons.nth(1)).to_be_visible()
+    for icon in icons.all():
+        assert icon.evaluate(colour) == icon.locator("..").evaluate(colour)  # none has a dim one of its own
     edge = "(all) => all.map((one) => [one.matches('[aria-current], [aria-pressed=true]'), "
     edge += "parseFloat(getComputedStyle(one).borderBottomWidth)])"
     for name, all_of in marked.items():

@@ -1,5 +1,5 @@
 import { PerspectiveCamera, Vector3 } from 'three';
-import { within } from '../src/lib/scene/labels';
+import { clear, within } from '../src/lib/scene/labels';
 import { describe, expect, it } from 'vitest';
 import { fitted } from '../src/lib/scene/camera';
 import { gapTo, guardAt, leastGap, outline, type Guard, type Spot } from '../src/lib/scene/separation';
@@ -30,6 +30,11 @@ describe('the camera that shows a whole cell', () => {
 });
 
 describe('a name in the scene', () => {
+  it('stands clear of another by a space, or on another line', () => {
+    const [name, below, beside, touching] = [{ x: 50, y: 50, half: 20 }, { x: 60, y: 66, half: 20 }, { x: 99, y: 52, half: 20 }, { x: 92, y: 52, half: 20 }];
+    expect([below, beside, touching].map((other) => clear(name, other))).toEqual([true, true, false]);
+  });
+
   it('is moved in from the edge, and is none where its point is out of sight', () => {
     expect([within(2, 20, 110), within(100, 20, 110), within(50, 20, 110), within(50, 80, 110)]).toEqual([20, 90, 50, 55]);
     expect([within(-1, 20, 110), within(111, 20, 110)]).toEqual([null, null]);

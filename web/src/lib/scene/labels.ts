@@ -10,10 +10,12 @@ export interface Label {
 /** Which names stand where several would cover each other. */
 const WEIGHT: Record<Label['tone'], number> = { danger: 3, warn: 2, accent: 1, plain: 0 };
 const LINE_PX = 15;
-const LETTER_PX = 6.6;
+const LETTER_PX = 6.8;
 const EDGE_PX = 6;
+/** As much as a space beside a word: names that touch are read as one. */
+const APART_PX = 8;
 
-interface Spot {
+export interface Spot {
   x: number;
   y: number;
   half: number;
@@ -23,6 +25,11 @@ interface Spot {
 export function within(x: number, half: number, width: number): number | null {
   if (x < 0 || x > width) return null;
   return 2 * half > width ? width / 2 : Math.min(Math.max(x, half), width - half);
+}
+
+/** Whether two names stand clear of each other. */
+export function clear(a: Spot, b: Spot): boolean {
+  return Math.abs(a.y - b.y) > LINE_PX || Math.abs(a.x - b.x) > a.half + b.half + APART_PX;
 }
 
 /** Keeps one element per label, and puts each where its point is on the screen. */
@@ -67,7 +74,7 @@ export class Labels {
     }
     const spot: Spot = { x, y, half };
     // A name that would cover another is left out: two in one place are none.
-    const free = taken.every((other) => Math.abs(other.y - y) > LINE_PX || Math.abs(other.x - x) > other.half + spot.half);
+    const free = taken.every((other) => clear(other, spot));
     element.hidden = this.point.z > 1 || !free;
     if (!element.hidden) taken.push(spot);
     element.style.transform = `translate(-50%, -50%) translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
