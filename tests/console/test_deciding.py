@@ -8,7 +8,18 @@ import pytest
 from playwright.sync_api import Locator, Route, expect
 
 from tests.conftest import ServerProcess, until
-from tests.console.conftest import ANSWERS, DESK, PHONE, Floor, People, Person, at_once, box, wider_than_the_screen
+from tests.console.conftest import (
+    ANSWERS,
+    DESK,
+    PHONE,
+    THREE_FRAMES,
+    Floor,
+    People,
+    Person,
+    at_once,
+    box,
+    wider_than_the_screen,
+)
 
 pytestmark = [pytest.mark.browser, pytest.mark.process, pytest.mark.flat]
 
@@ -28,6 +39,40 @@ def test_the_printed_link_signs_in_and_its_token_leaves_the_address(server: Serv
     assert person.page.evaluate("Object.values(localStorage).concat(document.cookie).join()") == ""
     person.page.reload()
     expect(person.region("Waiting for you")).to_be_visible()
+
+
+def test_the_focus_stays_with_a_question_while_its_answer_is_sent(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person, held = people.sit(server), list[Route]()
+
+    def hold(route: Route) -> None:
+        held.append(route)
+
+    asked = floor.ask()
+    person.page.route("**/resolve", hold)
+    deny = person.button(re.compile("^Deny"))
+    expect(deny).to_be_focused()
+    deny.click()
+    until(lambda: held or person.page.wait_for_timeout(20), what="an answer on its way")
+    person.page.evaluate(THREE_FRAMES)
+    expect(card(person)).to_be_focused()
+    held.pop().continue_()
+    expect(card(person)).to_have_count(0)
+    expect(person.page.locator("main")).to_be_focused()
+    assert floor.settled(asked["id"])["status"] == "denied"
+    floor.ask()
+    link = person.page.get_by_role("link", name="Fleet")
+    link.focus()
+    expect(deny).to_be_enabled()
+    expect(link).to_be_focused()  # whoever is at something else is left there
+    person.press("d")
+    until(lambda: held or person.page.wait_for_timeout(20), what="another answer on its way")
+    person.page.evaluate(THREE_FRAMES)
+    expect(link).to_be_focused()
+    held.pop().continue_()
+    expect(card(person)).to_have_count(0)
+    expect(link).to_be_focused()
 
 
 def test_a_wrong_token_is_refused_in_words(server: ServerProcess, people: People) -> None:
