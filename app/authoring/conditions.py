@@ -242,7 +242,7 @@ def _other_names(typed: Apply) -> Iterator[tuple[str, Typed]]:
     known = [_among(arg) for arg in typed.args]
     for index, arg in enumerate(typed.args):
         if isinstance(arg, Constant) and isinstance(arg.value, str):
-            others = sorted(frozenset[str]().union(*known) - {arg.value})
+            others = sorted(frozenset[str]().union(*known) - {arg.value, ""})  # the empty one comes with the literal
             for name in others[:NAMES]:
                 changed = (*typed.args[:index], replace(arg, value=name), *typed.args[index + 1 :])
                 yield f'"{name}" instead of `{to_cel(arg)}`', replace(typed, args=changed)

@@ -18,12 +18,13 @@ from app.governance.model import AuthorityMode
 from app.governance.policy import recovery_plan, watch_plan
 from app.governance.policy_code import limit_for
 from app.governance.policy_model import SIGNAL_UNITS, Effect
-from app.governance.vocabulary import Vocabulary, properties
+from app.governance.vocabulary import properties
 
 if TYPE_CHECKING:
     from app.governance.model import Json
     from app.governance.policy import Gate, PolicySet
     from app.governance.policy_model import Approval, Rule, Setting
+    from app.governance.vocabulary import Vocabulary
 
 ENABLED: Final[Mapping[str, str]] = {
     "allowed": "enabled",
@@ -138,7 +139,7 @@ _PLURALS: Final[Mapping[str, str]] = {
 
 
 def _rules(policy: PolicySet, gate: Gate) -> Iterator[str]:
-    vocabulary = Vocabulary({gate.capability.name: gate.capability})
+    vocabulary = policy.vocabulary()
     found = 0
     for rule in policy.rules.values():
         if (rule.applies_to is None or gate.capability.name in rule.applies_to) and (

@@ -19,8 +19,8 @@ from app.governance import recorded
 from app.governance.bundle import make_gate
 from app.governance.model import EventKind
 from app.governance.policy_code import limit_for
-from app.governance.policy_model import GOVERNANCE, Effect
-from app.governance.vocabulary import Vocabulary, properties
+from app.governance.policy_model import Effect
+from app.governance.vocabulary import properties
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -263,7 +263,7 @@ class _Probe:
 
     def __init__(self, policy: PolicySet) -> None:
         self._policy = policy
-        self._vocabulary = Vocabulary(policy.capabilities, policy.permissions | {GOVERNANCE})
+        self._vocabulary = policy.vocabulary()
         self._agents = recorded.Agents(policy)
         self._gates: dict[tuple[str, str], Gate] = {}
         self._applying: dict[tuple[str, str], tuple[Rule, ...]] = {}

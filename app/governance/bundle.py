@@ -38,7 +38,7 @@ from app.governance.places import names
 from app.governance.policy import Gate, Inputs, PolicySet
 from app.governance.policy_code import Generator
 from app.governance.policy_model import GOVERNANCE
-from app.governance.vocabulary import Vocabulary, properties, referring
+from app.governance.vocabulary import Names, Vocabulary, properties, referring
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -209,14 +209,17 @@ def _set_apart_untyped(source: Source) -> list[PolicyError]:
 def _known_of(source: Source) -> Known:
     capabilities = {shape.name: bundle_build.capability(shape) for _, shape in source.capabilities}
     unread = frozenset(source.unread["capabilities"])
+    profiles = frozenset(shape.profile for _, shape in source.profiles) | source.unread["profiles"]
     permissions = frozenset(source.organization[1].permissions)
+    site = bundle_build.site(source.site[1]) if SITE in source.single else None
+    known = Names(capabilities=unread.union(capabilities), profiles=profiles, permissions=permissions, site=site)
     return Known(
         capabilities=capabilities,
         recoveries=frozenset(name for name, found in capabilities.items() if found.recovery) | unread,
-        profiles=frozenset(shape.profile for _, shape in source.profiles) | source.unread["profiles"],
+        profiles=profiles,
         permissions=permissions,
-        vocabulary=Vocabulary(capabilities, permissions | {GOVERNANCE}),
-        names=names(bundle_build.site(source.site[1])) if SITE in source.single else {},
+        vocabulary=Vocabulary(capabilities, known),
+        names={} if site is None else names(site),
         modes={shape.profile: frozenset(shape.authority.modes) for _, shape in source.profiles},
         unread=unread,
     )

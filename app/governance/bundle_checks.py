@@ -100,6 +100,7 @@ def capability(reader: Reader, shape: shapes.CapabilityShape, known: Known) -> I
     if shape.rollback is not None:
         yield from reader.unknown(("rollback",), "recovery capability", shape.rollback, known.recoveries)
     yield from _named_always(reader, known.capabilities[shape.name])
+    yield from _named(reader, known.capabilities[shape.name], known)
     yield from _coverage(reader, shape, known)
 
 
@@ -109,6 +110,18 @@ def _named_always(reader: Reader, found: Capability) -> Iterator[PolicyError]:
         if kind not in MAY_BE_LEFT_OUT and param not in always_there(found):
             message = f"`{param}` names the {kind}, and may be left out: nothing could be decided about it then"
             yield reader.problem(("inputs", "properties", param), message, [f"required: [{param}]"])
+
+
+def _named(reader: Reader, found: Capability, known: Known) -> Iterator[PolicyError]:
+    """Whatever a schema itself gives a parameter that names something is there: admission would reject it."""
+    for kind, param in referring(found).items():
+        spec = properties(found)[param]
+        listed = spec.get("enum")
+        given: list[tuple[Path, Json]] = [((key,), spec[key]) for key in ("const", "default") if key in spec]
+        given += [(("enum", index), value) for index, value in enumerate(listed if isinstance(listed, list) else ())]
+        texts = [(step, value) for step, value in given if isinstance(value, str)]
+        for step, value in texts if kind in known.names else ():
+            yield from reader.unknown(("inputs", "properties", param, *step), kind, value, known.names[kind])
 
 
 def _coverage(reader: Reader, shape: shapes.CapabilityShape, known: Known) -> Iterator[PolicyError]:

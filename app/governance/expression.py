@@ -24,7 +24,7 @@ Docs: docs/design/expressions.md. Source: CEL language definition, restricted; d
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from typing import Final, cast
@@ -334,10 +334,24 @@ def _refuse_strangers(args: Sequence[Typed], syntax: Syntax, scope: _Scope) -> N
     if among is None:
         return
     for arg in args:
-        for literal in arg.elements if isinstance(arg, ListOf) else (arg,):
-            if isinstance(literal, Constant) and literal.value not in among:
+        for literal in _literals(arg):
+            if literal.value not in among:
                 message = f"`{literal.value}` is compared with what is never that"
-                raise scope.error(syntax, message, _nearest(str(literal.value), sorted(among)))
+                empty = ['""'] if "" in among else []  # a name that nothing has; it is nobody's misspelling
+                raise scope.error(syntax, message, [*_nearest(str(literal.value), sorted(among - {""})), *empty])
+
+
+def _literals(node: Typed) -> Iterator[Constant]:
+    """Yield the literals that a value, or what a list holds, may come to."""
+    match node:
+        case Constant():
+            yield node
+        case ListOf(elements=parts):
+            yield from (literal for part in parts for literal in _literals(part))
+        case Conditional(then=then, otherwise=otherwise):
+            yield from (*_literals(then), *_literals(otherwise))
+        case _:
+            return
 
 
 def _among(node: Typed, scope: _Scope) -> frozenset[str] | None:

@@ -101,7 +101,7 @@ class Field:
     required: bool = True
     unit: str | None = None
     within: float | None = None
-    among: frozenset[str] | None = None
+    among: frozenset[str] | None = field(default=None, repr=False)  # a site may have thousands of names
 
 
 def require_identifier(name: str) -> None:

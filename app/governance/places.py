@@ -142,6 +142,14 @@ def names(site: Site) -> Mapping[str, frozenset[str]]:
     }
 
 
+def kinds(site: Site) -> Mapping[str, frozenset[str]]:
+    """Return what kinds of objects and of tools there are."""
+    return {
+        "object": frozenset(found.kind for found in site.objects.values()),
+        "tool": frozenset(found.kind for found in site.tools.values()),
+    }
+
+
 def locator(references: Mapping[str, str], site: Site) -> Locate:
     """Make the function that says where a proposal leads, for a capability with these references (kind → parameter).
 
@@ -238,6 +246,10 @@ _LOCATORS: Final[Mapping[str, Callable[[str, _Map], Locate]]] = {
     "tool": _fixed("tool"),
     "object": _object,
 }
+
+
+LEADING: Final = frozenset(_LOCATORS)
+"""The kinds of names that lead somewhere; the place is of that kind itself."""
 
 
 def finder(references: Mapping[str, str], site: Site) -> Find:

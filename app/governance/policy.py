@@ -16,7 +16,7 @@ from app.governance.model import AgentFacts, Bounds, Mode, RecoveryPlan, WatchPl
 from app.governance.policy_code import limit_for
 from app.governance.policy_model import GOVERNANCE
 from app.governance.semver import meets
-from app.governance.vocabulary import properties
+from app.governance.vocabulary import Names, Vocabulary, properties
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -141,6 +141,16 @@ class PolicySet:
     def governance(self) -> AgentFacts:
         """Return the identity under which recoveries are proposed; nobody can claim it, policy grants it to none."""
         return AgentFacts(name=GOVERNANCE, permissions=self.permissions | {GOVERNANCE})
+
+    def vocabulary(self) -> Vocabulary:
+        """Return what types conditions about this policy: they name what it has, and nothing else."""
+        names = Names(
+            capabilities=frozenset(self.capabilities),
+            profiles=frozenset(self.profiles),
+            permissions=self.permissions,
+            site=self.site,
+        )
+        return Vocabulary(self.capabilities, names)
 
     def describe(self) -> dict[str, Any]:
         """Describe the active policy (`GET /v1/policies/active`)."""

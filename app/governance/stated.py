@@ -28,8 +28,6 @@ from app.governance.bundle_promises import PropertiesShape
 from app.governance.bundle_yaml import dotted, parse
 from app.governance.errors import ExpressionError, PolicyError, PolicyErrors
 from app.governance.expression_tree import BOOL
-from app.governance.policy_model import GOVERNANCE
-from app.governance.vocabulary import Vocabulary
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -37,6 +35,7 @@ if TYPE_CHECKING:
     from app.governance.bundle_promises import PropertyShape
     from app.governance.bundle_yaml import Document, Path
     from app.governance.policy import PolicySet
+    from app.governance.vocabulary import Vocabulary
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,7 +75,7 @@ def read(policy: PolicySet, text: str | None) -> Stated:
         raise PolicyErrors(problems)
 
     reader = _Reader(document, problems)
-    vocabulary = Vocabulary(policy.capabilities, policy.permissions | {GOVERNANCE})
+    vocabulary = policy.vocabulary()
     found = [_property(reader, policy, vocabulary, index, promised) for index, promised in enumerate(shape.properties)]
     reader.names(("order",), "profile", shape.order, policy.profiles)
     for path, names in ((("order",), shape.order), (("properties",), [promised.id for promised in shape.properties])):

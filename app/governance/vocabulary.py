@@ -11,50 +11,51 @@
 | `capability`, `profile`, `limits`, `mode` | what was proposed, under which profile |
 | `world` | what the cell's sensors say: people, gripper, arm |
 | `operator_on_duty` | whether a human is there |
+
+A text that is always one of the names a policy has (`target.name`, `capability.name`, `params.surface`) is compared
+with those only, so that no condition waits for what does not exist. An agent's name is open: an agent that policy does
+not declare may ask, and has no permission.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from app.governance.expression import Env, check, declare
 from app.governance.expression_syntax import parse
 from app.governance.expression_tree import BOOL, DOUBLE, INT, STRING, Field, RecordType, SetType
 from app.governance.model import Mode, Risk
-from app.governance.policy_model import LIMIT_UNITS
+from app.governance.places import LEADING, NOTHING, NOWHERE, kinds, names
+from app.governance.policy_model import GOVERNANCE, LIMIT_UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from app.governance.expression_syntax import Tree
     from app.governance.expression_tree import Type, Typed
-    from app.governance.model import Capability, Json
+    from app.governance.model import Capability, Json, Site
 
-_TARGET: Final = RecordType(
-    name="target",
-    fields={
-        "name": Field(STRING),
-        "kind": Field(STRING),
-        "mass_kg": Field(DOUBLE, unit="kg", within=1e6),
-        "fragile": Field(BOOL),
-        "hazardous": Field(BOOL),
-    },
-    attributes=True,
-)
-_PLACE: Final = RecordType(
-    name="place",
-    fields={
-        "name": Field(STRING),
-        "kind": Field(STRING),
-        "forbidden": Field(BOOL),
-        "outside": Field(BOOL),
-        "corridor": Field(STRING, required=False),
-    },
-    attributes=True,
-)
-_TOOL: Final = RecordType(
-    name="tool", fields={"name": Field(STRING), "kind": Field(STRING), "press": Field(BOOL)}, attributes=True
-)
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Names:
+    """The names that a policy has, so that no condition names another; of what is None, any may be named.
+
+    Attributes:
+        capabilities: The capabilities.
+        profiles: The profiles.
+        permissions: The permissions that agents may hold.
+        site: Where objects, places and tools have theirs.
+    """
+
+    capabilities: frozenset[str] | None = None
+    profiles: frozenset[str] | None = None
+    permissions: frozenset[str] | None = None
+    site: Site | None = None
+
+
+ANY: Final = Names()
+
 _METADATA: Final = RecordType(
     name="metadata",
     fields={
@@ -63,36 +64,18 @@ _METADATA: Final = RecordType(
         "priority": Field(INT, required=False),
     },
 )
-_CAPABILITY: Final = RecordType(
-    name="capability",
-    fields={"name": Field(STRING), "risk": Field(STRING, among=frozenset(risk.value for risk in Risk))},
-    attributes=True,
-)
-_PROFILE: Final = RecordType(
-    name="profile",
-    fields={
-        "name": Field(STRING),
-        "sensitivity": Field(DOUBLE, within=1.0),
-        "shared_floor": Field(BOOL),
-    },
-    attributes=True,
-)
 _LIMITS: Final = RecordType(
     name="limits", fields={name: Field(DOUBLE, unit=unit, within=1e9) for name, unit in LIMIT_UNITS.items()}
 )
-_WORLD: Final = RecordType(
-    name="world",
-    fields={
-        "people_count": Field(INT),
-        "people_nearest_m": Field(DOUBLE, unit="m", within=1e9),
-        "gripper_empty": Field(BOOL),
-        "arm_ready": Field(BOOL),
-        "arm_retracted": Field(BOOL),
-        "sensors_fresh": Field(BOOL),
-        "holding": Field(STRING, required=False),
-    },
-    attributes=True,
-)
+_RISKS: Final = frozenset(risk.value for risk in Risk)
+_WORLD: Final[Mapping[str, Field]] = {
+    "people_count": Field(INT),
+    "people_nearest_m": Field(DOUBLE, unit="m", within=1e9),
+    "gripper_empty": Field(BOOL),
+    "arm_ready": Field(BOOL),
+    "arm_retracted": Field(BOOL),
+    "sensors_fresh": Field(BOOL),
+}
 
 # What the generated function calls each variable; `world` and `operator_on_duty` are read where they are used.
 NAMES: Final[Mapping[str, str]] = {
@@ -131,7 +114,7 @@ def always_there(capability: Capability) -> frozenset[str]:
     return named | {name for name, spec in properties(capability).items() if "default" in spec}
 
 
-def _params(capability: Capability) -> RecordType:
+def _params(capability: Capability, named: Mapping[str, frozenset[str]]) -> RecordType:
     there = always_there(capability)
     fields = {
         name: Field(
@@ -139,7 +122,7 @@ def _params(capability: Capability) -> RecordType:
             required=name in there,
             unit=str(spec["unit"]) if "unit" in spec else None,
             within=_within(spec),
-            among=_choices(spec),
+            among=_choices(spec, named),
         )
         for name, spec in properties(capability).items()
         if str(spec.get("type")) in _SCALARS
@@ -147,9 +130,12 @@ def _params(capability: Capability) -> RecordType:
     return RecordType(name="params", fields=fields)
 
 
-def _choices(spec: Mapping[str, Json]) -> frozenset[str] | None:
+def _choices(spec: Mapping[str, Json], named: Mapping[str, frozenset[str]]) -> frozenset[str] | None:
+    """Return what a text can be: one of its list, else a name of the site; admission rejects any other."""
     listed = spec.get("enum")
-    return frozenset(value for value in listed if isinstance(value, str)) if isinstance(listed, list) else None
+    if isinstance(listed, list):
+        return frozenset(value for value in listed if isinstance(value, str))
+    return named.get(str(spec.get("x-ref")))
 
 
 def _within(spec: Mapping[str, Json]) -> float | None:
@@ -159,45 +145,84 @@ def _within(spec: Mapping[str, Json]) -> float | None:
     return None
 
 
-def _agent(permissions: frozenset[str] | None) -> RecordType:
-    held = Field(SetType(STRING), among=permissions)
-    return RecordType(name="agent", fields={"name": Field(STRING), "permissions": held}, attributes=True)
-
-
-def declarations(capability: Capability, permissions: frozenset[str] | None = None) -> Env:
-    """Declare the variables that conditions about a capability may use; permissions are those there are, if known."""
-    variables: dict[str, Type | Field] = {
-        "params": _params(capability),
-        "target": _TARGET,
-        "place": _PLACE,
-        "agent": _agent(permissions),
+def _common(known: Names, named: Mapping[str, frozenset[str]]) -> dict[str, Type | Field]:
+    """Declare what is the same for every capability, given the names of the site by kind of reference."""
+    permissions = None if known.permissions is None else known.permissions | {GOVERNANCE}
+    among = _of_site(known.site, named)
+    records: Mapping[str, Mapping[str, Field]] = {
+        "target": {
+            "name": Field(STRING, among=among.get("target.name")),
+            "kind": Field(STRING, among=among.get("target.kind")),
+            "mass_kg": Field(DOUBLE, unit="kg", within=1e6),
+            "fragile": Field(BOOL),
+            "hazardous": Field(BOOL),
+        },
+        "place": {
+            "name": Field(STRING, among=among.get("place.name")),
+            "kind": Field(STRING, among=among.get("place.kind")),
+            "forbidden": Field(BOOL),
+            "outside": Field(BOOL),
+            "corridor": Field(STRING, required=False, among=named.get("corridor")),
+        },
+        "tool": {
+            "name": Field(STRING, among=named.get("tool")),
+            "kind": Field(STRING, among=among.get("tool.kind")),
+            "press": Field(BOOL),
+        },
+        "agent": {"name": Field(STRING), "permissions": Field(SetType(STRING), among=permissions)},
+        "capability": {"name": Field(STRING, among=known.capabilities), "risk": Field(STRING, among=_RISKS)},
+        "profile": {
+            "name": Field(STRING, among=known.profiles),
+            "sensitivity": Field(DOUBLE, within=1.0),
+            "shared_floor": Field(BOOL),
+        },
+        "world": {**_WORLD, "holding": Field(STRING, required=False, among=named.get("object"))},
+    }
+    return {
         "metadata": _METADATA,
-        "capability": _CAPABILITY,
-        "profile": _PROFILE,
         "limits": _LIMITS,
         "mode": Field(STRING, among=frozenset(mode.value for mode in Mode)),
-        "world": _WORLD,
         "operator_on_duty": BOOL,
+        **{name: RecordType(name=name, fields=fields, attributes=True) for name, fields in records.items()},
     }
-    if "tool" in referring(capability):
-        variables["tool"] = _TOOL
-    return declare(variables)
+
+
+def _of_site(site: Site | None, named: Mapping[str, frozenset[str]]) -> Mapping[str, frozenset[str]]:
+    """Return what texts can be that say an object or a place, or that there is none; nothing without a site."""
+    if site is None:
+        return {}
+    there = kinds(site)
+    return {
+        "target.name": named["object"] | {NOTHING.name},
+        "target.kind": there["object"] | {NOTHING.kind},
+        "place.name": frozenset({NOWHERE.name}).union(*(named[kind] for kind in LEADING)),
+        "place.kind": LEADING | {"point", NOWHERE.kind},
+        "tool.kind": there["tool"],
+    }
 
 
 class Vocabulary:
     """Types conditions, each (source, capability) once."""
 
-    def __init__(self, capabilities: Mapping[str, Capability], permissions: frozenset[str] | None = None) -> None:
-        """Declare the variables of every capability; no condition names a permission that is not among those given."""
-        self._envs = {name: declarations(capability, permissions) for name, capability in capabilities.items()}
+    def __init__(self, capabilities: Mapping[str, Capability], known: Names = ANY) -> None:
+        """Declare the variables of every capability; no condition names what is not among the names that are known."""
+        self._known = known
+        self._named: Mapping[str, frozenset[str]] = {} if known.site is None else names(known.site)
+        self._common = _common(known, self._named)
+        self._envs = {name: self._declared(capability) for name, capability in capabilities.items()}
         self._typed: dict[tuple[str, str, Type], Typed] = {}
         self._trees: dict[str, Tree] = {}  # a condition of all capabilities is parsed once
-        self._permissions = permissions
+
+    def _declared(self, capability: Capability) -> Env:
+        variables = {"params": _params(capability, self._named), **self._common}
+        if "tool" not in referring(capability):
+            del variables["tool"]
+        return declare(variables)
 
     def replacing(self, capability: Capability) -> Vocabulary:
         """Return the same vocabulary but for one capability, with everything typed so far about the others."""
-        other = Vocabulary({capability.name: capability}, self._permissions)
-        other._envs = {**self._envs, **other._envs}
+        other = Vocabulary({}, self._known)
+        other._envs = {**self._envs, capability.name: other._declared(capability)}
         other._trees = self._trees
         other._typed = {key: typed for key, typed in self._typed.items() if key[1] != capability.name}
         return other

@@ -17,8 +17,6 @@ import z3
 
 from app.governance.changes import LOOSENS, TIGHTENS, Comparison, Transition, summed
 from app.governance.places import inside
-from app.governance.policy_model import GOVERNANCE
-from app.governance.vocabulary import Vocabulary
 from app.proofs.asking import UNDECIDED, Asking, Budget, Undecided
 from app.proofs.formulas import both, no, some, term
 from app.proofs.ground import Coordinates, Ground
@@ -69,9 +67,7 @@ class _Comparing:
     def __init__(self, old: PolicySet, new: PolicySet, budget: Budget) -> None:
         self.old, self.new, self.budget = old, new, budget
         self.policies = (old, new)
-        self.vocabularies = [
-            Vocabulary(found.capabilities, found.permissions | {GOVERNANCE}) for found in self.policies
-        ]
+        self.vocabularies = [found.vocabulary() for found in self.policies]
 
     def run(self, progress: Progress) -> Iterator[Transition]:
         """Yield everything that comes out otherwise."""

@@ -7,9 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from app.governance.bundle import PROPERTIES
-from app.governance.policy_model import GOVERNANCE
 from app.governance.stated import Stated, read
-from app.governance.vocabulary import Vocabulary
 from app.proofs.asking import Asking, Budget
 from app.proofs.deciding import fates
 from app.proofs.declared import misplaced
@@ -23,6 +21,7 @@ from app.proofs.witness import written
 if TYPE_CHECKING:
     from app.governance.policy import PolicySet
     from app.governance.policy_model import Rule
+    from app.governance.vocabulary import Vocabulary
     from app.proofs.deciding import Fate
 
 EFFORT: Final = 20_000_000  # steps of the solver; about ten seconds
@@ -96,10 +95,9 @@ def prove(
     Raises:
         PolicyErrors: `properties.yaml` is at fault.
     """
-    vocabulary = Vocabulary(policy.capabilities, policy.permissions | {GOVERNANCE})
     stated = read(policy, properties)
     budget = Budget(now, effort, now() + all_s)
-    return Prover(policy, stated, vocabulary, budget).run(progress)
+    return Prover(policy, stated, policy.vocabulary(), budget).run(progress)
 
 
 class Prover:

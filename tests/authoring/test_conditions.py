@@ -14,7 +14,10 @@ ENV = declare({
     }),
     "x": DOUBLE, "n": INT, "l": ListType(STRING), "k": MapType(DOUBLE), "f": BOOL,
     "risk": Field(STRING, among=frozenset({"low", "high"})),
-    "r": RecordType(name="r", fields={"risk": Field(STRING, among=frozenset({"low", "high"}))}),
+    "r": RecordType(name="r", fields={
+        "risk": Field(STRING, among=frozenset({"low", "high"})),
+        "held": Field(STRING, among=frozenset({"", "a", "b", "c", "d"})),
+    }),
 })  # fmt: skip
 
 
@@ -48,6 +51,13 @@ def test_operators_literals_and_references_are_changed():
     assert {"(t.m >= 2.0) && t.a", "(t.m < 2.0) && t.a", "(t.m > 2.02) && t.a", "(t.m > 1.98) && t.a"} <= texts
     assert {"(t.w > 2.0) && t.a", "(t.m > 2.0) && t.b", "(t.m > 2.0) && !t.a", "(t.m > 2.0) || t.a"} <= texts
     assert {"t.a", "t.m > 2.0", ""} <= texts
+
+
+def test_a_name_becomes_the_empty_one_and_two_others_that_something_has():
+    texts = {change.text for change in changes(typed('r.held == "a"'))}
+    assert {text for text in texts if text.startswith("r.held ==")} == {
+        f'r.held == "{name}"' for name in ("", "b", "c")
+    }
 
 
 def test_a_name_that_is_one_of_a_few_becomes_another_of_them():

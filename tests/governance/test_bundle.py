@@ -402,6 +402,98 @@ def test_reports_all_problems_together_in_order():
     assert [problem.file for problem in caught.value.problems] == [GRASP, SITE]
 
 
+STRANGERS = [
+    ("target.name == 'mug_9'", 13, "mug_9", '`mug_1`, `box_1`, `driver_1`, `glass_1`, `solvent_1`, `""`'),
+    ("target.name in ['mug_1', 'mug_9']", 13, "mug_9", "`mug_1`, "),
+    ("!(target.name != 'mug_9')", 15, "mug_9", "`mug_1`, "),
+    ("target.kind == 'moon'", 13, "moon", "`none`, "),
+    ("place.name == 'dock' || place.name == 'moon'", 36, "moon", "`bench_a`, `bench_a_stand`, "),
+    ("place.kind == 'moon'", 12, "moon", "`tool`, `none`, "),
+    ("has(place.corridor) && place.corridor == 'moon'", 39, "moon", "`aisle`"),
+    ("tool.name == 'moon'", 11, "moon", "`lever`, `press`"),
+    ("tool.kind == 'moon'", 11, "moon", "`button`, `lever`"),
+    ("has(world.holding) && world.holding == 'mug_9'", 37, "mug_9", "`mug_1`, "),
+    ("capability.name == 'grasp_objekt'", 17, "grasp_objekt", "`grasp_object`, "),
+    ("profile.name == 'human-sharde'", 14, "human-sharde", "`human-shared`, "),
+    ("params.tool == 'moon'", 13, "moon", "`lever`, `press`"),
+    ("params.action == 'moon'", 15, "moon", "`press`, "),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("when", "column", "stranger", "valid"), STRANGERS, ids=[row[0] for row in STRANGERS])
+def test_a_condition_names_nothing_that_does_not_exist(when, column, stranger, valid):
+    (said,) = told_of(when)
+    assert said.startswith(
+        f"organization.yaml:50: rules[7].when: column {column}: `{stranger}` is compared with what is never that "
+        f"(for `operate_tool`); valid: {valid}"
+    )
+
+
+def told_of(when, **others):
+    """Return what is wrong with a condition about a tool, other files exchanged."""
+    text = {**files(), **others}
+    text[ORG] = text[ORG].replace("when: tool.press && profile.shared_floor", f'when: "{when}"')
+    try:
+        bundle.load_files(text)
+    except PolicyErrors as errors:
+        return [str(problem) for problem in errors.problems if problem.file == ORG]
+    return []
+
+
+NAMED = [
+    "target.name == ''", "target.kind != 'none'", "target.name == 'box_1' && target.kind == 'box'", "place.name == ''",
+    "place.name in ['dock', 'shelf', 'shelf_front', 'press', 'mug_1']", "place.kind in ['point', 'none', 'object']",
+    "agent.name == 'somebody'", "has(metadata.intent) && metadata.intent == 'moon'", "target.name.startsWith('mug_')",
+    "capability.name in ['safe_retreat', 'operate_tool'] && profile.name != 'sim-relaxed'",
+    "'governance' in agent.permissions", "has(world.holding) && world.holding == target.name",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("when", NAMED)
+def test_a_condition_may_name_what_exists_nothing_and_anybody(when):
+    assert told_of(when) == []
+
+
+UNREAD = [
+    ("target.name == 'mug_9' && place.corridor == 'moon' && params.tool == 'moon' && tool.kind == 'moon'",
+     {SITE: "site: ["}),
+    ("capability.name == 'inspect_area'", {"capabilities/inspect_area.yaml": "name: ["}),
+    ("capability.name == 'probe_it'", {"capabilities/probe_it.yaml": "name: ["}),
+    ("profile.name == 'night-shift'", {"profiles/night-shift.yaml": "profile: ["}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("when", "unread"), UNREAD, ids=[row[0] for row in UNREAD])
+def test_a_condition_may_name_what_a_file_that_cannot_be_read_may_declare(when, unread):
+    assert told_of(when, **unread) == []
+
+
+@pytest.mark.parametrize(
+    ("spec", "key"),
+    [
+        ("x-ref: object, enum: [mug_1, mug_9]", "enum[1]: there is no object `mug_9`; valid: `mug_1`"),
+        ("x-ref: object, default: mug_9", "default: there is no object `mug_9`; valid: `mug_1`"),
+        ("x-ref: object, const: mug_9", "const: there is no object `mug_9`; valid: `mug_1`"),
+    ],
+)
+def test_what_a_schema_gives_a_name_exists(spec, key):
+    text = files()
+    text[GRASP] = text[GRASP].replace("x-ref: object", spec)
+    with pytest.raises(PolicyErrors) as caught:
+        bundle.load_files(text)
+    assert f"{GRASP}:10: inputs.properties.object_id.{key}" in str(caught.value)
+    assert told({**text, SITE: "site: ["}) == told({**files(), SITE: "site: ["})
+
+
+def test_a_condition_may_name_those_of_its_list_alone():
+    text = files()
+    text[GRASP] = text[GRASP].replace("x-ref: object", "x-ref: object, enum: [mug_1, 3, [box_1]]")
+    text[ORG] = text[ORG].replace("[grasp_object, transport_object, regrasp]", "[grasp_object]", 1)
+    text[ORG] = text[ORG].replace("when: target.mass_kg >", "when: params.object_id == 'box_1' || target.mass_kg >")
+    with pytest.raises(PolicyErrors, match=r"column 18: `box_1` is compared .*; valid: `mug_1`"):
+        bundle.load_files(text)
+
+
 def told(text):
     """Return what is wrong, but for the names that would be valid: a file that cannot be read lends its own."""
     try:

@@ -325,6 +325,8 @@ REFUSED = [
     ("held.exists(h, h == 'gren')", 18, "`gren` is compared with what is never that", ("green", "red")),
     ("'gren' in held", 8, "`gren` is compared with what is never that", ("green", "red")),
     ("'gren' in colours", 8, "`gren` is compared with what is never that", ("green", "red")),
+    ("colour == (b ? 'red' : 'blue')", 8, "`blue` is compared with what is never that", ("green", "red")),
+    ("colour in (b ? ['red', s] : ['blue'])", 8, "`blue` is compared with what is never that", ("green", "red")),
     ("colour in ['red', 'blue']", 8, "`blue` is compared with what is never that", ("green", "red")),
     ("has(b)", 1, "`has` takes one field", ("has(record.field)",)),
     ("has()", 1, "`has` takes one field", ("has(record.field)",)),

@@ -10,7 +10,7 @@ from app.governance import bundle
 from app.governance.errors import ExpressionError
 from app.governance.expression_tree import BOOL, STRING
 from app.governance.policy_code import Generator
-from app.governance.policy_model import GOVERNANCE, Effect, Rule, Setting
+from app.governance.policy_model import Effect, Rule, Setting
 from app.governance.vocabulary import Vocabulary, always_there, properties
 from tests.governance.policy_world import PROFILES, files
 
@@ -67,7 +67,7 @@ def base() -> PolicySet:
 
 @cache
 def vocabulary() -> Vocabulary:
-    return Vocabulary(base().capabilities, base().permissions | {GOVERNANCE})
+    return base().vocabulary()
 
 
 class Drawing:
