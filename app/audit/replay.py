@@ -24,7 +24,8 @@ from app.audit.places import Places
 from app.audit.reader import failure, open_read_only
 from app.clock import rfc3339
 from app.governance import recorded
-from app.governance.bundle import load_files
+from app.governance.bundle import digest as digest_of
+from app.governance.bundle import load_kept
 from app.governance.decision import decide
 from app.governance.model import Proposal, Status
 
@@ -146,13 +147,16 @@ def replay(data_dir: Path, policies: Policies, *, after: int = 0, until: int | N
 
 
 def then_in_force(data_dir: Path) -> Policies:
-    """Return what finds the version that decided then, among those that the server kept."""
+    """Return what finds the version that decided then, among those that the server kept.
+
+    It decides as it did then, also where a newer release would not put it in force any more.
+    """
 
     def find(digest: str) -> PolicySet | None:
         with _opened(data_dir) as connection:
             row = connection.execute("SELECT files FROM policy_files WHERE digest = ?", (digest,)).fetchone()
-        found = None if row is None else load_files(orjson.loads(row[0]))
-        return found if found is not None and found.digest == digest else None
+        files = None if row is None else orjson.loads(row[0])
+        return None if files is None or digest_of(files) != digest else load_kept(files)
 
     return find
 

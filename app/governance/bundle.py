@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import hashlib
 import stat
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any, Final
 
@@ -33,7 +33,7 @@ from app.governance.bundle_fit import fit
 from app.governance.bundle_references import validator
 from app.governance.bundle_yaml import parse
 from app.governance.conditions import TESTS
-from app.governance.errors import PolicyError, PolicyErrors
+from app.governance.errors import ExpressionError, PolicyError, PolicyErrors
 from app.governance.places import names
 from app.governance.policy import Gate, Inputs, PolicySet
 from app.governance.policy_code import Generator
@@ -174,6 +174,25 @@ def load_files(files: Mapping[str, str]) -> PolicySet:
     if problems:
         raise PolicyErrors(problems)
     return _assemble(files, source, known)
+
+
+def load_kept(files: Mapping[str, str]) -> PolicySet:
+    """Load a version that once was put in force, to decide as it decided: what a later release refuses is not refused.
+
+    It was checked by the release of then. Its conditions may name what does not exist: they never held, or always.
+
+    Raises:
+        PolicyErrors: It cannot be compiled as it stands, so that nobody knows how it decided; everything that is wrong.
+    """
+    source = read_shapes(files)
+    problems = [*source.problems, *_set_apart_untyped(source)]
+    if problems:
+        raise PolicyErrors(problems)
+    known = _known_of(source)
+    try:
+        return _assemble(files, source, replace(known, vocabulary=Vocabulary(known.capabilities)))
+    except (ExpressionError, LookupError):
+        return load_files(files)  # which says what is wrong
 
 
 def know(source: Source) -> Known:

@@ -12,8 +12,9 @@ import pytest
 from app.governance import bundle
 from app.governance.bundle_references import DIALECT, validator
 from app.governance.bundle_yaml import parse
+from app.governance.decision import decide
 from app.governance.errors import PolicyErrors
-from tests.governance.policy_world import POLICIES, files, shipped
+from tests.governance.policy_world import POLICIES, context, files, proposal, shipped
 
 GRASP, HUMAN, RELAXED, ORG, SITE, H = (
     "capabilities/grasp_object.yaml", "profiles/human-shared.yaml", "profiles/sim-relaxed.yaml", "organization.yaml",
@@ -492,6 +493,41 @@ def test_a_condition_may_name_those_of_its_list_alone():
     text[ORG] = text[ORG].replace("when: target.mass_kg >", "when: params.object_id == 'box_1' || target.mass_kg >")
     with pytest.raises(PolicyErrors, match=r"column 18: `box_1` is compared .*; valid: `mug_1`"):
         bundle.load_files(text)
+
+
+ACCEPTED_ONCE = "capability.name != 'moon' && profile.name != 'moon' && target.name != 'moon' && place.kind != 'moon'"
+
+
+def test_a_version_that_decided_once_decides_as_it_did_though_it_names_what_does_not_exist():
+    text = files()
+    text[ORG] = text[ORG].replace("when: tool.press && profile.shared_floor", f'when: "{ACCEPTED_ONCE}"')
+    with pytest.raises(PolicyErrors, match="`moon` is compared with what is never that"):
+        bundle.load_files(text)
+    kept = bundle.load_kept(text)
+    assert kept.digest == bundle.digest(text)
+    asked = proposal("operate_tool", tool="lever", action="push_up")
+    found = decide(kept, asked, context("real-restricted", stand="tool_stand"))
+    assert "organization/press-two-approvers" in [reason.rule for reason in found.verdict.reasons]
+    assert bundle.load_kept(files()).gates.keys() == shipped().gates.keys()
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new"),
+    [
+        (ORG, "when: place.forbidden", "when: place.forbiden"),
+        (ORG, "[operate_tool]", "[operate_tol]"),
+        (GRASP, "sim-relaxed: allowed, ", ""),
+        (GRASP, "risk: medium", "risk: enormous"),
+        (GRASP, "force_n: {type: number,", "force_n: {type: numbr,"),
+    ],
+)
+def test_what_cannot_be_compiled_never_decided_and_says_why(file, old, new):
+    text = {**files(), file: files()[file].replace(old, new)}
+    with pytest.raises(PolicyErrors) as caught:
+        bundle.load_kept(text)
+    assert {(problem.file, problem.line, problem.key, problem.message) for problem in caught.value.problems} == told(
+        text
+    )
 
 
 def told(text):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from hypothesis import strategies as st
 
 from app.audit.replay import Replay, replay, then_in_force
 from app.audit.replaying import replay_in_processes
+from app.governance.bundle import load_files, load_kept
+from app.governance.errors import PolicyErrors
 from app.governance.model import Mode
 from app.runtime import questions
 from app.runtime.assembly import Runtime
@@ -160,6 +163,21 @@ async def test_a_candidate_changes_what_it_would_have_changed_and_says_by_which_
     assert found.document()["groups"][0]["count"] == 1
     nothing = replay_in_processes(house.folder, FILES)
     assert (nothing.decisions, nothing.changed) == (2, [])
+
+
+@pytest.mark.anyio
+async def test_a_version_of_an_earlier_release_that_is_refused_now_reproduces_what_it_decided(house: House) -> None:
+    named = "\n  - {id: no-moon, when: 'target.name != \"moon\"', then: deny, because: It is none.}\n"
+    files = edited(ORGANIZATION, "rules:\n", f"rules:{named}")
+    with pytest.raises(PolicyErrors, match="`moon` is compared with what is never that"):
+        load_files(files)
+    async with replace(house, policy=load_kept(files)).open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        made, _ = await runtime.governor.propose(AGENT, navigate())
+    assert made["status"] == "denied"
+    found = replay_in_processes(house.folder, None)
+    assert (found.decisions, found.without_policy, found.changed) == (1, 0, [])
 
 
 @pytest.mark.anyio

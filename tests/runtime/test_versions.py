@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from app.governance import bundle
+from app.governance.comparison import compare
 from app.governance.errors import PolicyError, PolicyErrors, Undecided
 from app.governance.model import Role, Status
 from app.runtime.assembly import Runtime
@@ -405,6 +407,21 @@ async def test_another_directory_takes_the_place_of_what_a_directory_held(house:
         assert runtime.kernel.policy.digest == house.policy.digest
         assert "another version" in runtime.versions.reason
         assert [item["status"] for item in (await runtime.versions.list())[0]] == ["active", "former"]
+
+
+async def test_what_was_put_in_force_and_a_newer_release_refuses_is_named_at_the_start(house: House) -> None:
+    files = edited(ORGANIZATION, "rules:\n", f"rules:{NO_MUG.replace('mug_1', 'mug_9')}")
+
+    async def earlier(candidate: Candidate, _: Candidate | None) -> Examined:
+        policy = bundle.load_kept(candidate.files)
+        return Examined(policy=policy, cases=0, proved="it", comparison=compare(bundle.load_files(FILES), policy))
+
+    async with replace(house, examine=earlier).open() as runtime:
+        await put_in_force(runtime, files)
+    with pytest.raises(PolicyErrors, match=r"`mug_9` is compared .*; valid: `mug_1`") as found:
+        async with house.open():
+            pass
+    assert (found.value.file, found.value.line) == (ORGANIZATION, 13)
 
 
 async def test_another_directory_only_becomes_a_candidate_beside_what_an_engineer_chose(house: House) -> None:
