@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
+from app.governance.bundle_checks import Reader
 from app.governance.bundle_fit import fit
 from app.governance.bundle_shapes import CasesShape, ContextShape
 from app.governance.bundle_yaml import parse
@@ -17,12 +18,15 @@ from app.governance.case_session import terms
 from app.governance.decision import decide
 from app.governance.errors import PolicyError, PolicyErrors
 from app.governance.model import CellFacts, Context, Mode, ObjectFact, Proposal, WorldFacts
+from app.governance.places import names
 from app.governance.policy_model import GOVERNANCE
+from app.governance.vocabulary import referring
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
-    from app.governance.bundle_shapes import CaseShape
+    from app.governance.bundle_shapes import CaseShape, ExpectShape
+    from app.governance.bundle_yaml import Path
     from app.governance.decision import Decision
     from app.governance.policy import PolicySet
 
@@ -55,31 +59,58 @@ def read(policy: PolicySet, files: Mapping[str, str]) -> list[Found]:
     """Read the cases of these files (`bundle.read_cases`), in order of file and place, without deciding them.
 
     Raises:
-        PolicyErrors: A file of cases is not readable, or names a place or profile that does not exist.
+        PolicyErrors: A file of cases is not readable, or names what does not exist where that is not what it is about.
     """
     cases: list[Found] = []
     problems: list[PolicyError] = []
+    there = names(policy.site)
     for file in sorted(files):
         document, found = parse(file, files[file])
         shape, misfits = fit(CasesShape, document) if not found else (None, [])
         problems += [*found, *misfits]
         if shape is None:
             continue
+        reader = Reader(document=document)
         for index, case in enumerate(shape.cases):
-            line = document.line(("cases", index))
-            profile = case.profile or shape.profile
-            stand = (case.context or ContextShape()).stand or policy.site.start
-            for key, name, known in (("profile", profile, policy.profiles), ("stand", stand, policy.site.targets)):
-                if name not in known:
-                    what = f"there is no {_KINDS[key]} `{name}`"
-                    problems.append(PolicyError(file=file, line=line, key=key, message=what, valid=sorted(known)))
-            cases.append(Found(file, line, str(profile), case))
+            path, profile = ("cases", index), case.profile or shape.profile
+            problems += reader.unknown((*path, "profile"), "profile", profile, policy.profiles)
+            problems += _named(reader, path, case, policy, there)
+            cases.append(Found(file, document.line(path), str(profile), case))
     if problems:
         raise PolicyErrors(problems)
     return cases
 
 
-_KINDS: Final = {"profile": "profile", "stand": "target"}
+def _named(
+    reader: Reader, path: Path, case: CaseShape, policy: PolicySet, there: Mapping[str, frozenset[str]]
+) -> Iterator[PolicyError]:
+    """Check that a case names what there is; what it proposes may not be there, if it expects to be told so."""
+    context = case.context or ContextShape()
+    stand = context.stand or policy.site.start
+    yield from reader.unknown((*path, "context", "stand"), "target", stand, there["target"])
+    steps: list[tuple[Path, str]] = [] if context.holding is None else [(("holding",), context.holding)]
+    steps += [(("unseen", at), name) for at, name in enumerate(context.unseen)]
+    steps += [(("unreachable", at), name) for at, name in enumerate(context.unreachable)]
+    for step, name in (*steps, *((("at", name), name) for name in context.at)):
+        yield from reader.unknown((*path, "context", *step), "object", name, there["object"])
+    if _about_strangers(case.expect):
+        return
+    yield from reader.unknown((*path, "capability"), "capability", case.capability, policy.capabilities)
+    found = policy.capabilities.get(case.capability)
+    given: Mapping[str, str] = {} if found is None else referring(found)
+    for kind, param in given.items():
+        value = case.params.get(param)
+        if isinstance(value, str):
+            yield from reader.unknown((*path, "params", param), kind, value, there[kind])
+
+
+def _about_strangers(expect: ExpectShape) -> bool:
+    """Say whether a case expects the answer to a proposal that names what does not exist, or what nothing could be."""
+    told = expect.codes is None or any(code.startswith(UNKNOWN) for code in expect.codes)
+    return expect.status == "invalid" or (expect.status == "rejected" and told)
+
+
+UNKNOWN: Final = "unknown_"  # how admission's codes for such names begin
 
 
 def run(policy: PolicySet, files: Mapping[str, str]) -> list[CaseResult]:

@@ -4,11 +4,11 @@ from app.authoring.rule_coverage import rule_coverage
 from app.governance import bundle
 from tests.governance.policy_world import POLICIES, shipped
 
-CASE = "cases:\n  - {name: x, profile: %s, capability: grasp_object, params: %s, expect: {status: denied}}\n"
+CASE = "cases:\n  - {name: x, profile: %s, capability: grasp_object, params: %s, expect: {status: %s}}\n"
 
 
-def covered(profile, params):
-    found = rule_coverage(shipped(), {"tests/x.yaml": CASE % (profile, params)})
+def covered(profile, params, status="denied"):
+    found = rule_coverage(shipped(), {"tests/x.yaml": CASE % (profile, params, status)})
     return {rule for rule, count in found.determined.items() if count}
 
 
@@ -30,4 +30,4 @@ def test_an_escalation_is_determined_by_what_it_carries_too():
 
 def test_invalid_and_rejected_proposals_cover_nothing():
     assert covered("human-shared", "{}") == set()
-    assert covered("human-shared", "{object_id: teapot}") == set()
+    assert covered("human-shared", "{object_id: teapot}", "rejected") == set()

@@ -52,6 +52,44 @@ def test_every_problem_of_the_case_files_is_reported_with_its_line():
     assert set(told) == {"tests/a.yaml", "tests/b.yaml", "tests/c.yaml", "tests/d.yaml"}
 
 
+STRANGE = [
+    ("capability: grasp_object\n    params: {object_id: mug_9}", "allowed", 4,
+     "cases[0].params.object_id: there is no object `mug_9`; valid: `mug_1`, "),
+    ("capability: grasp_object\n    params: {object_id: mug_9}", "rejected, codes: [not_held]", 4, "no object `mug_9`"),
+    ("capability: navigate_to\n    params: {target: dock, corridor: moon}", "denied", 4,
+     "cases[0].params.corridor: there is no corridor `moon`; valid: `aisle`"),
+    ("capability: grasp_objekt", "awaiting_approval", 3,
+     "cases[0].capability: there is no capability `grasp_objekt`; valid: `grasp_object`, "),
+    ("capability: navigate_to\n    params: {target: dock}\n    context: {holding: mug_9}", "allowed", 5,
+     "cases[0].context.holding: there is no object `mug_9`; valid: `mug_1`, "),
+    ("capability: navigate_to\n    params: {target: moon}\n    context: {unseen: [mug_1, mug_9]}", "invalid", 5,
+     "cases[0].context.unseen[1]: there is no object `mug_9`; valid: `mug_1`, "),
+    ("capability: navigate_to\n    params: {target: moon}\n    context: {unreachable: [mug_9]}", "rejected", 5,
+     "cases[0].context.unreachable[0]: there is no object `mug_9`; valid: `mug_1`, "),
+    ("capability: navigate_to\n    params: {target: dock}\n    context:\n      at:\n        mug_9: [1, 2]", "denied", 7,
+     "cases[0].context.at.mug_9: there is no object `mug_9`; valid: `mug_1`, "),
+    ("capability: navigate_to\n    params: {target: dock}\n    context: {stand: benk_b_stand}", "allowed", 5,
+     "cases[0].context.stand: there is no target `benk_b_stand`; valid: `bench_b_stand`, "),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("case", "status", "line", "said"), STRANGE)
+def test_a_case_that_names_what_does_not_exist_is_an_error(case, status, line, said):
+    text = f"profile: sim-relaxed\ncases:\n  - {case}\n    name: x\n    expect: {{status: {status}}}\n"
+    with pytest.raises(PolicyErrors) as caught:
+        cases.read(shipped(), {"tests/x.yaml": text})
+    (problem,) = caught.value.problems
+    assert problem.line == line
+    assert said in str(problem)
+
+
+@pytest.mark.parametrize("expect", ["invalid", "rejected", "rejected, codes: [unknown_object]"])
+def test_a_case_may_propose_what_does_not_exist_where_it_expects_to_be_told_so(expect):
+    text = (CASE % ("sim-relaxed", expect)).replace("dock", "moon")
+    assert [found.profile for found in cases.read(shipped(), {"tests/x.yaml": text})] == ["sim-relaxed"]
+    assert cases.read(shipped(), {"tests/x.yaml": text.replace("navigate_to", "fly")})
+
+
 def test_a_case_with_parameters_that_do_not_fit_is_invalid():
     text = (CASE % ("sim-relaxed", "invalid")).replace("target: dock", "target: 3")
     assert [result.passed for result in cases.run(shipped(), {"tests/x.yaml": text})] == [True]
