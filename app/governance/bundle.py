@@ -96,7 +96,9 @@ def read_cases(directory: Path) -> dict[str, str]:
 
 def _read(directory: Path, *, tests: bool) -> dict[str, str]:
     if not directory.is_dir():
-        raise PolicyErrors([PolicyError(file=str(directory), line=0, key="", message="there is no such directory")])
+        raise PolicyErrors(
+            [PolicyError(file=str(directory), line=0, key="", message="there is no such directory", valid=_LAYOUT)]
+        )
     files: dict[str, str] = {}
     problems = _linked(directory, (TESTS_FOLDER,) if tests else _FOLDERS)
     for path in sorted(directory.rglob("*")):

@@ -177,7 +177,8 @@ def _references(reader: Reader, declared: Mapping[str, object]) -> Iterator[Poli
         kind = cast("Mapping[str, object]", spec).get("x-ref") if isinstance(spec, dict) else None
         path = ("inputs", "properties", name, "x-ref")
         if isinstance(kind, str) and kind in kinds:
-            yield reader.problem(path, f"`{name}` and `{kinds[kind]}` both refer to a kind of name, `{kind}`: one may")
+            message = f"`{name}` and `{kinds[kind]}` both refer to a kind of name, `{kind}`: one may"
+            yield reader.problem(path, message, [other for other in REFERENCES if other not in kinds])
         if isinstance(kind, str):
             kinds[kind] = name
     if "action" in kinds and "tool" not in kinds:
@@ -186,17 +187,22 @@ def _references(reader: Reader, declared: Mapping[str, object]) -> Iterator[Poli
 
 
 def _number(reader: Reader, path: Path, name: str, spec: Mapping[str, Json]) -> Iterator[PolicyError]:
-    suffix = next((unit for end, unit in UNITS.items() if name.endswith(end)), None)
+    end = next((end for end in UNITS if name.endswith(end)), "")
+    suffix = UNITS.get(end)
     unit = spec.get("unit")
     if unit not in UNITS.values():
         yield reader.problem((*path, "unit"), f"`{name}` needs a unit, `{unit}` is none", sorted(set(UNITS.values())))
     elif suffix != unit:
-        yield reader.problem((*path, "unit"), f"unit mismatch: `{name}` is named in `{suffix}`, declared in `{unit}`")
+        called = f"{name.removesuffix(end)}{next(other for other, has in UNITS.items() if has == unit)}"
+        said = f"is named in `{suffix}`" if suffix else "is named in no unit"
+        valid = [*([f"unit: {suffix}"] if suffix else []), f"the name {called}"]
+        yield reader.problem((*path, "unit"), f"unit mismatch: `{name}` {said}, declared in `{unit}`", valid)
     low, high = spec.get("minimum"), spec.get("maximum")
     if not isinstance(low, (int, float)) or not isinstance(high, (int, float)):
         yield reader.problem(path, f"`{name}` needs a finite range", ["minimum and maximum"])
     elif low >= high:
-        yield reader.problem((*path, "minimum"), f"empty range: minimum `{low}` is not below maximum `{high}`")
+        message = f"empty range: minimum `{low}` is not below maximum `{high}`"
+        yield reader.problem((*path, "minimum"), message, [f"a minimum below {high}", f"a maximum above {low}"])
     limit = spec.get("x-limit")
     if isinstance(low, (int, float)) and low < 0 and unit in LIMIT_UNITS.values():
         message = f"`{name}` goes down to `{low}`: a limit in `{unit}` holds it from above only"
@@ -218,7 +224,9 @@ def _string(reader: Reader, path: Path, name: str, spec: Mapping[str, Json]) -> 
 def _plain(reader: Reader, path: Path, name: str, spec: Mapping[str, Json]) -> Iterator[PolicyError]:
     for key in ("unit", "x-limit"):
         if key in spec:
-            yield reader.problem((*path, key), f"`{key}` belongs to a number, `{name}` is a {spec['type']}")
+            yield reader.problem(
+                (*path, key), f"`{key}` belongs to a number, `{name}` is a {spec['type']}", ["type: number"]
+            )
 
 
 _PARAM_CHECKS: Final = {"number": _number, "integer": _plain, "string": _string, "boolean": _plain}
@@ -232,7 +240,18 @@ def _default(
     own = [*path[1:]]
     found = whole.iter_errors({path[-1]: spec["default"]}) if "default" in spec else ()
     if any(error.evaluation_path[: len(own)] == own for error in found):
-        yield reader.problem((*path, "default"), f"default `{spec['default']}` is not valid for the parameter itself")
+        message = f"default `{spec['default']}` is not valid for the parameter itself"
+        yield reader.problem((*path, "default"), message, _taken(spec))
+
+
+def _taken(spec: Mapping[str, Json]) -> list[str]:
+    """Say what a parameter takes: one of its list, what lies in its range, else what is of its type."""
+    listed, low, high = spec.get("enum"), spec.get("minimum"), spec.get("maximum")
+    if isinstance(listed, list):
+        return [str(value) for value in listed]
+    if isinstance(low, (int, float)) and isinstance(high, (int, float)) and low <= high:
+        return [f"{low:g} to {high:g}"]
+    return [f"a {spec['type']}"]
 
 
 def vocabulary(reader: Reader, found: Capability) -> Iterator[PolicyError]:
@@ -248,17 +267,25 @@ def vocabulary(reader: Reader, found: Capability) -> Iterator[PolicyError]:
 
 def rules(reader: Reader, shapes_: Sequence[shapes.RuleShape], known: Known) -> Iterator[PolicyError]:
     """Check a list of rules: unique ids, known names, conditions that type-check, bounds that hold something."""
-    seen: set[str] = set()
+    yield from repeated(reader, "rules", "rule", [shape.id for shape in shapes_])
     for index, shape in enumerate(shapes_):
         path: Path = ("rules", index)
-        if shape.id in seen:
-            yield reader.problem((*path, "id"), f"rule `{shape.id}` stands twice")
-        seen.add(shape.id)
         yield from _rule_names(reader, path, shape, known)
         yield from _rule_effect(reader, path, shape)
         scope = [name for name in shape.applies_to or known.capabilities if name in known.capabilities]
         yield from _condition(reader, (*path, "when"), shape.when, scope, known)
         yield from _settings(reader, path, shape, scope, known)
+
+
+def repeated(reader: Reader, key: str, what: str, ids: Sequence[str]) -> Iterator[PolicyError]:
+    """Yield a problem for every id that another of the same list has before."""
+    first: dict[str, int] = {}
+    for index, name in enumerate(ids):
+        if name in first:
+            line = reader.document.line((key, first[name], "id"))
+            message = f"{what} `{name}` stands twice, first on line {line}"
+            yield reader.problem((key, index, "id"), message, [f"an id that no other {what} of this file has"])
+        first.setdefault(name, index)
 
 
 def _rule_names(reader: Reader, path: Path, shape: shapes.RuleShape, known: Known) -> Iterator[PolicyError]:
@@ -270,11 +297,12 @@ def _rule_names(reader: Reader, path: Path, shape: shapes.RuleShape, known: Know
 
 def _rule_effect(reader: Reader, path: Path, shape: shapes.RuleShape) -> Iterator[PolicyError]:
     if shape.then == "modify" and not shape.set:
-        yield reader.problem(path, "a `modify` rule needs `set`: it could not modify anything")
+        yield reader.problem(path, "a `modify` rule needs `set`: it could not modify anything", ["set"])
     if shape.then != "modify" and shape.set:
-        yield reader.problem((*path, "set"), f"`set` belongs to a `modify` rule, this one says `{shape.then}`")
+        message = f"`set` belongs to a `modify` rule, this one says `{shape.then}`"
+        yield reader.problem((*path, "set"), message, ["then: modify"])
     if shape.then != "escalate" and shape.approvers is not None:
-        yield reader.problem((*path, "approvers"), "`approvers` belongs to an `escalate` rule")
+        yield reader.problem((*path, "approvers"), "`approvers` belongs to an `escalate` rule", ["then: escalate"])
 
 
 def _condition(
@@ -307,7 +335,7 @@ def _settings(
         if setting.to is None:
             yield from _numeric_setting(reader, here, param, setting, [known.capabilities[name] for name in holders])
         elif setting.min is not None or setting.max is not None:
-            yield reader.problem(here, "`to` says the value, it goes without `min` and `max`")
+            yield reader.problem(here, "`to` says the value, it goes without `min` and `max`", ["to", "min and max"])
         else:
             yield from _named_setting(reader, here, param, [known.capabilities[name] for name in holders])
             mistyped = list(_condition(reader, (*here, "to"), setting.to, holders, known, STRING))
@@ -320,7 +348,8 @@ def _numeric_setting(
     if setting.min is None and setting.max is None:
         yield reader.problem(path, "an empty bound", ["min", "max", "to"])
     elif setting.min is not None and setting.max is not None and setting.min > setting.max:
-        yield reader.problem(path, f"inverted bound: min `{setting.min}` is above max `{setting.max}`")
+        message = f"inverted bound: min `{setting.min}` is above max `{setting.max}`"
+        yield reader.problem(path, message, [f"a min up to {setting.max:g}", f"a max from {setting.min:g}"])
     for holder in holders:
         spec = properties(holder)[param]
         if spec.get("type") != "number":
@@ -328,9 +357,15 @@ def _numeric_setting(
                 path, f"`{param}` of `{holder.name}` is a {spec.get('type')}, it has no bounds", ["to"]
             )
         elif param not in always_there(holder):
-            yield reader.problem(path, f"`{param}` of `{holder.name}` may be left out: give it a default to bound it")
+            message = f"`{param}` of `{holder.name}` may be left out: give it a default to bound it"
+            yield reader.problem(path, message, needed(param))
         else:
             yield from _beyond_schema(reader, path, f"`{param}` of `{holder.name}`", setting, spec)
+
+
+def needed(param: str) -> list[str]:
+    """Say by what a manifest has a parameter always there."""
+    return [f"in its manifest a default for {param}", f"required: [{param}]"]
 
 
 def _beyond_schema(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, cast
 
+from app.governance.bundle_checks import needed, repeated
 from app.governance.bundle_checks_dead import dead_rows, dead_steps
 from app.governance.model import Strategy
 from app.governance.policy_model import FAILURES, LIMIT_UNITS, NAMED_THRESHOLDS, SENSORS, SIGNAL_UNITS, WALKING_MPS
@@ -31,7 +32,8 @@ def profile(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterato
         message = f"`{shape.profile}` stands in `{reader.document.file}`"
         yield reader.problem(("profile",), message, [f"{shape.profile}.yaml"])
     if shape.profile in RESERVED:
-        yield reader.problem(("profile",), f"`{shape.profile}` is reserved: rules of another origin go by that name")
+        message = f"`{shape.profile}` is reserved: rules of another origin go by that name"
+        yield reader.problem(("profile",), message, [f"a name that is none of {', '.join(sorted(RESERVED))}"])
     for name in shape.stale_after_ms:
         yield from reader.unknown(("stale_after_ms", name), "sensor", name, SENSORS)
     if unlimited := [name for name in SENSORS if name not in shape.stale_after_ms]:
@@ -45,12 +47,9 @@ def profile(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterato
 
 
 def _watch(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[PolicyError]:
-    seen: set[str] = set()
+    yield from repeated(reader, "watch", "watch rule", [row.id for row in shape.watch])
     for index, row in enumerate(shape.watch):
         path: Path = ("watch", index)
-        if row.id in seen:
-            yield reader.problem((*path, "id"), f"watch rule `{row.id}` stands twice")
-        seen.add(row.id)
         for at, name in enumerate(row.applies_to or ()):
             yield from reader.unknown((*path, "applies_to", at), "capability", name, known.named)
         yield from reader.unknown((*path, "signal"), "signal", row.signal, SIGNAL_UNITS)
@@ -93,12 +92,14 @@ def _threshold(reader: Reader, path: Path, row: shapes.WatchShape, shape: shapes
         fitting = [name for name, signal in NAMED_THRESHOLDS.items() if signal == row.signal]
         yield from reader.unknown((*path, side), f"threshold for `{row.signal}` called", threshold, fitting)
         if threshold == "protective_separation_m" and shape.separation is None:
-            yield reader.problem((*path, side), "the profile declares no `separation` to compute it from")
+            message = "the profile declares no `separation` to compute it from"
+            yield reader.problem((*path, side), message, ["separation", "a number in m"])
     elif threshold is not None and not isinstance(threshold, (int, float)) and LIMIT_UNITS[threshold.limit] != unit:
         message = (
             f"unit mismatch: `{row.signal}` is in `{unit}`, `{threshold.limit}` in `{LIMIT_UNITS[threshold.limit]}`"
         )
-        yield reader.problem((*path, side), message)
+        fitting = [f"a limit in {unit}: {name}" for name, has in LIMIT_UNITS.items() if has == unit]
+        yield reader.problem((*path, side), message, [*fitting, f"a number in {unit}"])
 
 
 def _response(reader: Reader, path: Path, row: shapes.WatchShape, shape: shapes.ProfileShape) -> Iterator[PolicyError]:
@@ -228,10 +229,10 @@ def _room(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[
             low = spec.get("minimum")
             if isinstance(low, (int, float)) and low > value:
                 message = f"`{value}` leaves `{param}` of `{name}` no room: its minimum is `{low}`"
-                yield reader.problem(("limits", key, "max"), message)
+                yield reader.problem(("limits", key, "max"), message, [f"{low:g} or more"])
             if param not in always_there(found):
                 message = f"`{param}` of `{name}` is limited by `{key}` but may be left out: give it a default"
-                yield reader.problem(("limits", key), message)
+                yield reader.problem(("limits", key), message, needed(param))
             highest[key] = max(highest.get(key, 0.0), cast("float", spec["maximum"]))
     for key, most in highest.items():
         if limits[key][1] > most and not known.unread:

@@ -27,15 +27,16 @@ def organization(reader: Reader, shape: shapes.OrganizationShape) -> Iterator[Po
     """Check the agents: known permissions, and none that governance keeps for itself."""
     for name, agent in shape.agents.items():
         if name == GOVERNANCE:
-            yield reader.problem(("agents", name), f"`{GOVERNANCE}` is reserved")
+            yield reader.problem(("agents", name), f"`{GOVERNANCE}` is reserved", ["another name"])
         for key, names in (("permissions", agent.permissions), ("supervised", agent.supervised)):
             for index, permission in enumerate(names):
                 path = ("agents", name, key, index)
                 yield from reader.unknown(path, "permission", permission, shape.permissions)
         for permission in sorted(set(agent.permissions) & set(agent.supervised)):
-            yield reader.problem(("agents", name), f"`{permission}` is both granted and supervised")
+            message = f"`{permission}` is both granted and supervised"
+            yield reader.problem(("agents", name), message, ["permissions", "supervised"])
     if GOVERNANCE in shape.permissions:
-        yield reader.problem(("permissions",), f"`{GOVERNANCE}` is reserved")
+        yield reader.problem(("permissions",), f"`{GOVERNANCE}` is reserved", ["another name"])
 
 
 def authority(reader: Reader, shape: shapes.AuthorityFileShape, known: Known) -> Iterator[PolicyError]:
@@ -91,12 +92,14 @@ def site(reader: Reader, shape: shapes.SiteShape) -> Iterator[PolicyError]:
 def _polygons(reader: Reader, shape: shapes.SiteShape) -> Iterator[PolicyError]:
     for key, held in (("zones", shape.zones), ("areas", shape.areas)):
         for name, found in held.items():
-            if not _area(found.polygon) > 0.0:
-                yield reader.problem((key, name, "polygon"), "a polygon runs counter-clockwise around some area")
+            if not (area := _area(found.polygon)) > 0.0:
+                valid = ["the same corners in the other order"] if area < 0.0 else ["corners that are not on one line"]
+                message = "a polygon runs counter-clockwise around some area"
+                yield reader.problem((key, name, "polygon"), message, valid)
             elif (crossing := _crossing(found.polygon)) is not None:
                 corners = " and ".join(str(number) for number in crossing)
                 message = f"its edges cross, those from corners {corners}: nobody could tell what is inside"
-                yield reader.problem((key, name, "polygon"), message)
+                yield reader.problem((key, name, "polygon"), message, ["edges that meet at corners alone"])
 
 
 def _area(polygon: Sequence[Sequence[float]]) -> float:
@@ -153,4 +156,4 @@ def _resting(reader: Reader, shape: shapes.SiteShape) -> Iterator[PolicyError]:
             yield reader.problem(("objects", name), f"{lies}, which is not on `{surface.name}`", valid)
         other = there.setdefault((found.surface, found.x_m, found.y_m), name)
         if other != name:
-            yield reader.problem(("objects", name), f"{lies}, where `{other}` lies already")
+            yield reader.problem(("objects", name), f"{lies}, where `{other}` lies already", ["another point"])

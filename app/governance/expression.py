@@ -58,6 +58,7 @@ from app.governance.expression_tree import (
     Typed,
     Variable,
     children,
+    dotted,
     require_identifier,
     show,
 )
@@ -367,8 +368,20 @@ def _among(node: Typed, scope: _Scope) -> frozenset[str] | None:
 def _common_unit(nodes: Sequence[Typed], syntax: Syntax, scope: _Scope) -> str | None:
     units = dict.fromkeys(node.unit for node in nodes if node.unit is not None)
     if len(units) > 1:
-        raise scope.error(syntax, "units differ: " + " and ".join(f"`{unit}`" for unit in units))
+        message = "units differ: " + " and ".join(f"`{unit}`" for unit in units)
+        raise scope.error(syntax, message, _in_unit(next(iter(units)), nodes, scope))
     return next(iter(units), None)
+
+
+def _in_unit(unit: str, nodes: Sequence[Typed], scope: _Scope) -> list[str]:
+    """Return what else could stand beside a quantity in this unit: what is declared in it, or a number."""
+    paths: dict[str, Field] = {}
+    for name, declared in {**scope.variables, **scope.bound}.items():
+        inner: Mapping[str, Field] = declared.type.fields if isinstance(declared.type, RecordType) else {}
+        paths |= {name: declared, **{f"{name}.{key}": field for key, field in inner.items()}}
+    told = {dotted(node) for node in nodes}
+    fitting = (path for path, field in paths.items() if field.unit == unit and field.type in (INT, DOUBLE))
+    return [*(path for path in fitting if path not in told), f"a number in {unit}"]
 
 
 def _common_type(nodes: tuple[Typed, ...], syntax: Syntax, scope: _Scope) -> tuple[Typed, ...]:
@@ -376,12 +389,13 @@ def _common_type(nodes: tuple[Typed, ...], syntax: Syntax, scope: _Scope) -> tup
     for attempt in (nodes, tuple(_promote(node) for node in nodes)):
         if all(node.type == attempt[0].type for node in attempt):
             return attempt
-    raise scope.error(syntax, "types differ: " + " and ".join(dict.fromkeys(show(node.type) for node in nodes)))
+    types = dict.fromkeys(show(node.type) for node in nodes)
+    raise scope.error(syntax, "types differ: " + " and ".join(types), [f"{type_} everywhere" for type_ in types])
 
 
 def _list(syntax: Syntax, scope: _Scope) -> Typed:
     if not syntax.parts:
-        raise scope.error(syntax, "an empty list literal has no element type")
+        raise scope.error(syntax, "an empty list literal has no element type", ("size(list) == 0",))
     elements = _common_type(tuple(_check(part, scope) for part in syntax.parts), syntax, scope)
     return ListOf(
         type=ListType(elements[0].type),

@@ -94,6 +94,7 @@ STRING: /"([^"\\\n]|\\.)*"|'([^'\\\n]|\\.)*'/
 %ignore /[ \t\r\n]+/
 """
 
+_MEANT: Final = {"=": "==", "&": "&&", "and": "&&", "|": "||", "or": "||"}  # what other languages write instead
 _ESCAPES: Final = {"\\": "\\", '"': '"', "'": "'", "n": "\n", "r": "\r", "t": "\t"}
 _WORD: Final = re.compile(r"\w{1,40}|.", re.DOTALL)
 _SURROGATE: Final = re.compile(r"[\ud800-\udfff]")
@@ -201,7 +202,7 @@ def parse(source: str) -> Tree:
     Raises:
         ExpressionError: It is longer than `MAX_SOURCE`, nested deeper than `MAX_DEPTH`, or not in the grammar.
     """
-    surrogate = _SURROGATE.search(source)
+    surrogate, valid = _SURROGATE.search(source), tuple[str, ...]()
     if len(source) > MAX_SOURCE:
         column, message = MAX_SOURCE + 1, f"`{len(source)}` characters are too many; at most {MAX_SOURCE}"
     elif surrogate:
@@ -212,15 +213,17 @@ def parse(source: str) -> Tree:
         except _Rejected as fault:
             raise ExpressionError(source=source, column=fault.column, message=str(fault), valid=fault.valid) from None
         except UnexpectedInput as fault:
-            column, message = _explain(source, fault)
-    raise ExpressionError(source=source, column=column, message=message)
+            column, message, valid = _explain(source, fault)
+    raise ExpressionError(source=source, column=column, message=message, valid=valid)
 
 
-def _explain(source: str, fault: UnexpectedInput) -> tuple[int, str]:
+def _explain(source: str, fault: UnexpectedInput) -> tuple[int, str, tuple[str, ...]]:
     token: Any = getattr(fault, "token", None)
     if token is None:  # the lexer found no token at all
         position = fault.pos_in_stream or 0
-        return position + 1, f"unexpected `{_WORD.findall(source, position)[0]}`"
-    if token.type == "$END":
-        return len(source) + 1, "unexpected end"
-    return _column(token), f"unexpected `{token[:40]}`"
+        column, word = position + 1, str(_WORD.findall(source, position)[0])
+    elif token.type == "$END":
+        return len(source) + 1, "unexpected end", ()
+    else:
+        column, word = _column(token), str(token[:40])
+    return column, f"unexpected `{word}`", (_MEANT[word],) if word in _MEANT else ()

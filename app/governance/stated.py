@@ -81,7 +81,7 @@ def read(policy: PolicySet, text: str | None) -> Stated:
     for path, names in ((("order",), shape.order), (("properties",), [promised.id for promised in shape.properties])):
         for index, name in enumerate(names):
             if name in names[:index]:
-                reader.problem((*path, index), f"`{name}` stands twice")
+                reader.problem((*path, index), f"`{name}` stands twice", ("each once",))
     if problems:
         raise PolicyErrors(problems)
     return Stated(order=tuple(shape.order), order_line=document.line(("order",)), properties=tuple(found))
@@ -96,12 +96,12 @@ class _Reader:
 
     def problem(self, path: Path, message: str, valid: Iterable[str] = ()) -> None:
         line, key = self.document.line(path), dotted(path)
-        self.problems.append(PolicyError(file=PROPERTIES, line=line, key=key, message=message, valid=sorted(valid)))
+        self.problems.append(PolicyError(file=PROPERTIES, line=line, key=key, message=message, valid=valid))
 
     def names(self, path: Path, what: str, names: Iterable[str], known: Iterable[str]) -> None:
         for index, name in enumerate(names):
             if name not in known:
-                self.problem((*path, index), f"there is no {what} `{name}`", known)
+                self.problem((*path, index), f"there is no {what} `{name}`", sorted(known))
 
 
 def _property(
@@ -110,7 +110,7 @@ def _property(
     """Return a promise and the pairs it is made for; what it names has to exist, and be able to keep it."""
     path = ("properties", index)
     if not promised.never and promised.always is None and promised.approvers is None:
-        reader.problem(path, f"`{promised.id}` promises nothing", ("never", "always", "approvers"))
+        reader.problem(path, f"`{promised.id}` promises nothing", ("always", "approvers", "never"))
     reader.names((*path, "applies_to"), "capability", promised.applies_to or (), policy.capabilities)
     reader.names((*path, "profiles"), "profile", promised.profiles or (), policy.profiles)
     scope = [name for name in promised.applies_to or sorted(policy.capabilities) if name in policy.capabilities]
@@ -122,7 +122,9 @@ def _property(
     chosen = {(name, profile) for name in kept for profile in promised.profiles or policy.profiles}
     pairs = frozenset(chosen & policy.gates.keys())
     if kept and not pairs:
-        reader.problem((*path, "id"), f"`{promised.id}` is about no enabled pair of capability and profile")
+        message = f"`{promised.id}` is about no enabled pair of capability and profile"
+        enabled = sorted(f"{name} in {profile}" for name, profile in policy.gates if name in kept)
+        reader.problem((*path, "id"), message, enabled)
     return Property(shape=promised, line=reader.document.line(path), pairs=pairs)
 
 

@@ -28,7 +28,8 @@ SEEN_BESIDES = {
     "unknown failure", "unknown threshold", "threshold of another unit", "two thresholds", "else without persist_ms",
     "recovery without capability", "uncovered failures", "no approval", "unknown sensor", "a review without its mode",
     "a review of nothing", "a reference to a file", "a reference to an address", "a reference that is long",
-    "a dialect to be fetched", "an origin of references",
+    "a dialect to be fetched", "an origin of references", "a quantity whose name says no unit",
+    "threshold of another unit, where a limit has it",
 }  # fmt: skip
 
 

@@ -13,11 +13,13 @@ from tests.governance.policy_world import POLICIES, PROFILES, shipped
 
 BROKEN = [
     ("order: [human-shared, moon]\n", 1, "order[1]: there is no profile `moon`; valid: `human-shared`"),
-    ("order: [human-shared, human-shared]\n", 1, "order[1]: `human-shared` stands twice"),
+    ("order: [human-shared, human-shared]\n", 1, "order[1]: `human-shared` stands twice; valid: `each once`"),
     ("order: []\nproperties: [{id: a, says: So.}]\n", 2, "`a` promises nothing; valid: `always`, `approvers`, `never`"),
     ("properties: [{id: a, says: So., never: [allowed], applies_to: [dance]}]\n", 1, "there is no capability `dance`"),
     ("properties: [{id: a, says: So., never: [allowed], profiles: [moon]}]\n", 1, "there is no profile `moon`"),
     ("properties: [{id: a, says: So., never: [allowed], when: target.weight > 1.0}]\n", 1, "no field `weight`"),
+    ("properties: [{id: a, says: So., never: [allowed], when: place.name == 'dok'}]\n", 1,
+     "properties[0].when: column 12: `dok` is compared with what is never that (for `grasp_object`); valid: `dock`, "),
     ("properties: [{id: a, says: So., always: params.force_n <= 1.0, applies_to: [navigate_to]}]\n", 1,
      "properties[0].always: column 8: "),
     ("properties:\n  - {id: a, says: So., nevr: [allowed]}\n", 2, "unknown key `nevr`"),
@@ -40,7 +42,10 @@ def test_says_that_no_enabled_pair_is_left_to_a_promise() -> None:
     gone = {pair: gate for pair, gate in policy.gates.items() if pair != ("grasp_object", "human-shared")}
     text = "properties: [{id: a, says: So., never: [allowed], applies_to: [grasp_object], profiles: [human-shared]}]\n"
     assert read(policy, text).properties[0].pairs == {("grasp_object", "human-shared")}
-    with pytest.raises(PolicyErrors, match="`a` is about no enabled pair of capability and profile"):
+    with pytest.raises(
+        PolicyErrors,
+        match="`a` is about no enabled pair of capability and profile; valid: `grasp_object in real-restricted`",
+    ):
         read(replace(policy, gates=gone), text)
 
 
