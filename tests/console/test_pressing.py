@@ -69,6 +69,7 @@ def test_an_approval_pressed_twice_on_a_phone_rolls_nothing_back(
     person = people.sit(server, size=PHONE)
     rolled_back = listed(person, "/rollback")
     asked = floor.ask()
+    person.button("Read it first").tap()
     person.twice(person.button(re.compile("^Approve")), after_ms)
     expect(person.button(re.compile("^Approve"))).to_have_count(0)
     expect(person.button("Pause")).to_be_enabled()
