@@ -4,7 +4,7 @@ import { deniedWords } from '../src/lib/format/denied';
 import { inVainOn } from '../src/lib/live/control';
 import { spares } from '../src/lib/live/grants';
 import { sessionSays } from '../src/lib/live/said';
-import { inSight, Sight } from '../src/lib/live/sight.svelte';
+import { inSight, READ_MS, Sight } from '../src/lib/live/sight.svelte';
 import { cell, escalation, event, invocation } from './samples';
 
 describe('an approval that would come to nothing', () => {
@@ -91,17 +91,27 @@ describe('what is asked', () => {
     expect([[true, 45, 44.4], [true, 45, 43], [false, 45, 45], [true, 800, 300], [true, 800, 200]].map(([meets, whole, shown]) => inSight(meets as boolean, whole as number, shown as number, 500))).toEqual([true, false, false, true, false]);
   });
 
-  it('has been read once all of it was on the screen, and while some of it is', () => {
+  it('has been read once all of it was on the screen for a while, and while some of it is', () => {
+    vi.useFakeTimers();
     const made = sight();
+    const look = (at: Element, ms: number): void => {
+      made.note(at, true);
+      vi.advanceTimersByTime(ms);
+    };
     expect([made.read, made.unread]).toEqual([false, [reasons, values]]);
-    made.note(reasons, true);
+    look(reasons, READ_MS);
+    expect([made.read, made.unread]).toEqual([false, [values]]);
+    look(values, READ_MS / 2); // no longer than until the answers stand before it
+    made.note(values, false);
+    vi.advanceTimersByTime(READ_MS);
     expect([made.read, made.unread]).toEqual([false, [values]]);
     made.note(reasons, false);
-    made.note(values, true);
+    look(values, READ_MS);
     expect([made.read, made.unread]).toEqual([true, []]);
     made.note(values, false);
     expect(made.read).toBe(false);
     made.note(reasons, true);
     expect(made.read).toBe(true);
+    vi.useRealTimers();
   });
 });

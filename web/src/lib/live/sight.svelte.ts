@@ -7,6 +7,9 @@ const ROUNDED_PX = 1;
 /** An observer speaks at shares of what it watches: these are near enough to tell pixels of a long line by. */
 const SHARES = [...Array.from({ length: 41 }, (_, k) => k / 40), 0.985, 0.995];
 
+/** What was there for a moment alone, before the answers took their place or as one scrolled past, was read by nobody. */
+export const READ_MS = 300;
+
 const FOLLOWS = 4; // Node.DOCUMENT_POSITION_FOLLOWING
 
 interface Part {
@@ -20,9 +23,10 @@ export function inSight(meets: boolean, wholePx: number, shownPx: number, screen
   return meets && shownPx >= (wholePx > screenPx ? OF_SCREEN * screenPx : wholePx - ROUNDED_PX);
 }
 
-/** Whether what is asked could be read where it stands: all its parts were on the screen, and one of them still is. */
+/** Whether what is asked could be read where it stands: all its parts were on the screen for a while, and one of them still is. */
 export class Sight {
   private parts = $state.raw<readonly Part[]>([]);
+  private readonly reading = new WeakMap<Element, ReturnType<typeof setTimeout>>();
 
   get read(): boolean {
     return this.parts.every((part) => part.seen) && this.parts.some((part) => part.here);
@@ -45,12 +49,19 @@ export class Sight {
     seen.observe(element);
     return () => {
       seen.disconnect();
+      clearTimeout(this.reading.get(element));
       this.parts = this.parts.filter((part) => part.element !== element);
     };
   }
 
   /** Notes whether enough of a part is on the screen. */
   note(element: Element, here: boolean): void {
-    this.parts = this.parts.map((part) => (part.element === element ? { element, here, seen: part.seen || here } : part));
+    clearTimeout(this.reading.get(element));
+    if (here) this.reading.set(element, setTimeout(() => this.put(element, { seen: true }), READ_MS));
+    this.put(element, { here });
+  }
+
+  private put(element: Element, change: Partial<Part>): void {
+    this.parts = this.parts.map((part) => (part.element === element ? { ...part, ...change } : part));
   }
 }

@@ -29,11 +29,14 @@ export interface Path {
   points: [number, number][];
 }
 
-type FrameListener = (frame: PoseFrame) => void;
+/** `told`: the numbers of this frame are those that are shown as text, everywhere on the page. */
+type FrameListener = (frame: PoseFrame, told: boolean) => void;
 
 const OFF: Health = { state: 'connecting', rttMs: null, framesPerS: 0, why: '' };
 const LOOK_MS = 1_000;
 const QUIET_LOOK_MS = 100;
+/** Numbers that change faster are read by nobody. */
+const TOLD_MS = 150;
 /** What a cell was told it has said itself by then, unless it is not heard; and how often that is looked for. */
 const SHOWN_MS = 5_000;
 const LOOK_AT_MS = 20;
@@ -95,6 +98,7 @@ export class Console {
   private policyTurn = 0;
   private policyAgain: ReturnType<typeof setTimeout> | undefined;
   private frameListeners: readonly FrameListener[] = [];
+  private toldMs = -Infinity;
   /** What the server said last; `docs` follows as fast as the page can draw it. */
   private latest: Documents = NOTHING;
   private readonly pace = new Pace(() => this.draw());
@@ -180,6 +184,7 @@ export class Console {
 
   select(cell: string): void {
     this.selected = cell;
+    this.toldMs = -Infinity;
     sessionStorage.setItem('reins.cell', cell);
     this.watch();
   }
@@ -256,7 +261,10 @@ export class Console {
     this.quiet.frame();
     this.quietly = false;
     this.arrived = true;
-    this.frameListeners.forEach((listen) => listen(frame));
+    const nowMs = performance.now();
+    const told = nowMs - this.toldMs >= TOLD_MS;
+    if (told) this.toldMs = nowMs;
+    this.frameListeners.forEach((listen) => listen(frame, told));
   }
 
   private take(message: Down): void {
