@@ -26,6 +26,7 @@ from playwright.sync_api import (
     Page,
     Playwright,
     Route,
+    TimeoutError,
     expect,
     sync_playwright,
 )
@@ -61,6 +62,7 @@ FLAGS = (
     f"--disable-features={','.join(OFF)}",
 )
 PATIENCE_MS = 30_000
+TAPS, TAKEN_MS = 3, 5_000
 expect.set_options(timeout=PATIENCE_MS)
 
 DESK = {"width": 1440, "height": 900}
@@ -122,6 +124,20 @@ class Person:
         """Bring a button into sight, and tap it when it takes a press: out of sight none does that has just come."""
         button.scroll_into_view_if_needed()
         button.tap()
+
+    def sends(self, path: str, button: Locator) -> Any:
+        """Tap as people do, until a request goes to `path`; returns its body.
+
+        What the page moves takes no finger for a moment, and one that a busy browser hears late is no tap to it.
+        """
+        for _ in range(TAPS):
+            try:
+                with self.page.expect_request(path, timeout=TAKEN_MS) as sent:
+                    self.tap(button)
+            except TimeoutError:
+                continue
+            return sent.value.post_data_json
+        pytest.fail(f"{TAPS} taps of {button}, and nothing went to {path}")
 
     def twice(self, button: Locator, after_ms: int) -> dict[str, float]:
         """Press twice in the same place, whatever stands there by the second time; returns where that was."""

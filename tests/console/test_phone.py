@@ -63,14 +63,11 @@ def test_a_stop_is_left_in_two_steps_on_the_fleet_page(server: ServerProcess, pe
     expect(card.get_by_label("Profile")).to_be_focused()  # what goes gives the focus back
     card.get_by_role("button", name="Emergency stop of workcell-1").tap()
     expect(card.get_by_text("workcell-1 is latched")).to_be_visible()
-    with person.page.expect_request("**/v1/cells/workcell-1/reset") as first:
-        person.tap(card.get_by_role("button", name="Reset…"))
-    assert first.value.post_data_json == {"step": "arm"}
+    assert person.sends("**/v1/cells/workcell-1/reset", card.get_by_role("button", name="Reset…")) == {"step": "arm"}
     assert server.cell()["latched"] is True
     expect(card.get_by_role("button", name="Keep stopped")).to_be_focused()
-    with person.page.expect_request("**/v1/cells/workcell-1/reset") as second:
-        person.tap(card.get_by_role("button", name="Yes, reset the stop"))
-    assert (second.value.post_data_json or {})["step"] == "confirm"
+    second = person.sends("**/v1/cells/workcell-1/reset", card.get_by_role("button", name="Yes, reset the stop"))
+    assert second["step"] == "confirm"
     expect(card.get_by_role("button", name="Emergency stop of workcell-1")).to_be_visible()
     assert server.cell()["latched"] is False
 
