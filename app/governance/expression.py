@@ -70,7 +70,12 @@ _ADDING: Final = frozenset({"+", "-"})
 _MATCHING: Final = frozenset({"==", "!=", "in"})
 _SCALING: Final = frozenset({"*", "/"})
 _OF_A_SET: Final = ("x in set", "set.exists(x, condition on x)", "set.all(x, condition on x)", "size(set)")
-_COUNTS: Final = frozenset({"size", ".size", "!_", ".startsWith", ".endsWith", ".contains"})
+_PARTS: Final[Mapping[str, Callable[[str, str], bool]]] = {
+    ".startsWith": str.startswith,
+    ".endsWith": str.endswith,
+    ".contains": str.__contains__,
+}
+_COUNTS: Final = frozenset({"size", ".size", "!_", *_PARTS})
 
 
 # Variables -----------------------------------------------------------------------------------------------------------
@@ -307,6 +312,8 @@ def _unit(symbol: str, args: tuple[Typed, ...], syntax: Syntax, scope: _Scope) -
         if symbol in _MATCHING:
             _refuse_strangers(args, syntax, scope)
         return unit if symbol in _SUMS else None
+    if symbol in _PARTS:
+        _refuse_no_part(symbol, args, syntax, scope)
     if symbol == "*" and isinstance(args[0], Constant):
         return args[1].unit
     if symbol in _SCALING and not isinstance(args[1], Constant):
@@ -340,6 +347,17 @@ def _refuse_strangers(args: Sequence[Typed], syntax: Syntax, scope: _Scope) -> N
                 message = f"`{literal.value}` is compared with what is never that"
                 empty = ['""'] if "" in among else []  # a name that nothing has; it is nobody's misspelling
                 raise scope.error(syntax, message, [*_nearest(str(literal.value), sorted(among - {""})), *empty])
+
+
+def _refuse_no_part(symbol: str, args: Sequence[Typed], syntax: Syntax, scope: _Scope) -> None:
+    """Refuse to look in a text that is one of a few for what none of them has: `target.name.startsWith('mgu')`."""
+    among = _among(args[0], scope)
+    if among is None:
+        return
+    for part in map(str, (literal.value for literal in _literals(args[1]))):
+        if not any(_PARTS[symbol](name, part) for name in among):
+            message = f"nothing that it can be has `{part}` there"
+            raise scope.error(syntax, message, _nearest(part, sorted(among - {""})))
 
 
 def _literals(node: Typed) -> Iterator[Constant]:
