@@ -151,13 +151,17 @@ class Session(Governing):
         steering = self.steering
         if steering is None:
             return None
-        skill = self.run.skill
-        of_skill = skill.refused if isinstance(skill, Steered) and self.run.doing is Doing.TAKEOVER else ""
-        return steering.number, steering.stopped_by or steering.refused or of_skill
+        return steering.number, steering.stopped_by or self._undone(steering)
 
     @property
     def _tick(self) -> int:
         return self._ports.recorder.tick
+
+    def _undone(self, steering: Steering) -> str:
+        """Return why the newest command is not done, of the rules or of the robot itself; empty where it is."""
+        skill = self.run.skill
+        of_robot = skill.refused if isinstance(skill, Steered) and self.run.doing is Doing.TAKEOVER else ""
+        return steering.refused or of_robot
 
     def _steering(self, grant: Grant, plan: WatchPlan, *, alone: bool) -> Steering:
         return Steering(grant=grant, plan=plan, alone=alone, period_s=self._substrate.period_s)
@@ -186,9 +190,10 @@ class Session(Governing):
     def _note(self, steering: Steering) -> None:
         """Record what is wanted where it is something new: before it moves anything, and not at every command."""
         wish = steering.wish(self._tick)
-        if steering.news(self._tick):
+        undone = self._undone(steering)
+        if steering.news(self._tick, undone):
             try:
-                self._tell(telling.jog(self.run.id, steering.actor, steering.number, wish, steering.refused))
+                self._tell(telling.jog(self.run.id, steering.actor, steering.number, wish, undone))
             except JournalUnavailable:
                 steering.rest()
                 self.end(End(Outcome.FAULT, "journal_unavailable", 1))

@@ -96,9 +96,9 @@ class Steering:
             self.rest()
         return news
 
-    def news(self, tick: int) -> bool:
-        """Say whether what is wanted differs in kind from what was told last, and it may be told again by now."""
-        kind = (*(_sign(value) for value in (*self._wish.base, *self._wish.tool)), self._wish.grip, self.refused)
+    def news(self, tick: int, undone: str) -> bool:
+        """Say whether what is wanted, or why it is not done, is another kind of thing than was told last, and due."""
+        kind = (*(_sign(value) for value in (*self._wish.base, *self._wish.tool)), self._wish.grip, undone)
         if kind == (self._told or _AT_FIRST) or tick < self._tell_again:
             return False
         self._told, self._tell_again = kind, tick + round(TELL_EVERY_MS / (1000.0 * self.period_s))

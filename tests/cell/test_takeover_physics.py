@@ -262,6 +262,7 @@ def test_a_base_that_has_met_something_stops_pushing_and_says_so(tmp_path: Path,
     assert refused(shop) == why, shop.story()
     console.hold(ahead, 60)
     assert refused(shop) == why
+    assert why in {body["refused"] for body in shop.of("human") if body["op"] == "jog"}, shop.story()
     held = shop.runner.session
     assert held is not None
     assert held.run.previous.base_velocity == (0.0, 0.0, 0.0)

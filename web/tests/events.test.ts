@@ -65,6 +65,7 @@ describe('what a person orders', () => {
     expect(echo('pause', null)).toBe('workcell-1 obeys: pause');
     expect(echo('rollback', 'rollback_unavailable')).toBe('workcell-1 does not obey: rollback, there is nothing to go back to, or it was tried already');
     expect(echo('resume', 'new_code')).toBe('workcell-1 does not obey: resume, new code');
+    expect(echo('jog', 'blocked')).toBe('workcell-1 does not obey: drive by hand, the base has met something');
     expect(echo('let_go', null)).toBe('workcell-1 is at rest again');
   });
 

@@ -196,6 +196,10 @@ const UNDONE: Record<string, string> = {
   not_taken_over: 'nobody has the controls',
   needs_authorization: 'it takes a new authorization',
   ending: 'it is coming to its end',
+  blocked: 'the base has met something',
+  unreachable: 'the arm does not reach there',
+  separation: 'a person is too near',
+  zone: 'a forbidden zone is too near',
 };
 
 const ORDERS: Record<string, string> = {
@@ -219,7 +223,7 @@ const ORDERS: Record<string, string> = {
 const OF_THE_CELL: ReadonlySet<string> = new Set(['jog', 'let_go', 'confirm', 'end_takeover']);
 
 function echo(op: string, body: Body, event: LogEvent): Line | null {
-  const order = op.replaceAll('_', ' ');
+  const order = op === 'jog' ? 'drive by hand' : op.replaceAll('_', ' ');
   const refused = str(body['refused']);
   if (refused !== '') return line('refused', 'warn', ` does not obey: ${order}, ${entryOf(UNDONE, refused) ?? refused.replaceAll('_', ' ')}`, event.actor);
   if (body['done'] === false) return line('refused', 'warn', ` does not obey: ${order}`, event.actor);
@@ -236,7 +240,7 @@ function human(body: Body, event: LogEvent): Line {
 function launch(body: Body): Line {
   const refused = str(body['refused']);
   if (refused !== '') return line('refused', 'danger', ` ${refused.replaceAll('_', ' ')}`, 'Launch refused:');
-  return line('dot', 'plain', `Launched under ${str(body['permit']).replace(/^auth_/, '').slice(-6)}`);
+  return line('dot', 'plain', `Launched under authorization …${str(body['permit']).slice(-6)}`);
 }
 
 /** What ends a session of which no failure tells: what befell its cell, or whoever drove it. */
