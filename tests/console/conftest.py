@@ -410,8 +410,8 @@ def people(request: pytest.FixtureRequest) -> Iterator[People]:
     """Who sits down at a console; they have left before the floor is cleared, so no page says a stop once more then."""
     if "floor" in request.fixturenames:
         request.getfixturevalue("floor")
-    flat = request.node.get_closest_marker("flat") is not None
-    made = People(request.getfixturevalue("flat_browser" if flat else "browser"))
+    drawn = request.node.get_closest_marker("drawn") is not None
+    made = People(request.getfixturevalue("browser" if drawn else "flat_browser"))
     yield made
     assert made.leave() == []
 

@@ -90,6 +90,7 @@ def views(person: Person, floor: Floor, trace: str) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("size", [DESK, DESK_SMALL, PHONE, SIDEWAYS], ids=["desk", "1280", "phone", "sideways"])
+@pytest.mark.drawn
 def test_axe_finds_nothing_on_any_page_in_dark_and_light(
     server: ServerProcess, people: People, floor: Floor, axe: str, trace: str, size: dict[str, int]
 ) -> None:
@@ -108,6 +109,7 @@ def test_axe_finds_nothing_on_any_page_in_dark_and_light(
 
 
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+@pytest.mark.drawn
 def test_axe_finds_nothing_on_what_is_greyed_out(
     server: ServerProcess, people: People, floor: Floor, axe: str, size: dict[str, int]
 ) -> None:

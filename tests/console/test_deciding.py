@@ -21,7 +21,7 @@ from tests.console.conftest import (
     wider_than_the_screen,
 )
 
-pytestmark = [pytest.mark.browser, pytest.mark.process, pytest.mark.flat]
+pytestmark = [pytest.mark.browser, pytest.mark.process]
 
 
 def card(person: Person, title: str = "Grasp mug_1") -> Locator:

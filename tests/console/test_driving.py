@@ -257,6 +257,7 @@ def test_a_session_is_taken_over_and_ended_by_keyboard_alone(
     expect(panel).to_be_focused()
 
 
+@pytest.mark.drawn
 def test_on_a_small_desk_the_way_back_is_named_and_the_legend_keeps_out_of_the_picture(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
@@ -435,6 +436,7 @@ def test_a_session_is_paused_by_a_button_while_the_controls_are_offered_or_someb
 
 
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+@pytest.mark.drawn
 def test_whoever_drives_sees_the_robot_above_the_pad(
     server: ServerProcess, people: People, floor: Floor, size: dict[str, int]
 ) -> None:

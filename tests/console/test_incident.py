@@ -168,6 +168,7 @@ def test_five_at_once_are_sorted_counted_and_told_in_two_sentences(
     ]
 
 
+@pytest.mark.drawn
 def test_of_two_cells_each_part_of_the_page_names_its_own(
     server: ServerProcess, people: People, incident: Incident
 ) -> None:
@@ -303,6 +304,7 @@ def test_a_stop_that_only_the_socket_carries_is_confirmed_by_its_record(server: 
     assert server.post("/v1/cells/workcell-2/reset").is_success
 
 
+@pytest.mark.drawn
 def test_the_trace_of_another_cell_is_drawn_and_the_stop_stays_where_it_is(
     server: ServerProcess, people: People
 ) -> None:
@@ -446,6 +448,7 @@ def test_a_stop_on_the_fleets_page_stays_where_it_is_when_a_banner_comes(
     person.page.evaluate("location.hash = '#/fleet'")
     button = person.button("Emergency stop of workcell-2")
     expect(button).to_be_visible()
+    person.page.wait_for_timeout(600)  # what it says in its first half second scrolls nothing: it is read from its top
     stands = box(button)
     try:
         server.post("/v1/cells/workcell-1/estop", key="operator_2")

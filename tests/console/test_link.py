@@ -21,7 +21,7 @@ from tests.conftest import ServerProcess, Servers, until
 from tests.console.conftest import THREE_FRAMES, Floor, People
 from tests.console.wire import Wire, wire_to
 
-pytestmark = [pytest.mark.browser, pytest.mark.process, pytest.mark.flat]
+pytestmark = [pytest.mark.browser, pytest.mark.process]
 
 # Counted in the page: the moment the wire went is the last one in which frames were drawn.
 SAYS_SO = """() => new Promise((resolve, reject) => {

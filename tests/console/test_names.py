@@ -13,7 +13,7 @@ from playwright.sync_api import expect
 from tests.conftest import ServerProcess, Servers
 from tests.console.conftest import DESK, PHONE, ROOT, Floor, People, wider_than_the_screen
 
-pytestmark = [pytest.mark.browser, pytest.mark.process, pytest.mark.flat]
+pytestmark = [pytest.mark.browser, pytest.mark.process]
 MUG = "calibration_weight_holder_mug_0001"
 GLASS = "borosilicate_measuring_glass_with_spout_0042"
 # Whatever stands out of its own box, and so over what is beside it.

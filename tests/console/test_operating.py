@@ -114,6 +114,7 @@ def test_a_stop_is_pressed_from_anywhere_and_left_in_two_steps(
     assert floor.base() == pytest.approx(stood, abs=0.1)  # a drive would have gone on by metres
 
 
+@pytest.mark.drawn
 def test_one_of_two_gets_the_controls_drives_by_keyboard_and_ends_it(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
@@ -143,6 +144,7 @@ def test_one_of_two_gets_the_controls_drives_by_keyboard_and_ends_it(
     assert server.cell()["control"] is None
 
 
+@pytest.mark.drawn
 def test_a_session_taken_over_goes_on_when_it_is_handed_back(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

@@ -33,6 +33,7 @@ def says(person: Person) -> Locator:
     return person.page.locator("header .says")
 
 
+@pytest.mark.drawn
 def test_a_session_is_paused_resumed_and_rolled_back_by_touch(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

@@ -10,7 +10,7 @@ from playwright.sync_api import Locator, expect
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import DESK, PHONE, Floor, People, Person, at_once, box, stop
 
-pytestmark = [pytest.mark.browser, pytest.mark.process, pytest.mark.flat, pytest.mark.usefixtures("free_again")]
+pytestmark = [pytest.mark.browser, pytest.mark.process, pytest.mark.usefixtures("free_again")]
 # An ear for the commands that the page hands to its link.
 LISTENING = """
     window.jogs = [];

@@ -79,6 +79,7 @@ def hostile(server: ServerProcess, name: str) -> None:
     assert server.post("/v1/invocations", body, key="agent").json()["status"] == "rejected"
 
 
+@pytest.mark.drawn
 def test_what_cannot_be_shown_or_read_says_so_and_everything_else_goes_on(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
@@ -147,6 +148,7 @@ def test_the_list_of_keys_shows_arrows_as_arrows(server: ServerProcess, people: 
     expect(person.page.get_by_role("link", name="Fleet")).to_have_attribute("aria-current", "page")
 
 
+@pytest.mark.drawn
 def test_a_trace_follows_its_session_and_is_scrubbed_with_its_events(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

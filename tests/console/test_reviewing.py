@@ -14,7 +14,7 @@ from tests.conftest import ServerProcess, until
 from tests.console.conftest import PHONE, THREE_FRAMES, Floor, People, Person
 from tests.console.wire import wire_to
 
-pytestmark = [pytest.mark.browser, pytest.mark.process, pytest.mark.flat]
+pytestmark = [pytest.mark.browser, pytest.mark.process]
 CELL = "/v1/cells/workcell-1"
 BROKEN = r"WebSocket connection|ERR_CONNECTION|ERR_EMPTY_RESPONSE|ERR_FAILED|Failed to load resource"
 

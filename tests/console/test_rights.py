@@ -19,7 +19,7 @@ from app.governance.model import Role
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import PHONE, Floor, People, far, insist, stop
 
-pytestmark = [pytest.mark.browser, pytest.mark.process, pytest.mark.flat]
+pytestmark = [pytest.mark.browser, pytest.mark.process]
 ANSWERS = re.compile("^(Approve|Deny|I have seen it|Let it go on|Go on once|End it|No, roll)")
 CONTROLS = re.compile("^(Pause|Resume|Roll back|Take over|Take the controls|Drive from here|Revoke|Reset)")
 

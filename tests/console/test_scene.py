@@ -88,6 +88,7 @@ def crossed(built: None, tmp_path: Path) -> Iterator[ServerProcess]:
         servers.end()
 
 
+@pytest.mark.drawn
 def test_who_comes_to_a_robot_that_holds_sees_the_violated_distance_in_red(
     approached: ServerProcess, people: People
 ) -> None:
@@ -106,6 +107,7 @@ def test_who_comes_to_a_robot_that_holds_sees_the_violated_distance_in_red(
 
 
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+@pytest.mark.drawn
 def test_whom_the_watcher_holds_is_paused_to_stay_and_resumed_only_then(
     crossed: ServerProcess, people: People, size: dict[str, int]
 ) -> None:
@@ -124,6 +126,7 @@ def test_whom_the_watcher_holds_is_paused_to_stay_and_resumed_only_then(
 
 
 @pytest.mark.parametrize("theme", ["dark", "light"])
+@pytest.mark.drawn
 def test_the_cell_is_drawn_and_drawn_again_after_the_graphics_were_lost(
     server: ServerProcess, people: People, floor: Floor, theme: str
 ) -> None:
@@ -138,12 +141,12 @@ def test_the_cell_is_drawn_and_drawn_again_after_the_graphics_were_lost(
     assert scene.locator("canvas").count() == 1
 
 
+@pytest.mark.drawn
 def test_on_a_phone_the_cell_is_drawn_too(server: ServerProcess, people: People, floor: Floor) -> None:
     person = people.sit(server, size=PHONE)
     until(lambda: drawn(person) > MUCH, what="a cell that is drawn")
 
 
-@pytest.mark.flat
 def test_a_browser_without_3d_says_so_and_shows_the_rest(server: ServerProcess, people: People, floor: Floor) -> None:
     person = people.sit(server)
     drive, scene = floor.drive_off(), person.region("The cell in 3D")

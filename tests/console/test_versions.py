@@ -18,7 +18,7 @@ from tests.conftest import ServerProcess, Servers, until
 from tests.console.conftest import PHONE, ROOT, THREE_FRAMES, People, Person, at_once, wider_than_the_screen
 from tests.console.test_access import AXE, faults
 
-pytestmark = [pytest.mark.browser, pytest.mark.process, pytest.mark.flat]
+pytestmark = [pytest.mark.browser, pytest.mark.process]
 FIRMER = "grip_force_n: {max: 70,"
 SHIPPED = "grip_force_n: {max: 60,"
 PROFILE = "profiles/human-shared.yaml"
