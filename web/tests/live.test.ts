@@ -1,6 +1,6 @@
 import { describe, expect, it } from 'vitest';
 import type { Escalation, Invocation, LogEvent, Risk } from '../src/lib/api/documents';
-import { gaugesFor, readGauge, unfinished, type GaugeSpec } from '../src/lib/live/gauges';
+import { gaugesFor, noneOf, readGauge, unfinished, type GaugeSpec } from '../src/lib/live/gauges';
 import { History } from '../src/lib/live/history';
 import { closingOf } from '../src/lib/live/closed';
 import { handsOn, holdersOf, lossOf, pausedWords, pauseEndedOf, pauserOf, refusalWords, restraintsOf, unreachedWords } from '../src/lib/live/control';
@@ -163,6 +163,8 @@ describe('a gauge', () => {
   it('claims nothing where something is not known', () => {
     expect(readGauge(least, names, [NaN, 0.2])).toEqual({ value: expect.closeTo(0.2) as number, limit: null, beyond: false, near: false });
     expect(readGauge(least, ['b'], [1]).value).toBeNull();
+    const near = (people_count: number, online = true): (string | null)[] => gaugesFor(null, false).map((spec) => noneOf(spec, cell({ online, facts: { people_count } })));
+    expect([near(0)[0], near(0)[1], near(1)[0], near(0, false)[0], noneOf(gaugesFor(null, false)[0] ?? least, null)]).toEqual(['nobody seen', null, null, null, null]);
   });
 });
 

@@ -1,4 +1,4 @@
-import type { Invocation } from '../api/documents';
+import type { Cell, Invocation } from '../api/documents';
 import { number } from '../format/quantity';
 
 /** A gauge as it is drawn: its newest value, its limit, and on which side of it things are wrong. */
@@ -64,6 +64,11 @@ export function valueText(spec: GaugeSpec, value: number | null): string {
   if (value === null) return '–';
   if (spec.unit === '%') return String(Math.round(value * 100));
   return spec.unit === 'N' && Math.abs(value) < 100 ? value.toFixed(1) : number(value, spec.unit); // a digit that comes and goes flickers
+}
+
+/** Says why a gauge of a cell has nothing to measure; null where that is not known. */
+export function noneOf(spec: GaugeSpec, cell: Pick<Cell, 'online' | 'facts'> | null): string | null {
+  return spec.key === SEPARATION.key && cell?.online === true && cell.facts?.people_count === 0 ? 'nobody seen' : null;
 }
 
 export function limitText(spec: GaugeSpec, limit: number | null): string {
