@@ -73,7 +73,8 @@ PLANTS = [
     Plant("a number beyond its own range",
           rule("id: never, applies_to: [inspect_area], when: params.dwell_s > 10.0, then: escalate"), Kind.DEAD, "organization/never"),
     Plant("a text that no object has",
-          rule("id: never, applies_to: [grasp_object], when: 'target.kind.startsWith(\"tea\")', then: deny"), Kind.DEAD, "organization/never"),
+          rule("id: never, applies_to: [grasp_object], when: 'target.kind.startsWith(\"mu\") && target.kind.endsWith(\"tle\")', then: deny"),
+          Kind.DEAD, "organization/never"),
     Plant("a profile it can never be in",
           rule("id: never, profiles: [sim-relaxed], when: profile.shared_floor, then: deny"), Kind.DEAD, "organization/never"),
     Plant("it sets nothing where it applies", rule(
