@@ -27,6 +27,7 @@ from app.api.problems import Problem
 from app.audit.archive import reading
 from app.audit.places import Places
 from app.governance.model import Role
+from app.governance.policy_model import GOVERNANCE
 from app.runtime.drafts import SERVER
 from app.runtime.invocation import Principal
 
@@ -53,7 +54,7 @@ FIRST_PRINCIPALS: tuple[tuple[str, str, Role], ...] = (
     ("auditor", "auditor", Role.AUDITOR),
 )
 CELL_NAME = "cell"
-MACHINES = frozenset({SERVER, CELL_NAME})  # what the record calls those who are nobody
+MACHINES = frozenset({SERVER, CELL_NAME, GOVERNANCE})  # what the record calls those who are nobody
 
 
 class PrincipalsUnreadable(Exception):

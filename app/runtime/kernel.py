@@ -38,7 +38,6 @@ from app.governance.model import (
 )
 from app.governance.permit import mint
 from app.governance.policy import confirm_before
-from app.governance.policy_model import GOVERNANCE
 from app.governance.recorded import KEY as CIRCUMSTANCES
 from app.governance.recorded import circumstances
 from app.protocol import Launch
@@ -298,13 +297,13 @@ class Kernel:
         return dict(found)
 
     def judge(
-        self, proposal: Proposal, agent: str, cell: Cell | None, *, within: Invocation | None = None
+        self, proposal: Proposal, agent: str | None, cell: Cell | None, *, within: Invocation | None = None
     ) -> Judgement:
         """Decide on a proposal with everything known now.
 
         Args:
             proposal: what is proposed.
-            agent: by whom; `GOVERNANCE` for what nobody may propose.
+            agent: by whom; None: by governance itself, which is no name that somebody could bear.
             cell: where.
             within: the session that has the cell, where the proposal is about that very session: it keeps its profile,
                 and is not in its own way.
@@ -315,7 +314,7 @@ class Kernel:
         context = Context(
             time_s=self._register.now_s(),
             profile=profile,
-            agent=policy.governance() if agent == GOVERNANCE else policy.agent(agent),
+            agent=policy.governance() if agent is None else policy.agent(agent),
             cell=facts if within is None else replace(facts, busy=None),
             operator_on_duty=self.operator_on_duty,
             grants=self.standing(cell),

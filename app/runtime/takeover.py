@@ -18,7 +18,6 @@ from app.governance.authority import refusal
 from app.governance.control import TAKEOVER, Claim, Control, Taking, Where, command, take
 from app.governance.model import SESSION, AuthorityMode, EventKind, Proposal, Role, Status, Wish
 from app.governance.policy import watch_plan
-from app.governance.policy_model import GOVERNANCE
 from app.protocol import Jog
 from app.runtime.drafts import SERVER
 from app.runtime.errors import Conflict
@@ -104,7 +103,7 @@ class Takeovers(Handbacks):
         self._allow_takeover(self.fleet.profile(cell))
         self._reachable(cell, "")
         params = self._alone(cell)
-        judgement = self.kernel.judge(Proposal(capability=TAKEOVER, params=params), GOVERNANCE, cell)
+        judgement = self.kernel.judge(Proposal(capability=TAKEOVER, params=params), None, cell)
         _held_to(judgement)
         name = self.kernel.identities.make("inv")
         before, _ = self._take(cell, principal, name)
@@ -160,7 +159,7 @@ class Takeovers(Handbacks):
                 raise Conflict("takeover_refused", f"the controls of `{cell.id}` were let go of meanwhile")
             params = self._as_in(cell, present)
             proposal = Proposal(capability=TAKEOVER, params=params)
-            judgement = self.kernel.judge(proposal, GOVERNANCE, cell, within=present)
+            judgement = self.kernel.judge(proposal, None, cell, within=present)
             _held_to(judgement)
             driving = replace(present, capability=TAKEOVER, effective=judgement.effective(params))
             where, document = cell.control.where, cell.control_document() or {}

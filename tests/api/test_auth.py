@@ -185,6 +185,7 @@ async def test_a_withdrawal_that_breaks_the_file_stands_in_healthz_until_it_can_
         '{"principals": [{"name": "x", "role": "agent", "sha256": "00", "expires_at": 0}]}',
         '{"principals": [{"name": "x", "role": "agent", "sha256": "00", "expires_at": "9999-12-31T23:59:59-23:00"}]}',
         '{"principals": [{"name": "server", "role": "operator", "sha256": "00", "expires_at": null}]}',
+        '{"principals": [{"name": "governance", "role": "agent", "sha256": "00", "expires_at": null}]}',
     ],
 )
 def test_does_not_start_on_principals_it_cannot_read(tmp_path: Path, content: str) -> None:
@@ -205,6 +206,8 @@ def test_refuses_to_issue_a_token_for_no_name(tmp_path: Path, name: str) -> None
     [
         ("server", "a machine"),
         ("Server", "a machine"),
+        ("governance", "a machine"),
+        ("Governance", "a machine"),
         ("workcell-7", "a machine"),
         ("WorkCell-7", "a machine"),
         ("operator", "the role `operator` already"),

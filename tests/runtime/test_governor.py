@@ -43,6 +43,14 @@ async def kinds(runtime: Runtime, invocation: str) -> list[str]:
 # -- the pipeline ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("name", ["planner", "governance"])
+async def test_no_agent_proposes_what_recovers_whatever_its_name_is(runtime: Runtime, cell: HandCell, name: str) -> None:
+    retreat = ProposalRequest(capability="safe_retreat", params={})
+    document, _ = await runtime.governor.propose(replace(AGENT, name=name), retreat)
+    assert document["status"] == "rejected"
+    assert [reason["code"] for reason in document["admission"]["reasons"]] == ["recovery_only"]
+
+
 async def test_launches_what_needs_no_approval(runtime: Runtime, cell: HandCell) -> None:
     document, created = await runtime.governor.propose(AGENT, navigate())
     assert created
