@@ -11,7 +11,7 @@ import orjson
 import typer
 
 from app.audit.checkpoint import NoteInvalid, parse_verifier
-from app.audit.errors import RecordDamaged, RecordUnreadable
+from app.audit.errors import EventUnreadable, RecordDamaged, RecordUnreadable
 from app.terminal import FINDING, MISUSE, out, say, say_error
 
 if TYPE_CHECKING:
@@ -80,7 +80,8 @@ def show(
     if not events:
         say_error(f"nothing is recorded under `{invocation}`")
         raise typer.Exit(FINDING)
-    _print(events)
+    if not _print(events):
+        raise typer.Exit(FINDING)
 
 
 @app.command()
@@ -109,19 +110,29 @@ def tail(
 
     with _said(data):
         events = archive.tail(data, limit=limit)
-        _print(events)
+        good = _print(events)
         after = events[-1].seq if events else 0
         while follow:
             time.sleep(FOLLOW_S)
             events = archive.tail(data, limit=PAGE, after=after)
-            _print(events)
+            good &= _print(events)
             after = events[-1].seq if events else after
+    if not good:
+        raise typer.Exit(FINDING)
 
 
-def _print(events: Iterable[Event]) -> None:
+def _print(events: Iterable[Event]) -> bool:
+    """Print events, and of one that cannot be read, that it is there; say whether all could be."""
+    good = True
     for event in events:
-        body = orjson.dumps(event.payload()).decode()
+        try:
+            body = orjson.dumps(event.payload()).decode()
+        except EventUnreadable as error:
+            good = False
+            say_error(str(error), hint="look with `reins audit verify`, which says up to where the log is good")
+            continue
         say(f"{event.seq:>6}  {event.at}  {event.kind:<16} {event.invocation or '-':<30} {event.actor:<12} {body}")
+    return good
 
 
 @contextmanager

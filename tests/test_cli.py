@@ -113,6 +113,29 @@ def test_prints_what_was_recorded_as_it_stands(tmp_path: Path, words: tuple[str,
     assert not [character for character in said if not character.isprintable() and character != "\n"]
 
 
+@pytest.mark.parametrize("words", [("show", "inv_1"), ("tail",)])
+@pytest.mark.parametrize("body", [b'{"cut":', b"[]"])
+def test_what_cannot_be_read_of_a_damaged_log_is_named_and_the_rest_printed(
+    tmp_path: Path, words: tuple[str, ...], body: bytes
+) -> None:
+    async def write() -> None:
+        store = AuditStore.open(tmp_path)
+        await store.append([draft(n=n) for n in (1, 2, 3)])
+        await store.close()
+
+    asyncio.run(write())
+    with closing(sqlite3.connect(Places(tmp_path).database)) as database:
+        database.execute("DROP TRIGGER events_refuse_update")
+        database.execute("UPDATE events SET body = ? WHERE seq = 2", (body,))
+        database.commit()
+    code, said = run("audit", *words, "--data", str(tmp_path))
+    assert code == 1
+    assert "event `2` cannot be read" in said
+    assert '{"n":1}' in said
+    assert '{"n":3}' in said
+    assert "Traceback" not in said
+
+
 @pytest.mark.parametrize("hidden", [True, False])
 def test_verification_finds_an_index_that_hides_an_event(tmp_path: Path, hidden: bool) -> None:
     async def write() -> None:

@@ -4,6 +4,7 @@ AuditError
 ├── RecordUnavailable   nothing was acknowledged: disk full, read-only, I/O error, closed, backlog
 ├── RecordUnreadable    what is stored cannot be read now, and nobody knows whether it is good: descriptors, locks, I/O
 ├── RecordDamaged       what is stored contradicts what was signed, or cannot be read as a log
+├── EventUnreadable     a stored event cannot be read as one
 ├── StoreInUse          another process holds this data directory
 ├── EventMalformed      the draft cannot become canonical bytes; the caller's bug
 ├── RowMalformed        the row does not fit its table; the caller's bug
@@ -51,6 +52,15 @@ class RecordDamaged(AuditError):
         self.path = path
         self.problem = problem
         super().__init__(f"`{path}`: {problem}")
+
+
+class EventUnreadable(AuditError, ValueError):
+    """The bytes of a stored event are not what a server writes: the database was damaged or changed."""
+
+    def __init__(self, seq: int) -> None:
+        """Name the event; what it holds may be anything, and is not shown."""
+        self.seq = seq
+        super().__init__(f"event `{seq}` cannot be read: its bytes are no event")
 
 
 class StoreInUse(AuditError):

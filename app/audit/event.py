@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import orjson
 
-from app.audit.errors import EventMalformed
+from app.audit.errors import EventMalformed, EventUnreadable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -63,8 +63,20 @@ class Event(NamedTuple):
     body: bytes
 
     def payload(self) -> dict[str, Json]:
-        """Return the draft's body, decoded."""
-        return cast("dict[str, Json]", orjson.loads(self.body)["body"])
+        """Return the draft's body, decoded.
+
+        Raises:
+            EventUnreadable: the stored bytes were damaged or changed.
+        """
+        try:
+            record: object = orjson.loads(self.body)
+        except orjson.JSONDecodeError as error:
+            raise EventUnreadable(self.seq) from error
+        match record:
+            case {"body": dict()}:
+                return cast("dict[str, dict[str, Json]]", record)["body"]
+            case _:
+                raise EventUnreadable(self.seq)
 
 
 class Prepared(NamedTuple):

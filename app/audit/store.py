@@ -16,7 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from app.audit.errors import AuditError, RecordUnavailable, RowExists
+from app.audit.errors import AuditError, EventUnreadable, RecordDamaged, RecordUnavailable, RowExists
 from app.audit.event import Event, EventDraft, RowWrite, Submission, prepare_all
 from app.audit.examination import WITHIN_S as EXAMINE_WITHIN_S
 from app.audit.examination import Examination, examine
@@ -297,9 +297,18 @@ class AuditStore:
         after: int = 0,
         limit: int = 100,
     ) -> list[Event]:
-        """Return events in order of `seq`; arguments and errors as `Reader.events`."""
+        """Return events in order of `seq`, each readable; arguments and errors as `Reader.events`.
+
+        One that is not says as much as a verification would: it stands in `damage`, and nothing launches.
+        """
         filters = {"invocation": invocation, "kind": kind, "actor": actor, "since": since, "until": until}
-        return await self._read(partial(self._reader.events, **filters, after=after, limit=limit))
+        try:
+            return await self._read(
+                partial(_readable, partial(self._reader.events, **filters, after=after, limit=limit))
+            )
+        except EventUnreadable as error:
+            self.damage = str(error)
+            raise RecordDamaged(self.places.database, str(error)) from error
 
     async def invocation(self, key: str) -> bytes | None:
         """Return the document of an invocation, if there is one."""
@@ -349,3 +358,11 @@ class AuditStore:
         if self._closed:
             raise AuditError("the store is closed")
         return await asyncio.get_running_loop().run_in_executor(self._readers, query)
+
+
+def _readable(query: Callable[[], list[Event]]) -> list[Event]:
+    """Return what a query finds, where each event of it can be read. Raises `EventUnreadable`."""
+    found = query()
+    for event in found:
+        event.payload()
+    return found

@@ -325,6 +325,29 @@ async def test_nothing_moves_on_a_log_that_was_found_damaged(tmp_path: Path) -> 
         assert not cell.launches
 
 
+@pytest.mark.parametrize("body", [b'{"cut":', b"\xff\x00", b"[]"])
+async def test_whoever_meets_a_damaged_event_is_told_and_nothing_moves_from_then_on(
+    tmp_path: Path, body: bytes
+) -> None:
+    drive = {"capability": "navigate_to", "params": {"target": "dock"}}
+    async with open_house(tmp_path / "data", "sim-relaxed") as house, house.cell() as cell:
+        [refused] = await refuse(house)
+        with sqlite3.connect(house.runtime.store.places.database) as database:
+            database.execute("DROP TRIGGER events_refuse_update")
+            (seq,) = database.execute("SELECT max(seq) FROM events WHERE invocation = ?", (refused,)).fetchone()
+            database.execute("UPDATE events SET body = ? WHERE seq = ?", (body, seq))
+        async with house.client("auditor") as auditor, house.client() as agent:
+            listed = await auditor.get("/v1/audit/events")
+            trace = await agent.get(f"/v1/invocations/{refused}/trace")
+            health = await agent.get("/healthz")
+            launch = await agent.post("/v1/invocations", json=drive)
+        for answer in (listed, trace):
+            assert (answer.status_code, answer.json()["code"]) == (500, "record_damaged")
+        assert f"event `{seq}` cannot be read" in health.json()["broken"]["record"]
+        assert (launch.status_code, launch.json()["code"]) == (503, "record_unavailable")
+        assert not cell.launches
+
+
 async def test_a_log_that_cannot_be_read_now_is_not_called_damaged_and_lets_move(tmp_path: Path) -> None:
     drive = {"capability": "navigate_to", "params": {"target": "dock"}}
     async with (

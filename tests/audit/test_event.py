@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.audit.errors import EventMalformed
+from app.audit.errors import EventMalformed, EventUnreadable
 from app.audit.event import MAX_BODY_BYTES, Event, EventDraft, prepare, prepare_all, read_columns
 from app.audit.tables import events
 from app.governance.model import Reason, Status
@@ -71,6 +71,12 @@ def test_says_governance_s_types_as_json_does() -> None:
         "ids": ["a", "b"],
         "gap": None,
     }
+
+
+@pytest.mark.parametrize("body", [b'{"cut":', b"\xff\x00", b"[]", b"{}", b"null", b'{"body":5}'])
+def test_a_damaged_event_is_named_and_what_it_holds_kept_back(body: bytes) -> None:
+    with pytest.raises(EventUnreadable, match=r"^event `7` cannot be read: its bytes are no event$"):
+        Event(7, TIME, "launch", None, "kernel", body).payload()
 
 
 def test_a_draft_changed_after_it_was_handed_over_is_recorded_as_it_was() -> None:

@@ -44,7 +44,9 @@ async def kinds(runtime: Runtime, invocation: str) -> list[str]:
 
 
 @pytest.mark.parametrize("name", ["planner", "governance"])
-async def test_no_agent_proposes_what_recovers_whatever_its_name_is(runtime: Runtime, cell: HandCell, name: str) -> None:
+async def test_no_agent_proposes_what_recovers_whatever_its_name_is(
+    runtime: Runtime, cell: HandCell, name: str
+) -> None:
     retreat = ProposalRequest(capability="safe_retreat", params={})
     document, _ = await runtime.governor.propose(replace(AGENT, name=name), retreat)
     assert document["status"] == "rejected"
