@@ -149,6 +149,44 @@ describe('the connection', () => {
     expect(health.at(-1)?.state).toBe('up');
   });
 
+  /** Lets time pass in steps of 100 ms; where it is `heard`, the server says something and answers what pings are old enough. */
+  function restless(forMs: number, heard: (atMs: number) => boolean, lateMs: number): { states: (string | undefined)[]; changes: number } {
+    const states: (string | undefined)[] = [];
+    for (let at = 100; at <= forMs; at += 100) {
+      vi.advanceTimersByTime(100);
+      if (heard(at)) answer(lateMs);
+      states.push(health.at(-1)?.state);
+    }
+    return { states, changes: states.filter((state, k) => k > 0 && state !== states[k - 1]).length };
+  }
+
+  function answer(lateMs: number): void {
+    const sent = sockets[0]?.sent ?? [];
+    sockets[0]?.say({ type: 'beat', n: 1, at: 0, seq: 42 });
+    const old = sent.filter(({ type, at_ms }) => type === 'ping' && Date.now() - Number(at_ms) >= lateMs);
+    for (const ping of old) {
+      sent.splice(sent.indexOf(ping), 1);
+      sockets[0]?.say({ type: 'pong', at_ms: ping['at_ms'] });
+    }
+  }
+
+  it.each([1_100, 1_250, 1_400])('says of a line whose every answer is %d ms late that it is late, and does not take it back', (lateMs) => {
+    welcome(sockets[0]);
+    const { states, changes } = restless(8_000, () => true, lateMs);
+    expect([states[0], states.at(-1), changes]).toEqual(['up', 'late', 1]);
+  });
+
+  it.each([800, 900])('says of a line that is heard every %d ms that it is late, until it holds', (everyMs) => {
+    welcome(sockets[0]);
+    const { states, changes } = restless(12_000, (at) => at % everyMs === 0, 0);
+    expect([states.at(-1), changes <= 4]).toEqual(['late', true]);
+    expect(new Set(states.slice(30))).toEqual(new Set(['late']));
+    const after = restless(3_000, () => true, 0);
+    expect([after.states.at(-1), after.changes]).toEqual(['up', 1]);
+    vi.advanceTimersByTime(1_000);
+    expect(health.at(-1)?.state).toBe('down'); // silence is told within a second all the same
+  });
+
   it('never sends late what could not be sent', () => {
     connection.send({ type: 'jog', cell: 'c', lease: 'l', n: 1, base: [1, 0, 0], tool: [0, 0, 0], grip: null });
     sockets[0]?.open();

@@ -1,6 +1,6 @@
 import { CLOSED, FINAL_CODES, LONGEST_TOKEN, SUBPROTOCOL, type Down, type Up } from './messages';
 import { placeOf } from './frame';
-import { LATE_MS, retryMs, Watchdog, type LinkState } from './watchdog';
+import { LATE_MS, retryMs, Steady, Watchdog, type LinkState } from './watchdog';
 
 const TICK_MS = 100;
 const PING_MS = 500;
@@ -31,6 +31,7 @@ export interface Listener {
 export class Connection {
   private socket: WebSocket | null = null;
   private readonly dog: Watchdog;
+  private readonly steady = new Steady();
   private attempt = 0;
   private retryAtMs: number | null = null;
   private pingedMs = 0;
@@ -73,6 +74,7 @@ export class Connection {
   private open(): void {
     this.retryAtMs = null;
     this.unanswered = [];
+    this.rttMs = null;
     this.synced = false;
     this.dog.opened(this.now());
     const socket = this.make(this.url, SUBPROTOCOL);
@@ -149,7 +151,7 @@ export class Connection {
       this.send({ type: 'ping', at_ms: now });
     }
     this.frames = this.frames.filter((at) => now - at < 1_000);
-    const state = this.state(now);
+    const state = this.steady.take(this.state(now), now);
     this.listener.health({ state, rttMs: state === 'up' ? this.rttMs : null, framesPerS: this.frames.length, why: this.why });
   }
 
@@ -157,6 +159,7 @@ export class Connection {
     const heard = this.socket === null ? 'down' : this.dog.state(now);
     if (heard !== 'up') return heard;
     if (!this.synced) return 'connecting';
-    return now - (this.unanswered[0] ?? now) > LATE_MS ? 'late' : 'up';
+    // An answer that came late says how old everything is that came with it.
+    return Math.max(now - (this.unanswered[0] ?? now), this.rttMs ?? 0) > LATE_MS ? 'late' : 'up';
   }
 }

@@ -38,6 +38,35 @@ export class Watchdog {
   }
 }
 
+/** A link that was lost twice within so long comes and goes. */
+const RESTLESS_MS = 5_000;
+/** So long such a link has to hold before it is called up again. */
+export const STEADY_MS = 2_000;
+/** Down it is called within a second of silence all the same. */
+const TRUSTED_AFTER_MS: Partial<Record<LinkState, number>> = { up: STEADY_MS, down: 200 };
+
+/**
+ * What is shown of a link that comes and goes: nothing that does so, too. One that was lost once is up as soon as it is;
+ * one that was lost again just then is `late` until it has held for a while, for nobody can read, nor press, what jumps.
+ */
+export class Steady {
+  private lostMs: number[] = [];
+  private last: LinkState = 'connecting';
+  /** Since when it has been in the state it is in. */
+  private sinceMs = 0;
+
+  take(state: LinkState, nowMs: number): LinkState {
+    if (state !== this.last) {
+      if (this.last === 'up') this.lostMs.push(nowMs);
+      this.last = state;
+      this.sinceMs = nowMs;
+    }
+    this.lostMs = this.lostMs.filter((at) => nowMs - at < RESTLESS_MS);
+    const least = TRUSTED_AFTER_MS[state] ?? 0;
+    return this.lostMs.length < 2 || nowMs - this.sinceMs >= least ? state : 'late';
+  }
+}
+
 /** Pause before the n-th attempt in a row, with a random part so that consoles do not come back all at once. */
 export function retryMs(attempt: number, random: number): number {
   return Math.min(4_000, 250 * 2 ** Math.min(attempt, 5)) * (0.7 + 0.6 * random);
