@@ -107,7 +107,8 @@ class Answer:
             now,
             effective=effective,
             digest=bound,
-            approvals=(),
+            # What others approved is what is asked still, where policy cut the edit back to it.
+            approvals=self._escalation.approvals if bound == self._escalation.digest else (),
             edits=(*self._escalation.edits, edit),
             **self._asked_for(judgement),
         )

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, Final
 from app.audit.errors import AuditError
 from app.audit.event import RowWrite
 from app.governance.authority import refusal, reviewed
-from app.governance.model import AuthorityMode, Reason, Status
+from app.governance.control import TAKEOVER
+from app.governance.model import AuthorityMode, EventKind, Reason, Status
 from app.runtime.drafts import SERVER, review_event
 from app.runtime.errors import Conflict, Forbidden, NotFound
 from app.runtime.invocation import reasons_document
@@ -162,7 +163,7 @@ class Reviews:
         Raises:
             NotFound: no such review.
             Conflict: `already_reviewed`, it has a verdict.
-            Forbidden: `own_proposal`, nobody reviews what they proposed.
+            Forbidden: `own_proposal`, nobody reviews what they proposed, or drove where nothing else ran.
             RecordUnavailable: nothing was recorded.
         """
         async with self._lock:
@@ -173,8 +174,8 @@ class Reviews:
             if present.verdict is not None:
                 by = present.verdict["by"]
                 raise Conflict("already_reviewed", f"`{by}` reviewed `{review_id}` already: `{present.status}`")
-            if principal.name == present.agent:
-                raise Forbidden("own_proposal", "nobody reviews what they proposed themselves")
+            if principal.name == present.agent or principal.name in await self._drivers(present):
+                raise Forbidden("own_proposal", "nobody reviews what they proposed themselves, or drove by hand alone")
             now = self._register.now()
             said = {"by": principal.name, "at": now, "verdict": verdict, "note": note}
             closed = replace(present, status=verdict, verdict=said, updated_at=now)
@@ -184,6 +185,18 @@ class Reviews:
                 with suppress(AuditError):  # the verdict is recorded, whatever reading says; the next one reads again
                     await self.recall()
         return closed.public()
+
+    async def _drivers(self, present: Review) -> set[str]:
+        """Return who had the controls of a session that was nothing but driving: it bears the first one's name."""
+        found: set[str] = set()
+        after = 0 if present.capability == TAKEOVER else None
+        while after is not None:
+            said = await self._register.store.events(
+                invocation=present.invocation, kind=EventKind.HUMAN, after=after, limit=PAGE
+            )
+            found |= {event.actor for event in said if event.payload().get("op") == "takeover"}
+            after = said[-1].seq if len(said) == PAGE else None
+        return found
 
     async def recall(self) -> None:
         """Read what waits from the record, the number of all and the first of them; no verdict is taken meanwhile."""

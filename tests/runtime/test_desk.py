@@ -217,6 +217,18 @@ async def test_an_edit_voids_earlier_approvals_and_gets_a_new_digest(runtime: Ru
     assert (await runtime.governor.invocation(document["id"], AGENT))["effective"]["force_n"] == 30
 
 
+async def test_an_edit_that_policy_cuts_to_what_is_asked_voids_no_approval(runtime: Runtime, cell: HandCell) -> None:
+    cell.facts = dict(AT_TOOLS)
+    await cell.state()
+    hard = ProposalRequest(capability="operate_tool", params={"tool": "press", "action": "press", "force_n": 250})
+    _, question = await asked(runtime, hard)
+    await answer(runtime, question)
+    edited = await answer(runtime, question, who=OPERATOR_2, params={"force_n": 300})
+    assert (edited["status"], edited["digest"]) == ("pending", question["digest"])
+    assert [approval["by"] for approval in edited["approvals"]] == ["olivia"], "what was approved is what is asked"
+    assert (await answer(runtime, edited, who=OPERATOR_2))["status"] == "approved"
+
+
 # -- edits -----------------------------------------------------------------------------------------------------------
 
 

@@ -13,13 +13,14 @@ from typing import Any
 import pytest
 
 from app.clock import monotonic_s
+from app.governance import bundle
 from app.governance.control import LAPSE_S
 from app.governance.model import Wish
 from app.runtime.assembly import Runtime
-from app.runtime.errors import Conflict
+from app.runtime.errors import Conflict, Forbidden
 from app.runtime.invocation import Principal, ProposalRequest
-from tests.runtime.conftest import AGENT, OPERATOR, OPERATOR_2, HandCell, House, until
-from tests.runtime.test_versions import FASTER, put_in_force
+from tests.runtime.conftest import AGENT, ENGINEER, OPERATOR, OPERATOR_2, HandCell, House, until
+from tests.runtime.test_versions import FASTER, SHARED, edited, put_in_force
 
 pytestmark = pytest.mark.anyio
 LOCAL = replace(OPERATOR_2, station="workcell-1")
@@ -321,6 +322,25 @@ async def test_who_stands_at_an_idle_cell_gets_it_however_close_the_race(runtime
     assert remote["invocation"] == local["invocation"]
     control = runtime.governor.cells()[0]["control"]
     assert (control["holder"], control["lease"]) == ("oskar", local["lease"])
+
+
+async def test_nobody_who_drove_by_hand_alone_judges_it_whoever_began(house: House) -> None:
+    policy = bundle.load_files(edited(SHARED, "takeover-enabled]", "takeover-enabled, review-only]"))
+    async with replace(house, policy=policy).open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        session = (await runtime.governor.take_cell("workcell-1", OPERATOR))["invocation"]
+        await cell.launched(session)
+        assert (await runtime.governor.take_over(session, LOCAL))["holder"] == "oskar"
+        done = asyncio.ensure_future(runtime.governor.release(session, LOCAL, "end"))
+        await cell.expect("human")
+        await cell.report("outcome", session, outcome="taken_over", code="operator", facts={"holding": None})
+        await done
+        review = await runtime.desk.reviews.request(session, ENGINEER)
+        for who in (OPERATOR, OPERATOR_2):
+            with pytest.raises(Forbidden, match="drove by hand alone"):
+                await runtime.desk.reviews.resolve(review["id"], who, "accepted")
+        assert (await runtime.desk.reviews.resolve(review["id"], ENGINEER, "accepted"))["status"] == "accepted"
 
 
 async def test_nobody_takes_over_where_the_profile_has_no_takeover(house: House) -> None:

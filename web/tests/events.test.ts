@@ -1,7 +1,7 @@
 import { describe, expect, it } from 'vitest';
-import type { LogEvent } from '../src/lib/api/documents';
+import type { Escalation, LogEvent } from '../src/lib/api/documents';
 import { aboutOf, cellOf, entriesOf, eventLine, turnedAway, type Known } from '../src/lib/format/events';
-import { standingEdit, voidedOf } from '../src/lib/format/edited';
+import { changedWords, standingEdit, voidedOf } from '../src/lib/format/edited';
 import { clockTime } from '../src/lib/format/time';
 import { Keys } from '../src/lib/keys/keys';
 import { cell, escalation, event, invocation } from './samples';
@@ -151,6 +151,10 @@ describe('an edit of a question that is open', () => {
     expect(voidedOf(before, log, 'ann')).toBe(false);
     expect(voidedOf({ ...after, approvals: [...after.approvals, { by: 'ann', at: '', digest: 'e' }] }, [...log, approved(after)], 'ann')).toBe(false);
     expect(voidedOf(after, [approved({ ...before, id: 'esc_2' })], 'ann')).toBe(false);
+    const anew: Escalation = { ...before, digest: 'another profile', renewed: 'profile_changed', approvals: [] };
+    expect(['ann', 'bob'].map((who) => voidedOf(anew, log, who))).toEqual([true, false]);
+    expect(voidedOf({ ...anew, approvals: [{ by: 'ann', at: '', digest: anew.digest }] }, [...log, approved(anew)], 'ann')).toBe(false);
+    expect([changedWords(anew), changedWords(before)]).toEqual(['The cell was put under another profile, and this is asked anew.', 'What is asked has changed since it came.']);
   });
 });
 

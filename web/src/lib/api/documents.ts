@@ -99,6 +99,8 @@ export interface Escalation {
   task?: string | null;
   on_deny?: 'deny' | 'terminate' | 'rollback';
   on_timeout?: 'deny' | 'terminate' | 'rollback';
+  /** Why it was asked anew, under another digest; null where it was not. */
+  renewed?: 'policy_changed' | 'profile_changed' | null;
 }
 
 export interface LogEvent {

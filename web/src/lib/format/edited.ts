@@ -41,12 +41,19 @@ export function standingEdit(asked: Escalation): Edit | null {
   return stands ? edit : null;
 }
 
-/** Whether somebody's own approval went with the edit that stands: it was of what was asked before. */
+/** Whether somebody's own approval counts no more: it was of what was asked before another's edit, another policy or another profile. */
 export function voidedOf(asked: Escalation, events: readonly LogEvent[], me: string | null): boolean {
   const edit = standingEdit(asked);
-  if (edit === null || edit.by === me || asked.approvals.some((approval) => approval.by === me)) return false;
+  if (edit === null ? asked.renewed == null : edit.by === me) return false;
+  if (asked.approvals.some((approval) => approval.by === me)) return false;
   return events.some(({ kind, actor, body }) => {
     const of = body['escalation'] as Partial<Escalation> | undefined;
     return kind === 'approval' && actor === me && body['decision'] === 'approve' && of?.id === asked.id && of.digest !== asked.digest;
   });
+}
+
+/** Why what is asked is not what it was, in words. */
+export function changedWords({ renewed }: Pick<Escalation, 'renewed'>): string {
+  if (renewed === 'profile_changed') return 'The cell was put under another profile, and this is asked anew.';
+  return renewed === 'policy_changed' ? 'Another policy is in force, and this is asked anew.' : 'What is asked has changed since it came.';
 }
