@@ -90,9 +90,21 @@ def _address(url: str) -> httpx.URL:
     return found
 
 
+def _number(defers: object) -> int:
+    """Return how often to propose again. Raises `ValueError` for what is no number of times."""
+    if not isinstance(defers, int) or isinstance(defers, bool) or defers < 0:
+        raise ValueError(f"defers `{defers}`: valid is a whole number from 0 on, for instance `20`")
+    return defers
+
+
+def _nothing(server: httpx.URL, error: httpx.RequestError) -> Reply:
+    """Return what stands for no answer, and which server gave none, and why."""
+    return Reply(status=0, json=f"`{server}`: {str(error) or type(error).__name__}")
+
+
 MAX_PORT = 65535
 _SECONDS = re.compile(r"[0-9]{1,6}")
-_NOTHING = Reply(status=0, json=None)
+_SLEPT = Reply(status=0, json=None)
 _TIMEOUT = httpx.Timeout(10.0, read=WAIT_S + 15.0)
 
 
@@ -102,9 +114,10 @@ class ReinsClient:
     def __init__(self, url: str, token: str, *, defers: int = 20) -> None:
         """Speak to `url` as the owner of `token`; propose a deferred invocation again up to `defers` times.
 
-        Raises `ValueError` if `url` names no server, `Unsendable` if `token` fits no header.
+        Raises `ValueError` if `url` names no server or `defers` is no number of times, `Unsendable` if `token` fits no
+        header.
         """
-        self._defers = defers
+        self._defers = _number(defers)
         self._http = httpx.Client(base_url=_address(url), headers=_authorization(token), timeout=_TIMEOUT)
 
     def __enter__(self) -> Self:
@@ -217,15 +230,15 @@ class ReinsClient:
     def _do(self, step: Call | Sleep) -> Reply:
         if isinstance(step, Sleep):
             time.sleep(step.seconds)
-            return _NOTHING
+            return _SLEPT
         try:
             return _reply(
                 self._http.request(
                     step.method, step.path, json=step.json, params=step.query, headers=dict(step.headers)
                 )
             )
-        except httpx.RequestError:  # not only a lost answer: one that cannot be decoded is none either
-            return _NOTHING
+        except httpx.RequestError as error:  # not only a lost answer: one that cannot be decoded is none either
+            return _nothing(self._http.base_url, error)
 
 
 class AsyncReinsClient:
@@ -234,9 +247,10 @@ class AsyncReinsClient:
     def __init__(self, url: str, token: str, *, defers: int = 20) -> None:
         """Speak to `url` as the owner of `token`; propose a deferred invocation again up to `defers` times.
 
-        Raises `ValueError` if `url` names no server, `Unsendable` if `token` fits no header.
+        Raises `ValueError` if `url` names no server or `defers` is no number of times, `Unsendable` if `token` fits no
+        header.
         """
-        self._defers = defers
+        self._defers = _number(defers)
         self._http = httpx.AsyncClient(base_url=_address(url), headers=_authorization(token), timeout=_TIMEOUT)
 
     async def __aenter__(self) -> Self:
@@ -334,12 +348,12 @@ class AsyncReinsClient:
     async def _do(self, step: Call | Sleep) -> Reply:
         if isinstance(step, Sleep):
             await asyncio.sleep(step.seconds)
-            return _NOTHING
+            return _SLEPT
         try:
             return _reply(
                 await self._http.request(
                     step.method, step.path, json=step.json, params=step.query, headers=dict(step.headers)
                 )
             )
-        except httpx.RequestError:  # not only a lost answer: one that cannot be decoded is none either
-            return _NOTHING
+        except httpx.RequestError as error:  # not only a lost answer: one that cannot be decoded is none either
+            return _nothing(self._http.base_url, error)

@@ -62,7 +62,7 @@ class Sleep:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reply:
-    """What came back; `status` 0 means that nothing did."""
+    """What came back; `status` 0 means that nothing did, and `json` says from where, and why."""
 
     status: int
     json: Any
@@ -91,7 +91,8 @@ def send(call: Call) -> Talk[Any]:
             raise _problem(last)
         yield Sleep(seconds=last.retry_after_s or _backoff_s(attempt))
     if last is None or last.status == 0:
-        raise Unreachable(f"no answer to `{call.method} {call.path}` after {_SEND_ATTEMPTS} attempts")
+        why = "" if last is None else f"; {last.json}"
+        raise Unreachable(f"no answer to `{call.method} {call.path}` after {_SEND_ATTEMPTS} attempts{why}")
     raise _problem(last)
 
 

@@ -313,6 +313,13 @@ def test_an_address_that_names_no_server_is_refused_at_once(client, url):
 
 
 @pytest.mark.parametrize("client", [ReinsClient, AsyncReinsClient])
+@pytest.mark.parametrize("defers", [-1, "3", 1.5, True, None])
+def test_a_number_of_times_that_is_none_is_refused_at_once(client, defers):
+    with pytest.raises(ValueError, match=f"defers `{defers}`: valid is a whole number from 0 on"):
+        client("http://127.0.0.1:1", "t", defers=defers)
+
+
+@pytest.mark.parametrize("client", [ReinsClient, AsyncReinsClient])
 def test_a_token_that_fits_no_header_is_refused_without_repeating_it(client):
     with pytest.raises(Unsendable, match="token: valid are") as caught:
         client("http://127.0.0.1:1", "geheimschlüssel")
@@ -427,7 +434,7 @@ def test_raises_unreachable_when_nothing_ever_answers(monkeypatch: pytest.Monkey
     monkeypatch.setattr("app.agent.conversation._BACKOFF_S", 0.001)
     with serve(lambda _: None) as server:
         url = server.url
-    with ReinsClient(url, "t") as client, pytest.raises(Unreachable):
+    with ReinsClient(url, "t") as client, pytest.raises(Unreachable, match=rf"attempts; `{url}/?`: .*[Rr]efused"):
         client.invoke("navigate_to", target="dock")
 
 
