@@ -329,6 +329,27 @@ def test_what_somebody_edits_is_read_again_before_a_key_approves_it(
     assert floor.settled(asked["id"])["effective"]["force_n"] == 33
 
 
+def test_an_edit_that_anothers_overtakes_is_said_to_be_gone_and_no_key_falls_into_the_other_value(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    path = f"/v1/escalations/{floor.ask('driver_1')['escalation']['id']}"
+    force = person.page.get_by_role("textbox", name="Grip force you approve, N")
+    expect(force).to_be_enabled()
+    force.fill("3")
+    expect(force).to_be_focused()
+    with server.client("operator_2") as other:
+        edit = {"decision": "approve", "digest": server.get(path)["digest"], "params": {"force_n": 33}}
+        assert other.post(f"{path}/resolve", json=edit).json()["status"] == "pending"
+    expect(force).to_have_value("33")
+    person.page.keyboard.type("5")
+    expect(card(person, "Grasp driver_1")).to_be_focused()
+    expect(force).to_have_value("33")
+    told = card(person, "Grasp driver_1").get_by_role("alert")
+    expect(told.last).to_have_text("Your edit was of what was asked before: it was not sent, and is gone.")
+    expect(told.first).to_contain_text("Read it again.")
+
+
 def test_who_approved_first_of_two_may_still_deny(server: ServerProcess, people: People, floor: Floor) -> None:
     one, other = people.sit(server), people.sit(server, "operator_2")
     proposed = floor.ask("driver_1")

@@ -157,6 +157,69 @@ describe('a decision', () => {
     expect([decision.edited, decision.check.is]).toEqual([false, 'untouched']);
   });
 
+  describe('of which an edit was in the making when the question became another', () => {
+    const other = (speed: number): Escalation => escalation({ digest: 'sha256:other', effective: { ...EFFECTIVE, speed_mps: speed } });
+    const UNSENT = 'Your edit was of what was asked before: it was not sent, and is gone.';
+    const IN_VAIN = 'Your edit was of what was asked before: it does not count, and is gone.';
+    const refusing = (code: string): (() => Promise<Escalation>) => () => Promise.reject(new ApiError({ title: '', status: 409, detail: 'x', code }));
+
+    it.each(['0.1', 'x', ''])('says that it is gone, whole or not: %j', (text) => {
+      const decision = decide();
+      decision.type('speed_mps', text);
+      decision.update(other(0.2));
+      expect([decision.typed, decision.lost]).toEqual([{}, UNSENT]);
+      decision.update({ ...other(0.2), acknowledged: [] });
+      expect(decision.lost).toBe(UNSENT);
+      decision.type('speed_mps', '0.1');
+      expect(decision.lost).toBe('');
+    });
+
+    it('says nothing where nothing was typed, or what was typed is what is asked now', () => {
+      const [untouched, same] = [decide(), decide()];
+      untouched.update(other(0.2));
+      same.type('speed_mps', '0.1');
+      same.update(other(0.1));
+      expect([untouched.lost, same.lost]).toEqual(['', '']);
+    });
+
+    async function approveEdit(decision: Decision): Promise<() => Promise<unknown>> {
+      decision.type('speed_mps', '0.1');
+      await vi.advanceTimersByTimeAsync(300);
+      checks.at(-1)?.(verdict({ effective: { ...EFFECTIVE, speed_mps: 0.1 } }));
+      await vi.advanceTimersByTimeAsync(0);
+      const answered = decision.approve();
+      return () => answered;
+    }
+
+    it('says nothing of one that was sent and taken, cut or not', async () => {
+      reply = () => Promise.resolve(other(0.05));
+      const decision = decide();
+      const answered = await approveEdit(decision);
+      decision.update(other(0.05));
+      await answered();
+      expect(decision.lost).toBe('');
+    });
+
+    it('says that one does not count that came too late, whichever is heard first', async () => {
+      reply = refusing('digest_mismatch');
+      const [before, after] = [decide(), decide()];
+      const first = await approveEdit(before);
+      before.update(other(0.2));
+      await first();
+      await (await approveEdit(after))();
+      after.update(other(0.2));
+      expect([before.lost, after.lost]).toEqual([IN_VAIN, IN_VAIN]);
+    });
+
+    it('does not say what became of one that may have arrived', async () => {
+      reply = refusing('unreachable');
+      const decision = decide();
+      await (await approveEdit(decision))();
+      decision.update(other(0.05));
+      expect([decision.lost, decision.problem]).toEqual(['', 'No answer from the server: it is not known whether this arrived.']);
+    });
+  });
+
   it('loses nothing that was typed while it was on its way, whatever policy gives back', async () => {
     const decision = decide();
     decision.type('force_n', '70');

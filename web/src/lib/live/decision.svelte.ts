@@ -26,6 +26,10 @@ const WITHHELD: Partial<Record<Check['is'], string>> = {
   'given back': 'policy had just given other values back. Read them, then press again.',
 };
 
+/** What is said of an edit that goes because another question stands in the place of the one it was of. */
+const UNSENT = 'Your edit was of what was asked before: it was not sent, and is gone.';
+const IN_VAIN = 'Your edit was of what was asked before: it does not count, and is gone.';
+
 /** How the choice reads that allows nothing in advance. */
 export const ASK_AGAIN = 'ask me again next time';
 
@@ -39,6 +43,8 @@ export class Decision {
   problem = $state('');
   /** Why the last press approved nothing, although it was meant to. */
   withheld = $state('');
+  /** What became of an edit of what is not asked any more; empty where none was lost. */
+  lost = $state('');
   /** Somebody else's answer came first: the record says which. */
   late = $state(false);
   code = $state('');
@@ -47,6 +53,10 @@ export class Decision {
   asked: Escalation;
   private timer: ReturnType<typeof setTimeout> | undefined;
   private turn = 0;
+  /** What was typed as it was last sent. */
+  private sent: Typed | null = null;
+  /** Whether the server would not have what was sent last: without its word that is not known. */
+  private refused = false;
   /** Counts the answers: what an older one meets says nothing any more. */
   private sends = 0;
   /** The question has its answer: its card goes with the next update, and takes no other one until then. */
@@ -77,13 +87,25 @@ export class Decision {
 
   /** Takes a newer version of the question. Another digest is another question: what was typed no longer stands. */
   update(newer: Escalation): void {
-    if (newer.digest !== this.asked.digest) this.discard();
+    if (newer.digest !== this.asked.digest) {
+      const lost = this.losing(newer);
+      this.discard();
+      this.lost ||= lost;
+    }
     this.asked = newer;
+  }
+
+  /** What to say of an edit that another question leaves behind; nothing where that has it, or may have been made by it. */
+  private losing({ effective }: Escalation): string {
+    const faulty = Object.keys(this.edit.faults).length > 0;
+    if (!faulty && Object.entries(this.edit.params).every(([name, value]) => entryOf(effective, name) === value)) return '';
+    if (this.typed !== this.sent) return UNSENT;
+    return this.refused ? IN_VAIN : '';
   }
 
   type(name: string, text: string): void {
     this.typed = { ...this.typed, [name]: text };
-    this.problem = this.withheld = '';
+    this.problem = this.withheld = this.lost = '';
     this.turn += 1;
     clearTimeout(this.timer);
     if (Object.keys(this.edit.faults).length > 0) this.check = { is: 'faulty' };
@@ -97,7 +119,7 @@ export class Decision {
   discard(): void {
     clearTimeout(this.timer);
     this.turn += 1;
-    this.withheld = '';
+    this.withheld = this.lost = '';
     this.typed = {};
     this.check = { is: 'untouched' };
   }
@@ -110,7 +132,7 @@ export class Decision {
     const answer: Answer = { decision: 'approve', digest: this.asked.digest };
     if (this.edited) answer.params = this.edit.params;
     if (this.offer !== null) answer.grant = this.offer;
-    const { typed } = this;
+    const typed = (this.sent = this.typed);
     const answered = await this.send(answer);
     const same = answered?.status === 'pending' && answered.digest === answer.digest && this.typed === typed; // what was typed meanwhile stands
     if (answer.params !== undefined && same) this.giveBack(answer.params, answered.effective);
@@ -148,7 +170,8 @@ export class Decision {
   private async send(answer: Answer): Promise<Escalation | null> {
     const turn = (this.sends += 1);
     this.sending = answer.decision;
-    this.problem = this.withheld = '';
+    this.problem = this.withheld = this.lost = '';
+    this.refused = false;
     try {
       const answered = await this.api.resolve(this.asked.id, answer);
       if (answered.status !== 'pending') this.over = true;
@@ -164,6 +187,9 @@ export class Decision {
   private refuse(error: unknown, answer: Answer): void {
     this.late = error instanceof ApiError && error.code === 'already_resolved';
     this.problem = error instanceof ApiError ? refusal(error, answer) : String(error instanceof Error ? error.message : error);
+    this.refused = error instanceof ApiError && error.code !== 'unreachable';
+    // What is asked may have become another question before it was said that the edit does not count.
+    if (this.refused && answer.params !== undefined && answer.digest !== this.asked.digest) this.lost ||= IN_VAIN;
   }
 }
 
