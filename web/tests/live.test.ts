@@ -2,7 +2,6 @@ import { describe, expect, it } from 'vitest';
 import type { Escalation, Invocation, LogEvent, Risk } from '../src/lib/api/documents';
 import { gaugesFor, noneOf, readGauge, unfinished, type GaugeSpec } from '../src/lib/live/gauges';
 import { History } from '../src/lib/live/history';
-import { closingOf } from '../src/lib/live/closed';
 import { handsOn, holdersOf, lossOf, pausedWords, pauseEndedOf, pauserOf, refusalWords, restraintsOf, unreachedWords } from '../src/lib/live/control';
 import { deniedIsUndone, goingOn } from '../src/lib/live/held';
 import { reasonLines } from '../src/lib/live/reasons';
@@ -326,51 +325,6 @@ describe('letting a held session go on', () => {
     expect(deniedIsUndone([held], 'inv_1')).toBe(true);
     expect(deniedIsUndone([held], 'inv_2')).toBe(false);
     expect(deniedIsUndone([{ ...held, on_deny: 'terminate' }, { ...held, kind: 'approval' }], 'inv_1')).toBe(false);
-  });
-});
-
-describe('a question that others closed', () => {
-  const ASKED = { id: 'esc_1', invocation: 'inv_1' };
-  const about = (status: string, decision: string, id = 'esc_1'): LogEvent => event('approval', { decision, escalation: { id, status, approvals: [{ by: 'operator' }], needed: 1 } }, 'inv_1', 'operator_2');
-  const asks = (status: string, kind = 'session'): LogEvent => event('escalation', { escalation: { id: 'esc_1', status, kind } }, 'inv_1', 'server');
-  const word = (op: string): LogEvent => event('human', { op, role: 'operator' }, 'inv_1', 'operator');
-  const words = (log: LogEvent[], of: Invocation | null = null): string | null => closingOf(log, ASKED, of).words;
-
-  it('is told of by who answered what', () => {
-    expect(words([about('approved', 'approve'), about('denied', 'deny', 'esc_2')])).toBe('operator_2 approved it.');
-    expect(words([about('approved', 'approve'), event('launch', { permit: 'auth_1' })])).toBe('operator_2 approved it: it was launched.');
-    expect(words([about('pending', 'approve'), about('denied', 'deny')])).toBe('operator_2 denied.');
-    expect(words([asks('pending'), asks('expired')])).toBe('Nobody answered in time.');
-    expect(words([event('approval', { escalation: { id: 'esc_1', status: 'approved', kind: 'session' } }, 'inv_1', 'ann')])).toBe('ann let it go on.');
-  });
-
-  it('that was approved in vain says why', () => {
-    const answer = about('approved', 'approve');
-    const busy = event('outcome', { status: 'deferred', outcome: 'deferred', reasons: [{ message: 'the cell `workcell-1` is busy' }] }, 'inv_1', 'server');
-    const late = closingOf([answer, busy], ASKED, invocation({ status: 'deferred', outcome: 'deferred' }));
-    expect(late).toEqual({ words: 'operator_2 approved it, but it was deferred: the cell workcell-1 is busy.', inVain: true, lapsed: false });
-    const refused = closingOf([about('approved', 'approve'), event('launch', { refused: 'no_plan' })], ASKED, null);
-    expect(refused).toEqual({ words: 'operator_2 approved it, but in vain: launch refused: no plan.', inVain: true, lapsed: false });
-  });
-
-  it('that was withdrawn says by whose word, and only of what has ended that it is over', () => {
-    const running = invocation({ status: 'recovering' });
-    expect(words([asks('pending'), word('rollback'), asks('withdrawn')], running)).toBe('It was withdrawn: operator ordered a rollback.');
-    expect(words([asks('pending'), word('takeover'), asks('withdrawn')], running)).toBe('It was withdrawn: operator took over.');
-    expect(words([word('takeover'), asks('pending'), word('pause'), asks('withdrawn')], running)).toBe('It was withdrawn.');
-    expect(words([asks('pending'), asks('withdrawn')], invocation({ outcome: 'stopped' }))).toBe('It is over.');
-  });
-
-  it('is told to whoever did it without their name', () => {
-    const mine = (log: LogEvent[], me: string): string | null => closingOf(log, ASKED, null, me).words;
-    expect(mine([about('denied', 'deny')], 'operator_2')).toBe('You denied.');
-    expect(mine([about('approved', 'approve')], 'operator_2')).toBe('You approved it.');
-    expect(mine([asks('pending'), word('takeover'), asks('withdrawn')], 'operator')).toBe('It was withdrawn: you took over.');
-    expect(mine([about('denied', 'deny')], 'operator')).toBe('operator_2 denied.');
-  });
-
-  it('is nothing that can be told of where the record is not here', () => {
-    expect(words([about('pending', 'approve')], invocation())).toBeNull();
   });
 });
 
