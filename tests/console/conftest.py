@@ -247,7 +247,7 @@ class Floor:
         until(self._unlatched, what="a cell that no stop latches")
         for invocation in self.made:
             self.server.post(f"/v1/invocations/{invocation}/cancel")
-            self.server.await_status(invocation, "denied", "completed", "failed")
+            self.server.await_status(invocation, "denied", "deferred", "completed", "failed")
 
     def _unlatched(self) -> bool:
         if not self.server.cell()["latched"]:

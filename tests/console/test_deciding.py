@@ -238,6 +238,24 @@ def test_a_question_that_a_rollback_withdraws_says_who_ordered_it(
     expect(told).to_contain_text("It was withdrawn: operator_2 ordered a rollback.")
 
 
+def test_a_question_that_another_profile_withdraws_says_so_and_what_became_of_it(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    floor.ask()
+    expect(card(person)).to_be_visible()
+    with server.client("operator_2") as other:
+        assert other.put("/v1/cells/workcell-1/profile", json={"profile": "sim-relaxed"}).is_success
+        try:
+            told = person.page.get_by_role("status").filter(has_text="is not open any more")
+            expect(told).to_contain_text(
+                "It was withdrawn: operator_2 put the cell under another profile. "
+                "It did not begin, and may be proposed again."
+            )
+        finally:
+            other.put("/v1/cells/workcell-1/profile", json={"profile": "human-shared"})
+
+
 def test_what_would_be_approved_in_vain_is_kept_back_and_what_was_says_why(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
