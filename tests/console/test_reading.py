@@ -341,3 +341,26 @@ def test_what_is_chosen_can_be_told_where_the_system_chooses_the_colours(server:
         found = all_of.evaluate_all(edge)
         (chosen,) = [width for current, width in found if current]
         assert chosen > max(width for current, width in found if not current) + 1, name
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_what_takes_the_focus_on_the_page_of_the_policy_can_be_seen_to_have_it(
+    server: ServerProcess, people: People, size: dict[str, int]
+) -> None:
+    person = people.sit(server, size=size)
+    person.page.evaluate("location.hash = '#/policy'")
+    link = person.page.get_by_role("link", name="Which cells work under which profile")
+    expect(link).to_be_attached()
+    assert box(link)["width"] <= 1
+    person.page.locator("main").focus()
+    for _ in range(40):
+        person.press("Tab")
+        if link.evaluate("link => link === document.activeElement"):
+            break
+    expect(link).to_be_focused()
+    expect(link).to_be_in_viewport(ratio=1)
+    assert box(link)["width"] > 200
+    assert on_top(link)
+    assert wider_than_the_screen(person.page) == []
+    person.press("Enter")
+    expect(person.page.get_by_role("heading", name="Fleet")).to_be_visible()
