@@ -4,7 +4,7 @@ import type { Json, Review } from '../src/lib/api/documents';
 import { heldIn, titleOf, words } from '../src/lib/format/capability';
 import { cellOf, eventLine } from '../src/lib/format/events';
 import { ruleWords } from '../src/lib/format/rules';
-import { recorded } from '../src/lib/format/plain';
+import { plain, recorded } from '../src/lib/format/plain';
 import { quoted } from '../src/lib/format/quoted';
 import { labelFor, labelOf, valueOf } from '../src/lib/format/quantity';
 import { outcomeTone, outcomeWords, statusWords } from '../src/lib/format/status';
@@ -61,6 +61,35 @@ describe.each(NAMES)('the name `%s`, which an agent may choose', (name) => {
     const reasons = [{ rule: name, code: name, message: '`x_m` is too far', remedy: '' }];
     expect(reasonLines(escalation({ kind: 'session', reasons }), null)[0]?.strong).toBe('');
     expect(refusalWords(name)).toContain(name.replaceAll('_', ' '));
+  });
+});
+
+describe('a name that is drawn over its neighbours, or as nothing', () => {
+  const piled = `mug${'\u0301'.repeat(60)}_1`;
+  const shown = `mug${'\u0301'.repeat(4)}\uFFFD_1`;
+
+  it('keeps as many marks on a letter as scripts need, in titles and in events', () => {
+    expect(titleOf('grasp_object', { object_id: piled })).toBe(`Grasp ${shown}`);
+    expect(titleOf(piled, {})).toBe('Mu' + shown.slice(2).replace('_', ' '));
+    expect(plain(shown)).toBe(shown);
+    for (const name of ['e\u0302\u0301', '\u0E17\u0E35\u0E48', '\u05D1\u05BC\u05B0\u0591', '\u0F66\u0F92\u0FB2\u0F74\u0F56']) expect(plain(name)).toBe(name);
+    expect(eventLine(event('proposal', { capability: 'grasp_object', params: { object_id: piled } })).text).toContain(shown);
+  });
+
+  it.each(['\u2800', '\u3164', '\u115F', '\u1160', '\uFFA0'])('shows that %j is there', (blank) => {
+    expect(titleOf('grasp_object', { object_id: `mug_1${blank}${blank}safe` })).toBe('Grasp mug_1\uFFFD\uFFFDsafe');
+  });
+
+  it('shows spaces that are added to a space, and leaves one between words', () => {
+    expect([plain('a\u00A0b'), plain('a  b'), plain('a\u3000\u3000\u2003b'), plain('a \u00A0 \u00A0b')]).toEqual(['a\u00A0b', 'a  b', 'a\u3000\uFFFD\uFFFDb', 'a \uFFFD \uFFFDb']);
+    expect(statedOf(escalation({ goal: 'a\u3000\u3000b\u2800' }))?.goal).toBe('a b\uFFFD');
+  });
+
+  it('is escaped in a record, mark by mark, and nothing of it is lost', () => {
+    const record = recorded({ name: piled, blank: '\u2800' });
+    expect(record).toContain(`${'\u0301'.repeat(4)}${'\\u0301'.repeat(56)}_1`);
+    expect(record).toContain('"\\u2800"');
+    expect(JSON.parse(record)).toEqual({ name: piled, blank: '\u2800' });
   });
 });
 

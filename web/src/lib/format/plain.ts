@@ -1,16 +1,24 @@
 /**
+ * What is not seen itself: what turns or joins what is around it; letters and signs that are drawn as nothing; spaces beside
+ * spaces, of which a browser draws each but the plain ones; and marks on a letter beyond those that any script needs, which
+ * are drawn over the lines above and below.
+ */
+const UNSEEN = /\p{Cf}|[\u115F\u1160\u2800\u3164\uFFA0]|(?<=\p{Z})(?! )\p{Z}|(?<=\p{M}{4})\p{M}+/gu;
+
+/**
  * Words that an agent chose, with a mark (U+FFFD) for each character that is not seen itself and changes what is: some turn
- * the rest of a line around (U+202E), so that it reads as something else than was asked (Unicode TR 36, 2.10).
+ * the rest of a line around (U+202E), so that it reads as something else than was asked (Unicode TR 36, 2.10). Of marks that
+ * pile up four are kept, with one U+FFFD for the others.
  */
 export function plain(said: string): string {
-  return said.replace(/\p{Cf}/gu, '\uFFFD');
+  return said.replace(UNSEEN, '\uFFFD');
 }
 
 const MOST = 160;
 
-/** As `plain`, of words at any length: their beginning, in one line, without marks that pile up over the lines around it. */
+/** As `plain`, of words at any length: their beginning, in one line, with fewer marks on a letter. */
 export function inBrief(said: string): string {
-  const line = plain(said).replace(/[\s\p{Cc}]+/gu, ' ').replace(/(\p{M}{2})\p{M}+/gu, '$1').trim();
+  const line = plain(said.replace(/[\p{Z}\p{Cc}]+/gu, ' ').replace(/(\p{M}{2})\p{M}+/gu, '$1')).trim();
   const characters = Array.from(line); // and no half of one
   return characters.length <= MOST ? line : `${characters.slice(0, MOST - 1).join('')}…`;
 }
@@ -18,5 +26,5 @@ export function inBrief(said: string): string {
 /** A document as it was recorded, where such characters stand as JSON escapes them: nothing is lost, and nothing turns around. */
 export function recorded(document: unknown): string {
   const escaped = (unit: string): string => `\\u${unit.charCodeAt(0).toString(16).padStart(4, '0')}`;
-  return JSON.stringify(document, null, 2).replace(/\p{Cf}/gu, (character) => character.split('').map(escaped).join(''));
+  return JSON.stringify(document, null, 2).replace(UNSEEN, (characters) => characters.split('').map(escaped).join(''));
 }
