@@ -110,8 +110,13 @@ def test_a_candidate_is_mended_compared_tried_put_in_force_by_two_and_undone(
 
     # two engineers put it in force
     say_why(view, "mugs slip at 60 N")
+    first.page.evaluate("location.hash = '#/live'")
+    expect(first.region("Waiting for")).to_be_visible()
+    first.page.go_back()
+    expect(view.get_by_label("Why")).to_have_value("mugs slip at 60 N")  # whatever else one looked at meanwhile
     view.get_by_role("button", name="Give the first word").click()
     expect(view).to_contain_text("Waits for another engineer")
+    expect(view.get_by_label("Why")).to_have_value("")
     expect(view.get_by_role("button", name="Give the second word")).to_be_disabled()
     digest = changing.get("/v1/policies", key="engineer")["items"][0]["digest"]
     second = seat(people, changing, "engineer_2")

@@ -6,6 +6,7 @@ import { candidateOf, filesOf, inOrder, lineSpan, read, standings } from '../src
 import { Draft } from '../src/lib/policy/draft.svelte';
 import { decidedAs, deedOf, shortVersion } from '../src/lib/policy/versions';
 import { Versions } from '../src/lib/policy/versions.svelte';
+import { Whys } from '../src/lib/policy/whys.svelte';
 import { unzip, ZipError } from '../src/lib/policy/zip';
 
 /** An archive as packers write it: local headers with their data, the central directory, its end. */
@@ -325,5 +326,27 @@ describe('a list of versions', () => {
     answers[2]?.(problem(0, 'unreachable'));
     await third;
     expect([versions.find('sha256:constructor'), versions.trouble]).toEqual([undefined, 'Unreachable.']);
+  });
+});
+
+describe('why something is done to a version', () => {
+  it('is kept for each version, until it was sent as it stands', () => {
+    const whys = new Whys();
+    whys.write('sha256:a', 'too many near misses');
+    whys.write('sha256:b', 'mugs slip');
+    expect(['a', 'b', 'c'].map((name) => whys.of(`sha256:${name}`))).toEqual(['too many near misses', 'mugs slip', '']);
+    whys.sent('sha256:b', 'mugs slip');
+    whys.sent('sha256:a', 'too many');
+    expect(['a', 'b'].map((name) => whys.of(`sha256:${name}`))).toEqual(['too many near misses', '']);
+  });
+
+  it('is nothing that somebody else finds in the tab', () => {
+    const whys = new Whys();
+    whys.belongsTo('ann');
+    whys.write('sha256:a', 'of ann');
+    whys.belongsTo('ann');
+    expect(whys.of('sha256:a')).toBe('of ann');
+    whys.belongsTo('bob');
+    expect(whys.of('sha256:a')).toBe('');
   });
 });
