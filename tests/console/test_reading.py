@@ -185,7 +185,7 @@ def test_a_trace_follows_its_session_and_is_scrubbed_with_its_events(
     person.page.get_by_role("link", name=re.compile("Drive to")).first.click()
     moment = person.page.get_by_role("slider", name="Moment of the session")
     events = person.region("Events of the session")
-    expect(events).to_contain_text("Launched under")
+    expect(events).to_contain_text("Launched, authorization")
     expect(person.page.locator("article.trace canvas").first).to_be_visible()
     moment.evaluate("(range) => { range.value = range.min; range.dispatchEvent(new Event('input', {bubbles: true})); }")
     first = events.locator("[aria-current=step]").inner_text()

@@ -240,7 +240,7 @@ function human(body: Body, event: LogEvent): Line {
 function launch(body: Body): Line {
   const refused = str(body['refused']);
   if (refused !== '') return line('refused', 'danger', ` ${refused.replaceAll('_', ' ')}`, 'Launch refused:');
-  return line('dot', 'plain', `Launched under authorization …${str(body['permit']).slice(-6)}`);
+  return line('dot', 'plain', `Launched, authorization ${str(body['permit']).slice(-6)}`);
 }
 
 /** What ends a session of which no failure tells: what befell its cell, or whoever drove it. */
