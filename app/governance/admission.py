@@ -211,7 +211,9 @@ def _latched(cell: CellFacts) -> Iterator[Reason]:
 
 
 def _away(cell: CellFacts) -> Iterator[Reason]:
-    if not cell.online:
+    if not cell.id:  # nothing to name: none was ever heard of
+        yield Reason(RULE, "cell_offline", "no cell has attached yet", "propose again once a cell is connected")
+    elif not cell.online:
         yield Reason(RULE, "cell_offline", f"`{cell.id}` is not connected", "propose again later")
     elif cell.holding_link:
         yield Reason(RULE, "cell_offline", f"`{cell.id}` holds because its link lapsed", "propose again later")

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from app.governance import bundle
 from app.governance.admission import admit
-from app.governance.model import AdmissionOutcome, Mode
+from app.governance.model import AdmissionOutcome, CellFacts, Mode
 from tests.governance.policy_world import PROFILES, context, files, proposal, shipped
 
 GRASP = proposal("grasp_object", object_id="mug_1")
@@ -80,6 +80,13 @@ def test_all_reasons_of_the_strongest_outcome_are_reported():
     assert [reason.code for reason in found.reasons] == [
         "permission_missing", "invalid_metadata", "unknown_precondition", "estop_latched",
     ]  # fmt: skip
+
+
+def test_where_no_cell_has_ever_attached_a_proposal_defers_and_is_told_so():
+    found = admit(shipped(), GRASP, replace(context("sim-relaxed"), cell=CellFacts(id="", online=False)))
+    assert (found.outcome, found.reasons[0].code) == (AdmissionOutcome.DEFER, "cell_offline")
+    assert found.reasons[0].message == "no cell has attached yet"
+    assert found.reasons[0].remedy == "propose again once a cell is connected"
 
 
 def test_a_cell_that_holds_because_its_link_lapsed_defers():
