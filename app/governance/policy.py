@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, cast
 
 import orjson
+from jsonschema_rs import ValidationErrorKind
 
 from app.governance.control import TAKEOVER
 from app.governance.model import AgentFacts, Bounds, Mode, RecoveryPlan, WatchPlan, WatchRule
@@ -21,7 +22,7 @@ from app.governance.vocabulary import Names, Vocabulary, properties
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from jsonschema_rs import Draft202012Validator
+    from jsonschema_rs import Draft202012Validator, ValidationError
 
     from app.governance.conditions import Test
     from app.governance.model import Authorization, Capability, Json, Params, Site
@@ -239,14 +240,29 @@ def _encodable(text: str) -> bool:
 def _schema_problems(
     validator: Draft202012Validator, schema: Mapping[str, Json], params: Mapping[str, Json]
 ) -> list[ParamProblem]:
-    problems: list[ParamProblem] = []
-    for error in validator.iter_errors(params):
-        where = ".".join(str(step) for step in error.instance_path)
-        choice = _choice(schema) if list(error.schema_path) == ["oneOf"] else []
-        message = "name " + ", or ".join(choice) if choice else error.message
-        message = message if len(message) <= 300 else message[:297] + "…"
-        problems.append(ParamProblem(where, "schema", message[:1].lower() + message[1:]))
-    return problems
+    return [problem for error in validator.iter_errors(params) for problem in _problems_of(error, schema)]
+
+
+def _problems_of(error: ValidationError, schema: Mapping[str, Json]) -> list[ParamProblem]:
+    """Say what a schema found, each unknown parameter by its name, and what would be valid."""
+    where = [str(step) for step in error.instance_path]
+    match error.kind:
+        case ValidationErrorKind.AdditionalProperties(unexpected=names):
+            remedy = ", ".join(_taken(schema, error.schema_path[:-1]))
+            return [ParamProblem(".".join([*where, name[:64]]), "schema", "is unknown", remedy) for name in names]
+        case _:
+            choice = _choice(schema) if list(error.schema_path) == ["oneOf"] else []
+            message = "name " + ", or ".join(choice) if choice else error.message
+            message = message if len(message) <= 300 else message[:297] + "…"
+            return [ParamProblem(".".join(where), "schema", message[:1].lower() + message[1:])]
+
+
+def _taken(schema: Mapping[str, Json], path: Sequence[str | int]) -> list[str]:
+    """Return what the object schema at a path names; what its patterns take stands behind."""
+    place: Any = schema
+    for step in path:
+        place = place[step]
+    return [f"`{name}`" for name in (*place.get("properties", ()), *place.get("patternProperties", ()))]
 
 
 def _choice(schema: Mapping[str, Json]) -> list[str]:

@@ -5,7 +5,7 @@ import pytest
 
 from app.governance import bundle
 from app.governance.model import Authorization, Mode, Risk, Strategy
-from app.governance.policy import confirm_before, recovery_plan, watch_plan, watch_plan_for
+from app.governance.policy import ParamProblem, confirm_before, recovery_plan, watch_plan, watch_plan_for
 from app.governance.watcher import compile_watch
 from tests.governance.policy_world import PROFILES, files, proposal, shipped
 
@@ -114,6 +114,21 @@ def test_bad_parameters_are_problems(params, code):
 def test_says_between_which_parameters_there_is_a_choice(params):
     problems = shipped().validate_params("navigate_to", params)
     assert [problem.message for problem in problems] == ["name `target`, or `x_m`, `y_m` and `yaw_rad`"]
+
+
+def test_names_a_parameter_that_there_is_not_and_lists_those_there_are():
+    found = shipped().validate_params("grasp_object", {"object_id": "mug_1", "spede_mps": 1, "f" * 99: 2})
+    valid = "`object_id`, `force_n`, `speed_mps`"
+    assert found == tuple(ParamProblem(name, "schema", "is unknown", valid) for name in ("spede_mps", "f" * 64))
+
+
+def test_lists_the_parameters_of_that_part_of_a_schema_which_takes_no_others():
+    text = files()
+    name = "capabilities/grasp_object.yaml"
+    part = "{additionalProperties: false, properties: {object_id: true, force_n: true}}"
+    text[name] = text[name].replace("  required: [object_id]", f"  required: [object_id]\n  allOf: [{part}]")
+    problems = bundle.load_files(text).validate_params("grasp_object", {"object_id": "mug_1", "speed_mps": 0.2})
+    assert problems == (ParamProblem("speed_mps", "schema", "is unknown", "`object_id`, `force_n`"),)
 
 
 @pytest.mark.parametrize("branch", ["{minProperties: 3}", "false"])
