@@ -61,8 +61,11 @@ def new(  # its options
         return
     chosen = TEMPLATES.get(template or "")
     if chosen is None or directory is None:
+        unknown = template is not None and chosen is None
         say_error(
-            "name a directory that does not exist yet, and a template",
+            f"there is no template `{template}`"
+            if unknown
+            else "name a directory that does not exist yet, and a template",
             hint=f"--template {' | '.join(TEMPLATES)}; `reins policy new --list` explains them",
         )
         raise typer.Exit(MISUSE)

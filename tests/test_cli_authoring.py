@@ -81,6 +81,7 @@ def test_what_is_not_given_is_asked_for_until_it_can_be_taken(tmp_path: Path) ->
         ([*REDUCED, "--set", "tcp_speed_mps"], "`tcp_speed_mps` is no answer"),
         ([*REDUCED, "--set", "tcp_speed_mps=0.5"], "at most 0.25"),
         (["--template", "wish"], "reduced-speed | speed-and-separation"),
+        (["--template", "wish"], "there is no template `wish`"),
     ],
 )
 def test_answers_that_are_missing_or_wrong_are_misuse_and_write_nothing(
@@ -103,6 +104,13 @@ def test_answers_that_break_a_promise_of_the_policy_write_nothing_and_show_the_p
     assert "`slow-arm-among-people` does not hold of `grasp_object`" in found
     assert "speed_mps" in found
     assert not (tmp_path / "candidate").exists()
+
+
+def test_what_may_be_zero_is_asked_for_as_at_least_zero() -> None:
+    done = CliRunner().invoke(app, ["policy", "new", "--list"])
+    for key in ("intrusion_m", "position_uncertainty_m", "robot_uncertainty_m"):
+        (asked,) = (line for line in done.output.splitlines() if line.split()[:1] == [key])
+        assert "(a number at least 0; " in asked
 
 
 def test_the_templates_are_explained_with_their_clauses() -> None:
