@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import re
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast, get_args
 
 import orjson
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
@@ -52,12 +52,16 @@ class Body(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, hide_input_in_errors=True)
 
 
-def _upper(value: object) -> object:
-    return value.upper() if isinstance(value, str) else value
-
-
 # Strict models take no text for an enum, so its values are named here; `to_request` holds them against `Strategy`.
 StrategyName = Literal["RETRY", "RECOVERY_CAPABILITY", "ROLLBACK", "SAFER_MODE", "TERMINATE", "ASK_HUMAN"]
+
+
+def _upper(value: object) -> object:
+    """Return a strategy as it is called here, and what is none as it was sent: the answer shows that."""
+    upper = value.upper() if isinstance(value, str) else value
+    return upper if upper in get_args(StrategyName) else value
+
+
 Preference = Annotated[StrategyName, BeforeValidator(_upper)]
 
 

@@ -159,6 +159,8 @@ def test_refuses_every_object_with_a_key_given_twice(value: dict[str, object], d
         ({"preconditions": "arm_ready"}, "preconditions", "valid is a list"),
         ({"preconditions": ["x"] * 65}, "preconditions", "at most 64 items"),
         ({"recovery_preference": "hope"}, "recovery_preference", "'RETRY'"),
+        ({"recovery_preference": "hope"}, "recovery_preference", "is `hope`: "),
+        ({"recovery_preference": ["retry"]}, "recovery_preference", "'RETRY'"),
         ({"metadata": 7}, "metadata", "valid is an object"),
         ({"profile": "sim-relaxed"}, "profile", "is unknown: valid are capability, params"),
         ({"params": {"note": "x" * (MAX_TEXT + 1)}}, "params.note", f"at most {MAX_TEXT} characters"),
