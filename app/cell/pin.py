@@ -34,7 +34,8 @@ class KeyPin:
         except OSError as error:
             raise LinkRefused(f"cannot pin the server's key in `{self.path}`: {error.strerror}") from error
         if known != key:
-            raise LinkRefused(f"the server signs with the key `{key}`; valid: `{known}`, pinned in `{self.path}`")
+            where = f"in `{self.path}`" if self.fixed is None else "by `--server-key`"
+            raise LinkRefused(f"the server signs with the key `{key}`; valid: `{known}`, pinned {where}")
 
     def _kept(self) -> str | None:
         return self.path.read_text().strip() if self.path.exists() else None
