@@ -199,6 +199,22 @@ def approver(
 
     The token is taken from the data directory's tokens.json, under the key that the habits name as `approver`. A
     question whose answer the server does not take, say an edit that does not fit the capability, is left and named.
+
+    The habits are a YAML file. All keys may be left out; without a rule that matches the answer is deny.
+
+      approver: operator              # who answers, a key of tokens.json
+      reads_s: {min: 0.5, max: 1.5}   # how long it reads before it answers, in s
+      error_rate: 0.0                 # share of answers that come out wrong
+      seed: 7                         # of both draws
+      rules:                          # the first that matches decides
+        - match: {capability: grasp_object, risk: medium}
+          decision: approve           # or deny, or ignore: somebody else answers
+          edit: {force_n: 40}         # approve with this instead, or not at all
+        - match: {kind: session}      # a session that asks; it takes no edit
+          decision: approve
+
+    What `match` can name: capability, risk (low, medium, high, critical), kind (approval, session), agent;
+    each with one value or a list of them. A rule that names nothing matches everything.
     """
     from app.demo import approve
 

@@ -1,12 +1,16 @@
 import asyncio
+import inspect
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import yaml
 
 from app.agent.approver import Answer, ScriptedApprover, decide, load_habits, parse_habits
 from app.agent.client import AsyncReinsClient, Problem
+from app.cli import approver
 from app.demo import answered, approve, skipped
 
 from .scripted_server import Turn, serve
@@ -118,6 +122,19 @@ def test_a_habits_file_that_cannot_be_read_is_named(tmp_path: Path, content: byt
     file.write_bytes(content)
     with pytest.raises(ValueError, match=message):
         load_habits(file)
+
+
+RUNTIME = Path(__file__).parents[2] / "docs" / "design" / "runtime.md"
+
+
+@pytest.mark.parametrize("text", [str(inspect.getdoc(approver)), RUNTIME.read_text()], ids=["help", "page"])
+def test_the_explained_habits_can_be_used_and_leave_out_no_key(text):
+    found = re.search(r"^( *)approver: operator .*\n(?:\1.*\n)+?(?=\n|```)", text, re.MULTILINE)
+    shown = parse_habits(yaml.safe_load(found.group()))
+    assert shown.rules[0].edit == {"force_n": 40}
+    assert [rule.decision for rule in shown.rules] == ["approve", "approve"]
+    for word in ("reads_s", "error_rate", "seed", "deny", "ignore", "capability", "risk", "kind", "agent"):
+        assert re.search(rf"\b{word}\b", text), word
 
 
 def test_habits_that_are_no_mapping_are_refused():
