@@ -21,6 +21,7 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
+from urllib.parse import urlsplit
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -144,10 +145,24 @@ class CellSettings:
         _demand(bool(self.token), "token", "", f"a cell's token in the variable {CELL_TOKEN_VARIABLE}")
         one = (self.server is None) != (self.server_file is None)
         _demand(one, "server", self.server, "either an address like http://127.0.0.1:8000 or a server file")
+        valid = "http:// or https://, a host and a port up to 65535, for instance http://127.0.0.1:8000"
+        _demand(self.server is None or _is_address(self.server), "server", self.server, valid)
         valid = f"the kernel's public key: {_KEY_BYTES} bytes in base64, as a cell keeps it in kernel.pub"
         _demand(self.server_key is None or _is_key(self.server_key), "server key", self.server_key, valid)
         check_pace(self.pace)
         _check_seed(self.seed)
+
+
+def _is_address(text: str) -> bool:
+    """Say whether there can be a server at an address; whether there is one, dialling tells."""
+    try:
+        parts = urlsplit(text)
+        host, port = parts.hostname or "", parts.port
+        host.encode("idna")
+    except ValueError:  # a port beyond 65535 or no number, a bracket left open, a name that none can be asked for
+        return False
+    plain = text.isprintable() and " " not in text and text.startswith(("http://", "https://"))
+    return plain and bool(host) and port != 0 and not (parts.query or parts.fragment)
 
 
 def _is_key(text: str) -> bool:

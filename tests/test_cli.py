@@ -21,6 +21,7 @@ from app.audit.store import AuditStore
 from app.cli import app, main
 from app.config import CELL_TOKEN_VARIABLE, CellSettings, ConfigError, Settings, find_policies
 from app.main import listen, operator_token, read_cell_token
+from app.terminal import plain
 from tests.agent.scripted_server import serve
 from tests.audit.conftest import draft, fill, hide_from_index
 from tests.governance.policy_world import POLICIES
@@ -211,6 +212,30 @@ def test_refuses_a_cell_without_token_or_server(tmp_path: Path) -> None:
         CellSettings(id="c", token="", data=tmp_path, server="http://127.0.0.1:8000")
     with pytest.raises(ConfigError, match="server"):
         CellSettings(id="c", token="t", data=tmp_path)
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "", "foo", "127.0.0.1:8000", "ws://127.0.0.1:8000", "http://", "http://:8000", "http://127.0.0.1:99999",
+        "http://127.0.0.1:0", "http://127.0.0.1:http", "http://[::1", "http://a b:8000", "http://é..x", "http://x/?y=1",
+        "HTTP://127.0.0.1:8000", "\x7fhttp://127.0.0.1:8000",
+    ],
+)  # fmt: skip
+def test_refuses_an_address_where_no_server_can_be(
+    address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(CELL_TOKEN_VARIABLE, "t")
+    monkeypatch.setattr(sys, "argv", ["reins", "cell", "--server", address, "--data", str(tmp_path / "cell")])
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    assert f"`server` is `{plain(address)}`; valid: http:// or https://, a host and a port" in capsys.readouterr().err
+    assert not (tmp_path / "cell").exists()
+
+
+@pytest.mark.parametrize("address", ["http://127.0.0.1:8000", "https://robots.example/floor/", "http://[::1]:8000"])
+def test_takes_an_address_where_a_server_can_be(address: str, tmp_path: Path) -> None:
+    assert CellSettings(id="c", token="t", data=tmp_path, server=address).server == address
 
 
 @pytest.mark.parametrize("key", ["!!", "", "b3RoZXI=", "A" * 43, " " + "A" * 43 + "="])
