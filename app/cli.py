@@ -56,6 +56,10 @@ Scenario = Annotated[
 Robot = Annotated[str | None, typer.Option(help="Another robot model: an MJCF path, or a menagerie name.")]
 
 
+LEAST_HOURS = 0.01
+MOST_HOURS = 876_000  # a hundred years: the record writes no year beyond 9999
+
+
 @contextmanager
 def importing() -> Generator[None]:
     """Import without the collector: modules stay, and looking for garbage among them takes a sixth of a start."""
@@ -229,7 +233,9 @@ def issue(
     name: Annotated[str, typer.Argument(help="What the record calls the bearer; for an agent the name policy knows.")],
     *,
     role: Annotated[Role, typer.Option(help="What the bearer may do.")],
-    hours: Annotated[float | None, typer.Option(help="How long it holds; default: for good.", min=0.01)] = None,
+    hours: Annotated[
+        float | None, typer.Option(help="How long it holds, up to a hundred years; default: for good.")
+    ] = None,
     station: Annotated[
         str | None, typer.Option(help="The cell the bearer stands at; there they take over first.")
     ] = None,
@@ -242,10 +248,16 @@ def issue(
     from app.api.auth import PrincipalsUnreadable, issue_token
     from app.audit.errors import RecordDamaged, RecordUnreadable
 
+    if hours is not None and not LEAST_HOURS <= hours <= MOST_HOURS:  # nor is it so of NaN
+        raise ConfigError(
+            "hours", f"{hours:g}", f"{LEAST_HOURS} to {MOST_HOURS}, or none: the token then holds for good"
+        )
     try:
         text = issue_token(data, name=name, role=role, ttl_s=None if hours is None else hours * 3600, station=station)
     except (OSError, ValueError, PrincipalsUnreadable, RecordDamaged, RecordUnreadable) as error:
-        say_error(f"no token issued: {error}", hint=f"`{data}` must be a data directory that `reins serve` has made")
+        missing = isinstance(error, FileNotFoundError | NotADirectoryError)
+        hint = f"`{data}` must be a data directory that `reins serve` has made" if missing else ""
+        say_error(f"no token issued: {error}", hint=hint)
         raise typer.Exit(MISUSE) from error
     typer.echo(text)
 

@@ -63,8 +63,36 @@ def test_issues_a_token_that_is_kept_as_a_digest_only(tmp_path: Path) -> None:
     assert said.strip() not in (tmp_path / "principals.json").read_text()
 
 
-def test_a_token_needs_a_data_directory(tmp_path: Path) -> None:
-    assert run("token", "issue", "x", "--role", "agent", "--data", str(tmp_path / "none"))[0] == 2
+HINT = "must be a data directory that `reins serve` has made"
+
+
+@pytest.mark.parametrize("folder", ["none", "."])
+def test_a_token_needs_a_data_directory_and_leaves_nothing_in_another(tmp_path: Path, folder: str) -> None:
+    code, said = run("token", "issue", "x", "--role", "agent", "--data", str(tmp_path / folder))
+    assert code == 2
+    assert HINT in said
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("name", "why"), [("operator", "has the role"), (" x", "no principal name")])
+def test_a_name_that_cannot_be_is_no_fault_of_the_data_directory(tmp_path: Path, name: str, why: str) -> None:
+    open_principals(tmp_path)
+    code, said = run("token", "issue", name, "--role", "agent", "--data", str(tmp_path))
+    assert code == 2
+    assert why in said
+    assert HINT not in said
+
+
+@pytest.mark.parametrize("hours", ["inf", "nan", "1e12", "0", "-1"])
+def test_hours_that_no_token_holds_are_named_as_they_were_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], hours: str
+) -> None:
+    open_principals(tmp_path)
+    words = ["token", "issue", "x", "--role", "agent", "--data", str(tmp_path), "--hours", hours]
+    monkeypatch.setattr(sys, "argv", ["reins", *words])
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    assert f"`hours` is `{float(hours):g}`; valid: 0.01 to 876000, or none" in capsys.readouterr().err
 
 
 def test_no_token_is_issued_beside_a_record_that_cannot_be_read(tmp_path: Path) -> None:

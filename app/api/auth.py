@@ -223,7 +223,7 @@ def issue_token(
             machine, or for somebody of another role; one that reads like another's.
         PrincipalsUnreadable: the file is not in its form.
         RecordDamaged: the record cannot be read, so that nobody knows which cells there are.
-        OSError: the directory cannot be read or written.
+        OSError: the directory cannot be read or written, or no server has made it.
     """
     if not name or len(name) > 128 or not name.isprintable() or name != name.strip():
         raise ValueError(
@@ -234,6 +234,7 @@ def issue_token(
     token = _new_token(role)
     expires_at = None if ttl_s is None else clock.rfc3339(clock.wall_s() + ttl_s)
     path = data_dir / PRINCIPALS_FILE
+    path.stat()  # where no server has kept principals, no lock is left behind either
     with _locked(data_dir / (PRINCIPALS_FILE + ".lock")):
         row: dict[str, str | None] = _row(name, role, token, expires_at)
         known = _rows(path)
