@@ -96,6 +96,7 @@ class _Walk:
         self.verifier = verifier
         self.frontier = Frontier()
         self.note: str | None = None
+        self._outside_gone = False
         self._not_outside: list[tuple[Frontier, str | None]] = []
 
     def result(self, first_bad: int | None, problem: str | None) -> Verification:
@@ -113,7 +114,7 @@ class _Walk:
         try:
             before = reader.extent()
             # The file's length is taken between two looks at the database, for it may be neither ahead nor far behind.
-            outside = read_notes(self.places.checkpoints, self.places.checkpoints.stat().st_size)
+            outside = self._read_outside()
             extent = reader.extent()
             if extent.first < 0 or (extent.last and extent.first != 1):
                 raise _Bad(min(extent.first, 1), f"the first event is `{extent.first}`")
@@ -131,9 +132,25 @@ class _Walk:
             reader.close()
         self._end(extent, outside)
 
+    def _read_outside(self) -> Iterator[str]:
+        """Return the notes in the file outside; none where it is gone, and the walk still says how the events fare."""
+        try:
+            return read_notes(self.places.checkpoints, self.places.checkpoints.stat().st_size)
+        except FileNotFoundError:
+            self._outside_gone = True
+            return iter(())
+
     def _end(self, extent: Extent, outside: Iterator[str]) -> None:
         if extent.last > extent.signed:
             raise _Bad(extent.signed + 1, f"no checkpoint vouches for the events after `{extent.signed}`")
+        if self._outside_gone:
+            self.frontier, self.note = Frontier(), None
+            raise _Bad(
+                1,
+                f"`{self.places.checkpoints}`, the checkpoints outside the database, is missing: the `{extent.signed}` "
+                "events are as the checkpoints inside have them, but nothing outside says that none were taken off the "
+                "end; valid: restore the file from a copy",
+            )
         if len(self._not_outside) > 1:
             self.frontier, self.note = self._not_outside[0]
             raise _Bad(self.frontier.size + 1, f"`{self.places.checkpoints}` lacks the last checkpoints")

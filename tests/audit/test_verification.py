@@ -82,6 +82,11 @@ def take_the_file_outside_for_a_directory(places: Places) -> None:
     places.checkpoints.mkdir()
 
 
+def alter_a_body_and_take_the_file_outside_away(places: Places) -> None:
+    sql(OTHER_BODY)(places)
+    places.checkpoints.unlink()
+
+
 def garble_the_schema(places: Places) -> None:
     """Leave a statement that SQLite cannot make out, and that its complaint cites as it stands."""
     content = places.database.read_bytes()
@@ -142,7 +147,12 @@ TAMPERING: dict[str, tuple[Tamper, int, str]] = {
     "outside: order changed": (outside(lambda text: "".join(reversed(notes(text)))), 1, "another checkpoint"),
     "outside: emptied": (outside(lambda _: ""), 1, "lacks the last checkpoints"),
     "outside: garbled": (outside(lambda text: text.replace("reins/", "raids/", 1)), 1, "another checkpoint"),
-    "outside: gone": (lambda places: places.checkpoints.unlink(), 1, "No such file"),
+    "outside: gone": (
+        lambda places: places.checkpoints.unlink(),
+        1,
+        "outside the database, is missing: the `12` events are as",
+    ),
+    "outside: gone, and a body altered": (alter_a_body_and_take_the_file_outside_away, 5, "bytes of event `5`"),
     "outside: a directory": (take_the_file_outside_for_a_directory, 1, "Is a directory"),
     "database gone": (lambda places: places.database.unlink(), 1, "no such log"),
     "schema that is no text": (garble_the_schema, 1, "cannot be read as a log"),
