@@ -301,6 +301,7 @@ def test_an_answer_that_comes_late_is_no_answer_about_another_capability(server:
     expect(person.region("Waiting for you")).to_be_visible()
 
 
+@pytest.mark.drawn
 def test_what_is_not_read_yet_of_a_trace_is_not_shown_as_none(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
