@@ -8,6 +8,7 @@ import re
 import shutil
 import sqlite3
 import sys
+from collections.abc import Awaitable, Callable
 from contextlib import closing
 from pathlib import Path
 
@@ -103,20 +104,30 @@ def test_no_token_is_issued_beside_a_record_that_cannot_be_read(tmp_path: Path) 
     assert "no token issued" in said
 
 
+def write(folder: Path, record: Callable[[AuditStore], Awaitable[object]]) -> None:
+    """Leave a log behind."""
+
+    async def recorded() -> None:
+        store = AuditStore.open(folder)
+        await record(store)
+        await store.close()
+
+    asyncio.run(recorded())
+
+
+def alter(folder: Path, seq: int, body: bytes) -> None:
+    """Write something else over an event, as nothing of ours would."""
+    with closing(sqlite3.connect(Places(folder).database)) as database:
+        database.execute("DROP TRIGGER events_refuse_update")
+        database.execute("UPDATE events SET body = ? WHERE seq = ?", (body, seq))
+        database.commit()
+
+
 @pytest.mark.parametrize(("seq", "relied_on"), [(5, "events 1 to 3 are good"), (2, "nothing before it is good")])
 def test_says_how_far_an_altered_log_is_good(tmp_path: Path, seq: int, relied_on: str) -> None:
     """Batches of three: what precedes the bad event in its own batch has no checkpoint that holds."""
-
-    async def write() -> None:
-        store = AuditStore.open(tmp_path)
-        await fill(store)
-        await store.close()
-
-    asyncio.run(write())
-    with closing(sqlite3.connect(Places(tmp_path).database)) as database:
-        database.execute("DROP TRIGGER events_refuse_update")
-        database.execute("UPDATE events SET body = x'7b7d' WHERE seq = ?", (seq,))
-        database.commit()
+    write(tmp_path, fill)
+    alter(tmp_path, seq, b"{}")
     code, said = run("audit", "verify", "--data", str(tmp_path))
     assert code == 1
     assert f"event {seq}: " in said
@@ -129,13 +140,7 @@ ODD = "force :100: :x: [red]ok[/] \u009b2J \u202eyako\u202c \x1b[2J \x7f \u2028 
 @pytest.mark.parametrize("words", [("show", "inv_1"), ("tail",)])
 def test_prints_what_was_recorded_as_it_stands(tmp_path: Path, words: tuple[str, ...]) -> None:
     """Nothing of it is taken for a picture or a style, and nothing steers the terminal."""
-
-    async def write() -> None:
-        store = AuditStore.open(tmp_path)
-        await store.append([draft(intent=ODD)])
-        await store.close()
-
-    asyncio.run(write())
+    write(tmp_path, lambda store: store.append([draft(intent=ODD)]))
     code, said = run("audit", *words, "--data", str(tmp_path))
     assert code == 0
     assert json.loads(said[said.index("{") :]) == {"intent": ODD}
@@ -147,16 +152,8 @@ def test_prints_what_was_recorded_as_it_stands(tmp_path: Path, words: tuple[str,
 def test_what_cannot_be_read_of_a_damaged_log_is_named_and_the_rest_printed(
     tmp_path: Path, words: tuple[str, ...], body: bytes
 ) -> None:
-    async def write() -> None:
-        store = AuditStore.open(tmp_path)
-        await store.append([draft(n=n) for n in (1, 2, 3)])
-        await store.close()
-
-    asyncio.run(write())
-    with closing(sqlite3.connect(Places(tmp_path).database)) as database:
-        database.execute("DROP TRIGGER events_refuse_update")
-        database.execute("UPDATE events SET body = ? WHERE seq = 2", (body,))
-        database.commit()
+    write(tmp_path, lambda store: store.append([draft(n=n) for n in (1, 2, 3)]))
+    alter(tmp_path, 2, body)
     code, said = run("audit", *words, "--data", str(tmp_path))
     assert code == 1
     assert "event `2` cannot be read" in said
@@ -167,12 +164,7 @@ def test_what_cannot_be_read_of_a_damaged_log_is_named_and_the_rest_printed(
 
 @pytest.mark.parametrize("hidden", [True, False])
 def test_verification_finds_an_index_that_hides_an_event(tmp_path: Path, hidden: bool) -> None:
-    async def write() -> None:
-        store = AuditStore.open(tmp_path)
-        await fill(store)
-        await store.close()
-
-    asyncio.run(write())
+    write(tmp_path, fill)
     if hidden:
         hide_from_index(Places(tmp_path).database, "inv_1")
     code, said = run("audit", "verify", "--data", str(tmp_path))
