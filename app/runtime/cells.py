@@ -11,6 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from app.audit.event import RowWrite
 from app.clock import monotonic_s
+from app.governance.control import GOING_ON
 from app.governance.model import WorldFacts
 
 if TYPE_CHECKING:
@@ -129,6 +130,7 @@ class Cell:
         default_factory=dict[tuple[str, str], "Message"]
     )  # restraints that it may not have heard
     told: tuple[Line, str] | None = None  # the session that it was told to stop, which nobody believes it to have
+    onward: tuple[Line, str] | None = None  # the session to go on with, as it was told on that link and has not heard
     restraints: int = 0  # words that hold or end its session, so far
     restrained: dict[tuple[str, str], tuple[int, Message]] = field(
         default_factory=dict[tuple[str, str], "tuple[int, Message]"]
@@ -191,6 +193,8 @@ class Cell:
 
         What is refused as the end of a takeover that never was ends nothing, unless somebody takes over just then.
         """
+        if op in GOING_ON:
+            self.onward = None
         if op not in ENDING or (refused == "not_taken_over" and not self.driven(invocation)):
             self.owed.pop((op, invocation), None)
         if op == PAUSE and refused:
@@ -203,6 +207,10 @@ class Cell:
                 self.heard(op, invocation)
                 if op == PAUSE:
                     del self.restrained[op, invocation]
+
+    def goes_on(self, invocation: str) -> bool:
+        """Say whether the word on which a session goes on is on its way, on the link that the cell has now."""
+        return self.onward == (self.attachment, invocation)
 
     def driven(self, invocation: str) -> bool:
         """Say whether somebody drives a session by hand."""

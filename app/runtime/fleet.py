@@ -298,6 +298,8 @@ class Fleet:
         attachment = self.check(cell, decided)
         if isinstance(message, Launch | Human):
             cell.lifted(decided.restraints)
+            if cell.claim is not None:  # whatever of these is ordered has the cell's session begin, or go on
+                cell.onward = attachment, cell.claim
         attachment.post(message)
         for number, restraint in cell.restrained.values():
             if number > decided.restraints:
@@ -499,7 +501,9 @@ class Fleet:
             await self._desk.absorb(cell.id, fresh, cell.progress(taken, self._register.now()))
             cell.taken = taken
         for event in fresh:
-            if event.kind == EventKind.HUMAN and event.invocation is not None:
+            if event.kind == EventKind.LAUNCH:
+                cell.onward = None
+            elif event.kind == EventKind.HUMAN and event.invocation is not None:
                 cell.heard(str(event.body.get("op")), event.invocation, event.body.get("refused"))
 
     # -- keeping on --------------------------------------------------------------------------------------------------

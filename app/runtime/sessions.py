@@ -351,6 +351,7 @@ class Sessions:
             and now_s > parse_rfc3339(invocation.updated_at) + GOES_ON_S
         ):  # what lets it go on is sent once, and may be lost or refused
             message = "it was answered, and the session waits all the same"
+            place.onward = None
             await self._ask(invocation.id, "not_gone_on", message)
 
     async def _phase(self, invocation: Invocation) -> str | None:
@@ -365,7 +366,7 @@ class Sessions:
 
     @uncut
     async def _ask(self, name: str, code: str, message: str) -> None:
-        """Escalate a session, unless a human has been asked already, or has had it end: nobody could let it go on."""
+        """Escalate a session, unless a human has been asked already, or has answered: what follows is on its way."""
         entry = self._register.entry(name)
         if entry is None:
             return
@@ -373,7 +374,8 @@ class Sessions:
             present = entry.newest
             if present.status not in SESSION or self._desk.pending_for(name) is not None:
                 return
-            if self._fleet.cell(present.cell or "").ending(name) is not None:
+            cell = self._fleet.cell(present.cell or "")
+            if cell.ending(name) is not None or cell.goes_on(name):
                 return
             phase, now = await self._phase(present), self._register.now()
             question = self._desk.session_question(present, [reason(RULE, code, message)], phase)

@@ -37,6 +37,7 @@ ONWARD: Final = "let it go on from where it is held, or end it"  # what a human 
 ANEW: Final = "let it go on with a new attempt, or end it"  # and of one that had failed
 CONFIRM_RULE: Final = "authority/confirm_before"
 NOTHING: Final[Mapping[str, Any]] = {}
+ANSWERED: Final = frozenset({APPROVED, DENIED, EXPIRED})
 DONE: Final = frozenset({Outcome.SUCCEEDED, Outcome.RECOVERED})
 
 
@@ -153,7 +154,9 @@ class Story:
         A cell says that a session is escalated, and then why. Who has answered by then is not asked again.
         """
         asked_before = version.terms.asked_tick == event.tick and event.kind == EventKind.ESCALATION
-        if question is None and (asked_before or _answered_meanwhile(version, event)):
+        if question is None and (asked_before or self._answered_meanwhile(version, event)):
+            if version.status is not Status.ESCALATED:
+                self._versions[version.id] = version.evolve(at, status=Status.ESCALATED)
             return NOTHING
         phase, reasons = _asked(event)
         code = event.body.get("reason")
@@ -174,6 +177,18 @@ class Story:
                 at, status=Status.ESCALATED, escalation=asked.reference(), terms=terms
             )
         return {"escalation": asked.public()}
+
+    def _answered_meanwhile(self, version: Invocation, event: UpEvent) -> bool:
+        """Say whether a cell holds for its link, of which somebody knew whose answer is on its way to it.
+
+        The server asks by itself about a session whose link is lost, so the cell may say so only after the answer, and
+        before that what else it did meanwhile. Should the session wait all the same, it is asked about again in time
+        (`not_gone_on`).
+        """
+        if (version.escalation or NOTHING).get("status") not in ANSWERED or event.body.get("reason") != LINK:
+            return False
+        cell = self._desk.fleet.cell(version.cell or "")
+        return version.status is Status.ESCALATED or cell.goes_on(version.id) or cell.ending(version.id) is not None
 
     def _end(self, version: Invocation, outcome: Outcome, at: str, *codes: str) -> Mapping[str, Any]:
         question = self._open(version.id)
@@ -237,16 +252,6 @@ def _undoes_nothing(version: Invocation, event: UpEvent) -> bool:
     """Say whether a cell has no way to undo a session, and is not mending an undoing that failed."""
     said = event.kind == EventKind.HUMAN and event.body.get("op") == ROLLBACK
     return said and event.body.get("refused") == UNAVAILABLE and version.status is not Status.RECOVERING
-
-
-def _answered_meanwhile(version: Invocation, event: UpEvent) -> bool:
-    """Say whether a cell holds for its link, of which somebody knew whose answer is on its way to it.
-
-    The server asks by itself about a session whose link is lost, so the cell may say so only after the answer. Should
-    the session wait all the same, it is asked about again in time (`not_gone_on`).
-    """
-    answered = (version.escalation or NOTHING).get("status") in {APPROVED, DENIED, EXPIRED}
-    return answered and version.status is Status.ESCALATED and event.body.get("reason") == LINK
 
 
 def _of_the_link(question: Escalation) -> bool:

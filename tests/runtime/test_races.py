@@ -338,12 +338,48 @@ async def test_who_answers_for_a_lost_link_is_not_asked_by_the_cell_as_well(hous
         assert question.reasons[0]["code"] == "link_lost"
         cell = await back(runtime, first, status="escalated")
         await runtime.desk.resolve(question.id, OPERATOR, decision, question.digest)
-        await cell.report("status", name, status="escalated", reason="link")
+        for then in ("recovering", "escalated"):  # what it did while it was away comes after the answer
+            await cell.report("status", name, status=then, reason="link")
         await cell.report("escalation", name, reason="link")
         assert runtime.desk.pending_for(name) is None
-        await cell.report("status", name, status="running")
-        await cell.report("status", name, status="escalated", reason="link")
-        assert runtime.desk.pending_for(name) is not None, "a link that is lost later is another question"
+        assert (await runtime.governor.invocation(name, AGENT))["status"] == "escalated"
+        if decision == "approve":
+            await cell.report("status", name, status="running", reason="operator")
+            await cell.report("human", name, op="resolve_continue")
+            await cell.report("status", name, status="escalated", reason="link")
+            assert runtime.desk.pending_for(name) is not None, "a link that is lost later is another question"
+
+
+@pytest.mark.parametrize("decision", ["approve", "deny"])
+async def test_who_answers_before_the_cell_is_compared_with_the_record_is_not_asked_again(
+    house: House, decision: str
+) -> None:
+    async with house.open() as runtime:
+        first = await HandCell(runtime).dial()
+        await first.state()
+        name = await running(runtime, first)
+        await first.hang_up()
+        away = runtime.fleet.cell(CELL)
+        assert away.absent_since_s is not None
+        away.absent_since_s -= LOST_S + 0.1
+        await runtime.fleet.tend_once()
+        question = runtime.desk.pending_for(name)
+        assert question is not None
+        cell = HandCell(runtime, seq=first.seq, invocation=name, status="recovering")
+        unsent = cell.event("alert", name, signal="clearance_m")  # its `Hello` says that there is more to come
+        await cell.dial()
+        await runtime.desk.resolve(question.id, OPERATOR, decision, question.digest)
+        await cell.say(unsent)
+        await cell.acknowledged(unsent.seq)
+        await until(lambda: away.unreconciled is None)
+        assert runtime.desk.pending_for(name) is None
+        if decision == "approve":  # the word is lost: it is asked about again, for want of the cell's own
+            await cell.report("status", name, status="escalated", reason="link")
+            house.wall_s.offset_s = 3.0
+            await runtime.fleet.tend_once()
+            asked = runtime.desk.pending_for(name)
+            assert asked is not None
+            assert asked.reasons[0]["code"] == "not_gone_on"
 
 
 async def test_a_proposal_that_is_said_again_while_its_first_is_recorded_gets_the_same_answer(
