@@ -392,6 +392,22 @@ def test_who_approved_first_of_two_may_still_deny(server: ServerProcess, people:
     assert floor.settled(proposed["id"])["status"] == "denied"
 
 
+def test_who_approved_first_of_two_is_told_that_it_was_for_nothing_also_at_another_question(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    path = f"/v1/escalations/{floor.ask('driver_1')['escalation']['id']}"
+    expect(card(person, "Grasp driver_1")).to_be_visible()
+    floor.ask()
+    expect(person.button(re.compile("^Approve"))).to_be_enabled()
+    person.button(re.compile("^Approve")).click()
+    expect(card(person, "Grasp driver_1")).to_have_count(0)
+    answer = {"decision": "deny", "digest": server.get(path)["digest"]}
+    assert server.post(f"{path}/resolve", answer, key="operator_2").is_success
+    told = person.page.get_by_role("status").filter(has_text="Grasp driver_1 is not open any more: operator_2 denied.")
+    expect(told).to_contain_text("This is another question.")
+
+
 def test_a_grant_says_whole_what_it_covers_and_is_for_a_task_only_where_the_proposal_names_one(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

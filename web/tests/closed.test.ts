@@ -27,6 +27,12 @@ describe('a question that others closed', () => {
     expect(refused).toEqual({ words: 'operator_2 approved it, but in vain: launch refused: no plan.', inVain: true, lapsed: false });
   });
 
+  it('was approved for nothing where somebody denied, withdrew or outlived it, and nowhere else', () => {
+    const vain = (...log: LogEvent[]): boolean => closingOf(log, ASKED, invocation({ outcome: 'stopped' })).inVain;
+    expect([vain(about('denied', 'deny')), vain(asks('pending'), asks('withdrawn')), vain(asks('expired')), vain(asks('pending'), word('cancel'))]).toEqual([true, true, true, true]);
+    expect([vain(about('approved', 'approve')), vain(asks('pending')), vain()]).toEqual([false, false, false]);
+  });
+
   it('that was withdrawn says by whose word, and only of what has ended that it is over', () => {
     const running = invocation({ status: 'recovering' });
     expect(words([asks('pending'), word('rollback'), asks('withdrawn')], running)).toBe('It was withdrawn: operator ordered a rollback.');

@@ -9,7 +9,7 @@ export type Asked = Pick<Escalation, 'id' | 'invocation'>;
 export interface Closing {
   /** As a sentence; null where nothing is known of it. */
   words: string | null;
-  /** Approved, and refused or deferred all the same. */
+  /** Who approved it did so for nothing: it was refused, deferred, denied or withdrawn all the same. */
   inVain: boolean;
   /** Its time ran out. */
   lapsed: boolean;
@@ -40,9 +40,10 @@ export function closingOf(events: readonly LogEvent[], asked: Asked, invocation:
   const last = told.findLast((event) => question(event)['status'] !== 'pending');
   const over = invocation?.outcome == null ? null : 'It is over.';
   // What its cell withdraws is not recorded as an answer: whose word it was is.
-  if (last === undefined) return { words: instead(events, asked, told[0], named) ?? over, inVain: false, lapsed: false };
+  const word = last === undefined ? instead(events, asked, told[0], named) : null;
+  if (last === undefined) return { words: word ?? over, inVain: word !== null, lapsed: false };
   if (question(last)['status'] === 'approved') return approved(events, asked, last, named);
-  return { words: unapproved(events, asked, { from: told[0], last }, named) ?? over ?? 'It was withdrawn.', inVain: false, lapsed: question(last)['status'] === 'expired' };
+  return { words: unapproved(events, asked, { from: told[0], last }, named) ?? over ?? 'It was withdrawn.', inVain: true, lapsed: question(last)['status'] === 'expired' };
 }
 
 function first(name: string): string {
