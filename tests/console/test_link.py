@@ -44,6 +44,10 @@ GREYS = """() => new Promise((resolve, reject) => {
     };
     look();
 })"""
+GREY = """it => {
+    for (let part = it; part !== null; part = part.parentElement) if (getComputedStyle(part).filter !== 'none') return true;
+    return false;
+}"""
 BROKEN = r"WebSocket connection|ERR_CONNECTION|ERR_EMPTY_RESPONSE|Failed to load resource"
 
 
@@ -99,6 +103,28 @@ def test_a_pause_is_sent_though_the_link_is_down_and_what_came_of_it_is_told(
         person.press("p")
         expect(scene.get_by_role("button", name="Resume")).to_have_attribute("aria-disabled", "false")
         server.await_status(drive["id"], "paused")
+
+
+def test_a_denial_is_sent_though_the_link_is_down_and_an_approval_is_not(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    with wire_to(urlsplit(server.url).port or 0) as wire:
+        person = people.sit(server, at=f"http://127.0.0.1:{wire.port}")
+        person.expects(BROKEN)
+        asked = floor.ask()
+        deny, approve = person.button(re.compile("^Deny")), person.button(re.compile("^Approve"))
+        expect(approve).to_be_enabled()
+        wire.cut()
+        expect(person.alert("Link down.")).to_contain_text("STOP and Deny are still sent")
+        expect(approve).to_be_disabled()
+        expect(deny).to_be_enabled()
+        assert not deny.evaluate(GREY)
+        assert person.page.locator("article .terms").evaluate(GREY)
+        deny.click()
+        expect(person.page.get_by_role("article").get_by_role("alert")).to_contain_text("No answer from the server")
+        wire.mend()
+        deny.click()
+        assert floor.settled(asked["id"])["status"] == "denied"
 
 
 def test_a_question_to_policy_outlasts_the_link_it_is_written_over(server: ServerProcess, people: People) -> None:

@@ -3,7 +3,7 @@ import { ApiError, type Answer } from '../src/lib/api/client';
 import type { Escalation, Params, Verdict } from '../src/lib/api/documents';
 import { checkOf, mayApprove, readEdit, rowsOf } from '../src/lib/live/edit';
 import { ARM_MS } from '../src/lib/keys/arming.svelte';
-import { standingDenial } from '../src/lib/live/denials';
+import { restrains, standingDenial } from '../src/lib/live/denials';
 import { another, coverOf } from '../src/lib/live/grants';
 import { Decision } from '../src/lib/live/decision.svelte';
 import { escalation, invocation } from './samples';
@@ -321,6 +321,11 @@ describe('the reason of a denial', () => {
   it('is one that the policy in force declares, or the denial would be refused', () => {
     expect(['', 'not_now', 'dropped'].map((code) => standingDenial(code, escalation(), [first, other].flatMap((one) => one ?? [])))).toEqual(['unsafe', 'not_now', 'unsafe']);
     expect(standingDenial('not_now', escalation(), [])).toBe('not_now'); // where none is known, what was chosen stands
+  });
+
+  it('restrains, unless what is denied is undone', () => {
+    const endings = (['deny', 'terminate', 'rollback', undefined] as const).map((on_deny) => restrains(on_deny === undefined ? {} : { on_deny }));
+    expect(endings).toEqual([true, true, false, true]);
   });
 });
 

@@ -36,3 +36,11 @@ export function likelyDenial(escalation: Escalation, denials: readonly Denial[])
 export function standingDenial(chosen: string, escalation: Escalation, denials: readonly Denial[]): string {
   return denials.length === 0 || denials.some(({ code }) => code === chosen) ? chosen : likelyDenial(escalation, denials);
 }
+
+/**
+ * Whether a denial lets nothing move. It is bound to what was read, so one that restrains is sent on a link that is late or
+ * down as well, as a pause is; what is undone moves.
+ */
+export function restrains({ on_deny }: Pick<Escalation, 'on_deny'>): boolean {
+  return on_deny !== 'rollback';
+}
