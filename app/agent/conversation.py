@@ -150,6 +150,9 @@ def header_text(name: str, value: object, most: int) -> str:
 
 def _problem(reply: Reply) -> Problem:
     body = document(reply.json)
+    if reply.status in range(300, 400):
+        leads = "the answer leads to another address; valid is the URL of the server itself"
+        return Problem(reply.status, "redirected", leads)
     return Problem(
         reply.status, str(body.get("code", "unknown")), str(body.get("detail") or body.get("title") or reply.json)
     )
@@ -253,7 +256,12 @@ def _unreadable(answer: Document, wrong: str) -> Problem:
 
 
 def path_of(invocation: str) -> str:
-    """Return the path of an invocation; whatever stands in its name leads nowhere else."""
+    """Return the path of an invocation; whatever stands in its name leads nowhere else.
+
+    Raises `Unsendable` for what is no name.
+    """
+    if not isinstance(invocation, str) or not invocation or next(_misfit(invocation, "invocation"), None):
+        raise Unsendable(f"the invocation is {invocation!r}; valid is the `id` of one; nothing was sent")
     return f"/v1/invocations/{quote(invocation, safe='')}"
 
 

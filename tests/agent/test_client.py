@@ -279,6 +279,19 @@ async def test_a_value_that_cannot_be_sent_is_named_and_nothing_is_sent(given, m
     assert server.turns == []
 
 
+@pytest.mark.parametrize("name", [None, "", 7, "\ud800", ["inv_1"]])
+@pytest.mark.anyio
+async def test_what_is_no_name_of_an_invocation_is_not_asked_for(name):
+    with serve(lambda _: (200, {})) as server:
+        for ask in ("follow", "trace"):
+            with ReinsClient(server.url, "t") as client, pytest.raises(Unsendable, match="valid is the `id` of one"):
+                getattr(client, ask)(name)
+            async with AsyncReinsClient(server.url, "t") as client:
+                with pytest.raises(Unsendable, match="valid is the `id` of one"):
+                    await getattr(client, ask)(name)
+    assert server.turns == []
+
+
 @pytest.mark.anyio
 async def test_a_path_that_leads_to_another_host_is_not_asked():
     with serve(lambda _: (200, {})) as server, serve(lambda _: (200, {})) as other:
@@ -428,6 +441,16 @@ def test_an_answer_that_is_no_document_is_shown():
         pytest.raises(Problem, match="200 unreadable_answer: `welcome to another server` is no JSON document"),
     ):
         client.invoke("navigate_to", target="dock")
+
+
+def test_an_answer_that_leads_elsewhere_is_not_followed_and_told_as_that():
+    with serve(lambda _: (200, {})) as other, serve(lambda _: (307, ""), {"location": other.url}) as server:
+        with (
+            ReinsClient(server.url, "t") as client,
+            pytest.raises(Problem, match="307 redirected: .* valid is the URL"),
+        ):
+            client.invoke("navigate_to", target="dock")
+    assert other.turns == []
 
 
 def test_raises_unreachable_when_nothing_ever_answers(monkeypatch: pytest.MonkeyPatch):
