@@ -207,6 +207,23 @@ def test_whoever_edits_what_another_answers_is_told_that_the_edit_went_nowhere(
     expect(person.alert("your edit was not sent")).to_have_count(0)
 
 
+def test_an_edit_in_the_making_outlasts_a_look_at_another_page(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    asked = floor.ask()
+    force = person.page.get_by_role("textbox", name="Grip force you approve, N")
+    force.fill("22")
+    expect(card(person)).to_contain_text("Your edit was checked again: allowed.")
+    person.page.get_by_role("link", name="Audit").click()
+    expect(force).to_have_count(0)
+    person.page.get_by_role("link", name="Live").click()
+    expect(force).to_have_value("22")
+    expect(card(person)).to_contain_text("Your edit was checked again: allowed.")
+    person.button("Approve edit").click()
+    assert floor.settled(asked["id"])["effective"]["force_n"] == 22
+
+
 def test_a_question_that_another_answers_says_so_before_one_that_looks_the_same_takes_its_place(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

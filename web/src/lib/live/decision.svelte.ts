@@ -33,6 +33,14 @@ const IN_VAIN = 'Your edit was of what was asked before: it does not count, and 
 /** How the choice reads that allows nothing in advance. */
 export const ASK_AGAIN = 'ask me again next time';
 
+/** What was typed on a card that is gone, of which question, and what became of sending it. */
+export interface Draft {
+  asked: Escalation;
+  typed: Typed;
+  sent: boolean;
+  refused: boolean;
+}
+
 type Asks = Pick<Api, 'check' | 'resolve'>;
 
 /** One person's answer in the making: what was typed, what policy says to it, and what became of sending it. */
@@ -84,6 +92,22 @@ export class Decision {
   readonly deniable = $derived.by(() => this.sending !== 'deny' && !this.over);
   /** What a press of approve is about: what is asked, what was typed, and what policy said to it. */
   readonly shown = $derived.by(() => JSON.stringify([this.asked.digest, this.typed, this.check, this.offer, this.ready]));
+
+  /** What was typed and is not answered; null where nothing was, or it is what is asked anyway. */
+  get draft(): Draft | null {
+    const kept = this.edited || Object.keys(this.edit.faults).length > 0;
+    return kept && !this.over ? { asked: this.asked, typed: this.typed, sent: this.typed === this.sent, refused: this.refused } : null;
+  }
+
+  /** Goes on with what was typed on a card before this one; of what is not asked any more it says that it is gone. */
+  takeUp({ asked, typed, sent, refused }: Draft): void {
+    const now = this.asked;
+    this.asked = asked;
+    const { problem } = this;
+    for (const [name, text] of Object.entries(typed)) this.type(name, text);
+    [this.problem, this.sent, this.refused] = [problem, sent ? this.typed : null, refused];
+    this.update(now);
+  }
 
   /** Takes a newer version of the question. Another digest is another question: what was typed no longer stands. */
   update(newer: Escalation): void {

@@ -1,3 +1,4 @@
+import { SvelteMap } from 'svelte/reactivity';
 import { Api } from '../api/client';
 import type { Capability, Cell, Escalation, InputSchema, Invocation, PolicySet } from '../api/documents';
 import { entryOf } from '../format/entry';
@@ -7,6 +8,7 @@ import { Orders } from '../live/orders.svelte';
 import { Reviewing } from '../live/reviewing.svelte';
 import { Revoking } from '../live/revoking.svelte';
 import { Titles } from '../live/titles.svelte';
+import type { Draft } from '../live/decision.svelte';
 import { Unheeded } from '../live/unheeded.svelte';
 import type { Health } from '../socket/connection';
 import type { PoseFrame } from '../socket/frame';
@@ -70,6 +72,8 @@ export class Console {
   };
   readonly lapses = new Lapses();
   readonly unheeded = new Unheeded();
+  /** What was typed into questions whose card went before it was sent. */
+  readonly drafts = new SvelteMap<string, Draft>();
   readonly orders = new Orders(this);
   readonly titles: Titles;
   readonly reviewing: Reviewing;
