@@ -48,6 +48,14 @@ class LinkLapsed(AssertionError):
     """A test failed while a cell's link lapsed: the machine was too busy for a lease of 300 ms. It runs once more."""
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Where `REINS_TESTS_AGAIN` is set, run what fails in real time once more; how it failed first is told whole."""
+    if os.environ.get("REINS_TESTS_AGAIN"):
+        for item in items:
+            if any(item.get_closest_marker(name) for name in ("process", "browser")):
+                item.add_marker(pytest.mark.flaky(reruns=1, only_rerun=".*"))
+
+
 def pytest_collection_finish() -> None:
     """Leave what was imported out of collections of garbage, and have fewer: they took a tenth of the time."""
     gc.collect()
