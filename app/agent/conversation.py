@@ -255,7 +255,7 @@ def _unreadable(answer: Document, wrong: str) -> Problem:
     return Problem(200, "unreadable_answer", f"`{ascii(answer)[:80]}` {wrong}")
 
 
-def path_of(invocation: str) -> str:
+def path_of(invocation: object) -> str:
     """Return the path of an invocation; whatever stands in its name leads nowhere else.
 
     Raises `Unsendable` for what is no name.

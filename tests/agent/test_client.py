@@ -444,12 +444,13 @@ def test_an_answer_that_is_no_document_is_shown():
 
 
 def test_an_answer_that_leads_elsewhere_is_not_followed_and_told_as_that():
-    with serve(lambda _: (200, {})) as other, serve(lambda _: (307, ""), {"location": other.url}) as server:
-        with (
-            ReinsClient(server.url, "t") as client,
-            pytest.raises(Problem, match="307 redirected: .* valid is the URL"),
-        ):
-            client.invoke("navigate_to", target="dock")
+    with (
+        serve(lambda _: (200, {})) as other,
+        serve(lambda _: (307, ""), {"location": other.url}) as server,
+        ReinsClient(server.url, "t") as client,
+        pytest.raises(Problem, match=r"307 redirected: .* valid is the URL"),
+    ):
+        client.invoke("navigate_to", target="dock")
     assert other.turns == []
 
 

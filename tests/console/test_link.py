@@ -45,8 +45,9 @@ GREYS = """() => new Promise((resolve, reject) => {
     look();
 })"""
 GREY = """it => {
-    for (let part = it; part !== null; part = part.parentElement) if (getComputedStyle(part).filter !== 'none') return true;
-    return false;
+    const filters = [];
+    for (let part = it; part !== null; part = part.parentElement) filters.push(getComputedStyle(part).filter);
+    return filters.some((filter) => filter !== 'none');
 }"""
 BROKEN = r"WebSocket connection|ERR_CONNECTION|ERR_EMPTY_RESPONSE|Failed to load resource"
 
