@@ -20,7 +20,7 @@ from starlette.responses import FileResponse, Response, StreamingResponse
 
 from app.api import documents
 from app.api.access import allowed_roles, authorize, caller
-from app.api.listing import Filter, Identifier
+from app.api.listing import MAX_SEQ, Filter, Identifier, within_the_log
 from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
 from app.api.problems import Problem
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from app.runtime.feed import Feed
 
 MAX_EVENTS = 1000
-MAX_SEQ = 2**63 - 1
 MAX_DIGITS = 18
 HEARTBEAT_S = 10.0
 HEARTBEAT = b": still here\n\n"
@@ -113,7 +112,7 @@ async def events(request: Request, query: Annotated[EventQuery, Query()]) -> Res
     filters = query.model_dump(exclude={"after", "limit"})
     for bound in ("since", "until"):
         filters[bound] = None if filters[bound] is None else parse_rfc3339(filters[bound])
-    _within_the_log(request, "after", query.after)
+    within_the_log(request, "after", query.after)
     store = parts_of(request).store
     found = await store.events(**filters, after=query.after, limit=query.limit)
     following = found[-1].seq if len(found) == query.limit else None
@@ -214,7 +213,7 @@ async def stream(request: Request, query: Annotated[StreamQuery, Query()]) -> Re
     field, after = ("after", query.after)
     if "last-event-id" in request.headers:
         field, after = ("Last-Event-ID", _last_event_id(request))
-    _within_the_log(request, field, after)
+    within_the_log(request, field, after)
     # "From now on" is fixed before the first byte is out, so that what happens meanwhile is not missed.
     let_in = partial(authorize, request, parts.principals, allowed_roles("GET", EVENTS))
     chunks = _chunks(parts.feed, parts.store.size if after is None else after, let_in)
@@ -246,18 +245,6 @@ def _last_event_id(request: Request) -> int:
         message = f"`{text[:40]}` is no `Last-Event-ID`: valid is the `id` of an event"
         raise Problem("request_invalid", message, errors=[{"field": "Last-Event-ID", "message": message}])
     return int(text)
-
-
-def _within_the_log(request: Request, field: str, after: int | None) -> None:
-    """Refuse a place that the log has not reached: whoever has seen that much has seen another log.
-
-    Raises:
-        Problem: 422 `request_invalid`.
-    """
-    size = parts_of(request).store.size
-    if after is not None and after > size:
-        message = f"`{after}` is ahead of this log, which holds `{size}` events; valid: 0 to {size}, or none"
-        raise Problem("request_invalid", f"`{field}`: {message}", errors=[{"field": field, "message": message}])
 
 
 async def _chunks(feed: Feed, after: int, let_in: Callable[[], object]) -> AsyncGenerator[bytes]:

@@ -1,4 +1,4 @@
-"""What routes that name or list things have in common: identifiers, filters, and pages of a list, newest first."""
+"""What routes that name or list things have in common: identifiers, filters, places in the log, pages of a list."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ from typing import Annotated
 
 from fastapi import Path
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from starlette.requests import Request
 
+from app.api.parts import parts_of
+from app.api.problems import Problem
 from app.audit.reader import parse_cursor
 
 MAX_LIMIT = 200
+MAX_SEQ = 2**63 - 1
 
 Identifier = Annotated[str, Path(min_length=1, max_length=128)]
 Filter = Annotated[str | None, Field(min_length=1, max_length=128)]
@@ -30,3 +34,15 @@ class PageQuery(BaseModel):
 
     limit: Annotated[int, Field(ge=1, le=MAX_LIMIT)] = 50
     cursor: Cursor | None = None
+
+
+def within_the_log(request: Request, field: str, after: int | None) -> None:
+    """Refuse a place that the log has not reached: whoever has seen that much has seen another log.
+
+    Raises:
+        Problem: 422 `request_invalid`, naming the `field`.
+    """
+    size = parts_of(request).store.size
+    if after is not None and after > size:
+        message = f"`{after}` is ahead of this log, which holds `{size}` events; valid: 0 to {size}, or none"
+        raise Problem("request_invalid", f"`{field}`: {message}", errors=[{"field": field, "message": message}])

@@ -15,11 +15,20 @@ from starlette.responses import Response
 
 from app.api import documents
 from app.api.access import caller
-from app.api.listing import Identifier, PageQuery
+from app.api.listing import Identifier, PageQuery, within_the_log
 from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
 from app.api.problems import Problem
-from app.api.wire import EmptyBody, ProfileBody, ReleaseBody, ResetBody, ResolveBody, read_body, read_optional
+from app.api.wire import (
+    EmptyBody,
+    LoosenBody,
+    ProfileBody,
+    ReleaseBody,
+    ResetBody,
+    ResolveBody,
+    read_body,
+    read_optional,
+)
 from app.governance.model import GrantScope
 from app.runtime.grant import Offer
 
@@ -97,15 +106,17 @@ async def stop(request: Request, id: Identifier) -> Response:
 
 
 async def resume(request: Request, id: Identifier) -> Response:
-    """Let a paused invocation go on."""
-    await read_optional(request, EmptyBody)
-    return answer(await parts_of(request).governor.resume(id, caller(request)))
+    """Let a paused invocation go on; with `after`, only if nobody has said another word since that event."""
+    body = await read_optional(request, LoosenBody)
+    within_the_log(request, "after", body.after)
+    return answer(await parts_of(request).governor.resume(id, caller(request), body.after))
 
 
 async def rollback(request: Request, id: Identifier) -> Response:
-    """Have an invocation undone, along the path it came."""
-    await read_optional(request, EmptyBody)
-    return answer(await parts_of(request).governor.rollback(id, caller(request)))
+    """Have an invocation undone, along the path it came; `after` as in `resume`."""
+    body = await read_optional(request, LoosenBody)
+    within_the_log(request, "after", body.after)
+    return answer(await parts_of(request).governor.rollback(id, caller(request), body.after))
 
 
 async def estop(request: Request, id: Identifier) -> Response:
@@ -159,10 +170,11 @@ async def release(request: Request, id: Identifier) -> Response:
 async def set_profile(request: Request, id: Identifier) -> Response:
     """Put a cell under another environment profile.
 
-    What runs keeps the one it was authorized under; what waits for approval is decided again, and asked anew.
+    What runs keeps the one it was authorized under; what waits for approval is decided again, and asked anew. With
+    `before`, only if that is the one the cell is under.
     """
     body = await read_body(request, ProfileBody)
-    return answer(await parts_of(request).governor.set_profile(id, body.profile, caller(request)))
+    return answer(await parts_of(request).governor.set_profile(id, body.profile, caller(request), body.before))
 
 
 async def cells(request: Request) -> Response:
@@ -224,12 +236,12 @@ def _questions(router: APIRouter) -> None:
 
 def _sessions(router: APIRouter) -> None:
     interrupt = (*SESSION_CODES, "interrupt_not_enabled", "ending", "estop_latched")
-    loosening = (*interrupt, "cell_offline", "record_unavailable")
+    loosening = (*interrupt, "overtaken", "cell_offline", "record_unavailable")
     for word, endpoint, body, codes in (
         ("pause", pause, None, interrupt),
         ("stop", stop, None, (*SESSION_CODES, "record_unavailable")),
-        ("resume", resume, EmptyBody, (*loosening, "resume_refused")),
-        ("rollback", rollback, EmptyBody, (*loosening, "control_held")),
+        ("resume", resume, LoosenBody, (*loosening, "resume_refused")),
+        ("rollback", rollback, LoosenBody, (*loosening, "control_held")),
     ):
         answers = Answers(model=documents.InvocationDocument, codes=codes)
         declare(router, f"POST /v1/invocations/{{id}}/{word}", endpoint, answers, body=body)
@@ -278,6 +290,6 @@ def _cells(router: APIRouter) -> None:
         router,
         "PUT /v1/cells/{id}/profile",
         set_profile,
-        Answers(model=cell, codes=(*CELL_CODES, "profile_unknown")),
+        Answers(model=cell, codes=(*CELL_CODES, "profile_unknown", "profile_changed")),
         body=ProfileBody,
     )

@@ -17,6 +17,7 @@ import orjson
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from app.api.faults import field_errors
+from app.api.listing import MAX_SEQ
 from app.api.problems import Problem
 from app.governance.semver import PIN
 from app.runtime.grant import LEAST_MINUTES
@@ -167,6 +168,23 @@ class ProfileBody(Body):
     """The environment profile a cell shall work under from now on."""
 
     profile: Name = Field(examples=["human-shared"])
+    before: Name | None = Field(
+        default=None,
+        examples=["real-restricted"],
+        description="The profile that this was decided under; where the cell is under another one by now: 409.",
+    )
+
+
+class LoosenBody(Body):
+    """A word on which something moves; with `after`, it counts for what its speaker had seen, and for nothing newer."""
+
+    after: int | None = Field(
+        default=None,
+        ge=0,
+        le=MAX_SEQ,
+        examples=[178],
+        description="The last `seq` of the record that was seen. What others, or any pause, said since stands: 409.",
+    )
 
 
 class ReleaseBody(Body):

@@ -16,16 +16,18 @@ from app.clock import monotonic_s, rfc3339
 from app.governance.authority import refusal
 from app.governance.model import SESSION, AuthorityMode, EventKind, Outcome, Role, Status
 from app.protocol import Estop, Human, SetProfile
-from app.runtime.cells import Arming
+from app.runtime.cells import PAUSE, Arming
 from app.runtime.drafts import SERVER, cell_word, escalation_event, human_event, outcome_event
 from app.runtime.errors import Conflict, NotFound
 from app.runtime.handback import take_back
 from app.runtime.invocation import may_see
+from app.runtime.recollection import events_of
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from app.audit.event import Event
     from app.runtime.cells import Cell
     from app.runtime.desk import Desk
     from app.runtime.fleet import Fleet
@@ -77,9 +79,9 @@ class Controls:
         """
         return await self._operate("pause", invocation_id, principal)
 
-    async def resume(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
-        """Let a paused session go on; recorded first. Errors as `rollback`."""
-        return await self._operate("resume", invocation_id, principal)
+    async def resume(self, invocation_id: str, principal: Principal, after: int | None = None) -> dict[str, Any]:
+        """Let a paused session go on; recorded first. Arguments and errors as of `rollback`."""
+        return await self._operate("resume", invocation_id, principal, after)
 
     @uncut
     async def stop(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
@@ -95,12 +97,18 @@ class Controls:
         ended = await self._withdrawn("stop", invocation_id, principal)
         return await self._operate("stop", invocation_id, principal) if ended is None else ended
 
-    async def rollback(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
+    async def rollback(self, invocation_id: str, principal: Principal, after: int | None = None) -> dict[str, Any]:
         """Take a session back to where it began; recorded first. Said again, it carries on what is under way.
 
-        Errors as `cancel`, and Conflict `cell_offline`, `estop_latched`, `control_held` or `interrupt_not_enabled`.
+        Args:
+            invocation_id: whose session.
+            principal: who says so.
+            after: the newest event that they had seen; None if they do not say.
+
+        Errors as `cancel`, and Conflict `cell_offline`, `estop_latched`, `control_held`, `interrupt_not_enabled`, or
+        `overtaken` by a word that was said after the event.
         """
-        return await self._operate("rollback", invocation_id, principal)
+        return await self._operate("rollback", invocation_id, principal, after)
 
     @uncut
     async def cancel(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
@@ -159,7 +167,9 @@ class Controls:
             return ended.public()
 
     @uncut
-    async def _operate(self, op: str, invocation_id: str, principal: Principal) -> dict[str, Any]:
+    async def _operate(
+        self, op: str, invocation_id: str, principal: Principal, after: int | None = None
+    ) -> dict[str, Any]:
         legal, restrains = OPERATIONS[op]
         present = self.register.newest(invocation_id) or await self.visible(invocation_id, principal)
         if not may_see(principal, present.agent):
@@ -178,7 +188,7 @@ class Controls:
             raise Conflict(
                 "control_held", f"`{cell.control.holder}` has the controls; valid: they release it to roll back"
             )
-        return await self._loosen(op, cell, present, principal)
+        return await self._loosen(op, cell, present, principal, after)
 
     def _stands(self, op: str, present: Invocation) -> bool:
         """Say whether a word is legal for what was said before it.
@@ -195,11 +205,15 @@ class Controls:
             return said == Status.PAUSED and present.status in {Status.RUNNING, Status.RECOVERING}
         return op == "rollback" and present.status is Status.RECOVERING and present.terms.undone_by is not None
 
-    async def _loosen(self, op: str, cell: Cell, present: Invocation, principal: Principal) -> dict[str, Any]:
+    async def _loosen(
+        self, op: str, cell: Cell, present: Invocation, principal: Principal, after: int | None
+    ) -> dict[str, Any]:
         """Record a word on which a session moves, then send it; nothing is kept for a cell that is away."""
         if not self.fleet.attached(cell):
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to {op}")
         decided = cell.moment
+        if after is not None:
+            await self._newest(op, cell, present, principal, after)
         undone_by = await self._record(op, present, principal)
         try:
             self.fleet.order(cell, _message(op, present, principal), decided=decided)
@@ -208,19 +222,40 @@ class Controls:
             raise
         return (await self.register.load(present.id)).public()
 
+    async def _newest(self, op: str, cell: Cell, present: Invocation, principal: Principal, after: int) -> None:
+        """Refuse a word on which something moves that others' words have overtaken, or anybody's pause.
+
+        A link may hold a word back for seconds. It was said of what its speaker saw, and ends no pause that came later.
+
+        Raises:
+            Conflict: `overtaken`.
+        """
+        said = await events_of(self.register.store, invocation=present.id, after=after)
+        words = [(event.actor, word) for event in said if (word := _word(event)) is not None]
+        newer = [(who, word) for who, word in words if who != principal.name or word == PAUSE]
+        if (PAUSE, present.id) in cell.owed:  # it may not be in the log yet
+            newer.append(("somebody", PAUSE))
+        if newer:
+            who, word = newer[-1]
+            raise Conflict(
+                "overtaken", f"`{who}` said `{word}` after the event `{after}`; valid: look, and say it anew"
+            )
+
     async def _record(self, op: str, present: Invocation, principal: Principal) -> str | None:
         """Record what loosens. Who wants a session undone stands with it: its end is not the agent's from now on.
 
         Returns who had ordered that before, if somebody had.
         """
         entry = self.register.entry(present.id)
-        if op != "rollback" or entry is None:
-            await self.register.append([human_event(op, present, principal)])
-            return None
+        if entry is None:
+            raise _wrong_status(op, (await self.register.load(present.id)).status)
         async with entry.lock:
             present = entry.newest
             if present.final:
                 raise _wrong_status(op, present.status)
+            if op != "rollback":
+                await self.register.append([human_event(op, present, principal)])
+                return None
             before = present.terms.undone_by
             terms = replace(present.terms, undone_by=before or principal.name)
             version = present.evolve(self.register.now(), terms=terms)
@@ -349,19 +384,25 @@ class Controls:
         return cell
 
     @uncut
-    async def set_profile(self, cell_id: str, profile: str, principal: Principal) -> dict[str, Any]:
-        """Put a cell under another environment profile.
+    async def set_profile(
+        self, cell_id: str, profile: str, principal: Principal, before: str | None = None
+    ) -> dict[str, Any]:
+        """Put a cell under another environment profile; where `before` is said, only from under that one.
 
         What runs keeps the one it was authorized under; what waits for approval is decided again, and asked anew.
 
         Raises:
             NotFound: no such cell, no such profile.
+            Conflict: `profile_changed`, it is under another one than `before`.
             RecordUnavailable: nothing was recorded, the profile stays.
         """
         cell = self.fleet.cell(cell_id)
         if profile not in self.kernel.profiles():
             raise NotFound("profile", profile)
         async with cell.profiling:
+            if before not in {None, cell.profile}:
+                message = f"`{cell.id}` is under `{cell.profile}`, not `{before}` any more; valid: compare with that"
+                raise Conflict("profile_changed", message)
             await self._put_under(cell, profile, principal)
         await self.desk.decide_again()  # what was asked was shown under the former profile
         return self.fleet.document(cell)
@@ -380,6 +421,14 @@ class Controls:
             await self.desk.grants.record_ends()
         if self.fleet.attached(cell):
             self.fleet.order(cell, SetProfile(profile=profile), decided=cell.moment)
+
+
+def _word(event: Event) -> str | None:
+    """Return what a person said of a session by an event; a cell's echo of it, which names no role, is no word."""
+    body = event.payload()
+    if event.kind == EventKind.APPROVAL:
+        return str(body["decision"])
+    return str(body["op"]) if event.kind == EventKind.HUMAN and "role" in body else None
 
 
 def _confirms(cell: Cell, principal: Principal, code: str) -> bool:

@@ -24,6 +24,7 @@ CONFLICTS: Final[Mapping[str, int]] = {
     "in_flight": 409,
     "wrong_status": 409,
     "ending": 409,
+    "overtaken": 409,
     "rollback_ordered": 409,
     "already_resolved": 409,
     "already_approved": 409,

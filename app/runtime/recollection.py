@@ -26,11 +26,14 @@ if TYPE_CHECKING:
 PAGE: Final = 500
 
 
-async def events_of(store: AuditStore, *, invocation: str | None = None, kind: str | None = None) -> list[Event]:
-    """Return everything that the log says of an invocation, or with one kind of event, in order."""
+async def events_of(
+    store: AuditStore, *, invocation: str | None = None, kind: str | None = None, after: int = 0
+) -> list[Event]:
+    """Return everything that the log says of an invocation, or with one kind of event, behind a place, in order."""
     found: list[Event] = []
-    while page := await store.events(invocation=invocation, kind=kind, after=found[-1].seq if found else 0, limit=PAGE):
+    while page := await store.events(invocation=invocation, kind=kind, after=after, limit=PAGE):
         found += page
+        after = page[-1].seq
     return found
 
 

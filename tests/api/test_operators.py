@@ -117,7 +117,11 @@ async def test_an_operator_pauses_resumes_and_stops_what_runs(house: House) -> N
         newest = house.runtime.register.newest
         assert (await operator.post(f"{place}/pause", content=b"{ broken")).status_code == 200
         await eventually(lambda: newest(document["id"]).status == "paused")
-        assert (await operator.post(f"{place}/resume", json={"faster": True})).status_code == 422
+        for body in ({"faster": True}, {"after": -1}, {"after": "3"}, {"after": 10**6}):
+            refused = await operator.post(f"{place}/resume", json=body)
+            assert (refused.status_code, refused.json()["code"]) == (422, "request_invalid"), body
+        overtaken = await operator.post(f"{place}/resume", json={"after": 1})
+        assert (overtaken.status_code, overtaken.json()["code"]) == (409, "overtaken")
         assert (await operator.post(f"{place}/resume")).status_code == 200
         await eventually(lambda: newest(document["id"]).status == "running")
         assert (await operator.post(f"{place}/stop")).status_code == 200

@@ -17,6 +17,7 @@ from app.governance.control import LAPSE_S
 from app.protocol import BEAT_MS
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
+from app.runtime.invocation import Principal
 from app.runtime.link import SILENT_S
 from app.runtime.sessions import LOST_S
 from app.runtime.succession import AGAIN_S
@@ -54,6 +55,13 @@ async def stuck(cell: SlowCell) -> None:
     """Let the socket take nothing from here on."""
     cell.gate.clear()
     await until(lambda: cell.stuck == 1)  # a beat: what comes now waits behind it
+
+
+async def heard(cell: HandCell, name: str, op: str, status: str) -> None:
+    """Have the cell do a word, and say so as cells do."""
+    await until(lambda: cell.ops()[-1:] == [op])
+    await cell.report("status", name, status=status, reason="operator")
+    await cell.report("human", name, op=op)
 
 
 async def back(runtime: Runtime, cell: HandCell, status: str | None = None) -> HandCell:
@@ -396,6 +404,77 @@ async def test_a_proposal_that_is_said_again_while_its_first_is_recorded_gets_th
     document, new = await again
     assert (document["status"], new) == ("running", False)
     assert len(cell.all("launch")) == 1
+
+
+# -- what a link held back ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("op", ["resume", "rollback"])
+@pytest.mark.parametrize("who", [OPERATOR, OPERATOR_2], ids=["by the same", "by another"])
+async def test_a_word_that_comes_late_ends_no_pause_that_came_meanwhile(
+    runtime: Runtime, cell: HandCell, op: str, who: Principal
+) -> None:
+    name = await running(runtime, cell)
+    store = runtime.register.store
+    await runtime.governor.pause(name, OPERATOR)
+    await heard(cell, name, "pause", "paused")
+    seen = store.size
+    await runtime.governor.resume(name, who)
+    await runtime.governor.pause(name, who)
+    await until(lambda: cell.ops() == ["pause", "resume", "pause"])
+    late = getattr(runtime.governor, op)
+    with pytest.raises(Conflict) as unheard:  # the cell has not said yet that it has heard of any of it
+        await late(name, OPERATOR, seen)
+    await heard(cell, name, "pause", "paused")
+    with pytest.raises(Conflict) as overtaken:
+        await late(name, OPERATOR, seen)
+    assert {unheard.value.code, overtaken.value.code} == {"overtaken"}
+    assert f"`{who.name}` said `pause` after the event `{seen}`" in str(overtaken.value)
+    assert cell.ops() == ["pause", "resume", "pause"]
+    await late(name, OPERATOR, store.size)
+    await until(lambda: cell.ops()[-1] == op)
+
+
+async def test_a_rollback_that_comes_late_undoes_nothing_that_another_let_go_on(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    name = await running(runtime, cell)
+    await cell.report("escalation", name, reason="separation_m")
+    seen = runtime.register.store.size
+    question = runtime.desk.pending_for(name)
+    assert question is not None
+    await runtime.desk.resolve(question.id, OPERATOR_2, "approve", question.digest)
+    with pytest.raises(Conflict, match="`oskar` said `approve` after the event"):
+        await runtime.governor.rollback(name, OPERATOR, seen)
+    assert cell.ops() == ["resolve_continue"]
+
+
+async def test_a_profile_is_put_in_the_place_of_the_one_it_was_compared_with_alone(runtime: Runtime) -> None:
+    await HandCell(runtime).dial()
+    await runtime.governor.set_profile(CELL, "test-audit", OPERATOR_2)
+    with pytest.raises(Conflict, match="under `test-audit`, not `human-shared` any more") as refused:
+        await runtime.governor.set_profile(CELL, "sim-relaxed", OPERATOR, "human-shared")
+    assert (refused.value.code, runtime.fleet.cell(CELL).profile) == ("profile_changed", "test-audit")
+    await runtime.governor.set_profile(CELL, "sim-relaxed", OPERATOR, "test-audit")
+    assert runtime.fleet.cell(CELL).profile == "sim-relaxed"
+
+
+async def test_nothing_goes_on_by_a_word_that_is_recorded_behind_the_end(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = await running(runtime, cell)
+    await runtime.governor.pause(name, OPERATOR)
+    await heard(cell, name, "pause", "paused")
+    gate = Gate(runtime, monkeypatch)
+    ending = asyncio.create_task(cell.ended(name, "stopped"))
+    await gate.reached.wait()
+    resuming = asyncio.create_task(runtime.governor.resume(name, OPERATOR))
+    await asyncio.wait({resuming}, timeout=0.1)
+    gate.open.set()
+    await ending
+    with pytest.raises(Conflict, match="not possible while the invocation is `failed`"):
+        await resuming
+    assert cell.ops() == ["pause"]
 
 
 # -- what was decided under something else -----------------------------------------------------------------------------
