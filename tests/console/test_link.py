@@ -8,6 +8,7 @@ import re
 import signal
 from collections.abc import Callable
 from contextlib import ExitStack
+from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
@@ -104,6 +105,27 @@ def test_a_pause_is_sent_though_the_link_is_down_and_what_came_of_it_is_told(
         person.press("p")
         expect(scene.get_by_role("button", name="Resume")).to_have_attribute("aria-disabled", "false")
         server.await_status(drive["id"], "paused")
+
+
+def test_a_pause_right_after_a_resume_is_the_last_word(server: ServerProcess, people: People, floor: Floor) -> None:
+    person, drive = people.sit(server), floor.drive_off()
+    pause, resume = (person.region("The cell in 3D").get_by_role("button", name=name) for name in ("Pause", "Resume"))
+    expect(pause).to_have_attribute("aria-disabled", "false")
+    person.press("p")
+    expect(resume).to_have_attribute("aria-disabled", "false")
+    person.press("r")
+    person.press("p")  # what the session does is not shown yet
+    # Whichever comes first on its own connection: a resume that comes late ends no pause.
+    both = (["pause", "resume", "pause"], ["pause", "pause"])
+    until(lambda: [word["body"]["op"] for word in said(server, drive["id"])] in both, what="the last word")
+    until(lambda: "operator" in (server.cell()["session"] or {}).get("paused_by", ()), what="a robot that stands")
+    assert server.get(f"/v1/invocations/{drive['id']}")["status"] == "paused"
+
+
+def said(server: ServerProcess, invocation: str) -> list[dict[str, Any]]:
+    """Return what people said of an invocation."""
+    trace = server.get(f"/v1/invocations/{invocation}/trace")["items"]
+    return [event for event in trace if event["kind"] == "human" and "role" in event["body"]]
 
 
 def test_a_denial_is_sent_though_the_link_is_down_and_an_approval_is_not(

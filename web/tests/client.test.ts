@@ -55,9 +55,9 @@ describe('a server that holds its answers back', () => {
     expect(new Set(held.under)).toEqual(new Set([long, ...short]));
     ask(api.estop('workcell-1'));
     expect(held.under.at(-1)).toBe('/v1/cells/workcell-1/estop');
-    ask(api.operate('a', 'resume'));
+    ask(api.loosen('a', 'resume', 7));
     ask(api.resolve('b', { decision: 'approve', digest: 'sha256:b' }));
-    ask(api.operate('a', 'pause'));
+    ask(api.restrain('a', 'pause'));
     ask(api.release('a', 'end'));
     ask(api.resolve('b', { decision: 'deny', digest: 'sha256:b', code: 'unsafe' }));
     await settled();

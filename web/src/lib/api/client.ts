@@ -160,8 +160,9 @@ export class Api {
   armReset = (cell: string): Promise<Cell> => this.call('POST', `/v1/cells/${seg(cell)}/reset`, { step: 'arm' });
   confirmReset = (cell: string, code: string): Promise<Cell> =>
     this.call('POST', `/v1/cells/${seg(cell)}/reset`, { step: 'confirm', code });
-  setProfile = (cell: string, profile: string): Promise<Cell> =>
-    this.call('PUT', `/v1/cells/${seg(cell)}/profile`, { profile });
+  /** `before` is what it was compared with: under another profile by now, it is another change. */
+  setProfile = (cell: string, profile: string, before: string): Promise<Cell> =>
+    this.call('PUT', `/v1/cells/${seg(cell)}/profile`, { profile, before });
 
   events = (query: URLSearchParams): Promise<List<LogEvent>> => this.get(`/v1/audit/events?${query}`);
   invocations = (query: URLSearchParams): Promise<List<Invocation>> => this.get(`/v1/invocations?${query}`);
@@ -173,8 +174,11 @@ export class Api {
   telemetryFile = (id: string, part = 1): Promise<Blob> =>
     this.inTurn({ long: true }, () => this.send('GET', `/v1/audit/telemetry/${seg(id)}/mcap?part=${part}`, undefined, { long: true }, blobOf));
 
-  operate = (id: string, word: 'pause' | 'resume' | 'stop' | 'rollback' | 'cancel'): Promise<Invocation> =>
-    this.call('POST', `/v1/invocations/${seg(id)}/${word}`, undefined, { restrains: word === 'pause' || word === 'stop' || word === 'cancel' });
+  restrain = (id: string, word: 'pause' | 'stop' | 'cancel'): Promise<Invocation> =>
+    this.call('POST', `/v1/invocations/${seg(id)}/${word}`, undefined, { restrains: true });
+  /** What lets something move counts for what was seen, up to the event `after`: a link may hold it back for long. */
+  loosen = (id: string, word: 'resume' | 'rollback', after: number): Promise<Invocation> =>
+    this.call('POST', `/v1/invocations/${seg(id)}/${word}`, { after });
 
   takeOver = (id: string): Promise<Control> => this.call('POST', `/v1/invocations/${seg(id)}/takeover`);
   /** Takes the controls of a cell in which nothing runs. */

@@ -1,3 +1,4 @@
+import { ApiError } from '../api/client';
 import type { Console } from '../state/console.svelte';
 import { holdersOf, restraintsOf } from './control';
 import { deniedIsUndone } from './held';
@@ -7,6 +8,8 @@ const SAYS: Record<Word, string> = { pause: 'Pause', resume: 'Resume', rollback:
 
 /** A word is taken to be on its way, and nothing worth a line, for so long. */
 const SOON_MS = 400;
+/** What a session does after a word is shown by then. */
+const SHOWN_MS = 3_000;
 
 interface Refusal {
   cell: string | null;
@@ -21,6 +24,9 @@ export class Orders {
   /** What was ordered of which session, and has had no answer for a while. */
   private waiting = $state.raw<readonly { session: string; word: Word }[]>([]);
 
+  /** Which session was told last to go on: it may move, whatever is shown of it still. */
+  private loosened = $state.raw<{ session: string } | null>(null);
+
   constructor(private readonly console: Console) {}
 
   private readonly status = $derived.by(() => {
@@ -30,12 +36,14 @@ export class Orders {
   private readonly operates = $derived.by(() => this.console.me?.role === 'operator');
   private readonly may = $derived.by(() => this.console.live && this.operates);
   private readonly restraints = $derived.by(() => restraintsOf(this.status, holdersOf(this.console.cell)));
-  // A session that its cell says to move again may be paused, whatever the record of it says still: no pause is lost, nor
-  // where what is shown is not the present. The server decides, and where it does not answer, that is said.
+  // A session that its cell says to move again may be paused, whatever the record of it says still, and one that was told
+  // to from here: no pause is lost, nor where what is shown is not the present. The server decides, and where it does not
+  // answer, that is said.
   readonly pausable = $derived.by(() => {
-    const { cell } = this.console;
+    const { cell, session } = this.console;
     const moves = this.status !== null && restraintsOf(cell?.status ?? null, holdersOf(cell)).pausable;
-    return this.operates && (moves || this.restraints.pausable);
+    const goesOn = this.status !== null && session?.id === this.loosened?.session;
+    return this.operates && (moves || goesOn || this.restraints.pausable);
   });
   readonly resumable = $derived.by(() => this.may && this.restraints.resumable);
   // A rollback is had once, and nobody rolls back what somebody else drives. Where a denial of what the session asks is
@@ -80,6 +88,25 @@ export class Orders {
     if (this.undoable) void this.say('rollback');
   }
 
+  /**
+   * Has a session told to go on. From then on it may be paused: until the server says that it does not, or what it does is
+   * shown; without an answer for good.
+   */
+  async letting<T>(session: string, tell: () => Promise<T>): Promise<T> {
+    const loosened = (this.loosened = { session });
+    const shown = (): void => {
+      if (this.loosened === loosened) this.loosened = null;
+    };
+    try {
+      const told = await tell();
+      setTimeout(shown, SHOWN_MS);
+      return told;
+    } catch (error) {
+      if (error instanceof ApiError && error.code !== 'unreachable') shown();
+      throw error;
+    }
+  }
+
   private async say(word: Word): Promise<void> {
     const { session } = this.console;
     if (session === null) return;
@@ -87,8 +114,10 @@ export class Orders {
     const cell = session.cell ?? null;
     this.refused = this.refused.filter((one) => one.cell !== cell);
     const late = setTimeout(() => (this.waiting = [...this.waiting, { session: id, word }]), SOON_MS);
+    const { api, docs } = this.console;
     try {
-      await this.console.api.operate(id, word);
+      if (word === 'pause') await api.restrain(id, word);
+      else await this.letting(id, () => api.loosen(id, word, docs.seq));
     } catch (error) {
       const why = error instanceof Error ? error.message : String(error);
       this.refused = [...this.refused.filter((one) => one.cell !== cell), { cell, word, why }];
