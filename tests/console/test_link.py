@@ -191,6 +191,13 @@ def test_a_cell_that_falls_silent_is_not_shown_as_the_present(
         expect(person.alert("workcell-1 is not heard.")).to_contain_text("that the robot stands is not confirmed")
         expect(person.page.get_by_text("Nothing moves")).to_have_count(0)
         expect(person.page.locator("header").get_by_role("button", name="stopped")).to_have_count(0)
+        expect(person.page.locator("header dl.facts > div", has_text="In control")).to_contain_text("Not known")
+        person.press("4")
+        card = person.region("workcell-1")
+        expect(card).to_contain_text("that the robot stands is not confirmed")
+        expect(card.get_by_role("button", name="Emergency stop of workcell-1")).to_be_visible()
+        expect(person.page.get_by_text("Nothing moves")).to_have_count(0)
+        person.press("1")
     finally:
         os.kill(pid, signal.SIGCONT)
     expect(robot).to_contain_text("Stopped, latched")

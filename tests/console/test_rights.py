@@ -68,7 +68,7 @@ def test_a_token_that_goes_ends_the_console_and_what_it_showed(
     person, other = people.sit(server, guest), people.sit(server)
     expect(person.page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
     goes(server, "guest")
-    expect(person.alert("The token is not valid any more.")).to_be_visible()
+    expect(person.alert("This token is not valid here, or not any more.")).to_be_visible()
     expect(person.page.get_by_label("Token")).to_be_empty()
     expect(person.page.get_by_role("article")).to_have_count(0)
     expect(stop(person)).to_have_count(0)
@@ -154,7 +154,7 @@ def test_a_hand_whose_token_goes_is_off_the_robot_and_the_next_person_finds_noth
         "a base driven back",
     )
     goes(server, "guest")  # with the key still down
-    expect(person.alert("The token is not valid any more.")).to_be_visible()
+    expect(person.alert("This token is not valid here, or not any more.")).to_be_visible()
     until(lambda: server.cell()["control"] is None, what="controls that are free")
     until(lambda: floor.speed() < 0.01, what="a base at rest")
     keyboard.up("ArrowDown")

@@ -179,6 +179,10 @@ describe('the cell that is looked at', () => {
     expect(shown('esc_mug', 'runs')).toEqual(['runs', 'esc_mug']);
     expect(shown('esc_there', null)).toEqual(['driver', undefined]);
     expect([shown(null, null), shown('esc_gone', null)]).toEqual([['driver', undefined], ['driver', undefined]]);
+    const turnedAway = asks('away', 5, { status: 'deferred', outcome: 'deferred', escalation: null });
+    const withdrawn = asks('withdrawn', 4, { status: 'deferred', outcome: 'deferred', escalation: { id: 'esc_w', status: 'withdrawn', expires_at: null } });
+    invocations.push(withdrawn, turnedAway);
+    expect(shown(null, null)).toEqual(['withdrawn', undefined]);
   });
 });
 

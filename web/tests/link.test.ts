@@ -197,7 +197,7 @@ describe('the connection', () => {
     sockets[0]?.open();
     sockets[0]?.onclose?.({ code: 4401, reason: '' });
     vi.advanceTimersByTime(10_000);
-    expect([refused, sockets.length]).toEqual([['The token is not valid any more.'], 1]);
+    expect([refused, sockets.length]).toEqual([['This token is not valid here, or not any more.'], 1]);
   });
 
   it('says of a token that no hello has room for what it says of any that is not valid', () => {
@@ -205,6 +205,6 @@ describe('the connection', () => {
     const long = new Connection('ws://here/v1/console', 'x'.repeat(513), listener, make, () => Date.now());
     vi.advanceTimersByTime(10_000);
     long.end();
-    expect([refused, sockets.length]).toEqual([['The token is not valid any more.'], 1]);
+    expect([refused, sockets.length]).toEqual([['This token is not valid here, or not any more.'], 1]);
   });
 });

@@ -2,7 +2,7 @@ import { describe, expect, it } from 'vitest';
 import type { Escalation, Invocation, LogEvent, Risk } from '../src/lib/api/documents';
 import { gaugesFor, noneOf, readGauge, unfinished, type GaugeSpec } from '../src/lib/live/gauges';
 import { History } from '../src/lib/live/history';
-import { handsOn, holdersOf, lossOf, pausedWords, pauseEndedOf, pauserOf, refusalWords, restraintsOf, unreachedWords } from '../src/lib/live/control';
+import { handsOn, holdersOf, inControl, lossOf, pausedWords, pauseEndedOf, pauserOf, refusalWords, restraintsOf, unreachedWords } from '../src/lib/live/control';
 import { deniedIsUndone, goingOn } from '../src/lib/live/held';
 import { reasonLines } from '../src/lib/live/reasons';
 import { askedOf, stagesOf } from '../src/lib/live/stages';
@@ -20,6 +20,15 @@ function asked(id: string, risk: Risk, seconds: number, more: Partial<Escalation
 function order(items: Escalation[], me: string | null = 'operator'): string[] {
   return [...items].sort(byUrgency(NOW, me)).map((item) => item.id);
 }
+
+describe('who is in control', () => {
+  it('is not known of a cell that is not heard', () => {
+    const [session, control] = [invocation(), { lease: 'l', cell: 'workcell-1', holder: 'ann', where: 'remote', since: '', invocation: 'inv_1', phase: 'held', refused: null }];
+    const said = (of: object): string => inControl(cell({ busy: session.id, control: null, ...of }), session, 'ann').long;
+    expect([said({}), said({ control }), said({ busy: null })]).toEqual(['Agent “planner”', 'You (remote)', 'Nobody']);
+    expect([said({ online: false }), said({ online: false, control })]).toEqual(['Not known', 'Not known']);
+  });
+});
 
 describe('what waits for me is sorted', () => {
   it('by risk, and within one risk by the nearer deadline', () => {

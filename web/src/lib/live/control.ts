@@ -4,9 +4,18 @@ import type { Tone } from '../format/status';
 
 const OVER = new Set(['rejected', 'deferred', 'denied', 'completed', 'failed', 'awaiting_approval']);
 
-/** Who moves the robot now: a person with the controls, the agent whose session runs, or nobody. */
-export function inControl(cell: Cell | null, session: Invocation | null, me: string | null): { long: string; short: string; tone: Tone } {
+interface Driver {
+  long: string;
+  short: string;
+  tone: Tone;
+}
+
+export const DRIVER_UNKNOWN: Driver = { long: 'Not known', short: 'not known', tone: 'quiet' };
+
+/** Who moves the robot now: a person with the controls, the agent whose session runs, or nobody; not known of a cell that is not heard. */
+export function inControl(cell: Cell | null, session: Invocation | null, me: string | null): Driver {
   if (cell === null) return { long: '–', short: '–', tone: 'quiet' };
+  if (!cell.online) return DRIVER_UNKNOWN;
   if (cell.control != null) {
     const mine = cell.control.holder === me;
     return { long: mine ? `You (${cell.control.where})` : `${cell.control.holder} (${cell.control.where})`, short: mine ? 'you' : cell.control.holder, tone: 'human' };

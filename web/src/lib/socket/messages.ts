@@ -67,7 +67,7 @@ export type Up =
 
 export const CLOSED: Record<number, string> = {
   4400: 'This console said something the server did not understand.',
-  4401: 'The token is not valid any more.',
+  4401: 'This token is not valid here, or not any more.',
   4403: 'This role or address may not use the console.',
   4408: 'The server waited too long for this console.',
   4410: 'This console fell behind.',

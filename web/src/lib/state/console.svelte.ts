@@ -169,7 +169,7 @@ export class Console {
 
   /**
    * What runs in the selected cell, or else what the open question there is about, or else what ran there last; a
-   * proposal that policy turned away never ran.
+   * proposal that policy turned away never ran, but one that waited for a person was on this page until it ended.
    */
   get session(): Invocation | null {
     const cell = this.cell;
@@ -178,7 +178,7 @@ export class Console {
     const busy = here.find((invocation) => invocation.id === cell.busy);
     const asked = here.find((invocation) => invocation.id === this.question?.invocation);
     const newest = here.sort((a, b) => b.created_at.localeCompare(a.created_at));
-    return busy ?? asked ?? newest.find(({ status }) => status !== 'rejected' && status !== 'deferred') ?? newest[0] ?? null;
+    return busy ?? asked ?? newest.find(({ status, escalation }) => (status !== 'rejected' && status !== 'deferred') || escalation !== null) ?? newest[0] ?? null;
   }
 
   /** What the parameters of a capability are; of one that is not known, or that nobody named, nothing is. */
