@@ -87,7 +87,7 @@ async def activate(request: Request, digest: Digest) -> Response:
     hold and ask a human; what waits for approval is decided again, and older answers to it are refused.
     """
     body = await read_body(request, models.ActivationBody)
-    document, entered = await parts_of(request).versions.activate(digest, caller(request), body.why)
+    document, entered = await parts_of(request).versions.activate(digest, caller(request), body.why, body.before)
     return answer(document, 200 if entered else 202)
 
 
@@ -173,6 +173,7 @@ def register(router: APIRouter) -> None:
                 *UNKNOWN,
                 "policy_active",
                 "second_engineer_needed",
+                "policy_changed",
                 "policy_invalid",
                 "examination_failed",
                 "record_unavailable",

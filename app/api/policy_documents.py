@@ -29,9 +29,14 @@ class CandidateBody(Body):
 
 
 class ActivationBody(Body):
-    """Why a version should be in force."""
+    """Why a version should be in force, and in the place of which."""
 
     why: Why
+    before: str | None = Field(
+        default=None,
+        pattern=r"^sha256:[0-9a-f]{64}$",
+        description="The version it was compared with; where another one is in force by now: 409.",
+    )
 
 
 class ShadowBody(Body):

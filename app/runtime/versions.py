@@ -229,13 +229,17 @@ class Versions:
     # -- putting in force --------------------------------------------------------------------------------------------
 
     @uncut
-    async def activate(self, digest: str, principal: Principal, why: str) -> tuple[dict[str, Any], bool]:
+    async def activate(
+        self, digest: str, principal: Principal, why: str, before: str | None = None
+    ) -> tuple[dict[str, Any], bool]:
         """Put a version in force, or note that one engineer wants it; return it and whether it is in force.
+
+        Where `before` is said, only in the place of that one.
 
         Raises:
             NotFound: there is no such version; one with faults is never kept.
-            Conflict: `policy_active`, it is in force; `second_engineer_needed`, it takes another person than those who
-                want it already.
+            Conflict: `policy_active`, it is in force; `policy_changed`, another one than `before` is;
+                `second_engineer_needed`, it takes another person than those who want it already.
             PolicyErrors: a capability changed, and its version does not say so.
             PolicyErrors: it was never proved, because a start brought it, and does not pass its proofs.
             ExaminationFailed: it could not be examined.
@@ -246,6 +250,9 @@ class Versions:
             active = self._kernel.policy
             if digest == active.digest:
                 raise Conflict("policy_active", f"`{digest}` is in force already")
+            if before not in {None, active.digest}:
+                message = f"`{active.digest}` is in force, not `{before}` any more; valid: compare with that"
+                raise Conflict("policy_changed", message)
             candidate = await self.compiled(digest)
             if not version.activations:  # what was in force before may come back
                 _demand_versions(active, candidate)

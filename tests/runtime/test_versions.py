@@ -323,7 +323,11 @@ async def test_a_loosening_takes_another_engineer_than_the_one_who_brought_it(ru
 
 async def test_going_back_to_a_wider_version_takes_two_who_want_it_now(runtime: Runtime) -> None:
     wide = runtime.kernel.policy.digest
-    await runtime.versions.activate(await brought(runtime, SLOWER), ENGINEER, "a visitor")
+    former = runtime.kernel.policy.digest
+    await runtime.versions.activate(await brought(runtime, SLOWER), ENGINEER, "a visitor", former)
+    with pytest.raises(Conflict, match=f"is in force, not `{former}` any more") as late:
+        await runtime.versions.activate(wide, ENGINEER_2, "compared with what was in force before", former)
+    assert late.value.code == "policy_changed"
     _, entered = await runtime.versions.activate(wide, ENGINEER_2, "the visitor left")
     assert not entered
     _, entered = await runtime.versions.activate(wide, ENGINEER, "yes, gone")

@@ -132,8 +132,9 @@ export class Api {
     this.call('GET', `/v1/policies/${seg(digest)}/diff`, undefined, { long: true, until });
   propose = (files: Record<string, string>, why: string): Promise<Version> =>
     this.call('POST', '/v1/policies', { files, why }, { long: true });
-  activate = (digest: string, why: string): Promise<Version> =>
-    this.call('POST', `/v1/policies/${seg(digest)}/activate`, { why }, { long: true });
+  /** `before` is what it was compared with: in the place of another one it is another change. */
+  activate = (digest: string, why: string, before: string | null): Promise<Version> =>
+    this.call('POST', `/v1/policies/${seg(digest)}/activate`, before === null ? { why } : { why, before }, { long: true });
   shadow = (digest: string): Promise<Shadow> => this.get(`/v1/policies/${seg(digest)}/shadow`);
   setShadow = (digest: string, on: boolean, why: string): Promise<Shadow> =>
     this.call('POST', `/v1/policies/${seg(digest)}/shadow`, { on, why }, { long: true });
