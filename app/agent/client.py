@@ -43,14 +43,13 @@ from app.agent.conversation import (
     T,
     Talk,
     conclude,
-    header_text,
     invoke,
     listed,
-    path_of,
     proposal,
     send,
     take_up,
 )
+from app.agent.sendable import header_text, path_of, shown
 
 __all__ = [
     "AsyncReinsClient", "Document", "ExecutionFailed", "NotCompleted", "OnUpdate", "Problem", "Reason", "Refused",
@@ -93,7 +92,7 @@ def _address(url: str) -> httpx.URL:
 def _number(defers: object) -> int:
     """Return how often to propose again. Raises `ValueError` for what is no number of times."""
     if not isinstance(defers, int) or isinstance(defers, bool) or defers < 0:
-        raise ValueError(f"defers `{defers}`: valid is a whole number from 0 on, for instance `20`")
+        raise ValueError(f"defers `{shown(defers, str)}`: valid is a whole number from 0 on, for instance `20`")
     return defers
 
 
@@ -216,8 +215,8 @@ class ReinsClient:
     def call(
         self, method: str, path: str, *, json: Document | None = None, query: Mapping[str, str] | None = None
     ) -> Any:  # noqa: ANN401
-        """Call any route that may be repeated; return its JSON. Raises `Problem` or `Unreachable`."""
-        return self._run(send(Call(method=method, path=path, json=json, query=query or {})))
+        """Call any route that may be repeated; return its JSON. Raises `Problem`, `Unsendable` or `Unreachable`."""
+        return self._run(send(Call(method=method, path=path, json=json, query={} if query is None else query)))
 
     def _run(self, talk: Talk[T]) -> T:
         try:
@@ -334,8 +333,8 @@ class AsyncReinsClient:
     def call(
         self, method: str, path: str, *, json: Document | None = None, query: Mapping[str, str] | None = None
     ) -> Awaitable[Any]:
-        """Call any route that may be repeated; return its JSON. Raises `Problem` or `Unreachable`."""
-        return self._run(send(Call(method=method, path=path, json=json, query=query or {})))
+        """Call any route that may be repeated; return its JSON. Raises `Problem`, `Unsendable` or `Unreachable`."""
+        return self._run(send(Call(method=method, path=path, json=json, query={} if query is None else query)))
 
     async def _run(self, talk: Talk[T]) -> T:
         try:

@@ -6,12 +6,10 @@ proposed again after the time the server names, with growing patience.
 
 from __future__ import annotations
 
-import math
 import uuid
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias, TypeVar, cast
-from urllib.parse import quote
 
 from app.agent.answers import (
     Document,
@@ -24,11 +22,13 @@ from app.agent.answers import (
     document,
     documents,
 )
+from app.agent.sendable import check_sendable, header_text, path_of, shown
 
 OnUpdate: TypeAlias = Callable[[Document], None]
 
 WAIT_S = 20
 MAX_TOKEN = 1024
+_MAX_NAME = 255
 _BEFORE_LAUNCH = frozenset({"rejected", "denied", "deferred"})
 _TERMINAL = _BEFORE_LAUNCH | {"completed", "failed"}
 _STATUSES = _TERMINAL | {"awaiting_approval", "running", "paused", "escalated", "recovering"}
@@ -37,8 +37,6 @@ _SEND_ATTEMPTS = 8
 _BACKOFF_S = 0.2
 _BACKOFF_MAX_S = 5.0
 _MAX_PATIENCE_S = 1e6  # what is longer is no time to wait
-_MAX_DEPTH = 32
-_MAX_KEY = 255
 _ATTEMPTS = uuid.UUID("6f1c5a52-3f0e-4d0b-9a53-0d7a0b1f7c11")  # sets our keys apart from whatever else is named so
 
 
@@ -79,7 +77,7 @@ def _backoff_s(attempt: int) -> float:
 
 def send(call: Call) -> Talk[Any]:
     """Send until there is an answer; raise `Problem` for one that refuses. Only safe for calls that may be repeated."""
-    _check_sendable(call)
+    check_sendable(call.method, call.path, call.json, call.query)
     last: Reply | None = None
     for attempt in range(_SEND_ATTEMPTS):
         last = yield call
@@ -103,51 +101,6 @@ def _read(reply: Reply) -> Any:  # noqa: ANN401 - whatever the route answers wit
     return cast("Any", reply.json)
 
 
-def _check_sendable(call: Call) -> None:
-    """Raise `Unsendable` for the first value that has no place in a request, before anything is sent."""
-    for name, value in (("json", call.json), ("query", dict(call.query))):
-        for wrong in _misfits(value, name):
-            raise Unsendable(f"{wrong}; nothing was sent")
-    if not call.path.isprintable():
-        raise Unsendable(f"the path is {call.path!r}; valid are printable characters; nothing was sent")
-    if not call.path.startswith("/") or call.path.startswith("//"):  # the token is for this client's server alone
-        raise Unsendable(f"the path is `{call.path}`; valid is one that begins with a single `/`; nothing was sent")
-
-
-def _misfits(value: object, name: str, depth: int = 0) -> Iterator[str]:
-    """Say of every value in a document that is no JSON where it stands, what it is, and what would be valid."""
-    if depth > _MAX_DEPTH:
-        yield f"`{name}` is nested too deep; valid are at most {_MAX_DEPTH} levels"
-    elif isinstance(value, dict):
-        for key, item in cast("dict[object, object]", value).items():
-            if not isinstance(key, str):
-                yield f"`{name}` has the key `{key!r}`; valid keys are strings"
-            yield from _misfits(key, f"{name}, key {key!r}", depth + 1)
-            yield from _misfits(item, f"{name}.{key}".removeprefix("json."), depth + 1)
-    elif isinstance(value, list | tuple):
-        for place, item in enumerate(cast("list[object]", value)):
-            yield from _misfits(item, f"{name}[{place}]", depth + 1)
-    else:
-        yield from _misfit(value, name)
-
-
-def _misfit(value: object, name: str) -> Iterator[str]:
-    if isinstance(value, float) and not math.isfinite(value):
-        yield f"`{name}` is `{value}`; valid are finite numbers"
-    elif isinstance(value, str) and any("\ud800" <= character <= "\udfff" for character in value):
-        yield f"`{name}` is `{value!r}`; valid is text without lone surrogates"
-    elif not isinstance(value, str | int | float | None):
-        yield f"`{name}` is `{value!r}`, a {type(value).__name__}; valid are JSON's types: text, numbers, lists, …"
-
-
-def header_text(name: str, value: object, most: int) -> str:
-    """Return a value that may stand in a header. Raises `Unsendable` naming it; a token is not repeated."""
-    if not isinstance(value, str) or not (0 < len(value) <= most and value.isascii() and value.isprintable()):
-        shown = "" if name == "token" else f" `{value!r}`"
-        raise Unsendable(f"{name}{shown}: valid are 1 to {most} printable ASCII characters; nothing was sent")
-    return value
-
-
 def _problem(reply: Reply) -> Problem:
     body = document(reply.json)
     if reply.status in range(300, 400):
@@ -165,7 +118,7 @@ def invoke(body: Document, key: str | None, defers: int, on_update: OnUpdate | N
     after a restart, finds what the last attempt under it came to, and launches nothing a second time. What breaks the
     conversation off says that key, and the invocation as last heard of.
     """
-    first_key = uuid.uuid4().hex if key is None else header_text("idempotency_key", key, _MAX_KEY)
+    first_key = uuid.uuid4().hex if key is None else header_text("idempotency_key", key, _MAX_NAME)
     for attempt in range(defers + 1):
         heard: list[Document] = []
 
@@ -255,16 +208,6 @@ def _unreadable(answer: Document, wrong: str) -> Problem:
     return Problem(200, "unreadable_answer", f"`{ascii(answer)[:80]}` {wrong}")
 
 
-def path_of(invocation: object) -> str:
-    """Return the path of an invocation; whatever stands in its name leads nowhere else.
-
-    Raises `Unsendable` for what is no name.
-    """
-    if not isinstance(invocation, str) or not invocation or next(_misfit(invocation, "invocation"), None):
-        raise Unsendable(f"the invocation is {invocation!r}; valid is the `id` of one; nothing was sent")
-    return f"/v1/invocations/{quote(invocation, safe='')}"
-
-
 def conclude(invocation: Document) -> Result:
     """Return the result of a completed invocation. Raises `Refused` or `ExecutionFailed` for any other end."""
     if invocation["status"] == "completed":
@@ -272,14 +215,14 @@ def conclude(invocation: Document) -> Result:
     raise (Refused if invocation["status"] in _BEFORE_LAUNCH else ExecutionFailed)(invocation)
 
 
-def proposal(
-    capability: str, inputs: Mapping[str, Any] | None, params: Mapping[str, Any], options: Mapping[str, Any]
-) -> Document:
+def proposal(capability: str, inputs: object, params: Mapping[str, Any], options: Mapping[str, Any]) -> Document:
     """Return the body of a proposal; options that are None are left out.
 
-    Raises `Unsendable` where a parameter stands in both `inputs` and `params`.
+    Raises `Unsendable` where `inputs` is neither a mapping nor None, or a parameter stands in both it and `params`.
     """
-    given = dict(inputs or {})
+    if not isinstance(inputs, Mapping | None):
+        raise Unsendable(f"inputs is `{shown(inputs)}`; valid is a mapping of names and values; nothing was sent")
+    given = dict(cast("Mapping[str, Any]", inputs or {}))
     if twice := sorted(given.keys() & params.keys()):
         raise Unsendable(f"`{twice[0]}` is given twice; valid is once, in the mapping or by keyword; nothing was sent")
     body: Document = {"capability": capability, "params": {**given, **params}}
