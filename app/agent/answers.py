@@ -1,7 +1,7 @@
 """What the server's answer comes to for whoever proposed: a result, or an exception that says why there is none.
 
 ReinsError
- ├─ Unsendable           a value that cannot be sent: not JSON, or not what a header takes; nothing was sent
+ ├─ Unsendable           what cannot be sent: no JSON, no path, no header, or by a closed client; nothing was sent
  ├─ Unreachable          no answer from the server, however often asked
  ├─ Problem              the server refused the request itself (application/problem+json)
  └─ NotCompleted         the proposal was decided, but the task is not done; carries the invocation
@@ -29,7 +29,7 @@ class ReinsError(Exception):
 
 
 class Unsendable(ReinsError):
-    """A value given to the client cannot be sent; nothing was."""
+    """A value given to the client cannot be sent, or the client was closed; nothing was sent."""
 
 
 class _Interrupted(ReinsError):

@@ -96,14 +96,17 @@ def _number(defers: object) -> int:
     return defers
 
 
-def _nothing(server: httpx.URL, error: httpx.RequestError) -> Reply:
-    """Return what stands for no answer, and which server gave none, and why."""
-    return Reply(status=0, json=f"`{server}`: {str(error) or type(error).__name__}")
+def _nothing(http: httpx.Client | httpx.AsyncClient, error: Exception) -> Reply:
+    """Return what stands for no answer, and which server gave none, and why; or for what httpx would not send."""
+    refused = isinstance(error, httpx.InvalidURL | httpx.LocalProtocolError | httpx.UnsupportedProtocol)
+    why = f"`{http.base_url}`: {str(error) or type(error).__name__}"
+    return Reply(status=0, json=why, sent=not refused or http.is_closed)  # closed under way: it may have been sent
 
 
 MAX_PORT = 65535
 _SECONDS = re.compile(r"[0-9]{1,6}")
 _SLEPT = Reply(status=0, json=None)
+_CLOSED = Reply(status=0, json="the client was closed; valid is a new one", sent=False)
 _TIMEOUT = httpx.Timeout(10.0, read=WAIT_S + 15.0)
 
 
@@ -128,7 +131,7 @@ class ReinsClient:
         self.close()
 
     def close(self) -> None:
-        """Close the connection."""
+        """Close the connection; whatever is asked from then on is `Unsendable`."""
         self._http.close()
 
     def invoke(  # noqa: PLR0913 - a proposal has that many fields
@@ -230,14 +233,16 @@ class ReinsClient:
         if isinstance(step, Sleep):
             time.sleep(step.seconds)
             return _SLEPT
+        if self._http.is_closed:
+            return _CLOSED
         try:
             return _reply(
                 self._http.request(
                     step.method, step.path, json=step.json, params=step.query, headers=dict(step.headers)
                 )
             )
-        except httpx.RequestError as error:  # not only a lost answer: one that cannot be decoded is none either
-            return _nothing(self._http.base_url, error)
+        except (httpx.RequestError, httpx.InvalidURL) as error:  # one that cannot be decoded is no answer either
+            return _nothing(self._http, error)
 
 
 class AsyncReinsClient:
@@ -261,7 +266,7 @@ class AsyncReinsClient:
         await self.close()
 
     async def close(self) -> None:
-        """Close the connection."""
+        """Close the connection; whatever is asked from then on is `Unsendable`."""
         await self._http.aclose()
 
     def invoke(  # noqa: PLR0913 - a proposal has that many fields
@@ -348,11 +353,13 @@ class AsyncReinsClient:
         if isinstance(step, Sleep):
             await asyncio.sleep(step.seconds)
             return _SLEPT
+        if self._http.is_closed:
+            return _CLOSED
         try:
             return _reply(
                 await self._http.request(
                     step.method, step.path, json=step.json, params=step.query, headers=dict(step.headers)
                 )
             )
-        except httpx.RequestError as error:  # not only a lost answer: one that cannot be decoded is none either
-            return _nothing(self._http.base_url, error)
+        except (httpx.RequestError, httpx.InvalidURL) as error:  # one that cannot be decoded is no answer either
+            return _nothing(self._http, error)

@@ -60,11 +60,15 @@ class Sleep:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reply:
-    """What came back; `status` 0 means that nothing did, and `json` says from where, and why."""
+    """What came back; `status` 0 means that nothing did, and `json` says from where, and why.
+
+    Not `sent` is what never left, and never will: there is no use in asking again.
+    """
 
     status: int
     json: Any
     retry_after_s: float | None = None
+    sent: bool = True
 
 
 T = TypeVar("T")
@@ -75,14 +79,21 @@ def _backoff_s(attempt: int) -> float:
     return min(_BACKOFF_S * 2**attempt, _BACKOFF_MAX_S)
 
 
-def send(call: Call) -> Talk[Any]:
-    """Send until there is an answer; raise `Problem` for one that refuses. Only safe for calls that may be repeated."""
+def send(call: Call, *, begun: bool = False) -> Talk[Any]:
+    """Send until there is an answer; raise `Problem` for one that refuses. Only safe for calls that may be repeated.
+
+    What cannot be sent is `Unsendable`, unless something was before, by an earlier attempt, or by what has `begun`.
+    """
     check_sendable(call.method, call.path, call.json, call.query)
     last: Reply | None = None
     for attempt in range(_SEND_ATTEMPTS):
         last = yield call
         if last.status in range(200, 300):
             return _read(last)
+        if not last.sent and not (begun or attempt):
+            raise Unsendable(f"`{call.method} {call.path}`: {last.json}; nothing was sent")
+        if not last.sent:
+            raise Unreachable(f"no answer to `{call.method} {call.path}`: {last.json}")
         code = document(last.json).get("code")
         transient = last.status in (0, 502, 503, 504) or (last.status == 409 and code == "in_flight")
         if not transient:
@@ -172,7 +183,7 @@ def follow(invocation: Document, on_update: OnUpdate | None) -> Talk[Document]:
         query = {"wait": str(WAIT_S)}
         if invocation.get("updated_at"):
             query["seen"] = str(invocation["updated_at"])
-        invocation = yield from send(Call(method="GET", path=path_of(invocation["id"]), query=query))
+        invocation = yield from send(Call(method="GET", path=path_of(invocation["id"]), query=query), begun=True)
 
 
 def take_up(name: str, on_update: OnUpdate | None) -> Talk[Document]:

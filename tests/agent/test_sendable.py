@@ -3,10 +3,11 @@ import re
 
 import pytest
 
-from app.agent.client import AsyncReinsClient, ReinsClient, Unsendable
+from app.agent.client import AsyncReinsClient, ReinsClient, Unreachable, Unsendable
 
 from .scripted_server import serve
 
+RUNNING = {"id": "inv_1", "status": "running", "updated_at": "t1"}
 DONE = {"id": "inv_1", "status": "completed", "outcome": "succeeded", "updated_at": "t2"}
 HUGE = 10**5000  # more digits than Python writes
 LONG = "x" * 70_000
@@ -114,6 +115,53 @@ def test_what_fills_an_address_is_asked_for():
         with pytest.raises(Unsendable, match="has 8001 octets"):
             client.call("GET", "/v1/cells", query={"a": "x" * 7990})
     assert len(server.turns) == 1
+
+
+@pytest.mark.parametrize(("method", "path"), [("G T", "/v1/cells"), ("GET", f"/{LONG}")], ids=["method", "path"])
+@pytest.mark.anyio
+async def test_what_http_itself_would_not_send_is_no_lost_answer(method, path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("app.agent.sendable._METHOD", re.compile(".*"))  # as if we had not looked ourselves
+    monkeypatch.setattr("app.agent.sendable._MAX_TARGET", 10**6)
+    with serve(lambda _: (200, DONE)) as server:
+        with ReinsClient(server.url, "t") as client, pytest.raises(Unsendable, match="nothing was sent"):
+            client.call(method, path)
+        async with AsyncReinsClient(server.url, "t") as client:
+            with pytest.raises(Unsendable, match="nothing was sent"):
+                await client.call(method, path)
+    assert server.turns == []
+
+
+CLOSED = "the client was closed; valid is a new one; nothing was sent"
+
+
+@pytest.mark.anyio
+async def test_a_closed_client_says_that_it_is():
+    with serve(lambda _: (200, DONE)) as server:
+        client, other = ReinsClient(server.url, "t"), AsyncReinsClient(server.url, "t")
+        client.close()
+        await other.close()
+        for ask in (("capabilities",), ("invoke", "grasp_object"), ("follow", "inv_1"), ("call", "GET", "/v1/cells")):
+            with pytest.raises(Unsendable, match=CLOSED):
+                getattr(client, ask[0])(*ask[1:])
+            with pytest.raises(Unsendable, match=CLOSED):
+                await getattr(other, ask[0])(*ask[1:])
+    assert server.turns == []
+
+
+def test_a_client_that_is_closed_under_way_says_under_which_key_the_robot_moves():
+    with serve(lambda _: (200, RUNNING)) as server:
+        client = ReinsClient(server.url, "t")
+        with pytest.raises(Unreachable, match="no answer to `GET /v1/invocations/inv_1`: the client was") as caught:
+            client.invoke("grasp_object", idempotency_key="key-1", on_update=lambda _: client.close())
+    assert (caught.value.idempotency_key, caught.value.invocation) == ("key-1", RUNNING)
+
+
+def test_a_client_that_is_closed_after_a_lost_answer_says_under_which_key_it_proposed():
+    with serve(lambda _: client.close()) as server:
+        client = ReinsClient(server.url, "t")
+        with pytest.raises(Unreachable, match="no answer to `POST /v1/invocations`: the client was") as caught:
+            client.invoke("grasp_object", idempotency_key="key-1")
+    assert (caught.value.idempotency_key, len(server.turns)) == ("key-1", 1)
 
 
 @pytest.mark.parametrize("name", [None, "", 7, "\ud800", ["inv_1"]])
