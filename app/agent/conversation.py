@@ -181,8 +181,9 @@ def follow(invocation: Document, on_update: OnUpdate | None) -> Talk[Document]:
         if invocation["status"] in _TERMINAL:
             return invocation
         query = {"wait": str(WAIT_S)}
-        if invocation.get("updated_at"):
-            query["seen"] = str(invocation["updated_at"])
+        version = invocation.get("updated_at")
+        if isinstance(version, str) and 0 < len(version) <= _MAX_NAME and version.isprintable():  # else it names none
+            query["seen"] = version
         invocation = yield from send(Call(method="GET", path=path_of(invocation["id"]), query=query), begun=True)
 
 
@@ -205,7 +206,8 @@ def listed(call: Call) -> Talk[list[Document]]:
 def _check_invocation(invocation: Document, asked: object) -> None:
     """Raise `Problem` for an answer that is not the invocation asked for: what came of that, it does not say."""
     name, status = invocation.get("id"), invocation.get("status")
-    if not (isinstance(name, str) and name.isascii() and isinstance(status, str)):
+    named = isinstance(name, str) and 0 < len(name) <= _MAX_NAME and name.isascii()  # so that it can be asked after
+    if not (named and isinstance(status, str)):
         raise _unreadable(invocation, "is no invocation; valid is the URL of a server")
     if name != asked:
         raise _unreadable(invocation, f"is not the invocation `{asked}`; valid is the one that was asked for")

@@ -3,9 +3,9 @@ import re
 
 import pytest
 
-from app.agent.client import AsyncReinsClient, ReinsClient, Unreachable, Unsendable
+from app.agent.client import AsyncReinsClient, Problem, ReinsClient, Unreachable, Unsendable
 
-from .scripted_server import serve
+from .scripted_server import Turn, serve
 
 RUNNING = {"id": "inv_1", "status": "running", "updated_at": "t1"}
 DONE = {"id": "inv_1", "status": "completed", "outcome": "succeeded", "updated_at": "t2"}
@@ -162,6 +162,27 @@ def test_a_client_that_is_closed_after_a_lost_answer_says_under_which_key_it_pro
         with pytest.raises(Unreachable, match="no answer to `POST /v1/invocations`: the client was") as caught:
             client.invoke("grasp_object", idempotency_key="key-1")
     assert (caught.value.idempotency_key, len(server.turns)) == ("key-1", 1)
+
+
+@pytest.mark.parametrize("version", [LONG, "\ud800", "a\nb", ["t1"], 5], ids=itertools.count())
+def test_a_version_that_cannot_be_sent_is_not_named(version):
+    def answer(turn: Turn):
+        return (201, {**RUNNING, "updated_at": version}) if turn.method == "POST" else (200, DONE)
+
+    with serve(answer) as server, ReinsClient(server.url, "t") as client:
+        assert client.invoke("grasp_object").outcome == "succeeded"
+    assert server.turns[1].path == "/v1/invocations/inv_1?wait=20"
+
+
+@pytest.mark.parametrize("name", ["", LONG], ids=["empty", "long"])
+def test_an_answer_whose_name_cannot_be_asked_for_says_under_which_key_it_may_have_begun(name):
+    with (
+        serve(lambda _: (201, {**RUNNING, "id": name})) as server,
+        ReinsClient(server.url, "t") as client,
+        pytest.raises(Problem, match="unreadable_answer") as caught,
+    ):
+        client.invoke("grasp_object", idempotency_key="key-1")
+    assert caught.value.idempotency_key == "key-1"
 
 
 @pytest.mark.parametrize("name", [None, "", 7, "\ud800", ["inv_1"]])
