@@ -160,8 +160,11 @@ class ReinsClient:
         Returns the result of a completed invocation. Raises `Refused` if it was not launched, `ExecutionFailed` if it
         ended without success, `Problem` if the request was malformed or not allowed, `Unsendable` if it could
         not even be sent, `Unreachable` if there was no answer; the robot may be moving all the same, and invoking
-        again under the error's `idempotency_key` takes it up. `on_update` is called with the invocation at every
-        change.
+        again under the error's `idempotency_key` takes it up.
+
+        `on_update` is called with the invocation at every change. What it raises ends the waiting, not the robot, and
+        comes through as it is, with a note (`__notes__`) of the key and the invocation's `id`; so does Ctrl-C. A
+        program that means to go on then names an `idempotency_key` of its own.
         """
         options = {
             "mode": mode,
@@ -176,7 +179,10 @@ class ReinsClient:
         )
 
     def follow(self, invocation: str, *, on_update: OnUpdate | None = None) -> Result:
-        """Wait for the end of an invocation proposed earlier, say before a restart. Raises as `invoke` does."""
+        """Wait for the end of an invocation proposed earlier, say before a restart. Raises as `invoke` does.
+
+        What `on_update` raises comes through as it is.
+        """
         return conclude(self._run(take_up(invocation, on_update)))
 
     def check(
@@ -228,6 +234,9 @@ class ReinsClient:
                 step = talk.send(self._do(step))
         except StopIteration as end:
             return end.value
+        except BaseException as error:  # Ctrl-C, say: the conversation leaves the key with it
+            talk.throw(error)
+            raise
 
     def _do(self, step: Call | Sleep) -> Reply:
         if isinstance(step, Sleep):
@@ -348,6 +357,9 @@ class AsyncReinsClient:
                 step = talk.send(await self._do(step))
         except StopIteration as end:
             return end.value
+        except BaseException as error:  # Ctrl-C, say: the conversation leaves the key with it
+            talk.throw(error)
+            raise
 
     async def _do(self, step: Call | Sleep) -> Reply:
         if isinstance(step, Sleep):

@@ -127,8 +127,9 @@ def invoke(body: Document, key: str | None, defers: int, on_update: OnUpdate | N
 
     Every attempt has a key of its own that follows from the first one, so that whoever calls again under a key, say
     after a restart, finds what the last attempt under it came to, and launches nothing a second time. What breaks the
-    conversation off says that key, and the invocation as last heard of.
+    conversation off says that key, and the invocation as last heard of: see `_leave_key`.
     """
+    _check_callable(on_update)
     first_key = uuid.uuid4().hex if key is None else header_text("idempotency_key", key, _MAX_NAME)
     for attempt in range(defers + 1):
         heard: list[Document] = []
@@ -142,14 +143,34 @@ def invoke(body: Document, key: str | None, defers: int, on_update: OnUpdate | N
         try:
             posted = yield from send(Call(method="POST", path="/v1/invocations", json=body, headers=headers))
             invocation = yield from follow(posted, hear)
-        except (Problem, Unreachable) as error:
-            error.idempotency_key, error.invocation = first_key, next(iter(heard), None)
+        except BaseException as error:
+            _leave_key(error, first_key, next(iter(heard), None))
             raise
         if invocation["status"] == "deferred" and attempt < defers:
             yield Sleep(seconds=max(_patience_s(invocation), _backoff_s(attempt)))
             continue
         return conclude(invocation)
     raise AssertionError("unreachable: the last attempt always concludes")
+
+
+def _check_callable(on_update: object) -> None:
+    if on_update is not None and not callable(on_update):
+        raise Unsendable(f"on_update is `{shown(on_update)}`; valid is a function of one document; nothing was sent")
+
+
+def _leave_key(error: BaseException, key: str, heard: Document | None) -> None:
+    """Leave with whatever breaks `invoke` off the key under which the robot may be moving.
+
+    Exceptions of this client have a place for it; any other, `on_update`'s own or one that ends the program, keeps its
+    type and gets a note.
+    """
+    if isinstance(error, Unsendable) and heard is None:  # nothing was sent
+        return
+    if isinstance(error, Problem | Unreachable) and error.idempotency_key is None:
+        error.idempotency_key, error.invocation = key, heard
+    else:  # also one that an `invoke` within `on_update` has left its own key with
+        name = "" if heard is None else f", invocation `{heard.get('id')}`"
+        error.add_note(f"proposed under the idempotency key `{key}`{name}: invoking again under it takes it up")
 
 
 def _patience_s(deferred: Document) -> float:
@@ -189,6 +210,7 @@ def follow(invocation: Document, on_update: OnUpdate | None) -> Talk[Document]:
 
 def take_up(name: str, on_update: OnUpdate | None) -> Talk[Document]:
     """Follow an invocation proposed earlier, by its name. Raises as `follow`."""
+    _check_callable(on_update)
     found = yield from send(Call(method="GET", path=path_of(name)))
     _check_invocation(found, name)
     return (yield from follow(found, on_update))

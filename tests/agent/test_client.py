@@ -1,3 +1,4 @@
+import asyncio
 import itertools
 import re
 from inspect import signature
@@ -443,6 +444,80 @@ def test_a_second_attempt_that_is_lost_has_no_invocation_yet(monkeypatch: pytest
     ):
         client.invoke("navigate_to", idempotency_key="mine", target="dock")
     assert (caught.value.idempotency_key, caught.value.invocation) == ("mine", None)
+
+
+class Boom(Exception):
+    pass
+
+
+def _raises(_: object) -> None:
+    raise Boom("no room")
+
+
+NOTE = "proposed under the idempotency key `key-1`, invocation `inv_1`: invoking again under it takes it up"
+
+
+@pytest.mark.anyio
+async def test_what_on_update_raises_comes_through_with_a_note_of_the_key():
+    with serve(lambda _: (201, invocation("running"))) as server:
+        with ReinsClient(server.url, "t") as client, pytest.raises(Boom) as caught:
+            client.invoke("navigate_to", idempotency_key="key-1", on_update=_raises)
+        assert (str(caught.value), caught.value.__notes__) == ("no room", [NOTE])
+        async with AsyncReinsClient(server.url, "t") as client:
+            with pytest.raises(Boom) as caught:
+                await client.invoke("navigate_to", idempotency_key="key-1", on_update=_raises)
+        assert caught.value.__notes__ == [NOTE]
+        with ReinsClient(server.url, "t") as client, pytest.raises(Boom) as caught:
+            client.follow("inv_1", on_update=_raises)  # whoever follows knows the name
+        assert not hasattr(caught.value, "__notes__")
+
+
+def test_what_a_proposal_within_on_update_says_of_itself_is_kept():
+    def answer(turn: Turn):
+        mine = turn.headers.get("idempotency-key") == "key-1"
+        return (201, invocation("running")) if mine else (401, {"code": "token_invalid", "detail": "expired"})
+
+    with serve(answer) as server, ReinsClient(server.url, "t") as client, pytest.raises(Problem) as caught:
+        client.invoke(
+            "navigate_to", idempotency_key="key-1", on_update=lambda _: client.invoke("wave", idempotency_key="key-2")
+        )
+    assert (caught.value.idempotency_key, caught.value.invocation) == ("key-2", None)
+    assert caught.value.__notes__ == [NOTE]
+
+
+def test_a_misuse_within_on_update_does_not_lose_the_key():
+    with (
+        serve(lambda _: (201, invocation("running"))) as server,
+        ReinsClient(server.url, "t") as client,
+        pytest.raises(Unsendable) as caught,
+    ):
+        client.invoke("navigate_to", idempotency_key="key-1", on_update=lambda _: client.follow(""))
+    assert caught.value.__notes__ == [NOTE]
+
+
+@pytest.mark.anyio
+async def test_a_cancelled_invocation_leaves_a_note_of_the_key():
+    told = asyncio.Event()
+    with serve(lambda _: (201, invocation("running"))) as server:
+        async with AsyncReinsClient(server.url, "t") as client:
+            asked = client.invoke("navigate_to", idempotency_key="key-1", on_update=lambda _: told.set())
+            task = asyncio.ensure_future(asked)
+            await told.wait()
+            task.cancel()
+            with pytest.raises(asyncio.CancelledError) as caught:
+                await task
+    assert caught.value.__notes__ == [NOTE]
+
+
+@pytest.mark.anyio
+async def test_what_cannot_be_called_with_changes_is_refused_before_the_first():
+    with serve(lambda _: (200, invocation("running"))) as server:
+        with ReinsClient(server.url, "t") as client, pytest.raises(Unsendable, match="on_update is `5`"):
+            client.follow("inv_1", on_update=5)
+        async with AsyncReinsClient(server.url, "t") as client:
+            with pytest.raises(Unsendable, match="on_update is `5`"):
+                await client.follow("inv_1", on_update=5)
+    assert server.turns == []
 
 
 @pytest.mark.anyio

@@ -36,6 +36,7 @@ CIRCLE.append(CIRCLE)
         ({"pose": {HUGE: 1}}, "`params.pose` has the key `<int>`; valid keys are strings"),
         ({"pose": {HUGE}}, "`params.pose` is `<set>`, a set"),
         ({"metadata": HUGE}, "`metadata` is a whole number of 16610 bits"),
+        ({"on_update": "print"}, "on_update is `'print'`; valid is a function of one document"),
     ],
     ids=itertools.count(),  # what a case gives cannot always be written
 )
