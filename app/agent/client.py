@@ -16,6 +16,7 @@ import asyncio
 import re
 import time
 from collections.abc import Awaitable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any, Self
 
 import httpx
@@ -59,10 +60,9 @@ __all__ = [
 
 def _reply(response: httpx.Response) -> Reply:
     kind = response.headers.get("content-type", "")
-    try:
-        content = response.json() if "json" in kind else response.text
-    except (ValueError, RecursionError):  # says that it is JSON, and is not, or bottomless: `_read` shows it
-        content = response.text
+    content: object = response.content.decode(errors="replace")  # only to be shown; a charset may name any codec
+    with suppress(ValueError, RecursionError):  # says that it is JSON, and is not, or bottomless: `_read` shows it
+        content = response.json() if "json" in kind else content
     return Reply(status=response.status_code, json=content, retry_after_s=_patience_s(response))
 
 

@@ -15,7 +15,7 @@ class Turn:
 
 
 class Script:
-    """Answers by a function of the request; `None` drops the connection. Keeps every turn."""
+    """Answers by a function of the request; `None` drops the connection, bytes go out as they are. Keeps every turn."""
 
     def __init__(self, answer: Callable[[Turn], tuple[int, object] | None]) -> None:
         self.answer = answer
@@ -47,11 +47,10 @@ def serve(
                 self.close_connection = True
                 return
             status, document = said
-            body = json.dumps(document).encode()
+            body = document if isinstance(document, bytes) else json.dumps(document).encode()
+            kind = "application/problem+json" if status >= 400 else "application/json"
             self.send_response(status)
-            self.send_header("content-type", "application/problem+json" if status >= 400 else "application/json")
-            self.send_header("content-length", str(len(body)))
-            for name, value in (headers or {}).items():
+            for name, value in {"content-type": kind, "content-length": str(len(body)), **(headers or {})}.items():
                 self.send_header(name, value)
             self.end_headers()
             self.wfile.write(body)

@@ -520,6 +520,19 @@ async def test_what_cannot_be_called_with_changes_is_refused_before_the_first():
     assert server.turns == []
 
 
+@pytest.mark.parametrize("kind", ["text/plain", "application/json"])
+@pytest.mark.parametrize("charset", ["undefined", "idna", "rot13", "hex", "latin-1", "nonsense"])
+@pytest.mark.anyio
+async def test_a_charset_that_decodes_nothing_is_an_unreadable_answer(charset, kind):
+    with serve(lambda _: (200, b"\xffwelcome.."), {"content-type": f"{kind}; charset={charset}"}) as server:
+        with ReinsClient(server.url, "t") as client, pytest.raises(Problem, match=r"`.welcome\.\.` is no") as caught:
+            client.invoke("navigate_to", idempotency_key="key-1")
+        assert (caught.value.code, caught.value.idempotency_key) == ("unreadable_answer", "key-1")
+        async with AsyncReinsClient(server.url, "t") as client:
+            with pytest.raises(Problem, match="unreadable_answer"):
+                await client.invoke("navigate_to")
+
+
 @pytest.mark.anyio
 async def test_an_answer_that_cannot_be_decoded_is_none(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("app.agent.conversation._SEND_ATTEMPTS", 1)
