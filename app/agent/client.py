@@ -17,6 +17,7 @@ import re
 import time
 from collections.abc import Awaitable, Mapping, Sequence
 from contextlib import suppress
+from http.cookiejar import CookieJar, DefaultCookiePolicy
 from typing import Any, Self
 
 import httpx
@@ -89,6 +90,11 @@ def _address(url: str) -> httpx.URL:
     return found
 
 
+def _no_cookies() -> CookieJar:
+    """Return a jar that takes nothing: the token says who asks, and some a server may set cannot be sent back."""
+    return CookieJar(DefaultCookiePolicy(allowed_domains=()))
+
+
 def _number(defers: object) -> int:
     """Return how often to propose again. Raises `ValueError` for what is no number of times."""
     if not isinstance(defers, int) or isinstance(defers, bool) or defers < 0:
@@ -120,7 +126,9 @@ class ReinsClient:
         header.
         """
         self._defers = _number(defers)
-        self._http = httpx.Client(base_url=_address(url), headers=_authorization(token), timeout=_TIMEOUT)
+        self._http = httpx.Client(
+            base_url=_address(url), headers=_authorization(token), cookies=_no_cookies(), timeout=_TIMEOUT
+        )
 
     def __enter__(self) -> Self:
         """Return the client."""
@@ -264,7 +272,9 @@ class AsyncReinsClient:
         header.
         """
         self._defers = _number(defers)
-        self._http = httpx.AsyncClient(base_url=_address(url), headers=_authorization(token), timeout=_TIMEOUT)
+        self._http = httpx.AsyncClient(
+            base_url=_address(url), headers=_authorization(token), cookies=_no_cookies(), timeout=_TIMEOUT
+        )
 
     async def __aenter__(self) -> Self:
         """Return the client."""

@@ -534,6 +534,22 @@ async def test_a_charset_that_decodes_nothing_is_an_unreadable_answer(charset, k
 
 
 @pytest.mark.anyio
+async def test_no_cookie_is_kept_that_could_not_be_sent_back():
+    states = iter(["running", "completed"] * 2)
+
+    def answer(_: Turn):
+        return 200, invocation(next(states), outcome="succeeded")
+
+    with serve(answer, {"set-cookie": "a=\xff; path=/"}) as server:
+        with ReinsClient(server.url, "t") as client:
+            client.invoke("navigate_to")
+        async with AsyncReinsClient(server.url, "t") as client:
+            await client.invoke("navigate_to")
+    assert len(server.turns) == 4
+    assert not any("cookie" in turn.headers for turn in server.turns)
+
+
+@pytest.mark.anyio
 async def test_an_answer_that_cannot_be_decoded_is_none(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("app.agent.conversation._SEND_ATTEMPTS", 1)
     with serve(lambda _: (200, {}), {"content-encoding": "gzip"}) as server:
