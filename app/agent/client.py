@@ -22,6 +22,7 @@ from typing import Any, Self
 
 import httpx
 
+from app.agent.address import address, blaming_environment
 from app.agent.answers import (
     Document,
     ExecutionFailed,
@@ -77,19 +78,6 @@ def _authorization(token: str) -> dict[str, str]:
     return {"Authorization": f"Bearer {header_text('token', token, MAX_TOKEN)}"}
 
 
-def _address(url: str) -> httpx.URL:
-    """Return a server's address. Raises `ValueError` where there is no server to ask."""
-    try:
-        found = httpx.URL(url)
-    except httpx.InvalidURL as error:
-        raise ValueError(f"url `{url}`: {error}; valid is for instance `http://127.0.0.1:8000`") from error
-    if found.port is not None and not 0 < found.port <= MAX_PORT:
-        raise ValueError(f"url `{url}`: valid is a port from 1 to {MAX_PORT}, for instance `http://127.0.0.1:8000`")
-    if found.scheme not in ("http", "https") or not found.host:
-        raise ValueError(f"url `{url}`: valid is http:// or https:// and a host, for instance `http://127.0.0.1:8000`")
-    return found
-
-
 def _no_cookies() -> CookieJar:
     """Return a jar that takes nothing: the token says who asks, and some a server may set cannot be sent back."""
     return CookieJar(DefaultCookiePolicy(allowed_domains=()))
@@ -109,7 +97,6 @@ def _nothing(http: httpx.Client | httpx.AsyncClient, error: Exception) -> Reply:
     return Reply(status=0, json=why, sent=not refused or http.is_closed)  # closed under way: it may have been sent
 
 
-MAX_PORT = 65535
 _SECONDS = re.compile(r"[0-9]{1,6}")
 _SLEPT = Reply(status=0, json=None)
 _CLOSED = Reply(status=0, json="the client was closed; valid is a new one", sent=False)
@@ -122,13 +109,13 @@ class ReinsClient:
     def __init__(self, url: str, token: str, *, defers: int = 20) -> None:
         """Speak to `url` as the owner of `token`; propose a deferred invocation again up to `defers` times.
 
-        Raises `ValueError` if `url` names no server or `defers` is no number of times, `Unsendable` if `token` fits no
-        header.
+        Raises `ValueError` if `url` names no server, or a user as well, if `defers` is no number of times, or if the
+        environment names a proxy or certificates that are none; `Unsendable` if `token` fits no header.
         """
         self._defers = _number(defers)
-        self._http = httpx.Client(
-            base_url=_address(url), headers=_authorization(token), cookies=_no_cookies(), timeout=_TIMEOUT
-        )
+        server, headers = address(url), _authorization(token)
+        with blaming_environment():
+            self._http = httpx.Client(base_url=server, headers=headers, cookies=_no_cookies(), timeout=_TIMEOUT)
 
     def __enter__(self) -> Self:
         """Return the client."""
@@ -268,13 +255,13 @@ class AsyncReinsClient:
     def __init__(self, url: str, token: str, *, defers: int = 20) -> None:
         """Speak to `url` as the owner of `token`; propose a deferred invocation again up to `defers` times.
 
-        Raises `ValueError` if `url` names no server or `defers` is no number of times, `Unsendable` if `token` fits no
-        header.
+        Raises `ValueError` if `url` names no server, or a user as well, if `defers` is no number of times, or if the
+        environment names a proxy or certificates that are none; `Unsendable` if `token` fits no header.
         """
         self._defers = _number(defers)
-        self._http = httpx.AsyncClient(
-            base_url=_address(url), headers=_authorization(token), cookies=_no_cookies(), timeout=_TIMEOUT
-        )
+        server, headers = address(url), _authorization(token)
+        with blaming_environment():
+            self._http = httpx.AsyncClient(base_url=server, headers=headers, cookies=_no_cookies(), timeout=_TIMEOUT)
 
     async def __aenter__(self) -> Self:
         """Return the client."""

@@ -250,25 +250,6 @@ def test_raises_problem_at_once_when_the_request_itself_is_refused():
 
 
 @pytest.mark.parametrize("client", [ReinsClient, AsyncReinsClient])
-@pytest.mark.parametrize(
-    "url",
-    [
-        "nourl",
-        "",
-        "http://",
-        "localhost:8000",
-        "ftp://robot",
-        "http://robot:port",
-        "http://robot:99999",
-        "http://robot:0",
-    ],
-)
-def test_an_address_that_names_no_server_is_refused_at_once(client, url):
-    with pytest.raises(ValueError, match=re.escape(f"url `{url}`: ") + ".*valid is .*`http://127.0.0.1:8000`"):
-        client(url, "t")
-
-
-@pytest.mark.parametrize("client", [ReinsClient, AsyncReinsClient])
 @pytest.mark.parametrize("defers", [-1, "3", 1.5, True, None])
 def test_a_number_of_times_that_is_none_is_refused_at_once(client, defers):
     with pytest.raises(ValueError, match=f"defers `{defers}`: valid is a whole number from 0 on"):
