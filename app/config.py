@@ -162,7 +162,8 @@ def _is_address(text: str) -> bool:
     except ValueError:  # a port beyond 65535 or no number, a bracket left open, a name that none can be asked for
         return False
     plain = text.isprintable() and " " not in text and text.startswith(("http://", "https://"))
-    return plain and bool(host) and port != 0 and not (parts.query or parts.fragment)
+    others = parts.query or parts.fragment or "@" in parts.netloc  # a user name would be sent in the token's place
+    return plain and bool(host) and port != 0 and not others
 
 
 def _is_key(text: str) -> bool:

@@ -239,6 +239,7 @@ def test_refuses_a_cell_without_token_or_server(tmp_path: Path) -> None:
     [
         "", "foo", "127.0.0.1:8000", "ws://127.0.0.1:8000", "http://", "http://:8000", "http://127.0.0.1:99999",
         "http://127.0.0.1:0", "http://127.0.0.1:http", "http://[::1", "http://a b:8000", "http://é..x", "http://x/?y=1",
+        "http://u:p@127.0.0.1:8000",
         "HTTP://127.0.0.1:8000", "\x7fhttp://127.0.0.1:8000",
     ],
 )  # fmt: skip
