@@ -164,7 +164,7 @@ async def take_cell(request: Request, id: Identifier) -> Response:
 async def release(request: Request, id: Identifier) -> Response:
     """Hand a session back: to go on from here (decided and bound anew), to be undone, or done with."""
     body = await read_body(request, ReleaseBody)
-    return answer(await parts_of(request).governor.release(id, caller(request), body.then))
+    return answer(await parts_of(request).governor.release(id, caller(request), body.then, body.lease))
 
 
 async def set_profile(request: Request, id: Identifier) -> Response:
@@ -250,7 +250,8 @@ def _sessions(router: APIRouter) -> None:
 def _controls(router: APIRouter) -> None:
     present = ("control_held", "ending", "cell_offline", "estop_latched")
     taking = (*present, "takeover_not_enabled", "takeover_refused")
-    returning = (*present, "not_taken_over", "nothing_to_resume", "resume_refused", "facts_stale", "paused")
+    refused = ("nothing_to_resume", "resume_refused", "facts_stale", "paused")
+    returning = (*present, "not_taken_over", "overtaken", *refused)
     declare(
         router,
         "POST /v1/invocations/{id}/takeover",

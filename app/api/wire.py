@@ -191,6 +191,10 @@ class ReleaseBody(Body):
     """What becomes of a session that is handed back."""
 
     then: Literal["resume", "rollback", "end"]
+    lease: Name | None = Field(
+        default=None,
+        description="By which lease it was driven. To go on or be undone by another one since then: 409.",
+    )
 
 
 class ResetBody(Body):

@@ -48,15 +48,24 @@ class Handbacks:
     desk: Desk
 
     @uncut
-    async def release(self, invocation_id: str, principal: Principal, then: str) -> dict[str, Any]:
+    async def release(
+        self, invocation_id: str, principal: Principal, then: str, lease: str | None = None
+    ) -> dict[str, Any]:
         """Hand a session back, to go on (`resume`), to be undone (`rollback`), or done with (`end`).
 
         Waits, shortly, for the cell to say that it has the session again.
 
+        Args:
+            invocation_id: whose session.
+            principal: who hands it back.
+            then: what becomes of it.
+            lease: by which they have the controls; None if they do not say. What ends it counts by whichever lease.
+
         Raises:
             NotFound: there is none that this principal may see.
             Conflict: `wrong_status`, `not_taken_over`, `control_held`, `nothing_to_resume`, `ending`, `cell_offline`;
-                `facts_stale`, `paused`, and `resume_refused` with the reasons: the holder keeps the controls.
+                `overtaken`, they have them by another lease by now; `facts_stale`, `paused`, and `resume_refused` with
+                the reasons: the holder keeps the controls.
             RecordUnavailable: nothing was recorded, and the holder keeps the controls.
         """
         present = await self._session(invocation_id, principal)
@@ -67,6 +76,9 @@ class Handbacks:
             raise Conflict("nothing_to_resume", "nothing ran before; valid: `rollback`, `end`")
         if then == "end":
             return await self._end(cell, present, principal)
+        if lease is not None and (cell.control is None or cell.control.lease != lease):  # a link may have held it back
+            message = f"the controls of `{cell.id}` were handed out anew since `{lease}`; valid: look, and say it anew"
+            raise Conflict("overtaken", message)
         decided = cell.moment
         if not await self._newer(cell) and then == "resume":  # a rollback is the cell's own to judge
             raise Conflict(

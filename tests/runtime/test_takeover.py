@@ -241,6 +241,21 @@ async def test_nothing_goes_on_by_facts_from_before_it_was_handed_back(
     assert jog(runtime, OPERATOR, place.control_document() or {}, 5) is None
 
 
+@pytest.mark.parametrize("then", ["resume", "rollback"])
+async def test_nothing_is_handed_back_by_a_word_from_an_earlier_lease(
+    runtime: Runtime, cell: HandCell, driving: str, then: str
+) -> None:
+    first = await runtime.governor.take_over(driving, OPERATOR)
+    runtime.fleet.loosen(runtime.fleet.cell("workcell-1"), "server")
+    await cell.report("escalation", driving, reason="control_lapsed")
+    again = await runtime.governor.take_over(driving, OPERATOR)
+    assert again["lease"] != first["lease"]
+    error = await refused(runtime.governor.release(driving, OPERATOR, then, first["lease"]))
+    assert (error.code, error.status) == ("overtaken", 409)
+    control = runtime.fleet.cell("workcell-1").control
+    assert (control is not None and control.lease) == again["lease"]
+
+
 SITTING = {"profile": "human-shared", "phase": "hold", "doing": "takeover", "violated": [], "waits_for": ""}
 
 
