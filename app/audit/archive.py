@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import os
+import stat
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from time import sleep
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from app.audit.checkpoint import NoteInvalid, Verifier
 from app.audit.errors import RecordDamaged
@@ -25,6 +26,12 @@ if TYPE_CHECKING:
     from app.audit.event import Event
 
 MAX_FAULTS = 10
+_KINDS: Final = {
+    stat.S_IFDIR: "directory",
+    stat.S_IFLNK: "symbolic link",
+    stat.S_IFIFO: "named pipe",
+    stat.S_IFSOCK: "socket",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,17 +92,15 @@ def export(data_dir: Path, out: Path, format: Literal["jsonl"] = "jsonl") -> Exp
     Raises:
         RecordDamaged: there is no log, it cannot be read, or its events are not those that were signed; nothing is
             written then.
-        ValueError: another format, a directory where a file is to be, or a place within the data directory.
+        ValueError: another format, something else where a file is to be (a directory, a link, a device), or a place
+            within the data directory.
         OSError: the files cannot be written; then neither is there.
     """
     if format != "jsonl":
         raise ValueError(f"`{format}` is no export format: valid is `jsonl`")
     note_path = out.with_name(out.name + ".checkpoint")
     for path in (out, note_path):
-        if path.is_dir():
-            raise ValueError(f"`{path}` is a directory: valid is the name of a file")
-        if path.resolve().is_relative_to(data_dir.resolve()):
-            raise ValueError(f"`{path}` lies in the data directory, which holds the record: valid is another one")
+        _check_place(path, data_dir)
     verifier = load_verifier(Places(data_dir))
     digest = hashlib.sha256()
     frontier = Frontier()
@@ -154,10 +159,36 @@ def _check_signed(database: Path, verifier: Verifier, frontier: Frontier, size: 
         raise RecordDamaged(database, f"the events up to `{size}` are not those that were signed: nothing is exported")
 
 
+def _check_place(path: Path, data_dir: Path) -> None:
+    """Refuse to write where the record is, and over or through what is no file.
+
+    Raises:
+        ValueError: it names the place, and what would be valid.
+    """
+    if path.resolve().is_relative_to(data_dir.resolve()):
+        raise ValueError(f"`{path}` lies in the data directory, which holds the record: valid is another one")
+    for place in (path, _draft_of(path)):
+        if (kind := _other_than_file(place)) is not None:
+            raise ValueError(f"`{place}` is a {kind}: valid is the name of a file, of a new one or of one to replace")
+
+
+def _draft_of(path: Path) -> Path:
+    return path.with_name(path.name + ".partial")
+
+
+def _other_than_file(path: Path) -> str | None:
+    """Return what stands at a path, where that is something that no export may replace, or write through."""
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return None
+    return None if stat.S_ISREG(mode) else _KINDS.get(stat.S_IFMT(mode), "device")
+
+
 @contextmanager
 def _drafted(path: Path) -> Generator[BufferedWriter]:
     """Open `….partial` beside a path to fill and rename it; what is not renamed is removed."""
-    draft = path.with_name(path.name + ".partial")
+    draft = _draft_of(path)
     with draft.open("wb") as file:
         try:
             yield file

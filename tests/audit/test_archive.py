@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import socket
 import sqlite3
 from pathlib import Path
 
@@ -90,6 +91,42 @@ async def test_an_export_into_a_directory_is_refused_and_leaves_nothing(
     with pytest.raises(ValueError, match=f"{taken}` is a directory"):
         export(data, tmp_path / "out" / "log.jsonl")
     assert [path.name for path in (tmp_path / "out").iterdir()] == [taken]
+
+
+@pytest.mark.parametrize("taken", ["log.jsonl", "log.jsonl.checkpoint", "log.jsonl.checkpoint.partial"])
+@pytest.mark.parametrize("kind", ["symbolic link", "link to nothing", "named pipe", "socket"])
+async def test_an_export_replaces_nothing_but_files(
+    store: AuditStore, data: Path, tmp_path: Path, taken: str, kind: str
+) -> None:
+    await fill(store)
+    (tmp_path / "kept").write_text("kept")
+    (tmp_path / "out").mkdir()
+    place = tmp_path / "out" / taken
+    with socket.socket(socket.AF_UNIX) as open_socket:
+        match kind:
+            case "symbolic link":
+                place.symlink_to(tmp_path / "kept")
+            case "link to nothing":
+                place.symlink_to(tmp_path / "nothing")
+            case "named pipe":
+                os.mkfifo(place)
+            case _:
+                folder = os.open(tmp_path / "out", os.O_RDONLY)
+                open_socket.bind(f"/proc/self/fd/{folder}/{taken}")  # whose own path may be too long for one
+                os.close(folder)
+        before = place.lstat()
+        said = "symbolic link" if "link" in kind else kind
+        with pytest.raises(ValueError, match=f"{taken}` is a {said}: valid is the name of a file"):
+            export(data, tmp_path / "out" / "log.jsonl")
+    assert place.lstat().st_ino == before.st_ino
+    assert (tmp_path / "kept").read_text() == "kept"
+    assert [path.name for path in (tmp_path / "out").iterdir()] == [taken]
+
+
+async def test_an_export_replaces_a_file(store: AuditStore, data: Path, tmp_path: Path) -> None:
+    await fill(store)
+    for _ in range(2):
+        assert export(data, tmp_path / "log.jsonl").count == 12
 
 
 @pytest.mark.parametrize("name", ["reins.db", "new.jsonl", "new/new.jsonl", "../link/new.jsonl", "../linked.jsonl"])
