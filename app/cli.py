@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from app import __version__, cli_audit, cli_evaluate, cli_policy, cli_sim, cli_versions
+from app.cli_data import directory
 from app.config import DEFAULT_PROFILE, CellSettings, ConfigError, Settings, cell_token, check_pace
 from app.governance.model import Role
 from app.terminal import MISUSE, say_error
@@ -37,7 +38,7 @@ cli_versions.register(cli_policy.app)
 app.add_typer(cli_audit.app, name="audit")
 app.add_typer(cli_sim.app, name="sim")
 
-Data = Annotated[Path, typer.Option(help="Data directory.", envvar="REINS_DATA", file_okay=False)]
+Data = Annotated[Path, typer.Option(help="Data directory.", envvar="REINS_DATA", parser=directory)]
 Policies = Annotated[
     Path | None,
     typer.Option(help="Policy directory; default: ./policies, else the shipped one.", envvar="REINS_POLICIES"),
@@ -132,7 +133,7 @@ def cell(  # noqa: PLR0913  # its options
     ] = None,
     id: Annotated[str, typer.Option("--id", help="The cell's name; one process for each.")] = "workcell-2",
     data: Annotated[
-        Path | None, typer.Option(help="What the cell keeps; default: cells/<id>.", file_okay=False)
+        Path | None, typer.Option(help="What the cell keeps; default: cells/<id>.", parser=directory)
     ] = None,
     server_key: Annotated[
         str | None, typer.Option(help="The kernel's public key (base64); default: trust the first one seen, keep it.")

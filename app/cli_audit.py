@@ -12,6 +12,7 @@ import typer
 
 from app.audit.checkpoint import NoteInvalid, parse_verifier
 from app.audit.errors import EventUnreadable, RecordDamaged, RecordUnreadable
+from app.cli_data import directory
 from app.terminal import FINDING, MISUSE, out, say, say_error
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 
-Data = Annotated[Path, typer.Option(help="The server's data directory.", envvar="REINS_DATA")]
+Data = Annotated[Path, typer.Option(help="The server's data directory.", envvar="REINS_DATA", parser=directory)]
 FOLLOW_S = 0.5
 PAGE = 500
 

@@ -10,6 +10,7 @@ import orjson
 import typer
 
 from app.authoring.suggesting import Least
+from app.cli_data import directory
 from app.cli_policies import Policies, finding, load_policy
 from app.clock import monotonic_s, parse_rfc3339
 from app.config import find_policies
@@ -35,7 +36,9 @@ app = typer.Typer()
 @app.command()
 def suggest(  # its options
     *,
-    data: Annotated[Path, typer.Option(help="The server's data directory.", envvar="REINS_DATA")] = Path("data"),
+    data: Annotated[
+        Path, typer.Option(help="The server's data directory.", envvar="REINS_DATA", parser=directory)
+    ] = Path("data"),
     since: Annotated[str | None, typer.Option(help="From when on, RFC 3339; default: all that is recorded.")] = None,
     policies: Policies = None,
     decisions: Annotated[

@@ -10,6 +10,7 @@ import typer
 
 from app.agent.answers import Unsendable
 from app.agent.conversation import MAX_TOKEN, header_text
+from app.cli_data import directory
 from app.config import DataDir, find_policies
 from app.governance.bundle import PROPERTIES, read_cases, read_files, read_properties
 from app.governance.errors import PolicyErrors
@@ -27,7 +28,10 @@ ACCEPTED = 202
 EXAMPLES = 3
 SHOWN = 19  # of a digest: its kind and twelve characters
 
-Data = Annotated[Path, typer.Option(help="The server's data directory: its address and tokens.", envvar="REINS_DATA")]
+Data = Annotated[
+    Path,
+    typer.Option(help="The server's data directory: its address and tokens.", envvar="REINS_DATA", parser=directory),
+]
 Server = Annotated[
     str | None, typer.Option(help="The server's address; default: as the data directory says.", envvar="REINS_SERVER")
 ]

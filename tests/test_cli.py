@@ -340,3 +340,40 @@ def test_what_no_cell_can_be_started_with_starts_no_server(
     assert "valid" in said.err
     assert "serves" not in said.out
     assert not (tmp_path / "data").exists()
+
+
+GIVEN_EMPTY = [
+    "serve",
+    "cell",
+    "approver --policy habits.yaml",
+    "token issue late --role agent",
+    "audit verify",
+    "audit show inv_1",
+    "audit export log.jsonl",
+    "audit tail",
+    "policy suggest",
+    "policy propose --why so",
+    "policy replay",
+    "policy activate sha256:0 --why so",
+    "policy rollback --why so",
+    "policy versions",
+]
+
+
+@pytest.mark.parametrize("command", GIVEN_EMPTY)
+def test_no_data_directory_is_the_working_directory_by_an_empty_name(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, said = run(*command.split(), "--data", "")
+    assert code == 2, said
+    assert "it is empty" in said
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", ["serve", "audit verify"])
+def test_a_data_directory_that_is_a_file_is_named(command: str, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    code, said = run(*command.split(), "--data", str(tmp_path / "file"))
+    assert code == 2
+    assert "is a file" in said

@@ -1,0 +1,23 @@
+"""What every command that takes `--data` makes of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+
+def directory(text: str) -> Path:
+    """Read a data directory's path; whether there is one is for each command to say.
+
+    No path at all is refused: `Path("")` is the working directory, where `--data "$UNSET"` would put keys and tokens.
+
+    Raises:
+        typer.BadParameter: no path, or that of a file.
+    """
+    if not str(text):
+        raise typer.BadParameter("it is empty, maybe a variable that is not set; valid: a directory, `.` for this one")
+    path = Path(text)
+    if path.is_file():
+        raise typer.BadParameter(f"`{path}` is a file; valid: a directory")
+    return path
