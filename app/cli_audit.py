@@ -13,7 +13,7 @@ import typer
 from app.audit.checkpoint import NoteInvalid, parse_verifier
 from app.audit.errors import EventUnreadable, RecordDamaged, RecordUnreadable
 from app.cli_data import directory
-from app.terminal import FINDING, MISUSE, out, say, say_error
+from app.terminal import FINDING, INTERRUPTED, MISUSE, out, say, say_error
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable
@@ -28,6 +28,7 @@ app = typer.Typer(
 Data = Annotated[Path, typer.Option(help="The server's data directory.", envvar="REINS_DATA", parser=directory)]
 FOLLOW_S = 0.5
 PAGE = 500
+INTERRUPTION = "interrupted"
 
 
 @app.command()
@@ -41,7 +42,7 @@ def verify(
     """
     from app.audit.examination import examine_file
 
-    with _said(data):
+    with _said(data, interrupted="interrupted: not all was compared, so nothing is said of this record"):
         verifier = None if key is None else parse_verifier(key.read_text())
         with out.status("verifying …"):
             found = examine_file(data, verifier)
@@ -94,7 +95,7 @@ def export(
     """Write the log as a file that can be checked without this program."""
     from app.audit import archive
 
-    with _said(data), out.status("exporting …"):
+    with _said(data, interrupted="interrupted: nothing was exported"), out.status("exporting …"):
         written = archive.export(data, file, format)
     say(f"{written.count} events in {written.events} (sha256 {written.sha256}), signed by {written.checkpoint}")
 
@@ -109,7 +110,7 @@ def tail(
     """Print the newest events."""
     from app.audit import archive
 
-    with _said(data):
+    with _said(data, interrupted="" if follow else INTERRUPTION):
         events = archive.tail(data, limit=limit)
         good = _print(events)
         after = events[-1].seq if events else 0
@@ -137,15 +138,19 @@ def _print(events: Iterable[Event]) -> bool:
 
 
 @contextmanager
-def _said(data: Path) -> Generator[None]:
+def _said(data: Path, *, interrupted: str = INTERRUPTION) -> Generator[None]:
     """Say what is wrong in a line: a damaged record is a finding, a directory without one is misuse.
 
-    A record that cannot be read now is no finding either.
+    A record that cannot be read now is no finding either. What Ctrl-C ends before its time says so; with nothing to say
+    of that, it is how the command is meant to end.
     """
     try:
         yield
     except KeyboardInterrupt:
-        raise typer.Exit from None
+        if not interrupted:
+            raise typer.Exit from None
+        say_error(interrupted)
+        raise typer.Exit(INTERRUPTED) from None
     except RecordDamaged as error:
         say_error(str(error), hint="" if data.is_dir() else "name the data directory of a server with --data")
         raise typer.Exit(FINDING if (data / "reins.db").exists() else MISUSE) from error

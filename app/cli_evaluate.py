@@ -15,13 +15,12 @@ from rich.table import Table
 
 from app.cli_policies import Policies, load_policy
 from app.config import find_policies
-from app.terminal import FINDING, MISUSE, err, out, say, say_error
+from app.terminal import FINDING, INTERRUPTED, MISUSE, err, out, say, say_error
 
 if TYPE_CHECKING:
     from app.evaluation.campaign import Request
     from app.governance.model import Json
 
-INTERRUPTED: Final = 130
 DASH: Final = "–"
 _LONG_TRIALS: Final = 1000
 _TRIALS: Final = 200

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 FINE: Final = 0
 FINDING: Final = 1
 MISUSE: Final = 2
+INTERRUPTED: Final = 130  # by Ctrl-C, as a shell has it
 DAMAGED: Final = 65  # EX_DATAERR of sysexits.h: what it would go on from cannot be read, now or at another start
 
 SHOWN_AFTER_S: Final = 1.0

@@ -6,7 +6,9 @@ import asyncio
 import json
 import re
 import shutil
+import signal
 import sqlite3
+import subprocess
 import sys
 from collections.abc import Awaitable, Callable
 from contextlib import closing
@@ -377,3 +379,46 @@ def test_a_data_directory_that_is_a_file_is_named(command: str, tmp_path: Path) 
     code, said = run(*command.split(), "--data", str(tmp_path / "file"))
     assert code == 2
     assert "is a file" in said
+
+
+# The command as it is, with a log that takes long to open.
+AT_WORK = """
+from time import sleep
+from app.audit.reader import Reader
+from app.cli import main
+
+def take_long(_):
+    print("at work", flush=True)
+    sleep(30)
+
+Reader.extent = take_long
+main()
+"""
+
+
+@pytest.mark.process
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("verify",), 130, "not all was compared"),
+        (("show", "inv_1"), 130, "interrupted"),
+        (("export", "log.jsonl"), 130, "nothing was exported"),
+        (("tail",), 130, "interrupted"),
+        (("tail", "--follow"), 0, ""),
+    ],
+)
+def test_what_ctrl_c_ends_before_its_time_does_not_end_well(
+    tmp_path: Path, words: tuple[str, ...], code: int, said: str
+) -> None:
+    write(tmp_path / "data", fill)
+    program = [sys.executable, "-c", AT_WORK if "--follow" not in words else "from app.cli import main; main()"]
+    command = [*program, "audit", *words, "--data", "data"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline(), "it is at work"
+        process.send_signal(signal.SIGINT)
+        _, found = process.communicate(timeout=30)
+    assert process.returncode == code, found
+    assert said in found
+    assert "Traceback" not in found
+    assert not list(tmp_path.glob("log.jsonl*"))
