@@ -381,6 +381,11 @@ def test_a_data_directory_that_is_a_file_is_named(command: str, tmp_path: Path) 
     assert "is a file" in said
 
 
+def test_says_that_it_does_not_compare_when_a_row_last_changed(tmp_path: Path) -> None:
+    write(tmp_path, fill)
+    assert "`updated_at`" in run("audit", "verify", "--data", str(tmp_path))[1]
+
+
 # The command as it is, with a log that takes long to open.
 AT_WORK = """
 from time import sleep

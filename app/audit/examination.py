@@ -5,9 +5,10 @@
 3. The table `invocations` with what the log makes of them (`projection`): what the console lists is read from there.
 4. The tables `escalations`, `grants` and `reviews` with the newest event about each of their documents (`documents`):
    what is pending, and what is granted, is read from there when a server starts.
-5. The telemetry files with the digests that the log holds.
+5. The rows about cells with what the log says of their stops and reports (`cells`): at a start they decide.
+6. The telemetry files with the digests that the log holds.
 
-The last four mean something only where the log is good, so they are left out where it is not.
+The last five mean something only where the log is good, so they are left out where it is not.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from app.audit.archive import MAX_FAULTS, database_problems, reading, telemetry_problems
+from app.audit.cells import cell_problems
 from app.audit.documents import document_problems
 from app.audit.errors import RecordDamaged
 from app.audit.places import Places, load_verifier
@@ -98,7 +100,8 @@ def examine_file(data_dir: Path, verifier: Verifier | None = None) -> Examinatio
 def _state_problems(places: Places, pause_s: float) -> list[str]:
     with reading(places.folder) as reader:
         found = projection_problems(reader, limit=MAX_FAULTS, pause_s=pause_s)
-        return (found + document_problems(reader, limit=MAX_FAULTS, pause_s=pause_s))[:MAX_FAULTS]
+        found += document_problems(reader, limit=MAX_FAULTS, pause_s=pause_s)
+        return (found + cell_problems(reader, limit=MAX_FAULTS))[:MAX_FAULTS]
 
 
 def _found(look: Callable[[], list[str] | None]) -> tuple[str, ...] | None:

@@ -152,6 +152,44 @@ class Reader:
         query = sa.select(*EVENT_COLUMNS).order_by(events.c.seq.desc()).limit(bounded(limit))
         return [Event(*row) for row in reversed(self._all(query))]
 
+    def holding(
+        self,
+        words: Collection[str],
+        *,
+        kind: str | None = None,
+        actor: str | None = None,
+        after: int = 0,
+        before: int | None = None,
+        newest: bool = False,
+        limit: int = 100,
+    ) -> list[Event]:
+        """Return events whose bytes hold one of these pieces of JSON, in order of `seq`; others are not even fetched.
+
+        A piece may stand anywhere: whoever asks reads the events themselves.
+
+        Args:
+            words: the pieces, as they are written in canonical JSON.
+            kind: only those of this kind.
+            actor: only those by this actor.
+            after: only those behind this `seq`.
+            before: only those in front of this `seq`.
+            newest: the newest first, not the oldest.
+            limit: at most so many, 1 to 1000.
+
+        Raises:
+            ValueError: a limit out of bounds.
+            RecordDamaged: the database cannot be read.
+        """
+        query = sa.select(*EVENT_COLUMNS).where(events.c.seq > after)
+        query = query.where(sa.or_(*(sa.func.instr(events.c.body, word.encode()) > 0 for word in words)))
+        for column, value in ((events.c.kind, kind), (events.c.actor, actor)):
+            if value is not None:
+                query = query.where(column == value)
+        if before is not None:
+            query = query.where(events.c.seq < before)
+        order = events.c.seq.desc() if newest else events.c.seq
+        return [Event(*row) for row in self._all(query.order_by(order).limit(bounded(limit)))]
+
     def extent(self) -> Extent:
         """Return how far events and checkpoints reach.
 

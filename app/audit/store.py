@@ -334,6 +334,10 @@ class AuditStore:
         """Return rows of a state table that has `created_seq`, newest first; errors as `Reader.page`."""
         return await self._read(partial(self._reader.page, table, filters, limit=limit, cursor=cursor))
 
+    async def ask(self, question: Callable[[Reader], T]) -> T:
+        """Return the answer to a question that takes several reads, off the event loop; errors as the reads have."""
+        return await self._read(partial(question, self._reader))
+
     async def verify(self) -> Verification:
         """Recompute the log from its stored bytes, in a thread with a connection of its own.
 
