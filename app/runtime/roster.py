@@ -12,18 +12,20 @@ from typing import TYPE_CHECKING, Any
 
 import orjson
 
+from app.audit.cells import LATCHED, latch_problem, latches
 from app.audit.errors import RecordUnavailable, RowUnreadable
-from app.audit.event import RowWrite
+from app.audit.event import EventDraft, RowWrite
 from app.clock import monotonic_s
 from app.governance.model import SESSION, EventKind
 from app.runtime.cells import KEPT, Cell
+from app.runtime.drafts import SERVER
 from app.runtime.errors import NotFound
 from app.runtime.recollection import events_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
-    from app.audit.event import EventDraft
+    from app.audit.reader import Row
     from app.runtime.register import Register
 
 
@@ -92,8 +94,10 @@ class Roster:
                     await self.introduce(cell, [])
             if cell.latch_unkept:
                 cell.latch_unkept = False
+                # With a word of its own: the one that latched it may be among what nothing could be said of yet.
+                word = EventDraft(kind=EventKind.CELL, actor=SERVER, body={"what": LATCHED, "cell": cell.id})
                 try:
-                    await self.keep(cell, [], estop=True)
+                    await self.keep(cell, [word], estop=True)
                 except RecordUnavailable:
                     cell.latch_unkept = cell.latched
 
@@ -120,7 +124,8 @@ class Roster:
         for row in await self._register.store.rows("cell_progress"):
             cell = self._recalled(row["cell"])
             cell.journal, cell.taken = row["journal"], {row["journal"]: row["up_seq"]}
-        for row in await self._register.store.rows("settings"):
+        settings = await self._register.store.rows("settings")
+        for row in settings:
             name, _, cell_id = row["name"].partition("/")
             if name in KEPT and cell_id:
                 cell = self._recalled(cell_id)
@@ -132,7 +137,7 @@ class Roster:
             if invocation.cell is not None:
                 cell = self._recalled(invocation.cell)
                 cell.claim = invocation.id if invocation.status in SESSION else cell.claim
-        await self._believe_the_log()
+        await self._believe_the_log({row["name"]: row for row in settings})
 
     def _recalled(self, cell_id: str) -> Cell:
         """Return a cell of an earlier run, which is away."""
@@ -142,8 +147,28 @@ class Roster:
             )
         return self._cells[cell_id]
 
-    async def _believe_the_log(self) -> None:
-        """Put every cell under the profile that was chosen for it last, whatever its row says."""
+    async def _believe_the_log(self, settings: Mapping[str, Row]) -> None:
+        """Take from the log what cells stand under, and what of theirs it holds, whatever their rows say."""
+        await self._believe_stops(settings)
+        await self._believe_profiles()
+
+    async def _believe_stops(self, settings: Mapping[str, Row]) -> None:
+        """Latch every cell whose stop stands in the log, by a word or its own report; also one that no row knows.
+
+        Where log and row disagree the stricter holds: what the row latches stays latched.
+        """
+        known = await self._register.store.ask(latches)
+        for cell_id, latch in known.items():
+            if latch.latched:
+                self._recalled(cell_id).latched = True
+        for cell_id in self._cells:
+            worded = cell_id in known and known[cell_id].worded
+            name = f"estop/{cell_id}"
+            if (wrong := latch_problem(settings.get(name), worded=worded)) is not None:
+                self._register.unfounded[name] = wrong if worded else f"{wrong}: it stays so until a reset"
+
+    async def _believe_profiles(self) -> None:
+        """Put every cell under the profile that was chosen for it last."""
         chosen: dict[str, str] = {}
         for event in await events_of(self._register.store, kind=EventKind.PROFILE_CHANGED):
             body: dict[str, Any] = event.payload()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import sqlite3
 from base64 import b64decode
 from collections.abc import Callable
@@ -11,8 +12,12 @@ from typing import Any, TypeAlias
 import orjson
 import pytest
 
+from app.audit.cells import latches
+from app.audit.event import EventDraft
+from app.audit.examination import examine_file
 from app.audit.places import Places
 from app.audit.store import AuditStore
+from app.runtime import fleet as fleet_module
 from app.runtime.drafts import escalation_event
 from app.runtime.errors import Conflict
 
@@ -278,3 +283,100 @@ async def test_no_setting_that_was_changed_beside_the_log_decides(house: House, 
         assert second.fleet.profile(second.fleet.cell(CELL)) == "real-restricted"
     async with house.open() as third:
         assert third.fleet.profile(third.fleet.cell(CELL)) == "real-restricted"
+
+
+def set_row(house: House, name: str, value: object) -> None:
+    """Change a setting as somebody would who has the file, or have it gone (None)."""
+    with closing(sqlite3.connect(Places(house.folder).database)) as database, database:
+        if value is None:
+            changed = database.execute("DELETE FROM settings WHERE name = ?", (name,))
+        else:
+            put = "INSERT OR REPLACE INTO settings VALUES (?, ?, '2026-03-01T09:30:00.000Z')"
+            changed = database.execute(put, (name, orjson.dumps(value)))
+        assert changed.rowcount == 1
+
+
+@pytest.mark.parametrize("forgets", ["false", "gone", "every row of the cell"])
+async def test_a_stop_that_stands_in_the_log_is_latched_whatever_became_of_its_row(house: House, forgets: str) -> None:
+    async with house.open() as first:
+        for name in (CELL, "workcell-2", "workcell-3"):
+            await (await HandCell(first, id=name).dial()).state()
+        await first.governor.estop(CELL, OPERATOR)
+        await first.governor.estop("workcell-2", OPERATOR)
+        await first.governor.reset("workcell-2", OPERATOR)
+    set_row(house, f"estop/{CELL}", False if forgets == "false" else None)
+    if forgets == "every row of the cell":
+        with closing(sqlite3.connect(Places(house.folder).database)) as database, database:
+            database.execute("DELETE FROM cell_progress WHERE cell = ?", (CELL,))
+    assert [f"`estop/{CELL}` in the table" in found for found in examine_file(house.folder).state] == [True]
+    async with house.open() as second:
+        assert {known["id"]: known["latched"] for known in second.governor.cells()} == {
+            CELL: True, "workcell-2": False, "workcell-3": False
+        }  # fmt: skip
+        assert list(second.register.unfounded) == [f"estop/{CELL}"]
+        assert "by the log a stop is latched" in second.register.unfounded[f"estop/{CELL}"]
+        back = await HandCell(second, journal="jrn-new").dial()  # its folder is lost, and it knows of no stop
+        await back.expect("estop")
+        await back.state()
+        await second.governor.reset(CELL, OPERATOR)
+    async with house.open() as third:
+        assert not any(known["latched"] for known in third.governor.cells())
+        assert third.register.unfounded == {}
+
+
+async def test_a_stop_that_only_its_row_knows_stays_latched_and_is_named(house: House) -> None:
+    async with house.open() as first:
+        await HandCell(first).dial()
+    set_row(house, f"estop/{CELL}", True)
+    house.sound = False
+    async with house.open() as second:
+        assert second.fleet.cell(CELL).latched
+        assert "by the log no stop is latched: it stays so until a reset" in second.register.unfounded[f"estop/{CELL}"]
+
+
+@pytest.mark.parametrize("resets", [True, False])
+async def test_a_stop_that_a_cell_latched_by_itself_outlives_its_folder(house: House, resets: bool) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.report("cell", what="estop", detail="")
+        if resets:
+            await cell.report("cell", what="reset", detail="", actor=OPERATOR.name)
+    async with house.open() as second:
+        assert second.fleet.cell(CELL).latched is not resets
+        assert second.register.unfounded == {}, "no row repeats it"
+
+
+@pytest.mark.parametrize("reported", ["never", "before it was missed", "after it was missed"])
+async def test_a_reset_of_which_its_cell_has_said_nothing_leaves_it_latched_at_a_start(
+    house: House, monkeypatch: pytest.MonkeyPatch, reported: str
+) -> None:
+    monkeypatch.setattr(fleet_module, "RESET_S", 0.05)
+    async with house.open() as first:
+        cell = await HandCell(first, obeys=False).dial()
+        await cell.state()
+        await first.governor.estop(CELL, OPERATOR)
+        resetting = asyncio.create_task(first.governor.reset(CELL, OPERATOR))
+        await cell.expect("reset")
+        if reported == "before it was missed":
+            await cell.report("cell", what="reset")
+        await resetting
+        if reported == "after it was missed":
+            await cell.report("cell", what="reset")
+    async with house.open() as second:
+        assert second.fleet.cell(CELL).latched is (reported == "never")
+        assert second.register.unfounded == {}
+
+
+async def test_a_stop_that_was_recorded_after_its_reset_was_said_before_it(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        await first.governor.estop(CELL, OPERATOR)
+        await first.governor.reset(CELL, OPERATOR)
+        (*_, stop, reset) = await first.store.events(kind="human")
+        for said_at in (reset.at, None):
+            body = stop.payload() if said_at is None else {**stop.payload(), "said_at": said_at}
+            await first.store.append([EventDraft(kind="human", actor=OPERATOR.name, body=body)])
+            latch = (await first.store.ask(latches))[CELL]
+            assert latch.latched is (said_at is None)
+        house.sound = False
