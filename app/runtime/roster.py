@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import orjson
 
-from app.audit.cells import LATCHED, latch_problem, latches
+from app.audit.cells import LATCHED, latch_problem, latches, progress_problem, reported
 from app.audit.errors import RecordUnavailable, RowUnreadable
 from app.audit.event import EventDraft, RowWrite
 from app.clock import monotonic_s
@@ -151,6 +151,7 @@ class Roster:
         """Take from the log what cells stand under, and what of theirs it holds, whatever their rows say."""
         await self._believe_stops(settings)
         await self._believe_profiles()
+        await self._believe_reports()
 
     async def _believe_stops(self, settings: Mapping[str, Row]) -> None:
         """Latch every cell whose stop stands in the log, by a word or its own report; also one that no row knows.
@@ -178,3 +179,13 @@ class Roster:
             if cell.profile != profile:
                 self._register.unfounded[f"profile/{cell.id}"] = f"its row says `{cell.profile}`"
                 cell.profile = profile
+
+    async def _believe_reports(self) -> None:
+        """Take no report for recorded that the log does not hold: what is acknowledged, a cell forgets."""
+        for cell in self._cells.values():
+            held = await self._register.store.ask(partial(reported, cell=cell.id, journals=tuple(cell.taken)))
+            for journal, seq in held.items():
+                if cell.taken[journal] > seq:
+                    name = f"{'cell_progress' if journal == cell.journal else 'journals'}/{cell.id}"
+                    self._register.unfounded[name] = progress_problem(cell.taken[journal], seq)
+                    cell.taken[journal] = seq

@@ -13,6 +13,7 @@ import orjson
 import pytest
 
 from app.audit.cells import latches
+from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft
 from app.audit.examination import examine_file
 from app.audit.places import Places
@@ -380,3 +381,54 @@ async def test_a_stop_that_was_recorded_after_its_reset_was_said_before_it(house
             latch = (await first.store.ask(latches))[CELL]
             assert latch.latched is (said_at is None)
         house.sound = False
+
+
+@pytest.mark.parametrize("row", ["cell_progress", "journals"])
+async def test_no_report_is_acknowledged_that_only_a_row_says_is_recorded(house: House, row: str) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        for number in range(3):
+            await cell.report("cell", what=f"news {number}")
+        await cell.report("alert", "inv_strange", signal="anomaly")  # kept as what it is, and numbered too
+        if row == "journals":
+            await cell.hang_up()
+            other = await HandCell(first, journal="jrn-2").dial()
+            await other.report("cell", what="other")
+    if row == "journals":
+        set_row(house, f"journals/{CELL}", {"jrn-1": 1000})
+    else:
+        with closing(sqlite3.connect(Places(house.folder).database)) as database, database:
+            database.execute("UPDATE cell_progress SET up_seq = 1000")
+    assert ["which holds them up to `4`" in found for found in examine_file(house.folder).state] == [True]
+    async with house.open() as second:
+        assert list(second.register.unfounded) == [f"{row}/{CELL}"]
+        assert "`1000`" in second.register.unfounded[f"{row}/{CELL}"]
+        back = await HandCell(second, seq=4).dial()
+        assert (await back.expect("welcome")).acknowledged == 4
+        await back.report("cell", what="and on")
+        said = [event.payload().get("what") for event in await second.store.events(kind="cell", actor=CELL)]
+        assert said.count("and on") == 1
+    async with house.open() as third:
+        assert third.register.unfounded == {}
+        assert third.fleet.cell(CELL).taken["jrn-1"] == 5
+
+
+async def test_reports_follow_the_word_that_says_in_which_journal_they_count(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def full(*_: object, **__: object) -> list[int]:
+        raise RecordUnavailable("no space left on device")
+
+    async with house.open() as first:
+        await (await HandCell(first).dial()).report("cell", what="old")
+        assert first.fleet.cell(CELL).attachment is not None
+        await first.fleet.leave(first.fleet.cell(CELL).attachment)  # pyright: ignore[reportArgumentType]
+        with monkeypatch.context() as disk:
+            disk.setattr(first.store, "append", full)
+            cell = await HandCell(first, journal="jrn-2").dial()
+            await cell.say(cell.event("cell", what="new"))
+            await asyncio.sleep(0)
+        await cell.acknowledged(1)
+    async with house.open() as second:
+        assert second.register.unfounded == {}
+        assert second.fleet.cell(CELL).taken == {"jrn-1": 1, "jrn-2": 1}
