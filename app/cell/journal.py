@@ -84,12 +84,13 @@ class Journal:
         self.acknowledged = 0
         self.marks: dict[str, Json] = {}
         self._entries: deque[Entry] = deque()
-        self._seq = 0
+        self._seq = self._found = 0
         self._broken: str | None = None
         self._unnamed = False  # a power cut may leave the path to a file that is not this one any more
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o600)
             self._load()
+            self._found = self._seq  # what stood in the file as this run found it
             sync_folder(path.parent)
             if not self.id:
                 self._name()
@@ -127,14 +128,20 @@ class Journal:
         self.marks.update(marks)
 
     def number_behind(self, seq: int) -> None:
-        """Go on numbering behind `seq`: the server's log holds more of this journal than the file, whose end was lost.
+        """Number behind `seq` what this run wrote: the log holds that much of a journal whose file had lost its end.
+
+        The log has other reports under the numbers that were given since the file was opened, and would take these for
+        them. Nothing of this run may have been reported yet.
 
         Raises:
             JournalUnavailable: it could not be written.
         """
-        if seq > self._seq:
-            self._write({"s": seq, "a": seq})
-            self._seq = self.acknowledged = seq
+        if seq <= self._found:
+            return
+        own = [entry for entry in self._entries if entry.seq > self._found]
+        self._entries = deque(entry._replace(seq=number) for number, entry in enumerate(own, seq + 1))
+        self._seq, self.acknowledged, self._found = seq + len(own), seq, seq
+        self.compact()
 
     def sync(self) -> None:
         """Return only when everything appended is on the disk. Raises `JournalUnavailable`."""

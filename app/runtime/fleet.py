@@ -13,12 +13,10 @@ import secrets
 from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.errors import RecordUnavailable
-from app.audit.event import EventDraft
 from app.clock import monotonic_s
 from app.governance.model import SESSION, CellFacts, EventKind
 from app.protocol import BEAT_MS, LEASE_MS, Estop, Human, Launch, Policy, ProtocolError, Reset, Watch
 from app.runtime.cells import FRESH_S, Reunion, read_world
-from app.runtime.drafts import SERVER
 from app.runtime.errors import Conflict
 from app.runtime.link import DEAD_S, SILENT_S, TRY_LATER, Attachment
 from app.runtime.roster import Roster
@@ -190,7 +188,7 @@ class Fleet:
     def _trouble(self, cell: Cell) -> str | None:
         """Return why a cell takes no proposal, however free it is; None where it may take one."""
         if cell.state is None or not cell.fresh:
-            return cell.behind or "not attached, or silent"
+            return "not attached, or silent"
         if (fault := _fault(cell.state)) is not None:
             return fault
         self._world(cell, cell.state)  # which finds out
@@ -359,14 +357,13 @@ class Fleet:
         """Make this the cell's link, unless another one lives; a new cell is recorded first.
 
         Raises:
-            ProtocolError: the cell has a link that was heard within the last second, or its journal is behind the log.
+            ProtocolError: the cell has a link that was heard within the last second.
         """
         cell = self.roster.stays(attachment.cell)
         attachment.cell = cell
         present = cell.attachment
         if present is not None and not present.closed and present.silent_s() < DEAD_S:
             raise ProtocolError(f"the cell `{cell.id}` has a live link already: one link per cell")
-        await self._compare_journals(cell, hello)
         away_s = cell.away_s() if present is None else present.silent_s()
         cell.lapsed = away_s is None or away_s >= LEASE_MS / 1000
         if "" in cell.taken:  # recorded before journals had names: the numbers go on in this one
@@ -382,29 +379,6 @@ class Fleet:
         cell.recalled = False
         if present is not None:
             present.shut(TRY_LATER, "another link took this one's place")
-
-    async def _compare_journals(self, cell: Cell, hello: Hello) -> None:
-        """Refuse a journal of which the log holds more than the cell: it lost its end, or is an older copy.
-
-        Numbers it has given since, or will, are those of reports that the log holds. Such a report would be
-        acknowledged as one of these, and forgotten unread; and nobody knows which stop the journal has forgotten. The
-        cell holds, and comes in again with a journal made anew, whose numbers are its own.
-
-        Raises:
-            ProtocolError: it is behind.
-        """
-        held = cell.taken.get(hello.journal, cell.taken.get("", 0))
-        if hello.last_seq >= held:
-            cell.behind = ""
-            return
-        ends = f"its journal ends at `{hello.last_seq}`, the log holds it up to `{held}`"
-        behind = f"{ends}: an old copy, or cut; valid: move the file away"
-        if cell.behind != behind:  # it dials on and on
-            cell.behind = behind
-            numbers = {"journal": hello.journal, "last_seq": hello.last_seq, "recorded": held}
-            body = {"what": "journal_behind", "cell": cell.id, **numbers}
-            await self._register.say(EventDraft(kind=EventKind.CELL, actor=SERVER, body=body))
-        raise ProtocolError(behind)
 
     async def welcome(self, attachment: Attachment, hello: Hello) -> None:
         """Deliver what the cell is owed, stops first, and see what it was doing."""

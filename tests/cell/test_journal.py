@@ -74,6 +74,40 @@ def test_a_journal_from_before_there_were_names_gets_one_and_goes_on(tmp_path: P
     assert Journal(path, boot="c").id == first.id
 
 
+@pytest.mark.parametrize("held", [4, 5, 6, 9], ids=["as many", "one more", "two more", "many more"])
+def test_what_is_written_after_the_end_was_lost_passes_for_nothing_that_the_log_holds(
+    tmp_path: Path, held: int
+) -> None:
+    path = tmp_path / "journal"
+    first = Journal(path, boot="a")
+    write(first, 9)
+    first.close()
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join(lines[:-5]))  # a power cut takes what was not synced
+    again = Journal(path, boot="b")
+    own = [entry._replace(seq=0) for entry in write(again, 2, after="the cut")]
+    again.number_behind(held)
+    again.acknowledge(held)
+    told = again.unacknowledged()
+    assert [entry.seq for entry in told] == [held + 1, held + 2]
+    assert [entry._replace(seq=0) for entry in told] == own
+    assert write(again)[0].seq == held + 3
+    again.close()
+    back = Journal(path, boot="c")
+    assert [entry.seq for entry in back.unacknowledged(after=held)] == [held + 1, held + 2, held + 3]
+    assert (back.last_seq, back.id) == (held + 3, first.id)
+
+
+def test_what_the_log_has_not_got_yet_keeps_its_numbers(tmp_path: Path) -> None:
+    first = Journal(tmp_path / "journal", boot="a")
+    write(first, 4)
+    first.close()
+    again = Journal(tmp_path / "journal", boot="b")
+    write(again)
+    again.number_behind(3)
+    assert [entry.seq for entry in again.unacknowledged(after=3)] == [4, 5]
+
+
 def test_an_acknowledgement_beyond_what_was_said_forgets_nothing_to_come(tmp_path: Path) -> None:
     journal = Journal(tmp_path / "journal", boot="a")
     write(journal, 2)
