@@ -78,7 +78,7 @@ def test_the_focus_stays_with_a_question_while_its_answer_is_sent(
 def test_a_wrong_token_is_refused_in_words(server: ServerProcess, people: People) -> None:
     person = people.open(f"{server.url}/#token=nonsense")
     person.expects("401")
-    expect(person.alert("The token is not valid")).to_be_visible()
+    expect(person.alert("This token is not valid here, or not any more.")).to_be_visible()
     person.page.get_by_label("Token").fill(server.tokens["operator"])
     person.press("Enter")
     expect(person.region("Waiting for you")).to_be_visible()
