@@ -45,6 +45,9 @@ describe('what is ordered of a session', () => {
     const held = { ...down, session: invocation({ status: 'paused' }), cell: cell({ busy: session.id, status: 'paused', session: heldBy('operator') }) };
     expect(new Orders(held as unknown as Console).resumable).toBe(false);
     expect(new Orders({ ...down, me: { role: 'auditor' } } as unknown as Console).pausable).toBe(false);
+    const silent = new Orders({ ...held, live: true, cell: { ...held.cell, online: false } } as unknown as Console);
+    const heard = new Orders({ ...held, live: true } as unknown as Console);
+    expect([silent, heard].map(({ resumable, undoable }) => [resumable, undoable])).toEqual([[false, false], [true, true]]);
   });
 
   it('is a pause at once after what let the session go on, whatever is shown of it still', async () => {

@@ -34,7 +34,8 @@ export class Orders {
     return session !== null && cell?.busy === session.id ? session.status : null;
   });
   private readonly operates = $derived.by(() => this.console.me?.role === 'operator');
-  private readonly may = $derived.by(() => this.console.live && this.operates);
+  // Nobody lets a robot go on that is not heard: it could not be told, and what is shown of it is old.
+  private readonly may = $derived.by(() => this.console.live && this.console.cell?.online === true && this.operates);
   private readonly restraints = $derived.by(() => restraintsOf(this.status, holdersOf(this.console.cell)));
   // A session that its cell says to move again may be paused, whatever the record of it says still, and one that was told
   // to from here: no pause is lost, nor where what is shown is not the present. The server decides, and where it does not
