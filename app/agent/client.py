@@ -15,7 +15,7 @@ from __future__ import annotations
 import asyncio
 import re
 import time
-from collections.abc import Awaitable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import suppress
 from http.cookiejar import CookieJar, DefaultCookiePolicy
 from typing import Any, Self
@@ -97,6 +97,13 @@ def _nothing(http: httpx.Client | httpx.AsyncClient, error: Exception) -> Reply:
     return Reply(status=0, json=why, sent=not refused or http.is_closed)  # closed under way: it may have been sent
 
 
+def _opened(make: Callable[..., T], url: str, token: str) -> T:
+    """Return what speaks HTTP to a server; of what the environment breaks in it, the environment is blamed."""
+    server, headers = address(url), _authorization(token)
+    with blaming_environment():
+        return make(base_url=server, headers=headers, cookies=_no_cookies(), timeout=_TIMEOUT)
+
+
 _SECONDS = re.compile(r"[0-9]{1,6}")
 _SLEPT = Reply(status=0, json=None)
 _CLOSED = Reply(status=0, json="the client was closed; valid is a new one", sent=False)
@@ -113,9 +120,7 @@ class ReinsClient:
         environment names a proxy or certificates that are none; `Unsendable` if `token` fits no header.
         """
         self._defers = _number(defers)
-        server, headers = address(url), _authorization(token)
-        with blaming_environment():
-            self._http = httpx.Client(base_url=server, headers=headers, cookies=_no_cookies(), timeout=_TIMEOUT)
+        self._http = _opened(httpx.Client, url, token)
 
     def __enter__(self) -> Self:
         """Return the client."""
@@ -253,15 +258,9 @@ class AsyncReinsClient:
     """Asynchronous client; an async context manager. Methods and exceptions are those of `ReinsClient`."""
 
     def __init__(self, url: str, token: str, *, defers: int = 20) -> None:
-        """Speak to `url` as the owner of `token`; propose a deferred invocation again up to `defers` times.
-
-        Raises `ValueError` if `url` names no server, or a user as well, if `defers` is no number of times, or if the
-        environment names a proxy or certificates that are none; `Unsendable` if `token` fits no header.
-        """
+        """Speak to `url` as the owner of `token`; errors as of `ReinsClient`."""
         self._defers = _number(defers)
-        server, headers = address(url), _authorization(token)
-        with blaming_environment():
-            self._http = httpx.AsyncClient(base_url=server, headers=headers, cookies=_no_cookies(), timeout=_TIMEOUT)
+        self._http = _opened(httpx.AsyncClient, url, token)
 
     async def __aenter__(self) -> Self:
         """Return the client."""

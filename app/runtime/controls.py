@@ -17,7 +17,7 @@ from app.governance.authority import refusal
 from app.governance.model import SESSION, AuthorityMode, EventKind, Outcome, Role, Status
 from app.protocol import Estop, Human, SetProfile
 from app.runtime.cells import PAUSE, Arming
-from app.runtime.drafts import SERVER, cell_word, escalation_event, human_event, outcome_event
+from app.runtime.drafts import ACKNOWLEDGE, SERVER, cell_word, escalation_event, human_event, outcome_event
 from app.runtime.errors import Conflict, NotFound
 from app.runtime.handback import take_back
 from app.runtime.invocation import may_see
@@ -233,7 +233,7 @@ class Controls:
         said = await events_of(self.register.store, invocation=present.id, after=after)
         words = [(event.actor, word) for event in said if (word := _word(event)) is not None]
         newer = [(who, word) for who, word in words if who != principal.name or word == PAUSE]
-        if (PAUSE, present.id) in cell.owed:  # it may not be in the log yet
+        if not newer and (PAUSE, present.id) in cell.owed:  # it is not in the log yet
             newer.append(("somebody", PAUSE))
         if newer:
             who, word = newer[-1]
@@ -424,11 +424,15 @@ class Controls:
 
 
 def _word(event: Event) -> str | None:
-    """Return what a person said of a session by an event; a cell's echo of it, which names no role, is no word."""
+    """Return what a person said of a session by an event.
+
+    No word is that somebody looks at its question, nor a cell's echo, which names no role.
+    """
     body = event.payload()
     if event.kind == EventKind.APPROVAL:
         return str(body["decision"])
-    return str(body["op"]) if event.kind == EventKind.HUMAN and "role" in body else None
+    said = event.kind == EventKind.HUMAN and "role" in body and body["op"] != ACKNOWLEDGE
+    return str(body["op"]) if said else None
 
 
 def _confirms(cell: Cell, principal: Principal, code: str) -> bool:

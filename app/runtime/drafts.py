@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from app.runtime.review import Review
 
 SERVER: Final = "server"
+ACKNOWLEDGE: Final = "acknowledge"  # somebody looks at a question; decides nothing
 EDIT: Final = "authority/edit"
 DENIAL: Final = "authority/denial"  # by a person, for a reason that policy names
 
@@ -108,7 +109,7 @@ def escalation_event(escalation: Escalation) -> EventDraft:
 
 def acknowledged_event(escalation: Escalation, principal: Principal) -> EventDraft:
     """Return the event of a person's saying that they look at a question."""
-    body = {"op": "acknowledge", "role": principal.role, "escalation": escalation.public()}
+    body = {"op": ACKNOWLEDGE, "role": principal.role, "escalation": escalation.public()}
     return EventDraft(kind=EventKind.HUMAN, actor=principal.name, invocation=escalation.invocation, body=body)
 
 

@@ -17,6 +17,7 @@ from app.governance.control import LAPSE_S
 from app.protocol import BEAT_MS
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
+from app.runtime.escalation import Escalation
 from app.runtime.invocation import Principal
 from app.runtime.link import SILENT_S
 from app.runtime.sessions import LOST_S
@@ -68,6 +69,21 @@ async def back(runtime: Runtime, cell: HandCell, status: str | None = None) -> H
     """Have the cell come back at once, within its lease."""
     again = HandCell(runtime, seq=cell.seq, invocation=cell.invocation, status=status or cell.status)
     return await again.dial()
+
+
+async def left_and_asked_about(runtime: Runtime) -> tuple[HandCell, str, Escalation]:
+    """Have a cell leave in a session for so long that a human is asked; return both, and what is asked."""
+    cell = await HandCell(runtime).dial()
+    await cell.state()
+    name = await running(runtime, cell)
+    await cell.hang_up()
+    away = runtime.fleet.cell(CELL)
+    assert away.absent_since_s is not None
+    away.absent_since_s -= LOST_S + 0.1
+    await runtime.fleet.tend_once()
+    question = runtime.desk.pending_for(name)
+    assert question is not None
+    return cell, name, question
 
 
 # -- restraints that are lost with their link --------------------------------------------------------------------------
@@ -333,16 +349,7 @@ async def test_who_answers_before_the_cell_has_said_why_it_asks_is_not_asked_aga
 @pytest.mark.parametrize("decision", ["approve", "deny"])
 async def test_who_answers_for_a_lost_link_is_not_asked_by_the_cell_as_well(house: House, decision: str) -> None:
     async with house.open() as runtime:
-        first = await HandCell(runtime).dial()
-        await first.state()
-        name = await running(runtime, first)
-        await first.hang_up()
-        away = runtime.fleet.cell(CELL)
-        assert away.absent_since_s is not None
-        away.absent_since_s -= LOST_S + 0.1
-        await runtime.fleet.tend_once()
-        question = runtime.desk.pending_for(name)
-        assert question is not None
+        first, name, question = await left_and_asked_about(runtime)
         assert question.reasons[0]["code"] == "link_lost"
         cell = await back(runtime, first, status="escalated")
         await runtime.desk.resolve(question.id, OPERATOR, decision, question.digest)
@@ -363,23 +370,14 @@ async def test_who_answers_before_the_cell_is_compared_with_the_record_is_not_as
     house: House, decision: str
 ) -> None:
     async with house.open() as runtime:
-        first = await HandCell(runtime).dial()
-        await first.state()
-        name = await running(runtime, first)
-        await first.hang_up()
-        away = runtime.fleet.cell(CELL)
-        assert away.absent_since_s is not None
-        away.absent_since_s -= LOST_S + 0.1
-        await runtime.fleet.tend_once()
-        question = runtime.desk.pending_for(name)
-        assert question is not None
+        first, name, question = await left_and_asked_about(runtime)
         cell = HandCell(runtime, seq=first.seq, invocation=name, status="recovering")
         unsent = cell.event("alert", name, signal="clearance_m")  # its `Hello` says that there is more to come
         await cell.dial()
         await runtime.desk.resolve(question.id, OPERATOR, decision, question.digest)
         await cell.say(unsent)
         await cell.acknowledged(unsent.seq)
-        await until(lambda: away.unreconciled is None)
+        await until(lambda: runtime.fleet.cell(CELL).unreconciled is None)
         assert runtime.desk.pending_for(name) is None
         if decision == "approve":  # the word is lost: it is asked about again, for want of the cell's own
             await cell.report("status", name, status="escalated", reason="link")
@@ -447,6 +445,17 @@ async def test_a_rollback_that_comes_late_undoes_nothing_that_another_let_go_on(
     with pytest.raises(Conflict, match="`oskar` said `approve` after the event"):
         await runtime.governor.rollback(name, OPERATOR, seen)
     assert cell.ops() == ["resolve_continue"]
+
+
+async def test_that_somebody_looks_at_a_question_overtakes_no_word(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    await cell.report("escalation", name, reason="separation_m")
+    seen = runtime.register.store.size
+    question = runtime.desk.pending_for(name)
+    assert question is not None
+    await runtime.desk.acknowledge(question.id, OPERATOR_2)
+    await runtime.governor.rollback(name, OPERATOR, seen)
+    await until(lambda: cell.ops() == ["rollback"])
 
 
 async def test_a_profile_is_put_in_the_place_of_the_one_it_was_compared_with_alone(runtime: Runtime) -> None:
