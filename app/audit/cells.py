@@ -182,9 +182,9 @@ def cell_problems(reader: Reader, *, limit: int) -> list[str]:
     """
     before, progress = reader.rows("settings"), reader.rows("cell_progress")
     known = latches(reader)
-    stood = [row for row in reader.rows("settings") if row in before]
-    changed = {row["name"] for row in before} ^ {row["name"] for row in stood}
-    rows = {row["name"]: row for row in stood}
+    first = {row["name"]: row for row in before}
+    rows = {row["name"]: row for row in reader.rows("settings")}
+    changed = {name for name in first | rows if first.get(name) != rows.get(name)}
     names = {name for name in rows if name.startswith("estop/")} | {f"estop/{cell}" for cell in known}
     found: list[str] = []
     for name in sorted(names - changed):

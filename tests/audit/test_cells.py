@@ -162,7 +162,10 @@ async def test_names_no_more_than_was_asked_for(store: AuditStore) -> None:
     assert len(await store.ask(lambda reader: cell_problems(reader, limit=3))) == 3
 
 
-async def test_a_row_that_changes_meanwhile_is_left_for_the_next_time(store: AuditStore) -> None:
+@pytest.mark.parametrize("before", [[setting(ESTOP, False)], []], ids=["another", "the first"])
+async def test_a_row_that_changes_meanwhile_is_left_for_the_next_time(
+    store: AuditStore, before: list[RowWrite]
+) -> None:
     """A stop and its row are written together, between two looks of whoever compares."""
     later = {**setting(ESTOP, True).values, "updated_at": "2026-03-01T09:30:01.000Z"}
 
@@ -175,7 +178,7 @@ async def test_a_row_that_changes_meanwhile_is_left_for_the_next_time(store: Aud
                 self.looks += 1
             return [later] if table == "settings" and self.looks == 2 else found
 
-    await store.append([word("estop")], [setting(ESTOP, False)])
+    await store.append([word("estop")], before)
     reader = Overtaken(store.places.database)
     try:
         assert cell_problems(reader, limit=10) == []
