@@ -80,6 +80,8 @@ class Frame:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
+        if scope["method"] == "HEAD":
+            scope, send = {**scope, "method": "GET"}, _without_body(send)
         handler = self._direct.get((scope["method"], scope["path"]))
         if handler is None:
             await self._pass_on(self._app, scope, receive, send)
@@ -111,6 +113,17 @@ class Frame:
             if started:  # half an answer is out; cutting the connection is the only honest end
                 raise
             await _answer_to(error, scope)(scope, receive, stamped)
+
+
+def _without_body(send: Send) -> Send:
+    """Return what sends the head of an answer and ends it there (RFC 9110, 9.3.2), a stream before its first event."""
+
+    async def head(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            await send(message)
+            await send({"type": "http.response.body", "body": b""})
+
+    return head
 
 
 def _answer_to(error: Exception, scope: Scope) -> Response:

@@ -239,8 +239,9 @@ def install(app: FastAPI) -> None:
     async def other_method(request: Request, _: Exception) -> Response:
         """The router names the methods of the first route at a path; a path has one route for each method."""
         matching = [route for route in app.routes if route.matches(request.scope)[0] is not Match.NONE]
-        methods = sorted({method for route in matching for method in getattr(route, "methods", ())})
-        return as_problem(HTTPException(405, headers={"Allow": ", ".join(methods)})).response(request.url.path)
+        methods = {method for route in matching for method in getattr(route, "methods", ())}
+        methods |= {"HEAD"} if "GET" in methods else set()
+        return as_problem(HTTPException(405, headers={"Allow": ", ".join(sorted(methods))})).response(request.url.path)
 
     for kind, _ in PROBLEMS:
         app.add_exception_handler(kind, known)

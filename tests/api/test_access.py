@@ -6,7 +6,7 @@ from starlette.responses import Response
 
 from app.api import pages
 from app.api.access import ACCESS, WEBSOCKET, GuardedRoute, RouteUnguarded, verify_routes
-from tests.api.conftest import House
+from tests.api.conftest import House, eventually
 
 pytestmark = pytest.mark.anyio
 
@@ -146,5 +146,28 @@ async def test_a_method_that_a_path_does_not_know_is_answered_with_all_that_it_k
             here = path.replace("{id}", "x").replace("{digest}", "x").replace("{name}", "x").replace("{file}", "x")
             answer = await anybody.request("DELETE", here)
             assert (answer.status_code, answer.json()["code"]) == (405, "method_not_allowed"), path
-            assert answer.headers["allow"] == ", ".join(sorted(methods)), path
+            headless = {"HEAD"} if "GET" in methods else set()
+            assert answer.headers["allow"] == ", ".join(sorted(methods | headless)), path
         assert (await anybody.request("GET", "/v1/check")).headers["allow"] == "POST"
+
+
+@pytest.mark.parametrize("key", ["auditor", "agent", None])
+async def test_the_head_alone_is_what_get_would_answer_with_to_the_same_people(house: House, key: str | None) -> None:
+    apart = {"date", "content-length"}  # how much a page of the log is differs as the log grows
+    async with house.client(key) as client:
+        for method, path in ACCESS:
+            if method == "GET":
+                here = path.replace("{id}", "x").replace("{digest}", "x").replace("{name}", "x").replace("{file}", "x")
+                async with client.stream("GET", here) as whole:
+                    said = {name: value for name, value in whole.headers.items() if name not in apart}
+                head = await client.head(here)
+                assert (head.status_code, head.content) == (whole.status_code, b""), path
+                told = {name: value for name, value in head.headers.items() if name not in apart}
+                assert told == {name: value for name, value in said.items() if name != "transfer-encoding"}, path
+        assert (await client.head("/v1/check")).status_code == 405
+
+
+async def test_the_head_of_a_stream_ends_and_leaves_its_seat(house: House) -> None:
+    async with house.client("auditor") as auditor:
+        assert (await auditor.head("/v1/events")).status_code == 200
+        await eventually(lambda: house.app.state.parts.streams.taken == 0)
