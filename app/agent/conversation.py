@@ -9,6 +9,7 @@ from __future__ import annotations
 import uuid
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
+from inspect import iscoroutinefunction
 from typing import Any, TypeAlias, TypeVar, cast
 
 from app.agent.answers import (
@@ -154,8 +155,13 @@ def invoke(body: Document, key: str | None, defers: int, on_update: OnUpdate | N
 
 
 def _check_callable(on_update: object) -> None:
-    if on_update is not None and not callable(on_update):
+    """Refuse what could not be told anything: a coroutine function would only make coroutines that nobody awaits."""
+    if on_update is None:
+        return
+    if not callable(on_update):
         raise Unsendable(f"on_update is `{shown(on_update)}`; valid is a function of one document; nothing was sent")
+    if iscoroutinefunction(on_update) or iscoroutinefunction(type(on_update).__call__):
+        raise Unsendable("on_update is an `async def`; valid is a plain function of one document; nothing was sent")
 
 
 def _leave_key(error: BaseException, key: str, heard: Document | None) -> None:

@@ -1,5 +1,6 @@
 import itertools
 import re
+from functools import partial
 
 import pytest
 
@@ -15,6 +16,15 @@ LONG = "x" * 70_000
 
 CIRCLE: list[object] = []
 CIRCLE.append(CIRCLE)
+
+
+async def later(_: object) -> None: ...
+
+
+class Later:
+    async def __call__(self, _: object) -> None: ...
+
+    async def later(self, _: object) -> None: ...
 
 
 @pytest.mark.parametrize(
@@ -37,6 +47,10 @@ CIRCLE.append(CIRCLE)
         ({"pose": {HUGE}}, "`params.pose` is `<set>`, a set"),
         ({"metadata": HUGE}, "`metadata` is a whole number of 16610 bits"),
         ({"on_update": "print"}, "on_update is `'print'`; valid is a function of one document"),
+        ({"on_update": later}, "on_update is an `async def`; valid is a plain function of one document"),
+        ({"on_update": Later().later}, "on_update is an `async def`"),
+        ({"on_update": Later()}, "on_update is an `async def`"),
+        ({"on_update": partial(later)}, "on_update is an `async def`"),
     ],
     ids=itertools.count(),  # what a case gives cannot always be written
 )
