@@ -224,6 +224,21 @@ def test_an_edit_in_the_making_outlasts_a_look_at_another_page(
     assert floor.settled(asked["id"])["effective"]["force_n"] == 22
 
 
+def test_an_edit_whose_question_goes_while_one_is_elsewhere_is_told_to_be_gone(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    asked = floor.ask()["escalation"]
+    person.page.get_by_role("textbox", name="Grip force you approve, N").fill("22")
+    person.page.get_by_role("link", name="Audit").click()
+    answer = {"decision": "deny", "digest": server.get(f"/v1/escalations/{asked['id']}")["digest"]}
+    assert server.post(f"/v1/escalations/{asked['id']}/resolve", answer, key="operator_2").is_success
+    person.page.get_by_role("link", name="Live").click()
+    expect(person.alert("it is not open any more, and your edit was not sent. operator_2 denied")).to_be_visible()
+    person.button("Understood").click()
+    expect(person.alert("your edit was not sent")).to_have_count(0)
+
+
 def test_a_question_that_another_answers_says_so_before_one_that_looks_the_same_takes_its_place(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

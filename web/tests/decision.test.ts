@@ -124,25 +124,29 @@ describe('a decision', () => {
 
   it('goes on with what was typed on the card before, once policy has been asked about it again', async () => {
     const before = decide();
-    expect(before.draft).toBeNull();
+    expect(before.putDown()).toBeNull();
     before.type('speed_mps', '0.1');
     const after = decide();
-    if (before.draft !== null) after.takeUp(before.draft);
+    const draft = before.putDown();
+    await vi.advanceTimersByTimeAsync(300);
+    expect(checks).toEqual([]); // of a card that is gone nothing is asked
+    if (draft !== null) after.takeUp(draft);
     expect([after.edit.params, after.check.is, after.ready, after.lost]).toEqual([{ speed_mps: 0.1 }, 'checking', false, '']);
     await vi.advanceTimersByTimeAsync(300);
     checks.at(-1)?.(verdict({ effective: { ...EFFECTIVE, speed_mps: 0.1 } }));
     await vi.advanceTimersByTimeAsync(0);
     await after.approve();
     expect(sent).toEqual([{ decision: 'approve', digest: 'sha256:1', params: { speed_mps: 0.1 } }]);
-    expect(after.draft).toBeNull();
+    expect(after.putDown()).toBeNull();
   });
 
   it('says of what was typed on the card before that it is gone, where another thing is asked by now', () => {
     const before = decide();
     before.type('speed_mps', 'fast');
     const after = new Decision({ check: vi.fn(), resolve: vi.fn() }, escalation({ digest: 'sha256:2' }), () => ({ schema: SCHEMA, cell: null }));
-    if (before.draft !== null) after.takeUp(before.draft);
-    expect([after.typed, after.lost, after.draft]).toEqual([{}, 'Your edit was of what was asked before: it was not sent, and is gone.', null]);
+    const draft = before.putDown();
+    if (draft !== null) after.takeUp(draft);
+    expect([after.typed, after.lost, after.putDown()]).toEqual([{}, 'Your edit was of what was asked before: it was not sent, and is gone.', null]);
   });
 
   it('says why it approved nothing, and keeps no press for later', async () => {

@@ -93,8 +93,9 @@ export class Decision {
   /** What a press of approve is about: what is asked, what was typed, and what policy said to it. */
   readonly shown = $derived.by(() => JSON.stringify([this.asked.digest, this.typed, this.check, this.offer, this.ready]));
 
-  /** What was typed and is not answered; null where nothing was, or it is what is asked anyway. */
-  get draft(): Draft | null {
+  /** Gives away what was typed and is not answered, as its card goes: policy is not asked about it any more. Null where nothing was typed, or it is what is asked anyway. */
+  putDown(): Draft | null {
+    clearTimeout(this.timer);
     const kept = this.edited || Object.keys(this.edit.faults).length > 0;
     return kept && !this.over ? { asked: this.asked, typed: this.typed, sent: this.typed === this.sent, refused: this.refused } : null;
   }
