@@ -14,6 +14,7 @@ from app.audit.event import EventDraft, RowWrite
 from app.governance.model import EventKind, Role, Status
 from app.governance.permit import same_numbers
 from app.governance.recorded import KEY as CIRCUMSTANCES
+from app.runtime.cell_controls import CellControls
 from app.runtime.controls import Controls
 from app.runtime.drafts import escalation_event
 from app.runtime.errors import Conflict, InvalidParams
@@ -46,7 +47,7 @@ TRACE_PAGE: Final = 1000
 FORGOTTEN: Final = Terms()  # of what is final at once: its proposal is in the record
 
 
-class Governor(Takeovers, Controls):
+class Governor(Takeovers, Controls, CellControls):
     """Takes proposals and people's words through the pipeline. Performs effects, decides nothing."""
 
     def __init__(self, *, register: Register, kernel: Kernel, fleet: Fleet, desk: Desk, feed: Feed) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from app.audit.errors import RecordUnavailable
 from app.governance.permit import SignedAuthorization, verify
-from app.runtime import controls as controls_module
+from app.runtime import cell_controls
 from app.runtime import fleet as fleet_module
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, InvalidParams, NotFound
@@ -615,7 +615,7 @@ async def test_who_may_take_the_second_step_of_a_reset_is_known_until_it_is_void
     runtime.governor.arm_reset(CELL, OPERATOR_2)
     await runtime.governor.estop(CELL, AGENT)
     assert armed_by() is None
-    monkeypatch.setattr(controls_module, "CONFIRM_S", -1.0)
+    monkeypatch.setattr(cell_controls, "CONFIRM_S", -1.0)
     runtime.governor.arm_reset(CELL, OPERATOR_2)
     assert armed_by() is None
 
