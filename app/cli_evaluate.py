@@ -312,7 +312,7 @@ def _run(request: Request, folder: Path, *, workers: int, fresh: bool, readme: P
         say_error(str(error))
         return MISUSE
     except JobFailed as error:
-        err.print(error.trace, markup=False)
+        err.print(error.trace, end="", markup=False)
         say_error(str(error), hint=f"what is finished is kept in `{folder}`; the same command tries the rest again")
         return FINDING
     except OSError as error:

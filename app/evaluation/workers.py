@@ -8,6 +8,7 @@ once more. Jobs are handed out when a worker is free, so that long ones balance 
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import signal
 import threading
@@ -25,6 +26,12 @@ if TYPE_CHECKING:
 ATTEMPTS: Final = 2  # a machine may kill a process once; a job that kills its worker twice does it by itself
 END_S: Final = 2.0
 LISTEN_S: Final = 0.5
+NO_ROOM: Final = {
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EFBIG,
+    errno.EROFS,
+}  # the disk's matter: no line of code is to blame
 _ONE_THREAD: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
@@ -180,7 +187,8 @@ def _serve(work: Work, pipe: connection.Connection) -> None:
             try:
                 run(job)
             except Exception as error:  # whatever it was, the parent says it
-                pipe.send((f"{type(error).__name__}: {error}", traceback.format_exc()))
+                full = isinstance(error, OSError) and error.errno in NO_ROOM
+                pipe.send((str(error), "") if full else (f"{type(error).__name__}: {error}", traceback.format_exc()))
             else:
                 pipe.send(None)
 

@@ -148,6 +148,13 @@ def test_a_job_that_raises_ends_the_campaign_with_its_trace(tmp_path: Path, monk
     assert "misbehave" in caught.value.trace
 
 
+def test_a_disk_without_room_ends_the_campaign_in_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TOY_FULL", "direct-sorting-3-0")
+    with pytest.raises(JobFailed, match=r"job `direct-sorting-3-0` failed: .*File too large") as caught:
+        campaign(tmp_path)
+    assert caught.value.trace == ""
+
+
 @pytest.mark.process
 def test_an_interrupted_campaign_goes_on_where_it_was(
     tmp_path: Path, reference: Path, monkeypatch: pytest.MonkeyPatch

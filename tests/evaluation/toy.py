@@ -5,6 +5,7 @@ It writes aside what an execution in the workcell does, in a folder that has to 
 What goes wrong on purpose is said by the environment, which reaches every worker:
 TOY_DIE_ONCE names a file that the first worker to see it removes before it kills itself;
 TOY_DIE makes the job of that name kill its worker every time; TOY_RAISE makes it raise;
+TOY_FULL leaves it no room for what it writes;
 TOY_GATE makes the last job wait until that file is there.
 """
 
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import os
 import random
+import resource
 import signal
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -77,6 +79,8 @@ def misbehave(job: Job) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
     if os.environ.get("TOY_RAISE") == job.name:
         raise ArithmeticError("as asked")
+    if os.environ.get("TOY_FULL") == job.name:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (64, resource.RLIM_INFINITY))
     if "TOY_GATE" in os.environ and job.first > 0:
         deadline = monotonic_s() + GATE_S
         while not Path(os.environ["TOY_GATE"]).exists():
