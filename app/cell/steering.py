@@ -3,11 +3,13 @@
 A command is good for `EXPIRES_MS` of the cell's own ticks. Whatever stopped the motion, a key that is still held does
 not start it again: it takes a command of nothing first (`release_first`), which is what letting go of the key sends. So
 does the first motion of all, and of every lease: a key that somebody held before they had the controls starts nothing.
-A command that only expired is no such stop: the next one goes on.
+A command that only expired is no such stop, and the next one goes on, unless nothing came for `SILENT_MS`: everything
+stands by then. What comes after that was held back on its way, and whoever sent it may have let go since.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from app.governance.permit import Grant
 
 EXPIRES_MS: Final = 100
+SILENT_MS: Final = 300  # as long as a link may be silent
 TELL_EVERY_MS: Final = 200
 NOTHING: Final = Wish()
 
@@ -58,6 +61,7 @@ class Steering:
     blocked: dict[str, tuple[str, float]] = field(default_factory=dict[str, tuple[str, float]])
     _wish: Wish = NOTHING
     _expires: int = 0
+    _silent: float = math.inf  # the tick at which the newest motion counts as let go of
     _told: tuple[object, ...] = ()
     _tell_again: int = 0
 
@@ -65,6 +69,8 @@ class Steering:
         """Return what counts in a tick: the newest command that was taken, until it expires."""
         if tick >= self._expires:
             self._wish = NOTHING
+        if tick >= self._silent:
+            self.rest()
         return self._wish
 
     def come_by(self, lease: str) -> None:
@@ -76,9 +82,11 @@ class Steering:
     def take(self, wish: Wish, tick: int) -> None:
         """Let a command count from now on."""
         self.refused, self._wish = "", wish
-        self._expires = tick + round(EXPIRES_MS / (1000.0 * self.period_s))
-        if not asks(wish):
-            self.armed = True
+        self._expires = self._after(EXPIRES_MS, tick)
+        if asks(wish):
+            self._silent = self._after(SILENT_MS, tick)
+        else:
+            self.armed, self._silent = True, math.inf
 
     def refuse(self, why: str) -> None:
         """Do not do what is wanted."""
@@ -86,7 +94,7 @@ class Steering:
 
     def rest(self) -> None:
         """Want nothing, and nothing again until the key was let go of."""
-        self._wish, self.armed = NOTHING, False
+        self._wish, self.armed, self._silent = NOTHING, False, math.inf
 
     def stop(self, rule: str, *, leavable: bool) -> bool:
         """Stand still for a rule; return whether that is news."""
@@ -101,8 +109,11 @@ class Steering:
         kind = (*(_sign(value) for value in (*self._wish.base, *self._wish.tool)), self._wish.grip, undone)
         if kind == (self._told or _AT_FIRST) or tick < self._tell_again:
             return False
-        self._told, self._tell_again = kind, tick + round(TELL_EVERY_MS / (1000.0 * self.period_s))
+        self._told, self._tell_again = kind, self._after(TELL_EVERY_MS, tick)
         return True
+
+    def _after(self, ms: int, tick: int) -> int:
+        return tick + round(ms / (1000.0 * self.period_s))
 
 
 def _sign(value: float) -> int:

@@ -135,6 +135,28 @@ def test_a_command_that_is_not_said_again_expires_and_everything_stands(tmp_path
     assert shop.cell.truth().tcp_speed_mps < 0.02
 
 
+@pytest.mark.parametrize(("gap", "why"), [(20, None), (40, "release_first")], ids=["a stutter", "a silence"])
+def test_what_a_link_held_back_starts_nothing_once_everything_stands(
+    tmp_path: Path, gap: int, why: str | None
+) -> None:
+    """A key is held all the while; the link falls silent for so many ticks, and goes on with what it held back."""
+    shop, console = idle(tmp_path)
+    ahead = Wish(base=(-0.3, 0.0, 0.0))
+    assert console.hold(ahead, 80) is None
+    console.tick(gap)
+    assert console.hold(ahead, 40) == why
+    assert (shop.cell.truth().base_speed_mps > 0.1) is (why is None)
+    assert console.press(ahead, 40) is None
+    assert shop.cell.truth().base_speed_mps > 0.1
+
+
+def test_a_hand_that_wanted_nothing_may_be_silent_for_long(tmp_path: Path) -> None:
+    _, console = idle(tmp_path)
+    console.release()
+    console.tick(100)
+    assert console.hold(Wish(base=(-0.3, 0.0, 0.0)), 20) is None
+
+
 def test_letting_go_counts_at_once(tmp_path: Path) -> None:
     shop, console = idle(tmp_path)
     console.hold(Wish(base=(-1.0, 0.0, 0.0), tool=(0.0, 0.0, 1.0)), 100)
