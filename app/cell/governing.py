@@ -427,7 +427,7 @@ class Governing:
         run.brake(self.seen)
         run.escalated(reason)
         self._become(Event.ESCALATE, reason)
-        self._tell_anyway(telling.escalation(run.id, reason, run.failed))
+        self._tell_anyway(telling.escalation(run.id, reason, run.failed, paused="operator" in run.paused_by))
 
     def _resume(self, reason: str) -> None:
         run = self.run

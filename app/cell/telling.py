@@ -197,9 +197,11 @@ def intervention(invocation: str, what: Intervention, because: Alert) -> Saying:
     return Saying(EventKind.INTERVENTION, invocation, CELL, body)
 
 
-def escalation(invocation: str, reason: str, failed: str) -> Saying:
-    """The session waits for a human."""
+def escalation(invocation: str, reason: str, failed: str, *, paused: bool) -> Saying:
+    """The session waits for a human, and somebody has `paused` it already."""
     body: dict[str, Json] = {"reason": reason, "failure": failed or None}
+    if paused:
+        body["paused"] = True
     return Saying(EventKind.ESCALATION, invocation, CELL, body)
 
 

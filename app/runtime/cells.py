@@ -25,6 +25,7 @@ ENDING: Final = frozenset(
     {"stop", "cancel", "resolve_terminate", "end_takeover"}
 )  # after these a session only comes to rest
 PAUSE: Final = "pause"
+SOMEBODY: Final = ""  # an operator whose name is not known any more
 KEPT: Final = frozenset({"profile", "estop", "journals"})  # settings of a cell, by what precedes its name
 _WORLD: Final = TypeAdapter(WorldFacts)
 _JOURNALS: Final = TypeAdapter(dict[str, int])
@@ -126,14 +127,14 @@ class Cell:
     ended: str | None = None  # the last session that ended here, and when
     ended_at_s: float = 0.0
     stated: asyncio.Event = field(default_factory=asyncio.Event)
-    owed: dict[tuple[str, str], Message] = field(
-        default_factory=dict[tuple[str, str], "Message"]
+    owed: dict[tuple[str, str], Human] = field(
+        default_factory=dict[tuple[str, str], "Human"]
     )  # restraints that it may not have heard
     told: tuple[Line, str] | None = None  # the session that it was told to stop, which nobody believes it to have
     onward: tuple[Line, str] | None = None  # the session to go on with, as it was told on that link and has not heard
     restraints: int = 0  # words that hold or end its session, so far
-    restrained: dict[tuple[str, str], tuple[int, Message]] = field(
-        default_factory=dict[tuple[str, str], "tuple[int, Message]"]
+    restrained: dict[tuple[str, str], tuple[int, Human]] = field(
+        default_factory=dict[tuple[str, str], "tuple[int, Human]"]
     )  # those to the present session, each with its number
     unreconciled: Reunion | None = None
     control: Control | None = None  # who drives it by hand
@@ -221,9 +222,16 @@ class Cell:
 
         A state may be older than a pause that is in the record already.
         """
+        return self.paused_by(invocation) is not None
+
+    def paused_by(self, invocation: str) -> str | None:
+        """Return whose pause of a session stands; `SOMEBODY` where the cell alone knows of it, None where none does."""
+        key = PAUSE, invocation
+        word = self.owed.get(key) or self.restrained.get(key, (0, None))[1]
+        if word is not None:
+            return word.actor
         session = None if self.state is None else self.state.session
-        said = (PAUSE, invocation) in self.owed or (PAUSE, invocation) in self.restrained
-        return said or (session is not None and "operator" in session.paused_by)
+        return SOMEBODY if session is not None and "operator" in session.paused_by else None
 
     def ending(self, invocation: str) -> str | None:
         """Return the word by which an invocation's session is coming to its end, if one was said."""

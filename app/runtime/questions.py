@@ -14,6 +14,7 @@ from app.clock import rfc3339
 from app.governance.authority import waiting
 from app.governance.model import Reason
 from app.protocol import Human
+from app.runtime.drafts import reason
 from app.runtime.errors import Conflict
 from app.runtime.escalation import (
     APPROVAL,
@@ -38,6 +39,10 @@ if TYPE_CHECKING:
     from app.runtime.invocation import Invocation
     from app.runtime.kernel import Kernel
     from app.runtime.register import Register
+
+HELD: Final = "runtime/session"
+PAUSED: Final = "paused"
+ASK: Final = "ask whoever paused it, or end it"
 MOST_OF_AGENT: Final = 100  # proposals of one agent that wait for people
 MOST_ASKED: Final = 400  # and of all: every console holds them all, and every deadline is looked at
 
@@ -72,21 +77,45 @@ class Questions:
         )
 
     def session_question(
-        self, invocation: Invocation, reasons: Sequence[Mapping[str, str]], phase: str | None = None
+        self,
+        invocation: Invocation,
+        reasons: Sequence[Mapping[str, str]],
+        phase: str | None = None,
+        *,
+        paused: bool = False,
     ) -> Escalation:
-        """Return the question whether a held session may go on, or begin a phase; `hold` it once it is recorded."""
+        """Return the question whether a held session may go on, or begin a phase; `hold` it once it is recorded.
+
+        `paused` is what its cell says of a pause, as `and_paused` takes it.
+        """
         wait = waiting(self.kernel.policy, invocation.capability, invocation.profile, phase)
         return self._build(
             invocation,
             kind=SESSION_QUESTION,
             phase=phase,
             risk=self.kernel.risk(invocation.capability),
-            reasons=reasons,
+            reasons=self.and_paused(invocation, reasons, told=paused),
             needed=1,
             expires_at=rfc3339(self.register.now_s() + wait.within_s),
             on_deny=wait.on_deny,
             on_timeout=wait.on_timeout,
         )
+
+    def and_paused(
+        self, invocation: Invocation, reasons: Sequence[Mapping[str, str]], *, told: bool = False
+    ) -> Sequence[Mapping[str, str]]:
+        """Return why a session is held, and by whose pause as well: whoever lets it go on lifts that.
+
+        Args:
+            invocation: whose session.
+            reasons: why it is held otherwise.
+            told: whether its cell said that somebody had paused it, which is all that is known of that after a start.
+        """
+        by = None if invocation.cell is None else self.fleet.cell(invocation.cell).paused_by(invocation.id)
+        if by is None and not told:
+            return reasons
+        who = f"`{by}`" if by else "an operator"
+        return [*reasons, reason(HELD, PAUSED, f"{who} paused it; whoever lets it go on lifts that pause", ASK)]
 
     def _build(self, invocation: Invocation, **fields: Any) -> Escalation:  # noqa: ANN401  # fields of an escalation
         effective = invocation.requested if invocation.effective is None else invocation.effective

@@ -17,6 +17,7 @@ from app.runtime.drafts import DENIAL, SERVER, outcome_event, reason
 from app.runtime.escalation import APPROVED, DENIED, EXPIRED, PENDING, ROLLBACK, WITHDRAWN
 from app.runtime.failures import described, failure
 from app.runtime.hands import LAPSED, driven, followed
+from app.runtime.questions import PAUSED
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -159,17 +160,18 @@ class Story:
                 self._versions[version.id] = version.evolve(at, status=Status.ESCALATED)
             return NOTHING
         phase, reasons = _asked(event)
+        paused = event.body.get("paused") is True
         code = event.body.get("reason")
         if code == CHANGED and (told := self._desk.departed.get(version.id)):
             reasons = [*told, *reasons] if event.body.get("failure") else told  # what had failed is no word of policy's
         if question is None:
-            asked = self._desk.session_question(version, reasons, phase)
+            asked = self._desk.session_question(version, reasons, phase, paused=paused)
         elif code == LINK and not _of_the_link(question):  # it waits as before, on the terms it was asked on
             asked = question.evolve(at, reasons=_with_link(question))
         elif phase != question.phase:  # its terms are those of what it waits for
-            asked = replace(self._desk.session_question(version, reasons, phase), id=question.id)
+            asked = replace(self._desk.session_question(version, reasons, phase, paused=paused), id=question.id)
         else:
-            asked = question.evolve(at, reasons=reasons)
+            asked = question.evolve(at, reasons=self._desk.and_paused(version, reasons, told=paused))
         self.questions[asked.id] = asked
         if version.status is not Status.ESCALATED or version.escalation != asked.reference():
             terms = replace(version.terms, asked_tick=event.tick)
@@ -256,7 +258,7 @@ def _undoes_nothing(version: Invocation, event: UpEvent) -> bool:
 
 def _of_the_link(question: Escalation) -> bool:
     """Say whether a question is about nothing but a link that was lost, by the server's word or the cell's."""
-    return question.phase is None and {why["code"] for why in question.reasons} <= LOST
+    return question.phase is None and {why["code"] for why in question.reasons} <= LOST | {PAUSED}
 
 
 def _with_link(question: Escalation) -> Sequence[Mapping[str, str]]:

@@ -1067,6 +1067,23 @@ def test_a_pause_does_not_end_by_itself_while_the_link_is_lost(rig: Rig) -> None
     rig.runner.hold("link")
     rig.ticks(400)
     assert (rig.runner.status, rig.moving()) == ("escalated", False)
+    assert "paused" not in rig.last("escalation")
+
+
+def test_what_waits_for_a_human_says_that_an_operator_had_paused_it(rig: Rig) -> None:
+    rig.launch()
+    rig.ticks(20)
+    rig.runner.human("inv-1", "pause", "operator")
+    rig.until_status("paused")
+    rig.runner.hold("link")
+    rig.until_status("escalated")
+    assert rig.last("escalation")["paused"] is True
+    rig.runner.welcomed()
+    assert rig.runner.human("inv-1", "resolve_continue", "operator") is None
+    rig.ticks(20)
+    rig.runner.hold("link")
+    rig.until_status("escalated")
+    assert "paused" not in rig.last("escalation")
 
 
 @pytest.mark.parametrize(

@@ -136,9 +136,7 @@ def test_a_command_that_is_not_said_again_expires_and_everything_stands(tmp_path
 
 
 @pytest.mark.parametrize(("gap", "why"), [(20, None), (40, "release_first")], ids=["a stutter", "a silence"])
-def test_what_a_link_held_back_starts_nothing_once_everything_stands(
-    tmp_path: Path, gap: int, why: str | None
-) -> None:
+def test_what_a_link_held_back_starts_nothing_once_everything_stands(tmp_path: Path, gap: int, why: str | None) -> None:
     """A key is held all the while; the link falls silent for so many ticks, and goes on with what it held back."""
     shop, console = idle(tmp_path)
     ahead = Wish(base=(-0.3, 0.0, 0.0))

@@ -111,6 +111,46 @@ async def test_a_pause_that_was_heard_is_not_said_again(runtime: Runtime, cell: 
     assert again.ops() == []
 
 
+async def test_whoever_is_asked_of_a_paused_session_is_told_who_paused_it(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    await runtime.governor.pause(name, OPERATOR)
+    await cell.report("human", name, op="pause", done=True, refused=None)
+    await cell.report("status", name, status="paused")
+    await cell.report("status", name, status="escalated", reason="link")
+    await cell.report("escalation", name, reason="link", failure=None, paused=True)
+    question = runtime.desk.pending_for(name)
+    assert question is not None
+    assert [why["code"] for why in question.reasons] == ["link", "paused"]
+    message = f"`{OPERATOR.name}` paused it; whoever lets it go on lifts that pause"
+    assert question.reasons[-1]["message"] == message
+    await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    await cell.report("human", name, op="resolve_continue", done=True, refused=None)
+    await cell.report("status", name, status="running")
+    await cell.report("status", name, status="escalated", reason="zone")
+    await cell.report("escalation", name, reason="zone", failure=None)
+    again = runtime.desk.pending_for(name)
+    assert again is not None
+    assert [why["code"] for why in again.reasons] == ["zone"]
+
+
+async def test_a_pause_from_before_a_start_is_told_of_without_its_name(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        name = await running(first, cell)
+        await first.governor.pause(name, OPERATOR)
+        await cell.report("human", name, op="pause", done=True, refused=None)
+        await cell.report("status", name, status="paused")
+        await cell.hang_up()
+    async with house.open() as second:
+        again = await back(second, cell, status="escalated")
+        await again.report("escalation", name, reason="link", failure=None, paused=True)
+        question = second.desk.pending_for(name)
+        assert question is not None
+        assert [why["code"] for why in question.reasons][-1] == "paused"
+        assert question.reasons[-1]["message"].startswith("an operator paused it")
+
+
 async def test_a_pause_that_somebody_lifted_is_not_said_again(runtime: Runtime, cell: HandCell) -> None:
     name = await running(runtime, cell)
     await cell.report("status", name, status="paused")
