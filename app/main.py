@@ -204,6 +204,7 @@ async def _serve(settings: Settings, policies: PolicySet, listener: socket.socke
         finally:
             await children.stop()
             layout.server.unlink(missing_ok=True)
+            house["feed"].close()  # streams end, or the door would wait for them
             door.should_exit = True
             await serving
     return MISUSE if children.misused.is_set() else FINE

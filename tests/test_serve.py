@@ -108,6 +108,18 @@ def test_leaves_with_its_cells_when_told_to(servers: Servers) -> None:
     assert server.cell_pid() is None
 
 
+def test_streams_end_whole_when_the_server_is_told_to_leave(servers: Servers) -> None:
+    server = servers.start(cells=0)
+    with server.client("auditor") as auditor, auditor.stream("GET", "/v1/events?after=0") as answer:
+        lines = answer.iter_lines()
+        assert next(lines).startswith("retry")
+        server.process.terminate()
+        for _ in lines:
+            pass  # to its end: an answer that is cut raises
+    assert server.stop() == 0
+    assert "ERROR" not in server.tail()
+
+
 def test_a_broken_policy_does_not_start_and_says_where(tmp_path: Path) -> None:
     folder = tmp_path / "policies"
     shutil.copytree(POLICIES, folder)

@@ -23,10 +23,10 @@ from app.api.access import allowed_roles, authorize, caller
 from app.api.listing import MAX_SEQ, Filter, Identifier, within_the_log
 from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
-from app.api.problems import Problem
-from app.api.staying import until_refused
+from app.api.problems import Problem, as_problem
+from app.api.staying import CUT, until_refused
 from app.audit.checkpoint import parse_checkpoint
-from app.audit.errors import RecordDamaged
+from app.audit.errors import AuditError, RecordDamaged
 from app.audit.telemetry_reading import read_telemetry, telemetry_file
 from app.clock import parse_rfc3339, rfc3339
 from app.governance.model import EventKind
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 MAX_EVENTS = 1000
 MAX_DIGITS = 18
 HEARTBEAT_S = 10.0
+LEAVE_S = 2.0  # for who may not stay to take the end of their stream
 HEARTBEAT = b": still here\n\n"
 RETRY_MS = 1000
 EVENTS = "/v1/events"
@@ -207,7 +208,8 @@ async def stream(request: Request, query: Annotated[StreamQuery, Query()]) -> Re
     A client that comes back with `Last-Event-ID` gets everything it missed. A comment is sent every few seconds, so
     that a dead connection shows; a client that does not keep up is cut off, and comes back the same way. One that has
     seen more than this log holds was told by another, and is refused: what it waits for would never come. A stream ends
-    when its token expires or is withdrawn.
+    when its token expires or is withdrawn. Where the log cannot be read any further, a last event `problem`, without an
+    `id`, says why.
     """
     parts = parts_of(request)
     field, after = ("after", query.after)
@@ -219,21 +221,36 @@ async def stream(request: Request, query: Annotated[StreamQuery, Query()]) -> Re
     chunks = _chunks(parts.feed, parts.store.size if after is None else after, let_in)
     seat = ExitStack()
     seat.enter_context(parts.streams.take(caller(request).name))
-    return SeatedStream(seat, chunks)
+    return SeatedStream(seat, chunks, let_in)
 
 
 class SeatedStream(StreamingResponse):
     """A stream of events that gives its seat back however it ends, even before its first byte."""
 
-    def __init__(self, seat: ExitStack, chunks: AsyncGenerator[bytes]) -> None:
-        """Take the seat over, and what is to be sent."""
+    def __init__(self, seat: ExitStack, chunks: AsyncGenerator[bytes], let_in: Callable[[], object]) -> None:
+        """Take the seat over, what is to be sent, and what says whether it still may be."""
         super().__init__(chunks, media_type=STREAM, headers={"X-Accel-Buffering": "no"})
-        self._seat = seat
+        self._seat, self._let_in = seat, let_in
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send until either side ends it."""
         with self._seat:
-            await super().__call__(scope, receive, send)
+            showing_out = asyncio.create_task(self._show_out(scope))
+            try:
+                await super().__call__(scope, receive, send)
+            finally:
+                showing_out.cancel()
+                await asyncio.wait({showing_out})
+
+    async def _show_out(self, scope: Scope) -> None:
+        """Cut who may not stay and does not read either: their stream waits to send, and ends by itself no more."""
+        refused = asyncio.ensure_future(until_refused(self._let_in))
+        try:
+            await asyncio.wait({refused})
+        finally:
+            refused.cancel()
+        await asyncio.sleep(LEAVE_S)
+        scope[CUT]()
 
 
 def _last_event_id(request: Request) -> int:
@@ -263,7 +280,11 @@ async def _chunks(feed: Feed, after: int, let_in: Callable[[], object]) -> Async
                 if not waiting.done():
                     yield HEARTBEAT
                     continue
-                batch, waiting = waiting.result(), None
+                try:
+                    batch, waiting = waiting.result(), None
+                except AuditError as error:
+                    yield b"event: problem\ndata: %s\n\n" % as_problem(error).response(EVENTS).body
+                    return
                 if batch is None:
                     return
                 yield b"".join(as_sse(event) for event in batch)

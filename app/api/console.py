@@ -197,7 +197,7 @@ class Console:
             }
         )
         self._parts.broadcast.join(self._outlet, after)
-        jobs = [asyncio.create_task(job) for job in (self._show(), self._listen(), self._stay_known())]
+        jobs = [asyncio.create_task(job) for job in (self._show(), self._keep_up(), self._listen(), self._stay_known())]
         try:
             done, _ = await asyncio.wait(jobs, return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -209,6 +209,10 @@ class Console:
         for job in done:
             job.result()
 
+    async def _keep_up(self) -> None:
+        """End the console when its outlet has ended: whoever reads nothing neither looks on nor drives."""
+        raise Refused(*await self._outlet.over())
+
     async def _show(self) -> None:
         outlet, send = self._outlet, self._socket.send
         while (frame := await outlet.next()) is not None:
@@ -216,7 +220,7 @@ class Console:
                 await send({"type": "websocket.send", "text": frame})
             else:
                 await send({"type": "websocket.send", "bytes": frame})
-        raise Refused(*(outlet.ended or (NO_MESSAGE, "")))
+        raise Refused(*await outlet.over())
 
     async def _listen(self) -> None:
         taken, since_s = 0, monotonic_s()

@@ -23,6 +23,7 @@ from websockets.http11 import MAX_LINE_LENGTH, MAX_NUM_HEADERS
 
 from app.api.frame import SECURITY_HEADERS
 from app.api.problems import Problem
+from app.api.staying import CUT
 
 if TYPE_CHECKING:
     import asyncio
@@ -35,6 +36,8 @@ SPARE_BYTES = 64  # of a line, for what is neither name nor value
 HEAD_BYTES = 65_536  # of one request: its line, its header fields, whatever else of it is no body
 LOOK_S: Final = 1.0
 MOST_LOOKS: Final = 5  # at a peer that lets others wait
+# At one that takes nothing of its answer. A line of 20 kB/s may empty the system's buffer for half a minute meanwhile.
+MOST_STUCK: Final = 60
 MOST_CONNECTIONS: Final = 4096
 HEAD, BODY, NOTHING = "head", "body", "nothing"  # what of a request has not come yet
 TOO_LARGE = Problem("head_too_large", f"valid: at most {HEAD_BYTES} bytes of request line and header fields")
@@ -63,6 +66,7 @@ class Exchanges(HttpToolsProtocol):
     _unread = 0  # bytes that came since the parser last had something whole
     _owed = HEAD
     _looks = 0  # since the peer last did what it owes
+    _left = _stuck = 0  # bytes of an answer that do not leave, and for how many looks
     _looking: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
@@ -90,6 +94,7 @@ class Exchanges(HttpToolsProtocol):
         self._unread = 0
         self._owed = HEAD
         super().on_message_begin()
+        cast("dict[str, object]", self.scope)[CUT] = self.transport.abort
 
     def on_body(self, body: bytes) -> None:
         """Take a part of the body; how much of it is read is a route's matter."""
@@ -151,6 +156,7 @@ class Exchanges(HttpToolsProtocol):
     def _look(self) -> None:
         """See whether the peer lets others wait, and end that once it has for long enough."""
         self._looking = self.loop.call_later(self.look_s, self._look)
+        self._look_at_answer()
         if self.transport.is_closing():
             if self._looks >= MOST_LOOKS:  # it does not even take the last word
                 self.transport.abort()
@@ -161,6 +167,14 @@ class Exchanges(HttpToolsProtocol):
         else:
             self._looks = MOST_LOOKS
             self._end_late()
+
+    def _look_at_answer(self) -> None:
+        """Cut a peer that takes nothing of a long answer any more: what it holds, others could have."""
+        left = self.transport.get_write_buffer_size()
+        self._stuck = self._stuck + 1 if left and left == self._left else 0
+        self._left = left
+        if self._stuck >= MOST_STUCK:
+            self.transport.abort()
 
     def _make_room(self) -> None:
         """End an eighth of the connections: first those whose peers let others wait, of each kind the oldest first."""

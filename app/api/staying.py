@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 STILL_KNOWN_S: Final = 1.0
 SHOWN_OUT: Final = 4000
+CUT: Final = "reins.cut"  # in the scope of a request: what cuts the connection of a peer that reads no farewell
 
 
 async def until_refused(let_in: Callable[[], object]) -> Problem:

@@ -11,6 +11,8 @@ from collections import deque
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
+from app.audit.errors import AuditError
+
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Generator
 
@@ -69,11 +71,18 @@ class Subscription:
         while not self.closed:
             if self._waiting and self._waiting[0].seq <= after + 1:
                 return
-            batch = await self._store.events(after=after, limit=PAGE)
+            batch = await self._page(after)
             if not batch:
                 return
             after = batch[-1].seq
             yield batch
+
+    async def _page(self, after: int) -> list[Event]:
+        """Read on in the log; where a page holds what cannot be read, event by event up to that, which raises."""
+        try:
+            return await self._store.events(after=after, limit=PAGE)
+        except AuditError:
+            return await self._store.events(after=after, limit=1)
 
 
 class Feed:

@@ -53,6 +53,7 @@ class Outlet:
         self._marks: deque[Mark] = deque()
         self._sent = self._heard = 0
         self._more = asyncio.Event()
+        self._over = asyncio.Event()
 
     def say(self, text: str, mark: Key | None = None) -> None:
         """Queue text; with a `mark` the console will acknowledge it by that name."""
@@ -93,6 +94,12 @@ class Outlet:
         self._texts.clear()
         self._frames.clear()
         self._more.set()
+        self._over.set()
+
+    async def over(self) -> tuple[int, str]:
+        """Wait until it has ended, also while what was sent last does not get into the socket; return how it ended."""
+        await self._over.wait()
+        return self.ended or (FELL_BEHIND, "")
 
     async def next(self) -> str | bytes | None:
         """Return what to send next, as soon as there is something; None when it has ended."""

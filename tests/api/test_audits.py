@@ -348,6 +348,23 @@ async def test_whoever_meets_a_damaged_event_is_told_and_nothing_moves_from_then
         assert not cell.launches
 
 
+async def test_a_stream_says_what_is_readable_and_then_why_it_goes_no_further(tmp_path: Path) -> None:
+    async with open_house(tmp_path / "data", "sim-relaxed") as house:
+        await refuse(house, 3)
+        damaged = house.runtime.store.size - 2
+        with sqlite3.connect(house.runtime.store.places.database) as database:
+            database.execute("DROP TRIGGER events_refuse_update")
+            database.execute("UPDATE events SET body = x'ff' WHERE seq = ?", (damaged,))
+        async with (
+            house.client("auditor") as auditor,
+            auditor.stream("GET", "/v1/events?after=0") as answer,
+            asyncio.timeout(10),
+        ):
+            *events, last = [event async for event in events_of(answer)]
+        assert [event["id"] for event in events] == list(range(1, damaged))
+        assert (last.keys(), last["data"]["code"]) == ({"data"}, "record_damaged")
+
+
 async def test_a_log_that_cannot_be_read_now_is_not_called_damaged_and_lets_move(tmp_path: Path) -> None:
     drive = {"capability": "navigate_to", "params": {"target": "dock"}}
     async with (

@@ -10,6 +10,7 @@ import pytest
 import uvicorn
 from websockets.asyncio.client import connect
 
+from app.api import exchange
 from app.api.exchange import HEAD_BYTES, Answer, Exchanges
 from tests.api.conftest import Door, House, eventually
 
@@ -92,10 +93,11 @@ class Site:
 
     def __init__(self) -> None:
         self.go_on = asyncio.Event()
+        self.ended = ""
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
-        if scope["type"] == "lifespan":
-            await self.live(receive, send)
+        if scope["type"] == "lifespan" or scope["path"] == "/long":
+            await (self.live if scope["type"] == "lifespan" else self.drown)(receive, send)
             return
         if scope["path"] == "/refused":
             await send({"type": "http.response.start", "status": 401, "headers": [(b"content-length", b"0")]})
@@ -116,6 +118,15 @@ class Site:
         if streams:
             await self.go_on.wait()
         await send({"type": "http.response.body", "body": body or b"late" if streams else body})
+
+    async def drown(self, receive: Any, send: Any) -> None:
+        """Send more than any system takes for a peer that reads nothing."""
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+        for _ in range(2):
+            await send({"type": "http.response.body", "body": b"x" * 16_000_000, "more_body": True})
+        while (message := await receive())["type"] == "http.request":
+            pass
+        self.ended = message["type"]
 
     async def live(self, receive: Any, send: Any) -> None:
         for _ in range(2):
@@ -158,6 +169,16 @@ async def test_a_stream_begins_before_it_has_anything_to_say() -> None:
         assert (await reader.readuntil(END)).startswith(b"HTTP/1.1 200")
         site.go_on.set()
         assert await reader.readuntil(b"0" + END) == b"4\r\nlate\r\n0" + END
+
+
+async def test_whoever_takes_nothing_of_a_long_answer_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(exchange, "MOST_STUCK", 10)
+    site = Site()
+    async with served(site, Hasty) as (reader, writer):
+        writer.transport.pause_reading()
+        writer.write(request("GET", "/long"))
+        await eventually(lambda: site.ended == "http.disconnect")
+        assert not reader.at_eof()
 
 
 async def test_requests_sent_in_one_go_are_answered_in_order() -> None:

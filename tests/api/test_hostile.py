@@ -12,12 +12,13 @@ from urllib.parse import urlsplit
 import pytest
 from websockets.exceptions import ConnectionClosed
 
-from app.api import sockets
+from app.api import console, sockets
 from app.api.console import MAX_FRAME_BYTES, PATH
 from app.api.parts import EACH_CONSOLES, MAX_UNGREETED, Parts
 from app.api.problems import Problem
 from app.api.seats import Doorstep, Ration
 from app.api.sockets import MOST_ASIDE
+from app.runtime.outlet import MAX_BEHIND_BYTES, Outlet
 from tests.api.conftest import House, eventually
 from tests.api.test_console import PATIENCE_S, Screen, dial, propose, signed_in
 
@@ -280,3 +281,33 @@ def test_a_ration_is_one_persons_and_comes_back() -> None:
     assert ration.take("operator", 10)
     ration.within_s = 0.0
     assert ration.take("auditor", 10)
+
+
+async def test_a_console_that_reads_nothing_is_ended_although_nothing_can_be_said_to_it_any_more(
+    house: House, parts: Parts, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[Outlet] = []
+
+    def outlet() -> Outlet:
+        made.append(Outlet())
+        return made[-1]
+
+    monkeypatch.setattr(console, "Outlet", outlet)
+    address = urlsplit(house.url)
+    reader, writer = await asyncio.open_connection(address.hostname, address.port, limit=1)  # reads no further
+    bearer = f"Authorization: Bearer {house.tokens['operator']}"
+    upgrade = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: "
+    writer.write(f"GET {PATH} HTTP/1.1\r\nHost: x\r\n{bearer}\r\n{upgrade}{'A' * 22}==\r\n\r\n".encode())
+    try:
+        await eventually(lambda: parts.consoles.taken == 1)
+        many = MAX_BEHIND_BYTES * 5 // 8  # more than the system takes for a peer that reads nothing
+        made[0].say("x" * many)
+        await eventually(lambda: made[0]._sent > many)
+        taken = made[0]._sent
+        await eventually(lambda: made[0]._sent > taken)  # a beat, which waits for the socket
+        made[0].say("z" * (MAX_BEHIND_BYTES // 2))
+        assert made[0].ended is not None
+        await eventually(lambda: parts.consoles.taken == 0)
+    finally:
+        writer.transport.abort()
+    assert reader.at_eof() is False

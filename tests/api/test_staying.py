@@ -8,6 +8,7 @@ from contextlib import asynccontextmanager
 from dataclasses import replace
 from types import ModuleType
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -63,6 +64,23 @@ async def test_a_stream_ends_with_its_token(house: House, monkeypatch: pytest.Mo
             refused = await visitor.get("/v1/events")
             assert (refused.status_code, refused.json()["code"]) in {(401, "token_invalid"), (401, "token_expired")}
     await eventually(lambda: not house.app.state.parts.streams.taken)
+
+
+async def test_a_stream_that_nobody_reads_is_cut_with_its_token(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(audits, "as_sse", lambda _: b": " + b"x" * 16_000_000 + b"\n\n")
+    monkeypatch.setattr(audits, "LEAVE_S", 0.1)
+    name = "visitor-who-sleeps"
+    visited_house = await visited(house, name, Role.AUDITOR)
+    address, streams = urlsplit(house.url), house.app.state.parts.streams
+    _, writer = await asyncio.open_connection(address.hostname, address.port, limit=1)  # reads no further
+    bearer = f"Authorization: Bearer {visited_house.tokens[name]}"
+    writer.write(f"GET /v1/events?after=0 HTTP/1.1\r\nHost: x\r\n{bearer}\r\n\r\n".encode())
+    try:
+        await eventually(lambda: streams.taken == 1)
+        async with visited_house.withdrawn(name):
+            await eventually(lambda: streams.taken == 0)
+    finally:
+        writer.transport.abort()
 
 
 @pytest.mark.parametrize("how", ENDS)
