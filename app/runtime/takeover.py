@@ -8,6 +8,7 @@ the first one moves anything, and the cell records what they come to. What restr
 from __future__ import annotations
 
 import asyncio
+from contextlib import nullcontext
 from dataclasses import replace
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
@@ -65,11 +66,11 @@ class Takeovers(Handbacks):
         document, mine = cell.control_document() or {}, cell.takings
         try:
             if how is Taking.GRANTED:
-                await self._change_hands(cell, present.id, principal, decided)
+                await self._change_hands(cell, present.id, principal, decided, document)
             else:
                 if how is Taking.PREEMPTED:
                     self._still(cell)
-                await self.register.append([self._word("takeover", present, principal, document, how)])
+                await self._pass_on(present, principal, document, how)
         except BaseException:
             whole = how is Taking.GRANTED and cell.takings == mine  # with it goes what was renewed of it
             if cell.control is not None and (whole or cell.control.lease == document.get("lease")):
@@ -147,7 +148,22 @@ class Takeovers(Handbacks):
         cell.takings += how is Taking.GRANTED
         return before, how
 
-    async def _change_hands(self, cell: Cell, invocation: str, principal: Principal, decided: Moment) -> None:
+    async def _pass_on(
+        self, present: Invocation, principal: Principal, document: Mapping[str, Any], how: Taking
+    ) -> None:
+        """Record that a lease took the place of another, and from where it is held now."""
+        entry = self.register.entry(present.id)
+        async with nullcontext() if entry is None else entry.lock:
+            newest = present if entry is None else entry.newest
+            word = self._word("takeover", newest, principal, document, how)
+            known, held = newest.takeover or {}, {name: document.get(name) for name in ("where", "since")}
+            new = known.get("state") in OPEN and known != {**known, **held}
+            versions = [newest.evolve(self.register.now(), takeover={**known, **held})] if new else []
+            await self.register.append([word], versions=versions)
+
+    async def _change_hands(
+        self, cell: Cell, invocation: str, principal: Principal, decided: Moment, document: Mapping[str, Any]
+    ) -> None:
         entry, mine = self.register.entry(invocation), cell.takings
         if entry is None:
             raise Conflict("wrong_status", f"`{invocation}` has ended")
@@ -162,11 +178,10 @@ class Takeovers(Handbacks):
             judgement = self.kernel.judge(proposal, None, cell, within=present)
             _held_to(judgement)
             driving = replace(present, capability=TAKEOVER, effective=judgement.effective(params))
-            where, document = cell.control.where, cell.control_document() or {}
             async with self.kernel.launch(driving, judgement, anew=decided) as launch:
                 now, permit = self.register.now(), launch.invocation.terms.authorization
                 terms = replace(present.terms, taking=True, authorization=permit)
-                version = present.evolve(now, takeover=taken(where, now), terms=terms)
+                version = present.evolve(now, takeover=taken(Where(document["where"]), now), terms=terms)
                 word = self._word("takeover", present, principal, document, Taking.GRANTED)
                 await self.register.append([word, *launch.events], launch.rows, [version])
 

@@ -120,6 +120,8 @@ async def test_who_stands_at_the_cell_takes_it_from_who_does_not(
     assert (await refused(runtime.governor.take_over(driving, OPERATOR))).code == "control_held"
     told = [event["body"] for event in await runtime.governor.trace(driving, OPERATOR)]
     assert [body["how"] for body in told if body.get("op") == "takeover"] == ["granted", "preempted"]
+    shown = (await runtime.governor.invocation(driving, AGENT))["takeover"]
+    assert (shown["state"], shown["where"], shown["since"]) == ("held", "local", local["since"])
 
 
 async def test_a_hand_that_falls_silent_loses_the_controls_and_a_human_is_asked(
