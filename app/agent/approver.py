@@ -37,6 +37,7 @@ _POLL_S = 0.1
 _ANSWERED = frozenset({"already_resolved", "already_approved"})
 _NOT_MINE = frozenset({"edit_refused", "own_proposal"})  # with all 422: the server takes other answers, not this one
 _MATCHABLE = frozenset({"capability", "risk", "kind", "agent"})
+_MATCHED = {"risk": ("low", "medium", "high", "critical"), "kind": ("approval", "session")}  # whatever policy says
 _DECISIONS = ("approve", "deny", "ignore")
 _LARGEST = 10**15
 _READS = frozenset({"min", "max"})
@@ -155,6 +156,9 @@ def _rule(raw: object, source: str) -> Rule:
     if decision not in _DECISIONS:
         raise ValueError(f"{source}: decision `{decision}`; valid: {', '.join(_DECISIONS)}")
     values = {field: _names(value, f"{source}: `match.{field}`") for field, value in match.items()}
+    for field, valid in _MATCHED.items():
+        if unknown := sorted(values.get(field, frozenset[str]()).difference(valid)):
+            raise ValueError(f"{source}: `match.{field}` names `{unknown[0]}`; valid: {', '.join(valid)}")
     return Rule(match=values, decision=decision, edit=_mapping(item.get("edit", {}), f"{source}: `edit`"))
 
 

@@ -52,8 +52,8 @@ def most_connections() -> int:
     return min(MOST_CONNECTIONS, descriptors * 3 // 4)
 
 
-class HeadTooLarge(Exception):
-    """A request's header fields are more than is read."""
+class HeadRefused(Exception):
+    """A request's header fields are more than is read, or do not name the host once."""
 
 
 class Exchanges(HttpToolsProtocol):
@@ -113,8 +113,8 @@ class Exchanges(HttpToolsProtocol):
         """Begin an exchange, and see to how it is answered."""
         self._unread = self._looks = 0
         self._owed = BODY
-        if self._too_large():
-            raise HeadTooLarge  # ends the parser, which has it refused below
+        if self._too_large() or self._nameless():
+            raise HeadRefused  # ends the parser, which has it refused below
         before = self.cycle
         super().on_headers_complete()
         if self.cycle is not before:  # else a websocket takes over
@@ -142,6 +142,8 @@ class Exchanges(HttpToolsProtocol):
         malformed = Problem("http_malformed", f"{msg} Valid: HTTP/1.1 as RFC 9112 has it")
         if cycle is not None and cycle.more_body and not cycle.response_complete:
             malformed = Problem("http_malformed", "the body is not what its header fields say; valid: RFC 9112")
+        elif self._nameless():
+            malformed = Problem("http_malformed", "`Host` is given never, or twice; valid: once (RFC 9112, 3.2)")
         self._end(self._too_large() or malformed)
 
     def _should_upgrade(self) -> bool:
@@ -217,6 +219,11 @@ class Exchanges(HttpToolsProtocol):
     def _too_large(self) -> Problem | None:
         size = len(self.url) + sum(len(name) + len(value) for name, value in self.headers)
         return TOO_LARGE if size > HEAD_BYTES else None
+
+    def _nameless(self) -> bool:
+        """Say whether a request of HTTP/1.1 does not name the host it is for, or names two."""
+        named = sum(name == b"host" for name, _ in self.headers)
+        return named != 1 and cast("HttpRequestParser", self.parser).get_http_version() == "1.1"
 
     def _end(self, problem: Problem) -> None:
         """Refuse what comes now, and end the connection once what came whole before it is answered."""

@@ -170,7 +170,8 @@ async def release(request: Request, id: Identifier) -> Response:
 async def set_profile(request: Request, id: Identifier) -> Response:
     """Put a cell under another environment profile.
 
-    What runs keeps the one it was authorized under; what waits for approval is decided again, and asked anew. With
+    What runs keeps the one it was authorized under. What waits for approval is decided again: it is asked anew, or,
+    where the new profile asks nobody, deferred (`profile_changed`), for nothing begins by a change of profile. With
     `before`, only if that is the one the cell is under.
     """
     body = await read_body(request, ProfileBody)

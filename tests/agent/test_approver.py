@@ -63,6 +63,8 @@ def test_an_error_turns_the_answer_round():
         ({"error_rate": 2}, "valid: 0…1"),
         ({"reads_s": {"min": 2, "max": 1}}, "valid: 0 ≤ min ≤ max"),
         ({"rules": [{"match": {"mood": "good"}}]}, "cannot match on `mood`"),
+        ({"rules": [{"match": {"risk": "extreme"}}]}, "names `extreme`; valid: low, medium, high, critical"),
+        ({"rules": [{"match": {"kind": ["session", "x"]}}]}, "`match.kind` names `x`; valid: approval, session"),
         ({"rules": [{"decision": "maybe"}]}, "decision `maybe`"),
         ({"rules": 3}, "`rules` is `3`; valid: a list of rules"),
         ({"rules": [3]}, r"`rules\[0\]` is `3`; valid: a mapping with decision, edit, match"),

@@ -181,6 +181,21 @@ async def test_whoever_takes_nothing_of_a_long_answer_is_cut(monkeypatch: pytest
         assert not reader.at_eof()
 
 
+@pytest.mark.parametrize("hosts", ["", "Host: a\r\nHost: b\r\n"])
+async def test_who_does_not_say_once_which_host_is_meant_is_refused(hosts: str) -> None:
+    async with served(Site()) as (reader, writer):
+        writer.write(f"GET / HTTP/1.1\r\n{hosts}\r\n".encode())
+        answer = (await reader.read()).decode()
+    assert answer.startswith("HTTP/1.1 400")
+    assert "`Host` is given never, or twice; valid: once" in answer
+
+
+async def test_http_1_0_knows_no_host() -> None:
+    async with served(Site()) as (reader, writer):
+        writer.write(b"GET / HTTP/1.0" + END)
+        assert (await reader.read()).startswith(b"HTTP/1.1 200")
+
+
 async def test_requests_sent_in_one_go_are_answered_in_order() -> None:
     async with served(Site()) as (reader, writer):
         writer.write(request("POST", "/", b"first") + request("POST", "/", b"second"))
@@ -227,7 +242,10 @@ async def test_a_body_that_is_none_does_not_end_a_stream_with_a_second_answer() 
 
 @pytest.mark.parametrize(
     "begun",
-    [b"GET / HTTP/1.1\r\nHost: here\r\nX: ", b"POST / HTTP/1.1\r\nTransfer-Encoding: chunked" + END + b"0\r\nX: "],
+    [
+        b"GET / HTTP/1.1\r\nHost: here\r\nX: ",
+        b"POST / HTTP/1.1\r\nHost: here\r\nTransfer-Encoding: chunked" + END + b"0\r\nX: ",
+    ],
     ids=["a header field", "a field behind a body"],
 )
 async def test_what_has_no_end_is_not_kept_without_one(begun: bytes) -> None:
