@@ -326,6 +326,7 @@ def test_the_end_of_a_session_waits_for_no_other_word(server: ServerProcess, peo
     person.page.route("**/release", hold)
     person.button("Agent goes on").click()
     until(lambda: held or person.page.wait_for_timeout(20), what="a word that is held")
+    expect(person.button("Handing back…")).to_be_disabled()
     person.button("End session").click(timeout=5_000)  # sooner than the page gives the other one up
     assert server.await_status(drive["id"], "failed", "completed")["outcome"] == "taken_over"
     expect(person.button("Take the controls")).to_be_visible()

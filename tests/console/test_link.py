@@ -99,7 +99,7 @@ def test_a_pause_is_sent_though_the_link_is_down_and_what_came_of_it_is_told(
         expect(pause).to_have_attribute("aria-disabled", "false")
         expect(scene.get_by_role("button", name="Resume")).to_have_attribute("aria-disabled", "true")
         person.press("p")
-        expect(scene.get_by_role("alert")).to_contain_text("The server did not answer.")
+        expect(scene.get_by_role("alert")).to_contain_text("it is not known whether this arrived.")
         wire.mend()
         expect(person.alert("Link down.")).to_have_count(0)
         person.press("p")

@@ -1,5 +1,5 @@
 import { describe, expect, it } from 'vitest';
-import { Api } from '../src/lib/api/client';
+import { Api, UNTOLD } from '../src/lib/api/client';
 
 /** A server that answers nothing until it is told to; and, as a browser, gives up what is aborted. */
 class Held {
@@ -94,5 +94,11 @@ describe('a server that holds its answers back', () => {
     expect(await asked[1]).toContain('The server did not answer.');
     await settled();
     expect(held.under).toEqual(['/v1/policies/3/diff']);
+  });
+
+  it('does not say of what was to change something that it did not arrive', async () => {
+    const api = new Api('secret', () => Promise.reject(new TypeError('cut')));
+    await expect(api.cells()).rejects.toThrow('The server did not answer.');
+    for (const call of [api.restrain('a', 'pause'), api.setProfile('a', 'b', 'c')]) await expect(call).rejects.toThrow(UNTOLD);
   });
 });

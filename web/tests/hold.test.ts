@@ -97,10 +97,12 @@ describe('a gamepad', () => {
   });
 
   it('drives only if its layout is the standard one, and is named where it is not', () => {
-    const one = (mapping: string, id: string, connected = true): { mapping: string; id: string; connected: boolean } => ({ mapping, id, connected });
-    expect(standardPad([null, one('', 'wheel'), one('standard', 'pad')])).toEqual({ pad: one('standard', 'pad'), other: '' });
-    expect(standardPad([one('standard', 'gone', false), one('', 'wheel')])).toEqual({ pad: null, other: 'wheel' });
-    expect(standardPad([])).toEqual({ pad: null, other: '' });
+    const one = (mapping: string, id: string, connected = true, index = 0): { mapping: string; id: string; connected: boolean; index: number } => ({ mapping, id, connected, index });
+    expect(standardPad([null, one('', 'wheel'), one('standard', 'pad')], null)).toEqual({ pad: one('standard', 'pad'), other: '' });
+    expect(standardPad([one('standard', 'gone', false), one('', 'wheel')], 0)).toEqual({ pad: null, other: 'wheel' });
+    expect(standardPad([], null)).toEqual({ pad: null, other: '' });
+    const [first, second] = [one('standard', 'first'), one('standard', 'second', true, 1)];
+    expect([null, 0, 1, 2].map((used) => standardPad([first, second], used).pad?.id)).toEqual(['first', 'first', 'second', 'first']);
   });
 
   it('starts nothing by itself after something let go of the robot, however long it is held', () => {

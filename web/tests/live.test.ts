@@ -7,7 +7,7 @@ import { deniedIsUndone, goingOn } from '../src/lib/live/held';
 import { reasonLines } from '../src/lib/live/reasons';
 import { askedOf, stagesOf } from '../src/lib/live/stages';
 import { troubleOf, zonesAt } from '../src/lib/live/trouble';
-import { byUrgency, currentOf } from '../src/lib/live/urgency';
+import { byUrgency, currentOf, graverThan } from '../src/lib/live/urgency';
 import { cell, escalation, event, heldBy, invocation, scene } from './samples';
 
 const NOW = Date.parse('2026-11-22T10:00:00Z');
@@ -52,6 +52,14 @@ describe('what waits for me is sorted', () => {
   it('the same way whatever order it came in', () => {
     const twins = [asked('b', 'low', 90), asked('a', 'low', 90), asked('c', 'low', 90, { expires_at: null })];
     expect(order(twins)).toEqual(order([...twins].reverse()));
+  });
+});
+
+describe('what is more urgent than the question that is open', () => {
+  it('is of a higher class, and not merely older by a second', () => {
+    const sorted = [asked('held', 'low', 300, { kind: 'session' }), asked('high', 'high', 90), asked('older', 'low', 59), asked('open', 'low', 60)];
+    expect(graverThan(sorted, 'open', NOW, 'operator').map(({ id }) => id)).toEqual(['held', 'high']);
+    expect([graverThan(sorted, 'held', NOW, 'operator'), graverThan(sorted, null, NOW, 'operator')]).toEqual([[], []]);
   });
 });
 

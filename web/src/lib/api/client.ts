@@ -40,6 +40,8 @@ export class ApiError extends Error {
 /** The code of an answer that is no problem document of the server's: a proxy's, for instance. */
 export const UNKNOWN = 'unknown';
 const UNREACHABLE: Problem = { title: 'No answer', status: 0, detail: 'The server did not answer.', code: 'unreachable' };
+/** What is said where no answer came to what was to change something: that may be late, or lost, alone. */
+export const UNTOLD = 'No answer from the server: it is not known whether this arrived.';
 const PATIENCE_MS = 10_000;
 const LONG_PATIENCE_MS = 120_000;
 /** A browser opens six connections to a server, for all of its tabs; a request beyond them waits, whatever it says. */
@@ -114,7 +116,7 @@ export class Api {
       signal.throwIfAborted(); // whoever wanted it may have gone while it waited for its turn
       response = await this.fetcher(path, { method, headers, body: body === undefined ? null : JSON.stringify(body), signal, cache: 'no-store' });
     } catch {
-      throw new ApiError(UNREACHABLE);
+      throw new ApiError(method === 'GET' ? UNREACHABLE : { ...UNREACHABLE, detail: UNTOLD });
     }
     if (!response.ok) throw new ApiError(await problemOf(response));
     return read(response);

@@ -33,10 +33,14 @@ export const DRIVING_KEYS: readonly string[] = [...Object.keys(JOG_KEYS), ...Obj
 
 const DEAD = 0.18;
 
-/** The gamepad that drives, and the name of one that does not, since nobody knows which of its buttons is which. */
-export function standardPad<P extends { connected: boolean; mapping: string; id: string }>(pads: readonly (P | null)[]): { pad: P | null; other: string } {
+/**
+ * The gamepad that drives, and the name of one that does not, since nobody knows which of its buttons is which. The one at
+ * the index `used` goes on driving, whichever comes beside it.
+ */
+export function standardPad<P extends { connected: boolean; mapping: string; id: string; index: number }>(pads: readonly (P | null)[], used: number | null): { pad: P | null; other: string } {
   const connected = pads.filter((one) => one?.connected === true);
-  const pad = connected.find((one) => one?.mapping === 'standard') ?? null;
+  const standard = connected.filter((one) => one?.mapping === 'standard');
+  const pad = standard.find((one) => one?.index === used) ?? standard[0] ?? null;
   return { pad, other: pad === null ? (connected[0]?.id ?? '') : '' };
 }
 

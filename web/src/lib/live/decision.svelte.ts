@@ -15,7 +15,6 @@ const WORDS: Record<string, string> = {
   own_proposal: 'Nobody answers for what they proposed themselves.',
   grant_refused: 'Policy grants nothing of this kind in advance.',
   edit_refused: 'Policy refuses the edited values.',
-  unreachable: 'No answer from the server: it is not known whether this arrived.',
 };
 
 /** Why a press of approve was not taken. */

@@ -1,4 +1,4 @@
-import type { Api } from '../api/client';
+import { ApiError, type Api } from '../api/client';
 
 /** The grants that are being revoked from here, and those that could not be; it outlives the page that it was asked on. */
 export class Revoking {
@@ -19,9 +19,15 @@ export class Revoking {
       await this.api.revoke(id);
       this.refused = this.refused.filter((one) => one.id !== id);
     } catch (error) {
-      this.refused = [...this.refused.filter((one) => one.id !== id), { id, why: error instanceof Error ? error.message : String(error) }];
+      this.refused = [...this.refused.filter((one) => one.id !== id), { id, why: whyOf(error) }];
     }
     const at = this.under.indexOf(id);
     this.under = this.under.filter((_, k) => k !== at);
   }
+}
+
+/** What to say of a grant that may stand still: behind its name. */
+function whyOf(error: unknown): string {
+  const why = error instanceof Error ? error.message : String(error);
+  return error instanceof ApiError && error.code === 'unreachable' ? `: ${why}` : ` is not revoked: ${why}`;
 }

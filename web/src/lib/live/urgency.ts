@@ -17,22 +17,27 @@ export function iApproved(escalation: Escalation, me: string | null): boolean {
  * that is held in mid-motion; the higher risk; the nearer deadline.
  */
 export function byUrgency(nowMs: number, me: string | null): (a: Escalation, b: Escalation) => number {
-  const key = (item: Escalation): number[] => {
-    const left = leftMs(item, nowMs) ?? Number.MAX_SAFE_INTEGER;
-    return [
-      iApproved(item, me) ? 1 : 0,
-      left < LAST_CALL_MS ? 0 : 1,
-      item.kind === 'approval' ? 1 : 0,
-      -RISKS[item.risk],
-      left,
-    ];
-  };
+  const key = (item: Escalation): number[] => [...classOf(item, nowMs, me), leftMs(item, nowMs) ?? Number.MAX_SAFE_INTEGER];
   return (a, b) => {
     const left = key(a);
     const right = key(b);
     const at = left.findIndex((value, k) => value !== right[k]);
     return at === -1 ? a.id.localeCompare(b.id) : (left[at] ?? 0) - (right[at] ?? 0);
   };
+}
+
+function classOf(item: Escalation, nowMs: number, me: string | null): number[] {
+  const left = leftMs(item, nowMs) ?? Number.MAX_SAFE_INTEGER;
+  return [iApproved(item, me) ? 1 : 0, left < LAST_CALL_MS ? 0 : 1, item.kind === 'approval' ? 1 : 0, -RISKS[item.risk]];
+}
+
+/** Those of another class than the one that is open, and before it: a second that is left less makes nothing more urgent. */
+export function graverThan(sorted: readonly Escalation[], current: string | null, nowMs: number, me: string | null): Escalation[] {
+  const at = sorted.findIndex((item) => item.id === current);
+  const open = sorted[at];
+  if (open === undefined) return [];
+  const own = String(classOf(open, nowMs, me));
+  return sorted.slice(0, at).filter((item) => String(classOf(item, nowMs, me)) !== own);
 }
 
 /** The question after the one that is open, in the order they are shown; null where it is the only one. */
