@@ -41,6 +41,7 @@ MOST_STUCK: Final = 60
 MOST_CONNECTIONS: Final = 4096
 HEAD, BODY, NOTHING = "head", "body", "nothing"  # what of a request has not come yet
 TOO_LARGE = Problem("head_too_large", f"valid: at most {HEAD_BYTES} bytes of request line and header fields")
+HOSTLESS = Problem("http_malformed", "`Host` is given never, or twice; valid: once (RFC 9112, 3.2)")
 BODY_LATE = Problem("body_late", f"valid: no {MOST_LOOKS * LOOK_S:.0f} s without a part of the body")
 
 
@@ -65,6 +66,7 @@ class Exchanges(HttpToolsProtocol):
     _since_s = 0.0
     _unread = 0  # bytes that came since the parser last had something whole
     _owed = HEAD
+    _hostless = False
     _looks = 0  # since the peer last did what it owes
     _left = _stuck = 0  # bytes of an answer that do not leave, and for how many looks
     _looking: asyncio.TimerHandle | None = None
@@ -113,7 +115,8 @@ class Exchanges(HttpToolsProtocol):
         """Begin an exchange, and see to how it is answered."""
         self._unread = self._looks = 0
         self._owed = BODY
-        if self._too_large() or self._nameless():
+        self._hostless = self._nameless()
+        if self._hostless or self._too_large():
             raise HeadRefused  # ends the parser, which has it refused below
         before = self.cycle
         super().on_headers_complete()
@@ -142,9 +145,7 @@ class Exchanges(HttpToolsProtocol):
         malformed = Problem("http_malformed", f"{msg} Valid: HTTP/1.1 as RFC 9112 has it")
         if cycle is not None and cycle.more_body and not cycle.response_complete:
             malformed = Problem("http_malformed", "the body is not what its header fields say; valid: RFC 9112")
-        elif self._nameless():
-            malformed = Problem("http_malformed", "`Host` is given never, or twice; valid: once (RFC 9112, 3.2)")
-        self._end(self._too_large() or malformed)
+        self._end(self._too_large() or (HOSTLESS if self._hostless else malformed))
 
     def _should_upgrade(self) -> bool:
         """Say whether a websocket is wished for: by a GET without a body (RFC 6455 §4.1).

@@ -313,6 +313,25 @@ def test_whoever_drives_is_told_that_the_session_is_paused_and_resumes_it(
     expect(person.alert("It is coming to its end.")).to_have_count(0)
 
 
+def test_a_finger_that_slides_off_its_button_lets_go(server: ServerProcess, people: People) -> None:
+    person = people.sit(server, init=BENCH)
+    take_controls(person)
+    place, mouse = box(person.button("Turn left, hold to run")), person.page.mouse
+    across = place["x"] + place["width"] / 2
+    mouse.move(across, place["y"] + place["height"] / 2)
+    mouse.down()
+    expect(person.page.get_by_text(HELD)).to_be_visible()
+    mouse.move(across, place["y"] - 20)  # it rolls
+    said = person.page.evaluate("window.jogs.length")
+    until(lambda: person.page.evaluate("window.jogs.length") > said + 5, what="a button that is held still")
+    expect(person.page.get_by_text(HELD)).to_be_visible()
+    mouse.move(across, place["y"] - 60)
+    let_go(person)
+    mouse.move(across, place["y"] + place["height"] / 2)  # what was let go of starts nothing
+    let_go(person)
+    mouse.up()
+
+
 def test_the_end_of_a_session_waits_for_no_other_word(server: ServerProcess, people: People, floor: Floor) -> None:
     person = people.sit(server)
     person.expects("409")

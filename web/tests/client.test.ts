@@ -98,7 +98,7 @@ describe('a server that holds its answers back', () => {
 
   it('does not say of what was to change something that it did not arrive', async () => {
     const api = new Api('secret', () => Promise.reject(new TypeError('cut')));
-    await expect(api.cells()).rejects.toThrow('The server did not answer.');
+    for (const question of [api.cells(), api.check({ capability: 'a', params: {} })]) await expect(question).rejects.toThrow('The server did not answer.');
     for (const call of [api.restrain('a', 'pause'), api.setProfile('a', 'b', 'c')]) await expect(call).rejects.toThrow(UNTOLD);
   });
 });

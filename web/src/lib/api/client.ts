@@ -116,7 +116,7 @@ export class Api {
       signal.throwIfAborted(); // whoever wanted it may have gone while it waited for its turn
       response = await this.fetcher(path, { method, headers, body: body === undefined ? null : JSON.stringify(body), signal, cache: 'no-store' });
     } catch {
-      throw new ApiError(method === 'GET' ? UNREACHABLE : { ...UNREACHABLE, detail: UNTOLD });
+      throw new ApiError(method === 'GET' || path === '/v1/check' ? UNREACHABLE : { ...UNREACHABLE, detail: UNTOLD });
     }
     if (!response.ok) throw new ApiError(await problemOf(response));
     return read(response);

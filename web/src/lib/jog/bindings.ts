@@ -44,6 +44,17 @@ export function standardPad<P extends { connected: boolean; mapping: string; id:
   return { pad, other: pad === null ? (connected[0]?.id ?? '') : '' };
 }
 
+/** The gamepads of a page, of which one drives. */
+export class Pads {
+  private used: number | null = null;
+
+  find<P extends { connected: boolean; mapping: string; id: string; index: number }>(pads: readonly (P | null)[]): { pad: P | null; other: string } {
+    const found = standardPad(pads, this.used);
+    this.used = found.pad?.index ?? null;
+    return found;
+  }
+}
+
 /** A gamepad's sticks as deflections: left drives the base, right the tool; triggers lift and lower, bumpers turn. */
 export function gamepadAxes(pad: Pick<Pad, 'axes' | 'buttons'>): Record<Axis, number> {
   const axis = (k: number): number => {
