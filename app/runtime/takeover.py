@@ -8,7 +8,6 @@ the first one moves anything, and the cell records what they come to. What restr
 from __future__ import annotations
 
 import asyncio
-from contextlib import nullcontext
 from dataclasses import replace
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
@@ -70,7 +69,7 @@ class Takeovers(Handbacks):
             else:
                 if how is Taking.PREEMPTED:
                     self._still(cell)
-                await self._pass_on(present, principal, document, how)
+                await self._pass_on(cell, present, principal, document, how)
         except BaseException:
             whole = how is Taking.GRANTED and cell.takings == mine  # with it goes what was renewed of it
             if cell.control is not None and (whole or cell.control.lease == document.get("lease")):
@@ -149,16 +148,25 @@ class Takeovers(Handbacks):
         return before, how
 
     async def _pass_on(
-        self, present: Invocation, principal: Principal, document: Mapping[str, Any], how: Taking
+        self, cell: Cell, present: Invocation, principal: Principal, document: Mapping[str, Any], how: Taking
     ) -> None:
-        """Record that a lease took the place of another, and from where it is held now."""
+        """Record that a lease took the place of another, and from where it is held now.
+
+        Raises:
+            Conflict: `takeover_refused`, it was let go of before that.
+        """
         entry = self.register.entry(present.id)
-        async with nullcontext() if entry is None else entry.lock:
-            newest = present if entry is None else entry.newest
-            word = self._word("takeover", newest, principal, document, how)
-            known, held = newest.takeover or {}, {name: document.get(name) for name in ("where", "since")}
-            new = known.get("state") in OPEN and known != {**known, **held}
-            versions = [newest.evolve(self.register.now(), takeover={**known, **held})] if new else []
+        word = self._word("takeover", present, principal, document, how)
+        held = {"where": document["where"], "since": document["since"]}
+        if entry is None or (how is Taking.RENEWED and not _moved(entry.newest, held)):
+            await self.register.append([word])
+            return
+        async with entry.lock:  # whoever had it before may be about to have it recorded
+            if cell.control is None or cell.control.lease != document["lease"]:
+                raise Conflict("takeover_refused", f"the controls of `{cell.id}` were let go of meanwhile")
+            newest = entry.newest
+            takeover = {**(newest.takeover or {}), **held}
+            versions = [newest.evolve(self.register.now(), takeover=takeover)] if _moved(newest, held) else []
             await self.register.append([word], versions=versions)
 
     async def _change_hands(
@@ -302,3 +310,9 @@ def _held_to(judgement: Judgement) -> None:
     if judgement.status is not Status.RUNNING:
         reasons = [reason._asdict() for reason in judgement.reasons()]
         raise Conflict("takeover_refused", "policy does not let anybody drive now", reasons=reasons)
+
+
+def _moved(session: Invocation, held: Mapping[str, Any]) -> bool:
+    """Say whether a session that a human has says of them that they are somewhere else than where it is held from."""
+    known = session.takeover or {}
+    return known.get("state") in OPEN and known.get("where") != held["where"]

@@ -300,6 +300,26 @@ async def test_of_two_presses_that_take_over_none_keeps_the_lease_of_a_takeover_
     assert runtime.fleet.cell(CELL).control is None
 
 
+async def test_who_pre_empts_a_hand_that_is_let_go_of_meanwhile_has_taken_nothing(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    name = await running(runtime, cell)
+    entry = runtime.register.entry(name)
+    assert entry is not None
+    async with entry.lock:  # something about the session is being recorded
+        first = asyncio.create_task(runtime.governor.take_over(name, OPERATOR))
+        await until(lambda: runtime.fleet.cell(CELL).driven(name))
+        second = asyncio.create_task(runtime.governor.take_over(name, replace(OPERATOR_2, station=CELL)))
+        await settled()
+        await cell.state(holding=True)  # its link lapsed: nobody may drive now
+        await fall_silent(runtime)
+    for taking in (first, second):
+        with pytest.raises(Conflict) as refused:
+            await taking
+        assert refused.value.code == "takeover_refused"
+    assert runtime.fleet.cell(CELL).control is None
+
+
 async def test_a_refusal_of_an_earlier_authorization_takes_nothing_of_a_later_one(
     runtime: Runtime, cell: HandCell
 ) -> None:
