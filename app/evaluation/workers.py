@@ -26,12 +26,8 @@ if TYPE_CHECKING:
 ATTEMPTS: Final = 2  # a machine may kill a process once; a job that kills its worker twice does it by itself
 END_S: Final = 2.0
 LISTEN_S: Final = 0.5
-NO_ROOM: Final = {
-    errno.ENOSPC,
-    errno.EDQUOT,
-    errno.EFBIG,
-    errno.EROFS,
-}  # the disk's matter: no line of code is to blame
+# The disk's matter: no line of code is to blame.
+NO_ROOM: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
 _ONE_THREAD: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 

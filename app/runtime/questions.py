@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from app.runtime.kernel import Kernel
     from app.runtime.register import Register
 
-HELD: Final = "runtime/session"
+RULE: Final = "runtime/session"
 PAUSED: Final = "paused"
 ASK: Final = "ask whoever paused it, or end it"
 MOST_OF_AGENT: Final = 100  # proposals of one agent that wait for people
@@ -115,7 +115,7 @@ class Questions:
         if by is None and not told:
             return reasons
         who = f"`{by}`" if by else "an operator"
-        return [*reasons, reason(HELD, PAUSED, f"{who} paused it; whoever lets it go on lifts that pause", ASK)]
+        return [*reasons, reason(RULE, PAUSED, f"{who} paused it; whoever lets it go on lifts that pause", ASK)]
 
     def _build(self, invocation: Invocation, **fields: Any) -> Escalation:  # noqa: ANN401  # fields of an escalation
         effective = invocation.requested if invocation.effective is None else invocation.effective

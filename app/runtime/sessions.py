@@ -40,8 +40,9 @@ from app.runtime.escalation import DENIED, EXPIRED, PENDING, ROLLBACK, WITHDRAWN
 from app.runtime.failures import failure
 from app.runtime.hands import HELD, OPEN, never_taken, over
 from app.runtime.kernel import LAUNCH_WITHIN_S
+from app.runtime.questions import RULE
 from app.runtime.recollection import events_of, last_question
-from app.runtime.story import DONE, RULE, Story, denied
+from app.runtime.story import DONE, Story, denied
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:

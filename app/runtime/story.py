@@ -17,7 +17,7 @@ from app.runtime.drafts import DENIAL, SERVER, outcome_event, reason
 from app.runtime.escalation import APPROVED, DENIED, EXPIRED, PENDING, ROLLBACK, WITHDRAWN
 from app.runtime.failures import described, failure
 from app.runtime.hands import LAPSED, driven, followed
-from app.runtime.questions import PAUSED
+from app.runtime.questions import PAUSED, RULE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from app.runtime.escalation import Escalation
     from app.runtime.invocation import Invocation
 
-RULE: Final = "runtime/session"
 ITSELF: Final = "cell"  # how a cell names itself as an actor
 CONFIRM: Final = "confirm:"  # how a cell says which phase waits
 LINK: Final = "link"  # how a cell says that it holds because its link had lapsed

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import contextlib
+from collections.abc import AsyncGenerator
 from dataclasses import replace
 from typing import Any
 
@@ -284,15 +285,22 @@ async def test_what_waits_for_its_turn_is_said_on_no_other_link_either(
     assert launches(again) == 0
 
 
-async def test_of_two_presses_that_take_over_none_keeps_the_lease_of_a_takeover_that_was_refused(
-    runtime: Runtime, cell: HandCell
-) -> None:
+@contextlib.asynccontextmanager
+async def taking_over(runtime: Runtime, cell: HandCell) -> AsyncGenerator[tuple[str, asyncio.Task[Any]]]:
+    """Somebody has the lease of a session, and what is recorded of it waits: something else about it is, just then."""
     name = await running(runtime, cell)
     entry = runtime.register.entry(name)
     assert entry is not None
-    async with entry.lock:  # something about the session is being recorded
+    async with entry.lock:
         first = asyncio.create_task(runtime.governor.take_over(name, OPERATOR))
         await until(lambda: runtime.fleet.cell(CELL).driven(name))
+        yield name, first
+
+
+async def test_of_two_presses_that_take_over_none_keeps_the_lease_of_a_takeover_that_was_refused(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    async with taking_over(runtime, cell) as (name, first):
         await runtime.governor.take_over(name, OPERATOR)
         await cell.state(holding=True)  # its link lapsed: nobody may drive now
     with pytest.raises(Conflict):
@@ -303,12 +311,7 @@ async def test_of_two_presses_that_take_over_none_keeps_the_lease_of_a_takeover_
 async def test_who_pre_empts_a_hand_that_is_let_go_of_meanwhile_has_taken_nothing(
     runtime: Runtime, cell: HandCell
 ) -> None:
-    name = await running(runtime, cell)
-    entry = runtime.register.entry(name)
-    assert entry is not None
-    async with entry.lock:  # something about the session is being recorded
-        first = asyncio.create_task(runtime.governor.take_over(name, OPERATOR))
-        await until(lambda: runtime.fleet.cell(CELL).driven(name))
+    async with taking_over(runtime, cell) as (name, first):
         second = asyncio.create_task(runtime.governor.take_over(name, replace(OPERATOR_2, station=CELL)))
         await settled()
         await cell.state(holding=True)  # its link lapsed: nobody may drive now
