@@ -115,7 +115,7 @@ class Questions:
         if by is None and not told:
             return reasons
         who = f"`{by}`" if by else "an operator"
-        return [*reasons, reason(RULE, PAUSED, f"{who} paused it; whoever lets it go on lifts that pause", ASK)]
+        return [*reasons, reason(RULE, PAUSED, f"it was paused by {who}; whoever lets it go on lifts that pause", ASK)]
 
     def _build(self, invocation: Invocation, **fields: Any) -> Escalation:  # noqa: ANN401  # fields of an escalation
         effective = invocation.requested if invocation.effective is None else invocation.effective

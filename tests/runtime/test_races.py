@@ -121,7 +121,7 @@ async def test_whoever_is_asked_of_a_paused_session_is_told_who_paused_it(runtim
     question = runtime.desk.pending_for(name)
     assert question is not None
     assert [why["code"] for why in question.reasons] == ["link", "paused"]
-    message = f"`{OPERATOR.name}` paused it; whoever lets it go on lifts that pause"
+    message = f"it was paused by `{OPERATOR.name}`; whoever lets it go on lifts that pause"
     assert question.reasons[-1]["message"] == message
     await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
     await cell.report("human", name, op="resolve_continue", done=True, refused=None)
@@ -148,7 +148,7 @@ async def test_a_pause_from_before_a_start_is_told_of_without_its_name(house: Ho
         question = second.desk.pending_for(name)
         assert question is not None
         assert [why["code"] for why in question.reasons][-1] == "paused"
-        assert question.reasons[-1]["message"].startswith("an operator paused it")
+        assert question.reasons[-1]["message"].startswith("it was paused by an operator;")
 
 
 async def test_a_pause_that_somebody_lifted_is_not_said_again(runtime: Runtime, cell: HandCell) -> None:
