@@ -14,6 +14,7 @@ from websockets.typing import Subprotocol
 
 from app.api.auth import issue_token
 from app.clock import monotonic_s
+from app.governance.control import LATE_S
 from app.governance.model import Role
 from tests.conftest import ServerProcess, Servers, until
 
@@ -29,11 +30,23 @@ class Hand:
     def __init__(self, socket: ClientConnection, lease: dict[str, Any]) -> None:
         self.socket, self.lease, self.number = socket, lease["lease"], 0
         self.said: list[Any] = []
+        self.beat, self.beaten_s = 0, 0.0
 
     def say(self, **wish: Any) -> None:
         self.number += 1
-        word = {"type": "jog", "cell": "workcell-1", "lease": self.lease, "n": self.number, **STILL, **wish}
+        word = {
+            "type": "jog",
+            "cell": "workcell-1",
+            "lease": self.lease,
+            "n": self.number,
+            **STILL,
+            **self.of_now(),
+            **wish,
+        }
         self.socket.send(orjson.dumps(word).decode())
+
+    def of_now(self) -> dict[str, Any]:
+        return {"beat": self.beat, "since_ms": 1000.0 * (monotonic_s() - self.beaten_s)} if self.beat else {}
 
     def listen(self, timeout_s: float) -> None:
         try:
@@ -41,6 +54,7 @@ class Hand:
         except TimeoutError:
             return
         if message["type"] == "beat":
+            self.beat, self.beaten_s = message["n"], monotonic_s()
             self.socket.send(orjson.dumps({"type": "ack", "beat": message["n"]}).decode())
         elif message["type"] == "jogged":
             self.said.append(message["refused"])
@@ -75,6 +89,10 @@ def control(server: ServerProcess) -> dict[str, Any] | None:
     return server.cell()["control"]
 
 
+def trace(server: ServerProcess, lease: dict[str, Any]) -> list[Any]:
+    return server.get(f"/v1/invocations/{lease['invocation']}/trace")["items"]
+
+
 def moved(server: ServerProcess, by_m: float) -> Any:
     x, y, _ = base(server)
     return lambda: abs(base(server)[0] - x) + abs(base(server)[1] - y) > by_m
@@ -99,9 +117,25 @@ def test_an_idle_cell_is_driven_by_one_hand_and_a_local_one_takes_it_away(server
     assert (done["outcome"], done["takeover"]["state"]) == ("taken_over", "ended"), done
     assert done["takeover"]["facts"]["gripper_empty"] is True
     assert control(server) is None
-    told = [event["body"] for event in server.get(f"/v1/invocations/{lease['invocation']}/trace")["items"]]
+    told = [event["body"] for event in trace(server, lease)]
     assert [body["how"] for body in told if body.get("op") == "takeover"] == ["granted", "preempted"]
     assert next(body["base"] for body in told if body.get("op") == "jog") == [-0.3, 0.0, 0.0]
+
+
+def test_what_a_slow_line_brings_late_moves_nothing_but_letting_go_is_never_late(server: ServerProcess) -> None:
+    lease = server.post(f"{CELL}/takeover").json()
+    with hand(server, lease, server.tokens["operator"]) as slow:
+        slow.hold(lambda: slow.beat > 2, "beats")
+        first, begun_s = slow.beat, slow.beaten_s
+        slow.hold(lambda: monotonic_s() - begun_s > LATE_S, "a beat of some time ago")
+        late = {"beat": first, "since_ms": 0.0}  # as if it had been said when that beat came
+        slow.hold(lambda: slow.said[-1] == "too_late", "a command that is refused", base=[-0.3, 0.0, 0.0], **late)
+        slow.hold(lambda: slow.said[-1] is None, "a release that counts", **late)
+        of_nothing = {"beat": first + 10_000, "since_ms": 0.0}
+        slow.hold(lambda: slow.said[-1] == "too_late", "of no beat at all", base=[-0.3, 0.0, 0.0], **of_nothing)
+        slow.hold(lambda: slow.said[-1] is None, "hands off")
+        assert "jog" not in {event["body"].get("op") for event in trace(server, lease)}
+        slow.hold(moved(server, 0.1), "a base that moves, in time", base=[-0.3, 0.0, 0.0])
 
 
 def test_a_session_is_taken_over_lapses_and_goes_on_only_as_decided_anew(server: ServerProcess) -> None:

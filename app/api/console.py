@@ -25,6 +25,7 @@ from app.api.problems import Problem
 from app.api.staying import close_code, until_refused
 from app.api.wire import parse
 from app.clock import monotonic_s, wall_s
+from app.governance.control import lateness
 from app.governance.model import Role, Wish
 from app.runtime.outlet import Outlet
 
@@ -104,7 +105,10 @@ Speed: TypeAlias = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
 class Jog(Word):
-    """One hold-to-run command, good for 100 ms: m/s and rad/s in the base frame."""
+    """One hold-to-run command, good for 100 ms: m/s and rad/s in the base frame.
+
+    `beat` is the newest that its console had taken when it said it, `since_ms` before.
+    """
 
     type: Literal["jog"]
     cell: Annotated[str, Field(max_length=128)]
@@ -113,6 +117,8 @@ class Jog(Word):
     base: Speed
     tool: Speed
     grip: Literal["open", "close"] | None = None
+    beat: Annotated[int, Field(ge=0, lt=2**53)] | None = None
+    since_ms: Annotated[float, Field(ge=0)] = 0.0
 
 
 class Estop(Word):
@@ -282,11 +288,17 @@ class Console:
             return
         governor, (vx, vy, wz), (tx, ty, tz) = self._parts.governor, word.base, word.tool
         wish = Wish((vx, vy, wz), (tx, ty, tz), word.grip)
-        why = governor.jog(self._principal, word.cell, word.lease, word.n, wish)
+        why = governor.jog(self._principal, word.cell, word.lease, word.n, wish, self._late_s(word))
         refused = governor.jogged(word.cell) if why is None else why
         if self._jogged.get(word.cell, ()) != (word.lease, refused):
             self._jogged[word.cell] = (word.lease, refused)
             self._say_jogged(word, refused)
+
+    def _late_s(self, word: Jog) -> float:
+        """Return how late a command comes, as far as it says of when it is."""
+        if word.beat is None:
+            return 0.0
+        return lateness(self._parts.broadcast.since_beat_s(word.beat), word.since_ms / 1000.0)
 
     def _say_jogged(self, word: Jog, refused: str | None) -> None:
         self._say({"type": "jogged", "cell": word.cell, "n": word.n, "refused": refused})

@@ -40,6 +40,12 @@ GOING_ON: Final = frozenset({"resume", "rollback", "confirm", "resolve_continue"
 LAPSE_S: Final = 3.0
 """A lease whose holder was not heard for so long is over; a hidden browser window still speaks once a second."""
 
+LATE_S: Final = 0.3
+"""A command that took longer than a link may be silent moves nothing: whoever sent it may have let go since."""
+
+UNHEARD_S: Final = 0.4
+"""Who hears the server in time hears it twice as often; whoever does not is no better off than who is heard late."""
+
 
 class Where(StrEnum):
     """From where somebody drives."""
@@ -143,11 +149,27 @@ def keep(control: Control, now_s: float) -> Control:
     return replace(control, heard_s=max(control.heard_s, now_s))
 
 
-def command(control: Control, *, lease: str, holder: str, number: int, now_s: float) -> tuple[Control, str | None]:
+def lateness(said_s: float, heard_s: float) -> float:
+    """Return how late a command comes, at most: its own way, and that of the word its sender had heard last. Seconds.
+
+    The two sides' clocks are never compared. That word is the server's, and so is the clock it is timed by; how long
+    before the command it was heard is the sender's to say, and counts for no more than `UNHEARD_S`.
+
+    Args:
+        said_s: How long ago the word was said.
+        heard_s: How long before the command it was heard.
+    """
+    return said_s - min(heard_s, UNHEARD_S)
+
+
+def command(
+    control: Control, *, lease: str, holder: str, number: int, now_s: float, late_s: float = 0.0
+) -> tuple[Control, str | None]:
     """Return the lease after a jog command, and why the command may not be passed on: a code, or None.
 
-    `not_holder`: another lease, or another person's. `lease_lapsed`: it came too late. `returning`: the cell is being
-    handed back. `out_of_order`: a newer command came before it.
+    `not_holder`: another lease, or another person's. `lease_lapsed`: it came after that. `returning`: the cell is being
+    handed back. `out_of_order`: a newer command came before it. `too_late`: it was on its way for longer than
+    `LATE_S`; NaN is.
     """
     if lease != control.lease or holder != control.holder:
         return control, "not_holder"
@@ -158,7 +180,7 @@ def command(control: Control, *, lease: str, holder: str, number: int, now_s: fl
         return heard, "returning"
     if number <= control.newest:
         return heard, "out_of_order"
-    return replace(heard, newest=number), None
+    return replace(heard, newest=number), None if late_s <= LATE_S else "too_late"
 
 
 def returning(control: Control) -> Control:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import asyncio
 import secrets
 from collections import OrderedDict, deque
+from math import inf
 from typing import TYPE_CHECKING, Any, Final
 
 import orjson
@@ -40,6 +41,7 @@ GATHER_S: Final = 0.004  # documents become visible right behind their events: l
 BEAT_S: Final = 0.2
 LONG_UPDATE: Final = 2048  # bytes; a third of what may be under way when a frame of poses leaves
 REFRESH_S: Final = 1.0  # facts and gauges of a cell that otherwise has not changed
+KEPT_BEATS: Final = 256  # for as long as anything may be on its way that names one
 KEPT_EVENTS: Final = 2000
 SHOWN_EVENTS: Final = 200
 SHOWN_INVOCATIONS: Final = 20
@@ -69,6 +71,7 @@ class Broadcast:
         self._due_s = self._flushed_s = self._refreshed_s = 0.0
         self._tick_s = TICK_S
         self._beats = 0
+        self._beaten_s: deque[float] = deque(maxlen=KEPT_BEATS)  # when the newest were said; the last is `_beats`
         self.seq = 0
         self.boot = f"boot_{secrets.token_hex(8)}"
         self._leave = store.subscribe(self._committed)
@@ -130,11 +133,21 @@ class Broadcast:
         self._look_at_cells()
         if not self._consoles:
             return
-        self._beats += 1
-        beat = orjson.dumps({"type": "beat", "n": self._beats, "at": wall_s(), "seq": self._told()}).decode()
+        number = self._next_beat()
+        beat = orjson.dumps({"type": "beat", "n": number, "at": wall_s(), "seq": self._told()}).decode()
         for outlet in tuple(self._consoles):
-            outlet.say(beat, ("beat", self._beats))
+            outlet.say(beat, ("beat", number))
         self._drop_ended()
+
+    def since_beat_s(self, number: int) -> float:
+        """Return how long ago a beat was said, in seconds; infinity of one that was not, or too long ago."""
+        back = self._beats - number
+        return monotonic_s() - self._beaten_s[-1 - back] if 0 <= back < len(self._beaten_s) else inf
+
+    def _next_beat(self) -> int:
+        self._beats += 1
+        self._beaten_s.append(monotonic_s())
+        return self._beats
 
     def _told(self) -> int:
         return self._fresh[0].seq - 1 if self._fresh else self.seq
@@ -243,8 +256,8 @@ class Broadcast:
         mark: Key | None = None
         head = b'{"type":"update","seq":%d,' % self.seq
         if len(update) > LONG_UPDATE:
-            self._beats += 1
-            mark, head = ("beat", self._beats), head + b'"beat":%d,' % self._beats
+            number = self._next_beat()
+            mark, head = ("beat", number), head + b'"beat":%d,' % number
         text = (head + update + b"}").decode()
         for outlet in tuple(self._consoles):
             outlet.say(text, mark)

@@ -243,11 +243,14 @@ class Takeovers(Handbacks):
 
     # -- driving -----------------------------------------------------------------------------------------------------
 
-    def jog(self, principal: Principal, cell_id: str, lease: str, number: int, wish: Wish) -> str | None:
+    def jog(
+        self, principal: Principal, cell_id: str, lease: str, number: int, wish: Wish, late_s: float = 0.0
+    ) -> str | None:
         """Pass a hold-to-run command on to the cell; return None, or the code of why it is not. Never waits.
 
-        `not_holder`, `lease_lapsed`, `returning`, `out_of_order` (`control.command`), `not_finite`, `cell_offline`; why
-        the cell does not do it is in its document's `control`, and what `jogged` returns.
+        `not_holder`, `lease_lapsed`, `returning`, `out_of_order`, `too_late` (`control.command`; letting go never is),
+        `not_finite`, `cell_offline`; why the cell does not do it is in its document's `control`, and what `jogged`
+        returns.
         """
         if principal.role is not Role.OPERATOR or not self.fleet.knows(cell_id):
             return "not_holder"
@@ -258,7 +261,12 @@ class Takeovers(Handbacks):
             return "not_finite"
         self.kernel.heard(principal)
         cell.control, why = command(
-            cell.control, lease=lease, holder=principal.name, number=number, now_s=monotonic_s()
+            cell.control,
+            lease=lease,
+            holder=principal.name,
+            number=number,
+            now_s=monotonic_s(),
+            late_s=late_s if wish != Wish() else 0.0,  # letting go is never too late
         )
         if why is not None:
             return why

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from urllib.parse import urlsplit
+
 import pytest
 from playwright.sync_api import CDPSession, Route, expect
 
+from app.governance.control import LATE_S
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import (
     DESK,
@@ -25,6 +28,7 @@ from tests.console.conftest import (
     wider_than_the_screen,
 )
 from tests.console.test_access import overlap
+from tests.console.wire import wire_to
 
 pytestmark = [pytest.mark.browser, pytest.mark.process, pytest.mark.usefixtures("free_again")]
 # A gamepad that a test plugs in and steers, and an ear for the commands that the page hands to its link.
@@ -62,6 +66,24 @@ def take_controls(person: Person, what: str = IDLE) -> None:
     expect(person.region("Drive by hand")).to_contain_text(what)
     person.button("Take the controls").click()
     expect(person.page.get_by_text(LET_GO)).to_be_visible()
+
+
+def test_over_a_slow_line_nothing_drives_and_why_is_told(server: ServerProcess, people: People, floor: Floor) -> None:
+    with wire_to(urlsplit(server.url).port or 0) as wire:
+        wire.takes_s = LATE_S * 0.6  # each way
+        person = people.sit(server, at=f"http://127.0.0.1:{wire.port}", init=BENCH)
+        take_controls(person)
+        driven = server.cell()["control"]["invocation"]
+        person.page.keyboard.down("ArrowDown")
+        expect(person.page.get_by_text("The line is too slow to drive by")).to_be_visible()
+        assert person.page.evaluate(PUSHES) > 0
+        person.page.keyboard.up("ArrowDown")
+        expect(person.page.get_by_text("The line is too slow to drive by")).to_be_hidden()
+        assert floor.speed() < 0.01
+    trace = server.get(f"/v1/invocations/{driven}/trace")["items"]
+    said = {event["body"].get("op") for event in trace}
+    assert "takeover" in said
+    assert "jog" not in said
 
 
 def at_rest(floor: Floor) -> tuple[float, float]:

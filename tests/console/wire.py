@@ -12,12 +12,16 @@ CHUNK = 65_536
 
 
 class Wire:
-    """Carries bytes both ways; `cut` ends every connection at once, `swallow` leaves them open and carries nothing."""
+    """Carries bytes both ways; `cut` ends every connection at once, `swallow` leaves them open and carries nothing.
+
+    What comes takes `takes_s` to each side; set it before anything is carried, or what is on its way is overtaken.
+    """
 
     def __init__(self, port: int) -> None:
         self.target = port
         self.port = 0
         self.refusing = False
+        self.takes_s = 0.0
         self.loop = asyncio.new_event_loop()
         self.flowing = asyncio.Event()
         self.ends: set[asyncio.StreamWriter] = set()
@@ -91,8 +95,12 @@ class Wire:
         with contextlib.suppress(ConnectionError):
             while data := await reader.read(CHUNK):
                 await self.flowing.wait()
+                if self.takes_s:
+                    self.loop.call_later(self.takes_s, writer.write, data)
+                    continue
                 writer.write(data)
                 await writer.drain()
+            await asyncio.sleep(self.takes_s)  # what is on its way still comes
         writer.transport.abort()
 
 

@@ -11,6 +11,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from app.governance.control import (
     LAPSE_S,
+    LATE_S,
     TAKING,
     Claim,
     Control,
@@ -20,6 +21,7 @@ from app.governance.control import (
     Where,
     command,
     keep,
+    lateness,
     refused,
     returning,
     take,
@@ -98,6 +100,33 @@ def test_only_the_newest_command_of_the_holder_passes() -> None:
     assert (why, heard.newest, heard.heard_s) == ("out_of_order", 4, 2.0)
     late, why = command(control, lease="lease-1", holder="ann", number=5, now_s=2.0 + LAPSE_S)
     assert (late, why) == (control, "lease_lapsed")
+
+
+@pytest.mark.parametrize(
+    ("said_s", "heard_s", "late_s"),
+    [
+        (0.05, 0.02, 0.03),
+        (0.45, 0.20, 0.25),
+        (0.45, 0.00, 0.45),
+        (1.00, 0.90, 0.60),  # in time, but of one who has heard nothing for that long
+        (1.00, math.inf, 0.60),
+        (math.inf, 0.0, math.inf),  # no word that was ever said
+        (math.inf, math.inf, math.inf),
+    ],
+)
+def test_a_command_is_as_late_as_its_way_and_that_of_what_was_heard(
+    said_s: float, heard_s: float, late_s: float
+) -> None:
+    assert lateness(said_s, heard_s) == pytest.approx(late_s)
+
+
+@pytest.mark.parametrize(
+    ("late_s", "why"),
+    [(LATE_S, None), (-1.0, None), (LATE_S + 1e-6, "too_late"), (math.inf, "too_late"), (math.nan, "too_late")],
+)
+def test_what_was_on_its_way_for_too_long_moves_nothing_and_is_heard(late_s: float, why: str | None) -> None:
+    control, said = command(held(), lease="lease-1", holder="ann", number=4, now_s=1.0, late_s=late_s)
+    assert (said, control.newest, control.heard_s) == (why, 4, 1.0)
 
 
 def test_whoever_hands_back_is_heard_and_moves_nothing() -> None:

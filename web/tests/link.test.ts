@@ -188,7 +188,7 @@ describe('the connection', () => {
   });
 
   it('never sends late what could not be sent', () => {
-    connection.send({ type: 'jog', cell: 'c', lease: 'l', n: 1, base: [1, 0, 0], tool: [0, 0, 0], grip: null });
+    connection.send({ type: 'jog', cell: 'c', lease: 'l', n: 1, base: [1, 0, 0], tool: [0, 0, 0], grip: null, beat: 0, since_ms: 0 });
     sockets[0]?.open();
     expect(sockets[0]?.sent.some((word) => word['type'] === 'jog')).toBe(false);
   });

@@ -116,6 +116,7 @@ const WHY: Record<string, string> = {
   lease_lapsed: 'nothing was heard from you for three seconds',
   returning: 'the cell is being handed back',
   out_of_order: 'another window of yours drives, too',
+  too_late: 'the line is too slow to drive by: what you press comes late',
   cell_offline: 'the cell is not attached',
   coming_to_rest: 'it is still coming to rest',
   release_first: 'let go of everything, then press again',

@@ -1,7 +1,7 @@
 import workerUrl from './worker?worker&url';
 import type { Health } from './connection';
 import { readFrame, type PoseFrame } from './frame';
-import type { Down, Up } from './messages';
+import type { Down, Jog, Up } from './messages';
 import type { FromWorker, ToWorker } from './worker';
 
 /** What a page learns from its link. */
@@ -23,6 +23,7 @@ export class Link {
   private readonly worker: Worker;
   private heardMs = performance.now();
   private framesTaken = 0;
+  private beat = { n: 0, takenMs: 0 };
   private readonly timer: ReturnType<typeof setInterval>;
 
   constructor(token: string, private readonly listener: LinkListener) {
@@ -35,6 +36,11 @@ export class Link {
 
   send(message: Up): void {
     this.post({ do: 'send', message });
+  }
+
+  /** Says a hold-to-run command, and of when it is: one that a slow line held back moves nothing. */
+  jog(command: Jog): void {
+    this.send({ ...command, beat: this.beat.n, since_ms: performance.now() - this.beat.takenMs });
   }
 
   end(): void {
@@ -74,8 +80,14 @@ export class Link {
   }
 
   private acknowledge(message: Down): void {
-    if (message.type === 'beat') this.send({ type: 'ack', beat: message.n });
-    else if (message.type === 'update' && message.beat !== undefined) this.send({ type: 'ack', beat: message.beat });
+    if (message.type === 'welcome') this.beat = { n: 0, takenMs: 0 }; // those before may be another start's
+    else if (message.type === 'beat') this.took(message.n);
+    else if (message.type === 'update' && message.beat !== undefined) this.took(message.beat);
+  }
+
+  private took(beat: number): void {
+    this.beat = { n: beat, takenMs: performance.now() };
+    this.send({ type: 'ack', beat });
   }
 
   private look(): void {

@@ -56,6 +56,12 @@ export interface Jog {
   grip: 'open' | 'close' | null;
 }
 
+/** Of when something said is: the newest beat that had come, 0 where none had, and how long before. */
+export interface Age {
+  beat: number;
+  since_ms: number;
+}
+
 export type Up =
   | { type: 'hello'; token: string; after: number | null }
   | { type: 'watch'; cells: string[] }
@@ -63,7 +69,7 @@ export type Up =
   | { type: 'ack'; beat: number }
   | { type: 'ping'; at_ms: number }
   | { type: 'estop'; cell: string }
-  | Jog;
+  | (Jog & Age);
 
 export const CLOSED: Record<number, string> = {
   4400: 'This console said something the server did not understand.',

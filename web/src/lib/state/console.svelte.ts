@@ -224,7 +224,7 @@ export class Console {
   }
 
   jog(command: Jog): void {
-    this.link.send(command);
+    this.link.jog(command);
   }
 
   end(): void {
