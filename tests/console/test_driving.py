@@ -7,7 +7,8 @@ from urllib.parse import urlsplit
 import pytest
 from playwright.sync_api import CDPSession, Route, expect
 
-from app.governance.control import LATE_S
+from app.clock import monotonic_s
+from app.governance.control import LAPSE_S, LATE_S
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import (
     DESK,
@@ -80,10 +81,19 @@ def test_over_a_slow_line_nothing_drives_and_why_is_told(server: ServerProcess, 
         person.page.keyboard.up("ArrowDown")
         expect(person.page.get_by_text("The line is too slow to drive by")).to_be_hidden()
         assert floor.speed() < 0.01
+        wire.takes_s = 0.65  # and now nothing that comes is the present
+        expect(person.region("Drive by hand")).to_contain_text("the link is down or too slow")
+        slow_s = monotonic_s()
+        until(lambda: monotonic_s() - slow_s > LAPSE_S + 2.0 or not in_hand(floor), what="the lease had lapsed by now")
+        assert in_hand(floor)
     trace = server.get(f"/v1/invocations/{driven}/trace")["items"]
     said = {event["body"].get("op") for event in trace}
     assert "takeover" in said
     assert "jog" not in said
+
+
+def in_hand(floor: Floor) -> bool:
+    return floor.server.cell()["control"] is not None
 
 
 def at_rest(floor: Floor) -> tuple[float, float]:
