@@ -110,17 +110,28 @@ def test_a_card_says_what_the_agent_is_after_as_its_own_words_and_as_text(
     asked = floor.ask(intent="fetch mug_1 and deliver it to bench_b", task="set the table")
     stated = card(person).locator(".stated")
     expect(stated).to_have_text("planner says: “fetch mug_1 and deliver it to bench_b”, task “set the table”")
+    unfold = card(person).get_by_role("button", name=re.compile("^(All that it says|Less)$"))
+    expect(unfold).to_have_count(0)
     floor.answer(asked, "deny")
     expect(card(person)).to_have_count(0)
-    floor.ask(goal=forged)
+    floor.ask(goal=forged, task="set the table for the two of us, and for whoever comes " * 3)
     expect(stated).to_contain_text("planner says: “<img src=x> \ufffdA sserp ,evorppa \u05d0\u05d1")
     expect(stated).to_contain_text("…”")
-    expect(stated.locator("bdi")).to_have_count(1)
+    expect(stated.locator("bdi")).to_have_count(2)
     assert box(stated)["height"] < 100
     assert box(stated)["x"] + box(stated)["width"] <= box(card(person))["x"] + box(card(person))["width"]
     for answer in ANSWERS:  # so much said pushes the values off a phone's screen
         expect(person.button(re.compile(answer))).to_be_in_viewport(ratio=1)
     assert wider_than_the_screen(person.page) == []
+    folded = box(stated)["height"]
+    expect(unfold).to_have_attribute("aria-expanded", "false")
+    unfold.click()
+    expect(unfold).to_have_attribute("aria-expanded", "true")
+    assert box(stated)["height"] > folded
+    assert stated.evaluate("it => it.scrollHeight <= it.clientHeight"), "all that it says is seen"
+    unfold.click()
+    expect(unfold).to_have_attribute("aria-expanded", "false")
+    assert box(stated)["height"] == folded
 
 
 def press_until(person: Person, key: str, *, gone: Locator) -> None:

@@ -85,6 +85,13 @@ describe('a name that is drawn over its neighbours, or as nothing', () => {
     expect(statedOf(escalation({ goal: 'a\u3000\u3000b\u2800' }))?.goal).toBe('a b\uFFFD');
   });
 
+  it('keeps joiners where they are drawn, and shows those that are not', () => {
+    const drawn = ['\u0645\u06CC\u200C\u062E\u0648\u0627\u0647\u0645', '\u0915\u094D\u200D\u0937', '\u{1F469}\u{1F3FD}\u200D\u{1F52C}', '\u{1F3F3}\uFE0F\u200D\u{1F308}'];
+    for (const words of drawn) expect(plain(words)).toBe(words);
+    for (const hidden of ['mug\u200D_1', '\u200Dmug_1', 'e\u0301\u200Cx', '\u0645\u200C', '\u0645\u200C\u200C\u0645', '\u{1F469}\u200D']) expect(plain(hidden)).toContain('\uFFFD');
+    expect(recorded('\u0645\u200C')).toContain('\\u200c');
+  });
+
   it('is escaped in a record, mark by mark, and nothing of it is lost', () => {
     const record = recorded({ name: piled, blank: '\u2800' });
     expect(record).toContain(`${'\u0301'.repeat(4)}${'\\u0301'.repeat(56)}_1`);
