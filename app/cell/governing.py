@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
 
 from app.cell import telling
 from app.cell.journal import JournalUnavailable
-from app.cell.run import LINK, Bind, Doing, End, Run, not_restored, seen_since
+from app.cell.run import LINK, Bind, Doing, End, Run, Unprepared, not_restored, seen_since
 from app.cell.substrate import SubstrateError
 from app.governance.clamp import clamp, hold
 from app.governance.intervention import NOTHING, Decision, recovering, released
@@ -23,7 +23,7 @@ from app.governance.session import Event, final_status, step
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from app.cell.substrate import Substrate
+    from app.cell.substrate import Skill, Substrate
     from app.cell.telling import Recorder
     from app.governance.model import (
         Command,
@@ -353,14 +353,10 @@ class Governing:
 
     def _bind(self, then: Bind) -> None:
         run, substrate = self.run, self._substrate
-        what = then.cover or run.grant.authorization
         try:
             plan, _ = self._ports.plan_of(run.grant, then.cover)
-            run.skill = substrate.bind(run.grant, what.capability, what.params, careful=then.careful)
+            run.skill = self._prepared(then)
             run.watch_with(plan, substrate.period_s)
-        except SubstrateError as error:
-            self._follow(self._choose(error.failure))
-            return
         except ValueError as error:
             self._tell(telling.cell("no_plan", telling.CELL, str(error)))
             self.end(End(Outcome.FAULT, "no_plan", 1))
@@ -371,6 +367,15 @@ class Governing:
         run.begin_anew()
         if then.doing is Doing.ATTEMPT:
             self._become(Event.RECOVERED, "new_attempt")
+
+    def _prepared(self, then: Bind) -> Skill:
+        """Bind what comes next; what cannot begin fails as what it was to be, and so decides what may follow."""
+        run, what = self.run, then.cover or self.run.grant.authorization
+        try:
+            return self._substrate.bind(run.grant, what.capability, what.params, careful=then.careful)
+        except SubstrateError as error:
+            self._tell_anyway(telling.cell("unprepared", telling.CELL, str(error)))
+            return Unprepared(error.failure, self._substrate.hold())
 
     def end(self, end: End) -> None:
         """Come to rest, then end; an end that is under way already is replaced by a stricter one alone."""

@@ -598,6 +598,33 @@ def test_a_rollback_that_failed_is_not_had_again_and_asks(rig: Rig) -> None:
     assert (rig.runner.status, rig.moving(), rig.runs("retrace")) == ("escalated", False, 1)
 
 
+@pytest.mark.parametrize("when", ["bound", "run"])
+def test_a_rollback_that_cannot_begin_has_failed_like_one_that_began(rig: Rig, when: str) -> None:
+    if when == "bound":
+        rig.cell.refuses["retrace"] = "grasp_failed"  # a failure whose row would try the capability anew
+    else:
+        rig.cell.script.fails[("retrace", 1)] = "grasp_failed"
+    rig.launch()
+    rig.ticks(30)
+    assert rig.runner.human("inv-1", "rollback", "olivia") is None
+    rig.until_status("escalated")
+    assert [body["failure"] for body in rig.of("recovery")] == ["operator", "rollback_failed"]
+    assert rig.runs("grasp_object") == 1
+
+
+@pytest.mark.parametrize("when", ["bound", "run"])
+def test_a_recovery_that_cannot_begin_is_not_skipped(rig: Rig, when: str) -> None:
+    rig.cell.script.fails[("grasp_object", 1)] = "object_lost"
+    if when == "bound":
+        rig.cell.refuses["release_and_retract"] = "grasp_failed"
+    else:
+        rig.cell.script.fails[("release_and_retract", 1)] = "grasp_failed"
+    rig.launch()
+    rig.until(lambda: len(rig.of("recovery")) == 2)
+    rig.ticks(60)
+    assert rig.runs("grasp_object") == 1, "what was to be restored first is not restored"
+
+
 def test_a_rollback_that_is_ordered_again_leaves_alone_what_mends_the_first(rig: Rig) -> None:
     mending = RecoveryRule(
         on="any", do=(Strategy.RECOVERY_CAPABILITY, Strategy.ASK_HUMAN), capability="release_and_retract"
