@@ -158,8 +158,7 @@ class Governor(Takeovers, Controls, CellControls):
             asking = replace(invocation, escalation=question.reference())
             await self.desk.commit([*drafts, escalation_event(question)], question, asking, rows)
             return asking
-        by_grant = () if invocation.grant is None else (f"grant:{invocation.grant}",)
-        async with self.kernel.launch(invocation, judgement, by_grant) as launch:
+        async with self.kernel.launch(invocation, judgement, judgement.by_grant) as launch:
             with self.desk.grants.use(invocation.grant) as used:
                 await self.register.append([*drafts, *launch.events], [*rows, *launch.rows, *used], [launch.invocation])
         return launch.invocation

@@ -62,6 +62,7 @@ if TYPE_CHECKING:
 
 ON_DUTY_S: Final = 120.0  # an operator who was heard within this is on duty
 LAUNCH_WITHIN_S: Final = 10.0  # a permit not bound by then is worth nothing
+GRANTED: Final = "grant:"  # what a grant is called among those who approved; no person's name holds a colon
 REFUSED_OUTCOME: Final[Mapping[Status, Outcome]] = {
     Status.REJECTED: Outcome.REJECTED,
     Status.DEFERRED: Outcome.DEFERRED,
@@ -122,6 +123,11 @@ class Judgement(NamedTuple):
         if self.refused or self.decision.admission.outcome is AdmissionOutcome.DEFER:
             return False
         return self.effective({}) == dict(approved)
+
+    @property
+    def by_grant(self) -> tuple[str, ...]:
+        """Return who approved what nobody is asked about: that grant, in an approver's place, or nobody."""
+        return () if self.grant is None else (f"{GRANTED}{self.grant}",)
 
     def reasons(self) -> tuple[Reason, ...]:
         """Return all reasons, admission's first."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, cast
 from app.governance.model import EventKind
 from app.runtime.errors import Conflict
 from app.runtime.hands import LAPSED
+from app.runtime.kernel import GRANTED
 
 if TYPE_CHECKING:
     from app.runtime.cells import Cell
@@ -31,7 +32,8 @@ async def readmitted(
         raise Conflict("resume_refused", "policy does not let it go on from here", reasons=reasons)
     if principal.name not in (*approvals, present.agent):
         approvals = (*approvals, principal.name)
-    if judgement.need is not None and judgement.need.approvers > len(approvals):
+    people = [name for name in approvals if not name.startswith(GRANTED)]  # a grant may be of one who is among them
+    if judgement.need is not None and judgement.need.approvers > len(people):
         raise Conflict("resume_refused", "it takes more approvals from here", reasons=reasons)
     return judgement, approvals
 

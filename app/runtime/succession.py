@@ -32,6 +32,7 @@ from app.protocol import Human
 from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
 from app.runtime.errors import InvalidParams, NotFound
 from app.runtime.escalation import APPROVAL, PROFILE_CHANGED, WITHDRAWN, bound_digest
+from app.runtime.grants import GrantEnded
 from app.runtime.hands import over
 from app.runtime.invocation import reasons_document
 from app.runtime.kernel import ANOTHER_PROFILE
@@ -296,7 +297,8 @@ class Succession:
                 present = self._desk.pending_for(known.invocation)
                 why = None if present is None else self._desk.outdated(present)
                 if present is not None and why is not None:
-                    with contextlib.suppress(RecordUnavailable):  # `watch` tries again; answers are refused meanwhile
+                    # `watch` tries again; answers are refused meanwhile
+                    with contextlib.suppress(RecordUnavailable, GrantEnded):
                         ask = self._anew if present.kind == APPROVAL else self._say_why
                         await ask(replace(present, renewed=why), entry.newest)
 
@@ -318,7 +320,7 @@ class Succession:
         wanted = self._wanted(judgement, invocation)
         if judgement.refused or (wanted is None and judgement.status is Status.DEFERRED):
             await self._refuse(question, invocation, judgement)
-        elif wanted is None and question.renewed == PROFILE_CHANGED:
+        elif wanted is None and question.profile != judgement.profile:  # also where the policy changed as well
             await self._refuse(question, invocation, judgement, ANOTHER_PROFILE)
         elif wanted is None:
             await self._launch(question, invocation, judgement)
@@ -364,14 +366,22 @@ class Succession:
         await self._desk.commit([escalation_event(closed), outcome_event(ended, SERVER, *reasons)], closed, ended)
 
     async def _launch(self, question: Escalation, invocation: Invocation, judgement: Judgement) -> None:
-        """Launch what nobody has to approve any more."""
+        """Launch what nobody has to approve any more, or what a grant given meanwhile answers for.
+
+        Raises:
+            GrantEnded: that grant has ended since the decision.
+            RecordUnavailable: it is not recorded, and not launched.
+        """
         now = self._register.now()
         closed = question.evolve(now, status=WITHDRAWN)
         effective = judgement.effective(dict(invocation.requested))
-        decided = invocation.evolve(now, effective=effective, escalation=closed.reference(), **judgement.parts())
-        async with self._kernel.launch(decided, judgement) as launch:
+        decided = invocation.evolve(
+            now, effective=effective, escalation=closed.reference(), grant=judgement.grant, **judgement.parts()
+        )
+        async with self._kernel.launch(decided, judgement, judgement.by_grant) as launch:
             drafts = [escalation_event(closed), *judgement.recheck_events(launch.invocation), *launch.events]
-            await self._desk.commit(drafts, closed, launch.invocation, launch.rows)
+            with self._desk.grants.use(judgement.grant) as used:
+                await self._desk.commit(drafts, closed, launch.invocation, [*launch.rows, *used])
 
     async def _ask(
         self, question: Escalation, invocation: Invocation, judgement: Judgement, wanted: ApprovalNeed

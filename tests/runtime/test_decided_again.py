@@ -1,0 +1,98 @@
+"""What waits for approval is decided again: what launches then does so by somebody's word, and says by whose."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import json
+from typing import Any
+
+import pytest
+
+from app.governance.model import GrantScope
+from app.runtime.assembly import Runtime
+from app.runtime.errors import Conflict
+from app.runtime.grant import GrantRequest
+
+from .conftest import AGENT, CELL, ENGINEER, OPERATOR, HandCell, grasp, until
+from .test_takeover import stating
+from .test_versions import SHARED, SLOWER, edited, put_in_force
+
+pytestmark = pytest.mark.anyio
+
+MUGS = GrantRequest(capability="grasp_object", agent=AGENT.name, cell=CELL, scope=GrantScope.TIME, minutes=10.0)
+TWO = edited(SHARED, "approvers: {default: 1", "approvers: {default: 2")
+
+
+async def test_a_profile_that_asks_nobody_launches_nothing_where_the_policy_changes_as_well(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    made, _ = await runtime.governor.propose(AGENT, grasp())
+    entry = runtime.register.entry(made["id"])
+    assert entry is not None
+    async with entry.lock:  # something of it is being recorded, so that both changes wait
+        profiling = asyncio.create_task(runtime.governor.set_profile(CELL, "sim-relaxed", ENGINEER))
+        await until(lambda: runtime.fleet.cell(CELL).profile == "sim-relaxed")
+        putting = asyncio.create_task(put_in_force(runtime, SLOWER))
+        await until(lambda: runtime.kernel.policy.digest != made["policy_version"])
+    await asyncio.gather(profiling, putting)
+    document = await runtime.governor.invocation(made["id"], AGENT)
+    assert (document["status"], cell.all("launch")) == ("deferred", [])
+    assert document["admission"]["reasons"][-1]["code"] == "profile_changed"
+
+
+@pytest.mark.parametrize("revoked", [False, True])
+async def test_what_a_grant_given_meanwhile_answers_for_is_counted_and_names_it(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch, revoked: bool
+) -> None:
+    made = [(await runtime.governor.propose(AGENT, grasp()))[0] for _ in range(2)]
+    commit, reached, go_on = runtime.desk.commit, asyncio.Event(), asyncio.Event()
+
+    async def slow(*args: Any) -> None:
+        if not reached.is_set():
+            reached.set()
+            await go_on.wait()
+        await commit(*args)
+
+    monkeypatch.setattr(runtime.desk, "commit", slow)
+    putting = asyncio.create_task(put_in_force(runtime, SLOWER))
+    await reached.wait()  # the first question is being asked anew, and the second waits for its turn
+    given = await runtime.desk.grants.give(OPERATOR, MUGS)
+    if revoked:
+        await runtime.desk.grants.revoke(given["id"], OPERATOR)
+    go_on.set()
+    await putting
+    await until(lambda: runtime.desk.pending_for(made[1]["id"]) is None or revoked)
+    document = await runtime.governor.invocation(made[1]["id"], OPERATOR)
+    (shown,), _ = await runtime.desk.grants.list()
+    if revoked:
+        assert (document["status"], shown["uses"]) == ("awaiting_approval", 0)
+        return
+    assert (document["status"], document["grant"], shown["uses"]) == ("running", given["id"], 1)
+    assert permit(cell)["approvals"] == [f"grant:{given['id']}"]
+
+
+@pytest.mark.parametrize("by", ["grant", "approval"])
+async def test_a_grant_is_nobody_of_those_whom_a_hand_back_takes(runtime: Runtime, cell: HandCell, by: str) -> None:
+    """Otherwise one person would be two: who gave the grant, and who hands back."""
+    if by == "grant":
+        await runtime.desk.grants.give(OPERATOR, MUGS)
+    made, _ = await runtime.governor.propose(AGENT, grasp())
+    if by == "approval":
+        question = runtime.desk.pending_for(made["id"])
+        assert question is not None
+        await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    await cell.expect("launch")
+    await cell.launched(made["id"])
+    await put_in_force(runtime, TWO)
+    await runtime.governor.take_over(made["id"], OPERATOR)
+    await cell.report("launch", made["id"], capability="takeover")
+    async with stating(cell, status="running"):
+        with pytest.raises(Conflict, match="more approvals") as refused:
+            await runtime.governor.release(made["id"], OPERATOR, "resume")
+    assert refused.value.code == "resume_refused"
+    assert permit(cell)["capability"] == "takeover"
+
+
+def permit(cell: HandCell) -> dict[str, Any]:
+    return json.loads(base64.b64decode(cell.all("launch")[-1].body))
