@@ -175,11 +175,14 @@ def read_escalation(document: bytes) -> Escalation:
     return Escalation(**fields.pop(PRIVATE, {}), **fields)
 
 
-def bound_digest(invocation: Invocation, effective: Mapping[str, Any], phase: str | None = None) -> str:
+def bound_digest(
+    invocation: Invocation, effective: Mapping[str, Any], phase: str | None = None, why: Sequence[str] = ()
+) -> str:
     """Return the digest that an approval of these parameters is bound to.
 
     Whose proposal, what, where, how, and under which policy and profile: the same parameters are watched differently
-    under another one. In mid-execution also which phase waits: who lets a held session go on confirms none.
+    under another one. In mid-execution also which phase waits: who lets a held session go on confirms none. And by
+    which codes the session is held (`why`), where they became others while somebody was asked.
     """
     return digest(
         {
@@ -191,5 +194,6 @@ def bound_digest(invocation: Invocation, effective: Mapping[str, Any], phase: st
             "profile": invocation.profile,
             "params": dict(effective),
             **({} if phase is None else {"phase": phase}),
+            **({"why": list(why)} if why else {}),
         }
     )

@@ -14,7 +14,7 @@ from app.governance.continuing import CHANGED
 from app.governance.model import TERMINAL, EventKind, Outcome, Status
 from app.governance.session import final_status, refused_launch
 from app.runtime.drafts import DENIAL, SERVER, outcome_event, reason
-from app.runtime.escalation import APPROVED, DENIED, EXPIRED, PENDING, ROLLBACK, WITHDRAWN
+from app.runtime.escalation import APPROVED, DENIED, EXPIRED, PENDING, ROLLBACK, WITHDRAWN, bound_digest
 from app.runtime.failures import described, failure
 from app.runtime.hands import LAPSED, driven, followed
 from app.runtime.questions import PAUSED, RULE
@@ -170,7 +170,7 @@ class Story:
         elif phase != question.phase:  # its terms are those of what it waits for
             asked = replace(self._desk.session_question(version, reasons, phase, paused=paused), id=question.id)
         else:
-            asked = question.evolve(at, reasons=self._desk.and_paused(version, reasons, told=paused))
+            asked = self._said_better(version, question, event, reasons, at)
         self.questions[asked.id] = asked
         if version.status is not Status.ESCALATED or version.escalation != asked.reference():
             terms = replace(version.terms, asked_tick=event.tick)
@@ -178,6 +178,21 @@ class Story:
                 at, status=Status.ESCALATED, escalation=asked.reference(), terms=terms
             )
         return {"escalation": asked.public()}
+
+    def _said_better(
+        self, version: Invocation, question: Escalation, event: UpEvent, reasons: list[dict[str, str]], at: str
+    ) -> Escalation:
+        """Return a question with what its cell says of why it is asked.
+
+        Where that is something else than what was asked, and not only said in more words in the same moment, an answer
+        to what was asked is none to this: going on may be a new attempt now.
+        """
+        told = self._desk.and_paused(version, reasons, told=event.body.get("paused") is True)
+        codes = [why["code"] for why in told]
+        if version.terms.asked_tick == event.tick or codes == [why["code"] for why in question.reasons]:
+            return question.evolve(at, reasons=told)
+        bound = bound_digest(version, question.effective, question.phase, codes)
+        return question.evolve(at, reasons=told, digest=bound, acknowledged=())
 
     def _answered_meanwhile(self, version: Invocation, event: UpEvent) -> bool:
         """Say whether a cell holds for its link, of which somebody knew whose answer is on its way to it.
