@@ -237,16 +237,22 @@ class Desk(Questions):
     async def expire_due(self) -> None:
         """Close every question whose time is over, as nobody's answer, and every one about what has ended.
 
+        All of them at once: a session is told to end before that is recorded, and waits for the record of no other.
+
         Raises:
-            RecordUnavailable: the rest stays pending; answers to it are refused as expired all the same.
+            RecordUnavailable: what could not be recorded stays pending; answers to it are refused as expired all the
+                same.
         """
-        for known in list(self._pending.values()):
-            entry = self.register.entry(known.invocation)
-            if entry is None:
-                await self._withdraw_stray(known.id)
-                continue
-            if not self._due(known):
-                continue
+        done = await asyncio.gather(*map(self._close_due, list(self._pending.values())), return_exceptions=True)
+        for error in done:
+            if error is not None:
+                raise error
+
+    async def _close_due(self, known: Escalation) -> None:
+        entry = self.register.entry(known.invocation)
+        if entry is None:
+            await self._withdraw_stray(known.id)
+        elif self._due(known):
             async with entry.lock:
                 present = self._pending.get(known.id)
                 if present is not None and self._due(present):
