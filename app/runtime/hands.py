@@ -43,8 +43,8 @@ def driven(terms: Terms, event: UpEvent) -> Terms:
             return replace(terms, taking=False) if terms.taking else terms
         case EventKind.LAUNCH if body.get("capability") == TAKEOVER:
             return replace(terms, taking=False, displaced=True)
-        case EventKind.LAUNCH if terms.taking:
-            return replace(terms, taking=False)
+        case EventKind.LAUNCH if terms.taking and body.get("permit") == terms.authorization:
+            return replace(terms, taking=False)  # what was launched before the takeover may be told of behind it
         case EventKind.STATUS if body.get("reason") == ANEW and body.get("status") == Status.RUNNING:
             return replace(terms, displaced=False)
         case _:
