@@ -164,7 +164,7 @@ async def take_cell(request: Request, id: Identifier) -> Response:
 async def release(request: Request, id: Identifier) -> Response:
     """Hand a session back: to go on from here (decided and bound anew), to be undone, or done with."""
     body = await read_body(request, ReleaseBody)
-    return answer(await parts_of(request).governor.release(id, caller(request), body.then, body.lease))
+    return answer(await parts_of(request).governor.release(id, caller(request), body.then, body.lease, body.after))
 
 
 async def set_profile(request: Request, id: Identifier) -> Response:

@@ -222,6 +222,7 @@ class Answer:
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to go on")
         if cell.driven(self._invocation.id):  # whoever took over has answered what was asked
             raise Conflict("control_held", f"somebody drives `{cell.id}` by hand; valid: they hand back")
+        self._register.check_undamaged()
         decided = cell.moment
         if reasons := self._questions.kept_back(self._invocation):
             raise Conflict("resume_refused", "the policy in force does not let it go on; valid: deny", reasons=reasons)

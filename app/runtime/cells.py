@@ -139,6 +139,7 @@ class Cell:
     unreconciled: Reunion | None = None
     control: Control | None = None  # who drives it by hand
     control_at: str = ""  # since when, by the wall clock
+    unrecorded: str = ""  # the lease by which it is being taken from somebody: it moves nothing yet
     arming: Arming | None = None  # the first of the two steps out of a latched stop
     resetting: int = 0  # resets that are being recorded
     profiling: asyncio.Lock = field(default_factory=asyncio.Lock)  # and is put under one profile at a time

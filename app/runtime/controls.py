@@ -10,20 +10,18 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from app.governance.authority import refusal
-from app.governance.model import SESSION, AuthorityMode, EventKind, Outcome, Role, Status
+from app.governance.model import SESSION, AuthorityMode, Outcome, Role, Status
 from app.protocol import Human
-from app.runtime.cells import PAUSE
-from app.runtime.drafts import ACKNOWLEDGE, escalation_event, human_event, outcome_event
+from app.runtime.drafts import escalation_event, human_event, outcome_event
 from app.runtime.errors import Conflict, NotFound
 from app.runtime.handback import take_back
 from app.runtime.invocation import may_see
-from app.runtime.recollection import events_of
+from app.runtime.overtaken import check_newest
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from app.audit.event import Event
     from app.runtime.cells import Cell
     from app.runtime.desk import Desk
     from app.runtime.fleet import Fleet
@@ -33,9 +31,10 @@ if TYPE_CHECKING:
 
 UNNAMED: Final = ""
 
+MOVING: Final = frozenset({Status.RUNNING, Status.RECOVERING})
 # Which statuses an operator's word is legal in, and whether it restrains.
 OPERATIONS: Final[Mapping[str, tuple[frozenset[Status], bool]]] = {
-    "pause": (frozenset({Status.RUNNING, Status.RECOVERING, Status.PAUSED}), True),
+    "pause": (MOVING | {Status.PAUSED}, True),
     "stop": (SESSION, True),
     "resume": (frozenset({Status.PAUSED}), False),
     "rollback": (frozenset({Status.RUNNING, Status.PAUSED, Status.ESCALATED}), False),
@@ -176,25 +175,25 @@ class Controls:
             return await self._restrain(op, present, principal)
         if op == "resume" and (reasons := self.desk.kept_back(present)):
             raise Conflict("resume_refused", "the policy in force does not let it go on; valid: stop", reasons=reasons)
-        if op == "rollback" and cell.control is not None:
-            raise Conflict(
-                "control_held", f"`{cell.control.holder}` has the controls; valid: they release it to roll back"
-            )
+        if op == "rollback":
+            _not_driven(cell)
         return await self._loosen(op, cell, present, principal, after)
 
     def _stands(self, op: str, present: Invocation) -> bool:
         """Say whether a word is legal for what was said before it.
 
         A session that asked, and has its answer, may be paused: it may move already, its cell's word of it is on its
-        way. One that is paused, by its cell's own word, may be resumed: where that cannot be recorded, the refusal says
-        so. One that is undone because a human said so may be told once more: it is, or it is carried on.
+        way. So may one that is asked about and moves: its recovery ends before it waits for the answer. One that is
+        paused, by its cell's own word, may be resumed: where that cannot be recorded, the refusal says so. One that is
+        undone because a human said so may be told once more: it is, or it is carried on.
         """
+        state = self.fleet.cell(present.cell or UNNAMED).state
+        said = None if state is None or state.invocation != present.id else state.status
         if op == "pause":
-            return present.status is Status.ESCALATED and self.desk.pending_for(present.id) is None
+            moves = said in MOVING or self.desk.pending_for(present.id) is None
+            return present.status is Status.ESCALATED and moves
         if op == "resume":
-            state = self.fleet.cell(present.cell or UNNAMED).state
-            said = None if state is None or state.invocation != present.id else state.status
-            return said == Status.PAUSED and present.status in {Status.RUNNING, Status.RECOVERING}
+            return said == Status.PAUSED and present.status in MOVING
         return op == "rollback" and present.status is Status.RECOVERING and present.terms.undone_by is not None
 
     async def _loosen(
@@ -204,9 +203,10 @@ class Controls:
         if not self.fleet.attached(cell):
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to {op}")
         decided = cell.moment
+        self.register.check_undamaged()
         if after is not None:
-            await self._newest(op, cell, present, principal, after)
-        undone_by = await self._record(op, present, principal)
+            await check_newest(self.register, cell, present.id, principal, after)
+        undone_by = await self._record(op, cell, present, principal)
         try:
             self.fleet.order(cell, _message(op, present, principal), decided=decided)
         except Conflict as error:  # the cell left while this was recorded: nothing comes of it, and the record says so
@@ -214,26 +214,7 @@ class Controls:
             raise
         return (await self.register.load(present.id)).public()
 
-    async def _newest(self, op: str, cell: Cell, present: Invocation, principal: Principal, after: int) -> None:
-        """Refuse a word on which something moves that others' words have overtaken, or anybody's pause.
-
-        A link may hold a word back for seconds. It was said of what its speaker saw, and ends no pause that came later.
-
-        Raises:
-            Conflict: `overtaken`.
-        """
-        said = await events_of(self.register.store, invocation=present.id, after=after)
-        words = [(event.actor, word) for event in said if (word := _word(event)) is not None]
-        newer = [(who, word) for who, word in words if who != principal.name or word == PAUSE]
-        if not newer and (PAUSE, present.id) in cell.owed:  # it is not in the log yet
-            newer.append(("somebody", PAUSE))
-        if newer:
-            who, word = newer[-1]
-            raise Conflict(
-                "overtaken", f"`{who}` said `{word}` after the event `{after}`; valid: look, and say it anew"
-            )
-
-    async def _record(self, op: str, present: Invocation, principal: Principal) -> str | None:
+    async def _record(self, op: str, cell: Cell, present: Invocation, principal: Principal) -> str | None:
         """Record what loosens. Who wants a session undone stands with it: its end is not the agent's from now on.
 
         Returns who had ordered that before, if somebody had.
@@ -248,6 +229,7 @@ class Controls:
             if op != "rollback":
                 await self.register.append([human_event(op, present, principal)])
                 return None
+            _not_driven(cell)  # again: somebody may have taken over meanwhile, and nothing is undone under their hand
             before = present.terms.undone_by
             terms = replace(present.terms, undone_by=before or principal.name)
             version = present.evolve(self.register.now(), terms=terms)
@@ -286,16 +268,9 @@ class Controls:
         return {**(await self.register.load(present.id)).public(), "recorded": recorded}
 
 
-def _word(event: Event) -> str | None:
-    """Return what a person said of a session by an event.
-
-    No word is that somebody looks at its question, nor a cell's echo, which names no role.
-    """
-    body = event.payload()
-    if event.kind == EventKind.APPROVAL:
-        return str(body["decision"])
-    said = event.kind == EventKind.HUMAN and "role" in body and body["op"] != ACKNOWLEDGE
-    return str(body["op"]) if said else None
+def _not_driven(cell: Cell) -> None:
+    if cell.control is not None:
+        raise Conflict("control_held", f"`{cell.control.holder}` has the controls; valid: they release it to roll back")
 
 
 def _message(op: str, invocation: Invocation, principal: Principal) -> Human:

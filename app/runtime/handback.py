@@ -21,6 +21,7 @@ from app.runtime.drafts import SERVER
 from app.runtime.errors import Conflict, NotFound
 from app.runtime.hands import HELD, RETURNING, given_back
 from app.runtime.invocation import Invocation, may_see
+from app.runtime.overtaken import check_newest
 from app.runtime.readmission import readmitted
 from app.runtime.uncut import uncut
 
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from app.runtime.fleet import Fleet
     from app.runtime.invocation import Principal
     from app.runtime.kernel import Kernel
-    from app.runtime.register import Register
+    from app.runtime.register import Entry, Register
 
 FACTS_S: Final = FRESH_S  # by then the state that is there says nothing either
 RETURN_S: Final = 3.0  # for a robot to come to rest and its plan to be bound anew
@@ -49,7 +50,7 @@ class Handbacks:
 
     @uncut
     async def release(
-        self, invocation_id: str, principal: Principal, then: str, lease: str | None = None
+        self, invocation_id: str, principal: Principal, then: str, lease: str | None = None, after: int | None = None
     ) -> dict[str, Any]:
         """Hand a session back, to go on (`resume`), to be undone (`rollback`), or done with (`end`).
 
@@ -60,26 +61,26 @@ class Handbacks:
             principal: who hands it back.
             then: what becomes of it.
             lease: by which they have the controls; None if they do not say. What ends it counts by whichever lease.
+            after: the last `seq` of the record that they had seen; None if they do not say. What ends it counts anyway.
 
         Raises:
             NotFound: there is none that this principal may see.
             Conflict: `wrong_status`, `not_taken_over`, `control_held`, `nothing_to_resume`, `ending`, `cell_offline`;
-                `overtaken`, they have them by another lease by now; `facts_stale`, `paused`, and `resume_refused` with
-                the reasons: the holder keeps the controls.
+                `overtaken`, they have them by another lease by now, or others have said a word since; `facts_stale`,
+                `paused`, and `resume_refused` with the reasons: the holder keeps the controls.
             RecordUnavailable: nothing was recorded, and the holder keeps the controls.
         """
         present = await self._session(invocation_id, principal)
         cell = self.fleet.cell(present.cell or "")
-        _held_by(cell, present.id, principal)
+        _held_by(cell, present.id, principal, ends=then == "end")
         self._reachable(cell, present.id)
         if then == "resume" and present.capability == TAKEOVER:
             raise Conflict("nothing_to_resume", "nothing ran before; valid: `rollback`, `end`")
         if then == "end":
             return await self._end(cell, present, principal)
-        if lease is not None and (cell.control is None or cell.control.lease != lease):  # a link may have held it back
-            message = f"the controls of `{cell.id}` were handed out anew since `{lease}`; valid: look, and say it anew"
-            raise Conflict("overtaken", message)
+        self.register.check_undamaged()
         decided = cell.moment
+        await self._in_time(cell, present.id, principal, lease, after)
         if not await self._newer(cell) and then == "resume":  # a rollback is the cell's own to judge
             raise Conflict(
                 "facts_stale",
@@ -102,6 +103,16 @@ class Handbacks:
             raise
         return await self._returned(present.id, then)
 
+    async def _in_time(
+        self, cell: Cell, invocation: str, principal: Principal, lease: str | None, after: int | None
+    ) -> None:
+        """Refuse a word that a link held back until it was overtaken. Raises `Conflict`, `overtaken`."""
+        if lease is not None and (cell.control is None or cell.control.lease != lease):
+            message = f"the controls of `{cell.id}` were handed out anew since `{lease}`; valid: look, and say it anew"
+            raise Conflict("overtaken", message)
+        if after is not None:
+            await check_newest(self.register, cell, invocation, principal, after)
+
     async def _newer(self, cell: Cell) -> bool:
         """Wait for the cell's next state, since a plan begins with where the robot is now; say whether there is one."""
         try:
@@ -113,7 +124,7 @@ class Handbacks:
 
     async def _end(self, cell: Cell, present: Invocation, principal: Principal) -> dict[str, Any]:
         document = cell.control_document() or {}
-        if cell.control is not None:
+        if cell.control is not None and cell.control.phase is Phase.HELD:
             cell.control = returning(cell.control)
         self.fleet.restrain(cell, Human(invocation=present.id, op="end_takeover", actor=principal.name))
         await self.register.say(self._word("release", present, principal, document, then="end"))
@@ -124,7 +135,7 @@ class Handbacks:
         if entry is None:
             raise Conflict("wrong_status", f"`{invocation}` has ended")
         async with entry.lock:
-            present = entry.newest
+            present = _still_held(entry, cell)
             judgement, approvals = await readmitted(self.kernel, self.register, cell, present, principal)
             document = cell.control_document() or {}
             async with self.kernel.launch(present, judgement, approvals, anew=decided) as launch:
@@ -140,7 +151,7 @@ class Handbacks:
         if entry is None:
             raise Conflict("wrong_status", f"`{invocation}` has ended")
         async with entry.lock:
-            present, document = entry.newest, cell.control_document() or {}
+            present, document = _still_held(entry, cell), cell.control_document() or {}
             word = self._word("release", present, principal, document, then="rollback")
             terms = replace(present.terms, undone_by=principal.name)
             await self.register.append([word], versions=[self._given_back(cell, present, "rollback", terms=terms)])
@@ -205,19 +216,36 @@ class Handbacks:
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: nobody can drive it")
 
 
-def _held_by(cell: Cell, invocation: str, principal: Principal) -> Control:
+def _still_held(entry: Entry, cell: Cell) -> Invocation:
+    """Return a session as it is now that nobody else records anything of it.
+
+    Raises:
+        Conflict: `wrong_status`, it has ended meanwhile; `not_taken_over`, its controls were let go of.
+    """
+    present = entry.newest
+    if present.status not in SESSION:
+        raise Conflict("wrong_status", f"`{present.id}` has ended")
+    if not cell.driven(present.id):
+        raise Conflict("not_taken_over", f"the controls of `{present.id}` were let go of meanwhile")
+    return present
+
+
+def _held_by(cell: Cell, invocation: str, principal: Principal, *, ends: bool = False) -> Control:
     """Return the lease by which a person has the controls of a session.
 
     Raises:
-        Conflict: `not_taken_over`, nobody has; `control_held`, somebody else has, or it is being handed back already.
+        Conflict: `not_taken_over`, nobody has; `control_held`, somebody else has, or it is being handed back already,
+            which is in the way of all but its end (`ends`).
     """
     control = cell.control
     if control is None or control.invocation != invocation:
         raise Conflict("not_taken_over", f"nobody has the controls of `{invocation}`")
     if control.holder != principal.name:
         raise Conflict("control_held", f"`{control.holder}` has the controls of `{cell.id}`; valid: they hand back")
-    if control.phase is Phase.RETURNING:
-        raise Conflict("control_held", f"`{control.holder}` hands `{cell.id}` back; valid: once that has failed")
+    if control.phase is Phase.RETURNING and not ends:
+        raise Conflict(
+            "control_held", f"`{control.holder}` hands `{cell.id}` back; valid: `end`, or once that has failed"
+        )
     return control
 
 

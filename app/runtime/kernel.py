@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import orjson
 
-from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft, RowWrite
 from app.clock import monotonic_s
 from app.governance.admission import RETRY_UNMET_S
@@ -372,7 +371,7 @@ class Kernel:
         if anew is not None:
             self._fleet.check(cell, anew)
         try:
-            self._undamaged()
+            self._register.check_undamaged()
             self._fleet.claim(cell, invocation.id)
             authorization = self._authorization(invocation, judgement, approvals)
             signed = mint(authorization, self._key)
@@ -392,10 +391,6 @@ class Kernel:
             self._fleet.order(cell, message, decided=anew or Moment(restraints, cell.attachment))
         if anew is not None:
             self.rebound(invocation, judgement)
-
-    def _undamaged(self) -> None:
-        if (damage := self._register.store.damage) is not None:
-            raise RecordUnavailable(f"the log is damaged, so nothing moves: {damage}")
 
     def _launching(self, invocation: Invocation, authorization: Authorization, body: str) -> Launching:
         now = self._register.now()

@@ -218,7 +218,7 @@ class Questions:
         """Have a held session come to rest, or undone where policy says so of a denial, or of silence (`expired`).
 
         Coming to rest is sent first, as any restraint. Undoing moves, so it is recorded first; where it cannot be
-        recorded, or the cell is away or ending the session already, the session comes to rest instead.
+        recorded, or the log is damaged, or the cell is away or ending the session already, it comes to rest instead.
 
         Raises:
             RecordUnavailable: it is not recorded; the session comes to rest all the same.
@@ -226,6 +226,7 @@ class Questions:
         cell = self.fleet.cell(invocation.cell or "")
         rest = Human(invocation=invocation.id, op="resolve_terminate", actor=actor, expired=expired)
         still = cell.driven(invocation.id) or not self.fleet.attached(cell) or cell.ending(invocation.id)
+        still = still or self.register.store.damage is not None
         if ending != ROLLBACK or still:  # nothing is undone under somebody's hand
             self.fleet.restrain(cell, rest)
             await recording

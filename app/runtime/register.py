@@ -95,6 +95,11 @@ class Register:
             if cursor is None:
                 return
 
+    def check_undamaged(self) -> None:
+        """Refuse what would have anything move on a record that holds no more. Raises `RecordUnavailable`."""
+        if (damage := self.store.damage) is not None:
+            raise RecordUnavailable(f"the log is damaged, so nothing moves: {damage}")
+
     def trouble(self) -> str | None:
         """Say which rows, when the server started, were not what the log says."""
         if not self.unfounded:

@@ -69,12 +69,16 @@ class Takeovers(Handbacks):
             else:
                 if how is Taking.PREEMPTED:
                     self._still(cell)
+                    cell.unrecorded = document["lease"]
                 await self._pass_on(cell, present, principal, document, how)
         except BaseException:
             whole = how is Taking.GRANTED and cell.takings == mine  # with it goes what was renewed of it
             if cell.control is not None and (whole or cell.control.lease == document.get("lease")):
                 cell.control = before
             raise
+        finally:
+            if cell.unrecorded == document.get("lease"):
+                cell.unrecorded = ""
         return document
 
     @uncut
@@ -255,7 +259,7 @@ class Takeovers(Handbacks):
         if principal.role is not Role.OPERATOR or not self.fleet.knows(cell_id):
             return "not_holder"
         cell = self.fleet.cell(cell_id)
-        if cell.control is None:
+        if cell.control is None or cell.unrecorded == lease:
             return "not_holder"
         if not all(map(isfinite, (*wish.base, *wish.tool))):
             return "not_finite"
@@ -296,12 +300,18 @@ class Takeovers(Handbacks):
 
     async def watch_leases(self) -> None:
         """Take the controls out of hands that have fallen silent, for ever."""
-        while True:
-            await asyncio.sleep(LOOK_S)
-            await self.lapse_due()
+        async with asyncio.TaskGroup() as saying:
+            while True:
+                await asyncio.sleep(LOOK_S)
+                if drafts := self.let_go_of_silent():  # whoever falls silent next does not wait for the record of these
+                    saying.create_task(self._say_lapsed(drafts), name="lapses")
 
-    async def lapse_due(self) -> None:
-        """Take the controls out of every hand that has fallen silent: sent first, all of them, then recorded."""
+    @uncut
+    async def _say_lapsed(self, drafts: list[EventDraft]) -> None:
+        await self.register.say(*drafts)
+
+    def let_go_of_silent(self) -> list[EventDraft]:
+        """Take the controls out of every hand that has fallen silent, at once; returns what is to be recorded of it."""
         now_s, said = monotonic_s(), list[EventDraft]()
         for cell in self.fleet.cells():
             if cell.control is None or not cell.control.lapsed(now_s):
@@ -310,8 +320,7 @@ class Takeovers(Handbacks):
             if lapsed is not None:
                 body = {"op": "control_lapsed", "cell": cell.id, "holder": lapsed.holder, "lease": lapsed.lease}
                 said.append(EventDraft(kind=EventKind.HUMAN, actor=SERVER, invocation=lapsed.invocation, body=body))
-        if said:
-            await self.register.say(*said)
+        return said
 
 
 def _held_to(judgement: Judgement) -> None:

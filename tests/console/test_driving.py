@@ -386,6 +386,23 @@ def test_the_end_of_a_session_waits_for_no_other_word(server: ServerProcess, peo
     expect(person.alert("You have lost the controls")).to_have_count(0)
 
 
+def test_a_rollback_that_a_link_held_back_ends_no_pause_that_came_meanwhile(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    person.expects("409")
+    drive = floor.drive_off()
+    take_controls(person, HOLDS)
+    held: list[Route] = []
+    person.page.route("**/release", lambda route: held.append(route))  # noqa: PLW0108 (Playwright takes no built-in)
+    person.button("Roll back").click()
+    until(lambda: held or person.page.wait_for_timeout(20), what="a word that is held")
+    assert server.post(f"/v1/invocations/{drive['id']}/pause", key="operator_2").is_success
+    held[0].continue_()
+    expect(person.region("Drive by hand").get_by_role("alert")).to_contain_text("“operator_2” said “pause”")
+    assert (server.cell()["status"], server.cell()["control"]["phase"]) == ("paused", "held")
+
+
 def test_the_controls_of_an_idle_cell_that_come_when_it_was_left_are_given_back(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

@@ -613,6 +613,7 @@ async def test_a_session_that_has_its_answer_is_paused_before_its_cell_has_said_
     runtime: Runtime, cell: HandCell
 ) -> None:
     document, question = await held(runtime, cell)
+    await cell.state()
     with pytest.raises(Conflict, match="`pause` is not possible while the invocation is `escalated`"):
         await runtime.governor.pause(document["id"], OPERATOR)
     await answer(runtime, question)

@@ -132,7 +132,7 @@ async def test_a_hand_that_falls_silent_loses_the_controls_and_a_human_is_asked(
     place = runtime.fleet.cell("workcell-1")
     assert place.control is not None
     place.control = replace(place.control, heard_s=monotonic_s() - LAPSE_S - 0.1)
-    await runtime.governor.lapse_due()
+    await runtime.register.say(*runtime.governor.let_go_of_silent())
     assert place.control is None
     await cell.expect("human")
     assert cell.ops() == ["let_go"]
@@ -225,7 +225,7 @@ async def test_what_is_being_handed_back_is_not_handed_back_again(
     back = asyncio.ensure_future(runtime.governor.release(driving, OPERATOR, "resume"))
     async with stating(cell):
         await cell.expect("launch", 3)
-    assert (await refused(runtime.governor.release(driving, OPERATOR, "end"))).code == "control_held"
+    assert (await refused(runtime.governor.release(driving, OPERATOR, "rollback"))).code == "control_held"
     await cell.report("status", driving, status="running", before="recovering", reason="handed_back")
     assert (await back)["takeover"]["state"] == "returned"
 

@@ -186,9 +186,9 @@ export class Api {
   takeOver = (id: string): Promise<Control> => this.call('POST', `/v1/invocations/${seg(id)}/takeover`);
   /** Takes the controls of a cell in which nothing runs. */
   takeCell = (cell: string): Promise<Control> => this.call('POST', `/v1/cells/${seg(cell)}/takeover`);
-  /** `lease` is what it was driven by: what a link holds back hands nothing back that was taken since. */
-  release = (id: string, then: 'resume' | 'rollback' | 'end', lease?: string): Promise<Invocation> =>
-    this.call('POST', `/v1/invocations/${seg(id)}/release`, lease === undefined ? { then } : { then, lease }, { restrains: then === 'end' });
+  /** `lease` is what it was driven by, `after` what was seen: what a link holds back hands nothing back that was taken, or paused, since. */
+  release = (id: string, then: 'resume' | 'rollback' | 'end', lease?: string, after?: number): Promise<Invocation> =>
+    this.call('POST', `/v1/invocations/${seg(id)}/release`, { then, lease, after }, { restrains: then === 'end' });
 }
 
 function seg(id: string): string {

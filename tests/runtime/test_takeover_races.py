@@ -1,0 +1,152 @@
+"""Taking over, and handing back, while something else comes: a pause, an end, a disk that stalls, another hand."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from app.clock import monotonic_s
+from app.governance.control import LAPSE_S, Phase
+from app.runtime.assembly import Runtime
+
+from .conftest import AGENT, CELL, OPERATOR, OPERATOR_2, HandCell, navigate, until
+from .test_races import Gate
+from .test_takeover import LOCAL, driving, jog, permit, refused, stating
+
+pytestmark = pytest.mark.anyio
+__all__ = ["driving"]
+
+
+async def test_what_is_paused_on_its_way_back_can_still_be_ended(
+    runtime: Runtime, cell: HandCell, driving: str
+) -> None:
+    await runtime.governor.take_over(driving, OPERATOR)
+    await cell.report("launch", driving, capability="takeover")
+    back = asyncio.ensure_future(runtime.governor.release(driving, OPERATOR, "resume"))
+    async with stating(cell):
+        await cell.expect("launch", 3)
+    await runtime.governor.pause(driving, OPERATOR_2)
+    await cell.report("status", driving, status="paused", before="recovering", reason="operator")
+    ending = asyncio.ensure_future(runtime.governor.release(driving, OPERATOR, "end"))
+    await until(lambda: cell.ops() == ["pause", "end_takeover"])
+    await cell.report("outcome", driving, outcome="taken_over", code="operator")
+    assert [(await one)["outcome"] for one in (ending, back)] == ["taken_over", "taken_over"]
+
+
+@pytest.mark.parametrize("then", ["resume", "rollback"])
+async def test_a_session_that_ends_while_it_is_handed_back_is_given_back_to_nobody(
+    runtime: Runtime, cell: HandCell, driving: str, then: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await runtime.governor.take_over(driving, OPERATOR)
+    lease = runtime.fleet.cell(CELL).control
+    assert lease is not None
+    await cell.report("launch", driving, capability="takeover")
+    append, reached, go_on = runtime.register.append, asyncio.Event(), asyncio.Event()
+
+    async def slow(drafts: Any, *args: Any, **named: Any) -> None:
+        if any(draft.kind == "outcome" for draft in drafts):
+            reached.set()
+            await go_on.wait()
+        await append(drafts, *args, **named)
+
+    monkeypatch.setattr(runtime.register, "append", slow)
+    back = asyncio.create_task(runtime.governor.release(driving, OPERATOR, then))
+    await cell.say(cell.event("outcome", driving, outcome="stopped", code="contact"))
+    await reached.wait()
+    async with stating(cell):  # it says what it was: on its way before its end
+        await until(lambda: (runtime.fleet.cell(CELL).control or lease).phase is Phase.RETURNING)
+    go_on.set()
+    assert (await refused(back)).code == "wrong_status"
+    assert runtime.fleet.cell(CELL).claim is None
+    assert len(cell.all("launch")) == 2
+
+
+async def test_a_rollback_by_hand_ends_no_pause_that_its_holder_had_not_seen(
+    runtime: Runtime, cell: HandCell, driving: str
+) -> None:
+    await runtime.governor.take_over(driving, OPERATOR)
+    await cell.report("launch", driving, capability="takeover")
+    seen = runtime.store.size
+    await runtime.governor.pause(driving, OPERATOR_2)
+    error = await refused(runtime.governor.release(driving, OPERATOR, "rollback", after=seen))
+    assert (error.code, cell.ops()) == ("overtaken", ["pause"])
+    await cell.report("human", driving, op="pause")
+    back = asyncio.ensure_future(runtime.governor.release(driving, OPERATOR, "rollback", after=runtime.store.size))
+    async with stating(cell):
+        await until(lambda: cell.ops() == ["pause", "rollback"])
+    await cell.report("status", driving, status="recovering", reason="ROLLBACK")
+    assert (await back)["takeover"]["state"] == "returned"
+
+
+async def test_what_was_launched_before_a_takeover_and_is_told_of_after_it_ends_no_takeover(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    made, _ = await runtime.governor.propose(AGENT, navigate())
+    await cell.expect("launch")
+    cell.invocation, cell.status = made["id"], "running"
+    earlier = permit(cell)["id"]
+    await runtime.governor.take_over(made["id"], OPERATOR)
+    await cell.expect("launch", 2)
+    await cell.report("launch", made["id"], capability="navigate_to", permit=earlier)
+    await cell.report("status", made["id"], status="running", reason="launched")
+    await cell.report("status", made["id"], status="escalated", reason="separation")
+    await cell.report("escalation", made["id"], reason="separation")
+    await cell.report("launch", made["id"], capability="takeover", permit=permit(cell)["id"])
+    await cell.report("status", made["id"], status="running", reason="taken_over")
+    document = await runtime.governor.invocation(made["id"], OPERATOR)
+    assert document["takeover"]["state"] == "held"
+    assert runtime.fleet.cell(CELL).control is not None
+
+
+async def test_nothing_is_undone_under_a_hand_that_took_over_while_that_was_looked_into(
+    runtime: Runtime, cell: HandCell, driving: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read, reached, go_on = runtime.store.events, asyncio.Event(), asyncio.Event()
+
+    async def slow(**wanted: Any) -> Any:
+        reached.set()
+        await go_on.wait()
+        return await read(**wanted)
+
+    monkeypatch.setattr(runtime.store, "events", slow)
+    undoing = asyncio.create_task(runtime.governor.rollback(driving, OPERATOR_2, runtime.store.size))
+    await reached.wait()
+    taking = asyncio.create_task(runtime.governor.take_over(driving, OPERATOR))
+    await until(lambda: runtime.fleet.cell(CELL).control is not None)
+    go_on.set()
+    assert (await refused(undoing)).code in {"control_held", "overtaken"}
+    await taking
+    assert cell.ops() == []
+
+
+async def test_who_takes_the_controls_from_another_drives_once_that_is_recorded(
+    runtime: Runtime, cell: HandCell, driving: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await runtime.governor.take_over(driving, OPERATOR)
+    await cell.report("launch", driving, capability="takeover")
+    gate = Gate(runtime, monkeypatch)
+    taking = asyncio.create_task(runtime.governor.take_over(driving, LOCAL))
+    await gate.reached.wait()
+    shown = runtime.governor.cells()[0]["control"]
+    assert jog(runtime, LOCAL, shown, 1) == "not_holder"
+    gate.open.set()
+    assert jog(runtime, LOCAL, await taking, 2) is None
+
+
+async def test_a_hand_that_falls_silent_is_let_go_of_while_another_is_being_recorded(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = await HandCell(runtime, id="workcell-2").dial()
+    await other.state()
+    for name, who in ((CELL, OPERATOR), ("workcell-2", OPERATOR_2)):
+        await runtime.governor.take_cell(name, who)
+    gate = Gate(runtime, monkeypatch)  # a disk that stalls
+    for driven in (cell, other):
+        place = runtime.fleet.cell(driven.id)
+        assert place.control is not None
+        place.control = replace(place.control, heard_s=monotonic_s() - LAPSE_S - 0.1)
+        await until(lambda driven=driven: driven.ops() == ["let_go"])
+    gate.open.set()
