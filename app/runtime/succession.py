@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft
-from app.clock import rfc3339
+from app.clock import monotonic_s, rfc3339
 from app.governance.authority import need
 from app.governance.continuing import ACCEPTED, CHANGED, CONFORMS, Departure, departure
 from app.governance.control import TAKEOVER
@@ -133,7 +133,7 @@ class Succession:
     def _hold(self, present: Invocation, found: Departure) -> EventDraft:
         reasons = reasons_document(found.reasons)
         self._desk.departed[present.id] = reasons
-        self._holding[present.id] = self._register.now_s()
+        self._holding[present.id] = monotonic_s()
         self._restrain(present)
         body = {
             "intervention": "ESCALATE",
@@ -199,7 +199,7 @@ class Succession:
 
     def hold_again(self) -> None:
         """Tell sessions once more to hold, which were on their way to their cell when they were told."""
-        now_s = self._register.now_s()
+        now_s = monotonic_s()  # the wall clock may be put back, and what is to hold would run on for as long
         self._forget()
         for name, told_s in tuple(self._holding.items()):
             present = self._register.newest(name)

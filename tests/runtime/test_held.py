@@ -11,10 +11,11 @@ from app.protocol import LEASE_MS
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
 
-from .conftest import AGENT, CELL, OPERATOR, HandCell, House, grasp, navigate, until
+from .conftest import AGENT, CELL, ENGINEER, OPERATOR, HandCell, House, grasp, navigate, until
 from .test_desk import held
 from .test_fleet import running
 from .test_races import left_and_asked_about
+from .test_versions import SLOWER, brought
 
 pytestmark = pytest.mark.anyio
 
@@ -45,6 +46,20 @@ async def test_what_is_said_in_more_words_is_the_same_question(runtime: Runtime,
     assert first is not None
     assert second is not None
     assert (first.digest, first.reasons == second.reasons) == (second.digest, False)
+
+
+async def test_what_is_to_hold_is_told_again_although_the_clock_was_put_back(house: House) -> None:
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        made, _ = await runtime.governor.propose(AGENT, navigate())
+        digest = await brought(runtime, SLOWER)
+        await runtime.versions.activate(digest, ENGINEER, "a visitor")
+        await until(lambda: cell.ops() == ["escalate"])
+        house.wall_s.offset_s = -3600.0
+        await cell.launched(made["id"])  # it was on its way when it was told
+        await until(lambda: len(cell.ops()) > 1)
+        assert set(cell.ops()) == {"escalate"}
 
 
 @pytest.mark.parametrize("op", ["resume", "rollback", "approve"])
