@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from collections.abc import AsyncGenerator, Generator
     from pathlib import Path
 
+    from app.api.auth import Principals
     from app.config import Settings
     from app.governance.policy import PolicySet
     from app.runtime.fleet import Fleet
@@ -186,7 +187,7 @@ async def _serve(settings: Settings, policies: PolicySet, listener: socket.socke
     principals = open_principals(layout.root)
     token = read_cell_token(layout.root / CELL_TOKEN_FILE)
     url = address(listener)
-    async with open_house(settings, policies) as house:
+    async with open_house(settings, policies, principals) as house:
         children = Children(settings, token, lambda cell, word: remark(f"{cell}: {word}"), expect=house["fleet"].expect)
         door = DoorServer(_door(create_app(**house, principals=principals, checks={"children": children.trouble})))
         serving = asyncio.create_task(door.serve(sockets=[listener]))
@@ -233,7 +234,7 @@ async def _ended(task: asyncio.Task[None]) -> None:
 
 
 @contextlib.asynccontextmanager
-async def open_house(settings: Settings, policies: PolicySet) -> AsyncGenerator[dict[str, Any]]:
+async def open_house(settings: Settings, policies: PolicySet, principals: Principals) -> AsyncGenerator[dict[str, Any]]:
     """Open the record and run the governor on it; yields what the application serves, and closes in the other order."""
     layout = settings.layout
     promises = await asyncio.to_thread(read_properties, find_policies(settings.policies))
@@ -249,6 +250,7 @@ async def open_house(settings: Settings, policies: PolicySet) -> AsyncGenerator[
             examine=examine,
             promises=promises,
             take_directory=settings.take_policies,
+            may_give=principals.may_give,
         )
         async with runtime.running():
             yield {

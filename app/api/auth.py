@@ -74,6 +74,10 @@ class Credential:
     digest: bytes
     expires_at_s: float | None = None
 
+    def expired(self, now_s: float) -> bool:
+        """Say whether the token holds no longer."""
+        return self.expires_at_s is not None and self.expires_at_s <= now_s
+
 
 class Principals:
     """The tokens the server knows, held in memory."""
@@ -143,6 +147,15 @@ class Principals:
             digest: credential for digest, credential in found.items() if self._found.get(digest) == credential
         }
 
+    def may_give(self, name: str) -> bool:
+        """Say whether somebody of that name has the token of an operator, as the file says, that has not expired."""
+        # What is found, and not what counts: at a start nobody counts before the record says so.
+        now_s = clock.wall_s()
+        return any(
+            one.principal.name == name and one.principal.role is Role.OPERATOR and not one.expired(now_s)
+            for one in self._found.values()
+        )
+
     def authenticate(self, headers: Headers) -> Principal:
         """Return who the request's bearer token stands for.
 
@@ -175,7 +188,7 @@ class Principals:
         credential = self._known.get(digest)
         if credential is None or not hmac.compare_digest(credential.digest, digest):
             raise _refused("token_invalid", "the token is not known here")
-        if credential.expires_at_s is not None and credential.expires_at_s <= clock.wall_s():
+        if credential.expires_at_s is not None and credential.expired(clock.wall_s()):
             raise _refused("token_expired", f"the token expired at `{clock.rfc3339(credential.expires_at_s)}`")
         return credential.principal
 

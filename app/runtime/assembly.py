@@ -50,6 +50,7 @@ class Runtime:
         absent_s: float = ABSENT_S,
         take_directory: bool = False,
         wall_s: Callable[[], float] = wall_clock_s,
+        may_give: Callable[[str], bool] = lambda _: True,
     ) -> None:
         """Wire the parts of one server.
 
@@ -64,6 +65,7 @@ class Runtime:
             absent_s: how long a cell with a session may be away before the session is given up.
             take_directory: `policy` comes into force in any case.
             wall_s: the wall clock; deadlines go by it.
+            may_give: whether somebody of that name may answer questions now; what they granted ends when not.
         """
         self.store = store
         self.register = Register(store, wall_s)
@@ -71,6 +73,7 @@ class Runtime:
         self.fleet = Fleet(self.register, default_profile=default_profile)
         self.kernel = Kernel(self.register, self.fleet, policy, signing_key)
         self.desk = Desk(self.register, self.fleet, self.kernel)
+        self.desk.grants.may_give = may_give
         self.succession = Succession(self.register, self.fleet, self.desk, self.kernel)
         self.versions = Versions(self.register, self.kernel, self.succession, examine, promises)
         self.shadow = Shadow(self.register, self.versions)

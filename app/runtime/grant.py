@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 LEAST_MINUTES: Final = 0.01  # what is shorter is over before anybody could use it
 ACTIVE: Final = "active"
 ENDED: Final = "ended"
-ENDS: Final = ("revoked", "expired", "estop", "profile_changed", "policy_changed")
+ENDS: Final = ("revoked", "expired", "estop", "profile_changed", "policy_changed", "giver_withdrawn")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

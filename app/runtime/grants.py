@@ -2,7 +2,8 @@
 
 A grant is recorded before it answers for anything. Its end restrains: it holds from the moment it is said, and is
 recorded then, later if need be. A cell's emergency stop ends every grant on it, whoever pressed it and wherever; so do
-another profile of the cell and another policy. `governance.authority` decides what a grant is for and answers to.
+another profile of the cell and another policy. What somebody granted ends with their own authority.
+`governance.authority` decides what a grant is for and answers to.
 """
 
 from __future__ import annotations
@@ -56,13 +57,17 @@ class Grants:
         self._recording = asyncio.Lock()
         self.unfounded: frozenset[str] = frozenset()  # active by their rows, which is not what the log says
         self.on_changed: Callable[[Standing], None] = lambda _: None
+        self.may_give: Callable[[str], bool] = lambda _: True  # whether somebody of that name may answer questions now
         kernel.standing = self.standing
 
     # -- reading -----------------------------------------------------------------------------------------------------
 
     def standing(self, cell: Cell | None) -> tuple[Grant, ...]:
         """Return the grants that may answer for a cell, the oldest first."""
-        return () if cell is None else tuple(one.grant for one in self._active.values() if one.grant.cell == cell.id)
+        if cell is None:
+            return ()
+        here = (one.grant for one in self._active.values() if one.grant.cell == cell.id)
+        return tuple(grant for grant in here if self.may_give(grant.issued_by))
 
     def active(self) -> list[Standing]:
         """Return every grant that has not ended, the newest first."""
@@ -183,7 +188,12 @@ class Grants:
 
     def stands(self, grant_id: str | None) -> bool:
         """Say whether a launch may go by a grant still; by none it may."""
-        return grant_id is None or grant_id in self._active
+        return grant_id is None or self._answering(grant_id) is not None
+
+    def _answering(self, grant_id: str) -> Standing | None:
+        """Return a grant that has not ended, nor is about to because its giver may give no more."""
+        present = self._active.get(grant_id)
+        return present if present is not None and self.may_give(present.grant.issued_by) else None
 
     @contextmanager
     def use(self, grant_id: str | None) -> Generator[list[RowWrite]]:
@@ -197,7 +207,7 @@ class Grants:
         if grant_id is None:
             yield []
             return
-        present = self._active.get(grant_id)
+        present = self._answering(grant_id)
         if present is None:
             raise GrantEnded(grant_id)
         now = self._register.now()
@@ -267,7 +277,7 @@ class Grants:
     # -- keeping on --------------------------------------------------------------------------------------------------
 
     def look(self) -> None:
-        """End what is over: by time, by a stop that a cell latched itself, by another profile or policy."""
+        """End what is over: by time, a stop that a cell latched itself, another profile or policy, or its giver."""
         now_s = self._register.now_s()
         for standing in tuple(self._active.values()):
             if (code := self._over(standing.grant, now_s)) is not None:
@@ -276,6 +286,8 @@ class Grants:
     def _over(self, grant: Grant, now_s: float) -> str | None:
         if now_s >= grant.expires_at_s:
             return "expired"
+        if not self.may_give(grant.issued_by):
+            return "giver_withdrawn"
         if grant.policy_digest != self._kernel.policy.digest:
             return "policy_changed"
         cell = self._fleet.cell(grant.cell) if self._fleet.knows(grant.cell) else None

@@ -315,7 +315,12 @@ async def open_house(folder: Path, profile: str) -> AsyncIterator[House]:
     store = AuditStore.open(folder)
     principals = open_principals(folder)
     runtime = Runtime(
-        store, load(POLICIES), Ed25519PrivateKey.generate(), default_profile=profile, examine=examine_here
+        store,
+        load(POLICIES),
+        Ed25519PrivateKey.generate(),
+        default_profile=profile,
+        examine=examine_here,
+        may_give=principals.may_give,
     )
     async with runtime.running() as governor:
         app = create_app(

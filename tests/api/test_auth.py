@@ -265,3 +265,22 @@ def test_a_write_that_fails_leaves_what_was_there(tmp_path: Path, monkeypatch: p
     assert (tmp_path / PRINCIPALS_FILE).read_bytes() == before
     assert Principals(tmp_path / PRINCIPALS_FILE)
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(f".{PRINCIPALS_FILE}.")]
+
+
+def test_whoever_has_an_operators_token_left_may_give(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    open_principals(tmp_path)
+    issue_token(tmp_path, name="gus", role=Role.OPERATOR, ttl_s=60.0)
+    issue_token(tmp_path, name="gus", role=Role.OPERATOR, ttl_s=120.0)
+    principals = Principals(tmp_path / PRINCIPALS_FILE)
+    principals.keep_roll()  # nobody is in the record yet
+    assert [principals.may_give(name) for name in ("gus", "operator", "engineer", "nobody")] == [
+        True,
+        True,
+        False,
+        False,
+    ]
+    now_s = clock.wall_s()
+    monkeypatch.setattr(clock, "wall_s", lambda: now_s + 90.0)
+    assert principals.may_give("gus"), "one of their tokens holds still"
+    monkeypatch.setattr(clock, "wall_s", lambda: now_s + 130.0)
+    assert not principals.may_give("gus")

@@ -44,6 +44,26 @@ async def test_a_grant_is_given_seen_used_and_revoked(shared_house: House) -> No
         assert (await agent.post("/v1/check", json=GRASP)).json()["status"] == "awaiting_approval"
 
 
+async def test_a_grant_ends_with_the_token_of_who_gave_it(shared_house: House) -> None:
+    async with (
+        shared_house.cell(),
+        shared_house.client("operator_2") as operator,
+        shared_house.client("auditor") as auditor,
+        shared_house.client() as agent,
+    ):
+        given = (await operator.post("/v1/grants", json=GRANT)).json()
+        assert (await agent.post("/v1/check", json=GRASP)).json()["grant"] == given["id"]
+        async with shared_house.withdrawn("operator_2"):
+            await eventually(lambda: not shared_house.runtime.desk.grants.active())
+            assert (await agent.post("/v1/check", json=GRASP)).json()["status"] == "awaiting_approval"
+        newest = (await auditor.get("/v1/grants")).json()["items"][0]
+        assert (newest["id"], newest["ended"]["code"], newest["ended"]["by"]) == (
+            given["id"],
+            "giver_withdrawn",
+            "server",
+        )
+
+
 async def test_a_grant_goes_with_an_approval(shared_house: House) -> None:
     async with shared_house.cell() as cell, shared_house.client("operator") as operator:
         question = await ask(shared_house)

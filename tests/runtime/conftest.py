@@ -215,6 +215,7 @@ class House:
     examine: Examine = examine_here
     promises: str | None = None
     sound: bool = True  # whether what is left says nothing else than the log
+    withdrawn: set[str] = field(default_factory=set[str])  # who may give no more
 
     @asynccontextmanager
     async def open(self) -> AsyncIterator[Runtime]:
@@ -228,6 +229,7 @@ class House:
             promises=self.promises,
             absent_s=self.absent_s,
             wall_s=self.wall_s,
+            may_give=lambda name: name not in self.withdrawn,
         )
         try:
             async with runtime.running():

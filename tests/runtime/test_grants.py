@@ -229,6 +229,27 @@ async def test_another_profile_ends_them(runtime: Runtime, cell: HandCell) -> No
     assert await end(runtime) == ("profile_changed", "erin")
 
 
+async def test_a_grant_ends_with_the_authority_of_who_gave_it(house: House, runtime: Runtime, cell: HandCell) -> None:
+    given = await grant(runtime)
+    house.withdrawn.add("olivia")
+    assert await status(runtime) == "awaiting_approval", "even before anybody has looked"
+    assert not runtime.desk.grants.stands(given["id"])
+    assert await end(runtime) == ("giver_withdrawn", "server")
+    house.withdrawn.clear()
+    assert await status(runtime) == "awaiting_approval", "a new token gives nothing back"
+
+
+async def test_a_grant_ends_with_who_gave_it_while_no_server_ran(house: House) -> None:
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        await grant(runtime)
+    house.withdrawn.add("olivia")
+    async with house.open() as runtime:
+        assert runtime.desk.grants.active() == []
+        assert (await newest(runtime))["ended"]["code"] == "giver_withdrawn"
+
+
 async def test_a_grant_survives_a_restart_and_not_another_policy(house: House, policy: PolicySet) -> None:
     async with house.open() as runtime:
         cell = await HandCell(runtime).dial()
@@ -308,6 +329,41 @@ async def test_a_launch_is_not_sent_when_its_grant_ends_while_it_is_recorded(
     over = await runtime.governor.invocation(document["id"], AGENT)
     assert over["failure"]["reasons"][0]["code"] == "grant_ended"
     assert runtime.fleet.cell(CELL).claim is None
+    assert not cell.all("launch")
+
+
+async def test_a_launch_is_not_sent_when_the_giver_of_its_grant_is_withdrawn_while_it_is_recorded(
+    house: House, runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await grant(runtime)
+    use = runtime.desk.grants.use
+    monkeypatch.setattr(runtime.desk.grants, "look", lambda: None)  # nobody looks in time
+
+    def soon(grant_id: str | None) -> Any:
+        asyncio.get_running_loop().call_soon(house.withdrawn.add, "olivia")
+        return use(grant_id)
+
+    monkeypatch.setattr(runtime.desk.grants, "use", soon)
+    document, _ = await runtime.governor.propose(AGENT, grasp())
+    await until(lambda: runtime.register.newest(document["id"]) is None)
+    over = await runtime.governor.invocation(document["id"], AGENT)
+    assert over["failure"]["reasons"][0]["code"] == "grant_ended"
+    assert not cell.all("launch")
+
+
+async def test_a_grant_whose_giver_is_withdrawn_between_decision_and_record_answers_for_nothing(
+    house: House, runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await grant(runtime)
+    use = runtime.desk.grants.use
+
+    def late(grant_id: str | None) -> Any:
+        house.withdrawn.add("olivia")
+        return use(grant_id)
+
+    monkeypatch.setattr(runtime.desk.grants, "use", late)
+    document, _ = await runtime.governor.propose(AGENT, grasp())
+    assert (document["status"], "grant" in document) == ("awaiting_approval", False)
     assert not cell.all("launch")
 
 

@@ -48,6 +48,7 @@ describe('a standing grant', () => {
     expect(said('given', { ended: null })).toBe('ann opened a standing grant: grasp object glass_1');
     expect(said('ended', { ended: { code: 'revoked', by: 'bob' } })).toBe('bob revoked a standing grant: grasp object glass_1');
     expect(said('ended', { ended: { code: 'expired', by: 'server' } })).toBe('Standing grant ran out: grasp object glass_1');
+    expect(said('ended', { ended: { code: 'giver_withdrawn', by: 'server' } })).toBe('Standing grant ended with the token of who gave it: grasp object glass_1');
     expect(said('ended', { object: null, ended: { code: 'another', by: 'server' } })).toBe('Standing grant ended: grasp object');
   });
 });

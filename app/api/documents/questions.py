@@ -144,7 +144,7 @@ class EscalationList(Document):
 class GrantEnd(Document):
     """Why a grant ended, by whom and when."""
 
-    code: Literal["revoked", "expired", "estop", "profile_changed", "policy_changed"]
+    code: Literal["revoked", "expired", "estop", "profile_changed", "policy_changed", "giver_withdrawn"]
     by: str
     at: str
 

@@ -275,6 +275,7 @@ const GRANT_ENDS: Record<string, string> = {
   estop: 'ended by the emergency stop',
   policy_changed: 'ended with its policy',
   profile_changed: 'ended with its profile',
+  giver_withdrawn: 'ended with the token of who gave it',
 };
 
 function grant(body: Body, event: LogEvent): Line {
