@@ -44,6 +44,8 @@ BENCH = """
     };
     navigator.getGamepads = () => [null, window.stick.connected ? window.stick : null];
 """
+# A browser whose clock stands as far back as a test says, from the next page on.
+SET_BACK = "const now = Date.now, back = Number(sessionStorage.getItem('back')); Date.now = () => now() - back;"
 AFTER_THE_LAST_PUSH = "window.jogs.slice(window.jogs.findLastIndex((jog) => jog.base.some(Boolean)) + 1)"
 PUSHES = "window.jogs.filter((jog) => jog.base.some(Boolean)).length"
 ZEROS = [0, 0, 0]
@@ -595,6 +597,31 @@ def test_the_controls_outlive_a_reload_and_go_to_another_window_only_when_asked(
     expect(other.page.get_by_text(LET_GO)).to_be_visible()
     at_rest(floor)
     assert server.cell()["control"]["holder"] == "operator"
+
+
+def test_whoever_drives_goes_on_when_the_clock_is_set_back(server: ServerProcess, people: People, floor: Floor) -> None:
+    person = people.sit(server, init=BENCH + SET_BACK)
+    take_controls(person)
+    keyboard = person.page.keyboard
+
+    def drives() -> None:
+        expect(person.page.get_by_text(LET_GO)).to_be_visible()
+        began = floor.base()
+        insist(
+            person,
+            lambda: keyboard.down("ArrowDown"),
+            lambda: keyboard.up("ArrowDown"),
+            lambda: far(floor.base(), began) > 0.1,
+            "a base that is driven",
+        )
+        keyboard.up("ArrowDown")
+
+    person.page.evaluate("sessionStorage.setItem('back', 3600e3)")
+    person.page.reload()
+    drives()
+    for page in ("Audit", "Live"):
+        person.page.get_by_role("link", name=page, exact=True).first.click()
+    drives()
 
 
 def test_whoever_leaves_the_pad_is_told_that_the_controls_have_gone(

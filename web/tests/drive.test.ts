@@ -3,12 +3,15 @@ import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
 describe('a lease that is remembered across a reload', () => {
   let stored: Map<string, string>;
   let grant: ((alone: boolean) => void)[];
+  let leaving: (() => void)[];
   const settled = (): Promise<void> => new Promise((resolve) => setTimeout(resolve));
 
   beforeEach(() => {
     stored = new Map([['reins.lease', 'lease_1']]);
     grant = [];
+    leaving = [];
     vi.resetModules();
+    vi.stubGlobal('addEventListener', (_: 'pagehide', leave: () => void) => leaving.push(leave));
     vi.stubGlobal('sessionStorage', { getItem: (key: string) => stored.get(key) ?? null, setItem: (key: string, value: string) => stored.set(key, value), removeItem: (key: string) => stored.delete(key) });
     const request = (_: string, __: object, held: () => Promise<void>): Promise<void> =>
       new Promise((resolve, reject) =>
@@ -19,7 +22,10 @@ describe('a lease that is remembered across a reload', () => {
       );
     vi.stubGlobal('navigator', { locks: { request } });
   });
-  afterEach(() => vi.unstubAllGlobals());
+  afterEach(() => {
+    vi.useRealTimers();
+    vi.unstubAllGlobals();
+  });
 
   it.each([[true, 'lease_1', 'lease_1'], [false, null, undefined]])('is this window’s where it alone has it: %s', async (alone, lease, kept) => {
     const { drive } = await import('../src/lib/state/drive.svelte');
@@ -41,5 +47,20 @@ describe('a lease that is remembered across a reload', () => {
     grant.at(-1)?.(true);
     await settled();
     expect(another.lease).toBe(null);
+  });
+
+  it('numbers its commands upwards, whatever the clock does between them and over a reload', async () => {
+    vi.useFakeTimers({ toFake: ['Date'] });
+    const { drive } = await import('../src/lib/state/drive.svelte');
+    grant[0]?.(true);
+    await settled();
+    const first = drive.next();
+    vi.setSystemTime(Date.now() - 3_600_000);
+    expect(drive.next()).toBeGreaterThan(first);
+    leaving[0]?.();
+    const last = drive.next(); // what a page lets go of as it is left
+    vi.resetModules();
+    const { drive: reloaded } = await import('../src/lib/state/drive.svelte');
+    expect(reloaded.next()).toBeGreaterThan(last);
   });
 });

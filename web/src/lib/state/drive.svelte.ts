@@ -1,4 +1,7 @@
 const KEY = 'reins.lease';
+const KEY_N = 'reins.lease.n';
+/** More than is said between the number that is stored and the end of the page: it lets go of what it held. */
+const LAST_WORDS = 100;
 /** A page that is being left holds its lock for a moment longer. */
 const LEAVING_MS = 500;
 
@@ -7,8 +10,13 @@ class Drive {
   open = $state(false);
   lease = $state<string | null>(null);
   private letGo: () => void = () => undefined;
+  /** A lease takes no command whose number is not newer, and the clock that a first number comes from may be set back. */
+  private n = Math.max(Date.now(), (Number(sessionStorage.getItem(KEY_N)) || 0) + LAST_WORDS);
 
   constructor() {
+    addEventListener('pagehide', () => {
+      if (this.lease !== null) sessionStorage.setItem(KEY_N, String(this.n));
+    });
     const kept = sessionStorage.getItem(KEY);
     if (kept === null) return;
     void this.hold(kept).then((alone) => {
@@ -16,6 +24,12 @@ class Drive {
       if (alone) this.lease ??= kept;
       else sessionStorage.removeItem(KEY);
     });
+  }
+
+  /** The number of the next command: it rises as long as the lease lives, over a reload and a look at another page. */
+  next(): number {
+    this.n += 1;
+    return this.n;
   }
 
   /** Remembers the lease across a reload of this tab, which is no reason to lose the controls. */
