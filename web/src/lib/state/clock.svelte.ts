@@ -5,9 +5,10 @@ export function serverMs(at: string | number): number {
 
 /** The time everything on screen is told by: the server's wall clock, as far as its beats let us know it. */
 class Clock {
+  /** Between beats it is this computer's time since the page was opened: its wall clock may be set meanwhile. */
+  private offsetMs = performance.timeOrigin;
   /** Server's wall clock, ms since the epoch; steps four times a second. */
-  nowMs = $state(Date.now());
-  private offsetMs = 0;
+  nowMs = $state(this.read());
   private synced = false;
 
   constructor() {
@@ -18,14 +19,14 @@ class Clock {
   sync(at: string | number): void {
     const ms = serverMs(at);
     if (!Number.isFinite(ms)) return;
-    const offset = ms - Date.now();
-    // The least delayed message tells best; drift and a stepped clock still come through.
+    const offset = ms - performance.now();
+    // The least delayed message tells best; drift and a server's clock that is set still come through.
     this.offsetMs = !this.synced || offset > this.offsetMs || this.offsetMs - offset > 500 ? offset : this.offsetMs;
     this.synced = true;
   }
 
   read(): number {
-    return Date.now() + this.offsetMs;
+    return performance.now() + this.offsetMs;
   }
 
   private step(): void {
