@@ -65,7 +65,8 @@ def _reply(response: httpx.Response) -> Reply:
     content: object = response.content.decode(errors="replace")  # only to be shown; a charset may name any codec
     with suppress(ValueError, RecursionError):  # says that it is JSON, and is not, or bottomless: `_read` shows it
         content = response.json() if "json" in kind else content
-    return Reply(status=response.status_code, json=content, retry_after_s=_patience_s(response))
+    replayed = response.headers.get("idempotency-replayed") == "true"
+    return Reply(status=response.status_code, json=content, retry_after_s=_patience_s(response), replayed=replayed)
 
 
 def _patience_s(response: httpx.Response) -> float | None:
@@ -162,9 +163,10 @@ class ReinsClient:
         not even be sent, `Unreachable` if there was no answer; the robot may be moving all the same, and invoking
         again under the error's `idempotency_key` takes it up.
 
-        `on_update` is called with the invocation at every change. What it raises ends the waiting, not the robot, and
-        comes through as it is, with a note (`__notes__`) of the key and the invocation's `id`; so does Ctrl-C. A
-        program that means to go on then names an `idempotency_key` of its own.
+        `on_update` is called with the invocation at every change; not with deferrals that an earlier call under the
+        same `idempotency_key` was told of, nor are those waited out again. What it raises ends the waiting, not the
+        robot, and comes through as it is, with a note (`__notes__`) of the key and the invocation's `id`; so does
+        Ctrl-C. A program that means to go on then names an `idempotency_key` of its own.
         """
         options = {
             "mode": mode,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable, Generator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from inspect import iscoroutinefunction
 from typing import Any, TypeAlias, TypeVar, cast
 
@@ -63,13 +63,15 @@ class Sleep:
 class Reply:
     """What came back; `status` 0 means that nothing did, and `json` says from where, and why.
 
-    Not `sent` is what never left, and never will: there is no use in asking again.
+    Not `sent` is what never left, and never will: there is no use in asking again. `replayed` is an answer that was
+    given to an earlier call under the same key.
     """
 
     status: int
     json: Any
     retry_after_s: float | None = None
     sent: bool = True
+    replayed: bool = False
 
 
 T = TypeVar("T")
@@ -85,12 +87,16 @@ def send(call: Call, *, begun: bool = False) -> Talk[Any]:
 
     What cannot be sent is `Unsendable`, unless something was before, by an earlier attempt, or by what has `begun`.
     """
+    return _read((yield from _ask(call, begun=begun)))
+
+
+def _ask(call: Call, *, begun: bool = False) -> Talk[Reply]:
     check_sendable(call.method, call.path, call.json, call.query)
     last: Reply | None = None
     for attempt in range(_SEND_ATTEMPTS):
         last = yield call
         if last.status in range(200, 300):
-            return _read(last)
+            return replace(last, replayed=last.replayed and not attempt)  # else it may answer what was just asked
         if not last.sent and not (begun or attempt):
             raise Unsendable(f"`{call.method} {call.path}`: {last.json}; nothing was sent")
         if not last.sent:
@@ -142,7 +148,10 @@ def invoke(body: Document, key: str | None, defers: int, on_update: OnUpdate | N
 
         headers = {"Idempotency-Key": _nth_key(first_key, attempt)}
         try:
-            posted = yield from send(Call(method="POST", path="/v1/invocations", json=body, headers=headers))
+            reply = yield from _ask(Call(method="POST", path="/v1/invocations", json=body, headers=headers))
+            posted = _read(reply)
+            if reply.replayed and posted.get("status") == "deferred" and attempt < defers:
+                continue  # an earlier call was told so, and has waited: what came next is under the next key
             invocation = yield from follow(posted, hear)
         except BaseException as error:
             _leave_key(error, first_key, next(iter(heard), None))

@@ -15,7 +15,10 @@ class Turn:
 
 
 class Script:
-    """Answers by a function of the request; `None` drops the connection, bytes go out as they are. Keeps every turn."""
+    """Answers by a function of the request; `None` drops the connection, bytes go out as they are. Keeps every turn.
+
+    `headers` go with every answer; they may be changed while it is made.
+    """
 
     def __init__(self, answer: Callable[[Turn], tuple[int, object] | None]) -> None:
         self.answer = answer

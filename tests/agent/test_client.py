@@ -212,6 +212,56 @@ def test_whoever_asks_again_under_a_key_finds_what_became_of_it_after_defers():
     assert [made["status"] for made in kept.values()] == ["deferred", "completed"]
 
 
+@pytest.mark.anyio
+async def test_deferrals_that_are_history_are_neither_waited_out_nor_told_again():
+    """As after a restart: of the attempts under a key, the first two were deferred when the program ended."""
+    kept: dict[str, dict[str, object]] = {}
+    headers: dict[str, str] = {}
+
+    def answer(turn: Turn):
+        key = turn.headers["idempotency-key"]
+        headers["idempotency-replayed"] = str(key in kept).lower()
+        made = invocation("completed", outcome="succeeded") if len(kept) == 2 else deferred
+        return 201, kept.setdefault(key, made)
+
+    deferred = invocation("deferred", admission={"outcome": "defer", "reasons": [], "retry_after_s": 0.01})
+    with serve(answer, headers) as server:
+        with ReinsClient(server.url, "t", defers=1) as client, pytest.raises(Refused):
+            client.invoke("grasp_object", idempotency_key="mine")
+        deferred = invocation("deferred", admission={"outcome": "defer", "reasons": [], "retry_after_s": 60.0})
+        kept = dict.fromkeys(kept, deferred)
+        told: list[object] = []
+        began_s = monotonic_s()
+        with ReinsClient(server.url, "t") as client:
+            client.invoke("grasp_object", idempotency_key="mine", on_update=told.append)
+        async with AsyncReinsClient(server.url, "t") as client:
+            await client.invoke("grasp_object", idempotency_key="mine", on_update=told.append)
+        assert monotonic_s() - began_s < 10.0
+    assert [document["status"] for document in told] == ["completed", "completed"]
+
+
+def test_a_deferral_that_is_history_is_told_where_it_is_the_last_word():
+    deferred = invocation("deferred", admission={"outcome": "defer", "reasons": [], "retry_after_s": 0.01})
+    told: list[object] = []
+    with (
+        serve(lambda _: (201, deferred), {"idempotency-replayed": "true"}) as server,
+        ReinsClient(server.url, "t", defers=1) as client,
+        pytest.raises(Refused),
+    ):
+        client.invoke("navigate_to", target="dock", on_update=told.append)
+    assert told == [deferred]
+
+
+def test_a_deferral_whose_first_answer_was_lost_is_no_history():
+    headers = {"idempotency-replayed": "true"}
+    deferred = invocation("deferred", admission={"outcome": "defer", "reasons": [], "retry_after_s": 0.01})
+    answers = iter([None, (201, deferred), (201, invocation("completed", outcome="succeeded"))])
+    told: list[dict[str, object]] = []
+    with serve(lambda _: next(answers), headers) as server, ReinsClient(server.url, "t") as client:
+        client.invoke("navigate_to", target="dock", on_update=told.append)
+    assert [document["status"] for document in told] == ["deferred", "completed"]
+
+
 def test_gives_a_defer_up_after_the_allowed_number_of_attempts():
     deferred = invocation("deferred", admission={"outcome": "defer", "reasons": [], "retry_after_s": 0.01})
     with (
