@@ -79,7 +79,7 @@ class NotCompleted(ReinsError):
         self.invocation = invocation
         self.reasons = reasons_of(invocation, self.PARTS)
         said = "; ".join(reason.message or reason.code for reason in self.reasons) or "no reason given"
-        super().__init__(f"`{invocation.get('capability')}` {invocation.get('status')}: {said}")
+        super().__init__(f"`{invocation.get('capability')}` {invocation.get('status')}: {said}{_again(invocation)}")
 
     @property
     def codes(self) -> frozenset[str]:
@@ -142,6 +142,12 @@ def reasons_of(invocation: Document, parts: Sequence[str]) -> tuple[Reason, ...]
         said = document(invocation.get(part))
         found += documents(said.get("reasons")) or ([said] if "code" in said else [])
     return tuple(reason for item in found if (reason := _reason(item)) is not None)
+
+
+def _again(invocation: Document) -> str:
+    after_s = document(invocation.get("admission")).get("retry_after_s")
+    named = invocation.get("status") == "deferred" and isinstance(after_s, int | float)
+    return f"; to be proposed again after `{after_s}` s" if named else ""
 
 
 def _reason(item: Document) -> Reason | None:

@@ -158,6 +158,10 @@ class ReinsClient:
         `recovery_preference` and `capability_version`. Every other keyword is an input of the capability; what is
         called like an option, or is no Python name, stands in `inputs`: `invoke("mix", {"mode": "fast"}, speed_mps=1)`.
 
+        What is deferred is proposed again, and what the server cannot answer now (408, 429, 502, 503, 504) sent again,
+        after the time that it names, but a minute at most. A longer one stands in the deferral that `on_update` gets
+        (`admission.retry_after_s`), and in the words of the `Refused` or `Problem` that comes when patience ends.
+
         Returns the result of a completed invocation. Raises `Refused` if it was not launched, `ExecutionFailed` if it
         ended without success, `Problem` if the request was malformed or not allowed, `Unsendable` if it could
         not even be sent, `Unreachable` if there was no answer; the robot may be moving all the same, and invoking

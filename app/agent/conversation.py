@@ -1,7 +1,7 @@
 """The conversation with the server, without I/O: generators that yield what to send and receive what came back.
 
 Every proposal bears an idempotency key, so a lost answer is asked for again without a second proposal; a `Defer` is
-proposed again after the time the server names, with growing patience.
+proposed again after the time the server names, with growing patience, and after a minute at the latest.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ _DONE = frozenset({"succeeded", "recovered"})
 _SEND_ATTEMPTS = 8
 _BACKOFF_S = 0.2
 _BACKOFF_MAX_S = 5.0
-_MAX_PATIENCE_S = 1e6  # what is longer is no time to wait
+_LONGEST_WAIT_S = 60.0  # whoever is told to stay away for a day had better be told so themselves
+_TRANSIENT = frozenset({0, 408, 429, 502, 503, 504})
 _ATTEMPTS = uuid.UUID("6f1c5a52-3f0e-4d0b-9a53-0d7a0b1f7c11")  # sets our keys apart from whatever else is named so
 
 
@@ -86,6 +87,8 @@ def send(call: Call, *, begun: bool = False) -> Talk[Any]:
     """Send until there is an answer; raise `Problem` for one that refuses. Only safe for calls that may be repeated.
 
     What cannot be sent is `Unsendable`, unless something was before, by an earlier attempt, or by what has `begun`.
+    What a server or a proxy cannot answer now is sent again when it says so, and after a minute at the latest; a
+    `Problem` in the end says if it asked for longer.
     """
     return _read((yield from _ask(call, begun=begun)))
 
@@ -102,10 +105,11 @@ def _ask(call: Call, *, begun: bool = False) -> Talk[Reply]:
         if not last.sent:
             raise Unreachable(f"no answer to `{call.method} {call.path}`: {last.json}")
         code = document(last.json).get("code")
-        transient = last.status in (0, 502, 503, 504) or (last.status == 409 and code == "in_flight")
+        transient = last.status in _TRANSIENT or (last.status == 409 and code == "in_flight")
         if not transient:
             raise _problem(last)
-        yield Sleep(seconds=last.retry_after_s or _backoff_s(attempt))
+        if attempt + 1 < _SEND_ATTEMPTS:
+            yield Sleep(seconds=min(last.retry_after_s or _backoff_s(attempt), _LONGEST_WAIT_S))
     if last is None or last.status == 0:
         why = "" if last is None else f"; {last.json}"
         raise Unreachable(f"no answer to `{call.method} {call.path}` after {_SEND_ATTEMPTS} attempts{why}")
@@ -124,9 +128,12 @@ def _problem(reply: Reply) -> Problem:
     if reply.status in range(300, 400):
         leads = "the answer leads to another address; valid is the URL of the server itself"
         return Problem(reply.status, "redirected", leads)
-    return Problem(
-        reply.status, str(body.get("code", "unknown")), str(body.get("detail") or body.get("title") or reply.json)
-    )
+    detail = str(body.get("detail") or body.get("title") or reply.json)
+    if reply.retry_after_s is not None and reply.retry_after_s > _LONGEST_WAIT_S:
+        detail += (
+            f"; to be asked again after `{reply.retry_after_s:g}` s, of which at most {_LONGEST_WAIT_S:g} are waited"
+        )
+    return Problem(reply.status, str(body.get("code", "unknown")), detail)
 
 
 def invoke(body: Document, key: str | None, defers: int, on_update: OnUpdate | None) -> Talk[Result]:
@@ -189,9 +196,9 @@ def _leave_key(error: BaseException, key: str, heard: Document | None) -> None:
 
 
 def _patience_s(deferred: Document) -> float:
-    """Return after how long to propose again; a second, where an answer names no time that can be waited."""
+    """Return after how long to propose again: a second, where an answer names no time, and a minute at most."""
     said = document(deferred.get("admission")).get("retry_after_s")
-    return float(said) if isinstance(said, int | float) and 0 < said <= _MAX_PATIENCE_S else 1.0
+    return float(min(said, _LONGEST_WAIT_S)) if isinstance(said, int | float) and said > 0 else 1.0
 
 
 def _nth_key(first: str, attempt: int) -> str:

@@ -16,6 +16,7 @@ from app.agent.client import (
     Unreachable,
     Unsendable,
 )
+from app.agent.conversation import Call, Reply, Sleep, invoke, send
 from app.api.wire import ProposalBody
 from app.clock import monotonic_s
 
@@ -404,6 +405,44 @@ def test_a_time_that_cannot_be_waited_breaks_nothing_off(after):
     answers = iter([(503, {"code": "record_unavailable"}), (201, invocation("completed", outcome="succeeded"))])
     with serve(lambda _: next(answers), {"retry-after": after}) as server, ReinsClient(server.url, "t") as client:
         assert client.invoke("navigate_to", target="dock").outcome == "succeeded"
+
+
+@pytest.mark.parametrize("status", [408, 429, 503])
+def test_who_is_asked_to_come_back_later_does_and_after_a_minute_at_the_latest(status: int):
+    talk = send(Call(method="GET", path="/v1/capabilities"))
+    next(talk)
+    waited: list[float] = []
+    for asked_s in (None, 1.0, 86_400.0, 86_400.0, 2.0, 2.0, 2.0):
+        slept = talk.send(Reply(status=status, json={"code": "busy", "detail": "busy"}, retry_after_s=asked_s))
+        assert isinstance(slept, Sleep)
+        waited.append(slept.seconds)
+        next(talk)
+    assert waited == [0.2, 1.0, 60.0, 60.0, 2.0, 2.0, 2.0]
+    with pytest.raises(Problem, match=rf"{status} busy: busy; .* after `86400` s, of which at most 60 are waited"):
+        talk.send(Reply(status=status, json={"code": "busy", "detail": "busy"}, retry_after_s=86_400.0))
+
+
+@pytest.mark.parametrize(("asked_s", "waited_s"), [(2, 2.0), (999_999, 60.0), (float("inf"), 60.0), (10**400, 60.0)])
+def test_a_deferral_is_proposed_again_after_a_minute_at_the_latest_and_says_what_was_asked(
+    asked_s: float, waited_s: float
+):
+    deferred = invocation("deferred", admission={"outcome": "defer", "reasons": [], "retry_after_s": asked_s})
+    told: list[dict[str, object]] = []
+    talk = invoke({"capability": "navigate_to"}, None, 1, told.append)
+    next(talk)
+    assert talk.send(Reply(status=201, json=deferred)) == Sleep(seconds=waited_s)
+    next(talk)
+    with pytest.raises(Refused, match=f"deferred: .* to be proposed again after `{asked_s}` s"):
+        talk.send(Reply(status=201, json=deferred))
+    assert told == [deferred, deferred]
+
+
+@pytest.mark.parametrize("asked_s", [float("nan"), -5, 0, "soon", None])
+def test_a_deferral_that_names_no_time_is_proposed_again_after_a_second(asked_s: object):
+    talk = invoke({"capability": "navigate_to"}, None, 1, None)
+    next(talk)
+    deferred = invocation("deferred", admission={"outcome": "defer", "reasons": [], "retry_after_s": asked_s})
+    assert talk.send(Reply(status=201, json=deferred)) == Sleep(seconds=1.0)
 
 
 def test_an_answer_that_is_no_document_is_shown():
