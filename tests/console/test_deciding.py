@@ -547,6 +547,22 @@ def test_a_standing_grant_that_runs_out_goes_while_one_watches(server: ServerPro
     expect(person.region("Events")).to_contain_text("Standing grant ran out: grasp object glass_1")
 
 
+def test_whoever_gave_a_grant_and_nobody_else_is_told_once_that_it_ended(server: ServerProcess, people: People) -> None:
+    giver, other = people.sit(server), people.sit(server, "operator_2")
+    give(server, "glass_1", 1)
+    giver.press("2")
+    other.page.get_by_role("button", name="Revoke the grant for “grasp object” of glass_1").click()
+    expect(other.region("Events")).to_contain_text("operator_2 revoked a standing grant: grasp object glass_1")
+    giver.press("1")
+    told = giver.page.get_by_text("A standing grant of yours ended: “grasp object” of glass_1 by planner in workcell-1")
+    expect(told).to_contain_text("revoked by operator_2")
+    giver.button("Put away which grants ended").click()
+    expect(told).to_have_count(0)
+    give(server, "glass_1", 0.01)
+    expect(told).to_contain_text("ran out")
+    expect(other.page.get_by_text("of yours ended")).to_have_count(0)
+
+
 def give(server: ServerProcess, thing: str, minutes: float) -> None:
     body = {"capability": "grasp_object", "agent": "planner", "cell": "workcell-1", "scope": "object"}
     made = server.post("/v1/grants", {**body, "object": thing, "minutes": minutes})

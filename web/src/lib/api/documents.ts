@@ -168,6 +168,7 @@ export interface Grant {
   issued_by: string;
   expires_at: string;
   uses: number;
+  ended?: { code: string; by: string; at: string } | null;
 }
 
 export type ReviewVerdict = 'accepted' | 'objected' | 'inconclusive';

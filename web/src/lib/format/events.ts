@@ -270,7 +270,7 @@ function status(body: Body): Line {
 }
 
 /** Why a standing grant ended by itself. */
-const GRANT_ENDS: Record<string, string> = {
+export const GRANT_ENDS: Record<string, string> = {
   expired: 'ran out',
   estop: 'ended by the emergency stop',
   policy_changed: 'ended with its policy',

@@ -1,7 +1,10 @@
 import type { Offer } from '../api/client';
 import type { Escalation, Grant } from '../api/documents';
 import { words } from '../format/capability';
+import { entryOf } from '../format/entry';
+import { GRANT_ENDS } from '../format/events';
 import { inBrief, plain } from '../format/plain';
+import { clockTime } from '../format/time';
 
 /** Whether a grant could have spared this question: only where nothing asks but the profile itself. What a rule escalates, it always asks. */
 export function spares({ reasons }: Pick<Escalation, 'reasons'>): boolean {
@@ -16,6 +19,13 @@ export function coverOf({ capability, agent, cell, scope, object, task }: Cover)
   const named = `“${words(capability).toLowerCase()}”`;
   const which = { time: `every ${named}`, object: `${named} of ${plain(object ?? 'one object')}`, task: `${named} for its task${task === null ? '' : ` “${apart(task)}”`}` };
   return `${which[scope]} by ${plain(agent)} in ${plain(cell)}`;
+}
+
+/** What became of a standing grant, and when: `every “grasp object” by planner in workcell-1 (10:00:02, revoked by bob)`. */
+export function endOf(grant: Grant): string {
+  const { code, by, at } = grant.ended ?? { code: '', by: '', at: '' };
+  const how = code === 'revoked' ? `revoked by ${by}` : (entryOf(GRANT_ENDS, code) ?? 'ended');
+  return `${coverOf(grant)} (${clockTime(at)}, ${how})`;
 }
 
 /** Whether what is offered names another object than what the gripper holds by now: nobody allows what they do not read. */

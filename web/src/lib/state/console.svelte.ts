@@ -1,6 +1,6 @@
 import { SvelteMap } from 'svelte/reactivity';
 import { Api } from '../api/client';
-import type { Capability, Cell, Escalation, InputSchema, Invocation, PolicySet } from '../api/documents';
+import type { Capability, Cell, Escalation, InputSchema, Invocation, LogEvent, PolicySet } from '../api/documents';
 import { entryOf } from '../format/entry';
 import { turnedAway, type Known } from '../format/events';
 import { Lasting, withLasting } from '../live/lasting';
@@ -16,6 +16,7 @@ import { Link } from '../socket/link';
 import type { Down, Jog, Scene } from '../socket/messages';
 import { clock, serverMs } from './clock.svelte';
 import { fromSnapshot, grantOf, merged, NOTHING, type Documents } from './documents';
+import { Ends } from './ends.svelte';
 import { Lapses } from './lapses.svelte';
 import { Pace } from './pace';
 import { Quiet } from './quiet';
@@ -71,6 +72,7 @@ export class Console {
     turnedAway: (verdict) => turnedAway(this.docs.events, verdict),
   };
   readonly lapses = new Lapses();
+  readonly ends = new Ends();
   readonly unheeded = new Unheeded();
   /** What was typed into questions whose card went before it was sent. */
   readonly drafts = new SvelteMap<string, Draft>();
@@ -271,6 +273,12 @@ export class Console {
     this.frameListeners.forEach((listen) => listen(frame, told));
   }
 
+  /** Keeps the news among what was recorded until they are put away. */
+  private gather(events: readonly LogEvent[] | undefined): void {
+    this.lapses.take(events);
+    this.ends.take(events, this.me?.name ?? null);
+  }
+
   private take(message: Down): void {
     switch (message.type) {
       case 'welcome':
@@ -280,14 +288,14 @@ export class Console {
         break;
       case 'snapshot':
         this.latest = fromSnapshot(message, this.latest);
-        this.lapses.take(message.events);
+        this.gather(message.events);
         this.heardAtMs = clock.read();
         this.draw(); // at once: from now on it is the present
         this.reviewing.resume(this.docs.reviews);
         break;
       case 'update':
         this.latest = merged(this.latest, message);
-        this.lapses.take(message.events);
+        this.gather(message.events);
         this.pace.ask();
         if (message.events?.some((event) => event.kind === 'policy_activated') === true) void this.fetchPolicy();
         break;

@@ -1,4 +1,5 @@
 import type { Escalation, Json, LogEvent } from '../api/documents';
+import { Since } from './since';
 
 /** A question whose time ran out. */
 export interface Lapse {
@@ -14,16 +15,10 @@ const questionOf = (body: Json | undefined): Escalation | null => (typeof body =
 /** What lapsed since somebody signed in here, on whatever page they were, until they put it away; the newest first. */
 export class Lapses {
   news: readonly Lapse[] = $state.raw([]);
-  /** The event up to which it is known; null before the first. */
-  private seq: number | null = null;
+  private readonly since = new Since();
 
-  /** Takes events as they come, those of a snapshot as well: what was recorded before the first one is no news. */
   take(events: readonly LogEvent[] | undefined): void {
-    const known = this.seq;
-    const fresh = (events ?? []).filter(({ seq }) => seq > (known ?? -1));
-    this.seq = fresh.reduce((most, { seq }) => Math.max(most, seq), known ?? 0);
-    if (known === null) return;
-    const lapsed = fresh.flatMap(({ body, at }) => {
+    const lapsed = this.since.fresh(events).flatMap(({ body, at }) => {
       const asked = questionOf(body['escalation']);
       return asked?.status === 'expired' && !this.news.some((one) => one.asked.id === asked.id) ? [{ asked, at }] : [];
     });
