@@ -3,6 +3,7 @@
 A command is good for `EXPIRES_MS` of the cell's own ticks. Whatever stopped the motion, a key that is still held does
 not start it again: it takes a command of nothing first (`release_first`), which is what letting go of the key sends. So
 does the first motion of all, and of every lease: a key that somebody held before they had the controls starts nothing.
+Nor does one that was pressed and refused: whoever kept it down sees nothing move, and need not expect it to begin.
 A command that only expired is no such stop, and the next one goes on, unless nothing came for `SILENT_MS`: everything
 stands by then. What comes after that was held back on its way, and whoever sent it may have let go since.
 """
@@ -41,7 +42,7 @@ class Steering:
         lease: By which the newest command came.
         number: Of the newest command.
         refused: Why the newest command was not done; empty where it was.
-        armed: Whether a motion may begin: nothing was wanted since whatever stopped the last one.
+        armed: Whether a motion may begin: nothing was wanted since whatever stopped or refused the last one.
         stopped_by: The rule that stopped the motion and still stands in its way.
         leavable: Whether a new motion may lead out of that, or it has to end by itself.
         blocked: By rule, its signal, and how far it was violated when it stopped the motion first.
@@ -89,8 +90,9 @@ class Steering:
             self.armed, self._silent = True, math.inf
 
     def refuse(self, why: str) -> None:
-        """Do not do what is wanted."""
-        self.refused, self._wish = why, NOTHING
+        """Do not do what is wanted: nor later, once nothing stands in its way any more."""
+        self.refused = why
+        self.rest()
 
     def rest(self) -> None:
         """Want nothing, and nothing again until the key was let go of."""

@@ -1292,6 +1292,29 @@ def test_a_human_who_takes_over_from_a_way_back_has_the_controls(rig: Rig) -> No
     assert rig.runner.jog("inv-1", "lease", 3, Wish(base=(0.1, 0.0, 0.0)), "operator") is None
 
 
+@pytest.mark.parametrize("held_by", ["paused", "separation_m"])
+def test_a_key_pressed_while_the_robot_is_held_does_not_move_it_once_it_is_not(rig: Rig, held_by: str) -> None:
+    ahead, presses = Wish(base=(0.1, 0.0, 0.0)), itertools.count(1)
+
+    def say(wish: Wish) -> str | None:
+        return rig.runner.jog("inv-1", "lease", next(presses), wish, "operator")
+
+    walking_in(rig, from_s=1.0 if held_by == "separation_m" else math.inf, until_s=2.0)
+    rig.launch(capability="takeover")
+    rig.ticks(20)
+    if held_by == "paused":
+        assert rig.runner.human("inv-1", "pause", "operator") is None
+    rig.until_status("paused")
+    assert say(Wish()) is None
+    assert say(ahead) == held_by
+    if held_by == "paused":
+        assert rig.runner.human("inv-1", "resume", "operator") is None
+    rig.until_status("running")
+    assert say(ahead) == "release_first"
+    assert say(Wish()) is None
+    assert say(ahead) is None
+
+
 def test_a_change_of_hands_that_cannot_be_recorded_does_not_pass_for_the_end_of_what_still_moves(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:

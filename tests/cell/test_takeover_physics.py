@@ -257,6 +257,19 @@ def test_somebody_too_near_stops_the_hand_and_a_key_still_held_does_not_start_it
     assert console.press(away, 30) is None
 
 
+def test_a_key_pressed_in_a_pause_and_kept_drives_nowhere_when_it_ends(tmp_path: Path) -> None:
+    shop, console = idle(tmp_path)
+    away = Wish(base=(-0.3, 0.0, 0.0))
+    assert shop.runner.human("inv-1", "pause", "operator") is None
+    assert console.press(away, 20) == "paused"
+    stood = shop.cell.truth().base
+    assert shop.runner.human("inv-1", "resume", "operator") is None
+    assert console.hold(away, 60) == "release_first"
+    assert shop.cell.truth().base[:2] == pytest.approx(stood[:2], abs=0.01)
+    assert console.press(away, 30) is None
+    assert shop.cell.truth().base_speed_mps > 0.1
+
+
 @pytest.mark.parametrize("stilled", [False, True], ids=["renewed", "pre-empted"])
 def test_a_key_held_by_whoever_gets_a_lease_starts_nothing_until_it_is_let_go(tmp_path: Path, stilled: bool) -> None:
     shop, console = idle(tmp_path)
