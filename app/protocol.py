@@ -252,6 +252,7 @@ class State(Message):
     jog: Jogged | None = None
     fault: Unrecorded | None = None
     broken: str = ""  # what failed of the guard itself; power is cut until a reset
+    elsewhere: str = ""  # why nothing is launched under the newest policy: its site is not the robot's
 
 
 class Scene(Message):

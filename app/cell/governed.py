@@ -3,6 +3,10 @@
 A session is watched by the policy it was authorized under, even if others come into force meanwhile: that one is kept
 as long as the session lasts. Beside it the cell holds the newest policy and the one before, and binds authorizations of
 these: one that was minted right before a change still counts, one of a version that is not held here does not.
+
+The site is part of the policy, and the robot works by the one it was built with: it drives to that one's stands, and
+knows what stands where from it. Under a policy that says otherwise nothing is launched: what was decided about one
+place would be done at another.
 """
 
 from __future__ import annotations
@@ -75,7 +79,7 @@ class GovernedCell:
 
         Args:
             substrate: what moves.
-            policies: the policy to begin with.
+            policies: the policy to begin with, whose site the substrate was built with.
             kernel_key: what authorizations are signed with, base64 of the raw public key.
             journal: the cell's; what it still holds goes up first.
             outbox: where reports, telemetry and states go.
@@ -86,6 +90,7 @@ class GovernedCell:
         """
         self._key = Ed25519PublicKey.from_public_bytes(base64.b64decode(kernel_key, validate=True))
         self._policies: dict[str, PolicySet] = {}
+        self._site = policies.site
         self._policies_digest = ""
         self._profile: str | None = None
         self._reset = ""
@@ -184,6 +189,7 @@ class GovernedCell:
             jog=None if view.jogged is None else Jogged(n=view.jogged[0], refused=view.jogged[1] or None),
             fault=_unrecorded(view) if view.fault else None,
             broken=view.broken,
+            elsewhere="" if view.invocation else self._elsewhere(self._policies_digest),
         )
 
     def look(self) -> Moment:
@@ -208,8 +214,18 @@ class GovernedCell:
         for digest in tuple(self._policies)[:-KEPT_POLICIES]:
             if digest != needed:
                 del self._policies[digest]
-        former = frozenset(self._policies) - {policies.digest}
-        self._runner.adopt(policy_digest=policies.digest, key=self._key, former=former)
+        self._runner.adopt(
+            policy_digest=policies.digest,
+            key=self._key,
+            former=frozenset(self._policies) - {policies.digest},
+            elsewhere={digest: why for digest in self._policies if (why := self._elsewhere(digest))},
+        )
+
+    def _elsewhere(self, digest: str) -> str:
+        """Say why nothing is launched under a policy of another site; empty where its site is the robot's."""
+        if self._policies[digest].site == self._site:
+            return ""
+        return f"the robot works by another site than that of the policy `{digest}`; valid: restart the cell"
 
     def _keep_house(self, acknowledged: int) -> None:
         # A journal that cannot be made smaller is whole all the same; the next thing to be recorded says what is wrong.
@@ -232,8 +248,8 @@ class GovernedCell:
         return plan, then
 
     def _unmet(self, postconditions: tuple[str, ...], params: Params, facts: WorldFacts) -> tuple[str, ...]:
-        site = self._policies[self._policies_digest].site
-        return tuple(found.condition for found in unmet(postconditions, params, facts, site))
+        # Whatever policy has come meanwhile: every session is launched under one of this site.
+        return tuple(found.condition for found in unmet(postconditions, params, facts, self._site))
 
     def _tell(self, entry: Entry) -> None:
         self._outbox.event(UpEvent.model_construct(**entry._asdict()))

@@ -48,6 +48,7 @@ Deed: TypeAlias = "Callable[[Session], str | None]"
 
 CATCH_UP_TICKS: Final = 100
 _NOTHING: Final[Mapping[str, tuple[str, str]]] = {}
+_NO_WORDS: Final[Mapping[str, str]] = {}
 
 
 class View(NamedTuple):
@@ -108,6 +109,7 @@ class Runner:
         self._key: Ed25519PublicKey | None = None
         self._policy_digest = ""
         self._former: frozenset[str] = frozenset()
+        self._elsewhere = _NO_WORDS
         self._session: Session | None = None
         self._signals = Signals()
         self._unpowered = False
@@ -177,9 +179,24 @@ class Runner:
 
     # -- orders --------------------------------------------------------------------------------------------------------
 
-    def adopt(self, *, policy_digest: str, key: Ed25519PublicKey, former: frozenset[str] = frozenset()) -> None:
-        """Believe authorizations under this policy, or one of those still held, signed with this key."""
-        self._policy_digest, self._former, self._key = policy_digest, former, key
+    def adopt(
+        self,
+        *,
+        policy_digest: str,
+        key: Ed25519PublicKey,
+        former: frozenset[str] = frozenset(),
+        elsewhere: Mapping[str, str] = _NO_WORDS,
+    ) -> None:
+        """Believe authorizations under this policy, or one of those still held, signed with this key.
+
+        Args:
+            policy_digest: The newest policy.
+            key: What authorizations are signed with.
+            former: The others that are still held.
+            elsewhere: Of these, those of another site than the substrate's, and what to say of it: nothing is launched
+                under them.
+        """
+        self._policy_digest, self._former, self._key, self._elsewhere = policy_digest, former, key, elsewhere
 
     def launch(self, signed: SignedAuthorization, *, anew: bool = False) -> str | None:
         """Verify a signed authorization and begin its session; return None, or the code of the refusal.
@@ -350,6 +367,8 @@ class Runner:
             return "estop_latched", "an emergency stop is latched; valid: reset it first"
         if self.holding:
             return "holding", f"the cell holds (`{self.holding}`); valid: wait until the link is back"
+        if (why := self._elsewhere.get(grant.authorization.policy_digest)) is not None:
+            return "another_site", why
         session = self._session
         if session is None:
             return ("no_such_session", "the session that was to change hands is over") if anew else None

@@ -45,6 +45,10 @@ KNOWN: Final[Mapping[str, tuple[str, str]]] = {
     "guard_broken": ("what guards the cell broke, and power was cut", "leave it to a human: the cell needs service"),
     "shutdown": ("the cell was shut down", "propose it again when the cell is back"),
     "journal_unavailable": ("the cell cannot write its journal", "propose it again once there is room for it"),
+    "another_site": (
+        "the robot works by another site than the policy's",
+        "propose it again once the cell is restarted",
+    ),
     "verified": ("it was rolled back; the world is as it was before", "change what is proposed"),
 }
 

@@ -197,7 +197,7 @@ class Fleet:
         return "holds: its link's lease lapsed" if cell.state.holding else None
 
     def faults(self) -> dict[str, str]:
-        """Return why cells that are there move nothing, by cell: they can record nothing, or their guard broke."""
+        """Return why cells that are there move nothing, by cell: without a record, a guard, or the site in force."""
         known = {cell.id: _fault(cell.state) for cell in self.cells() if cell.fresh and cell.state is not None}
         return {f"cell/{name}": why for name, why in known.items() if why is not None}
 
@@ -552,4 +552,4 @@ class Fleet:
 
 
 def _fault(state: State) -> str | None:
-    return state.broken or (None if state.fault is None else state.fault.why)
+    return state.broken or (None if state.fault is None else state.fault.why) or state.elsewhere or None

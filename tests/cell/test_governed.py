@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import functools
 import struct
 from dataclasses import replace
 from pathlib import Path
@@ -12,13 +13,26 @@ import pytest
 
 from app.cell.governed import GovernedCell
 from app.cell.journal import Journal
-from app.cell.loop import Outbox, Welcomed
+from app.cell.loop import NewPolicy, Outbox, Welcomed
 from app.cell.moment import Sight
 from app.cell.sighting import Sightings, things
+from app.governance import bundle
 from app.governance.permit import mint
+from app.governance.policy import PolicySet
 from app.protocol import Human, Launch, Scene, Sighting, decode_up
 from tests.cell.rig import KEY, NOW_S, PERMIT, FakeCell
 from tests.cell.workshop import policy
+
+
+@functools.cache
+def changed(name: str, before: str, after: str) -> PolicySet:
+    files = policy().files
+    assert before in files[name]
+    return bundle.load_files({**files, name: files[name].replace(before, after, 1)})
+
+
+def moved() -> PolicySet:
+    return changed("site.yaml", "dock: {x_m: 0.8, y_m: 0.8", "dock: {x_m: 2.2, y_m: 0.8")
 
 
 class Governed:
@@ -37,18 +51,21 @@ class Governed:
         )
         self.cell.obey(Welcomed(profile="human-shared"))
 
-    def drive(self) -> None:
+    def drive(self, policies: PolicySet | None = None, **changes: object) -> None:
         permit = replace(
             PERMIT,
             capability="navigate_to",
             params={"target": "dock", "speed_mps": 0.3, "clearance_m": 0.3},
-            policy_digest=policy().digest,
+            policy_digest=(policies or policy()).digest,
             recoveries=(),
         )
-        made = mint(permit, KEY)
+        made = mint(replace(permit, **changes), KEY)  # type: ignore[arg-type]
         self.cell.obey(
             Launch(body=base64.b64encode(made.body).decode(), signature=base64.b64encode(made.signature).decode())
         )
+
+    def refusals(self) -> list[object]:
+        return [event.body["refused"] for event in self.outbox.events if event.body.get("refused")]
 
 
 class Socket:
@@ -85,6 +102,42 @@ def test_the_gauges_of_a_session_end_with_it_and_those_of_sensors_go_on(governed
     over = governed.cell.state(overruns=3)
     assert set(over.gauges) == {"tcp_speed_mps", "base_speed_mps", "grip_force_n", "contact_force_n", "late_ticks"}
     assert (over.gauges["contact_force_n"], over.gauges["base_speed_mps"]) == (17.0, 0.0)
+
+
+def test_launches_nothing_under_a_policy_of_another_site_and_says_what_to_do(governed: Governed) -> None:
+    governed.cell.obey(NewPolicy(policies=moved()))
+    governed.drive(moved())
+    assert governed.refusals() == ["another_site"]
+    state = governed.cell.state(overruns=0)
+    assert (state.invocation, state.policy_digest) == (None, moved().digest)
+    assert "restart the cell" in state.elsewhere
+    governed.cell.obey(NewPolicy(policies=policy()))
+    assert governed.cell.state(overruns=0).elsewhere == ""
+    governed.drive(id="auth-2")
+    assert governed.cell.state(overruns=0).invocation == "inv-1"
+
+
+def test_launches_as_ever_under_a_policy_that_leaves_the_site_alone(governed: Governed) -> None:
+    blunter = changed("profiles/human-shared.yaml", "sensitivity: 0.9", "sensitivity: 0.8")
+    governed.cell.obey(NewPolicy(policies=blunter))
+    governed.drive(blunter)
+    state = governed.cell.state(overruns=0)
+    assert (governed.refusals(), state.invocation, state.elsewhere) == ([], "inv-1", "")
+
+
+@pytest.mark.parametrize(("x_m", "outcome"), [(0.8, "succeeded"), (2.2, None)])
+def test_a_session_has_done_what_its_own_policy_says_whatever_has_come_meanwhile(
+    governed: Governed, x_m: float, outcome: str | None
+) -> None:
+    governed.substrate.script.base_mps = 0.0
+    governed.substrate.x_m, governed.substrate.y_m = x_m, 0.8
+    governed.drive()
+    governed.cell.obey(NewPolicy(policies=moved()))
+    assert governed.cell.state(overruns=0).elsewhere == "", "it moves, as long as the session goes on"
+    for _ in range(150):
+        governed.cell.tick()
+    ended = [event.body["outcome"] for event in governed.outbox.events if event.kind == "outcome"]
+    assert ended == ([] if outcome is None else [outcome])
 
 
 def test_sees_people_as_the_tracker_does_while_a_session_runs(governed: Governed) -> None:

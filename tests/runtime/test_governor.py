@@ -733,6 +733,9 @@ async def test_readiness_names_what_is_broken(runtime: Runtime) -> None:
     assert runtime.governor.ready() == {}
     await cell.state(holding=True)
     assert "lease" in runtime.governor.ready()[f"cell/{CELL}"]
+    await cell.state(elsewhere="the robot works by another site; valid: restart the cell")
+    assert "restart" in runtime.governor.ready()[f"cell/{CELL}"]
+    assert "restart" in runtime.fleet.document(runtime.fleet.cell(CELL))["fault"]
     await cell.hang_up()
     assert "not attached" in runtime.governor.ready()[f"cell/{CELL}"]
 
