@@ -82,6 +82,8 @@ class Session(Governing):
             self._tell_anyway(telling.cell("no_plan", telling.CELL, str(error)))
             return "no_plan"
         self.steering, self._handing, self._displaced = self._steering(grant, plan, alone=False), None, True
+        if run.undoing:
+            run.used = run.used.giving_up()
         run.brake(self.seen)
         run.next = Bind(Doing.TAKEOVER, careful=False)
         run.deciding, run.failed, run.escalated_by, run.hold_after_recovery = None, "", "", ""

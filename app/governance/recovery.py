@@ -9,7 +9,8 @@ and its steps are tried in order. A step is taken when
    lesser one: a human is asked.
 
 Budgets are counted over the whole session. A recovery that fails comes back here with the same budgets, so nesting
-ends: every decision that moves something uses up a part of a finite sum, and what is left is a human or the end.
+ends: every decision that moves something uses up a part of a finite sum, and what is left is a human or the end. A
+rollback that a human takes the controls from is not used up: it has not failed.
 
 A rollback that ends elsewhere than the session began (a retreat, or a release after the base was moved) is led back
 along the recorded path, once, if that is covered.
@@ -49,6 +50,11 @@ class Budgets(NamedTuple):
             self.rolled_back or strategy is Strategy.ROLLBACK,
             self.led_back,
         )
+
+    def giving_up(self) -> Budgets:
+        """Return the budgets where a rollback is given up before it ended: what it was to undo may still be undone."""
+        steps = tuple(step for step in self.steps if step[1] is not Strategy.ROLLBACK)
+        return Budgets(steps, self.retries)
 
 
 class RecoveryDecision(NamedTuple):

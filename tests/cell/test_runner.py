@@ -653,6 +653,31 @@ def test_a_rollback_of_what_a_human_drove_is_carried_on_as_any(rig: Rig) -> None
     assert rolled_back_once(rig)
 
 
+@pytest.mark.parametrize("failed", [False, True], ids=["under way", "failed"])
+@pytest.mark.parametrize("asked_by", ["operator", "table"])
+def test_a_rollback_that_a_human_took_over_from_may_be_had_again_unless_it_had_failed(
+    rig: Rig, asked_by: str, failed: bool
+) -> None:
+    rig.recovery = replace(RECOVERY, rules=(RecoveryRule(on="any", do=(Strategy.ROLLBACK, Strategy.ASK_HUMAN)),))
+    rig.cell.script.base_mps = 0.0
+    rig.cell.script.fails = {("retrace", 1): "blocked"} if failed else {}
+    if asked_by == "table":
+        rig.cell.script.fails["grasp_object", 1] = "blocked"
+    rig.launch()
+    rig.ticks(20)
+    if asked_by == "operator":
+        assert rig.runner.human("inv-1", "rollback", "operator") is None
+    rig.until(lambda: rig.runs("retrace"))
+    rig.until_status("escalated" if failed else "recovering")
+    rig.ticks(20)
+    assert rig.runner.launch(signed(id="auth-2", capability="takeover")) is None
+    refused = rig.runner.human("inv-1", "rollback", "operator")
+    assert refused == ("rollback_unavailable" if failed else None)
+    if not failed:
+        assert rig.finish()["outcome"] == "rolled_back"
+        assert rig.runs("retrace") == 2
+
+
 def test_a_violation_while_a_rollback_is_paused_has_ended_it_all_the_same(rig: Rig) -> None:
     rolling_back(rig)
     rig.until(lambda: rig.runs("retrace"))
