@@ -1,8 +1,9 @@
 """One governed session, from the first tick after its launch to its outcome.
 
 A failure goes the same way whatever found it (a watch rule, the skill, a postcondition): hold, ask `recover`, write the
-decision to the journal *and to the disk*, come to rest, and only then bind what it names. What restrains acts first and
-records afterwards; everything else records first.
+decision to the journal, come to rest, have it on the disk, and only then bind what it names. What restrains acts first
+and records afterwards; everything else records first. Nothing waits for a disk while anything moves: meanwhile nobody
+would tick, and the last command would stay in force.
 """
 
 from __future__ import annotations
@@ -314,7 +315,7 @@ class Governing:
         return "recovery_incomplete" if deciding is None else deciding.failure
 
     def _follow(self, decision: RecoveryDecision) -> None:
-        """Hold, record the decision on the disk, and prepare what it says for when everything stands still."""
+        """Hold, record the decision, and prepare what it says for when everything stands still."""
         run = self.run
         run.used, run.deciding = decision.used, decision
         run.brake(self.seen)
@@ -325,7 +326,6 @@ class Governing:
             run.failed = decision.failure
             self.escalate(decision.failure)
         else:
-            self._ports.recorder.sync()
             self._prepare(_bound(decision), decision.strategy.value)
 
     def _prepare(self, then: Bind, reason: str) -> None:
@@ -349,6 +349,7 @@ class Governing:
                 run.failed = "link_lost" if reason == LINK else self._recovered()
                 self.escalate(reason)
             else:
+                self._recorder.sync()
                 self._bind(then)
 
     def _bind(self, then: Bind) -> None:
@@ -475,7 +476,6 @@ class Governing:
         permit, failed = run.grant.authorization, run.failed
         if failed:
             self._tell(telling.asked_again(run.id, failed))
-            self._ports.recorder.sync()
         run.deciding, run.failed = None, ""
         run.confirm()
         run.paused_by.clear()

@@ -245,6 +245,7 @@ class Session(Governing):
         if isinstance(then, Bind) and then.doing is Doing.TAKEOVER:
             if run.still(self.seen):
                 run.next = None
+                self._recorder.sync()
                 self._bind(then)
             return
         super()._go_on(then)

@@ -213,13 +213,14 @@ class Runner:
         if (why := self._not_now(grant, anew=anew)) is not None:
             return self._refuse(permit.invocation, *why, permit.id)
         used: dict[str, Json] = {USED + permit.id: permit.expires_at_s, "open": permit.invocation}
+        session = self._session
         try:
             self._record.require_room()
             self._record.say(telling.launch(permit), marks=used)
-            self._record.sync()
+            if session is None:  # one that may move waits for the disk once it stands, before anything is bound
+                self._record.sync()
         except JournalUnavailable as error:
             return self._refuse(permit.invocation, "journal_unavailable", str(error), permit.id)
-        session = self._session
         return self._begin(grant) if session is None else self._change_hands(session, grant)
 
     def jog(self, invocation: str, lease: str, number: int, wish: Wish, actor: str) -> str | None:

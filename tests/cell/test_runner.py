@@ -404,6 +404,28 @@ def test_the_recovery_is_on_the_disk_before_it_is_bound(rig: Rig, monkeypatch: p
     assert order == ["sync", "bind"]
 
 
+@pytest.mark.parametrize("why", ["a failure", "a human", "another attempt"])
+def test_nothing_moves_while_the_disk_is_waited_for(rig: Rig, monkeypatch: pytest.MonkeyPatch, why: str) -> None:
+    rig.cell.script.ticks = 400
+    rig.launch()
+    rig.ticks(60)
+    assert rig.moving()
+    order: list[object] = []
+    bind, sync = rig.cell.bind, rig.journal.sync
+    monkeypatch.setattr(rig.cell, "bind", lambda *a, **k: (order.append("bind"), bind(*a, **k))[1])
+    monkeypatch.setattr(rig.journal, "sync", lambda: (order.append(rig.moving()), sync())[1])
+    if why == "a human":
+        assert rig.runner.launch(signed(id="auth-2", capability="takeover")) is None
+    else:
+        rig.cell.script.fails["grasp_object", 1] = "grasp_failed" if why == "a failure" else "blocked"
+    if why == "another attempt":
+        rig.until_status("escalated")
+        assert rig.moving()
+        assert rig.runner.human("inv-1", "resolve_continue", "operator") is None
+    rig.until(lambda: "bind" in order)
+    assert order == [False, "bind"]
+
+
 def test_safer_mode_runs_carefully(rig: Rig) -> None:
     rig.cell.lie = lambda seen: seen._replace(tcp_speed_mps=0.6) if seen.tick == 60 else seen
     rig.launch()
@@ -1278,6 +1300,26 @@ def test_what_ended_without_a_record_is_said_until_the_record_has_it(rig: Rig, m
     assert rig.runner.view().fault == ""
     assert rig.runner.view().unsaid == {}
     assert rig.last("outcome")["outcome"] == "stopped"
+
+
+@pytest.mark.parametrize("why", ["a failure", "a human"])
+def test_what_the_disk_does_not_have_at_standstill_is_not_bound(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, why: str
+) -> None:
+    def full() -> None:
+        raise JournalUnavailable("cannot write journal: no space left on device")
+
+    rig.launch()
+    rig.ticks(20)
+    if why == "a failure":
+        rig.cell.script.fails["grasp_object", 1] = "grasp_failed"
+    with monkeypatch.context() as patched:
+        patched.setattr(rig.journal, "sync", full)
+        if why == "a human":
+            assert rig.runner.launch(signed(id="auth-2", capability="takeover")) is None
+        assert rig.finish()["code"] == "journal_unavailable"
+    assert not rig.moving()
+    assert len(rig.cell.bound) == 1
 
 
 @pytest.mark.parametrize("capability", ["takeover", "navigate_to"])
