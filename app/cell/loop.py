@@ -104,6 +104,7 @@ class Lease:
 
     A lapse that anybody saw is final until the next welcome. Were it judged anew each time, a frame that comes right
     after the loop began to hold would hide the lapse from the link: it would not dial again, and the hold never end.
+    Nor does a welcome undo it for a loop that was busy meanwhile, and obeys by an older term still.
     """
 
     __slots__ = ("_heard_s", "_lapsed", "_term")
@@ -116,6 +117,7 @@ class Lease:
 
     def welcomed(self) -> None:
         """Begin a new term: the server answered the cell's hello just now."""
+        self.lapsed()  # for the record, where nobody has asked since the last frame
         self._heard_s = monotonic_s()
         self._term += 1  # last, so that whoever looks meanwhile sees the old term, or a new one that was just heard
 
@@ -123,12 +125,16 @@ class Lease:
         """Note that the server spoke just now; a term that has lapsed stays so."""
         self._heard_s = monotonic_s()
 
-    def lapsed(self) -> bool:
-        """Say whether nothing was heard for `LEASE_MS` at a time when it was asked since the last welcome."""
+    def lapsed(self, since: int | None = None) -> bool:
+        """Say whether nothing was heard for `LEASE_MS` at a time when it was asked since the last welcome.
+
+        Args:
+            since: the term of an older welcome, for whoever goes by that one still.
+        """
         term = self._term
         if monotonic_s() - self._heard_s > LEASE_MS / 1000:
             self._lapsed = term  # both threads ask: one that judged an old term must not end a new one
-        return self._lapsed == term
+        return self._lapsed >= (term if since is None else since)
 
 
 class Outbox:
@@ -188,6 +194,7 @@ class TickLoop:
         self._lease = lease
         self._pace = pace
         self._held = True
+        self._term = 0  # of the lease: how many welcomes it has obeyed
         self._ending = False
         self._state_due_s = self._look_due_s = 0.0
         self._thread = threading.Thread(target=self.run, name="tick", daemon=True)
@@ -257,12 +264,14 @@ class TickLoop:
             self._obey(order)
 
     def _obey(self, order: Order) -> None:
+        self._check_lease()  # what a connection has left behind whose lease lapsed is obeyed by a cell that holds
         match order:
             case Shutdown():
                 self._ending = True
                 self._runner.hold("shutdown")
             case Welcomed():
                 self._held = False
+                self._term += 1
                 self._runner.obey(order)
             case Jog():  # many a second: the state says ten times a second what became of them
                 self._runner.obey(order)
@@ -272,7 +281,7 @@ class TickLoop:
         self._outbox.changed = True
 
     def _check_lease(self) -> None:
-        if not self._held and self._lease.lapsed():
+        if not self._held and self._lease.lapsed(self._term):
             self._held = True
             self._runner.hold(LINK)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 from queue import SimpleQueue
 
@@ -9,7 +10,8 @@ import pytest
 
 from app.cell.loop import SIGHT_EVERY, Lease, Order, Outbox, Shutdown, TickLoop, Welcomed
 from app.cell.moment import Sight
-from app.protocol import LEASE_MS, Estop, State, Unrecorded, UpEvent
+from app.clock import monotonic_s
+from app.protocol import LEASE_MS, Estop, Launch, State, Unrecorded, UpEvent
 from tests.conftest import until
 
 LONG_S = 3600.0
@@ -142,6 +144,55 @@ def test_a_frame_that_comes_after_the_lapse_does_not_hide_it(monkeypatch: pytest
     assert lease.lapsed()
     lease.welcomed()
     assert not lease.lapsed()
+
+
+class Busy(Recorder):
+    """A runner whose ticks take as long as somebody else wants."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.told: list[str] = []
+        self.free = threading.Event()
+        self.free.set()
+        self.stands = threading.Event()
+
+    def tick(self) -> None:
+        super().tick()
+        if not self.free.is_set():
+            self.stands.set()
+            assert self.free.wait(10.0)
+
+    def obey(self, order: Order) -> None:
+        super().obey(order)
+        self.told.append(type(order).__name__)
+
+    def hold(self, reason: str) -> None:
+        super().hold(reason)
+        self.told.append(reason)
+
+
+@pytest.mark.parametrize("seen", [True, False], ids=["the link saw it", "nobody saw it"])
+def test_a_lapse_is_held_for_although_a_welcome_came_before_the_loop_could_see_it(
+    start: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch, seen: bool
+) -> None:
+    now_s = monotonic_s()
+    monkeypatch.setattr("app.cell.loop.monotonic_s", lambda: now_s)
+    runner = Busy()
+    bench = start(runner)
+    bench.lease.welcomed()
+    bench.inbox.put(Welcomed(profile="human-shared"))
+    until(lambda: runner.told == ["Welcomed"])
+    runner.free.clear()
+    assert runner.stands.wait(10.0)
+    bench.inbox.put(Launch(body="", signature=""))  # the last word of the connection that falls silent now
+    now_s += LEASE_MS / 1000 + 0.01
+    if seen:
+        assert bench.lease.lapsed()
+    bench.lease.welcomed()
+    bench.inbox.put(Welcomed(profile="human-shared"))
+    runner.free.set()
+    until(lambda: runner.told.count("Welcomed") == 2)
+    assert runner.told == ["Welcomed", "link", "Launch", "Welcomed"]
 
 
 def test_goes_on_ticking_until_everything_stands_when_shut_down(start: Callable[..., Bench]) -> None:
