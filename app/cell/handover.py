@@ -221,7 +221,7 @@ class Session(Governing):
         ends = decision.ends_attempt or decision.intervention is Intervention.ESCALATE
         if self._handing is not None:
             self._keep_the_controls(steering, alert.rule, "the watcher stops it where it stands")
-        if steering.stop(alert.rule, leavable=ends and not stays):
+        if steering.stop(alert.rule, leavable=ends and not stays) or "watch" not in run.paused_by:
             run.paused_by.add("watch")
             run.brake(self.seen)
             self._tell_anyway(telling.intervention(run.id, decision.intervention, alert))

@@ -1346,6 +1346,19 @@ def test_a_human_who_is_let_go_of_while_the_session_is_handed_back_leaves_it_wai
     assert rig.finish()["outcome"] in {"succeeded", "recovered"}
 
 
+def test_what_the_watcher_still_stops_is_paused_once_more_where_it_could_not_be_handed_back(rig: Rig) -> None:
+    walking_in(rig, from_s=1.0, until_s=math.inf)
+    rig.launch()
+    assert rig.runner.launch(signed(id="auth-2", capability="takeover"), anew=True) is None
+    rig.until_status("paused")
+    assert rig.runner.launch(signed(id="auth-3"), anew=True) is None
+    rig.ticks(20)
+    assert rig.last("launch")["refused"] == "separation_m"
+    assert rig.statuses()[-3:] == ["recovering", "running", "paused"]
+    assert rig.runner.jog("inv-1", "lease", 1, Wish(), "operator") is None
+    assert rig.runner.jog("inv-1", "lease", 2, Wish(base=(0.1, 0.0, 0.0)), "operator") == "separation_m"
+
+
 def test_a_human_who_takes_over_from_a_way_back_has_the_controls(rig: Rig) -> None:
     rig.launch()
     rig.ticks(60)
