@@ -178,6 +178,8 @@ class Session(Governing):
             return "paused"
         if steering.stopped_by and not (steering.leavable and steering.armed):
             return steering.stopped_by
+        if steering.stopped_by and (rule := run.responses.barred(run.responding, self._tick)):
+            return rule
         return None if steering.armed else "release_first"
 
     def _lead_out(self, steering: Steering) -> None:

@@ -145,6 +145,20 @@ class Responses:
         ended = tuple(one for one in state.engaged if self._decide(one).ends_attempt)
         return InterventionState(ended, state.grace) if ended or state.grace else NOTHING
 
+    def barred(self, state: InterventionState, tick: int) -> str:
+        """Return a rule that has to end by itself before a human may move anything, however long it lasts; else "".
+
+        It does more than warn, moving mends nothing of it (`WAY_OUT`), and it was not quiet for as long as it takes to
+        clear.
+        """
+        for one in state.engaged:
+            rule = self._rules[one.rule]
+            if rule.signal in WAY_OUT or self._decide(one).intervention is Intervention.CONTINUE:
+                continue
+            if one.quiet_since is None or (tick - one.quiet_since + 1) * self._period_ms < rule.response.clear_after_ms:
+                return one.rule
+        return ""
+
     def _spare(self, grace: Grace, alert: Alert | None) -> Grace | None:
         """Return the grace that is left; none where what should end grows instead.
 

@@ -1346,6 +1346,29 @@ def test_a_human_who_is_let_go_of_while_the_session_is_handed_back_leaves_it_wai
     assert rig.finish()["outcome"] in {"succeeded", "recovered"}
 
 
+def test_nobody_drives_while_somebody_is_too_near_however_long_they_stay(rig: Rig) -> None:
+    ahead, presses = Wish(base=(0.1, 0.0, 0.0)), itertools.count(1)
+
+    def press() -> str | None:
+        for wish in (Wish(), ahead):
+            why = rig.runner.jog("inv-1", "lease", next(presses), wish, "operator")
+        return why
+
+    walking_in(rig, from_s=1.0, until_s=5.0)
+    rig.cell.script.base_mps = 0.2  # whoever may drive does
+    rig.launch(capability="takeover")
+    rig.until_status("paused")
+    rig.ticks(50)
+    for _ in range(30):  # for three seconds, one longer than is waited for before a human is asked
+        assert press() == "separation_m"
+        rig.ticks(10)
+        assert not rig.moving()
+    rig.until(lambda: press() is None)
+    assert rig.runner.observation.time_s > 5.0
+    rig.ticks(10)
+    assert rig.moving()
+
+
 def test_what_the_watcher_still_stops_is_paused_once_more_where_it_could_not_be_handed_back(rig: Rig) -> None:
     walking_in(rig, from_s=1.0, until_s=math.inf)
     rig.launch()

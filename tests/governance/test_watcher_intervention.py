@@ -226,3 +226,14 @@ def test_a_hand_leads_out_of_what_moving_mends_and_no_further_in() -> None:
 
 def test_a_hand_is_spared_nothing_that_moving_does_not_mend() -> None:
     assert leaving({"separation": ("separation_m", 0.1), "stale": ("sensor_age_ms", 5.0)}, 0, 0.01) is NOTHING
+
+
+def test_what_moving_does_not_mend_bars_the_way_until_it_has_been_quiet_even_after_it_became_a_question() -> None:
+    warns = replace(rule("warns", Response(enter=CONTINUE)), signal="sensor_age_ms")
+    zone = replace(rule("zone", Response(enter=STOP), "zone"), signal="zone_margin_m", above=False, threshold=0.0)
+    responses, state, barred = Responses((KEEP_AWAY, warns, zone), 0.01), NOTHING, list[str]()
+    for tick in range(14):
+        spoken = said("warns", "zone", "gap") if tick < 9 else said("warns", "zone")
+        state, _ = responses.intervene(state, spoken, tick)
+        barred.append(responses.barred(state, tick))
+    assert barred == ["gap"] * 11 + [""] * 3
