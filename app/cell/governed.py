@@ -228,6 +228,8 @@ class GovernedCell:
         return f"the robot works by another site than that of the policy `{digest}`; valid: restart the cell"
 
     def _keep_house(self, acknowledged: int) -> None:
+        if not self._runner.standing():  # a file that is made smaller is waited for; the next word will do as well
+            return
         # A journal that cannot be made smaller is whole all the same; the next thing to be recorded says what is wrong.
         with suppress(JournalUnavailable):
             self._journal.acknowledge(acknowledged)

@@ -19,7 +19,7 @@ from app.cell.sighting import Sightings, things
 from app.governance import bundle
 from app.governance.permit import mint
 from app.governance.policy import PolicySet
-from app.protocol import Human, Launch, Scene, Sighting, decode_up
+from app.protocol import Ack, Human, Launch, Scene, Sighting, decode_up
 from tests.cell.rig import KEY, NOW_S, PERMIT, FakeCell
 from tests.cell.workshop import policy
 
@@ -41,11 +41,12 @@ class Governed:
     def __init__(self, folder: Path) -> None:
         self.substrate = FakeCell()
         self.outbox = Outbox()
+        self.journal = Journal(folder / "journal", boot="boot-1")
         self.cell = GovernedCell(
             self.substrate,  # type: ignore[arg-type]
             policy(),
             kernel_key=base64.b64encode(KEY.public_key().public_bytes_raw()).decode(),
-            journal=Journal(folder / "journal", boot="boot-1"),
+            journal=self.journal,
             outbox=self.outbox,
             wall=lambda: NOW_S + 1.0,
         )
@@ -138,6 +139,23 @@ def test_a_session_has_done_what_its_own_policy_says_whatever_has_come_meanwhile
         governed.cell.tick()
     ended = [event.body["outcome"] for event in governed.outbox.events if event.kind == "outcome"]
     assert ended == ([] if outcome is None else [outcome])
+
+
+def test_the_journal_is_made_smaller_once_nothing_moves(governed: Governed, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.cell.journal.COMPACT_BYTES", 0)
+    compacted: list[str] = []
+    monkeypatch.setattr(governed.journal, "compact", lambda: compacted.append(governed.cell.state(0).status or "over"))
+    governed.drive()
+    for _ in range(50):
+        governed.cell.tick()
+        governed.cell.obey(Ack(seq=governed.journal.last_seq))
+    assert compacted == []
+    governed.cell.obey(Human(invocation="inv-1", op="stop", actor="operator"))
+    for _ in range(100):
+        governed.cell.tick()
+        governed.cell.obey(Ack(seq=governed.journal.last_seq))
+    assert set(compacted) == {"over"}
+    assert governed.journal.unacknowledged() == ()
 
 
 def test_sees_people_as_the_tracker_does_while_a_session_runs(governed: Governed) -> None:
