@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 TAKEN_OVER: Final = "taken_over"
 HANDED_BACK: Final = "handed_back"
+COMING_TO_REST: Final = "coming_to_rest"
 
 
 _govern: Final = Governing.tick
@@ -130,7 +131,7 @@ class Session(Governing):
         if not asks(wish):
             steering.take(wish, self._tick)
         elif (why := self._in_the_way(steering)) is not None:
-            steering.refuse(why)
+            steering.refuse(why, later=why == COMING_TO_REST)
         else:
             if steering.stopped_by:
                 self._lead_out(steering)
@@ -173,7 +174,7 @@ class Session(Governing):
         if self._handing is not None or isinstance(run.next, End):
             return "returning"
         if run.doing is not Doing.TAKEOVER or run.next is not None:
-            return "coming_to_rest"
+            return COMING_TO_REST
         if "operator" in run.paused_by:
             return "paused"
         if steering.stopped_by and not (steering.leavable and steering.armed):

@@ -89,10 +89,11 @@ class Steering:
         else:
             self.armed, self._silent = True, math.inf
 
-    def refuse(self, why: str) -> None:
-        """Do not do what is wanted: nor later, once nothing stands in its way any more."""
-        self.refused = why
-        self.rest()
+    def refuse(self, why: str, *, later: bool = False) -> None:
+        """Do not do what is wanted: nor later, once nothing is in its way, unless it only has to wait (`later`)."""
+        if not later:
+            self.rest()
+        self.refused, self._wish = why, NOTHING
 
     def rest(self) -> None:
         """Want nothing, and nothing again until the key was let go of."""

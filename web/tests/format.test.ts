@@ -70,7 +70,7 @@ describe('words', () => {
     expect(robotSays(cell({ latched: true, status: 'running' })).text).toBe('Stopped, latched');
     expect(robotSays(cell({ online: false, status: 'running' })).text).toBe('Not heard');
     expect(robotSays(cell({ online: false, latched: true })).text).toBe('Not heard, stop sent');
-    expect(robotSays(cell({ fault: 'no room for the journal', status: null, busy: null })).text).toBe('Stopped, cannot record');
+    expect(robotSays(cell({ fault: 'no room for the journal', status: null, busy: null })).text).toBe('Launches nothing');
     expect(robotSays(cell({ fault: 'no room for the journal', status: 'running', busy: 'inv_1' })).text).toBe('Running');
     expect(robotSays(cell({ status: 'paused' }))).toEqual({ text: 'Paused, holding', tone: 'danger' });
     expect(robotSays(cell({ status: 'paused', session: heldBy('operator') })).tone).toBe('warn'); // a person's own pause is no alarm

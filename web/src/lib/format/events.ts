@@ -251,6 +251,7 @@ const ENDS: Record<string, string> = {
   estop: 'by an emergency stop',
   guard_broken: 'what guards the cell broke',
   journal_unavailable: 'the cell could not write its journal',
+  another_site: 'the robot works by another site than the policy; restart the cell',
   no_plan: 'the cell had no plan for it',
   cell_restarted: 'the cell was started anew',
   shutdown: 'the cell was shut down',

@@ -55,7 +55,7 @@ function graveOf(cell: Cell): string | null {
   if (!cell.online) return cell.latched ? 'Not heard, stop sent' : 'Not heard';
   if (cell.latched) return 'Stopped, latched';
   if (cell.holding_link) return 'Holding, link lapsed';
-  return cell.fault != null && cell.status === null ? 'Stopped, cannot record' : null;
+  return cell.fault != null && cell.status === null ? 'Launches nothing' : null;
 }
 
 const OUTCOMES: Record<string, string> = {
