@@ -1,4 +1,6 @@
-"""What a disk takes: asked before anything moves on a record, and the names in a folder made durable.
+"""What a disk takes, and whether an open file has its name still: asked before anything moves on a record.
+
+And the names in a folder made durable.
 
 Whoever keeps a record, the server's log or a cell's journal, asks here and says in its own error what comes of it.
 """
@@ -33,6 +35,25 @@ def full(where: Path | int, what: str) -> str | None:
     if disk.f_blocks and free < ROOM_BYTES:  # a file system without blocks does not say
         return f"the disk of the {what} is full: `{free}` bytes are free; valid: `{ROOM_BYTES}` or more"
     return None
+
+
+def displaced(path: Path, held: os.stat_result, what: str) -> str | None:
+    """Return why what is written to an open file will not be found under its name; None: it will.
+
+    A file that was deleted or replaced takes everything that is written to it, and loses it with the process.
+
+    Args:
+        path: where it was opened.
+        held: what was opened there.
+        what: it is, for the words.
+    """
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        return f"the {what} was deleted under the process that writes it: nothing more would be kept"
+    except OSError as error:
+        return f"the {what} cannot be looked at: {error.strerror}"
+    return None if os.path.samestat(found, held) else f"another file stands in the place of the {what}"
 
 
 def sync_folder(folder: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from app.disk import full
+from app.disk import displaced, full
 
 
 def test_says_of_a_disk_whether_it_takes_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -32,3 +32,21 @@ def test_an_open_file_names_its_disk_as_a_folder_does(tmp_path: Path, monkeypatc
         assert full(file.fileno(), "journal") == (
             "the disk of the journal is full: `0` bytes are free; valid: `65536` or more"
         )
+
+
+def test_an_open_file_that_is_not_the_one_under_its_name_any_more_is_said_to_be_lost(tmp_path: Path) -> None:
+    path, aside = tmp_path / "folder" / "journal", tmp_path / "aside"
+    path.parent.mkdir()
+    path.write_text("")
+    held = path.stat()
+    assert displaced(path, held, "journal") is None
+    path.rename(aside)
+    assert displaced(path, held, "journal") == (
+        "the journal was deleted under the process that writes it: nothing more would be kept"
+    )
+    path.write_text("")
+    assert displaced(path, held, "journal") == "another file stands in the place of the journal"
+    aside.replace(path)
+    assert displaced(path, held, "journal") is None
+    aside.write_text("")
+    assert displaced(aside / "journal", held, "journal") == "the journal cannot be looked at: Not a directory"

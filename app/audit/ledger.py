@@ -32,6 +32,7 @@ from app.audit.rows import Batches, Insertion, Writing, primary_key, replacement
 from app.audit.schema import schema_problems
 from app.audit.tables import ON_CONNECT, STATE, STORE_GIVEN, checkpoints, events
 from app.audit.verification import verify_log
+from app.disk import displaced
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Mapping, Sequence
@@ -104,6 +105,7 @@ class Ledger:
             self._check_all(progress)
             if not made_here:
                 self._check_schema()
+            self._held = {path: path.stat() for path in places.written}
             self._opened = opened.pop_all()
 
     # -- writing -----------------------------------------------------------------------------------------------------
@@ -161,8 +163,19 @@ class Ledger:
         if self._due_outside is not None:
             self._file.missing = self._due_outside if self._due_outside != (self._file.last or "") else None
             self._due_outside = None
+        self._check_names()
         self._file.catch_up()
         self._batches.write(staged.writings)
+        self._check_names()  # what went into a file without a name is not recorded
+
+    def displaced(self) -> str | None:
+        """Return which file of the log is not the one under its name any more; in any thread."""
+        found = (displaced(path, held, f"record's file `{path.name}`") for path, held in self._held.items())
+        return next((why for why in found if why is not None), None)
+
+    def _check_names(self) -> None:
+        if (why := self.displaced()) is not None:
+            raise OSError(why)
 
     def follow(self, staged: Staged) -> str | None:
         """Write the checkpoint of a committed batch into the file outside, in the thread that committed it.

@@ -29,6 +29,11 @@ class Places:
         return self.folder / "reins.db"
 
     @property
+    def written(self) -> tuple[Path, ...]:
+        """The files that hold the log while it is written; SQLite keeps what is newest beside the database."""
+        return self.database, self.database.with_name(f"{self.database.name}-wal"), self.checkpoints
+
+    @property
     def checkpoints(self) -> Path:
         """The checkpoints once more, outside the database."""
         return self.folder / "checkpoints.log"

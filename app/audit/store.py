@@ -107,11 +107,12 @@ class AuditStore:
     async def look(self) -> None:
         """Find out whether the disk takes more; waits at most `PROBE_AFTER_S` for that.
 
-        A disk that filled up or became read-only since the last write shows in `healthy` and `reason` after this.
+        A disk that filled up or became read-only since the last write, and a file of the record that was deleted or
+        replaced, show in `healthy` and `reason` after this.
         """
         if self._reason is not None or self._closed:
             return
-        if (why := full(self.places.folder, "record")) is not None:
+        if (why := self._in_the_way()) is not None:
             self._note_health(why)
         elif not self._writing and monotonic_s() - self._wrote_s >= PROBE_AFTER_S:
             await asyncio.wait({self._write_probe()}, timeout=PROBE_AFTER_S)
@@ -273,10 +274,14 @@ class AuditStore:
         if self._reason is None or self._closed or len(self._waiting) >= MAX_WAITING:
             return
         # Writing the same row again may need no room that the database has not got already.
-        if (why := full(self.places.folder, "record")) is not None:
+        if (why := self._in_the_way()) is not None:
             self._note_health(why)
             return
         self._write_probe()
+
+    def _in_the_way(self) -> str | None:
+        """Return why nothing could be kept, as far as that shows without writing."""
+        return self._ledger.displaced() or full(self.places.folder, "record")
 
     def _write_probe(self) -> asyncio.Future[list[int]]:
         values = {"id": 1, "at": rfc3339(wall_s()), "filler": bytes(PROBE_BYTES)}

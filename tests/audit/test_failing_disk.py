@@ -195,6 +195,38 @@ async def test_a_commit_that_failed_but_reached_the_disk_is_taken_in(
     assert (await store.verify()).ok
 
 
+@pytest.mark.parametrize("name", ["reins.db", "reins.db-wal", "checkpoints.log"])
+async def test_a_log_whose_file_was_deleted_takes_nothing_more_until_it_is_back(
+    store: AuditStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setattr("app.audit.store.PROBE_AFTER_S", 0.01)
+    await fill(store)
+    await store.look()
+    assert store.healthy
+    path, aside = store.places.folder / name, tmp_path / "aside"
+    path.rename(aside)  # as good as deleted, and can be undone
+    with pytest.raises(RecordUnavailable, match=f"the record's file `{name}` was deleted"):
+        await store.append([draft()])
+    path.write_bytes(b"")  # another one in its place is no record either
+    await until(lambda: store.reason == f"another file stands in the place of the record's file `{name}`")
+    with pytest.raises(RecordUnavailable):
+        await store.append([draft()])
+    aside.replace(path)
+    await until(lambda: store.healthy)
+    await store.append([draft()])
+    assert (await store.verify()).ok
+
+
+async def test_whoever_asks_hears_of_a_log_that_was_deleted_since_the_last_write(store: AuditStore) -> None:
+    await fill(store)
+    for path in store.places.folder.iterdir():
+        path.unlink()
+    await store.look()
+    assert store.reason == (
+        "the record's file `reins.db` was deleted under the process that writes it: nothing more would be kept"
+    )
+
+
 async def test_a_data_directory_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("")
