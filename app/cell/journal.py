@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, cast
 
 import orjson
 
-from app.disk import full, sync_folder
+from app.disk import displaced, full, sync_folder
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -157,7 +157,8 @@ class Journal:
         """Return where a session's record could be written, as far as that can be told without writing it.
 
         Raises:
-            JournalUnavailable: the file is out of use, its disk is read-only or has no room (`app.disk`).
+            JournalUnavailable: the file is out of use or not under its name any more, its disk is read-only or has no
+                room (`app.disk`).
         """
         self._check()
         if (why := full(self._file, "journal")) is not None:
@@ -268,6 +269,8 @@ class Journal:
             raise JournalUnavailable(f"the journal is out of use: {self._broken}")
         if self._unnamed:  # not synced again but written anew: after a sync that failed another one says nothing
             self._write_anew()
+        if (why := displaced(self.path, os.fstat(self._file), "journal")) is not None:
+            raise JournalUnavailable(why)
 
     def _size(self) -> int:
         return os.fstat(self._file).st_size

@@ -292,6 +292,21 @@ def test_says_whether_there_is_room_for_the_record_of_a_session(
             journal.require_room()
 
 
+def test_a_file_that_was_deleted_or_replaced_takes_nothing_more_until_it_is_back(tmp_path: Path) -> None:
+    journal, aside = Journal(tmp_path / "journal", boot="a"), tmp_path / "aside"
+    write(journal)
+    journal.path.rename(aside)  # as good as deleted, and can be undone
+    for refused in (lambda: write(journal), journal.sync, journal.require_room, journal.compact):
+        with pytest.raises(JournalUnavailable, match="the journal was deleted under the process that writes it"):
+            refused()
+    Journal(journal.path, boot="b").close()
+    with pytest.raises(JournalUnavailable, match="another file stands in the place of the journal"):
+        journal.require_room()
+    aside.replace(journal.path)
+    assert [entry.seq for entry in write(journal)] == [2]
+    journal.sync()
+
+
 LIMITED = """
 import resource, signal, sys
 from pathlib import Path
