@@ -165,7 +165,10 @@ Down: TypeAlias = Annotated[
 
 
 class Hello(Message):
-    """First word of a cell: who it is, what it holds, and what it was doing."""
+    """First word of a cell: who it is, what it holds, and what it was doing.
+
+    `first_seq` is the oldest report that it could still send, `last_seq` the newest there is.
+    """
 
     type: Literal["hello"] = "hello"
     version: int = VERSION
@@ -177,6 +180,7 @@ class Hello(Message):
     invocation: Name | None
     latched: bool
     journal: Annotated[str, Field(min_length=1, max_length=64)]  # which file the numbers count in; another, others
+    first_seq: Count = 1
     last_seq: Count
 
 

@@ -152,6 +152,30 @@ class Cell:
         return self.taken.get(self.journal, 0)
 
     @property
+    def behind(self) -> bool:
+        """Say whether reports from before its `Hello` are not in the log yet, or not compared with what is believed."""
+        return self.unreconciled is not None
+
+    @property
+    def missing(self) -> tuple[int, int] | None:
+        """Return the first and last of the reports that the log lacks and the cell has not kept, where there are any.
+
+        The log had them and was put back to an older copy of itself.
+        """
+        hello = None if self.attachment is None else self.attachment.hello
+        if hello is None or hello.first_seq <= self.up_seq + 1:
+            return None
+        return self.up_seq + 1, hello.first_seq - 1
+
+    @property
+    def owing(self) -> bool:
+        """Say whether nothing may begin here before reports are in; a session believed here is not kept from anybody.
+
+        What the cell has not kept never comes, and what it reports behind that is not taken: then that holds for both.
+        """
+        return self.missing is not None or (self.behind and self.claim is None)
+
+    @property
     def fresh(self) -> bool:
         """Say whether the cell's state may be relied on."""
         attachment = self.attachment

@@ -119,7 +119,7 @@ class Fleet:
         """Return what a decision may know of a cell, now; of no cell at all, that it is not there."""
         if cell is None:
             return NOWHERE
-        state = cell.state if cell.fresh else None
+        state = cell.state if cell.fresh and not cell.owing else None
         return CellFacts(
             id=cell.id,
             online=state is not None,
@@ -163,7 +163,7 @@ class Fleet:
             "busy": self.busy(cell),
             "status": None if state is None or cell.outlived else state.status,
             "holding_link": state is not None and state.holding,
-            "fault": None if state is None else _fault(state),
+            "fault": None if state is None else _fault(cell, state),
             "robot": None if hello is None else hello.robot,
             "policy_version": None if state is None else state.policy_digest,
             "facts": None if state is None else state.facts,
@@ -189,16 +189,21 @@ class Fleet:
         """Return why a cell takes no proposal, however free it is; None where it may take one."""
         if cell.state is None or not cell.fresh:
             return "not attached, or silent"
-        if (fault := _fault(cell.state)) is not None:
+        if (fault := _fault(cell, cell.state)) is not None:
             return fault
+        if cell.behind:
+            return "its older reports are not in the log yet"
         self._world(cell, cell.state)  # which finds out
         if cell.trouble is not None:
             return cell.trouble
         return "holds: its link's lease lapsed" if cell.state.holding else None
 
     def faults(self) -> dict[str, str]:
-        """Return why cells that are there move nothing, by cell: without a record, a guard, or the site in force."""
-        known = {cell.id: _fault(cell.state) for cell in self.cells() if cell.fresh and cell.state is not None}
+        """Return why cells that are there move nothing, by cell: without a record, a guard, or the site in force.
+
+        Or the log lacks what they have reported, and they could not send it again.
+        """
+        known = {cell.id: _fault(cell, cell.state) for cell in self.cells() if cell.fresh and cell.state is not None}
         return {f"cell/{name}": why for name, why in known.items() if why is not None}
 
     # -- having a cell -----------------------------------------------------------------------------------------------
@@ -551,5 +556,13 @@ class Fleet:
             await self._desk.overdue(cell.id)
 
 
-def _fault(state: State) -> str | None:
-    return state.broken or (None if state.fault is None else state.fault.why) or state.elsewhere or None
+def _fault(cell: Cell, state: State) -> str | None:
+    missing = None if cell.missing is None else _lacking(*cell.missing)
+    return state.broken or missing or (None if state.fault is None else state.fault.why) or state.elsewhere or None
+
+
+def _lacking(first: int, last: int) -> str:
+    return (
+        f"the log lacks its reports `{first}` to `{last}`, which it has not kept: the record was put back to an older "
+        "copy. Put the newer one back, or start the cell with its journal moved away"
+    )

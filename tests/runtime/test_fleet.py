@@ -222,6 +222,39 @@ async def test_what_was_not_acknowledged_is_taken_after_a_reconnect(runtime: Run
     await back.acknowledged(unsent.seq)
 
 
+async def test_launches_nothing_before_the_older_reports_of_a_cell_are_in(runtime: Runtime) -> None:
+    cell = HandCell(runtime)
+    older = cell.event("alert", signal="WARNING", rule="r")
+    await cell.dial()
+    await cell.state()
+    refused, _ = await runtime.governor.propose(AGENT, navigate())
+    assert (refused["status"], refused["admission"]["reasons"][0]["code"]) == ("deferred", "cell_offline")
+    assert runtime.governor.ready() == {f"cell/{CELL}": "its older reports are not in the log yet"}
+    assert not runtime.fleet.faults()
+    await cell.say(older)
+    await until(lambda: not runtime.governor.ready())
+    name = await running(runtime, cell)
+    await runtime.fleet.tend_once()
+    assert (await runtime.governor.invocation(name, AGENT))["status"] == "running", "its `Hello` knew nothing of it"
+
+
+async def test_a_cell_that_has_not_kept_what_the_log_lacks_launches_nothing_and_is_named(runtime: Runtime) -> None:
+    cell = HandCell(runtime, seq=16)
+    await cell.dial(first_seq=16)
+    await cell.state()
+    why = runtime.fleet.faults()[f"cell/{CELL}"]
+    assert why.startswith("the log lacks its reports `1` to `15`, which it has not kept: the record was put back to an")
+    assert runtime.fleet.document(runtime.fleet.cell(CELL))["fault"] == why
+    assert runtime.governor.ready() == {f"cell/{CELL}": why}
+    refused, _ = await runtime.governor.propose(AGENT, navigate())
+    assert (refused["status"], cell.all("launch"), cell.closed) == ("deferred", [], None)
+    await cell.hang_up()
+    anew = await HandCell(runtime, journal="jrn-2").dial()
+    await anew.state()
+    assert not runtime.fleet.faults()
+    await running(runtime, anew)
+
+
 async def test_a_gap_closes_the_link(runtime: Runtime, cell: HandCell) -> None:
     cell.seq += 5
     await cell.say(cell.event("cell", what="started"))
@@ -866,21 +899,6 @@ async def test_a_count_from_before_journals_had_names_goes_on_in_the_first_named
         back = await HandCell(second, journal="jrn-named", seq=1).dial()
         assert (await back.expect("welcome")).acknowledged == 1
         await back.report("cell", what="and on")
-
-
-async def test_a_session_launched_on_a_link_is_not_held_against_its_first_word(
-    runtime: Runtime, cell: HandCell
-) -> None:
-    owed = cell.event("cell", what="old news")
-    await cell.hang_up()
-    back = await HandCell(runtime, seq=cell.seq).dial()
-    await back.state()
-    document, _ = await runtime.governor.propose(AGENT, navigate())
-    assert document["status"] == "running"
-    await back.say(owed)
-    await back.acknowledged(owed.seq)
-    await runtime.fleet.tend_once()
-    assert (await runtime.governor.invocation(document["id"], AGENT))["status"] == "running"
 
 
 async def test_a_reunion_that_cannot_be_recorded_is_seen_to_later(
