@@ -103,7 +103,7 @@ async def _run(settings: CellSettings) -> int:
         Identity(
             cell=settings.id,
             boot=boot,
-            journal=journal.id,
+            journal=journal,
             robot=settings.robot or ROBOT,
             token=settings.token,
         ),

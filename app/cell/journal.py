@@ -82,6 +82,8 @@ class Journal:
         self.id = ""
         self.torn_bytes = 0
         self.acknowledged = 0
+        self.first_seq = 1
+        """The oldest entry that the file still holds, the next one where it holds none; for any thread to read."""
         self.marks: dict[str, Json] = {}
         self._entries: deque[Entry] = deque()
         self._seq = self._found = 0
@@ -167,9 +169,15 @@ class Journal:
     def acknowledge(self, seq: int) -> None:
         """Forget entries up to `seq`: the server's log has them. Compacts the file when it has grown.
 
+        A log that has fewer of them than before was put back to an older copy: what the file holds behind `seq` still,
+        is owed to it again.
+
         Raises:
-            JournalUnavailable: the compacted file could not be written.
+            JournalUnavailable: the file could not be read, or the compacted one not be written.
         """
+        if seq < self.acknowledged:
+            self._owe_again(seq)
+            return
         self.acknowledged = max(self.acknowledged, min(seq, self._seq))
         while self._entries and self._entries[0].seq <= self.acknowledged:
             self._entries.popleft()
@@ -206,6 +214,7 @@ class Journal:
         os.close(self._file)
         self._file = fresh
         self.marks = kept
+        self._find_first()
         self._unnamed = True
         try:
             sync_folder(self.path.parent)
@@ -233,6 +242,19 @@ class Journal:
     def unacknowledged(self, after: int = 0) -> tuple[Entry, ...]:
         """Return the entries behind a sequence number that the server has not acknowledged, in order."""
         return tuple(entry for entry in self._entries if entry.seq > after)
+
+    def recall(self, after: int, before: int) -> tuple[Entry, ...]:
+        """Return the entries between two numbers that the file holds, acknowledged or not; in any thread.
+
+        Raises:
+            JournalUnavailable: it cannot be read.
+        """
+        try:
+            records = map(_record, self.path.read_bytes().splitlines(keepends=True))  # the last may be half written yet
+        except OSError as error:
+            raise JournalUnavailable(f"cannot read the journal: {error.strerror}") from error
+        found = (_entry(fields) for record in records if record and isinstance(fields := record.get("e"), list))
+        return tuple(entry for entry in found if after < entry.seq < before)
 
     def used_permits(self) -> frozenset[str]:
         """Return the identifiers of permits that were bound and have not been forgotten."""
@@ -263,6 +285,15 @@ class Journal:
             self.marks = {name: value for name, value in self.marks.items() if value is not None}
 
     # -- inside --------------------------------------------------------------------------------------------------------
+
+    def _owe_again(self, seq: int) -> None:
+        older = self.recall(seq, self._entries[0].seq if self._entries else self._seq + 1)
+        self._entries.extendleft(reversed(older))
+        if older:
+            self.acknowledged = older[0].seq - 1
+
+    def _find_first(self) -> None:
+        self.first_seq = self._entries[0].seq if self._entries else self._seq + 1
 
     def _check(self) -> None:
         if self._broken is not None:
@@ -313,6 +344,7 @@ class Journal:
             self._take(record)
             good += len(line)
         self.marks = {name: value for name, value in self.marks.items() if value is not None}
+        self._find_first()
 
     def _name(self) -> None:
         """Give the file its name, durably: nothing is reported under one that a power cut would take back."""
@@ -331,11 +363,15 @@ class Journal:
         if isinstance(seen := record.get("a"), int):
             self.acknowledged = max(self.acknowledged, seen)
         if isinstance(fields := record.get("e"), list):
-            entry = Entry(*cast("tuple[int, float, int, str, str | None, str, dict[str, Json]]", tuple(fields)))
+            entry = _entry(fields)
             if self._entries and entry.seq <= self._entries[-1].seq:
                 raise JournalUnavailable(f"journal `{self.path}` repeats sequence number `{entry.seq}`")
             self._seq = max(self._seq, entry.seq)
             self._entries.append(entry)
+
+
+def _entry(fields: list[Json]) -> Entry:
+    return Entry(*cast("tuple[int, float, int, str, str | None, str, dict[str, Json]]", tuple(fields)))
 
 
 def _line(record: Mapping[str, object]) -> bytes:

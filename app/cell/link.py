@@ -9,7 +9,9 @@ How one connection goes:
    part of the policy), and the control loop starts.
 4. From `Welcome` on the lease runs: every frame renews it. When it lapses the loop holds, the link closes and dials
    again, and nothing launches until the next `Welcome`; a frame that comes too late mends nothing.
-5. Events go up in order from the first that the server has not acknowledged, on every connection again.
+5. Events go up in order from the first that the server has not acknowledged, on every connection again. A server that
+   has fewer than before was put back to an older copy of its record: it gets again what the journal's file still holds,
+   and where that is not all of it, nothing, since it would refuse the gap.
 
 Nothing here decides: orders go to the runner as they came, authorizations with their signature.
 """
@@ -28,6 +30,7 @@ from websockets.exceptions import InvalidStatus, WebSocketException
 
 from app import protocol
 from app.cell.display import Drawing
+from app.cell.journal import JournalUnavailable
 from app.cell.loop import STOPPING_S, NewPolicy, Shutdown, Welcomed
 from app.cell.pin import LinkRefused
 from app.cell.sighting import Sightings
@@ -46,15 +49,17 @@ from app.protocol import (
     ProtocolError,
     Reset,
     SetProfile,
+    UpEvent,
     Watch,
     Welcome,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from websockets.asyncio.client import ClientConnection
 
+    from app.cell.journal import Entry
     from app.cell.loop import Inbox, Lease, Outbox, TickLoop
     from app.cell.pin import KeyPin
     from app.governance.policy import PolicySet
@@ -88,13 +93,24 @@ class Build(Protocol):
         ...
 
 
+class Kept(Protocol):
+    """The file that a cell's reports are numbered in, as it may be asked from any thread; a `Journal` is one."""
+
+    id: str
+    first_seq: int
+
+    def recall(self, after: int, before: int) -> Sequence[Entry]:
+        """Return the entries between two numbers that the file holds. Raises `JournalUnavailable`."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identity:
-    """Who this cell is; `boot` names this run of the process, `journal` the file that its reports are numbered in."""
+    """Who this cell is; `boot` names this run of the process, `journal` is what its reports are numbered in."""
 
     cell: str
     boot: str
-    journal: str
+    journal: Kept
     robot: str
     token: str = field(repr=False)
 
@@ -135,6 +151,7 @@ class Link:
         self._wake = asyncio.Event()
         self._heard_ack = asyncio.Event()
         self._acknowledged = 0
+        self._missing = False  # the server lacks reports that the journal has not kept: it would take none behind them
         self._watched = 0
         self._retry_s = FIRST_RETRY_S
         self._welcomed_s = float("inf")
@@ -194,10 +211,12 @@ class Link:
             max_size=MAX_FRAME_BYTES,
         )
         async with dial as socket:
-            await socket.send(protocol.encode(self._hello()))
-            await self._be_welcomed(socket)
+            hello = self._hello()
+            await socket.send(protocol.encode(hello))
+            acknowledged = await self._be_welcomed(socket, hello)
             self._welcomed_s = monotonic_s()
-            self._say_once(f"linked to {address}")
+            missing = f", {_lacking(acknowledged, hello.first_seq)}" if self._missing else ""
+            self._say_once(f"linked to {address}{missing}")
             await self._keep_up(socket, stopping)
 
     async def _keep_up(self, socket: ClientConnection, stopping: asyncio.Task[bool]) -> None:
@@ -231,11 +250,13 @@ class Link:
             profile=self._profile,
             invocation=state.invocation if state else None,
             latched=state.latched if state else False,
-            journal=self._identity.journal,
+            journal=self._identity.journal.id,
+            first_seq=self._identity.journal.first_seq,
             last_seq=self._outbox.last_seq,
         )
 
-    async def _be_welcomed(self, socket: ClientConnection) -> None:
+    async def _be_welcomed(self, socket: ClientConnection, hello: Hello) -> int:
+        """Take the welcome, and return the last report that the server has."""
         async with asyncio.timeout(PATIENCE_S):
             first = protocol.decode_down(await socket.recv())
             while isinstance(first, Estop | Human):  # a restraint overtakes even the welcome
@@ -250,9 +271,27 @@ class Link:
                 raise LinkRefused(f"the server began with `{first.type}`; valid: `welcome`")
         self._kernel_key = first.kernel_key
         self._profile = first.profile
+        self._missing = hello.first_seq > first.acknowledged + 1
+        if self._loop is not None and not self._missing:
+            await self._recall(first.acknowledged)
         self._acknowledge(first.acknowledged)
         self._lease.welcomed()
         self._inbox.put(Welcomed(profile=first.profile))
+        return first.acknowledged
+
+    async def _recall(self, acknowledged: int) -> None:
+        """Have everything behind a number to send: what an acknowledgement let go of is in the journal's file still."""
+        events = self._outbox.events
+        oldest = events[0].seq if events else max(self._outbox.last_seq, self._acknowledged) + 1
+        if acknowledged + 1 >= oldest:
+            return
+        try:
+            entries = await asyncio.to_thread(self._identity.journal.recall, acknowledged, oldest)
+        except JournalUnavailable as error:
+            raise LinkLost(str(error)) from error
+        if not entries or entries[0].seq != acknowledged + 1:
+            raise LinkLost("the journal was compacted just now")  # the next `Hello` says what it still holds
+        events.extendleft(UpEvent.model_construct(**entry._asdict()) for entry in reversed(entries))
 
     async def _listen(self, socket: ClientConnection, orders: asyncio.Queue[Down]) -> NoReturn:
         """Renew the lease with every frame. What restrains goes straight to the loop; the rest waits its turn.
@@ -318,7 +357,7 @@ class Link:
             await building
 
     def _acknowledge(self, seq: int) -> None:
-        self._acknowledged = max(self._acknowledged, seq)
+        self._acknowledged = seq
         self._heard_ack.set()
         self._outbox.acknowledge(seq)
         self._inbox.put(Ack(seq=seq))
@@ -330,7 +369,7 @@ class Link:
         while True:
             await self._wake.wait()
             self._wake.clear()
-            for event in self._outbox.after(sent):
+            for event in () if self._missing else self._outbox.after(sent):
                 await socket.send(protocol.encode(event))
                 sent = event.seq
             while self._outbox.batches:
@@ -382,6 +421,14 @@ class Link:
         if word != self._last_word:
             self._last_word = word
             self._say(word)
+
+
+def _lacking(acknowledged: int, first_seq: int) -> str:
+    return (
+        f"whose log lacks the reports `{acknowledged + 1}` to `{first_seq - 1}`, which the journal has not kept: "
+        "nothing is launched or reported until the server has its newer record back, or this cell is started without "
+        "its journal"
+    )
 
 
 def _plain(error: Exception) -> str:

@@ -116,6 +116,34 @@ def test_an_acknowledgement_beyond_what_was_said_forgets_nothing_to_come(tmp_pat
     assert [entry.seq for entry in journal.unacknowledged()] == [3]
 
 
+def test_a_log_that_was_put_back_is_owed_again_what_the_file_still_holds(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "journal", boot="a")
+    written = write(journal, 6)
+    journal.acknowledge(5)
+    assert journal.first_seq == 1
+    journal.acknowledge(2)
+    assert list(journal.unacknowledged()) == written[2:]
+    journal.compact()
+    assert journal.first_seq == 3
+    again = Journal(tmp_path / "journal", boot="b")
+    assert (again.acknowledged, again.first_seq) == (2, 3)
+    assert list(again.unacknowledged()) == written[2:]
+    again.acknowledge(0)  # the first two are in no file any more
+    assert (again.acknowledged, list(again.unacknowledged())) == (2, written[2:])
+
+
+def test_says_what_its_file_holds_between_two_numbers_while_it_is_written(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "journal", boot="a")
+    written = write(journal, 4)
+    journal.acknowledge(4)
+    with journal.path.open("ab") as file:
+        file.write(b"half a li")
+    assert list(journal.recall(1, 4)) == written[1:3]
+    journal.path.unlink()
+    with pytest.raises(JournalUnavailable, match="cannot read the journal"):
+        journal.recall(0, 4)
+
+
 def test_compaction_keeps_marks_and_what_is_not_acknowledged(tmp_path: Path) -> None:
     journal = Journal(tmp_path / "journal", boot="a")
     journal.mark({"latched": True, "used:auth-1": 50.0, "gone": 1})

@@ -15,6 +15,7 @@ from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 
 from app import protocol
+from app.cell.journal import Entry
 from app.cell.link import Identity, Link
 from app.cell.loop import Lease, NewPolicy, Order, Outbox, TickLoop, Welcomed
 from app.cell.pin import KeyPin, LinkRefused
@@ -107,6 +108,22 @@ class Script:
 
 
 @dataclass
+class Shelf:
+    """What the journal's file holds."""
+
+    id: str = "jrn_1"
+    first_seq: int = 1
+    events: list[UpEvent] = field(default_factory=list)
+
+    def recall(self, after: int, before: int) -> list[Entry]:
+        return [
+            Entry(one.seq, one.at_s, one.tick, one.kind, one.invocation, one.actor, dict(one.body))
+            for one in self.events
+            if after < one.seq < before
+        ]
+
+
+@dataclass
 class Rig:
     """A link under test with all its parts."""
 
@@ -118,6 +135,7 @@ class Rig:
     stop: asyncio.Event
     said: list[str]
     built: list[tuple[PolicySet, str, int]]
+    shelf: Shelf
 
     def orders(self, kind: type) -> list[Order]:
         return [order for order in self.runner.orders if isinstance(order, kind)]
@@ -158,6 +176,7 @@ async def _rigged(
     inbox: SimpleQueue[Order] = SimpleQueue()
     outbox, lease, stop = Outbox(last_seq), Lease(), asyncio.Event()
     said: list[str] = []
+    shelf = Shelf()
     built: list[tuple[PolicySet, str, int]] = []
 
     def build(policies: PolicySet, kernel_key: str, acknowledged: int) -> TickLoop:
@@ -167,7 +186,7 @@ async def _rigged(
         return TickLoop(runner, inbox, outbox, lease, pace=1.0)
 
     link = Link(
-        Identity(cell="workcell-1", boot="boot_1", journal="jrn_1", robot="recorder", token="secret"),
+        Identity(cell="workcell-1", boot="boot_1", journal=shelf, robot="recorder", token="secret"),
         lambda: f"http://127.0.0.1:{port}",
         KeyPin(path=folder / "kernel.pub", fixed=server_key),
         build,
@@ -178,7 +197,7 @@ async def _rigged(
     )
     running = asyncio.create_task(link.run(stop))
     try:
-        yield Rig(script, link, runner, inbox, outbox, stop, said, built)
+        yield Rig(script, link, runner, inbox, outbox, stop, said, built, shelf)
     finally:
         stop.set()
         await running
@@ -295,6 +314,68 @@ async def test_sends_reports_in_order_and_again_after_a_reconnect(tmp_path: Path
         newest = cell.script.of(Hello)[-1]
         assert isinstance(newest, Hello)
         assert (newest.policy_digest, newest.last_seq) == (DIGEST, 3)
+
+
+async def reported(cell: Rig, count: int) -> None:
+    """Report so many events, and have all of them acknowledged."""
+    await until(lambda: cell.script.of(State))
+    for seq in range(1, count + 1):
+        cell.outbox.event(event(seq))
+        cell.shelf.events.append(event(seq))
+    await until(lambda: len(cell.script.of(UpEvent)) >= count)
+    await cell.script.say(Ack(seq=count))
+    await until(lambda: not cell.outbox.events)
+
+
+@pytest.mark.anyio
+async def test_a_server_that_was_put_back_gets_again_what_the_journal_still_holds(tmp_path: Path) -> None:
+    async with rig(tmp_path) as cell:
+        await reported(cell, 4)
+        cell.script.heard.clear()
+        cell.script.acknowledged = 1
+        await cell.script.sockets[-1].close()
+        await until(lambda: len(cell.script.of(UpEvent)) >= 3)
+        cell.outbox.event(event(5))
+        await until(lambda: len(cell.script.of(UpEvent)) >= 4)
+        assert [one.seq for one in cell.script.of(UpEvent) if isinstance(one, UpEvent)] == [2, 3, 4, 5]
+        assert cell.orders(Ack)[-1] == Ack(seq=1), "the journal owes them again, too"
+
+
+@pytest.mark.anyio
+async def test_a_server_that_lacks_what_the_journal_has_not_kept_is_told_so_and_gets_nothing_it_would_refuse(
+    tmp_path: Path,
+) -> None:
+    async with rig(tmp_path) as cell:
+        await reported(cell, 4)
+        cell.shelf.first_seq = 4
+        cell.script.heard.clear()
+        cell.script.acknowledged = 1
+        await cell.script.sockets[-1].close()
+        await until(lambda: cell.script.of(Hello))
+        cell.outbox.event(event(5))
+        await until(lambda: len(cell.script.of(State)) >= 5)
+        (hello,) = cell.script.of(Hello)
+        assert isinstance(hello, Hello)
+        assert (hello.first_seq, hello.last_seq) == (4, 4)
+        assert not cell.script.of(UpEvent)
+        assert "whose log lacks the reports `2` to `3`, which the journal has not kept: nothing is" in cell.said[-1]
+        cell.script.acknowledged = 3  # the newer record is back
+        await cell.script.sockets[-1].close()
+        cell.shelf.events = [event(4), event(5)]
+        await until(lambda: len(cell.script.of(UpEvent)) >= 2)
+        assert [one.seq for one in cell.script.of(UpEvent) if isinstance(one, UpEvent)] == [4, 5]
+
+
+@pytest.mark.anyio
+async def test_what_a_compaction_took_since_the_hello_is_said_in_the_next_one(tmp_path: Path) -> None:
+    async with rig(tmp_path) as cell:
+        await reported(cell, 4)
+        cell.shelf.events = []  # while the hello still says that all is there
+        cell.script.acknowledged = 1
+        await cell.script.sockets[-1].close()
+        await until(lambda: "link down: the journal was compacted just now" in cell.said)
+        cell.shelf.first_seq = 5
+        await until(lambda: "lacks the reports `2` to `4`" in cell.said[-1])
 
 
 @pytest.mark.anyio
