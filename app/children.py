@@ -149,31 +149,41 @@ class Children:
         await asyncio.gather(*self._watches)
 
     async def _keep(self, cell: str) -> None:
+        """Keep a cell until told to stop; whatever ends that sooner is said, and keeps no other from being ended."""
+        try:
+            await self._keep_running(cell)
+        except Exception as error:
+            self._expect(cell, False)
+            self._given_up[cell] = f"is not kept any more: {error or type(error).__name__}"
+            self._report(cell, self._given_up[cell])
+
+    async def _keep_running(self, cell: str) -> None:
         folder = self._settings.layout.cell(cell)
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         deaths: deque[float] = deque()
         known = False
         while not self._stopping.is_set():
-            if (pid := running_cell(folder)) is not None:
-                known = True
-                await self._watch_adopted(cell, folder, pid)
-                continue
-            self._expect(cell, True)
-            code = await self._watch_child(await self._spawn(cell))
+            code: int | str
+            try:
+                folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+                if (pid := running_cell(folder)) is not None:
+                    known = True
+                    await self._watch_adopted(cell, folder, pid)
+                    continue
+                self._expect(cell, True)
+                code = await self._watch_child(await self._spawn(cell))
+            except OSError as error:  # the system has no process or file to give just now: a death like any other
+                code = error.strerror or type(error).__name__
             if self._stopping.is_set():
                 return
-            if code == MISUSE and running_cell(folder) is None:  # else another process was faster, and is adopted
-                if not known:
-                    self.misused.set()
-                await self._give_up(cell, folder, f"cannot be started as it is told: it ended with `{code}`")
-                continue
-            known = True
-            if code == DAMAGED:
-                await self._give_up(cell, folder, f"cannot go on from a damaged journal: it ended with `{code}`")
-                continue
-            if _died_often(deaths, self._restarts):
-                await self._give_up(cell, folder, f"ended {len(deaths)} times in a row, the last time with `{code}`")
+            why = _hopeless(code, folder)
+            if code == MISUSE and why and not known:
+                self.misused.set()
+            known = known or (isinstance(code, int) and code != MISUSE)
+            if why is None and _died_often(deaths, self._restarts):
+                why = f"ended {len(deaths)} times in a row, the last time with `{code}`"
                 deaths.clear()
+            if why is not None:
+                await self._give_up(cell, folder, why)
                 continue
             self._report(cell, f"ended with `{code}`; starting it again, idle")
             self._expect(cell, True)
@@ -229,6 +239,13 @@ class Children:
     async def _rest(self, seconds: float) -> None:
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._stopping.wait(), seconds)
+
+
+def _hopeless(code: int | str, folder: Path) -> str | None:
+    """Return why a cell that ended so is not started again; None where that may help."""
+    if code == MISUSE and running_cell(folder) is None:  # else another process was faster, and is adopted
+        return f"cannot be started as it is told: it ended with `{code}`"
+    return f"cannot go on from a damaged journal: it ended with `{code}`" if code == DAMAGED else None
 
 
 def _died_often(deaths: deque[float], restarts: int) -> bool:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import signal
 import sys
 from pathlib import Path
+from typing import Any
 
 import anyio
 import pytest
@@ -76,6 +78,59 @@ async def test_a_cell_that_keeps_dying_is_given_up_until_somebody_starts_it(tmp_
     finally:
         await children.stop()
     assert await by_hand.wait() == -signal.SIGTERM  # it was adopted, so it ends with its server
+
+
+async def test_a_cell_whose_process_the_system_refuses_once_is_started_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings, said = Settings(data=tmp_path), list[str]()
+    refusals = [BlockingIOError(11, "Resource temporarily unavailable")]  # at the limit of processes
+    start = asyncio.create_subprocess_exec
+
+    async def refuse_once(*words: Any, **named: Any) -> Any:
+        if refusals:
+            raise refusals.pop()
+        return await start(sys.executable, "-c", HOLDS_THE_LOCK, words[words.index("--data") + 1], **named)
+
+    monkeypatch.setattr(asyncio, "create_subprocess_exec", refuse_once)
+    folder = settings.layout.cell("workcell-1")
+    children = Children(settings, "token", lambda _, word: said.append(word))
+    children.start()
+    try:
+        with anyio.fail_after(60):
+            while not folder.exists() or running_cell(folder) is None:
+                await anyio.sleep(0.02)
+        assert said == ["ended with `Resource temporarily unavailable`; starting it again, idle"]
+        assert children.trouble() is None
+    finally:
+        await children.stop()
+    assert running_cell(folder) is None
+
+
+async def test_a_cell_that_nobody_keeps_any_more_is_named_and_the_others_are_ended_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings, said = Settings(data=tmp_path, cells=2), list[str]()
+    start = asyncio.create_subprocess_exec
+
+    async def break_one(*words: Any, **named: Any) -> Any:
+        if "workcell-1" in words:
+            raise RuntimeError("a bug")
+        return await start(sys.executable, "-c", HOLDS_THE_LOCK, words[words.index("--data") + 1], **named)
+
+    monkeypatch.setattr(asyncio, "create_subprocess_exec", break_one)
+    other = settings.layout.cell("workcell-2")
+    children = Children(settings, "token", lambda cell, word: said.append(f"{cell} {word}"))
+    children.start()
+    try:
+        with anyio.fail_after(60):
+            while not other.exists() or running_cell(other) is None:
+                await anyio.sleep(0.02)
+        assert children.trouble() == "`workcell-1` is not kept any more: a bug"
+        assert said == ["workcell-1 is not kept any more: a bug"]
+    finally:
+        await children.stop()
+    assert running_cell(other) is None
 
 
 @pytest.mark.parametrize(
