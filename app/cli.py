@@ -5,6 +5,7 @@ Every command imports what it needs when it runs, so that `reins --help` answers
 
 from __future__ import annotations
 
+import errno
 import gc
 import platform
 import sys
@@ -270,10 +271,15 @@ def version() -> None:
 
 
 def main() -> None:
-    """Run the command line; a setting that cannot be used is misuse, said in one line."""
+    """Run the command line; a setting that cannot be used, and an output that is full, are said in one line."""
     try:
         app()
     except ConfigError as error:
+        say_error(str(error))
+        sys.exit(MISUSE)
+    except OSError as error:
+        if error.errno not in {errno.ENOSPC, errno.EDQUOT}:
+            raise
         say_error(str(error))
         sys.exit(MISUSE)
 

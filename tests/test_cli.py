@@ -58,6 +58,16 @@ def test_says_its_version() -> None:
     assert __version__ in run("version")[1]
 
 
+@pytest.mark.process
+@pytest.mark.parametrize("command", [["version"], ["policy", "check", "--no-proofs"]])
+def test_an_output_that_is_full_is_said_in_one_line(command: list[str]) -> None:
+    with Path("/dev/full").open("w") as full:
+        found = subprocess.run(
+            [sys.executable, "-m", "app.cli", *command], stdout=full, stderr=subprocess.PIPE, text=True, timeout=90
+        )
+    assert (found.returncode, found.stderr) == (2, "error: [Errno 28] No space left on device\n")
+
+
 def test_issues_a_token_that_is_kept_as_a_digest_only(tmp_path: Path) -> None:
     open_principals(tmp_path)
     code, said = run("token", "issue", "planner_2", "--role", "agent", "--data", str(tmp_path))
