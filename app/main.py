@@ -10,7 +10,6 @@ import asyncio
 import contextlib
 import os
 import secrets
-import signal
 import socket
 import sys
 from typing import TYPE_CHECKING, Any, Final, cast
@@ -36,7 +35,7 @@ from app.governance.stated import read as read_promises
 from app.runtime.assembly import Runtime
 from app.runtime.errors import ExaminationFailed, NotFound
 from app.runtime.version import PROVED, UNKNOWN
-from app.terminal import FINE, MISUSE, complain, counting, err, remark, say, say_error
+from app.terminal import FINE, MISUSE, complain, counting, err, remark, say, say_error, stop_signals
 
 if TYPE_CHECKING:
     from collections.abc import AsyncGenerator, Generator
@@ -289,10 +288,10 @@ def _door(app: Any) -> uvicorn.Config:  # noqa: ANN401  # an ASGI application
 
 
 async def _told_to_stop(serving: asyncio.Task[None], misused: asyncio.Event) -> None:
-    """Return on SIGINT or SIGTERM, when serving ended by itself, or when a cell cannot be started with the settings."""
+    """Return on a signal to stop, when serving ended by itself, or when a cell cannot be started with the settings."""
     told = asyncio.Event()
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in stop_signals():
         loop.add_signal_handler(number, told.set)
     waiting = {asyncio.create_task(told.wait()), asyncio.create_task(misused.wait())}
     await asyncio.wait({serving, *waiting}, return_when=asyncio.FIRST_COMPLETED)

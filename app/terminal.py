@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 from typing import TYPE_CHECKING, Final
 
 from rich.console import Console
@@ -28,6 +29,12 @@ err = Console(stderr=True, highlight=False, soft_wrap=True, emoji=False)
 DIRECTING: Final = (0x061C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A))  # lines and their direction
 CONTROLS: Final = (*(code for code in range(0x20) if chr(code) not in "\n\t"), *range(0x7F, 0xA0))
 ESCAPES: Final = {code: f"\\u{code:04x}" for code in (*CONTROLS, *DIRECTING)}
+
+
+def stop_signals() -> tuple[signal.Signals, ...]:
+    """Return what asks a process to stop in order; the end of its terminal does, unless that is ignored (`nohup`)."""
+    asked = (signal.SIGINT, signal.SIGTERM)
+    return asked if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (*asked, signal.SIGHUP)
 
 
 def plain(text: str) -> str:

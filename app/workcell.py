@@ -10,7 +10,6 @@ import asyncio
 import gc
 import os
 import secrets
-import signal
 import sys
 import traceback
 from contextlib import suppress
@@ -35,7 +34,7 @@ from app.governance.bundle_yaml import parse
 from app.sim.faults import Scenario
 from app.sim.robot import load_robot
 from app.sim.workcell import make_workcell
-from app.terminal import DAMAGED, FINDING, FINE, MISUSE, remark, say_error
+from app.terminal import DAMAGED, FINDING, FINE, MISUSE, remark, say_error, stop_signals
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -117,7 +116,7 @@ async def _run(settings: CellSettings) -> int:
     )
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in stop_signals():
         loop.add_signal_handler(number, stop.set)
     orphaned = asyncio.create_task(_leave_when_orphaned(settings.parent, outbox, stop))
     try:

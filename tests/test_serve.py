@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from app.terminal import stop_signals
 from tests.conftest import ServerProcess, Servers, until
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(120)]
@@ -62,6 +64,22 @@ def test_the_cells_token_is_in_no_command_line(server: ServerProcess) -> None:
     token = (server.data / "cell.token").read_text().strip()
     pid = server.cell_pid()
     assert token not in Path(f"/proc/{pid}/cmdline").read_text()
+
+
+def test_a_server_and_its_cell_stop_in_order_when_their_terminal_is_closed(servers: Servers) -> None:
+    server = servers.start(cells=1)
+    cell = server.cell_pid()
+    server.process.send_signal(signal.SIGHUP)
+    assert server.process.wait(20.0) == 0
+    assert not Path(f"/proc/{cell}").exists()
+    assert not (server.data / "server.json").exists()
+
+
+def test_what_is_to_outlive_its_terminal_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = {signal.SIGINT, signal.SIGTERM}
+    for handler, stops in ((signal.SIG_DFL, {*asked, signal.SIGHUP}), (signal.SIG_IGN, asked)):  # the second: `nohup`
+        monkeypatch.setattr(signal, "getsignal", lambda _, handler=handler: handler)
+        assert set(stop_signals()) == stops
 
 
 def test_a_start_says_which_cells_stay_in_another_profile(servers: Servers) -> None:
