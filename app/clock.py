@@ -5,10 +5,12 @@ Wall time is for people and records (it may step), monotonic time is for duratio
 
 from __future__ import annotations
 
+import re
 import time
 from datetime import UTC, datetime
 from functools import lru_cache
 from math import floor
+from typing import Final
 
 
 def wall_s() -> float:
@@ -29,6 +31,9 @@ def precise_ns() -> int:
 def cpu_s() -> float:
     """Return the seconds of processor time that this process has had; it stands still while others have the machine."""
     return time.process_time()
+
+
+_RFC3339: Final = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(\.\d+)?(Z|[+-]\d\d:\d\d)?", re.ASCII | re.IGNORECASE)
 
 
 def rfc3339(wall_s: float) -> str:
@@ -60,13 +65,23 @@ def _to_second(second: int) -> str:
 def parse_rfc3339(text: str) -> float:
     """Read an RFC 3339 time with an offset and return seconds since 1970-01-01T00:00:00Z; `t` and `z` may be small.
 
+    Digits beyond the millisecond are cut off, as `rfc3339` cuts them.
+
     Raises:
-        ValueError: the text is no time, or names no offset (a local time means nothing on another machine).
+        ValueError: the text is no time, names no offset (a local time means nothing on another machine), or is outside
+            the years 1 to 9999 once it is put in UTC.
     """
+    strange = f"`{text}` is no RFC 3339 time: valid is for instance `2026-03-01T09:30:00.250Z`"
+    if _RFC3339.fullmatch(text) is None:  # ISO 8601 has weeks, days of the year and times without separators, too
+        raise ValueError(strange)
     try:
         moment = datetime.fromisoformat(text.upper())
     except ValueError as error:
-        raise ValueError(f"`{text}` is no RFC 3339 time: valid is for instance `2026-03-01T09:30:00.250Z`") from error
+        raise ValueError(strange) from error
     if moment.tzinfo is None:
         raise ValueError(f"`{text}` names no offset: valid is for instance `2026-03-01T09:30:00.250Z`")
-    return moment.timestamp()
+    try:
+        moment = moment.astimezone(UTC)
+    except OverflowError as error:
+        raise ValueError(f"`{text}` lies outside the years 1 to 9999 in UTC: valid are times within them") from error
+    return moment.replace(microsecond=moment.microsecond // 1000 * 1000).timestamp()
