@@ -41,6 +41,8 @@ def _seen(text: str) -> str:
 class InvocationQuery(PageQuery):
     """Filters of the list of invocations."""
 
+    listed = "invocations"
+
     status: Status | None = None
     capability: Filter = None
     agent: Filter = None

@@ -25,11 +25,15 @@ if TYPE_CHECKING:
 class GrantQuery(PageQuery):
     """Filters of the list of grants."""
 
+    listed = "grants"
+
     status: Literal["active", "ended"] | None = None
 
 
 class ReviewQuery(PageQuery):
     """Filters of the list of reviews."""
+
+    listed = "reviews"
 
     status: Annotated[
         Literal["waiting", "judged", "accepted", "objected", "inconclusive"] | None,

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from fastapi import Path
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 from starlette.requests import Request
 
 from app.api.parts import parts_of
@@ -19,12 +19,7 @@ Identifier = Annotated[str, Path(min_length=1, max_length=128)]
 Filter = Annotated[str | None, Field(min_length=1, max_length=128)]
 
 
-def _cursor(text: str) -> str:
-    parse_cursor(text)
-    return text
-
-
-Cursor = Annotated[str, Field(max_length=256, description="The `next` of the page before."), AfterValidator(_cursor)]
+Cursor = Annotated[str, Field(max_length=256, description="The `next` of the page before.")]
 
 
 class PageQuery(BaseModel):
@@ -32,8 +27,18 @@ class PageQuery(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
+    listed: ClassVar[str]
+    """The table that is listed: its cursors count for no other list."""
+
     limit: Annotated[int, Field(ge=1, le=MAX_LIMIT)] = 50
     cursor: Cursor | None = None
+
+    @field_validator("cursor")
+    @classmethod
+    def _of_this_list(cls, cursor: str | None) -> str | None:
+        if cursor is not None:
+            parse_cursor(cls.listed, cursor)
+        return cursor
 
 
 def within_the_log(request: Request, field: str, after: int | None) -> None:

@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 class EscalationQuery(PageQuery):
     """Filters of the list of escalations."""
 
+    listed = "escalations"
+
     status: Literal["pending", "approved", "denied", "expired", "withdrawn"] | None = None
     sort: Literal["newest", "urgency"] = "newest"
 

@@ -37,12 +37,18 @@ async def capabilities(request: Request) -> Response:
     return _described(_capabilities(parts_of(request).policy()), request)
 
 
+class VersionQuery(PageQuery):
+    """Which part of the list of versions."""
+
+    listed = "policies"
+
+
 async def active(request: Request) -> Response:
     """Describe the policy set in force: its digest, profiles, limits and rules."""
     return _described(_active(parts_of(request).policy()), request)
 
 
-async def versions(request: Request, query: Annotated[PageQuery, Query()]) -> Response:
+async def versions(request: Request, query: Annotated[VersionQuery, Query()]) -> Response:
     """List every version of policy: whose it is, why it was brought, and when it was in force; the newest first."""
     known = parts_of(request).versions
     items, following = await known.list(**query.model_dump())

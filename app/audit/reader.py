@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import sqlite3
+import zlib
 from contextlib import closing
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 from urllib.parse import quote
@@ -375,12 +376,12 @@ class Reader:
         age = sa.tuple_(columns[STORE_GIVEN], columns.id)
         query = filtered(STATE[table], filters)
         if cursor is not None:
-            query = query.where(age < sa.tuple_(*(sa.literal(part) for part in parse_cursor(cursor))))
+            query = query.where(age < sa.tuple_(*(sa.literal(part) for part in parse_cursor(table, cursor))))
         query = query.order_by(columns[STORE_GIVEN].desc(), columns.id.desc()).limit(bounded(limit) + 1)
         items = [as_dict(STATE[table], row) for row in self._all(query)]
         more = len(items) > limit
         items = items[:limit]
-        return Page(items, f"{items[-1][STORE_GIVEN]}.{items[-1]['id']}" if more else None)
+        return Page(items, _cursor(table, f"{items[-1][STORE_GIVEN]}.{items[-1]['id']}") if more else None)
 
     def _all(self, query: sa.Select[*tuple[Any, ...]] | sa.TextClause) -> list[sa.Row[*tuple[Any, ...]]]:
         try:
@@ -459,13 +460,19 @@ def bounded(limit: int) -> int:
 _CURSOR: Final = re.compile(r"(0|[1-9][0-9]{0,17})\.(.+)", re.ASCII | re.DOTALL)  # a damaged id is one, too
 
 
-def parse_cursor(cursor: str) -> tuple[int, str]:
-    """Read what `page` returned as `next`.
+def _cursor(table: str, place: str) -> str:
+    """Return a place as one in this list: no other list takes it, nor this one another that was made of it."""
+    return f"{place}.{zlib.crc32(f'{table} {place}'.encode()):08x}"
+
+
+def parse_cursor(table: str, cursor: str) -> tuple[int, str]:
+    """Read what `page` returned as `next` of a table.
 
     Raises:
-        ValueError: no page gave this.
+        ValueError: no page of that table gave this.
     """
-    found = _CURSOR.fullmatch(cursor)
-    if found is None:
-        raise ValueError(f"`{cursor[:80]}` is no cursor: valid is the `next` of the page before")
+    place, _, _ = cursor.rpartition(".")
+    found = _CURSOR.fullmatch(place)
+    if found is None or cursor != _cursor(table, place):
+        raise ValueError(f"`{cursor[:80]}` is no cursor: valid is the `next` of the page before, of the same list")
     return int(found[1]), found[2]

@@ -162,6 +162,18 @@ async def test_a_list_is_paged_newest_first_without_gap_or_repetition(house: Hou
     assert len(set(listed)) == len(listed)
 
 
+@pytest.mark.parametrize("path", ["escalations", "grants", "reviews", "policies"])
+async def test_a_cursor_counts_for_the_list_that_gave_it_alone(house: House, path: str) -> None:
+    async with house.client() as agent, house.client("engineer" if path == "policies" else "operator") as person:
+        for _ in range(2):
+            await refused(agent)
+        cursor = (await agent.get("/v1/invocations?limit=1")).json()["next"]
+        assert (await person.get(f"/v1/{path}")).status_code == 200
+        answer = await person.get(f"/v1/{path}", params={"cursor": cursor})
+    assert answer.status_code == 422
+    assert answer.json()["errors"][0]["field"].endswith("cursor")
+
+
 @pytest.mark.parametrize(
     "query",
     ["limit=0", "limit=201", "limit=many", "cursor=zz", "cursor=", "cursor=-1.x", "status=odd", "agent=", "colour=red"],

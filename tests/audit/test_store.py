@@ -272,6 +272,10 @@ async def test_invocations_are_listed_newest_first_by_cursor(store: AuditStore) 
     assert [row["id"] for row in running.items] == ["inv_9", "inv_4", "inv_3", "inv_1"]
     ended = await store.page("invocations", {"status": ("completed", "failed")})
     assert [row["id"] for row in ended.items] == ["inv_2", "inv_0"]
+    assert first.next is not None
+    for table, strange in (("escalations", first.next), ("invocations", f"{first.next}x"), ("invocations", "4.inv_3")):
+        with pytest.raises(ValueError, match="valid is the `next` of the page before, of the same list"):
+            await store.page(table, cursor=strange)
 
 
 @pytest.mark.parametrize("cursor", ["", "1", "1.", "01.inv_1", "٣.inv_1", "x.inv_1", "-1.inv_1", "9" * 40 + ".inv_1"])
