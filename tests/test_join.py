@@ -87,7 +87,7 @@ def test_a_cell_joins_by_hand_runs_what_it_is_sent_and_leaves_when_told_to(serve
     kinds = lambda: {event["kind"] for event in server.get(f"/v1/invocations/{made['id']}/trace")["items"]}  # noqa: E731
     assert {"authorization", "launch", "outcome"} <= kinds()
     until(lambda: "telemetry" in kinds(), what="the telemetry is sealed, which its last rows precede")
-    process.send_signal(signal.SIGHUP)  # its terminal is closed
+    process.send_signal(signal.SIGTERM)
     assert process.wait(20.0) == 0
     until(lambda: not online(server), what="the server sees it leave")
 

@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
@@ -66,6 +67,15 @@ def test_the_cells_token_is_in_no_command_line(server: ServerProcess) -> None:
     assert token not in Path(f"/proc/{pid}/cmdline").read_text()
 
 
+@pytest.fixture
+def terminal() -> Iterator[None]:
+    """Be started from a terminal, whatever the tests were: what ignores SIGHUP passes that on to what it starts."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("terminal")
 def test_a_server_and_its_cell_stop_in_order_when_their_terminal_is_closed(servers: Servers) -> None:
     server = servers.start(cells=1)
     cell = server.cell_pid()
