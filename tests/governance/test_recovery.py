@@ -186,6 +186,15 @@ def test_no_new_attempt_is_made_on_top_of_a_recovery_that_failed() -> None:
     assert ask("miss", recovering=True).strategy is S.ROLLBACK
 
 
+def test_a_rollback_that_was_given_up_may_be_had_again_and_all_else_stays_used() -> None:
+    used = Budgets(((1, S.RETRY),), 1)
+    undoing = roll_back("operator", PLAN, used, COVERED)
+    assert undoing is not None
+    assert roll_back("operator", PLAN, undoing.used, COVERED) is None
+    assert undoing.used.giving_up() == used
+    assert roll_back("operator", PLAN, undoing.used.giving_up(), COVERED) == undoing
+
+
 def test_a_rollback_that_ended_elsewhere_is_led_back_once_if_that_is_covered() -> None:
     retreat = replace(PLAN, rollback_capability="safe_retreat")
     decision = lead_back("contact", retreat, Budgets(retries=1, rolled_back=True), COVERED)
