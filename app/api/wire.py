@@ -100,6 +100,15 @@ class ProposalBody(Body):
 
 Minutes = Annotated[float, Field(ge=LEAST_MINUTES, le=15, allow_inf_nan=False)]
 ScopeName = Literal["object", "task", "time"]
+Seen = Annotated[
+    int | None,
+    Field(
+        ge=0,
+        le=MAX_SEQ,
+        examples=[178],
+        description="The last `seq` of the record that was seen. What others, or any pause, said since stands: 409.",
+    ),
+]
 
 
 class OfferBody(Body):
@@ -175,19 +184,10 @@ class ProfileBody(Body):
     )
 
 
-SEEN: Any = Field(
-    default=None,
-    ge=0,
-    le=MAX_SEQ,
-    examples=[178],
-    description="The last `seq` of the record that was seen. What others, or any pause, said since stands: 409.",
-)
-
-
 class LoosenBody(Body):
     """A word on which something moves; with `after`, it counts for what its speaker had seen, and for nothing newer."""
 
-    after: int | None = SEEN
+    after: Seen = None
 
 
 class ReleaseBody(Body):
@@ -198,7 +198,7 @@ class ReleaseBody(Body):
         default=None,
         description="By which lease it was driven. To go on or be undone by another one since then: 409.",
     )
-    after: int | None = SEEN
+    after: Seen = None
 
 
 class ResetBody(Body):

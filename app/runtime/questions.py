@@ -225,8 +225,8 @@ class Questions:
         """
         cell = self.fleet.cell(invocation.cell or "")
         rest = Human(invocation=invocation.id, op="resolve_terminate", actor=actor, expired=expired)
-        still = cell.driven(invocation.id) or not self.fleet.attached(cell) or cell.ending(invocation.id)
-        still = still or self.register.store.damage is not None
+        gone = not self.fleet.attached(cell) or self.register.store.damage is not None
+        still = gone or cell.driven(invocation.id) or cell.ending(invocation.id)
         if ending != ROLLBACK or still:  # nothing is undone under somebody's hand
             self.fleet.restrain(cell, rest)
             await recording

@@ -313,41 +313,30 @@ async def test_an_end_that_cannot_be_recorded_holds_all_the_same(
     assert await end(runtime) == ("revoked", "olivia")
 
 
+@pytest.mark.parametrize("how", ["revoked", "giver withdrawn"])
 async def test_a_launch_is_not_sent_when_its_grant_ends_while_it_is_recorded(
-    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+    house: House, runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch, how: str
 ) -> None:
     await grant(runtime)
-    use = runtime.desk.grants.use
+    grants, use = runtime.desk.grants, runtime.desk.grants.use
+    monkeypatch.setattr(grants, "look", lambda: None)  # nobody looks in time
+
+    def end() -> None:
+        if how == "revoked":
+            grants.drop(CELL, "revoked", "olivia")
+        else:
+            house.withdrawn.add("olivia")
 
     def soon(grant_id: str | None) -> Any:
-        asyncio.get_running_loop().call_soon(runtime.desk.grants.drop, CELL, "revoked", "olivia")
+        asyncio.get_running_loop().call_soon(end)
         return use(grant_id)
 
-    monkeypatch.setattr(runtime.desk.grants, "use", soon)
+    monkeypatch.setattr(grants, "use", soon)
     document, _ = await runtime.governor.propose(AGENT, grasp())
     await until(lambda: runtime.register.newest(document["id"]) is None)
     over = await runtime.governor.invocation(document["id"], AGENT)
     assert over["failure"]["reasons"][0]["code"] == "grant_ended"
     assert runtime.fleet.cell(CELL).claim is None
-    assert not cell.all("launch")
-
-
-async def test_a_launch_is_not_sent_when_the_giver_of_its_grant_is_withdrawn_while_it_is_recorded(
-    house: House, runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    await grant(runtime)
-    use = runtime.desk.grants.use
-    monkeypatch.setattr(runtime.desk.grants, "look", lambda: None)  # nobody looks in time
-
-    def soon(grant_id: str | None) -> Any:
-        asyncio.get_running_loop().call_soon(house.withdrawn.add, "olivia")
-        return use(grant_id)
-
-    monkeypatch.setattr(runtime.desk.grants, "use", soon)
-    document, _ = await runtime.governor.propose(AGENT, grasp())
-    await until(lambda: runtime.register.newest(document["id"]) is None)
-    over = await runtime.governor.invocation(document["id"], AGENT)
-    assert over["failure"]["reasons"][0]["code"] == "grant_ended"
     assert not cell.all("launch")
 
 
