@@ -25,8 +25,8 @@ from app.cell.journal import Journal, JournalDamaged, JournalUnavailable
 from app.cell.link import Identity, Link
 from app.cell.loop import Lease, Outbox, TickLoop
 from app.cell.pin import KeyPin
+from app.cell.recorder import Recorder
 from app.cell.runner import close_left_open
-from app.cell.telling import Recorder
 from app.children import CellRuns, cell_lock
 from app.clock import wall_s
 from app.config import ConfigError, cell_terms
@@ -93,6 +93,7 @@ async def _run(settings: CellSettings) -> int:
             robot_mjcf=robot,
         )
         runner = GovernedCell(substrate, policies, kernel_key=kernel_key, journal=journal, outbox=outbox, wall=wall_s)
+        runner.write_behind()
         # The loop lives in this process: a collector that walks all that was built at the start, because a policy is
         # being compiled beside it, would take five control periods at once.
         gc.freeze()  # without collecting first: that holds up the link's thread as long

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import base64
 import binascii
-from contextlib import suppress
 from math import isfinite
 from typing import TYPE_CHECKING, Final, assert_never
 
@@ -21,7 +20,6 @@ import orjson
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from app.cell.display import describe, look, sensed, sitting
-from app.cell.journal import JournalUnavailable
 from app.cell.loop import NewPolicy, Shutdown, Welcomed
 from app.cell.moment import Sight
 from app.cell.run import LINK
@@ -94,7 +92,7 @@ class GovernedCell:
         self._policies_digest = ""
         self._profile: str | None = None
         self._reset = ""
-        self._journal, self._outbox, self._wall = journal, outbox, wall
+        self._outbox, self._wall = outbox, wall
         for entry in journal.unacknowledged():
             self._tell(entry)
         self._runner = Runner(
@@ -128,6 +126,18 @@ class GovernedCell:
         """Stop by category 0: nobody ticks any more."""
         self._runner.substrate.stop(0)
 
+    def write_behind(self) -> None:
+        """Have a thread of its own write the journal from here on."""
+        self._runner.write_behind()
+
+    def when_written(self, then: Callable[[], None]) -> None:
+        """Do something once everything said so far is written, or at once where that cannot be."""
+        self._runner.when_written(then)
+
+    def settle(self) -> None:
+        """Return once everything that can be written is."""
+        self._runner.settle()
+
     def standing(self) -> bool:
         """Say whether nothing moves and nothing is about to."""
         return self._runner.standing()
@@ -157,7 +167,7 @@ class GovernedCell:
             case SetProfile():
                 self._profile = news.profile
             case Ack():
-                self._keep_house(news.seq)
+                self._runner.acknowledged(news.seq)
             case Welcomed():
                 self._profile = news.profile
                 self._runner.welcomed()
@@ -226,14 +236,6 @@ class GovernedCell:
         if self._policies[digest].site == self._site:
             return ""
         return f"the robot works by another site than that of the policy `{digest}`; valid: restart the cell"
-
-    def _keep_house(self, acknowledged: int) -> None:
-        if not self._runner.standing():  # a file that is made smaller is waited for; the next word will do as well
-            return
-        # A journal that cannot be made smaller is whole all the same; the next thing to be recorded says what is wrong.
-        with suppress(JournalUnavailable):
-            self._journal.acknowledge(acknowledged)
-            self._journal.forget_permits(self._wall())
 
     def _plan_of(self, grant: Grant, recovery: CoveredRecovery | None = None) -> tuple[WatchPlan, RecoveryPlan]:
         permit = grant.authorization

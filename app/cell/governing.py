@@ -24,8 +24,8 @@ from app.governance.session import Event, final_status, step
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from app.cell.recorder import Recorder
     from app.cell.substrate import Skill, Substrate
-    from app.cell.telling import Recorder
     from app.governance.model import (
         Command,
         CoveredRecovery,

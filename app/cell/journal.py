@@ -64,7 +64,7 @@ class Entry(NamedTuple):
 
 
 class Journal:
-    """An append-only file of entries. Not thread-safe: the tick loop's thread owns it."""
+    """An append-only file of entries. Not thread-safe: one thread at a time writes, the one whose turn it is."""
 
     def __init__(self, path: Path, *, boot: str) -> None:
         """Open or create the file and read what is in it.
@@ -258,7 +258,8 @@ class Journal:
 
     def used_permits(self) -> frozenset[str]:
         """Return the identifiers of permits that were bound and have not been forgotten."""
-        return frozenset(name.removeprefix(USED) for name in self.marks if name.startswith(USED))
+        names = tuple(self.marks)  # in one step: another thread may be writing
+        return frozenset(name.removeprefix(USED) for name in names if name.startswith(USED))
 
     @property
     def forgotten_s(self) -> float:

@@ -86,6 +86,14 @@ class Governed(Protocol):
         """Say whether nothing moves."""
         ...
 
+    def when_written(self, then: Callable[[], None]) -> None:
+        """Do something once everything said so far is recorded, or at once where that cannot be."""
+        ...
+
+    def settle(self) -> None:
+        """Return once everything that can be recorded is."""
+        ...
+
     def cut_power(self) -> None:
         """Stop by category 0: nobody ticks any more."""
         ...
@@ -167,6 +175,11 @@ class Outbox:
     def batch(self, frame: bytes) -> None:
         """Hand over one frame of telemetry; the oldest goes when nobody listens for long."""
         self.batches.append(frame)
+        self.wake()
+
+    def say(self, state: State) -> None:
+        """Hand over the newest state, behind the reports of what led to it."""
+        self.state = state
         self.wake()
 
     def acknowledge(self, seq: int) -> None:
@@ -296,11 +309,12 @@ class TickLoop:
             return
         self._outbox.changed = False
         self._state_due_s = now_s + STATE_MS / 1000
-        self._outbox.state = self._runner.state(self.overruns)
-        self._outbox.wake()
+        state = self._runner.state(self.overruns)
+        self._runner.when_written(lambda: self._outbox.say(state))  # it is to say no more than the reports before it
 
     def _come_to_rest(self) -> None:
         end_s = monotonic_s() + STOPPING_S
         while not self._runner.standing() and monotonic_s() < end_s:
             self._runner.tick()
+        self._runner.settle()
         self._outbox.state = self._runner.state(self.overruns)

@@ -10,7 +10,8 @@ One `tick` is a plain function call. Within a session (`governing`) everything i
 
 Orders from outside (`launch`, `human`, `estop`, `reset`, `hold`, `welcomed`) are plain calls too, made between ticks by
 whoever owns the thread. If the journal cannot be written, nothing moves: the session is brought to a stop, `fault` says
-why, and what could not be recorded is kept and recorded as soon as it can be.
+why, and what could not be recorded is kept and recorded as soon as it can be. Whoever ticks does not wait for a slow
+disk either, once a thread of its own writes (`write_behind`).
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from app.cell import telling
 from app.cell.governing import EXPIRED, STOP, PlanOf, Ports, Verify
 from app.cell.handover import Session
 from app.cell.journal import USED, Entry, Journal, JournalUnavailable
+from app.cell.recorder import Recorder
 from app.cell.run import LINK, Doing, End, Run, Unprepared
 from app.cell.series import Series
 from app.cell.substrate import SubstrateError
@@ -102,7 +104,7 @@ class Runner:
         self.observation: Observation = substrate.observe()
         self.holding = ""
         self._wall = wall
-        self._record = telling.Recorder(journal, wall, emit)
+        self._record = Recorder(journal, wall, emit)
         self._ports = Ports(
             substrate=substrate, plan_of=plan_of, verify=verify, recorder=self._record, on_telemetry=on_telemetry
         )
@@ -215,10 +217,12 @@ class Runner:
         used: dict[str, Json] = {USED + permit.id: permit.expires_at_s, "open": permit.invocation}
         session = self._session
         try:
-            self._record.require_room()
-            self._record.say(telling.launch(permit), marks=used)
-            if session is None:  # one that may move waits for the disk once it stands, before anything is bound
+            if session is None:
+                self._record.require_room()
+                self._record.say_first(telling.launch(permit), marks=used)
                 self._record.sync()
+            else:  # it may move: it waits for the disk once it stands, before anything is bound
+                self._record.say(telling.launch(permit), marks=used)
         except JournalUnavailable as error:
             return self._refuse(permit.invocation, "journal_unavailable", str(error), permit.id)
         return self._begin(grant) if session is None else self._change_hands(session, grant)
@@ -266,7 +270,7 @@ class Runner:
         if not self.latched:
             return "not_latched"
         try:
-            self._record.say(telling.cell("reset", actor), marks={"latched": None})
+            self._record.say_first(telling.cell("reset", actor), marks={"latched": None})
         except JournalUnavailable:
             return "journal_unavailable"
         self.latched, self.broken = False, ""
@@ -294,12 +298,23 @@ class Runner:
         self.holding = ""
 
     def acknowledged(self, seq: int) -> None:
-        """The server's log holds everything up to `seq`; used permits that have expired are forgotten as well."""
-        try:
-            self.journal.acknowledge(seq)
-            self.journal.forget_permits(self._wall())
-        except JournalUnavailable as error:
-            self._record.fault = str(error)
+        """The server's log holds everything up to `seq`; the next word will do as well where anything moves."""
+        if self.standing():  # a file that is made smaller is waited for
+            self._record.acknowledged(seq)
+
+    # -- the record ----------------------------------------------------------------------------------------------------
+
+    def write_behind(self) -> None:
+        """Have a thread of its own write the journal from here on: whoever ticks does not wait for the disk."""
+        self._record.write_behind()
+
+    def when_written(self, then: Callable[[], None]) -> None:
+        """Do something once everything said so far is written, or at once where that cannot be (`recorder`)."""
+        self._record.when_written(then)
+
+    def settle(self) -> None:
+        """Return once everything that can be written is; for whoever leaves."""
+        self._record.settle()
 
     # -- the tick ------------------------------------------------------------------------------------------------------
 
@@ -307,6 +322,7 @@ class Runner:
         """Do one control period."""
         record = self._record
         record.tick += 1
+        record.check_on_time()
         session = self._session
         if (record.fault or session is None) and record.tick % CATCH_UP_TICKS == 1:
             record.catch_up()
@@ -358,7 +374,7 @@ class Runner:
             cell=self.substrate.id,
             policy_digest=self._policy_digest,
             now_s=self._wall(),
-            used=self.journal.used_permits(),
+            used=self._record.used_permits(),
             forgotten_s=self.journal.forgotten_s,
             former=self._former,
         )
@@ -474,7 +490,7 @@ _SILENCE: Final[Mapping[str, Deed]] = {
 }
 
 
-def close_left_open(journal: Journal, record: telling.Recorder) -> None:
+def close_left_open(journal: Journal, record: Recorder) -> None:
     """Report the session that an earlier run of the cell left open as the fault it is.
 
     A cell does so before it first speaks to its server: the number of its last report then counts this one in, and

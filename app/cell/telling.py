@@ -1,4 +1,4 @@
-"""What a cell says about a session: the bodies of its events, the rows of its telemetry, and the way to the journal.
+"""What a cell says about a session: the bodies of its events, and the rows of its telemetry.
 
 One function per kind of event, so that the whole vocabulary of a trace can be read here. Bodies are JSON objects; a
 number that is not finite becomes null, because JSON has none and a guard's broken reading must not break its record.
@@ -6,18 +6,13 @@ number that is not finite becomes null, because JSON has none and a guard's brok
 
 from __future__ import annotations
 
-import contextlib
 import math
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from app.cell.journal import Entry, Journal, JournalUnavailable
-from app.governance.model import EMPTY, EventKind, Signal, Strategy
-from app.governance.session import refused_launch
+from app.governance.model import EventKind, Signal, Strategy
 from app.protocol import ROW, ROWS_PER_BATCH, single
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from app.governance.model import (
         Alert,
         Authorization,
@@ -25,7 +20,6 @@ if TYPE_CHECKING:
         Json,
         Observation,
         Outcome,
-        Params,
         Status,
         WatchPlan,
         Wish,
@@ -44,100 +38,6 @@ class Saying(NamedTuple):
     invocation: str | None
     actor: str
     body: dict[str, Json]
-
-
-class Recorder:
-    """Writes what is said to the journal; what cannot be written is kept until it can be, and `fault` says why.
-
-    The record is in the order of what happened: nothing is written before what was kept. The marks of what was kept
-    would otherwise undo those of what came later.
-    """
-
-    __slots__ = ("_emit", "_journal", "_unsaid", "_unsynced", "_wall", "fault", "tick")
-
-    def __init__(self, journal: Journal, wall: Callable[[], float], emit: Callable[[Entry], None]) -> None:
-        """Take the journal, a wall clock, and who is told every entry once it is written."""
-        self._journal, self._wall, self._emit = journal, wall, emit
-        self._unsaid: list[tuple[Saying, Params]] = []
-        self._unsynced = False  # something that was kept is written, and may be lost with the machine's power
-        self.fault = ""
-        self.tick = 0
-
-    def say(self, saying: Saying, marks: Params = EMPTY) -> None:
-        """Write one entry, behind everything that was kept.
-
-        Raises:
-            JournalUnavailable: it is not written, and what it was to permit must not happen.
-        """
-        self._say_kept()
-        self._write(saying, marks)
-
-    def say_anyway(self, saying: Saying, marks: Params = EMPTY) -> None:
-        """Write one entry, or keep it until that is possible: for what restrains, and for what has happened already."""
-        try:
-            self.say(saying, marks)
-        except JournalUnavailable:
-            self._unsaid.append((saying, marks))
-
-    def sync(self) -> None:
-        """Return once everything written is on the disk. Raises `JournalUnavailable`."""
-        try:
-            self._journal.sync()
-        except JournalUnavailable as error:
-            self.fault = str(error)
-            raise
-        self._unsynced = False
-
-    def require_room(self) -> None:
-        """Return where a session could be recorded, and what was kept is on the disk: all is well then.
-
-        Raises:
-            JournalUnavailable: it could not, or it is not, and `fault` says why.
-        """
-        self._say_kept()
-        if self._unsynced:  # an emergency stop may be among it, of which the server has not heard
-            self.sync()
-        try:
-            self._journal.require_room()
-        except JournalUnavailable as error:
-            self.fault = str(error)
-            raise
-        self.fault = ""
-
-    def unsaid_ends(self) -> dict[str, tuple[str, str]]:
-        """Return how what is kept says that invocations ended: outcome and code, by invocation.
-
-        A launch that was refused is no more than that where the session of its name ran already.
-        """
-        ends: dict[str, tuple[str, str]] = {}
-        for saying, _ in self._unsaid:
-            if saying.invocation is None:
-                continue
-            if saying.kind == EventKind.OUTCOME:
-                ends[saying.invocation] = str(saying.body["outcome"]), str(saying.body["code"])
-            elif saying.kind == EventKind.LAUNCH and "refused" in saying.body:
-                code = str(saying.body["refused"])
-                ends.setdefault(saying.invocation, (refused_launch(code).value, code))
-        return ends
-
-    def catch_up(self) -> None:
-        """Write what was kept; all is well again when everything is on the disk, and there is room for more."""
-        with contextlib.suppress(JournalUnavailable):  # `fault` says so
-            self.require_room()
-
-    def _say_kept(self) -> None:
-        while self._unsaid:
-            self._write(*self._unsaid[0])
-            self._unsaid.pop(0)
-            self._unsynced = True
-
-    def _write(self, saying: Saying, marks: Params) -> None:
-        try:
-            entry = self._journal.append(at_s=self._wall(), tick=self.tick, marks=marks, **saying._asdict())
-        except JournalUnavailable as error:
-            self.fault = str(error)
-            raise
-        self._emit(entry)
 
 
 def launch(permit: Authorization) -> Saying:

@@ -46,6 +46,12 @@ class Recorder:
     def standing(self) -> bool:
         return self.moving_for == 0
 
+    def when_written(self, then: Callable[[], None]) -> None:
+        then()
+
+    def settle(self) -> None:
+        pass
+
     def cut_power(self) -> None:
         self.cut = True
 

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import os
 import resource
-from collections.abc import Generator, Iterator
+import threading
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from app.cell import telling
-from app.cell.journal import Journal, JournalUnavailable
-from tests.cell.rig import NOW_S, Rig, signed
+from app.cell.journal import USED, Entry, Journal, JournalUnavailable
+from app.governance.model import Json, Status
+from tests.cell.rig import NOW_S, PERMIT, Rig, signed
+from tests.conftest import PATIENCE_S, until
 
 CATCHING_UP = 101  # ticks within which a cell looks once whether its journal can be written again
 
@@ -158,3 +162,178 @@ def test_a_permit_is_good_for_one_launch_though_the_clock_ran_ahead_and_was_put_
     assert rig.runner.launch(signed()) == "expired"
     assert "this cell's clock was beyond that before" in str(rig.last("launch")["detail"])
     assert rig.runner.launch(signed(id="auth-2", issued_at_s=NOW_S + 4.0, expires_at_s=NOW_S + 34.0)) is None
+
+
+# -- a disk that takes its time --------------------------------------------------------------------------------------
+
+
+class SlowDisk:
+    """Takes nothing while it is busy; whoever writes waits."""
+
+    def __init__(self, rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.idle = threading.Event()
+        self.idle.set()
+        append = rig.journal.append
+
+        def waits(**entry: Any) -> Entry:
+            assert self.idle.wait(PATIENCE_S)
+            return append(**entry)
+
+        monkeypatch.setattr(rig.journal, "append", waits)
+
+
+@pytest.fixture
+def slow(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> Iterator[SlowDisk]:
+    disk = SlowDisk(rig, monkeypatch)
+    rig.runner.write_behind()
+    yield disk
+    disk.idle.set()
+    rig.runner.settle()
+
+
+def somebody_near(rig: Rig) -> None:
+    rig.cell.people = lambda _: ((rig.cell.x_m + 0.2, rig.cell.y_m),)
+
+
+def test_a_robot_stands_before_the_disk_has_taken_why(rig: Rig, slow: SlowDisk) -> None:
+    rig.launch()
+    rig.ticks(60)
+    assert rig.moving()
+    rig.runner.settle()
+    told = len(rig.entries)
+    slow.idle.clear()
+    somebody_near(rig)
+    rig.ticks(80)
+    assert (rig.runner.status, rig.moving(), len(rig.entries)) == (Status.PAUSED, False, told)
+    slow.idle.set()
+    rig.runner.settle()
+    alert, intervention, paused = rig.entries[told:]
+    assert [alert.kind, intervention.kind, paused.kind] == ["alert", "intervention", "status"]
+    assert {alert.tick, intervention.tick, paused.tick} == {alert.tick}, "all of it was said in one tick"
+    assert alert.tick < 70, "and is dated by when it was said"
+
+
+def test_what_a_session_does_is_recorded_alike_by_a_thread_and_by_whoever_ticks(tmp_path: Path) -> None:
+    def story(*, behind: bool) -> list[tuple[int, str, str | None, dict[str, Json]]]:
+        folder = tmp_path / f"{behind}"
+        folder.mkdir()
+        rig = Rig(folder)
+        if behind:
+            rig.runner.write_behind()
+        rig.cell.script.fails = {("grasp_object", 1): "object_lost"}
+        rig.launch()
+        rig.until(lambda: rig.runner.invocation is None)
+        rig.runner.settle()
+        rig.journal.close()
+        again = Journal(rig.journal.path, boot="boot-2").unacknowledged()
+        assert list(again) == rig.entries
+        return [(entry.tick, entry.kind, entry.invocation, entry.body) for entry in again]
+
+    assert story(behind=True) == story(behind=False)
+
+
+def test_a_recovery_moves_nothing_before_the_disk_has_its_decision(rig: Rig, slow: SlowDisk) -> None:
+    rig.cell.script.fails = {("grasp_object", 1): "object_lost"}
+    rig.launch()
+    rig.until(lambda: rig.runner.status is Status.RUNNING)
+    rig.runner.settle()
+    slow.idle.clear()
+    ticking = threading.Thread(target=rig.until, args=(lambda: rig.runner.invocation is None,))
+    ticking.start()
+    session = rig.runner.session
+    assert session is not None
+    until(lambda: session.run.status is Status.RECOVERING and session.run.still(session.seen))
+    assert rig.runs("release_and_retract") == 0
+    assert not rig.of("recovery")
+    slow.idle.set()
+    ticking.join(PATIENCE_S)
+    rig.runner.settle()
+    assert rig.runs("release_and_retract") == 1
+    assert rig.last("outcome")["outcome"] == "recovered"
+
+
+def test_a_disk_that_takes_nothing_for_long_ends_the_session_and_launches_none(
+    rig: Rig, slow: SlowDisk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig.cell.script.ticks = 10_000.0
+    rig.launch()
+    rig.ticks(60)
+    slow.idle.clear()
+    monkeypatch.setattr("app.cell.recorder.STALL_S", 0.05)
+    rig.runner.human("inv-1", "no_such_word", "operator")
+    until(lambda: rig.ticks(1) or rig.runner.invocation is None)
+    assert not rig.moving()
+    assert "the disk has not taken what was to be recorded" in rig.runner.view().fault
+    assert rig.runner.view().unsaid == {"inv-1": ("fault", "journal_unavailable")}
+    assert rig.runner.launch(signed(id="auth-2", invocation="inv-2")) == "journal_unavailable"
+    slow.idle.set()
+    monkeypatch.undo()
+    until(lambda: rig.ticks(CATCHING_UP) or not rig.runner.view().fault)
+    assert rig.last("outcome")["code"] == "journal_unavailable"
+    assert rig.runner.launch(signed(id="auth-3", invocation="inv-3")) is None
+
+
+def test_what_cannot_be_written_by_the_thread_ends_the_session(rig: Rig, slow: SlowDisk) -> None:
+    rig.cell.script.ticks = 10_000.0
+    rig.launch()
+    rig.ticks(60)
+    rig.runner.settle()
+    with full(rig.journal):
+        somebody_near(rig)
+        until(lambda: rig.ticks(1) or rig.runner.invocation is None)
+    assert not rig.moving()
+    until(lambda: rig.ticks(CATCHING_UP) or not rig.runner.view().fault)
+    assert [entry.kind for entry in rig.entries[2:]][:3] == ["alert", "intervention", "status"]
+    assert rig.last("outcome")["code"] == "journal_unavailable"
+    assert after_a_restart(rig).marks.get("open") is None
+
+
+def test_nothing_moves_where_what_writes_the_journal_broke(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig.cell.script.ticks = 10_000.0
+    rig.runner.write_behind()
+    rig.launch()
+    rig.ticks(60)
+    rig.runner.settle()
+    monkeypatch.setattr(rig.journal, "append", lambda **_: 1 / 0)
+    somebody_near(rig)
+    until(lambda: rig.ticks(1) or rig.runner.invocation is None)
+    assert not rig.moving()
+    assert rig.runner.view().fault == "what writes the journal broke: ZeroDivisionError('division by zero')"
+    monkeypatch.undo()
+    rig.ticks(CATCHING_UP)
+    assert rig.runner.launch(signed(id="auth-2", invocation="inv-2")) == "journal_unavailable"
+
+
+def test_a_state_is_handed_out_behind_what_was_said_before_it_and_at_once_where_that_cannot_be_written(
+    rig: Rig, slow: SlowDisk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[tuple[str, int]] = []
+
+    def say(name: str) -> Callable[[], None]:
+        return lambda: told.append((name, len(rig.entries)))
+
+    rig.runner.when_written(say("at once"))
+    slow.idle.clear()
+    elsewhere = signed(cell="workcell-2")
+    for _ in range(2):
+        assert rig.runner.launch(elsewhere) == "wrong_cell"
+    assert told == [("at once", 0)]
+    rig.runner.when_written(say("older"))
+    rig.runner.when_written(say("newest"))
+    slow.idle.set()
+    until(lambda: len(told) == 2)
+    assert told == [("at once", 0), ("newest", 2)]
+    monkeypatch.setattr("app.cell.recorder.STALL_S", 0.0)
+    slow.idle.clear()
+    rig.runner.launch(elsewhere)
+    rig.ticks(1)
+    rig.runner.when_written(say("in vain"))
+    assert told[2:] == [("in vain", 2)]
+
+
+def test_a_permit_counts_as_used_while_that_stands_in_line(rig: Rig, slow: SlowDisk) -> None:
+    rig.launch()
+    slow.idle.clear()
+    rig.runner._record.say(telling.launch(PERMIT), marks={f"{USED}auth-9": NOW_S})
+    assert rig.runner._record.used_permits() == {"auth-1", "auth-9"}
+    assert rig.journal.used_permits() == {"auth-1"}
