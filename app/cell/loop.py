@@ -235,6 +235,7 @@ class TickLoop:
         except Exception as error:  # whatever it is, the link reads it here and ends the process
             self.broken = error
             self._runner.cut_power()  # a robot keeps to its last command until somebody says otherwise
+            self._runner.settle()
         finally:
             self._outbox.wake()
 

@@ -169,7 +169,8 @@ class Recorder:
             self._then = then if waits else None
             if not waits:
                 then()
-        self._woken.set()
+        if waits:
+            self._woken.set()
 
     # -- looking -------------------------------------------------------------------------------------------------------
 

@@ -29,6 +29,7 @@ class Recorder:
         self.moving_for = 0
         self.fault: Exception | None = None
         self.cut = False
+        self.settled_behind: tuple[int, bool] | None = None
         self.unrecorded: Unrecorded | None = None
 
     def tick(self) -> None:
@@ -50,7 +51,7 @@ class Recorder:
         then()
 
     def settle(self) -> None:
-        pass
+        self.settled_behind = (self.ticks, self.cut)
 
     def cut_power(self) -> None:
         self.cut = True
@@ -210,6 +211,7 @@ def test_goes_on_ticking_until_everything_stands_when_shut_down(start: Callable[
     assert bench.loop.join(10.0)
     assert runner.holds == ["shutdown"]
     assert runner.moving_for == 0
+    assert runner.settled_behind == (runner.ticks, False), "what was said last is written before the process ends"
 
 
 def test_a_bug_in_the_runner_ends_the_loop_and_is_kept(start: Callable[..., Bench]) -> None:
@@ -218,7 +220,7 @@ def test_a_bug_in_the_runner_ends_the_loop_and_is_kept(start: Callable[..., Benc
     bench = start(runner)
     until(lambda: not bench.loop.alive())
     assert bench.loop.broken is runner.fault
-    assert runner.cut
+    assert runner.settled_behind == (runner.ticks, True), "power is cut first, then what was said is written"
 
 
 @pytest.mark.parametrize("status", ["running", "paused", "recovering"])
