@@ -215,6 +215,47 @@ def test_who_goes_on_while_a_candidate_is_checked_loses_nothing_and_is_not_fetch
     expect(kept).to_have_count(0)
 
 
+def test_a_word_is_given_for_the_change_that_was_read_and_for_no_other(changing: ServerProcess, people: People) -> None:
+    # Another one comes into force while the list that says so is still on its way to this page.
+    wanted, theirs = (kept(changing, f"grip_force_n: {{max: {force},", f"at most {force} N") for force in (45, 35))
+    active = changing.get("/v1/policies/active")["version"]
+    engineer = seat(people, changing, "engineer")
+    engineer.expects(REFUSED)
+    engineer.page.evaluate(f"location.hash = '#/policy/Versions/{wanted}'")
+    view = engineer.page.get_by_role("region", name=re.compile("^Version "))
+    expect(view).to_contain_text("It loosens nothing: one engineer is enough.")
+    say_why(view, "weaker, for a visit")
+    try:
+        engineer.page.route("**/v1/policies?limit=*", lambda _: None)  # never answered
+        put_in_force(changing, theirs)
+        expect(engineer.page.get_by_title(theirs)).to_be_visible()  # what is in force is told in the header
+        with engineer.page.expect_response("**/activate") as answered:
+            view.get_by_role("button", name="Put in force").click()
+        assert answered.value.json()["code"] == "policy_changed"
+        assert changing.get(f"/v1/policies/{wanted}", key="engineer")["awaiting"] is None
+    finally:
+        put_in_force(changing, active)
+
+
+def kept(server: ServerProcess, bound: str, why: str) -> str:
+    """Bring what is in force with another bound; returns its digest."""
+    active = server.get("/v1/policies/active")["version"]
+    found = server.get(f"/v1/policies/{active}/files")
+    files = {**found["files"], "properties.yaml": found["promises"]}
+    files[PROFILE] = re.sub(r"grip_force_n: \{max: \d+,", bound, files[PROFILE])
+    with server.client("engineer") as client:
+        answer = client.post("/v1/policies", json={"files": files, "why": why})
+    assert answer.is_success, answer.text
+    return answer.json()["digest"]
+
+
+def put_in_force(server: ServerProcess, digest: str) -> None:
+    """Put a version in force, by as many engineers as that takes."""
+    for key in ("engineer_2", "engineer"):
+        if server.get("/v1/policies/active")["version"] != digest:
+            assert server.post(f"/v1/policies/{digest}/activate", {"why": "for a test"}, key=key).is_success
+
+
 def test_a_version_that_the_list_does_not_reach_to_is_read_by_its_digest(
     changing: ServerProcess, people: People
 ) -> None:

@@ -176,6 +176,10 @@ describe('a version', () => {
     expect(deed(version(), active, who, live, null)?.barrier).toContain(why);
   });
 
+  it('is put in force in the place of what is known to be', () => {
+    expect(deed(version(), null, ada, true, null)?.barrier).toBe('What is in force is not known yet.');
+  });
+
   it('is said in words', () => {
     expect(shortVersion('sha256:0123456789abcdef')).toBe('0123456789ab');
     expect([decidedAs('awaiting_approval (modify)'), decidedAs('denied (deny)'), decidedAs('invalid')]).toEqual(['awaiting approval, with bounds', 'denied', 'invalid']);
