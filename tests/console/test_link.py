@@ -226,6 +226,27 @@ def test_whoever_loses_the_controls_with_the_cells_link_is_told_so(
     expect(person.button("Take the controls")).to_be_enabled()
 
 
+def test_a_stop_goes_out_with_the_link_as_soon_as_it_is_back_though_what_was_sent_before_hangs(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    with wire_to(urlsplit(server.url).port or 0) as wire:
+        no_patience = "AbortSignal.timeout = () => new AbortController().signal"
+        person = people.sit(server, at=f"http://127.0.0.1:{wire.port}", init=no_patience)
+        person.expects(BROKEN)
+        person.page.route("**/estop", lambda _: None)  # it hangs, as on a connection that went with the network
+        wire.cut()
+        expect(person.alert("Link down.")).to_be_visible()
+        with person.page.expect_request("**/estop"):
+            person.press(".")
+        with person.page.expect_request("**/estop"):
+            pass  # the second one: no more are under way at once
+        person.page.wait_for_timeout(500)
+        assert not server.cell()["latched"]
+        wire.mend()
+        until(lambda: server.cell()["latched"], what="a stop that was pressed while the link was down")
+        expect(person.alert("is not confirmed")).to_have_count(0)
+
+
 def test_a_stop_needs_no_seat(server: ServerProcess, people: People, floor: Floor) -> None:
     with ExitStack() as seats:
         for _ in range(EACH_CONSOLES):

@@ -102,6 +102,18 @@ describe('a stop that is pressed', () => {
     expect([sent.length, elsewhere.length - said, stopper.of(ONE).phase]).toEqual([2, 1, 'failed']);
   });
 
+  it('is said on the other line as soon as that is there again, while what was sent before hangs, and once it is confirmed no more', async () => {
+    answer = () => new Promise(() => undefined);
+    void stopper.press(ONE);
+    await vi.advanceTimersByTimeAsync(5_000);
+    const said = elsewhere.length;
+    stopper.linked();
+    expect(elsewhere.slice(said)).toEqual([ONE]);
+    stopper.recorded(ONE, seq + 1);
+    stopper.linked();
+    expect(elsewhere.length).toBe(said + 1);
+  });
+
   it('is not tried again where the server says late that it will not', async () => {
     const refusal = new ApiError({ code: 'forbidden', title: 'Not yours', status: 403, detail: 'not yours' });
     answer = () => new Promise((_, reject) => setTimeout(() => reject(refusal), 2_000));

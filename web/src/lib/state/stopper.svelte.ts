@@ -108,6 +108,11 @@ export class Stopper {
     if (press !== undefined && seq > press.after) this.dismiss(cell);
   }
 
+  /** The other line is there again: what was sent while it was not may hang for long, and said there it comes at once. */
+  linked(): void {
+    this.newest.forEach((_, cell) => this.otherLine(cell));
+  }
+
   /** One that is not confirmed is called so until it is, however often it is pressed. */
   private begun(cell: string): void {
     const failed = this.of(cell).phase === 'failed';
