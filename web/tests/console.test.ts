@@ -58,7 +58,15 @@ describe('the policy that limits are drawn from', () => {
 
   function welcome(): void {
     PlayedWorker.newest.say({ type: 'welcome', version: 1, name: 'operator', role: 'operator', station: null, boot: 'b', at: 0 });
+    PlayedWorker.newest.say({ type: 'snapshot', seq: 1, cells: [], invocations: [], escalations: [], grants: [], reviews: [], reviews_waiting: 0, events: [] });
   }
+
+  it('is asked for once what is in the snapshot is, which may tell of another that came into force since the welcome', () => {
+    PlayedWorker.newest.say({ type: 'welcome', version: 1, name: 'operator', role: 'operator', station: null, boot: 'b', at: 0 });
+    expect(asked.length).toBe(0);
+    welcome();
+    expect(asked.length).toBe(1);
+  });
 
   it('is what the newest request brought, whichever answer comes last', async () => {
     welcome();

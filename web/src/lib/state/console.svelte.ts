@@ -284,13 +284,13 @@ export class Console {
       case 'welcome':
         clock.sync(message.at);
         this.me = { name: message.name, role: message.role, station: message.station };
-        void this.fetchPolicy();
         break;
       case 'snapshot':
         this.latest = fromSnapshot(message, this.latest);
         this.gather(message.events);
         this.heardAtMs = clock.read();
         this.draw(); // at once: from now on it is the present
+        void this.fetchPolicy(); // not before: another may have come into force until then, of which no update will tell
         this.reviewing.resume(this.docs.reviews);
         break;
       case 'update':
