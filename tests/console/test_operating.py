@@ -275,6 +275,27 @@ def test_a_profile_is_chosen_by_arrow_keys_and_compared_anew_when_another_change
         put_under(server, before)
 
 
+def test_a_profile_that_is_on_its_way_is_not_called_kept(server: ServerProcess, people: People, floor: Floor) -> None:
+    person = people.sit(server)
+    before = server.cell()["profile"]
+    person.press("4")
+    card = person.region("workcell-1")
+    choice = card.get_by_label("Profile")
+    wanted = next(name for name in choice.locator("option").all_inner_texts() if name != before)
+    choice.select_option(wanted)
+    card.get_by_role("button", name="Change…").click()
+    keep, yes = (card.get_by_role("button", name=name) for name in (f"Keep {before}", "Yes, change it"))
+    try:
+        with at_once("**/profile", person):
+            yes.click()
+            expect(yes).to_be_disabled()
+            expect(keep).to_be_disabled(timeout=5_000)  # nothing takes it back, and nothing says that it did
+        until(lambda: server.cell()["profile"] == wanted, what="the profile that was confirmed")
+        expect(choice).to_be_focused()
+    finally:
+        put_under(server, before)
+
+
 def put_under(server: ServerProcess, profile: str, key: str = "operator") -> None:
     with server.client(key) as client:
         assert client.put("/v1/cells/workcell-1/profile", json={"profile": profile}).is_success
