@@ -30,6 +30,7 @@ from app.cell.series import Series
 from app.cell.substrate import SubstrateError
 from app.governance.continuing import CHANGED
 from app.governance.control import GOING_ON, TAKEOVER
+from app.governance.estimation import BaseEstimate, follow_base
 from app.governance.intervention import Responses
 from app.governance.model import EventKind, Mode, Outcome, Status
 from app.governance.permit import PermitError, SignedAuthorization, verify
@@ -114,6 +115,7 @@ class Runner:
         self._elsewhere = _NO_WORDS
         self._session: Session | None = None
         self._signals = Signals()
+        self._base = BaseEstimate()
         self._unpowered = False
         self.latched = bool(journal.marks.get("latched"))
         self.broken = ""
@@ -328,6 +330,7 @@ class Runner:
             record.catch_up()
         if session is None:
             self.observation = self.substrate.step(self.substrate.hold())
+            self._base = follow_base(self._base, self.observation)  # who is launched next is watched from where it is
             return
         try:
             self.observation = session.tick()
@@ -340,7 +343,7 @@ class Runner:
             self._take_leave(session)
 
     def _take_leave(self, session: Session) -> None:
-        self._signals = session.run.watching.signals
+        self._signals, self._base = session.run.watching.signals, session.run.watching.senses.base
         self._unpowered = self._unpowered or session.over is None or session.over.category is not None
         self._session = None
 
@@ -428,7 +431,7 @@ class Runner:
             skill=skill,
             watcher=watcher,
             responses=Responses(watcher.rules, substrate.period_s),
-            watching=watcher.begin(),
+            watching=watcher.begin(base=self._base),
             previous=substrate.hold(),
             series=Series(substrate.period_s, keep_every_tick=plan.keep_every_tick),
             began=began,

@@ -10,7 +10,7 @@ import math
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 if TYPE_CHECKING:
-    from app.governance.model import Fix, PersonTrack, Sighting, Vec3, Vec6
+    from app.governance.model import Fix, Observation, PersonTrack, Sighting, Vec3, Vec6
 
 HISTORY: Final = 10
 HISTORY_STEP_S: Final = 0.05
@@ -53,7 +53,9 @@ class BaseEstimate(NamedTuple):
 
     The truth is modelled as odometry + offset, where the offset drifts with a slowly changing velocity: a Kalman filter
     with the state (offset, drift) per axis. Both axes have the same noise, so they share one covariance (`p_oo`,
-    `p_od`, `p_dd`). `fix_s` is the stamp of the last fix used, −1 before the first; `miss_m` says how far that fix lay
+    `p_od`, `p_dd`). Odometry adds up along a heading of its own, which wanders off without end: what it says since it
+    was at (`from_x_m`, `from_y_m`) is turned by the heading error, of which `cosine` and `sine` are kept.
+    `fix_s` is the stamp of the last fix used, −1 before the first; `miss_m` says how far that fix lay
     from where it was expected, its yaw as what it moves 1 m ahead. `history` holds (time_s, x_m, y_m, yaw_rad) of the
     odometry, newest first; `due_s` is when it takes the next.
     """
@@ -71,6 +73,10 @@ class BaseEstimate(NamedTuple):
     miss_m: float = 0.0
     due_s: float = -math.inf
     history: tuple[_Moment, ...] = ()
+    from_x_m: float = 0.0
+    from_y_m: float = 0.0
+    cosine: float = 1.0
+    sine: float = 0.0
 
 
 _made: Final = BaseEstimate._make  # a quarter less than by the call that knows their names
@@ -79,10 +85,11 @@ _made: Final = BaseEstimate._make  # a quarter less than by the call that knows 
 def track_base(estimate: BaseEstimate, time_s: float, odometry: Vec3, fix: Fix | None) -> BaseEstimate:
     """Return the estimate after what came in by now: the same one, unless a fix is new or history is due.
 
-    Between fixes nothing has to be computed: the offset moves by drift × time (see `offset`). A fix of the past is
-    compared with odometry + offset *of that past*, which compensates its latency without re-running the filter.
+    Between fixes nothing has to be computed: the offset moves by drift × time, and as far as what odometry covers is
+    turned (see `offset`). A fix of the past is compared with odometry + offset *of that past*, which compensates its
+    latency without re-running the filter.
     """
-    at_s, x, y, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, miss_m, due_s, history = estimate
+    at_s, x, y, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, miss_m, due_s, history, from_x, from_y, cosine, sine = estimate
     new = fix is not None and fix.stamp_s != fix_s
     if not new and time_s < due_s:
         return estimate
@@ -90,28 +97,31 @@ def track_base(estimate: BaseEstimate, time_s: float, odometry: Vec3, fix: Fix |
     if time_s >= due_s - EARLY_S:  # with the fix, where fixes come as often: one tick with both costs less than two
         due_s, history = time_s + HISTORY_STEP_S + EARLY_S / 2.0, (newest, *history[: HISTORY - 1])
     if fix is None or not new:
-        return _made((at_s, x, y, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, miss_m, due_s, history))
+        return _made(
+            (at_s, x, y, yaw, dx, dy, p_oo, p_od, p_dd, fix_s, miss_m, due_s, history, from_x, from_y, cosine, sine)
+        )
     stamp_s, fix_x, fix_y, fix_yaw = fix
-    gone_s = time_s - at_s
-    x, y = x + dx * gone_s, y + dy * gone_s
-    gone_s = max(0.0, gone_s)
+    x, y = offset(estimate, time_s, odometry)
+    gone_s = max(0.0, time_s - at_s)
     p_oo += gone_s * (2.0 * p_od + gone_s * p_dd) + OFFSET_NOISE_M2PS * gone_s
     p_od += gone_s * p_dd
     p_dd += DRIFT_NOISE * gone_s
     age_s = time_s - stamp_s
     then_x, then_y, then_yaw = _at(newest, history, stamp_s)
-    off_x = fix_x - then_x - (x - dx * age_s)
-    off_y = fix_y - then_y - (y - dy * age_s)
+    since_x, since_y = odometry[0] - then_x, odometry[1] - then_y
+    off_x = fix_x - then_x - (x - dx * age_s - (cosine * since_x - sine * since_y - since_x))
+    off_y = fix_y - then_y - (y - dy * age_s - (sine * since_x + cosine * since_y - since_y))
     turned = math.remainder(fix_yaw - then_yaw - yaw, math.tau)
     sure = 1.0 / (p_oo + FIX_SIGMA_M**2)
     gain_o, gain_d = p_oo * sure, p_od * sure
     first = fix_s < 0.0
+    yaw += turned if first else YAW_GAIN * turned
     return _made(
         (
             time_s,
             x + gain_o * off_x,
             y + gain_o * off_y,
-            yaw + (turned if first else YAW_GAIN * turned),
+            yaw,
             dx + gain_d * off_x,
             dy + gain_d * off_y,
             (1.0 - gain_o) * p_oo,
@@ -121,14 +131,28 @@ def track_base(estimate: BaseEstimate, time_s: float, odometry: Vec3, fix: Fix |
             0.0 if first else math.hypot(off_x, off_y, turned * AHEAD_M),
             due_s,
             history,
+            odometry[0],
+            odometry[1],
+            math.cos(yaw),
+            math.sin(yaw),
         )
     )
 
 
-def offset(estimate: BaseEstimate, time_s: float) -> tuple[float, float]:
+def follow_base(estimate: BaseEstimate, seen: Observation) -> BaseEstimate:
+    """Return the estimate after a tick in which nothing else is watched; what is not finite tells nothing."""
+    told = seen.time_s + sum(seen.odometry) + (0.0 if seen.fix is None else sum(seen.fix))
+    return track_base(estimate, seen.time_s, seen.odometry, seen.fix) if told - told == 0.0 else estimate
+
+
+def offset(estimate: BaseEstimate, time_s: float, odometry: Vec3) -> tuple[float, float]:
     """Return the offset of the odometry by now."""
-    ahead_s = time_s - estimate.at_s
-    return estimate.x_m + estimate.drift_x_mps * ahead_s, estimate.y_m + estimate.drift_y_mps * ahead_s
+    ahead_s, cosine, sine = time_s - estimate.at_s, estimate.cosine, estimate.sine
+    since_x, since_y = odometry[0] - estimate.from_x_m, odometry[1] - estimate.from_y_m
+    return (
+        estimate.x_m + estimate.drift_x_mps * ahead_s + (cosine * since_x - sine * since_y - since_x),
+        estimate.y_m + estimate.drift_y_mps * ahead_s + (sine * since_x + cosine * since_y - since_y),
+    )
 
 
 def _at(newest: _Moment, history: tuple[_Moment, ...], stamp_s: float) -> Vec3:

@@ -86,7 +86,9 @@ def slide(seen: Observation, before: Observation, base: BaseEstimate, base_speed
     if base_speed_mps > CREEP_MPS and apart_s > 0.0:
         x, y, _ = seen.odometry
         from_x, from_y, _ = before.odometry
-        rate_x, rate_y = (x - from_x) / apart_s + base.drift_x_mps, (y - from_y) / apart_s + base.drift_y_mps
+        told_x, told_y = (x - from_x) / apart_s, (y - from_y) / apart_s
+        rate_x = base.cosine * told_x - base.sine * told_y + base.drift_x_mps
+        rate_y = base.sine * told_x + base.cosine * told_y + base.drift_y_mps
         # A jump is no motion: where the base is shows it. What is no number stays none.
         if not abs(rate_x) + abs(rate_y) > LARGEST_BASE_SPEED_MPS:
             return rate_x, rate_y

@@ -19,7 +19,7 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from app.governance.estimation import cusum
+from app.governance.estimation import BaseEstimate, cusum
 from app.governance.model import CONTROL_PERIOD_S, Alert, Intervention, Response, Signal, WatchRule
 from app.governance.signals import SIGNAL_NAMES, Constants, Senses, Signals, WatchState, holds_off
 from app.governance.watch_code import Bound, generate
@@ -33,6 +33,8 @@ HEADROOM: Final = 1.05
 """A violation is more than this times the limit: the truth overshoots a command on the limit by a few percent."""
 
 CUSUM_SHARE: Final = 0.02
+
+NOWHERE: Final = BaseEstimate()
 
 IMPLAUSIBLE = WatchRule(
     id="watch/implausible",
@@ -105,11 +107,17 @@ class Watcher:
         self._none = (0.0,) * len(self._sums)
         self.watch: Final = generate(self._constants, tuple(row.bound() for row in rows), self._none, self._judge)
 
-    def begin(self, before: WatchState | None = None) -> WatchState:
-        """Return the state an attempt begins with: estimates and doubts live on, all else starts afresh."""
+    def begin(self, before: WatchState | None = None, *, base: BaseEstimate = NOWHERE) -> WatchState:
+        """Return the state an attempt begins with: estimates and doubts live on, all else starts afresh.
+
+        Args:
+            before: What watching the same session left; None at its launch.
+            base: Where the base was found to be by then, for a launch. Fixes come every fifth tick at best, and until
+                the first one odometry alone would tell.
+        """
         fresh = WatchState(sums=self._none)
         if before is None:
-            return fresh
+            return fresh._replace(remembered=tuple(Senses(base=base)))
         kept = before.senses
         lives_on = Senses(
             base=kept.base,

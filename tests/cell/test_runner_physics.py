@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
@@ -105,6 +106,25 @@ def test_an_odometry_that_drifts_changes_nothing_while_there_is_a_fix(tmp_path: 
     signals, truth = shop.runner.view().signals, shop.cell.truth()
     assert signals.base_x_m == pytest.approx(truth.base[0], abs=0.06)
     assert signals.base_y_m == pytest.approx(truth.base[1], abs=0.06)
+
+
+def test_a_launch_is_watched_from_where_the_base_is_and_not_from_where_odometry_has_wandered(tmp_path: Path) -> None:
+    # After a day of driving odometry alone is metres off: here by so much that it lies in the forbidden zone.
+    wandered = Fault(kind="odometry_bias", at=Trigger(time_s=0.5), sizes={"x_mps": 0.9, "y_mps": -0.9}, for_s=4.0)
+    shop = Workshop(tmp_path, profile="real-restricted", faults=(wandered,))
+    for _ in range(600):
+        shop.runner.tick()
+    x, y, _ = shop.runner.observation.odometry
+    assert 4.6 < x < 6.2, x
+    assert 0.4 < y < 1.6, y
+    while shop.runner.observation.fix is None:  # the next one is then as late as it can be
+        shop.runner.tick()
+    shop.launch("navigate_to", **DRIVE)
+    shop.runner.tick()
+    there, true = shop.runner.view().signals, shop.cell.truth().base
+    assert math.dist((there.base_x_m, there.base_y_m), true[:2]) < 0.05
+    assert shop.finish()["outcome"] == "succeeded"
+    assert shop.rules() == []
 
 
 def test_a_stop_in_mid_drive_is_final_and_power_comes_back_with_the_next_launch_alone(tmp_path: Path) -> None:

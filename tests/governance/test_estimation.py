@@ -37,7 +37,7 @@ def drive(*, seconds: float, bias_mps: float, latency_s: float, speed_mps: float
             fix = Fix(then_s, speed_mps * then_s + noise.gauss(0, sigma_m), 2.0 + noise.gauss(0, sigma_m), 0.3)
         estimate = track_base(estimate, now_s, odometry, fix)
         if tick > ticks / 2:
-            worst = max(worst, abs(odometry[0] + offset(estimate, now_s)[0] - true_x))
+            worst = max(worst, abs(odometry[0] + offset(estimate, now_s, odometry)[0] - true_x))
     return worst
 
 
@@ -47,6 +47,25 @@ def test_a_good_odometry_is_left_alone() -> None:
 
 def test_a_drifting_odometry_is_followed() -> None:
     assert drive(seconds=10.0, bias_mps=0.15, latency_s=0.05) < 0.04
+
+
+@pytest.mark.parametrize("wandered_rad", [0.5, 1.6, 3.1])
+def test_an_odometry_whose_heading_has_wandered_off_is_turned_back(wandered_rad: float) -> None:
+    noise = random.Random(5)  # noqa: S311  # repeatable noise, no secret
+    estimate, worst, true_x, told = BaseEstimate(), 0.0, 0.0, [2.0, 1.0]
+    for tick in range(2400):
+        now_s = tick * PERIOD_S
+        step = 0.6 * PERIOD_S if tick % 400 >= 200 else 0.0  # it starts and stops: that is when the error changes
+        true_x += step
+        told[0] += step * math.cos(wandered_rad)
+        told[1] += step * math.sin(wandered_rad)
+        odometry = (told[0], told[1], wandered_rad)
+        fix = Fix(now_s, true_x + noise.gauss(0, 0.02), noise.gauss(0, 0.02), 0.0) if tick % 5 == 0 else None
+        estimate = track_base(estimate, now_s, odometry, fix)
+        off_x, off_y = offset(estimate, now_s, odometry)
+        if tick > 100:
+            worst = max(worst, math.hypot(told[0] + off_x - true_x, told[1] + off_y))
+    assert worst < 0.05
 
 
 def test_the_latency_of_the_fix_is_compensated() -> None:
