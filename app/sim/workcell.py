@@ -150,6 +150,7 @@ class Workcell:
         state = self._state
         if permit.invocation != state.invocation and capability not in RECOVERIES:
             state.invocation, state.trail = permit.invocation, [self._mark(driving=False)]
+            state.pressed_s.pop(str(params.get("tool")), None)  # what its switch remembers another session did
         self._recovers = capability in RECOVERIES
         try:
             run = start(capability, params, self, self.observe(), state.held, careful=careful)

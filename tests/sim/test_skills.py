@@ -99,3 +99,16 @@ def test_a_failed_skill_is_counted_with_its_seed_and_reason(site: Site):
     scores = [Score("inspect_area", FIRST, True, "", ran), Score("inspect_area", FIRST + 1, False, "dropped", ran)]
     (tally,) = count(scores, 2).tallies
     assert (tally.runs, tally.succeeded, tally.failures) == (2, 1, (f"seed {FIRST + 1}: dropped",))
+
+
+def test_a_button_that_another_session_pressed_is_pressed_again(site: Site) -> None:
+    cell = make_workcell(site, cell_id="press", seed=FIRST)
+    assert run_skill(cell, "navigate_to", {"target": "tool_stand", "speed_mps": 0.6, "clearance_m": 0.2}).done
+    press = {"tool": "press", "action": "press", "force_n": 60.0, "speed_mps": 0.25}
+    for _ in range(2):  # within the minute for which its switch remembers
+        travel: list[float] = []
+        ran = run_skill(
+            cell, "operate_tool", press, each=lambda *_, to=travel: to.append(cell.plant.tool_angle("press"))
+        )
+        assert ran.done, ran.detail
+        assert max(travel) > 0.01
