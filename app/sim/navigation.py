@@ -2,7 +2,8 @@
 
 The base drives sideways as well as it drives forward. It leaves a bench straight backwards and comes up to one
 straight ahead; in between it keeps `clearance_m` beyond its own circle. A grid search (A*, 0.1 m) finds the way, and
-its corners are then cut where the straight line is free.
+its corners are then cut where the straight line is free. Along a corridor the whole base stays within it: where
+something stands there that leaves no room, there is no way.
 """
 
 from __future__ import annotations
@@ -35,10 +36,17 @@ _NEIGHBOURS = tuple((dx, dy, hypot(dx, dy)) for dx in (-1, 0, 1) for dy in (-1, 
 class FloorMap:
     """Where the middle of the base may be, for one clearance; distances are to outlines in metres."""
 
-    def __init__(self, site: Site, crates: Iterable[Point], clearance_m: float, goal: Point) -> None:
+    def __init__(
+        self,
+        site: Site,
+        crates: Iterable[Point],
+        clearance_m: float,
+        goal: Point,
+        corridor: Corridor | None = None,
+    ) -> None:
         """Draw the obstacles: walls, furniture, crates, forbidden zones.
 
-        And restricted ones unless the goal lies within.
+        And restricted ones unless the goal lies within, and whatever is beside the corridor, if one is to be kept.
         """
         self._bounds = site.bounds_m
         keep = BASE_RADIUS_M + max(clearance_m, MIN_CLEARANCE_M)
@@ -61,6 +69,15 @@ class FloorMap:
         self._outlines = outlines
         for outline, distance in outlines:
             self._free &= distance_to(outline, xs, ys) >= distance
+        self._line = () if corridor is None else corridor.line
+        # The centre line itself is always within, however narrow the corridor is said to be.
+        self._aside_m = 0.0 if corridor is None else max(corridor.half_width_m - BASE_RADIUS_M, CELL_M)
+        self._free &= self._within(xs, ys)
+
+    def _within(self, xs: NDArray[np.float64], ys: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Tell which points lie in the corridor; all do where none is to be kept."""
+        aside = [_to_segment(a, b, xs, ys) for a, b in itertools.pairwise(self._line)]
+        return np.minimum.reduce(aside) <= self._aside_m + 1e-9 if aside else np.ones(xs.shape, dtype=bool)
 
     def free(self, x: float, y: float) -> bool:
         """Tell whether the middle of the base may be here."""
@@ -68,16 +85,18 @@ class FloorMap:
         if min(x - x0, x1 - x, y - y0, y1 - y) < BASE_RADIUS_M:
             return False
         px, py = np.array([x]), np.array([y])
-        return all(float(distance_to(outline, px, py)[0]) >= distance for outline, distance in self._outlines)
+        clear = all(float(distance_to(outline, px, py)[0]) >= distance for outline, distance in self._outlines)
+        return clear and bool(self._within(px, py)[0])
 
     def straight(self, start: Point, end: Point) -> bool:
         """Tell whether the straight line is free."""
         steps = max(2, int(hypot(end[0] - start[0], end[1] - start[1]) / (CELL_M / 2)) + 1)
         share = np.linspace(0.0, 1.0, steps)
         xs, ys = start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1])
-        return all(
+        clear = all(
             bool((distance_to(outline, xs, ys) >= distance - 1e-9).all()) for outline, distance in self._outlines
         )
+        return clear and bool(self._within(xs, ys).all())
 
     def search(self, start: Point, end: Point) -> list[Point] | None:
         """Return way points from start to end, both included, or None where no way is free."""
@@ -88,6 +107,15 @@ class FloorMap:
             return None
         x0, y0 = self._bounds[0], self._bounds[1]
         return self._cut([start, *((x0 + CELL_M * i, y0 + CELL_M * j) for i, j in cells), end])
+
+    def beside(self, point: Point) -> Point | None:
+        """Return the point, or the nearest place that is free where it is not; None where none is near."""
+        if self.free(*point):
+            return point
+        i, j = self._cell(point)
+        x, y = self._bounds[0] + CELL_M * i, self._bounds[1] + CELL_M * j
+        near = bool(self._free[i, j]) and hypot(x - point[0], y - point[1]) <= BASE_RADIUS_M
+        return (x, y) if near else None
 
     def _cell(self, point: Point) -> tuple[int, int]:
         i, j = round((point[0] - self._bounds[0]) / CELL_M), round((point[1] - self._bounds[1]) / CELL_M)
@@ -146,19 +174,41 @@ def plan_way(
             "no_path",
             f"with {clearance_m:.2f} m clearance the base cannot {'leave' if leave is None else 'reach'} its stand",
         )
-    via = _along(site.corridors[corridor], leave, arrive) if corridor else []
-    stops = [leave, *via, arrive]
+    legs = [(floor, leave, arrive)]
+    if corridor is not None:
+        lane = FloorMap(site, crates, clearance_m, there, site.corridors[corridor])
+        line = _along(site.corridors[corridor], leave, arrive)
+        legs = _lane_legs(floor, lane, line, leave, arrive)
     way: list[Point] = [here]
-    for begin, end in itertools.pairwise(stops):
-        leg = floor.search(begin, end)
+    for on, begin, end in legs:
+        leg = on.search(begin, end)
         if leg is None:
+            within = "" if on is floor else f" within `{corridor}`"
             raise SubstrateError(
                 "no_path",
                 f"no way from ({begin[0]:.1f}, {begin[1]:.1f}) to ({end[0]:.1f}, {end[1]:.1f}) "
-                f"with {clearance_m:.2f} m clearance",
+                f"with {clearance_m:.2f} m clearance{within}",
             )
         way += leg
     return _tidy([*way, there])
+
+
+def _lane_legs(
+    floor: FloorMap, lane: FloorMap, line: list[Point], leave: Point, arrive: Point
+) -> list[tuple[FloorMap, Point, Point]]:
+    """Return the legs onto a corridor's centre line, along it, and off it.
+
+    What stands on a corner of the line is gone around.
+
+    Raises:
+        SubstrateError: `no_path`, it stands where the way leads onto the line or off it.
+    """
+    first, *middle, last = line
+    on, off = lane.beside(first), lane.beside(last)
+    if on is None or off is None:
+        raise SubstrateError("no_path", "something stands where the way leads into the corridor, or out of it")
+    stops = [on, *(point for point in middle if lane.free(*point)), off]
+    return [(floor, leave, on), *((lane, a, b) for a, b in itertools.pairwise(stops)), (floor, off, arrive)]
 
 
 def furniture(site: Site) -> list[tuple[Point, ...]]:
@@ -191,11 +241,18 @@ def distance_to(outline: tuple[Point, ...], xs: NDArray[np.float64], ys: NDArray
     inside = np.zeros(xs.shape, dtype=bool)
     for (ax, ay), (bx, by) in zip(outline, (*outline[1:], outline[0]), strict=True):
         dx, dy = bx - ax, by - ay
-        share = np.clip(((xs - ax) * dx + (ys - ay) * dy) / max(dx * dx + dy * dy, 1e-12), 0.0, 1.0)
-        best = np.minimum(best, np.hypot(xs - ax - share * dx, ys - ay - share * dy))
+        best = np.minimum(best, _to_segment((ax, ay), (bx, by), xs, ys))
         if dy != 0.0:
             inside ^= ((ay > ys) != (by > ys)) & (xs < dx * (ys - ay) / dy + ax)
     return np.where(inside, 0.0, best)
+
+
+def _to_segment(start: Point, end: Point, xs: NDArray[np.float64], ys: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the distance of points to a line from one point to another."""
+    (ax, ay), (bx, by) = start, end
+    dx, dy = bx - ax, by - ay
+    share = np.clip(((xs - ax) * dx + (ys - ay) * dy) / max(dx * dx + dy * dy, 1e-12), 0.0, 1.0)
+    return np.hypot(xs - ax - share * dx, ys - ay - share * dy)
 
 
 def _shut(zone: Zone, goal: Point) -> bool:

@@ -1,0 +1,63 @@
+"""Ways for the base: what policy asks of them is kept, or there is none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from math import hypot
+
+import pytest
+
+from app.cell.substrate import SubstrateError
+from app.governance.model import Corridor, Point, Site
+from app.sim.navigation import plan_way
+from app.sim.robot import BASE_RADIUS_M
+
+BENCH_A, BENCH_B = (1.6, 4.6, 1.5708), (5.2, 4.6, 1.5708)
+CRATE_ASIDE_M = 0.2 + BASE_RADIUS_M + 0.3  # its half, the base's, and the clearance asked for
+
+
+def aside(corridor: Corridor, x: float, y: float) -> float:
+    least = 99.0
+    for (ax, ay), (bx, by) in pairwise(corridor.line):
+        dx, dy = bx - ax, by - ay
+        share = min(max(((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy), 0.0), 1.0)
+        least = min(least, hypot(x - ax - share * dx, y - ay - share * dy))
+    return least
+
+
+def along(site: Site, crates: list[Point]) -> list[Point]:
+    return plan_way(site, BENCH_A, BENCH_B, clearance_m=0.3, corridor="aisle", crates=crates)
+
+
+@pytest.mark.parametrize("crate", [(3.4, 3.6), (3.4, 3.2), (3.4, 4.0), (2.4, 3.0)])
+def test_a_corridor_that_something_stands_in_is_not_left(site: Site, crate: Point) -> None:
+    with pytest.raises(SubstrateError) as raised:
+        along(site, [crate])
+    assert raised.value.failure == "no_path"
+    assert "within `aisle`" in raised.value.detail
+
+
+def test_what_leaves_room_in_a_corridor_is_gone_around_within_it(site: Site) -> None:
+    wide = replace(site.corridors["aisle"], half_width_m=1.1)
+    way = along(replace(site, corridors={"aisle": wide}), [(3.0, 4.15)])
+    inside = [(x, y) for x, y in way if 1.7 < x < 5.1]
+    assert inside
+    assert any(y < 3.6 - 1e-6 for _, y in inside)
+    assert all(aside(wide, x, y) <= wide.half_width_m - BASE_RADIUS_M + 1e-6 for x, y in inside)
+    for (ax, ay), (bx, by) in pairwise(way):
+        for share in (0.0, 0.25, 0.5, 0.75, 1.0):
+            x, y = ax + share * (bx - ax), ay + share * (by - ay)
+            assert hypot(x - 3.0, y - 4.15) >= CRATE_ASIDE_M - 0.1
+
+
+def test_without_anything_in_it_the_centre_line_is_the_way(site: Site) -> None:
+    corridor = site.corridors["aisle"]
+    for x, y in along(site, []):
+        assert aside(corridor, x, y) < 1e-6 or min(abs(x - 1.6), abs(x - 5.2)) < 1e-3
+
+
+def test_the_way_out_of_a_corridor_may_begin_beside_its_end(site: Site) -> None:
+    # 0.4 m from everything leaves no room on the very end of the line, near the store.
+    way = plan_way(site, (6.75, 2.6, 0.0), BENCH_B, clearance_m=0.4, corridor="aisle")
+    assert way[-1] == BENCH_B[:2]
