@@ -336,13 +336,16 @@ class Governing:
     # -- at standstill -------------------------------------------------------------------------------------------------
 
     def _go_on(self, then: Bind | End) -> None:
-        """Do what was waiting for standstill; a recovery also waits for whatever else holds the session."""
+        """Do what was waiting for standstill; a recovery also waits for whatever else holds the session.
+
+        And for whoever is too near, even where policy says to end the attempt for that rather than to hold.
+        """
         run = self.run
         if not run.still(self.seen):
             return
         if isinstance(then, End):
             self.finish(then)
-        elif run.status is Status.RECOVERING:
+        elif run.status is Status.RECOVERING and not run.responses.keeps_off(run.speaking):
             run.next = None
             if run.hold_after_recovery and then.doing is Doing.ATTEMPT:
                 reason, run.hold_after_recovery = run.hold_after_recovery, ""

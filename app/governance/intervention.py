@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from app.governance.model import Intervention
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from app.governance.model import Alert, WatchRule
 
@@ -32,6 +32,7 @@ SEVERITY: Final = {
     Intervention.ROLLBACK: 3,
     Intervention.STOP: 4,
 }
+NEARNESS: Final = "separation_m"
 GRACE_MS: Final = 1000
 """How long a recovery may find the violation still there that it was started for."""
 GROWTH: Final = {"zone_margin_m": 0.04, "residual_nm": 5.0}
@@ -158,6 +159,18 @@ class Responses:
             if one.quiet_since is None or (tick - one.quiet_since + 1) * self._period_ms < rule.response.clear_after_ms:
                 return one.rule
         return ""
+
+    def keeps_off(self, speaking: Iterable[str]) -> bool:
+        """Say whether one of these rules is about somebody who is too near, and does more than warn of it.
+
+        Whatever such a rule answers by, nothing begins to move before they have left: no motion mends that.
+        """
+        rules = (self._rules[name] for name in speaking if name in self._rules)
+        return any(
+            rule.signal == NEARNESS
+            and not (rule.response.enter is Intervention.CONTINUE and rule.response.persist_ms is None)
+            for rule in rules
+        )
 
     def _spare(self, grace: Grace, alert: Alert | None) -> Grace | None:
         """Return the grace that is left; none where what should end grows instead.

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from app.cell.run import Doing
+from app.governance.model import Intervention, Response, WatchPlan
 from app.sim.faults import Fault
 from app.sim.occasions import Trigger
 from app.sim.people import Walk
@@ -125,6 +128,46 @@ def test_a_launch_is_watched_from_where_the_base_is_and_not_from_where_odometry_
     assert math.dist((there.base_x_m, there.base_y_m), true[:2]) < 0.05
     assert shop.finish()["outcome"] == "succeeded"
     assert shop.rules() == []
+
+
+@pytest.mark.parametrize(
+    "response",
+    [
+        Response(enter=Intervention.STOP),
+        Response(enter=Intervention.ROLLBACK),
+        Response(enter=Intervention.PAUSE),
+        Response(
+            enter=Intervention.PAUSE, clear_after_ms=1000, then="resume", persist_ms=1000, otherwise=Intervention.STOP
+        ),
+    ],
+    ids=["stop", "rollback", "pause for good", "pause, then stop"],
+)
+def test_no_recovery_moves_while_somebody_is_too_near_whatever_policy_answers_to_that(
+    tmp_path: Path, response: Response
+) -> None:
+    walk = Walk(points=((1.0, 1.0), (1.0, 3.1), (1.0, 1.0)), start=driving(0.5), stay_s=((1, 5.0),))
+    shop = Workshop(tmp_path, people=(walk,))
+
+    def answered_so(plan: WatchPlan) -> WatchPlan:
+        changed = (
+            replace(rule, response=response, failure="zone") if rule.id == "separation" else rule for rule in plan.rules
+        )
+        return replace(plan, rules=tuple(changed))
+
+    shop.edit = answered_so
+    shop.launch("navigate_to", **DRIVE)
+    stands: tuple[float, float] | None = None
+    while (session := shop.runner.session) is not None:
+        shop.runner.tick()
+        assert shop.runner.observation.time_s < 60.0, shop.story()
+        at = shop.cell.truth().base[:2]
+        if session.run.watching.signals.separation_margin_m > -0.1:
+            stands = None
+        elif session.run.rate == 0.0:
+            stands = stands or at
+        assert stands is None or (math.dist(at, stands) < 0.002 and session.run.doing is Doing.ATTEMPT), shop.story()
+    assert shop.strategies()[0] == "ROLLBACK"
+    assert shop.last("outcome")["outcome"] == "rolled_back"
 
 
 def test_a_stop_in_mid_drive_is_final_and_power_comes_back_with_the_next_launch_alone(tmp_path: Path) -> None:
