@@ -46,6 +46,8 @@ AWAY: Final = frozenset({"base_pose", "object_pose"})
 """What a rollback may leave open that driving back can set right: from elsewhere an object may be out of sight."""
 OVERSPEED: Final = "overspeed"
 PRESSING: Final = frozenset({"contact_force_n", "residual_nm"})
+UNBELIEVED: Final = frozenset({"implausible", "sensor_age_ms"})
+"""Signals of what the sensors are worth: nothing follows readings that are held against them."""
 HELD: Final = {Status.PAUSED: Event.RESUME_RECOVERY, Status.ESCALATED: Event.CONTINUE_RECOVERY}
 """How a rollback that is held goes on."""
 OPERATOR: Final = "operator"
@@ -160,14 +162,25 @@ class Governing:
         run = self.run
         if alerts or run.speaking or run.responding is not NOTHING:
             self._answer(alerts)
-            if not run.moves() and any(run.watcher.signal_of(alert.rule) in PRESSING for alert in alerts):
-                run.give_way()
+            if not run.moves():
+                self._yield_to(alerts)
         if self._recorder.fault and not isinstance(run.next, End):
             self.end(End(Outcome.FAULT, "journal_unavailable", 1))
         if run.next is not None:
             self._go_on(run.next)
         elif report.state is not RUNNING and run.moves():
             self._conclude(report)
+
+    def _yield_to(self, alerts: tuple[Alert, ...]) -> None:
+        """Have an arm that stands give way to what it presses on, where its readings say so and can be believed."""
+        run = self.run
+        signal_of = run.watcher.signal_of
+        held_against = (*run.speaking, *(one.rule for one in run.responding.engaged))
+        doubted = run.watching.signals.implausible > 0.0  # before its rule speaks, which may wait for a second tick
+        if doubted or any(signal_of(rule) in UNBELIEVED for rule in held_against):
+            run.giving_ticks = 0
+        elif any(signal_of(alert.rule) in PRESSING for alert in alerts):
+            run.give_way()
 
     # -- what the watcher says -----------------------------------------------------------------------------------------
 

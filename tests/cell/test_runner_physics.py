@@ -94,6 +94,23 @@ def test_encoders_that_stick_are_not_believed(tmp_path: Path) -> None:
     assert shop.last("escalation")["reason"] == "implausible"
 
 
+@pytest.mark.parametrize(("broken", "size"), [("offset", 1.0), ("noisy", 0.5), ("noisy", 20.0)])
+def test_an_arm_that_is_stopped_does_not_follow_readings_that_are_not_believed(
+    tmp_path: Path, broken: str, size: float
+) -> None:
+    # It gives way to what it presses on, and broken torques look like that.
+    shop = Workshop(tmp_path, faults=(sensor("arm", broken, grasping("localise", after_s=0.1), size),))
+    shop.launch("grasp_object", **GRASP)
+    while (session := shop.runner.session) is not None and (session.run.moves() or session.run.rate > 0.0):
+        shop.runner.tick()
+    stands = shop.cell.truth().tcp_m
+    for _ in range(1200):
+        shop.runner.tick()
+        assert math.dist(shop.cell.truth().tcp_m, stands) < 0.005, shop.story()
+    assert shop.runner.status == "escalated"
+    assert {"implausible", "external-torque"} <= set(shop.rules())
+
+
 def test_a_position_fix_that_jumps_is_not_believed(tmp_path: Path) -> None:
     shop = Workshop(tmp_path, faults=(sensor("fix", "offset", driving(0.5), 1.0),))
     shop.launch("navigate_to", **DRIVE)
