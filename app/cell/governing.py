@@ -204,7 +204,7 @@ class Governing:
         """Hold as long as that is asked for, else end the attempt and recover."""
         if decision.holding is not None:
             self._hold_for(decision.holding)  # whoever is in the way has to leave before anything recovers
-        elif self.run.next is not None:
+        elif self.run.next is not None and not (decision.gave_up and "watch" in self.run.paused_by):
             self._clear()  # what held the recovery is gone; what the recovery is for may speak on
         elif "operator" not in self.run.paused_by:
             self._end_attempt(decision.intervention, alert)

@@ -67,13 +67,15 @@ class Decision(NamedTuple):
     """The intervention of this tick and the alert behind it; `ends_attempt` when recovery has to be asked.
 
     `holding` is the most severe of the responses that only hold (pause, escalate): where a person stands in the way,
-    even a recovery waits until they have left.
+    even a recovery waits until they have left. `gave_up` says that a hold lasted for longer than its rule waits, and
+    that this rule ends the attempt: a recovery that waited for the hold to clear may not begin.
     """
 
     intervention: Intervention
     alert: Alert | None = None
     ends_attempt: bool = False
     holding: Decision | None = None
+    gave_up: bool = False
 
 
 class Grace(NamedTuple):
@@ -133,6 +135,8 @@ class Responses:
         holds = [one for one in decisions if not one.ends_attempt and one.intervention is not Intervention.CONTINUE]
         if holds:
             decision = decision._replace(holding=max(holds, key=_severity))
+        elif any(one.gave_up for one in decisions):
+            decision = decision._replace(gave_up=True)
         if not engaged and not grace:
             return NOTHING, decision
         return InterventionState(tuple(engaged), grace), decision
@@ -205,7 +209,8 @@ class Responses:
         response = rule.response
         if one.persisted:
             otherwise = response.otherwise
-            return Decision(otherwise, one.alert, otherwise in (Intervention.STOP, Intervention.ROLLBACK))
+            ends = otherwise in (Intervention.STOP, Intervention.ROLLBACK)
+            return Decision(otherwise, one.alert, ends, gave_up=ends)
         return Decision(response.enter, one.alert, ends_attempt(rule))
 
 
@@ -250,5 +255,5 @@ def leaving(blocked: Mapping[str, tuple[str, float]], tick: int, period_s: float
     return InterventionState(grace=spared) if spared else NOTHING
 
 
-def _severity(decision: Decision) -> tuple[int, bool]:
-    return SEVERITY[decision.intervention], decision.ends_attempt
+def _severity(decision: Decision) -> tuple[int, bool, bool]:
+    return SEVERITY[decision.intervention], decision.ends_attempt, decision.gave_up

@@ -111,6 +111,21 @@ def test_an_arm_that_is_stopped_does_not_follow_readings_that_are_not_believed(
     assert {"implausible", "external-torque"} <= set(shop.rules())
 
 
+@pytest.mark.parametrize("size", [0.5, 20.0])
+def test_no_recovery_begins_once_a_hold_for_sensors_that_are_not_believed_was_given_up(
+    tmp_path: Path, size: float
+) -> None:
+    # Broken torques look like a contact, which would be retreated from.
+    broken = sensor("arm", "noisy", grasping("localise", after_s=0.1), size)
+    shop = Workshop(tmp_path, profile="sim-relaxed", faults=(broken,))
+    shop.launch("grasp_object", **GRASP)
+    shop.until("paused")
+    ended = shop.finish()
+    assert (ended["outcome"], ended["code"]) == ("terminated", "sensor_fault"), shop.story()
+    assert shop.strategies()[-1] == "TERMINATE"
+    assert all(body["reason"] != "clear" for body in shop.of("status")), shop.story()
+
+
 def test_a_position_fix_that_jumps_is_not_believed(tmp_path: Path) -> None:
     shop = Workshop(tmp_path, faults=(sensor("fix", "offset", driving(0.5), 1.0),))
     shop.launch("navigate_to", **DRIVE)

@@ -237,3 +237,15 @@ def test_what_moving_does_not_mend_bars_the_way_until_it_has_been_quiet_even_aft
         state, _ = responses.intervene(state, spoken, tick)
         barred.append(responses.barred(state, tick))
     assert barred == ["gap"] * 11 + [""] * 3
+
+
+def test_a_hold_that_was_given_up_is_answered_before_what_only_spoke_beside_it() -> None:
+    pressed = rule("contact", Response(enter=STOP), failure="contact")
+    unsure = rule("unsure", Response(enter=PAUSE, then="resume", persist_ms=30, otherwise=STOP), failure="sensor_fault")
+    held, *_, last = play((pressed, unsure), *[said("contact", "unsure")] * 5)
+    assert held.holding is not None
+    assert not held.gave_up
+    assert last.holding is None
+    assert last.gave_up
+    assert last.alert is not None
+    assert last.alert.rule == "unsure"
