@@ -64,7 +64,8 @@ class Version:
         proved: what was proved of it, in a sentence; empty where nothing was yet.
         doubt: why it is not proved, where that was tried: `refuted` or `undecided`; empty otherwise.
         promises: text of its `properties.yaml`; None where it promises nothing.
-        awaiting: the first of two engineers' word: `{by, at, why, against}`; None where nobody waits.
+        awaiting: the first of two engineers' word: `{by, at, why, against}`; None where nobody waits. It is shown; what
+            counts is what the log says (`vouching`).
         activations: every time it came into force: `{at, by, why, former, direction}`, the newest last.
     """
 
@@ -97,30 +98,6 @@ class Version:
         """Return it in force."""
         kept = (*self.activations, {"at": at, **activation})[-KEPT_ACTIVATIONS:]
         return self.evolve(at, status=ACTIVE, awaiting=None, activations=kept)
-
-    @property
-    def since(self) -> str:
-        """Return since when it is in force, where it is."""
-        return str(self.activations[-1]["at"]) if self.activations else self.created_at
-
-    def waits(self, active: Version) -> bool:
-        """Say whether somebody's word stands that it should take the place of what is in force.
-
-        A word on what has left force meanwhile was about another change, and counts for nothing; not even where that is
-        in force again.
-        """
-        first = self.awaiting
-        return first is not None and first["against"] == active.digest and str(first["at"]) >= active.since
-
-    def vouches(self, active: Version) -> frozenset[str]:
-        """Return who has said already that it should take the place of what is in force.
-
-        Bringing it counts for whoever brought it, as long as it was never in force and what it was compared with is.
-        """
-        asked = {str(self.awaiting["by"])} if self.awaiting is not None and self.waits(active) else set[str]()
-        compared = self.against == active.digest and self.created_at >= active.since
-        brought = self.source == REQUEST and not self.activations and compared
-        return frozenset(asked | {self.by} if brought else asked)
 
     def public(self) -> dict[str, Any]:
         """Return the version as JSON."""

@@ -46,6 +46,7 @@ from app.runtime.version import (
     files_row,
     read_version,
 )
+from app.runtime.vouching import Vouching, vouching
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -257,10 +258,10 @@ class Versions:
             if not version.activations:  # what was in force before may come back
                 _demand_versions(active, candidate)
             version, found = await self._sound(version, candidate, active)
-            present = await self.load(active.digest)
-            if found.loosens and not version.vouches(present) - {principal.name}:
-                return await self._wait_for_second(version, present, found, principal, why), False
-            version = await self._enter(version, candidate, found, principal, why)
+            words = await vouching(self._register.store, digest) if found.loosens else Vouching()
+            if found.loosens and not words.others(principal.name):
+                return await self._wait_for_second(version, words, found, principal, why), False
+            version = await self._enter(version, candidate, found, principal, why, words)
         return version.public(), True
 
     async def _sound(self, version: Version, candidate: PolicySet, active: PolicySet) -> tuple[Version, Comparison]:
@@ -272,24 +273,30 @@ class Versions:
         return version.evolve(version.updated_at, proved=version.proved or found.proved, doubt=""), comparison
 
     async def _wait_for_second(
-        self, version: Version, present: Version, found: Comparison, principal: Principal, why: str
+        self, version: Version, words: Vouching, found: Comparison, principal: Principal, why: str
     ) -> dict[str, Any]:
-        if version.waits(present):
+        if principal.name in words.asked:
             message = f"`{principal.name}` wants it in force already, and it loosens: it takes another engineer"
             raise Conflict("second_engineer_needed", message)
         now = self._register.now()
-        word = {"by": principal.name, "at": now, "why": why, "against": present.digest}
+        word = {"by": principal.name, "at": now, "why": why, "against": self._kernel.policy.digest}
         waiting = version.evolve(now, status=AWAITING, awaiting=word)
         said = waiting.event("awaiting_second", principal.name, awaiting=word, comparison=found.brief())
         await self._register.append([said], [waiting.row()])
         return waiting.public()
 
     async def _enter(
-        self, version: Version, candidate: PolicySet, found: Comparison, principal: Principal, why: str
+        self,
+        version: Version,
+        candidate: PolicySet,
+        found: Comparison,
+        principal: Principal,
+        why: str,
+        words: Vouching,
     ) -> Version:
         former = self._kernel.policy
         present = await self.load(former.digest)
-        by = sorted(version.vouches(present) | {principal.name}) if found.loosens else [principal.name]
+        by = sorted({principal.name, *words.others(principal.name)})
         activation = {"by": by, "why": why, "former": former.digest, "direction": found.direction}
         now = self._register.now()
         entered = version.entered(now, activation)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import sqlite3
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from app.audit.places import Places
 from app.governance import bundle
 from app.governance.comparison import compare
 from app.governance.errors import PolicyError, PolicyErrors, Undecided
@@ -367,6 +369,35 @@ async def test_a_word_from_before_another_change_counts_for_nothing_where_that_i
     assert (document["status"], document["awaiting"]["by"]) == ("awaiting_second", ENGINEER_2.name)
     _, entered = await runtime.versions.activate(digest, ENGINEER, "yes, still")
     assert entered
+
+
+@pytest.mark.parametrize("field", ["awaiting", "by"])
+async def test_nobodys_word_comes_from_a_row(house: House, field: str) -> None:
+    async with house.open() as runtime:
+        digest, present = await brought(runtime, FASTER), runtime.kernel.policy.digest
+        before = await runtime.versions.load(digest)
+    words = {"awaiting": {"by": "emil", "at": before.created_at, "why": "never", "against": present}, "by": "emil"}
+    forged = replace(before, **{field: words[field]})
+    with sqlite3.connect(Places(house.folder).database) as database:
+        database.execute("UPDATE policies SET document = ? WHERE id = ?", (forged.row().values["document"], digest))
+    database.close()
+    async with house.open() as runtime:
+        _, entered = await runtime.versions.activate(digest, ENGINEER, "I want it alone")
+        assert not entered
+        assert runtime.kernel.policy.digest == present
+
+
+async def test_a_word_from_before_another_change_counts_for_nothing_whatever_the_clock_said(house: House) -> None:
+    async with house.open() as runtime:
+        wide, slow = runtime.kernel.policy.digest, await brought(runtime, SLOWER)
+        house.wall_s.offset_s += 3600.0
+        digest = await brought(runtime, FASTER)
+        house.wall_s.offset_s -= 3600.0
+        await runtime.versions.activate(slow, ENGINEER, "a visitor")
+        for engineer in (ENGINEER, ENGINEER_2):
+            await runtime.versions.activate(wide, engineer, "the visitor left")
+        _, entered = await runtime.versions.activate(digest, ENGINEER_2, "faster")
+        assert not entered
 
 
 # -- what lives of a capability that is gone ---------------------------------------------------------------------------
