@@ -16,6 +16,8 @@ from starlette.requests import HTTPConnection, Request
 
 from app.api.parts import parts_of
 from app.api.problems import Problem
+from app.api.staying import STILL_KNOWN_S
+from app.clock import monotonic_s
 from app.governance.model import Role
 
 if TYPE_CHECKING:
@@ -119,7 +121,7 @@ def authorize(connection: HTTPConnection, principals: Principals, allowed: froze
         return None
     principal = principals.authenticate(connection.headers)
     check_role(principal, allowed)
-    connection.scope[_CALLER] = principal
+    connection.scope[_CALLER] = principal, allowed, monotonic_s()
     return principal
 
 
@@ -131,8 +133,17 @@ def check_role(principal: Principal, allowed: frozenset[Role]) -> None:
 
 
 def caller(connection: HTTPConnection) -> Principal:
-    """Return who was let through; asking on a public route is a bug."""
-    return cast("Principal", connection.scope[_CALLER])
+    """Return who was let through, as whoever asks for that has read what they say; on a public route that is a bug.
+
+    A body may take its time, and a long poll does: who began it long ago is asked again who they are.
+
+    Raises:
+        Problem: as `authorize`, where they would not be let in by now.
+    """
+    _, allowed, since_s = connection.scope[_CALLER]
+    if monotonic_s() - since_s >= STILL_KNOWN_S:
+        authorize(connection, parts_of(connection).principals, allowed)
+    return cast("Principal", connection.scope[_CALLER][0])
 
 
 class GuardedRoute(APIRoute):

@@ -114,7 +114,9 @@ async def invocation(request: Request, id: Identifier, query: Annotated[WaitQuer
     if not query.wait:
         return answer(await parts.governor.invocation(id, principal))
     with parts.waits.take(principal.name):
-        return answer(await parts.governor.wait(id, principal, query.wait, query.seen))
+        document = await parts.governor.wait(id, principal, query.wait, query.seen)
+    caller(request)  # who may have had their token withdrawn meanwhile
+    return answer(document)
 
 
 async def invocations(request: Request, query: Annotated[InvocationQuery, Query()]) -> Response:

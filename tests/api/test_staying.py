@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from types import ModuleType
@@ -13,11 +13,12 @@ from urllib.parse import urlsplit
 import pytest
 
 from app import clock
-from app.api import audits, links, staying
+from app.api import access, audits, links, staying
 from app.api.access import authorize
 from app.api.auth import issue_token
 from app.governance.model import Role
 from tests.api.conftest import CELL, House, eventually
+from tests.api.test_operators import ask
 
 pytestmark = pytest.mark.anyio
 PATIENCE_S = 30.0
@@ -132,3 +133,61 @@ async def test_a_link_stays_while_its_token_counts(house: House, monkeypatch: py
         await eventually(lambda: len(asked) > 20)
         assert house.runtime.fleet.attached(house.runtime.fleet.cell(CELL))
         assert puppet.socket.close_code is None
+
+
+@asynccontextmanager
+async def dragging(house: House, name: str, path: str, body: bytes) -> AsyncIterator[Callable[[], Awaitable[bytes]]]:
+    """Have somebody let in who keeps the last byte of a body back; yields what says it, and returns the answer."""
+    address = urlsplit(house.url)
+    reader, writer = await asyncio.open_connection(address.hostname, address.port)
+    head = f"PUT {path} HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {house.tokens[name]}\r\n"
+    writer.write(f"{head}Content-Length: {len(body)}\r\nConnection: close\r\n\r\n".encode() + body[:-1])
+
+    async def end() -> bytes:
+        writer.write(body[-1:])
+        return await reader.read()
+
+    try:
+        yield end
+    finally:
+        writer.transport.abort()
+
+
+@pytest.mark.parametrize("how", ENDS)
+async def test_who_drags_out_what_they_say_says_it_with_a_token_that_still_counts(
+    house: House, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    monkeypatch.setattr(access, "STILL_KNOWN_S", 0.0)  # or whoever says it within a second is believed
+    name = f"dragging-{how}"
+    visited_house = await visited(house, name, Role.OPERATOR)
+    heard = house.runtime.kernel.heard
+    let_in = asyncio.Event()
+    monkeypatch.setattr(house.runtime.kernel, "heard", lambda who: (heard(who), who.name == name and let_in.set()))
+    async with house.cell(), house.client("auditor") as auditor, asyncio.timeout(PATIENCE_S):
+        before = house.runtime.fleet.cell(CELL).profile
+        body = b'{"profile": "sim-relaxed"}'
+        path = f"/v1/cells/{CELL}/profile"
+        async with dragging(visited_house, name, path, body) as end:
+            await let_in.wait()
+            async with ending(visited_house, monkeypatch, how, name):
+                await eventually(lambda: not visited_house.knows(name))
+                assert b" 401 " in await end()
+        (found,) = (await auditor.get("/v1/cells")).json()["items"]
+        assert found["profile"] == before
+
+
+@pytest.mark.parametrize("how", ENDS)
+async def test_who_waits_is_answered_while_their_token_counts(
+    shared_house: House, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    monkeypatch.setattr(access, "STILL_KNOWN_S", 0.0)
+    name = f"waiting-{how}"
+    visited_house, waits = await visited(shared_house, name, Role.AUDITOR), shared_house.app.state.parts.waits
+    async with shared_house.cell(), shared_house.client() as agent, visited_house.client(name) as visitor:
+        asked = (await ask(shared_house))["invocation"]
+        waiting = asyncio.create_task(visitor.get(f"/v1/invocations/{asked}?wait=30"))
+        await eventually(lambda: waits.taken == 1)
+        async with ending(visited_house, monkeypatch, how, name):
+            await eventually(lambda: not visited_house.knows(name))
+            await agent.post(f"/v1/invocations/{asked}/cancel")
+            assert (await waiting).status_code == 401
