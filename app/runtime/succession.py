@@ -293,6 +293,8 @@ class Succession:
             entry = self._register.entry(known.invocation)
             if entry is None or self._desk.outdated(known) is None:
                 continue
+            if known.kind == APPROVAL and known.cell is not None:  # it may launch, on what the last session left
+                await self._fleet.settle(self._fleet.cell(known.cell))
             async with entry.lock:
                 present = self._desk.pending_for(known.invocation)
                 why = None if present is None else self._desk.outdated(present)

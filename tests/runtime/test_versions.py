@@ -20,7 +20,7 @@ from app.runtime.errors import Conflict, ExaminationFailed, NotFound
 from app.runtime.examining import Candidate, Examined
 from app.runtime.invocation import Principal, ProposalRequest
 from tests.examining import examine_here
-from tests.runtime.conftest import AGENT, ENGINEER, OPERATOR, HandCell, House, grasp, navigate, until
+from tests.runtime.conftest import AGENT, AT_BENCH, ENGINEER, OPERATOR, HandCell, House, grasp, navigate, until
 
 pytestmark = pytest.mark.anyio
 FILES = bundle.read_files(Path(__file__).resolve().parents[2] / "policies")
@@ -798,16 +798,37 @@ async def test_what_waits_and_is_denied_now_ends_denied(runtime: Runtime, cell: 
     assert refused.value.code == "already_resolved"
 
 
-async def test_what_waits_and_needs_nobody_any_more_launches(runtime: Runtime, cell: HandCell) -> None:
-    made, _ = await waiting(runtime)
+async def fewer_questions(runtime: Runtime) -> str:
+    """Bring a version that asks nobody before grasping."""
     wider = edited(SHARED, "approval: {risk: [medium, high, critical]", "approval: {risk: [high, critical]")
     grasping = "capabilities/grasp_object.yaml"
-    digest = await brought(runtime, edited(grasping, "human-shared: approval-required", "human-shared: guarded", wider))
+    return await brought(runtime, edited(grasping, "human-shared: approval-required", "human-shared: guarded", wider))
+
+
+async def test_what_waits_and_needs_nobody_any_more_launches(runtime: Runtime, cell: HandCell) -> None:
+    made, _ = await waiting(runtime)
+    digest = await fewer_questions(runtime)
     await cell.state()
     await runtime.versions.activate(digest, ENGINEER_2, "fewer questions")
     launched = await runtime.governor.invocation(made["id"], AGENT)
     assert (launched["status"], launched["escalation"]["status"]) == ("running", "withdrawn")
     await cell.expect("launch")
+
+
+async def test_what_needs_nobody_any_more_is_not_decided_on_what_the_last_session_changed(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    (made, _), digest = await waiting(runtime), await fewer_questions(runtime)
+    before = await running(runtime, cell)
+    await cell.report("outcome", before["id"], outcome="succeeded", code="done")
+    activating = asyncio.create_task(runtime.versions.activate(digest, ENGINEER_2, "fewer questions"))
+    await until(lambda: runtime.kernel.policy.digest == digest)
+    cell.invocation = cell.status = None
+    await cell.state(facts={**AT_BENCH, "gripper_empty": False, "holding": "glass_1"})
+    await activating
+    ended = await runtime.governor.invocation(made["id"], AGENT)
+    assert (ended["status"], ended["escalation"]["status"]) == ("deferred", "withdrawn")
+    assert len(cell.all("launch")) == 1
 
 
 async def test_what_waited_over_a_restart_under_another_directory_is_decided_again(house: House) -> None:
