@@ -181,7 +181,19 @@ async def telemetry_mcap(request: Request, id: Identifier, query: Annotated[Part
     path = telemetry_file(parts_of(request).store.places.telemetry, event)
     if path is None:
         raise _no_telemetry(id, query.part)
-    return FileResponse(path, media_type=MCAP, filename=path.name)
+    return WholeFile(path, media_type=MCAP, filename=path.name, headers={"Accept-Ranges": "none"})
+
+
+class WholeFile(FileResponse):
+    """A file, all of it.
+
+    A server may ignore `Range` (RFC 9110, 14.2), and Starlette refuses a bad one in plain text.
+    """
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send it."""
+        headers = [(name, value) for name, value in scope["headers"] if name != b"range"]
+        await super().__call__({**scope, "headers": headers}, receive, send)
 
 
 async def _telemetry_event(request: Request, invocation: str, part: int) -> tuple[Event, int]:

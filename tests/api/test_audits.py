@@ -303,6 +303,17 @@ async def test_telemetry_is_downloaded_byte_for_byte(house: House) -> None:
 
 
 @pytest.mark.parametrize(
+    "range", ["bytes=0-9", "bytes=900000000-", "bytes=9-0", "bytes=0-1,5-6", "bytes=x", "rows=1-2"]
+)
+async def test_a_part_of_telemetry_is_answered_with_all_of_it(house: House, range: str) -> None:
+    path = await record(house, "inv_part", 20)
+    async with house.client("engineer") as engineer:
+        answer = await engineer.get("/v1/audit/telemetry/inv_part/mcap", headers={"Range": range})
+    assert (answer.status_code, answer.headers["accept-ranges"]) == (200, "none")
+    assert answer.content == path.read_bytes()
+
+
+@pytest.mark.parametrize(
     "path", ["inv_none", "inv_none/mcap", "inv_thin?part=900", "inv_lost", "inv_lost/mcap", "inv_out", "inv_out/mcap"]
 )
 async def test_says_where_there_is_no_telemetry(house: House, path: str) -> None:
