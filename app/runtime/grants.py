@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.documents import follow, is_founded, nothing_said
 from app.audit.errors import RecordUnavailable
-from app.clock import parse_rfc3339, rfc3339
+from app.clock import monotonic_s, parse_rfc3339, rfc3339
 from app.governance.authority import grantable
 from app.governance.model import EventKind, Grant, GrantScope, Reason
 from app.runtime.drafts import SERVER, grant_event
@@ -53,6 +53,7 @@ class Grants:
         self._fleet = fleet
         self._kernel = kernel
         self._active: dict[str, Standing] = {}
+        self._until_s: dict[str, float] = {}  # on the clock that nobody puts back
         self._unrecorded: list[Standing] = []
         self._recording = asyncio.Lock()
         self.unfounded: frozenset[str] = frozenset()  # active by their rows, which is not what the log says
@@ -105,8 +106,13 @@ class Grants:
     def hold(self, *given: Standing) -> None:
         """Let grants that are recorded stand."""
         for standing in given:
-            self._active[standing.id] = standing
+            self._keep(standing)
             self.on_changed(standing)
+
+    def _keep(self, standing: Standing) -> None:
+        self._active[standing.id] = standing
+        left_s = standing.grant.expires_at_s - self._register.now_s()
+        self._until_s.setdefault(standing.id, monotonic_s() + left_s)
 
     def build(self, principal: Principal, request: GrantRequest, escalation: Escalation | None = None) -> Standing:
         """Return a grant that policy allows; `hold` it once it is recorded.
@@ -253,7 +259,7 @@ class Grants:
 
     def _end(self, standing: Standing, code: str, by: str) -> Standing:
         closed = standing.end(self._register.now(), code, by)
-        del self._active[standing.id]
+        del self._active[standing.id], self._until_s[standing.id]
         self._unrecorded.append(closed)
         self.on_changed(closed)
         return closed
@@ -284,7 +290,7 @@ class Grants:
                 self._end(standing, code, SERVER)
 
     def _over(self, grant: Grant, now_s: float) -> str | None:
-        if now_s >= grant.expires_at_s:
+        if now_s >= grant.expires_at_s or monotonic_s() >= self._until_s[grant.id]:
             return "expired"
         if not self.may_give(grant.issued_by):
             return "giver_withdrawn"
@@ -314,7 +320,7 @@ class Grants:
         founded = [row for row in rows if row["id"] not in self.unfounded]
         standing = self._register.stored.those_of("grants", founded, read_standing)
         for one in sorted(standing, key=lambda one: one.id):
-            self._active[one.id] = one
+            self._keep(one)
         self.look()
         await self.record_ends()
 

@@ -201,6 +201,24 @@ async def test_a_grant_ends_with_its_time(house: House, runtime: Runtime, cell: 
     assert await end(runtime) == ("expired", "server")
 
 
+@pytest.mark.parametrize("restarted", [False, True])
+async def test_a_grant_lasts_no_longer_because_the_clock_is_put_back(house: House, restarted: bool) -> None:
+    async with house.open() as runtime, asyncio.timeout(10.0):
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        await grant(runtime, replace(REQUEST, minutes=0.02))
+        if not restarted:
+            house.wall_s.offset_s = -1.1  # of the 1.2 s that it holds
+            await asyncio.sleep(1.3)
+            assert [one.id for one in runtime.desk.grants.active()] == []
+            assert (await newest(runtime))["ended"]["code"] == "expired"
+    if restarted:
+        async with house.open() as runtime, asyncio.timeout(10.0):
+            house.wall_s.offset_s = -1.1
+            await asyncio.sleep(1.3)
+            assert [one.id for one in runtime.desk.grants.active()] == []
+
+
 async def test_an_emergency_stop_ends_every_grant_on_its_cell(runtime: Runtime, cell: HandCell) -> None:
     await grant(runtime)
     await runtime.governor.estop(CELL, ENGINEER)
