@@ -136,7 +136,7 @@ class Answer:
 
     async def _count(self, present: Escalation, judgement: Judgement | None) -> Escalation:
         approval = {"by": self._principal.name, "at": self._register.now(), "digest": present.digest}
-        counted = present.evolve(self._register.now(), approvals=(*present.approvals, approval))
+        counted = present.evolve(self._register.now(), approvals=(*self._questions.approvals(present), approval))
         if len(counted.approvals) < counted.needed:
             await self._commit_pending(counted, "approve")
             return counted

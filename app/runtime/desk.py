@@ -183,7 +183,7 @@ class Desk(Questions):
             raise InvalidParams(
                 [{"path": "grant", "message": "goes with an approval, before launch, of what was shown"}]
             )
-        if len(present.approvals) + 1 < present.needed:
+        if len(self.approvals(present)) + 1 < present.needed:
             raise InvalidParams(
                 [{"path": "grant", "message": "goes with the last approval; this takes another person"}]
             )

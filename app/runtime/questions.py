@@ -156,6 +156,10 @@ class Questions:
         """Return the questions that are open."""
         return list(self._pending.values())
 
+    def approvals(self, question: Escalation) -> tuple[Mapping[str, Any], ...]:
+        """Return the approvals of a question that count: those of people who may answer questions still."""
+        return tuple(said for said in question.approvals if self.grants.may_give(said["by"]))
+
     def no_room(self, agent: str) -> Reason | None:
         """Return why an agent may ask people nothing more for now; None where it may.
 

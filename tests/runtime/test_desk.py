@@ -11,10 +11,12 @@ import pytest
 
 from app.agent.approver import decide, parse_habits
 from app.audit.errors import RecordUnavailable
+from app.governance.model import GrantScope
 from app.runtime import questions
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, Forbidden, InvalidParams, NotFound
 from app.runtime.escalation import STATED_AT_MOST
+from app.runtime.grant import Offer
 from app.runtime.invocation import Principal, ProposalRequest
 
 from .conftest import (
@@ -200,6 +202,24 @@ async def test_two_different_people_are_needed_where_the_rule_says_so(runtime: R
     assert twice["status"] == "approved"
     await cell.expect("launch")
     assert (await runtime.governor.invocation(document["id"], AGENT))["status"] == "running"
+
+
+async def test_an_approval_goes_with_the_authority_of_who_gave_it(
+    house: House, runtime: Runtime, cell: HandCell
+) -> None:
+    cell.facts = dict(AT_TOOLS)
+    await cell.state()
+    _, question = await asked(runtime, press())
+    await answer(runtime, question)
+    house.withdrawn.add(OPERATOR.name)
+    with pytest.raises(InvalidParams, match="this takes another person"):
+        await answer(runtime, question, who=OPERATOR_2, offer=Offer(scope=GrantScope.TIME, minutes=1.0))
+    alone = await answer(runtime, question, who=OPERATOR_2)
+    assert (alone["status"], [one["by"] for one in alone["approvals"]]) == ("pending", [OPERATOR_2.name])
+    assert not cell.all("launch")
+    house.withdrawn.clear()
+    assert (await answer(runtime, question))["status"] == "approved"
+    await cell.expect("launch")
 
 
 async def test_an_edit_voids_earlier_approvals_and_gets_a_new_digest(runtime: Runtime, cell: HandCell) -> None:
