@@ -185,6 +185,7 @@ class Takeovers(Handbacks):
                 raise Conflict("wrong_status", f"`takeover` is not possible while the invocation is `{present.status}`")
             if cell.control is None or cell.control.invocation != invocation or cell.takings != mine:
                 raise Conflict("takeover_refused", f"the controls of `{cell.id}` were let go of meanwhile")
+            self._allow_takeover(present.profile)  # again: another policy may be in force by now
             params = self._as_in(cell, present)
             proposal = Proposal(capability=TAKEOVER, params=params)
             judgement = self.kernel.judge(proposal, None, cell, within=present)

@@ -667,6 +667,25 @@ async def test_what_a_policy_says_that_came_while_an_answer_was_recorded_is_aske
     assert [why["rule"] for why in again.reasons] == ["organization/look-again"]
 
 
+async def test_nobody_takes_the_controls_once_a_policy_is_in_force_that_lets_nobody(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    made = await running(runtime, cell)
+    digest = await brought(runtime, edited(SHARED, "interrupt-enabled, takeover-enabled]", "interrupt-enabled]"))
+    entry = runtime.register.entry(made["id"])
+    assert entry is not None
+    async with entry.lock:  # somebody else is being heard about the session
+        taking = asyncio.create_task(runtime.governor.take_over(made["id"], OPERATOR))
+        await until(lambda: runtime.fleet.cell(cell.id).control is not None)
+        await runtime.versions.activate(digest, ENGINEER, "nobody drives here")
+        assert runtime.kernel.policy.digest == digest
+    with pytest.raises(Conflict) as refused:
+        await taking
+    assert refused.value.code == "takeover_not_enabled"
+    assert runtime.fleet.cell(cell.id).control is None
+    assert len(cell.all("launch")) == 1
+
+
 async def test_what_is_bound_anew_under_a_policy_that_gives_way_meanwhile_is_held(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
