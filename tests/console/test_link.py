@@ -206,6 +206,38 @@ def test_a_cell_that_falls_silent_is_not_shown_as_the_present(
     expect(person.page.locator(".live .stale")).to_have_count(0)
 
 
+def test_one_press_of_a_silent_cells_stop_on_fleet_is_one_stop(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    person.press("4")
+    button = person.region("workcell-1").get_by_role("button", name="Emergency stop of workcell-1")
+    pid = server.cell_pid()
+    assert pid is not None
+    before = len(stops(server))
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        expect(person.region("workcell-1")).to_contain_text("Not heard: this is what it last said.")
+        button.hover()
+        person.page.mouse.down()
+        expect(person.region("workcell-1")).to_contain_text("A stop that it has not had")
+        expect(button).to_have_text("STOP")  # it is confirmed by now
+        button.hover()  # a banner may have moved it
+        person.page.mouse.up()
+        expect(button).to_have_text("STOP")
+        assert len(stops(server)) == before + 1
+        person.page.wait_for_timeout(300)
+        button.click()  # another press is another stop
+        until(lambda: len(stops(server)) == before + 2, what="the second stop")
+    finally:
+        os.kill(pid, signal.SIGCONT)
+
+
+def stops(server: ServerProcess) -> list[dict[str, Any]]:
+    events = server.get("/v1/audit/events?kind=human&limit=1000", key="auditor")["items"]
+    return [event for event in events if event["body"]["op"] == "estop"]
+
+
 def test_whoever_loses_the_controls_with_the_cells_link_is_told_so(
     server: ServerProcess, people: People, floor: Floor, free_again: None
 ) -> None:

@@ -1,0 +1,29 @@
+import { beforeEach, describe, expect, it } from 'vitest';
+import { atOnce } from '../src/lib/keys/pressed';
+
+describe('a stop', () => {
+  let pressed: number;
+  const stop = atOnce(() => (pressed += 1));
+  const down = (timeStamp: number): void => stop.onpointerdown({ timeStamp } as PointerEvent);
+  const click = (timeStamp: number, detail = 1): void => stop.onclick({ timeStamp, detail } as MouseEvent);
+
+  beforeEach(() => {
+    pressed = 0;
+  });
+
+  it('is pressed as the finger comes down, and not once more as it comes up', () => {
+    down(5_000);
+    expect(pressed).toBe(1);
+    click(5_120);
+    expect(pressed).toBe(1);
+    down(5_200);
+    click(5_300);
+    expect(pressed).toBe(2);
+  });
+
+  it('is pressed by a key, and by what presses without a finger', () => {
+    click(10_000, 0);
+    click(20_000);
+    expect(pressed).toBe(2);
+  });
+});
