@@ -75,6 +75,7 @@ class Screens:
         text = orjson.dumps({**message.model_dump(mode="json"), "cell": cell}).decode()
         if isinstance(message, Scene):
             screen.scene, screen.shape = text, (len(message.bodies), len(message.gauges))
+            screen.path = None  # what is planned by now comes behind it; where nothing is, nothing does
         else:
             screen.path = text
         for outlet in screen.watchers:

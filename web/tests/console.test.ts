@@ -160,6 +160,14 @@ describe('the cell that is looked at', () => {
     expect([page.cells[0]?.id, page.stoppable]).toEqual(['aleph', 'alpha']);
   });
 
+  it('is drawn anew without the way that was planned before: of none that there is no more, a cell says nothing', () => {
+    described('workcell-1');
+    worker().say({ type: 'path', cell: 'workcell-1', invocation: 'inv_1', points: [[0, 0], [1, 1]] });
+    expect(page.path?.invocation).toBe('inv_1');
+    described('workcell-1'); // the link is back, and what ran has ended
+    expect(page.path).toBe(null);
+  });
+
   it('is never drawn as the one that was looked at before', () => {
     described('workcell-1');
     worker().frame(0);

@@ -331,6 +331,7 @@ export class Console {
     switch (message.type) {
       case 'scene':
         this.scenes = { ...this.scenes, [cell]: { scene: message.scene, bodies: message.bodies, gauges: message.gauges } };
+        this.paths = of(Object.keys(this.paths).filter((known) => known !== cell), this.paths); // what is planned by now comes behind it
         this.described = [...this.described, cell];
         break;
       case 'path':
