@@ -129,9 +129,18 @@ def _object_placed(params: Params, facts: WorldFacts, site: Site) -> tuple[str, 
         return f"nothing was put down on `{name}`", "place it again"
     thing = _text(params, "object_id")
     seen = facts.objects.get(thing)
-    if seen is not None and _on(surface, seen):
-        return None
-    return f"`{thing or 'the object'}` was not seen on `{name}`", "inspect the surface"
+    if seen is None or not _on(surface, seen):
+        return f"`{thing or 'the object'}` was not seen on `{name}`", "inspect the surface"
+    away = _beside(params, seen)
+    return None if away <= PLACED_M else (f"`{thing}` stands {away:.2f} m from where it was to be", "place it again")
+
+
+def _beside(params: Params, seen: ObjectFact) -> float:
+    """Return how far an object was seen from the point that was asked for; 0 where none was."""
+    x, y = params.get("x_m"), params.get("y_m")
+    if isinstance(x, (int, float)) and isinstance(y, (int, float)):
+        return hypot(x - seen.x_m, y - seen.y_m)
+    return 0.0
 
 
 def _on(surface: Surface, seen: ObjectFact) -> bool:
@@ -144,6 +153,7 @@ def _on(surface: Surface, seen: ObjectFact) -> bool:
 
 
 PLACED_HEIGHT_M: Final = 0.2
+PLACED_M: Final = 0.1  # more than the 0.06 m that skills allow, since memory of what was seen lags a little
 
 
 def _at_target(params: Params, facts: WorldFacts, site: Site) -> tuple[str, str] | None:

@@ -91,6 +91,13 @@ def test_an_object_beside_above_or_below_a_surface_is_not_on_it(off):
     assert unmet(("object_placed",), {"surface": "bench_b", "object_id": "mug_1"}, facts(objects=beside), SITE)
 
 
+@pytest.mark.parametrize(("off_m", "placed"), [(0.0, True), (0.08, True), (0.12, False), (0.9, False)])
+def test_an_object_was_placed_where_that_was_asked_for(off_m: float, placed: bool):
+    stands = {"mug_1": seen(BENCH.x_m - 0.45 + off_m, BENCH.y_m, BENCH.z_m + 0.05)}
+    asked = {"surface": "bench_b", "object_id": "mug_1", "x_m": BENCH.x_m - 0.45, "y_m": BENCH.y_m}
+    assert (unmet(("object_placed",), asked, facts(objects=stands), SITE) == ()) is placed
+
+
 @pytest.mark.parametrize("condition", sorted(TESTS))
 def test_nothing_is_met_without_facts(condition):
     assert unmet((condition,), {}, None, SITE)
