@@ -92,6 +92,9 @@ describe('words', () => {
 describe('the keyboard', () => {
   it('stops with a full stop from anywhere, and while typing with Ctrl or Cmd', () => {
     expect([isStop(key('.'), false), isStop(key('.'), true), isStop(key('.', { ctrlKey: true }), true), isStop(key('.', { metaKey: true }), true)]).toEqual([true, false, true, true]);
+    const composing = { code: 'Period', ctrlKey: true };
+    expect([isStop(key('Process', composing), true), isStop(key('Process', { ...composing, ctrlKey: false }), true)]).toEqual([true, false]);
+    expect(isStop(key('Process', { ...composing, code: 'Comma' }), true)).toBe(false);
   });
 
   it('runs no shortcut while typing, with a modifier, or for a key that repeats', () => {

@@ -99,10 +99,30 @@ describe('the connection', () => {
     welcome(sockets[1]);
     expect(sockets[1]?.sent).toEqual([
       { type: 'hello', token: 'secret', after: 42 },
+      { type: 'ping', at_ms: -2 },
       { type: 'watch', cells: ['workcell-1'] },
     ]);
     vi.advanceTimersByTime(100);
     expect(health.at(-1)?.state).toBe('up');
+  });
+
+  it('takes no description for that of a cell which was chosen before, and is chosen again', () => {
+    const shown: unknown[] = [];
+    listener.message = (message) => message.type === 'scene' && shown.push(message.cell);
+    welcome(sockets[0]);
+    const described = (cell: string): void => sockets[0]?.say({ type: 'scene', cell, scene: {}, bodies: [], gauges: [] });
+    const heard = (turn: number): void => sockets[0]?.say({ type: 'pong', at_ms: -turn });
+    for (const cell of ['b', 'c', 'b']) connection.send({ type: 'watch', cells: [cell] });
+    heard(1);
+    described('b'); // what stands at its place is `c` from now on
+    heard(2);
+    described('c');
+    heard(3);
+    expect(shown).toEqual([]);
+    described('b');
+    expect(shown).toEqual(['b']);
+    vi.advanceTimersByTime(100);
+    expect(health.at(-1)?.rttMs).toBeNull();
   });
 
   it('hears nothing from a socket it has left', () => {

@@ -50,7 +50,9 @@ export const STOP_KEY = '.';
 
 /** Says whether a key press is the emergency stop: `.` anywhere, with Ctrl or Cmd while typing. */
 export function isStop(event: KeyLike, typing: boolean): boolean {
-  if (event.key !== STOP_KEY) return false;
+  // An input method that is composing names no key: the one where the sign is on most keyboards counts then.
+  const composing = event.key === 'Process' && event.code === 'Period';
+  if (event.key !== STOP_KEY && !composing) return false;
   return typing ? event.ctrlKey || event.metaKey : true;
 }
 

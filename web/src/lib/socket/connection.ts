@@ -45,6 +45,8 @@ export class Connection {
   private why = '';
   private boot: string | null = null;
   private watched: string[] = [];
+  /** How often something else was watched, and for which time that is known to have been heard. */
+  private watch = { asked: 0, heard: 0 };
   private readonly timer: ReturnType<typeof setInterval>;
 
   constructor(
@@ -62,13 +64,23 @@ export class Connection {
 
   /** Sends a message if the socket is open; a message that cannot be sent now is dropped, never sent late. */
   send(message: Up): void {
-    if (message.type === 'watch') this.watched = message.cells;
+    if (message.type === 'watch') this.ask(message.cells);
     if (this.socket?.readyState === 1) this.socket.send(JSON.stringify(message));
   }
 
   end(): void {
     clearInterval(this.timer);
     this.leave();
+  }
+
+  /**
+   * Takes what is told of cells for an answer to a `watch` that was said before this one, until that is known to be heard:
+   * frames bear the place of a cell in the list, and another one stood there. A ping in front of it that bears its number, and no time, tells.
+   */
+  private ask(cells: string[]): void {
+    this.watched = cells;
+    this.watch = { ...this.watch, asked: this.watch.asked + 1 };
+    this.send({ type: 'ping', at_ms: -this.watch.asked });
   }
 
   private open(): void {
@@ -120,14 +132,27 @@ export class Connection {
     }
     const message = JSON.parse(data) as Down;
     if (message.type === 'pong') {
-      this.rttMs = now - message.at_ms;
-      this.unanswered = this.unanswered.filter((at) => at > message.at_ms);
+      this.answered(message.at_ms, now);
       return;
     }
+    if (this.toAnEarlierWatch(message)) return;
     if (message.type === 'welcome') this.welcomed(message.boot);
     if (message.type === 'snapshot') this.synced = true;
     if (message.type === 'snapshot' || message.type === 'update') this.lastSeq = message.seq;
     this.listener.message(message);
+  }
+
+  private answered(atMs: number, now: number): void {
+    if (atMs < 0) {
+      this.watch = { ...this.watch, heard: -atMs };
+      return;
+    }
+    this.rttMs = now - atMs;
+    this.unanswered = this.unanswered.filter((at) => at > atMs);
+  }
+
+  private toAnEarlierWatch({ type }: Down): boolean {
+    return (type === 'scene' || type === 'path') && this.watch.heard !== this.watch.asked;
   }
 
   private welcomed(boot: string): void {
