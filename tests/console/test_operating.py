@@ -280,7 +280,7 @@ def test_a_profile_that_is_on_its_way_is_not_called_kept(server: ServerProcess, 
     before = server.cell()["profile"]
     person.press("4")
     card = person.region("workcell-1")
-    choice = card.get_by_label("Profile")
+    choice = card.get_by_label("Profile", exact=True)
     wanted = next(name for name in choice.locator("option").all_inner_texts() if name != before)
     choice.select_option(wanted)
     card.get_by_role("button", name="Change…").click()
