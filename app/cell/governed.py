@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import base64
 import binascii
-from math import isfinite
+from functools import partial
+from math import inf, isfinite
 from typing import TYPE_CHECKING, Final, assert_never
 
 import orjson
@@ -26,9 +27,10 @@ from app.cell.run import LINK
 from app.cell.runner import Runner
 from app.cell.sighting import things
 from app.governance.conditions import unmet
+from app.governance.control import TAKEOVER
 from app.governance.model import Wish
 from app.governance.permit import SignedAuthorization
-from app.governance.policy import recovery_plan, watch_plan, watch_plan_for
+from app.governance.policy import closes, recovery_plan, watch_plan
 from app.protocol import (
     Ack,
     Ended,
@@ -53,7 +55,7 @@ if TYPE_CHECKING:
     from app.cell.moment import Moment
     from app.cell.runner import View
     from app.cell.substrate import Substrate
-    from app.governance.model import CoveredRecovery, Params, RecoveryPlan, WatchPlan, WorldFacts
+    from app.governance.model import Authorization, CoveredRecovery, Params, RecoveryPlan, WatchPlan, WorldFacts
     from app.governance.permit import Grant
     from app.governance.policy import PolicySet
 
@@ -92,6 +94,7 @@ class GovernedCell:
         self._policies_digest = ""
         self._profile: str | None = None
         self._reset = ""
+        self._held_n = inf  # how firmly policy let be taken what is in the hand
         self._outbox, self._wall = outbox, wall
         for entry in journal.unacknowledged():
             self._tell(entry)
@@ -244,12 +247,21 @@ class GovernedCell:
             raise ValueError(f"the policy `{permit.policy_digest}` is not held here any more")
         try:
             then = recovery_plan(policy, permit.capability, permit.profile)
-            if recovery is None:
-                return watch_plan_for(policy, permit), then
-            plan = watch_plan(policy, recovery.capability, permit.profile, recovery.params, recovery.mode)
+            return self._watched(policy, permit, recovery), then
         except KeyError as error:
             raise ValueError(f"policy knows no {error}") from error
-        return plan, then
+
+    def _watched(self, policy: PolicySet, permit: Authorization, recovery: CoveredRecovery | None) -> WatchPlan:
+        """Return by what something is watched; what is in the hand stays held no more firmly than it might be taken."""
+        what = recovery or permit
+        make = partial(watch_plan, policy, what.capability, permit.profile, what.params, what.mode)
+        takes = closes(policy, what.capability, permit.profile)
+        if not self._runner.substrate.facts().gripper_empty and (what.capability == TAKEOVER or not takes):
+            return make(held_n=self._held_n)
+        plan = make()
+        if takes or recovery is None:
+            self._held_n = plan.bounds.grip_force_n if takes else inf
+        return plan
 
     def _unmet(self, postconditions: tuple[str, ...], params: Params, facts: WorldFacts) -> tuple[str, ...]:
         # Whatever policy has come meanwhile: every session is launched under one of this site.

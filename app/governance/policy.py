@@ -280,8 +280,16 @@ def _listed(names: Sequence[str]) -> str:
 # Plans ---------------------------------------------------------------------------------------------------------------
 
 
-def watch_plan(policy: PolicySet, capability: str, profile: str, params: Params, mode: Mode = Mode.NORMAL) -> WatchPlan:
-    """Bind a profile's watch rules to one session; its bounds are the smaller of limit and parameter.
+def watch_plan(
+    policy: PolicySet,
+    capability: str,
+    profile: str,
+    params: Params,
+    mode: Mode = Mode.NORMAL,
+    *,
+    held_n: float = math.inf,
+) -> WatchPlan:
+    """Bind a profile's watch rules to one session; its bounds are the smallest of limit, parameter and what is held.
 
     Args:
         policy: The policy set.
@@ -289,12 +297,14 @@ def watch_plan(policy: PolicySet, capability: str, profile: str, params: Params,
         profile: Under which profile.
         params: Effective parameters.
         mode: How carefully; `careful` halves the speeds that the parameters ask for.
+        held_n: How firmly what is in the hand already may be held, N.
 
     Raises:
         KeyError: Capability or profile is unknown.
     """
     package, environment = policy.capabilities[capability], policy.profiles[profile]
     bounds = _bounds(package, environment, params, mode)
+    bounds = bounds._replace(grip_force_n=min(bounds.grip_force_n, held_n))
     held = params.get("object_id")
     known = policy.site.objects.get(held) if isinstance(held, str) else None
     return WatchPlan(
@@ -328,6 +338,16 @@ def watch_plan_for(policy: PolicySet, authorization: Authorization) -> WatchPlan
         KeyError: Capability or profile is unknown.
     """
     return watch_plan(policy, authorization.capability, authorization.profile, authorization.params, authorization.mode)
+
+
+def closes(policy: PolicySet, capability: str, profile: str) -> bool:
+    """Say whether a capability takes hold of something as firmly as its own parameters say.
+
+    Raises:
+        KeyError: Capability or profile is unknown.
+    """
+    package, limits = policy.capabilities[capability], policy.profiles[profile].limits
+    return any("grip_force_n" in _held_to(spec, limits) for spec in properties(package).values())
 
 
 def _bounds(capability: Capability, profile: Profile, params: Params, mode: Mode) -> Bounds:
@@ -531,5 +551,5 @@ def _describe_rule(rule: Rule) -> dict[str, Any]:
     }
 
 
-__all__ = ["Gate", "Inputs", "ParamProblem", "PolicySet", "confirm_before", "recovery_plan", "watch_plan",
+__all__ = ["Gate", "Inputs", "ParamProblem", "PolicySet", "closes", "confirm_before", "recovery_plan", "watch_plan",
            "watch_plan_for"]  # fmt: skip

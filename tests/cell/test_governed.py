@@ -17,9 +17,13 @@ from app.cell.loop import NewPolicy, Outbox, Welcomed
 from app.cell.moment import Sight
 from app.cell.sighting import Sightings, things
 from app.governance import bundle
+from app.governance.model import Json
 from app.governance.permit import mint
 from app.governance.policy import PolicySet
 from app.protocol import Ack, Human, Launch, Scene, Sighting, decode_up
+from app.sim.faults import Fault
+from app.sim.occasions import Trigger
+from app.sim.workcell import Workcell
 from tests.cell.rig import KEY, NOW_S, PERMIT, FakeCell
 from tests.cell.workshop import policy
 
@@ -67,6 +71,62 @@ class Governed:
 
     def refusals(self) -> list[object]:
         return [event.body["refused"] for event in self.outbox.events if event.body.get("refused")]
+
+
+class Bench:
+    """A governed workcell whose robot stands where it can reach, driven session after session."""
+
+    def __init__(self, folder: Path, *faults: Fault) -> None:
+        self.workcell = Workcell(policy().site, seed=3, faults=faults)
+        self.outbox = Outbox()
+        self.cell = GovernedCell(
+            self.workcell,
+            policy(),
+            kernel_key=base64.b64encode(KEY.public_key().public_bytes_raw()).decode(),
+            journal=Journal(folder / "journal", boot="boot-1"),
+            outbox=self.outbox,
+            wall=lambda: NOW_S + 1.0,
+        )
+        self.cell.obey(Welcomed(profile="human-shared"))
+        self.sessions = 0
+
+    def launch(self, capability: str, **params: Json) -> None:
+        self.sessions += 1
+        filled = policy().validate_params(capability, params)
+        assert isinstance(filled, dict), filled
+        permit = replace(
+            PERMIT,
+            id=f"auth-{self.sessions}",
+            invocation=f"inv-{self.sessions}",
+            cell=self.workcell.id,
+            capability=capability,
+            params=filled,
+            policy_digest=policy().digest,
+            recoveries=(),
+        )
+        made = mint(permit, KEY)
+        self.cell.obey(
+            Launch(body=base64.b64encode(made.body).decode(), signature=base64.b64encode(made.signature).decode())
+        )
+        assert self.cell.state(overruns=0).invocation == permit.invocation, self.outbox.events[-1]
+
+    def said(self, kind: str) -> list[dict[str, object]]:
+        return [event.body for event in self.outbox.events if event.kind == kind and event.invocation == self.running]
+
+    def alarms(self) -> list[object]:
+        return [body["rule"] for body in self.said("alert") if body["signal"] != "COMPLETION"]
+
+    @property
+    def running(self) -> str:
+        return f"inv-{self.sessions}"
+
+    def until(self, kind: str, ticks: int = 4000) -> dict[str, object]:
+        """Tick until something of that kind was said of the newest session."""
+        for _ in range(ticks):
+            if found := self.said(kind):
+                return found[-1]
+            self.cell.tick()
+        raise AssertionError(f"no {kind} within {ticks} ticks: {self.outbox.events[-1]}")
 
 
 class Socket:
@@ -199,3 +259,44 @@ def test_sends_a_thing_when_it_has_moved_and_all_things_on_another_link(governed
     again = Socket()
     asyncio.run(Sightings(governed.outbox).show(again))
     assert set(again.sent[0].bodies) == {"mug_1", "glass_1"}
+
+
+@pytest.mark.physics
+@pytest.mark.parametrize(
+    ("capability", "phase", "params"),
+    [
+        ("transport_object", "drive", {"target": "dock", "speed_mps": 0.15, "clearance_m": 0.3}),
+        ("place_object", "approach", {"surface": "bench_a", "speed_mps": 0.15}),
+        ("takeover", "jog", {"grip_force_n": 60.0}),
+    ],
+)
+def test_what_is_fragile_is_held_no_more_firmly_by_whatever_comes_after_its_grasp(
+    tmp_path: Path, capability: str, phase: str, params: dict[str, Json]
+) -> None:
+    squeezing = Fault(
+        kind="grip_gain", at=Trigger(capability=capability, phase=phase, after_s=0.2), sizes={"gain": 2.5}
+    )
+    bench = Bench(tmp_path, squeezing)
+    bench.launch("grasp_object", object_id="glass_1", force_n=20.0, speed_mps=0.15)
+    assert bench.until("outcome")["outcome"] == "succeeded"
+    assert bench.alarms() == []
+    bench.launch(capability, **params)
+    assert bench.until("alert", ticks=400)["rule"] == "grip-force"
+    for _ in range(200):
+        bench.cell.tick()
+    assert bench.workcell.truth().grip_force_n < 22.0
+
+
+@pytest.mark.physics
+def test_what_is_held_may_be_held_as_firmly_as_it_was_taken_and_the_next_thing_as_firmly_as_policy_says(
+    tmp_path: Path,
+) -> None:
+    bench = Bench(tmp_path)
+    for thing, force_n in (("glass_1", 20.0), ("mug_1", 55.0)):
+        for capability, params in (
+            ("grasp_object", {"object_id": thing, "force_n": force_n, "speed_mps": 0.15}),
+            ("place_object", {"surface": "bench_a", "speed_mps": 0.15}),
+        ):
+            bench.launch(capability, **params)
+            assert bench.until("outcome")["outcome"] == "succeeded"
+            assert bench.alarms() == []
