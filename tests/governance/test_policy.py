@@ -5,7 +5,7 @@ import pytest
 
 from app.governance import bundle
 from app.governance.model import Authorization, Mode, Risk, Strategy
-from app.governance.policy import ParamProblem, confirm_before, recovery_plan, watch_plan, watch_plan_for
+from app.governance.policy import ParamProblem, closes, confirm_before, recovery_plan, watch_plan, watch_plan_for
 from app.governance.watcher import compile_watch
 from tests.governance.policy_world import PROFILES, files, proposal, shipped
 
@@ -167,6 +167,20 @@ def test_an_authorization_is_watched_by_the_parameters_and_mode_it_names():
     plan = watch_plan_for(shipped(), authorization)
     assert plan == watch_plan(shipped(), "grasp_object", "human-shared", authorization.params, Mode.CAREFUL)
     assert plan.bounds.tcp_speed_mps == 0.1
+
+
+def test_what_is_held_lowers_the_bound_of_the_grip_and_its_threshold_and_never_raises_them():
+    def grip(**held):
+        plan = watch_plan(shipped(), "transport_object", "human-shared", {"target": "dock", "speed_mps": 0.2}, **held)
+        return plan.bounds.grip_force_n, next(rule.threshold for rule in plan.rules if rule.id == "grip-force")
+
+    assert grip() == grip(held_n=100.0) == (60.0, pytest.approx(63.0))
+    assert grip(held_n=20.0) == (20.0, pytest.approx(21.0))
+
+
+def test_some_capabilities_say_how_firmly_they_close():
+    says = {name for name in shipped().capabilities if closes(shipped(), name, "human-shared")}
+    assert says == {"grasp_object", "regrasp", "takeover"}
 
 
 def test_bottomless_nesting_is_a_problem():
