@@ -47,6 +47,7 @@ SHOWN_EVENTS: Final = 200
 SHOWN_INVOCATIONS: Final = 20
 PAGE: Final = 1000
 GOING_AWAY: Final = 1001
+FAILED: Final = 1011
 
 
 class Broadcast:
@@ -108,8 +109,7 @@ class Broadcast:
         self._leave()
         if self._due is not None:
             self._due.cancel()
-        for outlet in (*self._consoles, *self._joining):
-            outlet.end(GOING_AWAY, "the server stops")
+        self._end(GOING_AWAY, "the server stops")
 
     # -- consoles ----------------------------------------------------------------------------------------------------
 
@@ -221,11 +221,18 @@ class Broadcast:
     def _flush(self) -> None:
         self._due = None
         self._flushed_s = monotonic_s()
-        update = self._update()
-        if update is not None:
-            self._tell(update)
-        self._welcome()
-        self._drop_ended()
+        try:
+            update = self._update()
+            if update is not None:
+                self._tell(update)
+            self._welcome()
+        except Exception as error:  # beats would go on vouching for what is shown, and it is not what is
+            self._end(FAILED, f"what changed could not be told ({type(error).__name__}): come back for a snapshot")
+            self._joining = {}
+            self._forget()
+            raise
+        finally:
+            self._drop_ended()
 
     def _update(self) -> bytes | None:
         parts: list[bytes] = []
@@ -319,6 +326,10 @@ class Broadcast:
             "reviews_waiting": self._desk.reviews.count,
         }
         return b"," + orjson.dumps(documents)[1:]
+
+    def _end(self, code: int, reason: str) -> None:
+        for outlet in (*self._consoles, *self._joining):
+            outlet.end(code, reason)
 
     def _drop_ended(self) -> None:
         self._consoles = {outlet for outlet in self._consoles if outlet.ended is None}

@@ -651,6 +651,30 @@ async def test_a_long_update_is_acknowledged_itself_and_poses_wait_for_no_beat(
             assert (await screen.until_frames(1))[0].poses[0][0] == 3.5
 
 
+async def test_what_cannot_be_told_ends_every_console_and_whoever_comes_back_sees_what_is(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with signed_in(house) as one, signed_in(house, "auditor") as two:
+        await one.until_type("snapshot")
+        await two.until_type("snapshot")
+        loud: list[dict[str, Any]] = []
+        loop = asyncio.get_running_loop()
+        loud_before = loop.get_exception_handler()
+        loop.set_exception_handler(lambda _loop, context: loud.append(context))
+        with monkeypatch.context() as broken:
+            broken.setattr(broadcast, "_events", len)  # no JSON text: it cannot be put behind any other
+            proposed = (await propose(house))[0]["id"]
+            async with asyncio.timeout(PATIENCE_S):
+                for screen in (one, two):
+                    code, why = await screen.ended()
+                    assert (code, "TypeError" in why) == (1011, True)
+        loop.set_exception_handler(loud_before)
+        assert [type(context["exception"]) for context in loud] == [TypeError]
+    async with signed_in(house) as back:
+        snapshot = await back.until_type("snapshot")
+        assert proposed in [shown["id"] for shown in snapshot["invocations"]]
+
+
 async def test_a_console_may_be_opened_only_so_often(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(house.app.state.parts.consoles, "_each", 1)
     async with signed_in(house, "engineer") as first:
