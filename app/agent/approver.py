@@ -202,7 +202,7 @@ class ScriptedApprover:
         self._on_answer = on_answer
         self._on_skip = on_skip
         self._seen: set[tuple[str, str]] = set()
-        self._edited: set[str] = set()
+        self._edited: set[tuple[str, str]] = set()  # what the server has made of an edit of ours
 
     async def run(self) -> None:
         """Answer until cancelled.
@@ -236,7 +236,7 @@ class ScriptedApprover:
     async def _answer(self, escalation: Document) -> None:
         reading_s = self._random.uniform(self._habits.reads_min_s, self._habits.reads_max_s)
         answer = decide(self._habits, escalation, self._random.random())
-        if escalation["id"] in self._edited:  # policy constrained the edit: asking for it again would change nothing
+        if _bound_to(escalation) in self._edited:  # policy constrained it: asking again would change nothing
             answer = replace(answer, edit={})
         await asyncio.sleep(reading_s)
         if answer.decision == "ignore":
@@ -244,12 +244,20 @@ class ScriptedApprover:
         body: Document = {"decision": answer.decision, "digest": escalation["digest"]}
         if answer.decision == "approve" and answer.edit:
             body["params"] = {**escalation["effective"], **answer.edit}
-            self._edited.add(escalation["id"])
         if answer.decision == "deny":
             body["comment"] = "denied by rule of the scripted approver"
         resolved = await self._resolve(escalation, answer, body)
-        if resolved is not None:
-            self._on_answer(escalation, replace(answer, status=resolved["status"]))
+        if resolved is None:
+            return
+        if "params" in body:
+            self._note_edit(answer, resolved)
+        self._on_answer(escalation, replace(answer, status=resolved["status"]))
+
+    def _note_edit(self, answer: Answer, resolved: Document) -> None:
+        """Remember what an edit came to; where that is what was shown before, read it once more, to approve it."""
+        self._edited.add(_bound_to(resolved))
+        if resolved["status"] == "pending" and not self._gave(answer, resolved):
+            self._seen.discard(_bound_to(resolved))
 
     async def _resolve(self, escalation: Document, answer: Answer, body: Document) -> Document | None:
         """Return the question as this answer left it; None where the answer does not count."""
@@ -272,7 +280,6 @@ class ScriptedApprover:
 
     def _skip(self, escalation: Document, why: ReinsError) -> None:
         """Leave a question to somebody else; put anew, it is edited anew."""
-        self._edited.discard(escalation["id"])
         self._on_skip(escalation, why)
 
     def _gave(self, answer: Answer, resolved: Document) -> bool:

@@ -284,6 +284,64 @@ async def test_approves_the_constrained_question_when_policy_constrains_its_edit
 
 
 @pytest.mark.anyio
+@pytest.mark.parametrize(
+    ("code", "since"),
+    [
+        ("cell_offline", {}),
+        ("digest_mismatch", {"digest": "sha256:b", "effective": {"object_id": "mug_1", "force_n": 90}}),
+    ],
+)
+async def test_approves_nothing_less_than_its_edit_after_one_that_was_not_taken(code: str, since: dict[str, object]):
+    """The question that waits on is as it was asked, or as somebody else edited it: nobody has taken the edit."""
+    refused = iter([True])
+    asked = {"now": escalation()}
+
+    def answer(turn: Turn):
+        if turn.method == "GET":
+            return 200, {"items": [asked["now"]], "next": None}
+        if next(refused, False):
+            asked["now"] = escalation(**since)
+            return 409, {"code": code, "detail": "not now"}
+        return 200, escalation(status="approved")
+
+    posts = await _answered(answer, HABITS)
+    assert [turn.body["params"] for turn in posts] == [{"object_id": "mug_1", "force_n": 40}] * 2
+
+
+@pytest.mark.anyio
+async def test_approves_what_policy_made_of_its_edit_although_the_reply_was_lost():
+    """It edits once more, to the same end: what it then approves is what its edit has come to."""
+    cut = {"object_id": "mug_1", "force_n": 20}
+    asked = {"now": escalation(status="pending")}
+    lost = iter([True])
+
+    def answer(turn: Turn):
+        if turn.method == "GET":
+            return 200, {"items": [asked["now"]], "next": None}
+        if turn.body["digest"] != asked["now"]["digest"]:
+            return 409, {"code": "digest_mismatch", "detail": "that is not what is asked"}
+        if "params" not in turn.body:
+            asked["now"] = {**asked["now"], "status": "approved"}
+            return 200, asked["now"]
+        asked["now"] = escalation(status="pending", digest="sha256:b", effective=cut)
+        return None if next(lost, False) else (200, asked["now"])
+
+    approved = asyncio.Event()
+    with serve(answer) as server:
+        async with AsyncReinsClient(server.url, "t") as client:
+            approver = ScriptedApprover(
+                client,
+                parse_habits(HABITS),
+                on_answer=lambda _e, given: approved.set() if given.status == "approved" else None,
+            )
+            task = asyncio.create_task(approver.run())
+            await asyncio.wait_for(approved.wait(), 5)
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+    assert asked["now"]["effective"] == cut
+
+
+@pytest.mark.anyio
 async def test_leaves_where_no_server_of_this_kind_answers():
     with serve(lambda _turn: (200, [])) as server:
         async with AsyncReinsClient(server.url, "t") as client:
