@@ -307,8 +307,8 @@ class ReferenceAgent:
         """
         site: Site = (await self._client.call("GET", "/v1/policies/active"))["site"]
         if self.state.goals[:1] != [goal]:  # one that is there with an empty plan was reached, and nobody was told yet
-            self.state.goals = [goal]
-            self.state.plan = plan_for(goal, site)
+            plan = plan_for(goal, site)  # a goal without a plan of its own must not stand beside another one's
+            self.state.goals, self.state.plan = [goal], plan
             on_thought(f"plan: {', '.join(step.capability for step in self.state.plan)}")
         results: list[Result] = []
         repairs = 0

@@ -318,6 +318,25 @@ async def test_a_refused_request_ends_the_goal_in_the_servers_words(tmp_path: Pa
     assert recall(tmp_path / "memory.json", "planner").memory.under_way is None
 
 
+@pytest.mark.anyio
+async def test_a_goal_that_cannot_be_planned_is_never_taken_for_reached(tmp_path: Path):
+    """Nor pursued by what is left of another goal's plan."""
+    denied = ended("denied", ("organization/hazmat", "rule"))
+    with serve(_answers(denied)) as server:
+        async with AsyncReinsClient(server.url, "t", defers=0) as client:
+            agent = ReferenceAgent(client, tmp_path / "memory.json")
+            unknown = Goal(kind="inspect", subject="attic")
+            for _ in range(2):
+                with pytest.raises(KeyError, match="the site has no area `attic`"):
+                    await agent.pursue(unknown)
+            with pytest.raises(GoalFailed):
+                await agent.pursue(FETCH)
+            for _ in range(2):
+                with pytest.raises(KeyError, match="the site has no area `attic`"):
+                    await agent.pursue(unknown)
+    assert len([turn for turn in server.turns if turn.method == "POST"]) == 1
+
+
 def test_a_damaged_memory_is_named_instead_of_forgotten(tmp_path: Path):
     path = tmp_path / "memory.json"
     path.write_text('{"identity": "planner", "goals": 3}')
