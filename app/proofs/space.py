@@ -11,6 +11,7 @@ permissions there are. So what is proved survives a new line in `agents`.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import ceil, floor
 from typing import TYPE_CHECKING, Final, cast
 
 import z3
@@ -27,7 +28,7 @@ from app.proofs.schema import Given, admitted, mentioned
 from app.proofs.values import Items, Theory, Value, choice, constant, truth
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     from app.governance.model import Capability, Json
     from app.governance.policy import PolicySet
@@ -184,15 +185,16 @@ class Space:
     def _number(self, number: z3.ArithRef, spec: Mapping[str, Json]) -> Value:
         real = number.is_real()
 
-        def bound(key: str, fallback: float) -> z3.ArithRef:
+        def bound(key: str, fallback: float, whole: Callable[[float], int]) -> z3.ArithRef:
             value = cast("float", spec.get(key, fallback))
-            return rational(float(value)) if real else cast("z3.ArithRef", z3.IntVal(int(value)))
+            return rational(float(value)) if real else cast("z3.ArithRef", z3.IntVal(whole(value)))
 
-        self.facts += [number >= bound("minimum", -INT_MAX), number <= bound("maximum", INT_MAX)]
+        # Between two integers a bound means the one on its inner side, or where it is exclusive the one beyond it.
+        self.facts += [number >= bound("minimum", -INT_MAX, ceil), number <= bound("maximum", INT_MAX, floor)]
         if "exclusiveMinimum" in spec:
-            self.facts.append(number > bound("exclusiveMinimum", 0))
+            self.facts.append(number > bound("exclusiveMinimum", 0, floor))
         if "exclusiveMaximum" in spec:
-            self.facts.append(number < bound("exclusiveMaximum", 0))
+            self.facts.append(number < bound("exclusiveMaximum", 0, ceil))
         for key in ("enum", "const"):
             if key in spec:
                 listed = cast("list[float]", spec[key] if key == "enum" else [spec[key]])

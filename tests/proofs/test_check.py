@@ -142,3 +142,25 @@ def test_properties_are_no_part_of_the_digest(folder: Path):
 def test_what_serves_and_moves_does_without_the_solver(module: str):
     text = f"import sys, {module}; sys.exit('z3' in sys.modules or 'app.proofs' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", text]).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("bound", "promise"),
+    [
+        ("exclusiveMaximum: 2.5", "params.looks <= 1"),
+        ("exclusiveMinimum: -2.5", "params.looks >= -1"),
+        ("maximum: 2.5", "params.looks <= 1"),
+        ("minimum: -2.5", "params.looks >= -1"),
+    ],
+)
+def test_an_integer_reaches_as_far_as_a_bound_between_two_integers_lets_it(folder: Path, bound: str, promise: str):
+    file = folder / "capabilities" / "inspect_area.yaml"
+    text = file.read_text().replace("required: [area]", "required: [area, looks]")
+    file.write_text(text.replace("\nphases:", f"\n    looks: {{type: integer, {bound}}}\nphases:"))
+    (folder / "properties.yaml").write_text(
+        "properties:\n"
+        f"  - {{id: few, says: Few., applies_to: [inspect_area], profiles: [sim-relaxed], always: {promise}}}\n"
+    )
+    done = check(folder)
+    assert done.exit_code == 1
+    assert "refuted: `few` does not hold of `inspect_area` in sim-relaxed" in done.stderr
