@@ -141,10 +141,16 @@ def load_plugins(files: Sequence[Path]) -> None:
 
 
 def plugin_digests(files: Sequence[Path]) -> dict[str, str]:
-    """Return what identifies the plugins of a campaign: file name → SHA-256, entry point → version of its package."""
-    digests = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+    """Return what identifies the plugins of a campaign: file name → SHA-256, entry point → version of its package.
+
+    Of several with one name, each is told, in the order in which they are given.
+    """
+    found = [(file.name, hashlib.sha256(file.read_bytes()).hexdigest()) for file in files]
     for point in entry_points(group=GROUP):
-        digests[point.name] = f"{point.value} {point.dist.version if point.dist else ''}".strip()
+        found.append((point.name, f"{point.value} {point.dist.version if point.dist else ''}".strip()))
+    digests: dict[str, str] = {}
+    for name, digest in found:
+        digests[name] = f"{digests[name]} {digest}" if name in digests else digest
     return dict(sorted(digests.items()))
 
 

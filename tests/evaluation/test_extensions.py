@@ -94,6 +94,19 @@ def test_the_example_of_the_documentation_registers_what_it_says() -> None:
     assert str(example) in Path("docs/evaluation.md").read_text(encoding="utf-8")
 
 
+def test_each_of_two_plugins_with_one_name_has_a_digest_of_its_own(tmp_path: Path) -> None:
+    files = [tmp_path / folder / "plugin.py" for folder in ("one", "other")]
+    for file in files:
+        file.parent.mkdir()
+        file.write_text("def register(registry): pass\n", encoding="utf-8")
+    before = plugin_digests(files)
+    for file in files:
+        file.write_text("def register(registry): return\n", encoding="utf-8")
+        after = plugin_digests(files)
+        assert after != before
+        before = after
+
+
 def test_an_installed_package_is_found_by_its_entry_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "far_away.py").write_text(
         "from app.evaluation.methods import Method\n"
