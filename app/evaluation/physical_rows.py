@@ -384,7 +384,7 @@ def _compliant(policy: PolicySet, trial: Trial, method: Method, done: Execution)
     if retries > plan.retry_budget:
         return False
     for entry in steps:
-        rows = [one for one in plan.rules if one.on in (entry.body["failure"], "any")]
+        rows = [one for one in plan.rules if one.on in (entry.body["failure"], "any") and plan.risk in one.risks]
         named = bool(rows) and entry.body["strategy"] in rows[0].do
         if not named and entry.body["reason"] not in ENDING:
             return False

@@ -15,7 +15,8 @@ from app.evaluation.metrics import METRICS
 from app.evaluation.model import Failure, Kind, Row, Violation
 from app.evaluation.physical_rows import COLUMNS, SIGNALS, Class, row
 from app.evaluation.physical_trial import Ran, Trial, looking
-from app.governance.model import EventKind, Intervention, Outcome, Signal
+from app.governance.model import EventKind, Intervention, Outcome, RecoveryRule, Risk, Signal, Strategy
+from app.governance.policy_model import RecoveryRow
 from app.governance.signals import SIGNAL_NAMES
 from tests.evaluation.physical_world import shown
 from tests.governance.policy_world import shipped
@@ -53,8 +54,9 @@ def read(
         track = truth.tracks[one.drawn.violation]
         track.onset, track.longest = onset, acting
     going = done.pop("going", bytearray(b"\x01" * 1000))
+    policy = done.pop("policy", shipped())
     made = Execution(truth, entries=(launch(), *entries), ticks=500, going=going, **done)
-    return row(shipped(), one, METHODS[method], Ran(PASSED, 1.0, made, done.get("restored")))
+    return row(policy, one, METHODS[method], Ran(PASSED, 1.0, made, done.get("restored")))
 
 
 def speeding() -> Trial:
@@ -253,6 +255,21 @@ def test_a_step_in_policys_table_is_compliant_and_another_one_is_not() -> None:
     assert read(one, step(50, "SAFER_MODE", "object_not_found"), **known)["compliant"] is False
     assert read(one, step(50, "ASK_HUMAN", "object_not_found", reason="row_exhausted"))["compliant"] is True
     assert read(one)["compliant"] is None
+
+
+def test_a_row_of_the_table_that_is_for_other_risks_says_nothing_of_a_step() -> None:
+    one = failing()
+    risk = shipped().capabilities[one.drawn.capability].risk
+    rows = (
+        RecoveryRule(on="object_not_found", do=(Strategy.ASK_HUMAN,), risks=frozenset(Risk) - {risk}),
+        RecoveryRule(on="object_not_found", do=(Strategy.RETRY,)),
+    )
+    profile = shipped().profiles[one.drawn.profile]
+    table = tuple(RecoveryRow(applies_to=None, rule=row) for row in rows)
+    policy = replace(shipped(), profiles={profile.name: replace(profile, recovery=table)})
+    known = {"outcome": Outcome.RECOVERED, "achieved": True}
+    assert read(one, step(50, "RETRY", "object_not_found"), policy=policy, **known)["compliant"] is True
+    assert read(one, step(50, "ASK_HUMAN", "object_not_found"), policy=policy)["compliant"] is False
 
 
 def test_more_retries_than_the_budget_are_not_compliant() -> None:
