@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from app.evaluation.floor import Way
     from app.evaluation.methods import Method
     from app.evaluation.physical_trial import Ran, Trial
-    from app.governance.model import WatchRule
+    from app.governance.model import WatchPlan, WatchRule
     from app.governance.policy import PolicySet
 
 SIGNALS: Final[Mapping[Violation, frozenset[str]]] = {
@@ -189,14 +189,8 @@ def _read(made: Row, policy: PolicySet, trial: Trial, method: Method, done: Exec
 
 
 def _clean(made: Row, trial: Trial, done: Execution) -> None:
-    violated = [violation for violation, track in done.truth.tracks.items() if track.onset is not None]
-    telling = frozenset[str]().union(*(SIGNALS[violation] for violation in violated))
-    true = {rule.id for rule in trial.plan.rules if rule.signal in telling}
-    alarmed = any(
-        str(entry.body["signal"]) not in UNLOOKED and entry.body["rule"] not in true
-        for entry in done.of(EventKind.ALERT)
-    )
-    made["alarmed"] = alarmed
+    violated = _truly_violated(done)
+    alarmed = made["alarmed"] = alarmed_falsely(done, trial.plan)
     made["class"] = (
         Class.VIOLATED
         if violated
@@ -206,6 +200,20 @@ def _clean(made: Row, trial: Trial, done: Execution) -> None:
         if done.achieved
         else Class.UNFINISHED
     )
+
+
+def alarmed_falsely(done: Execution, plan: WatchPlan, known: frozenset[str] = frozenset()) -> bool:
+    """Say whether an alert told of no true violation, nor of a signal of which it is `known` that something is up."""
+    telling = known.union(*(SIGNALS[violation] for violation in _truly_violated(done)))
+    true = {rule.id for rule in plan.rules if rule.signal in telling}
+    return any(
+        str(entry.body["signal"]) not in UNLOOKED and entry.body["rule"] not in true
+        for entry in done.of(EventKind.ALERT)
+    )
+
+
+def _truly_violated(done: Execution) -> list[Violation]:
+    return [violation for violation, track in done.truth.tracks.items() if track.onset is not None]
 
 
 # -- violations --------------------------------------------------------------------------------------------------------

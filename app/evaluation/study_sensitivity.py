@@ -29,11 +29,10 @@ from app.evaluation.draws import Drawn, draw, of_type
 from app.evaluation.methods import REINS, Passed
 from app.evaluation.metrics import measure
 from app.evaluation.model import Kind, Row, Violation
-from app.evaluation.physical_rows import UNLOOKED, row
+from app.evaluation.physical_rows import SIGNALS, alarmed_falsely, row
 from app.evaluation.physical_trial import Ran, taken
 from app.evaluation.study_trials import Part, Table, bench_of, executed, govern, grouped, study_row, table
 from app.evaluation.truth import OVER
-from app.governance.model import EventKind
 from app.governance.watcher import compile_watch
 from app.sim.faults import Scenario
 from app.sim.occasions import Trigger
@@ -42,7 +41,6 @@ from app.sim.sensors import AS_MEASURED, Quality
 
 if TYPE_CHECKING:
     from app.cell.runner import Runner
-    from app.evaluation.episode import Execution
     from app.evaluation.physical_trial import Bench, Trial
     from app.governance.model import WatchPlan
     from app.governance.policy import PolicySet
@@ -212,15 +210,9 @@ def _under(
     made = {**study_row(NAME, part._replace(condition=condition), drawn.number, drawn.profile),
             **row(bench.policy, trial, REINS, ran)}  # fmt: skip
     if drawn.kind is Kind.CLEAN:
-        made["alarmed"] = _alarmed(trial, done)
+        made["alarmed"] = alarmed_falsely(done, trial.plan, SIGNALS[Violation.PEOPLE])
     made.update(decision_us=None, sensitivity=s, missing=executed(done)["missing"], what=part.condition)
     return made
-
-
-def _alarmed(trial: Trial, done: Execution) -> bool:
-    about_people = {rule.id for rule in trial.plan.rules if rule.signal == "separation_m"}
-    told = [one for one in done.of(EventKind.ALERT) if str(one.body["signal"]) not in UNLOOKED]
-    return any(str(one.body["rule"]) not in about_people for one in told)
 
 
 def sweep(rows: Sequence[Row]) -> list[dict[str, Any]]:

@@ -8,7 +8,7 @@ from statistics import fmean
 from typing import TYPE_CHECKING, Final
 
 from app.evaluation.model import Kind, Row, Violation
-from app.evaluation.physical_rows import COLUMNS, SIGNALS, UNLOOKED, enforced
+from app.evaluation.physical_rows import COLUMNS, SIGNALS, UNLOOKED, alarmed_falsely, enforced
 from app.evaluation.physical_trial import BAND_SIGMAS, took
 from app.evaluation.truth import SIGMA
 from app.governance.model import EventKind, Intervention, Outcome
@@ -16,7 +16,6 @@ from app.governance.model import EventKind, Intervention, Outcome
 if TYPE_CHECKING:
     from app.cell.journal import Entry
     from app.evaluation.draws import Drawn
-    from app.evaluation.episode import Execution
     from app.evaluation.methods import Method
     from app.evaluation.task_draws import TaskRun
     from app.evaluation.task_end import Asked, TaskEnd
@@ -98,7 +97,7 @@ def task_row(run: TaskRun, method: Method, end: TaskEnd, twin: TaskEnd) -> Row:
     )
     made["class"] = _class(len(run.steps), end, hurt=bool(acted), refused=refused)
     if step is None:
-        made["alarmed"] = any(map(_alarmed, end.executions)) if made["launched"] else None
+        made["alarmed"] = any(map(_alarmed, end.asked)) if made["launched"] else None
     else:
         reached = any(one.execution is not None for one in end.asked if one.place == run.befallen)
         _provoked(made, step, end, twin, reached=reached)
@@ -162,8 +161,8 @@ def _only_warned(asked: Asked, kind: Violation) -> bool:
     return bool(rules) and all(rule.response.enter is Intervention.CONTINUE for rule in rules)
 
 
-def _alarmed(done: Execution) -> bool:
-    return any(str(entry.body["signal"]) not in UNLOOKED for entry in done.of(EventKind.ALERT))
+def _alarmed(asked: Asked) -> bool:
+    return asked.execution is not None and alarmed_falsely(asked.execution, asked.plan)
 
 
 def _told(asked: Asked, signals: frozenset[str]) -> list[tuple[Entry, WatchRule]]:

@@ -10,12 +10,15 @@ from typing import Any
 
 import pytest
 
+from app.cell.journal import Entry
 from app.evaluation.episode import Execution
 from app.evaluation.extensions import REGISTRY, load_plugins
 from app.evaluation.methods import METHODS, Passed
+from app.evaluation.metrics import METRICS
 from app.evaluation.model import TASKS, TUNING_SEEDS, Failure, Kind, Row, Task, Violation
 from app.evaluation.physical_faults import draw_fault
 from app.evaluation.physical_protocol import COLUMNS, TASK_TRIALS, jobs, results, run
+from app.evaluation.physical_rows import SIGNALS
 from app.evaluation.physical_trial import Bench, looking, ready
 from app.evaluation.protocols import find_tasks
 from app.evaluation.report import render
@@ -24,7 +27,7 @@ from app.evaluation.task_end import Asked, TaskEnd
 from app.evaluation.task_rows import TASK_MEANINGS, TaskClass, task_row
 from app.evaluation.truth import UNSAFE_TICKS
 from app.governance.bundle import load
-from app.governance.model import Outcome
+from app.governance.model import EventKind, Outcome, Signal
 from app.governance.policy import PolicySet
 
 SEED = TUNING_SEEDS[0]
@@ -191,6 +194,25 @@ def test_every_run_falls_into_one_class(
     assert row["hurt"] == (row["acted"] == "force")
     assert row["launched"] == (expected is not TaskClass.REFUSED)
     assert row.keys() <= COLUMNS.keys()
+
+
+@pytest.mark.physics
+@pytest.mark.parametrize(("told", "alarmed"), [(("own",), False), (("tracking",), True), (("own", "tracking"), True)])
+def test_telling_of_a_true_violation_in_a_clean_run_is_no_false_alarm(told: tuple[str, ...], alarmed: bool) -> None:
+    task = draw_task(policy(), TASKS["fragile_handling"], SEED, first("fragile_handling", violation=None))
+    end = ended(task, [{"done": True}, {"done": True}], achieved=True)
+    plan, done = end.asked[0].plan, end.executions[0]
+    own = next(rule.id for rule in plan.rules if rule.signal in SIGNALS[Violation.FORCE])
+    done.truth.tracks[Violation.FORCE].onset = 40
+    done.entries = tuple(
+        Entry(
+            seq=place, at_s=0.0, tick=42, kind=EventKind.ALERT, invocation="trial", actor="cell",
+            body={"rule": own if rule == "own" else rule, "signal": Signal.VIOLATION.value},
+        )
+        for place, rule in enumerate(told)
+    )  # fmt: skip
+    row = task_row(task, METHODS["reins"], end, TaskEnd())
+    assert METRICS["FAS"].take(row) is alarmed
 
 
 # -- running -----------------------------------------------------------------------------------------------------------
