@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final, cast
 import z3
 
 from app.governance.authority import answers
+from app.governance.model import Status
 from app.governance.policy_model import Effect
 from app.proofs.asking import Asking, Undecided
 from app.proofs.findings import Finding, Kind, Lines, Weight
@@ -173,8 +174,16 @@ def coverage(court: Court) -> Iterator[Finding]:
         why = "" if answers(pair.gate) else " (what a rule escalates is denied there: nobody is asked)"
         message = f"a gap: {court.where} is enabled, and no proposal ever gets through{why}"
         yield court.finding(Kind.COVERAGE, Weight.REFUTED, message)
-    elif isinstance(through, Undecided):
-        yield from court.judged(Kind.COVERAGE, through, f"whether anything gets through {court.where}", never)
+        return
+    # A way through is good news only if it is one for the real code as well.
+    if isinstance(through, Undecided) or court.confirmed(through, _goes_through, small=False) is None:
+        whether = f"whether anything gets through {court.where}"
+        yield from court.judged(Kind.COVERAGE, through, whether, never)
+
+
+def _goes_through(seen: Seen) -> bool:
+    """Say whether nothing denies or rejects; what is deferred meets no precondition, or another time."""
+    return seen.decision.verdict is not None and seen.status != Status.DENIED.value
 
 
 # Errors --------------------------------------------------------------------------------------------------------------

@@ -167,7 +167,12 @@ class Space:
     def _parameter(self, name: str, spec: Mapping[str, Json], there: Formula) -> Value:
         match spec["type"]:
             case "boolean":
-                return truth(z3.Bool(f"params.{name}"))
+                said = z3.Bool(f"params.{name}")
+                for listed in (
+                    [spec[key]] if key == "const" else spec[key] for key in ("const", "enum") if key in spec
+                ):
+                    self.facts.append(some(said if value else no(said) for value in cast("list[bool]", listed)))
+                return truth(said)
             case "string":
                 options = Options.of(f"params.{name}", self._choices(spec))
                 self.facts.append(implies(there, options.one))

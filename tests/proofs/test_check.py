@@ -164,3 +164,24 @@ def test_an_integer_reaches_as_far_as_a_bound_between_two_integers_lets_it(folde
     done = check(folder)
     assert done.exit_code == 1
     assert "refuted: `few` does not hold of `inspect_area` in sim-relaxed" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "declared",
+    [
+        "type: boolean, const: true",
+        "type: boolean, enum: [true]",
+        "type: boolean, not: {const: false}",
+    ],
+)
+def test_what_nothing_gets_through_is_a_gap_or_undecided_though_no_rule_alone_says_so(folder: Path, declared: str):
+    """What the schema says of a single parameter may be more than proofs know: they do not take the rest for a way."""
+    file = folder / "capabilities" / "inspect_area.yaml"
+    text = file.read_text().replace("required: [area]", "required: [area, sure]")
+    file.write_text(text.replace("\nphases:", f"\n    sure: {{{declared}}}\nphases:"))
+    when = "params.sure" if "boolean" in declared else "params.sure < 10"
+    plant(folder, f"\nrules:\n  - {{id: no, applies_to: [inspect_area], when: {when}, then: deny, because: So.}}\n")
+    done = check(folder)
+    assert done.exit_code == 1
+    assert "`inspect_area` in sim-relaxed" in done.stderr
+    assert "through" in done.stderr
