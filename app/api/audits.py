@@ -169,7 +169,7 @@ async def telemetry(request: Request, id: Identifier, query: Annotated[Telemetry
         detail = f"the telemetry of `{id}` is not what was recorded: {error.problem}"
         raise Problem("telemetry_damaged", detail) from error
     if found is None:
-        raise _no_telemetry(id, query.part)
+        raise _no_file(event)
     document = asdict(found)
     start_at = rfc3339(document.pop("start_s"))
     return answer({"invocation": id, "part": query.part, "parts": count, "start_at": start_at, **document})
@@ -180,7 +180,7 @@ async def telemetry_mcap(request: Request, id: Identifier, query: Annotated[Part
     event, _ = await _telemetry_event(request, id, query.part)
     path = telemetry_file(parts_of(request).store.places.telemetry, event)
     if path is None:
-        raise _no_telemetry(id, query.part)
+        raise _no_file(event)
     return WholeFile(path, media_type=MCAP, filename=path.name, headers={"Accept-Ranges": "none"})
 
 
@@ -204,12 +204,16 @@ async def _telemetry_event(request: Request, invocation: str, part: int) -> tupl
     """
     found = await parts_of(request).store.events(invocation=invocation, kind="telemetry", limit=MAX_EVENTS)
     if len(found) < part:
-        raise _no_telemetry(invocation, part)
+        detail = f"`{invocation}` has no telemetry file `{part}`: nothing ran, or it still runs"
+        raise Problem("telemetry_unknown", detail)
     return found[part - 1], len(found)
 
 
-def _no_telemetry(invocation: str, part: int) -> Problem:
-    return Problem("telemetry_unknown", f"`{invocation}` has no telemetry file `{part}`: nothing ran, or it still runs")
+def _no_file(event: Event) -> Problem:
+    """Return why there is no file where the record tells of telemetry: it was not kept, or is there no more."""
+    failed = event.payload().get("failed")
+    why = "its file is not where it was kept" if failed is None else f"it was not kept: {failed}"
+    return Problem("telemetry_unknown", f"there is no such telemetry of `{event.invocation}`: {why}")
 
 
 async def stream(request: Request, query: Annotated[StreamQuery, Query()]) -> Response:

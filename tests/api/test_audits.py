@@ -325,6 +325,17 @@ async def test_says_where_there_is_no_telemetry(house: House, path: str) -> None
     assert (answer.status_code, answer.json()["code"]) == (404, "telemetry_unknown")
 
 
+async def test_where_telemetry_was_not_kept_it_says_why_as_the_record_does(house: House) -> None:
+    failed = EventDraft(kind="telemetry", actor="server", invocation="inv_1", body={"failed": "no room on the disk"})
+    await house.runtime.store.append([failed])
+    async with house.client("auditor") as auditor:
+        answers = [await auditor.get(f"/v1/audit/telemetry/inv_1{rest}") for rest in ("", "/mcap")]
+    for answer in answers:
+        assert (answer.status_code, answer.json()["code"]) == (404, "telemetry_unknown")
+        assert "not kept: no room on the disk" in answer.json()["detail"]
+        assert "nothing ran" not in answer.json()["detail"]
+
+
 async def test_nothing_moves_on_a_log_that_was_found_damaged(tmp_path: Path) -> None:
     drive = {"capability": "navigate_to", "params": {"target": "dock"}}
     async with open_house(tmp_path / "data", "sim-relaxed") as house, house.cell() as cell:

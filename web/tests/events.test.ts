@@ -26,6 +26,19 @@ describe('where something happened', () => {
   });
 });
 
+describe('what is said of telemetry', () => {
+  const said = (body: LogEvent['body']): [string, string] => {
+    const { tone, strong, text } = eventLine(event('telemetry', body, 'inv_1', 'server'));
+    return [tone, strong + text];
+  };
+
+  it('is that it was kept only where the record says so, and what is missing of it', () => {
+    expect(said({ file: 'inv_1.mcap', rows: 12 })).toEqual(['quiet', 'Telemetry kept, 12 rows']);
+    expect(said({ failed: 'no room is left on the disk' })).toEqual(['warn', 'Telemetry not kept: no room is left on the disk']);
+    expect(said({ file: 'inv_1.mcap', rows: 12, missing: 'the cell was lost' })).toEqual(['warn', 'Telemetry kept, 12 rows, not whole: the cell was lost']);
+  });
+});
+
 describe('what a line is about', () => {
   const proposed = event('proposal', { capability: 'grasp_object', params: { object_id: 'glass_1' } }, 'inv_2');
   const docs = { invocations: { inv_1: invocation() }, events: [proposed] };

@@ -4,6 +4,7 @@ import { goodOutcome, outcomeTone, outcomeWords, statusWords, withShortIds, type
 import { titleOf, words } from './capability';
 import { newestEdit, stepsText } from './edited';
 import { entryOf } from './entry';
+import { keptWords } from './kept';
 import { plain } from './plain';
 import { labelFor, valueOf } from './quantity';
 import { ruleWords } from './rules';
@@ -322,7 +323,7 @@ const WRITERS: Record<string, Writer> = {
   intervention,
   recovery,
   human,
-  telemetry: (body) => line('log', 'quiet', `Telemetry kept, ${num(body['rows']) ?? 0} rows`),
+  telemetry: (body) => ({ icon: 'log', ...keptWords(body) }),
   outcome,
   status,
   grant,
