@@ -4,7 +4,7 @@ import { Axis } from '../src/lib/audit/axis';
 import { Player, type Recording } from '../src/lib/audit/player.svelte';
 import { frameAt } from '../src/lib/audit/replay';
 import { guardAt, MEASURED } from '../src/lib/scene/separation';
-import { eventAt, goodForS, hasTelemetry, measuredAt, offset, outside, rowAt, stepTo, timelineOf } from '../src/lib/audit/timeline';
+import { eventAt, goodForS, measuredAt, offset, outside, partsOf, rowAt, stepTo, timelineOf } from '../src/lib/audit/timeline';
 
 const START_MS = Date.parse('2026-03-01T09:30:00.000Z');
 const event = (seq: number, afterS: number, body: LogEvent['body'] = {}): LogEvent => ({
@@ -188,9 +188,10 @@ describe('a recorded moment in the scene', () => {
 describe('telemetry', () => {
   const trace = (...kinds: string[]): LogEvent[] => kinds.map((kind, seq) => ({ seq, at: '2026-11-22T10:00:00Z', kind, invocation: 'inv_1', actor: 'server', body: {} }));
 
-  it('is asked for where the trace holds its digest, and nowhere else', () => {
-    expect(hasTelemetry(trace('proposal', 'outcome', 'telemetry'))).toBe(true);
-    expect(hasTelemetry(trace('proposal', 'outcome'))).toBe(false);
+  it('is asked for where the trace tells of it, in as many parts, and nowhere else', () => {
+    expect(partsOf(trace('proposal', 'outcome', 'telemetry'))).toBe(1);
+    expect(partsOf(trace('proposal', 'telemetry', 'outcome', 'telemetry'))).toBe(2);
+    expect(partsOf(trace('proposal', 'outcome'))).toBe(0);
   });
 });
 

@@ -55,9 +55,9 @@ export function timelineOf(events: readonly LogEvent[], telemetry: Telemetry | n
   return { placed: ordered, zeroS, ...endsOf(ordered, rows) };
 }
 
-/** Whether a trace says that telemetry was kept: its digest is an event, behind the session's end. */
-export function hasTelemetry(events: readonly LogEvent[]): boolean {
-  return events.some((event) => event.kind === 'telemetry');
+/** In how many parts a trace tells of telemetry, those included that were not kept: behind the session's end, and where a server ended before. */
+export function partsOf(events: readonly LogEvent[]): number {
+  return events.filter((event) => event.kind === 'telemetry').length;
 }
 
 const launched = (event: LogEvent): boolean => event.kind === 'launch' && (event.body['refused'] ?? '') === '';
