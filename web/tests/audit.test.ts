@@ -65,6 +65,19 @@ describe('looking for events', () => {
     expect(Object.fromEntries(query)).toEqual({ after: '7', limit: '100', kind: 'alert', actor: 'planner', since: new Date('2026-03-01T09:30:00').toISOString() });
   });
 
+  it('finds those of a capability however many sessions of it came since', async () => {
+    const pages = 30;
+    const api = {
+      invocations: (query: URLSearchParams) => {
+        const page = Number(query.get('cursor') ?? 0);
+        return Promise.resolve({ items: [invocation({ id: `inv_${page}` })], next: page + 1 < pages ? String(page + 1) : null });
+      },
+      events: () => Promise.resolve({ items: [{ seq: 1, at: '', kind: 'proposal', invocation: `inv_${pages - 1}`, actor: 'x', body: {} }], next: null }),
+    };
+    const { items } = await findEvents(api, { ...NOTHING_WANTED, capability: 'grasp_object' }, 0);
+    expect(items.map((one) => one.invocation)).toEqual([`inv_${pages - 1}`]);
+  });
+
   it('finds those of a capability on whichever page they stand', async () => {
     const event = (seq: number, invocation: string): LogEvent => ({ seq, at: '', kind: 'launch', invocation, actor: 'x', body: {} });
     const pages: Record<string, { items: LogEvent[]; next: number | null }> = {
