@@ -181,6 +181,16 @@ describe('the cell that is looked at', () => {
     expect([page.heard, page.seen, page.scene]).toEqual([false, false, null]);
   });
 
+  it('forgets why a command was not obeyed with the cell that it was for: what becomes of the next ones is not heard while one looks away', () => {
+    const jogged = (refused: string | null): void => worker().say({ type: 'jogged', cell: 'workcell-1', n: 1, refused });
+    jogged('separation');
+    expect(page.jogRefused).toBe('separation');
+    page.select('workcell-2');
+    jogged(null); // said once, when it changes
+    page.select('workcell-1');
+    expect(page.jogRefused).toBe(null);
+  });
+
   it('is shown with what runs there, or else with what the open question there is about', () => {
     const asks = (id: string, second: number, of = {}): Invocation => invocation({ id, status: 'awaiting_approval', created_at: `2026-11-22T10:00:0${second}.000Z`, ...of });
     const about = (name: string, of = {}): Escalation => escalation({ id: `esc_${name}`, invocation: name, cell: 'workcell-1', ...of });

@@ -189,6 +189,7 @@ export class Console {
   }
 
   select(cell: string): void {
+    if (cell !== this.selected) this.jogRefused = null; // the cell itself says what still stands
     this.selected = cell;
     this.toldMs = -Infinity;
     sessionStorage.setItem('reins.cell', cell);
