@@ -39,7 +39,8 @@ def test_a_recovery_outlives_its_server_and_one_answer_lets_it_go_on(servers: Se
         until(lambda: again.cell()["status"] == "escalated", what=meanwhile)
     asked = again.get(f"/v1/escalations/{question['id']}")
     answer = {"decision": "approve", "digest": asked["digest"]}
-    assert again.post(f"/v1/escalations/{asked['id']}/resolve", answer).is_success
+    answered = again.post(f"/v1/escalations/{asked['id']}/resolve", answer)
+    assert answered.is_success, answered.text
     assert again.await_status(invocation, "completed")["outcome"] == "recovered"
     questions = [item["id"] for item in again.get("/v1/escalations")["items"] if item["invocation"] == invocation]
     assert questions == [question["id"]]

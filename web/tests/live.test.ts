@@ -365,6 +365,12 @@ describe('why a held session asks', () => {
     expect(reasonLines(escalation({ reasons: [said] }), null, { force_n: { 'x-limit': 'contact_force_n' } })[0]?.text).toBe('Contact force is over.');
   });
 
+  it('says once what two cuts of one rule come to in the same words', () => {
+    const cut = (name: string) => ({ ...reason, code: 'x', rule: 'own/grip', message: `\`${name}\` lowered to 20 N (limit of ${name})` });
+    const inputs = { force_n: { 'x-limit': 'grip_force_n' }, grip_force_n: { 'x-limit': 'grip_force_n' } };
+    expect(reasonLines(escalation({ reasons: [cut('force_n'), cut('grip_force_n')] }), null, inputs)).toHaveLength(1);
+  });
+
   it('is not told what an agent is told of a proposal', () => {
     expect(reasonLines(escalation({ reasons: [{ ...reason, code: 'x', message: 'why', remedy: 'wait' }] }), null)[0]?.text).toBe('Why.');
   });

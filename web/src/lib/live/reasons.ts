@@ -60,5 +60,6 @@ export function reasonLines(escalation: Escalation, invocation: Invocation | nul
   const known = new Set(escalation.reasons.map((reason) => reason.rule));
   const cuts = (held ? [] : (invocation?.policy?.reasons ?? [])).filter((reason) => !known.has(reason.rule));
   const lines = [...asked, ...cuts.map((reason) => lineOf(reason, false, inputs))];
-  return lines.map((line) => (line.text === '' ? { ...line, text: ruleWords(line.rule) } : line));
+  const worded = lines.map((line) => (line.text === '' ? { ...line, text: ruleWords(line.rule) } : line));
+  return [...new Map(worded.map((line) => [line.rule + line.text, line])).values()]; // said twice, it says no more
 }
