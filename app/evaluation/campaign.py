@@ -1,7 +1,7 @@
 """A campaign: a protocol's jobs run in worker processes, kept one by one, and summed up when all are there.
 
-1. The configuration (what was asked for, the policy, the plugins, the code) has a digest. A folder belongs to one
-   configuration; another one is refused, because a table of mixed rows means nothing.
+1. The configuration (what was asked for, the policy, the plugins, the code, the libraries) has a digest. A folder
+   belongs to one configuration; another one is refused, because a table of mixed rows means nothing.
 2. Each finished job is a part on disk before it counts. What is there is not run again, so an interruption costs at
    most the jobs that were under way.
 3. Tables and results are made from the parts in the order of the jobs, which knows neither processes nor time:
@@ -14,10 +14,12 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import hashlib
+import platform
 import shutil
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from importlib.metadata import version
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Final, cast
 
@@ -84,7 +86,11 @@ _AFTER_ROWS: Final = (
     "evaluation/plots.py",
     "evaluation/readme.py",
 )
-_MINE: Final = frozenset({PARTS, CONFIGURATION, RESULTS, "trials.csv", "timings.csv", "report.html"})
+_LIBRARIES: Final = ("daqp", "mink", "mujoco", "numpy", "ruckig")
+"""Libraries whose numbers rows follow from: physics, inverse kinematics and its solver, ways, generators."""
+
+_MINE: Final = (PARTS, RESULTS, "trials.csv", "timings.csv", "report.html", CONFIGURATION)
+"""What a campaign writes; last what tells that the rest is a campaign's."""
 
 
 class CampaignError(Exception):
@@ -154,6 +160,7 @@ class Request:
             "plugins": {**plugin_digests(self.plugins)},
             "version": app.__version__,
             "code": code_digest(),
+            "libraries": _libraries(),
         }
 
 
@@ -235,6 +242,12 @@ def code_digest() -> str:
         state.update(f"{path.relative_to(_ROOM).as_posix()}\0".encode())
         state.update(hashlib.sha256(path.read_bytes()).digest())
     return f"sha256:{state.hexdigest()}"
+
+
+def _libraries() -> dict[str, Json]:
+    """Return the versions of what computes: after an upgrade of one of them rows are other rows."""
+    python = ".".join(platform.python_version_tuple()[:2])
+    return {"python": python, **{name: version(name) for name in _LIBRARIES}}
 
 
 def makes_rows(path: PurePath) -> bool:

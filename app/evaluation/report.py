@@ -132,6 +132,8 @@ def _facts(results: Results) -> list[tuple[str, str]]:
         for name in ("version", "policy", "code")
         if name in configuration
     ]
+    if libraries := configuration.get("libraries"):
+        facts.append(("Libraries", ", ".join(f"{name} {version}" for name, version in libraries.items())))
     if configuration.get("circumstances"):
         told = "; ".join(part.replace("_", " ").replace("=", " ") for part in configuration["circumstances"].split(","))
         nominal = f". {NOMINAL}" if "noise=" in configuration["circumstances"] else ""

@@ -10,8 +10,10 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
+from importlib import metadata
 from pathlib import Path, PurePath
 
+import orjson
 import pytest
 
 from app.evaluation.campaign import (
@@ -207,6 +209,42 @@ def test_a_campaign_that_finished_nothing_is_nothing_to_lose(tmp_path: Path, mon
         with pytest.raises(JobFailed):
             campaign(tmp_path, one)
     assert campaign(tmp_path, replace(one, seeds=(4,)))[-1] == (2, 2)
+
+
+def test_rows_of_other_libraries_are_other_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    one = replace(REQUEST, methods=("direct",), tasks=("sorting",), seeds=(3,), trials=2)
+    campaign(tmp_path, one)
+    was = orjson.loads((tmp_path / "results.json").read_bytes())["configuration"]["libraries"]
+    assert was["mujoco"] == metadata.version("mujoco")
+    versions = {**was, "mujoco": "4.9"}
+    monkeypatch.setattr("app.evaluation.campaign.version", versions.__getitem__)
+    with pytest.raises(OtherConfiguration) as caught:
+        campaign(tmp_path, one)
+    assert caught.value.differing == ("libraries",)
+
+
+@pytest.mark.parametrize("removed", range(4))
+def test_fresh_that_was_interrupted_is_gone_on_with(
+    removed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = replace(REQUEST, methods=("direct",), tasks=("sorting",), seeds=(3,), trials=2)
+    campaign(tmp_path, one)
+    still, unlink = removed, Path.unlink
+
+    def broken_off(path: Path, missing_ok: bool = False) -> None:
+        nonlocal still
+        if not path.exists() and missing_ok:
+            return
+        if still == 0:
+            raise KeyboardInterrupt
+        still -= 1
+        unlink(path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "unlink", broken_off)
+        with pytest.raises(KeyboardInterrupt):
+            campaign(tmp_path, one, fresh=True)
+    assert campaign(tmp_path, one, fresh=True)[0][0] == 0
 
 
 def test_fresh_leaves_a_folder_that_is_no_campaign_alone(tmp_path: Path) -> None:
