@@ -32,7 +32,7 @@ from app.governance.expression_tree import (
 )
 from app.governance.model import AuthorityMode, Risk, Strategy
 from app.governance.places import NOTHING
-from app.governance.policy import recovery_plan
+from app.governance.plans import recovery_plan
 from app.governance.policy_code import limit_for
 from app.governance.policy_model import FAILURES
 from app.governance.recovery import DEFAULT_BUDGET

@@ -15,7 +15,7 @@ from app.governance.authority import MARKED, allows
 from app.governance.case_session import recovery_terms, watch_terms
 from app.governance.expression_tree import BOOL, STRING, Constant
 from app.governance.model import AuthorityMode
-from app.governance.policy import recovery_plan, watch_plan
+from app.governance.plans import recovery_plan, watch_plan
 from app.governance.policy_code import limit_for
 from app.governance.policy_model import SIGNAL_UNITS, Effect
 from app.governance.vocabulary import properties

@@ -30,7 +30,7 @@ from app.governance.conditions import unmet
 from app.governance.control import TAKEOVER
 from app.governance.model import Wish
 from app.governance.permit import SignedAuthorization
-from app.governance.policy import closes, recovery_plan, watch_plan
+from app.governance.plans import closes, recovery_plan, watch_plan
 from app.protocol import (
     Ack,
     Ended,

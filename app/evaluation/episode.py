@@ -31,7 +31,7 @@ from app.governance.model import (
     Status,
     WatchPlan,
 )
-from app.governance.policy import recovery_plan, watch_plan, watch_plan_for
+from app.governance.plans import recovery_plan, watch_plan, watch_plan_for
 from app.sim.skills import Run
 
 if TYPE_CHECKING:

@@ -33,7 +33,7 @@ from app.governance.model import (
     Mode,
     Strategy,
 )
-from app.governance.policy import recovery_plan, watch_plan
+from app.governance.plans import recovery_plan, watch_plan
 from app.governance.recovery import NEW_ATTEMPTS, Budgets, RecoveryDecision, recover
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from app.governance.admission import admit
 from app.governance.authority import need
 from app.governance.guard import check
 from app.governance.model import Command, Fix, Observation, Params, SensorStamps, SkillReport, Vec6
-from app.governance.policy import watch_plan
+from app.governance.plans import watch_plan
 from app.governance.watcher import compile_watch
 
 if TYPE_CHECKING:

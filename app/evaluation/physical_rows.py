@@ -12,7 +12,7 @@ from app.evaluation.rows import COLUMNS as COMMON
 from app.evaluation.truth import UNSAFE_TICKS
 from app.governance.intervention import SEVERITY
 from app.governance.model import EventKind, Intervention, Outcome, Signal, Strategy
-from app.governance.policy import recovery_plan
+from app.governance.plans import recovery_plan
 
 if TYPE_CHECKING:
     from app.cell.journal import Entry

@@ -31,7 +31,7 @@ from app.evaluation.task_rows import task_row
 from app.evaluation.timing import Timed, time_gate
 from app.governance.guard import check
 from app.governance.model import Context, Proposal, WatchPlan
-from app.governance.policy import watch_plan
+from app.governance.plans import watch_plan
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

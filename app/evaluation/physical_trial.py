@@ -25,7 +25,7 @@ from app.evaluation.timing import time_gates
 from app.evaluation.truth import SIGMA, Truth
 from app.governance.guard import check
 from app.governance.model import AgentFacts, Context, Proposal
-from app.governance.policy import watch_plan
+from app.governance.plans import watch_plan
 from app.sim.faults import Scenario
 from app.sim.sensors import AS_MEASURED, Quality
 

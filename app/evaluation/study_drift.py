@@ -40,7 +40,7 @@ from app.evaluation.truth import Truth
 from app.governance.bundle import load_files
 from app.governance.guard import check
 from app.governance.model import EventKind, Proposal
-from app.governance.policy import watch_plan
+from app.governance.plans import watch_plan
 from app.sim.faults import Scenario
 
 if TYPE_CHECKING:

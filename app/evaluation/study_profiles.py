@@ -34,7 +34,7 @@ from app.governance.admission import admit
 from app.governance.authority import need
 from app.governance.guard import check
 from app.governance.model import AdmissionOutcome, ApprovalNeed, PolicyOutcome, Proposal
-from app.governance.policy import watch_plan
+from app.governance.plans import watch_plan
 from app.sim.faults import Scenario
 from app.sim.occasions import Trigger
 from app.sim.people import Walk

@@ -45,7 +45,7 @@ from app.governance.bundle import load_files
 from app.governance.guard import check
 from app.governance.model import EventKind, Outcome
 from app.governance.permit import SignedAuthorization
-from app.governance.policy import recovery_plan, watch_plan_for
+from app.governance.plans import recovery_plan, watch_plan_for
 from app.sim.faults import Scenario
 
 if TYPE_CHECKING:

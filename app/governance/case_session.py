@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from app.governance.authority import allows, grantable, reviewed, waiting
 from app.governance.model import AuthorityMode, Outcome, Strategy
-from app.governance.policy import confirm_before, recovery_plan, watch_plan
+from app.governance.plans import confirm_before, recovery_plan, watch_plan
 from app.governance.policy_model import FAILURES
 from app.governance.recovery import DEFAULT_BUDGET
 

@@ -23,7 +23,7 @@ from app.governance.admission import admit
 from app.governance.authority import need
 from app.governance.guard import check
 from app.governance.model import Admission, AdmissionOutcome, PolicyOutcome, Reason
-from app.governance.policy import confirm_before, recovery_plan, watch_plan
+from app.governance.plans import confirm_before, recovery_plan, watch_plan
 from app.governance.policy_model import GOVERNANCE
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from app.governance.decision import decide
 from app.governance.model import AdmissionOutcome, AgentFacts, CoveredRecovery, Mode, PolicyOutcome, Strategy
-from app.governance.policy import recovery_plan
+from app.governance.plans import recovery_plan
 from app.governance.policy_model import GOVERNANCE
 from app.governance.recovery import RETRACE
 from app.governance.vocabulary import properties

@@ -36,7 +36,7 @@ from app.governance.model import (
     Strategy,
 )
 from app.governance.permit import mint
-from app.governance.policy import confirm_before
+from app.governance.plans import confirm_before
 from app.governance.recorded import KEY as CIRCUMSTANCES
 from app.governance.recorded import circumstances
 from app.protocol import Launch

@@ -17,7 +17,7 @@ from app.clock import monotonic_s
 from app.governance.authority import refusal
 from app.governance.control import TAKEOVER, Claim, Control, Taking, Where, command, take
 from app.governance.model import SESSION, AuthorityMode, EventKind, Proposal, Role, Status, Wish
-from app.governance.policy import watch_plan
+from app.governance.plans import watch_plan
 from app.protocol import Jog
 from app.runtime.drafts import SERVER
 from app.runtime.errors import Conflict

@@ -27,7 +27,8 @@ from app.governance.model import (
     WorldFacts,
 )
 from app.governance.permit import Grant, mint
-from app.governance.policy import PolicySet, recovery_plan, watch_plan
+from app.governance.plans import recovery_plan, watch_plan
+from app.governance.policy import PolicySet
 from app.governance.recovery import RETRACE
 from app.sim.faults import Fault
 from app.sim.people import Walk

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from app.evaluation.model import Violation
 from app.evaluation.truth import LOST_M, OVER, SLACK_TICKS, UNSAFE_TICKS, Track, Truth, clearance
 from app.governance.model import Zone
-from app.governance.policy import watch_plan
+from app.governance.plans import watch_plan
 from app.sim.truth import Glance
 from tests.governance.policy_world import shipped
 
