@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from app.governance import bundle, bundle_build, bundle_checks, bundle_checks_profile, bundle_checks_site
 from app.governance import bundle_shapes as shapes
-from app.governance.bundle_checks import Known, Reader
+from app.governance.bundle_checks import Known
 from app.governance.bundle_fit import fit
+from app.governance.bundle_yaml import Reader
 from app.governance.errors import PolicyErrors
 from app.governance.policy import Gate, PolicySet
 

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Final, cast
 
 import jsonschema_rs
 
 from app.governance.bundle_references import references, validator
-from app.governance.bundle_yaml import Document, Path, dotted
+from app.governance.bundle_yaml import Path, Reader
 from app.governance.conditions import TESTS
 from app.governance.errors import DeclarationError, ExpressionError, PolicyError
 from app.governance.expression_tree import BOOL, STRING, Conditional, Constant
@@ -37,27 +36,6 @@ ASKING: Final = frozenset({"approval-required", "approval-on-escalation"})
 HUMANS: Final = ASKING | {"takeover-enabled"}
 MANIPULATION: Final = "manipulation"
 MAY_BE_LEFT_OUT: Final = frozenset({"target", "corridor"})
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Reader:
-    """Writes problems about one document."""
-
-    document: Document
-
-    def problem(self, path: Path, message: str, valid: Iterable[str] = ()) -> PolicyError:
-        """Return a problem at a path."""
-        document = self.document
-        return PolicyError(
-            file=document.file, line=document.line(path), key=dotted(path), message=message, valid=tuple(valid)
-        )
-
-    def unknown(self, path: Path, what: str, name: object, known: Collection[str]) -> Iterator[PolicyError]:
-        """Yield a problem unless the name is known; the nearest names come first."""
-        if name not in known:
-            names = sorted(known)
-            near = get_close_matches(str(name), names, n=3, cutoff=0.5)
-            yield self.problem(path, f"there is no {what} `{name}`", [*near, *(n for n in names if n not in near)])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

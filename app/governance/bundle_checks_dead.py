@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from app.governance import bundle_shapes as shapes
-    from app.governance.bundle_checks import Known, Reader
+    from app.governance.bundle_checks import Known
+    from app.governance.bundle_yaml import Reader
     from app.governance.errors import PolicyError
 
 Case: TypeAlias = tuple[str, str, str]

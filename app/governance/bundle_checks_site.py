@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from app.governance import bundle_shapes as shapes
-    from app.governance.bundle_checks import Known, Reader
-    from app.governance.bundle_yaml import Path
+    from app.governance.bundle_checks import Known
+    from app.governance.bundle_yaml import Path, Reader
     from app.governance.errors import PolicyError
     from app.governance.model import Capability
 

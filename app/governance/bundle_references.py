@@ -15,8 +15,7 @@ from jsonschema_rs import Draft202012Validator
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from app.governance.bundle_checks import Reader
-    from app.governance.bundle_yaml import Path
+    from app.governance.bundle_yaml import Path, Reader
     from app.governance.errors import PolicyError
     from app.governance.model import Json
 

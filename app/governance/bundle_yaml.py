@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final, TypeAlias, cast
 
@@ -17,7 +18,7 @@ import yaml
 from app.governance.errors import PolicyError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Collection, Iterable, Iterator, Mapping
 
     from app.governance.model import Json
 
@@ -37,6 +38,27 @@ class Document:
         while path and path not in self.lines:
             path = path[:-1]
         return self.lines.get(path, 1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reader:
+    """Writes problems about one document."""
+
+    document: Document
+
+    def problem(self, path: Path, message: str, valid: Iterable[str] = ()) -> PolicyError:
+        """Return a problem at a path."""
+        document = self.document
+        return PolicyError(
+            file=document.file, line=document.line(path), key=dotted(path), message=message, valid=tuple(valid)
+        )
+
+    def unknown(self, path: Path, what: str, name: object, known: Collection[str]) -> Iterator[PolicyError]:
+        """Yield a problem unless the name is known; the nearest names come first."""
+        if name not in known:
+            names = sorted(known)
+            near = get_close_matches(str(name), names, n=3, cutoff=0.5)
+            yield self.problem(path, f"there is no {what} `{name}`", [*near, *(n for n in names if n not in near)])
 
 
 class _Loader(yaml.CSafeLoader):

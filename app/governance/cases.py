@@ -10,10 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
-from app.governance.bundle_checks import Reader
 from app.governance.bundle_fit import fit
 from app.governance.bundle_shapes import CasesShape, ContextShape
-from app.governance.bundle_yaml import parse
+from app.governance.bundle_yaml import Reader, parse
 from app.governance.case_session import terms
 from app.governance.decision import decide
 from app.governance.errors import PolicyError, PolicyErrors

@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.governance.bundle_checks import Reader
 from app.governance.bundle_checks_dead import dead_steps
 from app.governance.bundle_shapes import RecoveryShape
-from app.governance.bundle_yaml import parse
+from app.governance.bundle_yaml import Reader, parse
 from app.governance.model import CoveredRecovery, Mode, RecoveryPlan, RecoveryRule, Risk, Strategy
 from app.governance.recovery import Budgets, RecoveryDecision, lead_back, recover, roll_back
 
