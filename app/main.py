@@ -250,6 +250,7 @@ async def open_house(settings: Settings, policies: PolicySet, principals: Princi
             promises=promises,
             take_directory=settings.take_policies,
             may_give=principals.may_give,
+            may_vouch=principals.may_vouch,
         )
         async with runtime.running():
             yield {

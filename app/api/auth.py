@@ -149,10 +149,17 @@ class Principals:
 
     def may_give(self, name: str) -> bool:
         """Say whether somebody of that name has the token of an operator, as the file says, that has not expired."""
+        return self._holds(name, Role.OPERATOR)
+
+    def may_vouch(self, name: str) -> bool:
+        """Say the same of an engineer's token."""
+        return self._holds(name, Role.ENGINEER)
+
+    def _holds(self, name: str, role: Role) -> bool:
         # What is found, and not what counts: at a start nobody counts before the record says so.
         now_s = clock.wall_s()
         return any(
-            one.principal.name == name and one.principal.role is Role.OPERATOR and not one.expired(now_s)
+            one.principal.name == name and one.principal.role is role and not one.expired(now_s)
             for one in self._found.values()
         )
 

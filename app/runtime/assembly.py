@@ -51,6 +51,7 @@ class Runtime:
         take_directory: bool = False,
         wall_s: Callable[[], float] = wall_clock_s,
         may_give: Callable[[str], bool] = lambda _: True,
+        may_vouch: Callable[[str], bool] = lambda _: True,
     ) -> None:
         """Wire the parts of one server.
 
@@ -66,6 +67,7 @@ class Runtime:
             take_directory: `policy` comes into force in any case.
             wall_s: the wall clock; deadlines go by it.
             may_give: whether somebody of that name may answer questions now; what they granted ends when not.
+            may_vouch: whether somebody of that name may put policy in force now; their word is worth nothing when not.
         """
         self.store = store
         self.register = Register(store, wall_s)
@@ -76,6 +78,7 @@ class Runtime:
         self.desk.grants.may_give = may_give
         self.succession = Succession(self.register, self.fleet, self.desk, self.kernel)
         self.versions = Versions(self.register, self.kernel, self.succession, examine, promises)
+        self.versions.may_vouch = may_vouch
         self.shadow = Shadow(self.register, self.versions)
         self._take_directory = take_directory
         self.telemetry = Telemetry(telemetry_folder or store.places.telemetry, wall_s)

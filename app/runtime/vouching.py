@@ -2,7 +2,8 @@
 
 What loosens takes two engineers, so nobody's word may come from a row that nobody signs, and none from a time of day: a
 clock may be put back. A word is about one version in the place of another. It stands as long as that other one has been
-in force all the while since; where that left and came back, it was about another change.
+in force all the while since; where that left and came back, it was about another change. Whoever is no engineer any
+more stands behind nothing (`Versions.may_vouch`).
 """
 
 from __future__ import annotations

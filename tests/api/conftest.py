@@ -321,6 +321,7 @@ async def open_house(folder: Path, profile: str) -> AsyncIterator[House]:
         default_profile=profile,
         examine=examine_here,
         may_give=principals.may_give,
+        may_vouch=principals.may_vouch,
     )
     async with runtime.running() as governor:
         app = create_app(

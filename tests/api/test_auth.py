@@ -284,3 +284,18 @@ def test_whoever_has_an_operators_token_left_may_give(tmp_path: Path, monkeypatc
     assert principals.may_give("gus"), "one of their tokens holds still"
     monkeypatch.setattr(clock, "wall_s", lambda: now_s + 130.0)
     assert not principals.may_give("gus")
+
+
+def test_whoever_has_an_engineers_token_left_may_vouch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    open_principals(tmp_path)
+    issue_token(tmp_path, name="eva", role=Role.ENGINEER, ttl_s=60.0)
+    principals = Principals(tmp_path / PRINCIPALS_FILE)
+    assert [principals.may_vouch(name) for name in ("eva", "engineer", "operator", "nobody")] == [
+        True,
+        True,
+        False,
+        False,
+    ]
+    now_s = clock.wall_s()
+    monkeypatch.setattr(clock, "wall_s", lambda: now_s + 90.0)
+    assert not principals.may_vouch("eva")

@@ -215,7 +215,7 @@ class House:
     examine: Examine = examine_here
     promises: str | None = None
     sound: bool = True  # whether what is left says nothing else than the log
-    withdrawn: set[str] = field(default_factory=set[str])  # who may give no more
+    withdrawn: set[str] = field(default_factory=set[str])  # whose tokens are gone
 
     @asynccontextmanager
     async def open(self) -> AsyncIterator[Runtime]:
@@ -230,6 +230,7 @@ class House:
             absent_s=self.absent_s,
             wall_s=self.wall_s,
             may_give=lambda name: name not in self.withdrawn,
+            may_vouch=lambda name: name not in self.withdrawn,
         )
         try:
             async with runtime.running():

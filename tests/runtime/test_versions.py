@@ -387,6 +387,24 @@ async def test_nobodys_word_comes_from_a_row(house: House, field: str) -> None:
         assert runtime.kernel.policy.digest == present
 
 
+@pytest.mark.parametrize("brings", [True, False])
+async def test_the_word_of_who_is_no_engineer_any_more_counts_for_nothing(house: House, brings: bool) -> None:
+    async with house.open() as runtime:
+        before = runtime.kernel.policy.digest
+        digest = await brought(runtime, FASTER, by=ENGINEER if brings else ENGINEER_2)
+        if not brings:
+            house.withdrawn.add(ENGINEER_2.name)
+            _, entered = await runtime.versions.activate(digest, ENGINEER, "faster")
+            assert not entered
+        house.withdrawn.add(ENGINEER.name)
+        third = replace(ENGINEER, name="eva")
+        _, entered = await runtime.versions.activate(digest, third, "they are gone, and I want it")
+        assert not entered
+        assert runtime.kernel.policy.digest == before
+        _, entered = await runtime.versions.activate(digest, replace(ENGINEER, name="elias"), "so do I")
+        assert entered
+
+
 async def test_a_word_from_before_another_change_counts_for_nothing_whatever_the_clock_said(house: House) -> None:
     async with house.open() as runtime:
         wide, slow = runtime.kernel.policy.digest, await brought(runtime, SLOWER)
