@@ -5,10 +5,11 @@
 3. The table `invocations` with what the log makes of them (`projection`): what the console lists is read from there.
 4. The tables `escalations`, `grants` and `reviews` with the newest event about each of their documents (`documents`):
    what is pending, and what is granted, is read from there when a server starts.
-5. The rows about cells with what the log says of their stops and reports (`cells`): at a start they decide.
-6. The telemetry files with the digests that the log holds.
+5. The table `policies` with what the log says of versions (`versions`): who brought them, and what was proved of them.
+6. The rows about cells with what the log says of their stops and reports (`cells`): at a start they decide.
+7. The telemetry files with the digests that the log holds.
 
-The last five mean something only where the log is good, so they are left out where it is not.
+The last six mean something only where the log is good, so they are left out where it is not.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from app.audit.errors import RecordDamaged
 from app.audit.places import Places, load_verifier
 from app.audit.projection import projection_problems
 from app.audit.verification import Verification, verify_log
+from app.audit.versions import version_problems
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -101,6 +103,7 @@ def _state_problems(places: Places, pause_s: float) -> list[str]:
     with reading(places.folder) as reader:
         found = projection_problems(reader, limit=MAX_FAULTS, pause_s=pause_s)
         found += document_problems(reader, limit=MAX_FAULTS, pause_s=pause_s)
+        found += version_problems(reader, limit=MAX_FAULTS)
         return (found + cell_problems(reader, limit=MAX_FAULTS))[:MAX_FAULTS]
 
 

@@ -112,11 +112,14 @@ class Proving:
             if version.proved or version.promises != promises:
                 return version
             more = {} if cases is None else {"cases": cases}
-            version = version.evolve(self._register.now(), proved=proved, doubt="", **more)
-            said = version.event("proved", actor, proved=proved, promises=promises)
-            await self._register.append([said], [version.row()])
-            self._refuted.discard(digest)
-            return version
+            return await self.keep(version.evolve(self._register.now(), proved=proved, doubt="", **more), actor)
+
+    async def keep(self, version: Version, actor: str) -> Version:
+        """Record that a version is proved, while nobody else changes any. Raises `RecordUnavailable`."""
+        said = version.event("proved", actor, proved=version.proved, promises=version.promises)
+        await self._register.append([said], [version.row()])
+        self._refuted.discard(version.digest)
+        return version
 
     async def _doubted(self, tried: Version, verdict: str, problems: tuple[PolicyError, ...]) -> Version:
         if verdict == REFUTED:

@@ -16,10 +16,13 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import orjson
 
 from app.audit.event import EventDraft, RowWrite
+from app.audit.versions import KEPT_ACTIVATIONS
 from app.governance.model import EventKind
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from app.audit.versions import Told
 
 CANDIDATE: Final = "candidate"
 AWAITING: Final = "awaiting_second"
@@ -32,7 +35,6 @@ PROVED: Final = "proved"
 REFUTED: Final = "refuted"
 UNDECIDED: Final = "undecided"
 UNKNOWN: Final = "unknown"
-KEPT_ACTIVATIONS: Final = 100  # of one version; the log holds all of them
 
 
 class InForce(NamedTuple):
@@ -65,7 +67,7 @@ class Version:
         doubt: why it is not proved, where that was tried: `refuted` or `undecided`; empty otherwise.
         promises: text of its `properties.yaml`; None where it promises nothing.
         awaiting: the first of two engineers' word: `{by, at, why, against}`; None where nobody waits. It is shown; what
-            counts is what the log says (`vouching`).
+            counts is what `vouching` says.
         activations: every time it came into force: `{at, by, why, former, direction}`, the newest last.
     """
 
@@ -98,6 +100,18 @@ class Version:
         """Return it in force."""
         kept = (*self.activations, {"at": at, **activation})[-KEPT_ACTIVATIONS:]
         return self.evolve(at, status=ACTIVE, awaiting=None, activations=kept)
+
+    def as_told(self, told: Told) -> Version:
+        """Return it with what the log says in the place of what its row does, wherever something follows from that."""
+        return replace(
+            self,
+            by=told.by,
+            proved=told.proved,
+            doubt=told.doubt,
+            awaiting=told.awaiting,
+            promises=told.promises if told.promised else self.promises,
+            activations=self.activations if told.in_force else (),
+        )
 
     def public(self) -> dict[str, Any]:
         """Return the version as JSON."""

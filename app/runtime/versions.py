@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, Final
 import orjson
 
 from app.audit.event import EventDraft, RowWrite
+from app.audit.versions import Told, told_of, version_wrong
 from app.governance import bundle
 from app.governance.errors import PolicyError, PolicyErrors
 from app.governance.evolution import outgrown
@@ -46,7 +47,7 @@ from app.runtime.version import (
     files_row,
     read_version,
 )
-from app.runtime.vouching import Vouching, vouching
+from app.runtime.vouching import Vouching, vouching, words_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -109,16 +110,17 @@ class Versions:
         return self._register.stored.those_of("policies", page.items, _shown), page.next
 
     async def load(self, digest: str) -> Version:
-        """Return a version.
+        """Return a version, as the log has it.
 
         Raises:
-            NotFound: there is none.
+            NotFound: there is none, or none that the log knows.
             RowUnreadable: it is damaged.
         """
         row = await self._register.store.row("policies", id=digest)
-        if row is None:
+        told = told_of(await words_of(self._register.store)).get(digest)
+        if row is None or told is None:
             raise NotFound("policy", digest)
-        return self._register.stored.read("policies", row, read_version)
+        return self._register.stored.read("policies", row, read_version).as_told(told)
 
     async def compiled(self, digest: str) -> PolicySet:
         """Return a version ready to decide, from its files if need be.
@@ -193,13 +195,23 @@ class Versions:
         """
         candidate, active = candidate_of(files), self._kernel.policy
         found = await self._examine(candidate, await self._basis(active))
+        self._remember(found.policy)
+        async with self._changing:  # of two who bring the same, one brought it
+            brought = await self._bring(candidate, found, active, principal, why)
+        if brought is not None:
+            return brought.public(), True
+        known = await self.proving.proved(
+            found.policy.digest, candidate.promises, found.proved, actor=principal.name, cases=found.cases
+        )
+        return known.public(), False
+
+    async def _bring(
+        self, candidate: Candidate, found: Examined, active: PolicySet, principal: Principal, why: str
+    ) -> Version | None:
+        """Keep a version that was examined against what was in force; None where the log knows it already."""
         policy = found.policy
-        self._remember(policy)
-        if await self._register.store.row("policies", id=policy.digest) is not None:
-            known = await self.proving.proved(
-                policy.digest, candidate.promises, found.proved, actor=principal.name, cases=found.cases
-            )
-            return known.public(), False
+        if policy.digest in told_of(await words_of(self._register.store)):
+            return None
         _demand_versions(active, policy)
         comparison = self._note(active, found)  # of a known one, with the promises that are kept with it, another time
         now = self._register.now()
@@ -226,7 +238,7 @@ class Versions:
             promises=candidate.promises,
         )
         await self._register.append([said], [version.row(), files_row(policy.digest, policy.files, now)])
-        return version.public(), True
+        return version
 
     # -- putting in force --------------------------------------------------------------------------------------------
 
@@ -258,7 +270,7 @@ class Versions:
             candidate = await self.compiled(digest)
             if not version.activations:  # what was in force before may come back
                 _demand_versions(active, candidate)
-            version, found = await self._sound(version, candidate, active)
+            version, found = await self._sound(version, candidate, active, principal.name)
             words = await vouching(self._register.store, digest) if found.loosens else Vouching()
             others = {name for name in words.others(principal.name) if self.may_vouch(name)}
             if found.loosens and not others:
@@ -266,13 +278,19 @@ class Versions:
             version = await self._enter(version, candidate, found, principal, why, others)
         return version.public(), True
 
-    async def _sound(self, version: Version, candidate: PolicySet, active: PolicySet) -> tuple[Version, Comparison]:
+    async def _sound(
+        self, version: Version, candidate: PolicySet, active: PolicySet, by: str
+    ) -> tuple[Version, Comparison]:
         """Return a version that is proved, and what it would change; both may have been found out before."""
         known = self._compared.get((active.digest, version.digest))
         if version.proved and known is not None:
             return version, known
         found, comparison = await self._examined(version, candidate, active, prove=not version.proved)
-        return version.evolve(version.updated_at, proved=version.proved or found.proved, doubt=""), comparison
+        if version.proved:
+            return version, comparison
+        return await self.proving.keep(
+            version.evolve(self._register.now(), proved=found.proved, doubt=""), by
+        ), comparison
 
     async def _wait_for_second(
         self, version: Version, words: Vouching, found: Comparison, principal: Principal, why: str
@@ -338,18 +356,23 @@ class Versions:
         before = await self._before()
         drafts: list[EventDraft] = []
         rows: list[RowWrite] = []
-        offered, known = await self._known(directory, now)
+        told = await self._told()
+        offered, known = await self._known(directory, told.get(directory.digest), now)
+        brought: dict[str, Any] = {}
         chosen = before is not None and before.source == REQUEST
         if before is not None and chosen and before.digest != directory.digest and not take_directory:
             why = f"an engineer put it in force: {before.why}"
             self._kernel.enforce(await self.compiled(before.digest))
             self.in_force = before
             if not known:
-                drafts.append(offered.event("offered", SERVER, against=before.digest))
+                drafts.append(offered.event("offered", SERVER, against=before.digest, promises=offered.promises))
                 rows += [offered.row(), files_row(directory.digest, directory.files, now)]
         else:
             why = _why_directory(before, directory)
             rows += await self._entered_by_start(offered, before, why, now)
+            said = told.get(directory.digest)
+            if said is None or not said.promised or said.promises != self._promises:
+                brought["promises"] = self._promises
             same = before is not None and before.digest == directory.digest
             self.in_force = before if before and same else InForce(directory.digest, DIRECTORY, why)
         self.reason = why
@@ -359,6 +382,7 @@ class Versions:
             "why": why,
             "directory": directory.digest,
             "former": None if before is None else before.digest,
+            **brought,
         }
         drafts.append(EventDraft(kind=EventKind.POLICY_ACTIVATED, actor=SERVER, body=body))
         return drafts, [*rows, self.in_force.row(now)]
@@ -376,12 +400,20 @@ class Versions:
         self._register.unfounded[SETTING] = "its row is not the policy that was activated last"
         return told
 
-    async def _known(self, policy: PolicySet, now: str) -> tuple[Version, bool]:
+    async def _told(self) -> dict[str, Told]:
+        """Return what the log says of every version, and note which rows say something else."""
+        told = told_of(await words_of(self._register.store))
+        for row in await self._register.store.rows("policies"):
+            if (wrong := version_wrong(row, told)) is not None:
+                self._register.unfounded[row["id"]] = wrong
+        return told
+
+    async def _known(self, policy: PolicySet, told: Told | None, now: str) -> tuple[Version, bool]:
         """Return the version of the directory this server starts with, and whether it was known before."""
         row = await self._register.store.row("policies", id=policy.digest)
-        if row is not None:
+        if row is not None and told is not None:
             for version in self._register.stored.those_of("policies", [row], read_version):
-                return version, True
+                return version.as_told(told), True
         made = Version(
             digest=policy.digest,
             status=CANDIDATE,

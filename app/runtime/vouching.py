@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from app.audit.versions import KINDS
 from app.governance.model import EventKind
 from app.runtime.recollection import events_of
 
@@ -39,9 +40,12 @@ async def vouching(store: AuditStore, digest: str) -> Vouching:
     Raises:
         RecordDamaged: the log cannot be read.
     """
-    words = await events_of(store, kind=EventKind.POLICY_VERSION)
-    words += await events_of(store, kind=EventKind.POLICY_ACTIVATED)
-    return standing(sorted(words, key=lambda event: event.seq), digest)
+    return standing(await words_of(store), digest)
+
+
+async def words_of(store: AuditStore) -> list[Event]:
+    """Return all that the log says of versions, in order. Raises `RecordDamaged`."""
+    return sorted([event for kind in KINDS for event in await events_of(store, kind=kind)])
 
 
 def standing(events: Iterable[Event], digest: str) -> Vouching:

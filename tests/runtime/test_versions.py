@@ -8,8 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import orjson
 import pytest
 
+from app.audit.examination import examine_file
 from app.audit.places import Places
 from app.governance import bundle
 from app.governance.comparison import compare
@@ -19,6 +21,7 @@ from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, ExaminationFailed, NotFound
 from app.runtime.examining import Candidate, Examined
 from app.runtime.invocation import Principal, ProposalRequest
+from app.runtime.version import files_row
 from tests.examining import examine_here
 from tests.runtime.conftest import AGENT, AT_BENCH, ENGINEER, OPERATOR, HandCell, House, grasp, navigate, until
 
@@ -385,6 +388,127 @@ async def test_nobodys_word_comes_from_a_row(house: House, field: str) -> None:
         _, entered = await runtime.versions.activate(digest, ENGINEER, "I want it alone")
         assert not entered
         assert runtime.kernel.policy.digest == present
+
+
+async def forge(house: House, digest: str, **said: Any) -> None:
+    """Have a row say something else, as whoever can write the file could."""
+    with sqlite3.connect(Places(house.folder).database) as database:
+        ((document,),) = database.execute("SELECT document FROM policies WHERE id = ?", (digest,))
+        forged = orjson.dumps({**orjson.loads(document), **said})
+        database.execute("UPDATE policies SET document = ? WHERE id = ?", (forged, digest))
+    database.close()
+
+
+async def test_no_event_repeats_what_only_a_row_says(house: House) -> None:
+    async with house.open() as runtime:
+        digest = await brought(runtime, SLOWER)
+    await forge(house, digest, by="emil", awaiting={"by": "emil", "at": "", "why": "mine", "against": ""})
+    async with house.open() as runtime:
+        await runtime.versions.activate(digest, ENGINEER_2, "a visitor")
+        said = (await bodies(runtime, "policy_activated"))[-1]
+        assert (said["by"], said["proposed_by"], said["awaiting"]) == (["emil"], "erin", None)
+
+
+@pytest.mark.parametrize("forged", [{"proved": "everything"}, {"proved": "everything", "promises": None}])
+async def test_no_row_stands_in_for_proofs(house: House, forged: dict[str, Any]) -> None:
+    """What a start offered and proofs refuse stays out, whatever its row says of them."""
+    asked: list[Candidate] = []
+
+    async def examine(candidate: Candidate, against: Candidate | None) -> Examined:
+        asked.append(candidate)
+        if candidate.prove and candidate.promises == "order: []\n":
+            raise PolicyErrors([PolicyError(file=SHARED, line=3, key="property", message="it does not hold")])
+        return await examine_here(candidate, against)
+
+    async with house.open() as runtime:
+        chosen = await put_in_force(runtime, SLOWER)
+    house.policy, house.examine, house.promises = bundle.load_files(FASTER), examine, "order: []\n"
+    async with house.open():
+        pass
+    await forge(house, digest := bundle.digest(FASTER), **forged)
+    house.sound = False
+    async with house.open() as runtime:
+        assert digest in runtime.register.unfounded
+        for engineer in (ENGINEER, ENGINEER_2):
+            with pytest.raises(PolicyErrors, match="it does not hold"):
+                await runtime.versions.activate(digest, engineer, "all the same")
+        assert runtime.kernel.policy.digest == chosen
+
+
+async def test_nothing_comes_of_a_version_that_the_log_does_not_know(house: House) -> None:
+    async with house.open() as runtime:
+        known = await runtime.versions.load(runtime.kernel.policy.digest)
+        digest = bundle.digest(FASTER)
+        made = replace(known, digest=digest, status="candidate", by="erin", proved="everything")
+        await runtime.store.append([], [made.row(), files_row(digest, FASTER, known.created_at)])
+        for engineer in (ENGINEER, ENGINEER_2):
+            with pytest.raises(NotFound):
+                await runtime.versions.activate(digest, engineer, "somebody brought it")
+        assert runtime.kernel.policy.digest == known.digest
+        house.sound = False
+
+
+async def test_who_gives_up_a_promise_needs_another_whatever_the_row_says_was_promised(house: House) -> None:
+    async with house.open() as runtime:
+        digest = await brought(runtime, {**SLOWER, bundle.PROPERTIES: "order: []\n"})
+        await runtime.versions.activate(digest, ENGINEER, "a visitor")
+    await forge(house, digest, promises=None)
+    against: list[str | None] = []
+
+    async def examine(candidate: Candidate, other: Candidate | None) -> Examined:
+        against.append(None if other is None else other.promises)
+        return await examine_here(candidate, other)
+
+    house.sound, house.examine = False, examine
+    async with house.open() as runtime:
+        await runtime.versions.propose(FASTER, ENGINEER, "nothing promised")
+        assert against[-1] == "order: []\n"
+
+
+async def test_a_refuted_version_is_known_as_that_whatever_its_row_says(house: House) -> None:
+    async def examine(candidate: Candidate, against: Candidate | None) -> Examined:
+        raise PolicyErrors([PolicyError(file=SHARED, line=3, key="property", message="it does not hold")])
+
+    house.examine = examine
+    async with house.open() as runtime:
+        digest = runtime.kernel.policy.digest
+        await runtime.versions.proving.in_force()
+    await forge(house, digest, doubt="", proved="everything")
+    async with house.open() as runtime:
+        assert runtime.versions.proving.trouble() is not None
+        assert (await runtime.versions.proving.in_force()).version.verdict == "refuted"
+
+
+@pytest.mark.parametrize(
+    "forged",
+    [
+        {"by": "emil"},
+        {"awaiting": {"by": "emil", "at": "", "why": "mine", "against": ""}},
+        {"proved": "nothing at all"},
+        {"promises": "order: []\n"},
+        {"activations": []},
+        {"activations": [{"at": "", "by": ["emil"], "why": "mine", "former": None, "direction": None}]},
+    ],
+)
+async def test_an_auditor_sees_a_version_whose_row_the_log_does_not_bear_out(
+    house: House, forged: dict[str, Any]
+) -> None:
+    async with house.open() as runtime:
+        digest = await put_in_force(runtime, SLOWER)
+    await forge(house, digest, **forged)
+    found = examine_file(house.folder)
+    assert not found.ok
+    assert digest in (found.problem or "")
+    house.sound = False
+
+
+async def test_promises_that_come_with_another_start_are_in_the_log(house: House) -> None:
+    for promises in (None, "order: []\n", "order: [human-shared]\n", None):
+        house.promises = promises
+        async with house.open() as runtime:
+            found = await runtime.versions.proving.in_force()
+            assert (found.version.promises, found.version.verdict) == (promises, "proved")
+        assert examine_file(house.folder).ok
 
 
 @pytest.mark.parametrize("brings", [True, False])
