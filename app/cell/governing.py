@@ -343,7 +343,7 @@ class Governing:
 
     def _prepare(self, then: Bind, reason: str) -> None:
         self.run.recoveries += 1
-        self.run.next = then
+        self.run.next, self.run.answered = then, frozenset(self.run.speaking)
         self._become(Event.RECOVER, reason)
 
     # -- at standstill -------------------------------------------------------------------------------------------------
@@ -379,7 +379,7 @@ class Governing:
             self.end(End(Outcome.FAULT, "no_plan", 1))
             return
         run.doing, run.previous = then.doing, substrate.hold()
-        run.responding = recovering(tuple(run.speaking), self._ports.recorder.tick, substrate.period_s)
+        run.responding = recovering(run.spared, self._ports.recorder.tick, substrate.period_s)
         run.settling_ticks, run.unmet, run.failed = 0, (), ""
         run.begin_anew()
         if then.doing is Doing.ATTEMPT:

@@ -293,7 +293,7 @@ class Session(Governing):
         run.grant, run.recovery = grant, recovery
         run.watch_with(plan, substrate.period_s)
         run.doing, run.previous = Doing.ATTEMPT, substrate.hold()
-        run.responding = recovering(tuple(run.speaking), self._tick, substrate.period_s)
+        run.responding = recovering(run.spared, self._tick, substrate.period_s)
         run.settling_ticks, run.unmet, run.failed = 0, (), ""
         run.begin_anew()
         self._become(Event.RECOVERED, HANDED_BACK)

@@ -143,6 +143,7 @@ class Run:
     unmet: tuple[str, ...] = ()
     still_ticks: int = 0
     speaking: dict[str, int] = field(default_factory=dict[str, int])
+    answered: frozenset[str] = frozenset()  # the rules that spoke when it was decided what is bound next
     hold_after_recovery: str = ""  # why, where a session waits for a human once its recovery has ended
     bounds: Bounds = field(init=False)
     confirms: bool = field(init=False)  # whether a phase may wait for a human at all
@@ -176,6 +177,11 @@ class Run:
         if self.next is None:
             return self.doing is Doing.ROLLBACK and not self.failed
         return isinstance(self.next, Bind) and self.next.doing is Doing.ROLLBACK
+
+    @property
+    def spared(self) -> tuple[str, ...]:
+        """Return the rules that what is bound next has grace for: those it was decided for and that speak still."""
+        return tuple(rule for rule in self.speaking if rule in self.answered)
 
     def waits_for_confirmation(self, phase: str) -> bool:
         """Say whether a phase may not begin before a human has confirmed it."""

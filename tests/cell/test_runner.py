@@ -364,6 +364,21 @@ def test_slip_is_released_retracted_and_grasped_again(rig: Rig) -> None:
     assert rig.last("outcome")["retries"] == 1
 
 
+def test_what_begins_while_a_recovery_waits_for_standstill_is_answered_at_once(rig: Rig) -> None:
+    """A recovery has grace for what it was started for; a contact that came behind a slip is no such thing."""
+    rig.cell.script.grip_n = 20.0
+    rig.cell.lie = lambda seen: seen._replace(
+        slip_m=0.02 if rig.cell.runs == {"grasp_object": 1} and seen.time_s > 0.5 else 0.0,
+        contact_force_n=seen.contact_force_n + (300.0 if seen.time_s > 0.53 else 0.0),
+    )
+    rig.launch()
+    rig.until(lambda: "release_and_retract" in rig.cell.runs)
+    began = len(rig.cell.commands)
+    rig.until_status("escalated")
+    assert len(rig.cell.commands) - began <= 2
+    assert [body["failure"] for body in rig.of("recovery")] == ["object_lost", "contact"]
+
+
 def test_a_recovery_waits_for_whoever_is_in_the_way(rig: Rig) -> None:
     rig.cell.script.grip_n = 20.0
     walking_in(rig, from_s=0.9, until_s=3.0)
