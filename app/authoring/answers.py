@@ -30,6 +30,7 @@ class Answers:
         denied: by a person.
         expired: by nobody.
         in_advance: launched by a standing grant.
+        beside: approved where something else had people asked as well; not among `all`.
     """
 
     all: Tally = field(default_factory=Tally)
@@ -38,6 +39,7 @@ class Answers:
     denied: int = 0
     expired: int = 0
     in_advance: int = 0
+    beside: int = 0
 
     def note(self, question: Question) -> None:
         """Count one answer."""
@@ -55,7 +57,7 @@ class Answers:
     def add(self, other: Answers) -> None:
         """Count all of others as well."""
         self.all = self.all.with_(other.all)
-        for key in ("granted", "edited", "denied", "expired", "in_advance"):
+        for key in ("granted", "edited", "denied", "expired", "in_advance", "beside"):
             setattr(self, key, getattr(self, key) + getattr(other, key))
 
     def always(self, least: int) -> bool:
@@ -64,7 +66,8 @@ class Answers:
 
     def never(self, least: int) -> bool:
         """Say whether everything was denied by people, so often at least."""
-        return self.denied >= least and not (self.granted or self.edited or self.expired or self.in_advance)
+        others = self.granted or self.edited or self.expired or self.in_advance or self.beside
+        return self.denied >= least and not others
 
     def counts(self) -> dict[str, float]:
         """Return how often, by name."""
@@ -72,16 +75,23 @@ class Answers:
 
 
 def answered(policy: PolicySet, habits: Habits) -> tuple[dict[str, Answers], dict[tuple[str, str], Answers]]:
-    """Return the answers by rule, and by capability and profile. Where two had asked nobody can say which was meant."""
+    """Return the answers by rule, and by capability and profile.
+
+    Where two had asked nobody can say which of them a denial meant; an approval says that neither is always denied.
+    """
     by_rule: dict[str, Answers] = {}
     by_pair: dict[tuple[str, str], Answers] = {}
     for question in habits.questions.values():
         said = question.document
         asked = _asking(policy, said["reasons"])
-        if asked == {REQUIRED}:
-            by_pair.setdefault((said["capability"], said["profile"]), Answers()).note(question)
-        elif len(asked) == 1 and asked <= policy.rules.keys():
-            by_rule.setdefault(asked.pop(), Answers()).note(question)
+        found = [by_rule.setdefault(rule, Answers()) for rule in asked & policy.rules.keys()]
+        if REQUIRED in asked:
+            found.append(by_pair.setdefault((said["capability"], said["profile"]), Answers()))
+        for one in found:
+            if len(asked) == 1:
+                one.note(question)
+            else:
+                one.beside += said["status"] == "approved"
     for pair, used in habits.in_advance.items():
         found = by_pair.setdefault(pair, Answers())
         found.in_advance = used.count

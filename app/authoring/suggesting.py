@@ -164,18 +164,20 @@ class _Suggesting:
             rule = self._policy.rules[name]
             if rule.approvers > 1:
                 continue
-            if found.always(self._least.answers) and not self._critical(rule):
+            if found.always(self._least.answers) and not self._grave(rule):
                 words = f"all of {found.granted} proposals that `{name}` had people asked about were granted as shown"
                 yield from self._made("always-granted", name, words, found.counts(), found.all, _without(name))
             if found.never(self._least.answers):
                 words = f"all of {found.denied} proposals that `{name}` had people asked about were denied"
                 yield from self._made("never-granted", name, words, found.counts(), found.all, _outcome(name, "deny"))
 
-    def _critical(self, rule: Rule) -> bool:
-        """Say whether a rule has a say in anything of critical risk."""
-        return any(
-            found.risk is Risk.CRITICAL and (rule.applies_to is None or found.name in rule.applies_to)
-            for found in self._policy.capabilities.values()
+    def _grave(self, rule: Rule) -> bool:
+        """Say whether a rule has a say in anything of critical risk, or that takes more than one person."""
+        return rule.approvers > 1 or any(
+            gate.capability.risk is Risk.CRITICAL or _several(gate)
+            for (name, profile), gate in self._policy.gates.items()
+            if (rule.applies_to is None or name in rule.applies_to)
+            and (rule.profiles is None or profile in rule.profiles)
         )
 
     def _asked_by_authority(self) -> Iterator[Suggestion]:
@@ -265,11 +267,7 @@ class _Suggesting:
     def _mild(self, permission: str) -> bool:
         """Say whether nothing that needs a permission is of critical risk, or takes more than one person."""
         return not any(
-            gate.capability.risk is Risk.CRITICAL
-            or (
-                answers(gate)
-                and _approval(gate).approvers.get(gate.capability.risk, _approval(gate).default_approvers) > 1
-            )
+            gate.capability.risk is Risk.CRITICAL or _several(gate)
             for gate in self._policy.gates.values()
             if permission in gate.permissions
         )
@@ -296,7 +294,7 @@ class _Suggesting:
     def _never_held(self) -> Iterator[Suggestion]:
         for name, applied in sorted(self._habits.applied.items()):
             rule = self._policy.rules[name]
-            asks_for_more = rule.then is Effect.ESCALATE and (rule.approvers > 1 or self._critical(rule))
+            asks_for_more = rule.then is Effect.ESCALATE and self._grave(rule)
             if applied.count < self._least.silent or name in self._habits.told or asks_for_more:
                 continue
             held = self._habits.held.get(name, 0)
@@ -361,6 +359,14 @@ def _approval(gate: Gate) -> Approval:
     if approval is None:
         raise AssertionError("only what somebody answers is asked about")
     return approval
+
+
+def _several(gate: Gate) -> bool:
+    """Say whether it takes more than one person wherever people are asked about it."""
+    if not answers(gate):
+        return False
+    approval = _approval(gate)
+    return approval.approvers.get(gate.capability.risk, approval.default_approvers) > 1
 
 
 def _by_risk(gate: Gate) -> bool:

@@ -228,6 +228,33 @@ def test_what_was_always_denied_may_be_denied_at_once(tmp_path: Path) -> None:
     assert said.comparison.direction is Direction.TIGHTENS
 
 
+def test_what_was_granted_where_something_else_asked_too_is_not_denied_at_once(tmp_path: Path) -> None:
+    async def heavy(floor: Floor) -> None:
+        await floor.under("real-restricted", AT_SHELF)
+        for _ in range(4):
+            await floor.answered("deny", "grasp_object", object_id="box_1")
+        await floor.answered("approve", "grasp_object", metadata={"confidence": 0.3}, object_id="box_1")
+
+    async def carrying(floor: Floor) -> None:
+        await floor.under("human-shared", CARRYING)
+        for _ in range(4):
+            await floor.answered("deny", "transport_object", target="bench_a_stand")
+        await floor.answered("approve", "transport_object", metadata={"confidence": 0.3}, target="bench_a_stand")
+
+    assert found(lived(tmp_path / "by a rule", heavy)) == {}
+    assert found(lived(tmp_path / "by authority", carrying)) == {}
+
+
+def test_a_rule_that_has_two_people_asked_anywhere_is_not_suggested_away(tmp_path: Path) -> None:
+    file = "profiles/real-restricted.yaml"
+    text = shipped().files[file].replace("approvers: {default: 1, critical: 2}", "approvers: {default: 1, high: 2}")
+    pairs = load_files({**shipped().files, file: text})
+    assert pairs.digest != shipped().digest
+    habits = lived(tmp_path / "data", unsure, pairs)
+    idle = Least(decisions=6, answers=4, silent=1, overrides=3)
+    assert "organization/low-confidence" not in {one.about for one in suggest(pairs, habits, idle)}
+
+
 async def of_medium_risk(floor: Floor) -> None:
     for _ in range(4):
         await floor.under("human-shared")
