@@ -54,6 +54,15 @@ def test_speed_scaling_moves_the_base_faster_than_it_was_told(site: Site):
     assert drive(cell_with(site, fault("speed_scaling", gain=1.5))).base_speed_mps > 1.15 * told
 
 
+def test_drives_that_run_as_told_again_bring_the_arm_back_to_where_it_is_told_to_be(site: Site):
+    begins = Trigger(capability="grasp_object", phase="approach", after_s=0.8)
+    cell = cell_with(site, Fault(kind="speed_scaling", at=begins, sizes={"gain": 1.5}, for_s=0.6))
+    run_skill(cell, "grasp_object", {**GRASP, "speed_mps": 0.5})
+    for _ in range(300):
+        cell.step(cell.hold())
+    assert cell.observe().joint_rad == pytest.approx(cell.hold().joint_rad, abs=0.003)
+
+
 def test_a_missing_object_is_not_found(site: Site):
     ran = run_skill(cell_with(site, fault("missing", object="mug_1")), "grasp_object", GRASP)
     assert ran.failure in {"object_not_found", "grasp_failed", "perception_mismatch"}
