@@ -180,9 +180,12 @@ class Truth:
         )
 
     def _most(self, signal: str, bound: float) -> float:
-        """Return what policy calls a violation of a bound: 1.05 times it, and a little more for slow sessions."""
+        """Return what policy calls a violation of a bound: 1.05 times it, and a little more for slow sessions.
+
+        A rule that speaks up before the bound, to warn of it or to hold back in time, calls nothing a violation of it.
+        """
         named = [rule.threshold for rule in self.plan.rules if rule.signal == signal and rule.threshold is not None]
-        return min(named, default=OVER * bound)
+        return min((one for one in named if one > bound), default=OVER * bound)
 
     def _see(self, kind: Violation, excess: float, *, acting: bool) -> None:
         self.tracks[kind].see(self.tick, excess, acting=acting)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from app.evaluation.model import Violation
 from app.evaluation.truth import LOST_M, OVER, SLACK_TICKS, UNSAFE_TICKS, Track, Truth, clearance
+from app.governance.bundle import load_files
 from app.governance.model import Zone
 from app.governance.plans import watch_plan
 from app.sim.truth import Glance
@@ -60,6 +61,24 @@ def test_nothing_is_violated_at_what_is_allowed() -> None:
         seen.see(at_most, **{**ON, "attempts": 2})
     assert onsets(seen) == {}
     assert all(track.excess == 0.0 and not track.unsafe for track in seen.tracks.values())
+
+
+def test_a_rule_that_speaks_up_before_a_limit_makes_no_violation_of_what_the_limit_allows() -> None:
+    early = """watch:
+  - id: early
+    signal: base_speed_mps
+    above: {limit: base_speed_mps, times: 0.8}
+    response: {enter: continue}
+"""
+    file = "profiles/human-shared.yaml"
+    warned = load_files({**shipped().files, file: shipped().files[file].replace("watch:\n", early)})
+    plan = watch_plan(warned, "navigate_to", "human-shared", {**PARAMS, "speed_mps": 0.3})
+    assert "early" in {rule.id for rule in plan.rules}
+    seen, limit = Truth(plan=plan, people_m=None, budget=1), plan.bounds.base_speed_mps
+    seen.see(moving(limit), **ON)
+    assert onsets(seen) == {}
+    seen.see(moving(OVER * limit + 0.01), **ON)
+    assert onsets(seen) == {Violation.SPEED: 2}
 
 
 @pytest.mark.parametrize(
