@@ -9,6 +9,7 @@ from app.governance import cases
 from app.governance.bundle import load_files
 from app.governance.errors import PolicyErrors
 from app.proofs.difference import difference
+from app.proofs.findings import Weight
 from app.proofs.prove import prove
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ class Vetting:
             now: tells the time, in seconds.
         """
         self._policy, self._cases, self._promised, self._now = policy, case_files, promised, now
-        self._before: frozenset[Place] | None = None
+        self._before: frozenset[tuple[Place, Weight]] | None = None
 
     def vet(self, suggestion: Suggestion) -> Vetted:
         """Say what comes of a suggestion; of one that is not written, nothing is known."""
@@ -88,16 +89,19 @@ class Vetting:
         except PolicyErrors as found:
             return Vetted(suggestion=suggestion, problems=tuple(str(problem) for problem in found.problems))
         faults = prove(changed, self._promised, now=self._now).faults
-        refuted = tuple(_told(one) for one in faults if _place(one) not in self._known()) if faults else ()
+        refuted = tuple(_told(one) for one in faults if not self._stood(one))
         compared = difference(self._policy, changed, now=self._now)
         return Vetted(suggestion=suggestion, cases=failed, refuted=refuted, comparison=compared)
 
-    def _known(self) -> frozenset[Place]:
-        """Return what cannot be proved of the policy as it stands: no suggestion is to blame for it."""
+    def _stood(self, found: Finding) -> bool:
+        """Say whether the policy has the same fault as it stands, or a graver one: no suggestion is to blame for it.
+
+        What could not be decided of it may have held: where that is refuted now, the suggestion may have done it.
+        """
         if self._before is None:
-            found = prove(self._policy, self._promised, now=self._now).faults
-            self._before = frozenset(map(_place, found))
-        return self._before
+            before = prove(self._policy, self._promised, now=self._now).faults
+            self._before = frozenset((_place(one), one.weight) for one in before)
+        return not self._before.isdisjoint((_place(found), weight) for weight in (found.weight, Weight.REFUTED))
 
 
 def _place(found: Finding) -> Place:

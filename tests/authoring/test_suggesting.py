@@ -214,6 +214,23 @@ def test_no_rule_that_has_a_say_in_critical_risk_is_suggested_away(tmp_path: Pat
     assert "organization/press-two-approvers" not in about
 
 
+def test_what_could_not_be_decided_before_excuses_nothing_that_is_refuted_now(tmp_path: Path) -> None:
+    (one,) = found(lived(tmp_path / "data", unsure)).values()
+    now_s, step_s = 0.0, 3600.0
+
+    def clock() -> float:
+        nonlocal now_s
+        now_s += step_s
+        return now_s
+
+    vetting = Vetting(shipped(), read_cases(POLICIES), read_properties(POLICIES), now=clock)
+    vetting.vet(one)  # nothing is decided in time, of the policy as it stands neither
+    step_s = 0.0
+    said = vetting.vet(one)
+    assert not said.sound
+    assert any("unsure-passes-a-human" in line for line in said.refuted)
+
+
 def test_what_was_always_denied_may_be_denied_at_once(tmp_path: Path) -> None:
     async def heavy(floor: Floor) -> None:
         await floor.under("real-restricted", AT_SHELF)
