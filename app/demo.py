@@ -20,7 +20,7 @@ from app.agent.client import AsyncReinsClient, ReinsError, Unsendable
 from app.agent.story import fetch
 from app.clock import monotonic_s, rfc3339, wall_s
 from app.config import DEFAULT_PROFILE, DataDir
-from app.terminal import FINDING, FINE, MISUSE, err, out, say, say_error
+from app.terminal import FINDING, FINE, MISUSE, err, out, say, say_error, stop_signals
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Mapping
@@ -63,7 +63,8 @@ def demo(folder: Path, *, scripted: bool, keep: bool, pace: float, port: int) ->
     data = DataDir(root=(folder / rfc3339(wall_s()).replace(":", "-")).resolve())
     data.create()
     habits = parse_habits(dict(HABITS)) if scripted else None
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # told to end, it takes its server along
+    for number in stop_signals():
+        signal.signal(number, signal.default_int_handler)  # told to end, it takes its server along
     try:
         with _server(data, pace=pace, port=port) as (process, url):
             code = _play(data, url, habits)

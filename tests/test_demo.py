@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -48,14 +49,15 @@ def test_the_demo_shows_every_step_of_algorithm_1(tmp_path: Path):
     assert len({moment["bodies"]["mug_1"][2] for moment in seen if "mug_1" in moment["bodies"]}) > 5, "it is lifted"
 
 
-def test_a_demo_that_is_told_to_end_takes_its_server_along(tmp_path: Path):
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_demo_that_is_told_to_end_or_whose_terminal_goes_takes_its_server_along(tmp_path: Path, number: int):
     command = [sys.executable, "-m", "app.cli", "demo", "--pace", "1", "--folder", str(tmp_path)]
     demo = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
     assert demo.stdout is not None
     url = next(line for line in demo.stdout if line.startswith("server")).split()[-1]
     assert httpx.get(f"{url}/healthz").status_code == 200
-    demo.terminate()
-    assert demo.wait(30) != 0
+    demo.send_signal(number)
+    assert demo.wait(30) > 0
     demo.stdout.close()
     with pytest.raises(httpx.TransportError):
         httpx.get(f"{url}/healthz")
