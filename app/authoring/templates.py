@@ -170,24 +170,34 @@ def _contact_speed(answers: Answers) -> float:
 
 def _limited(answers: Answers) -> Draft:
     speed_mps, by = _contact_speed(answers), answers["assessment"]
-    arm = _assessed(answers, "tcp_speed_mps", f"below {speed_mps:.2f} m/s (ISO/TS 15066:2016, Annex A)")
     lasting = f"{PFL}, lasting contact: {', '.join(_touched(answers))}"
     return Draft(
         limits={
             "contact_force_n": Bound(lasting_force_n(_touched(answers)), lasting),
             "grip_force_n": _assessed(answers, "grip_force_n", f"at most 140 N on hand and fingers ({PFL})"),
-            "tcp_speed_mps": arm._replace(most=min(arm.most, math.floor(speed_mps * 100) / 100)),
+            "tcp_speed_mps": _touching(answers, "tcp_speed_mps", speed_mps),
+            "base_speed_mps": _touching(answers, "base_speed_mps", speed_mps),
             "payload_kg": Bound(_number(answers, "load_kg"), f"the load assumed for contact: {by}"),
         },
         sections={"shared_floor": True},
     )
 
 
+def _touching(answers: Answers, key: str, contact_mps: float) -> Bound:
+    """Return an assessed speed, lowered to the one at which a contact reaches its transient force."""
+    found = _assessed(answers, key, f"below {contact_mps:.2f} m/s (ISO/TS 15066:2016, Annex A)")
+    return found._replace(most=min(found.most, math.floor(contact_mps * 100) / 100))
+
+
 def _limited_warning(answers: Answers) -> str:
-    speed_mps = _contact_speed(answers)
-    lowered = "; tcp_speed_mps is lowered to it" if _number(answers, "tcp_speed_mps") > speed_mps else ""
+    speed_mps, limits = _contact_speed(answers), _limited(answers).limits
+    lowered = [key for key in ("tcp_speed_mps", "base_speed_mps") if _number(answers, key) > limits[key].most]
+    told = f"; lowered to it: {', '.join(lowered)}" if lowered else ""
+    both = limits["tcp_speed_mps"].most + limits["base_speed_mps"].most
+    if both > speed_mps:
+        told += f"; arm and base together come to {both:g} m/s in the room, which is more, if they ever move at once"
     return (
-        f"a free contact reaches its transient force at {speed_mps:.2f} m/s with this mass{lowered}; pressure has "
+        f"a free contact reaches its transient force at {speed_mps:.2f} m/s with this mass{told}; pressure has "
         "limits of its own in Table A.2, which only a measurement shows"
     )
 
@@ -318,7 +328,7 @@ TEMPLATES: Final[Mapping[str, Template]] = {
                        source="ISO/TS 15066:2016, Annex A"),
                 Number(key="grip_force_n", asks="How strongly may the gripper grip, in N?", most=140.0, source=PFL,
                        why="Hand and fingers bear 140 N in lasting contact; how much less, your risk assessment says."),
-                _ARM,
+                _ARM, _BASE,
             ),
             draft=_limited,
             warn=_limited_warning,

@@ -25,7 +25,7 @@ SAID = {
     },
     "force-limited": {
         "body_regions": "hand-and-fingers, abdomen", "moving_mass_kg": "20.6", "load_kg": "3", "grip_force_n": "60",
-        "tcp_speed_mps": "0.2",
+        "tcp_speed_mps": "0.2", "base_speed_mps": "0.2",
     },
     "personal-care": {
         "tcp_speed_mps": "0.2", "base_speed_mps": "0.2", "contact_force_n": "60", "clearance_m": "0.5",
@@ -135,6 +135,17 @@ def test_a_speed_beyond_what_a_contact_bears_is_lowered_and_said():
     assert TEMPLATES["force-limited"].draft(said).limits["tcp_speed_mps"].most < 1.3
     assert "lowered" in TEMPLATES["force-limited"].warn(said)
     assert "lowered" not in TEMPLATES["force-limited"].warn(answers("force-limited"))
+
+
+def test_a_base_touches_no_faster_than_an_arm_does():
+    name, leg = "force-limited", {"body_regions": "lower-leg", "moving_mass_kg": "40", "base_speed_mps": "0.3"}
+    said = answers(name, **leg)
+    bears_mps = contact_speed_mps(["lower-leg"], moving_kg=40.0, load_kg=3.0)
+    assert 0.2 < bears_mps < 0.3
+    assert made(name, **leg)[0].profiles[name].limits["base_speed_mps"].maximum <= bears_mps
+    assert "lowered to it: base_speed_mps" in TEMPLATES[name].warn(said)
+    assert "arm and base together come to 0.45 m/s" in TEMPLATES[name].warn(said)
+    assert "together" not in TEMPLATES[name].warn(answers(name, tcp_speed_mps="0.1", base_speed_mps="0.1"))
 
 
 def test_arm_and_base_that_add_up_to_more_than_reduced_speed_are_told_of():
