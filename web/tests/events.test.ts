@@ -1,6 +1,6 @@
 import { describe, expect, it } from 'vitest';
 import type { Escalation, LogEvent } from '../src/lib/api/documents';
-import { aboutOf, cellOf, entriesOf, eventLine, turnedAway, type Known } from '../src/lib/format/events';
+import { aboutOf, cellOf, entriesOf, eventLine, quietly, turnedAway, type Known } from '../src/lib/format/events';
 import { changedWords, standingEdit, voidedOf } from '../src/lib/format/edited';
 import { clockTime } from '../src/lib/format/time';
 import { Keys } from '../src/lib/keys/keys';
@@ -36,6 +36,12 @@ describe('what is said of telemetry', () => {
     expect(said({ file: 'inv_1.mcap', rows: 12 })).toEqual(['quiet', 'Telemetry kept, 12 rows']);
     expect(said({ failed: 'no room is left on the disk' })).toEqual(['warn', 'Telemetry not kept: no room is left on the disk']);
     expect(said({ file: 'inv_1.mcap', rows: 12, missing: 'the cell was lost' })).toEqual(['warn', 'Telemetry kept, 12 rows, not whole: the cell was lost']);
+  });
+
+  it('is among the main lines of the log where it was not kept, or not whole', () => {
+    const left = [{ file: 'inv_1.mcap', rows: 12 }, { failed: 'no room' }, { rows: 12, missing: 'the cell was lost' }].map((body) => quietly(event('telemetry', body)));
+    expect(left).toEqual([true, false, false]);
+    expect([quietly(event('status', { status: 'failed' })), quietly(event('alert', {}))]).toEqual([true, false]);
   });
 });
 

@@ -394,4 +394,7 @@ function sameLine(above: Entry, event: LogEvent, line: Line): boolean {
 }
 
 /** Kinds that only repeat what another line says better; the log shows them on demand. */
-export const QUIET_KINDS: ReadonlySet<string> = new Set(['authorization', 'telemetry', 'principal', 'status']);
+const QUIET_KINDS: ReadonlySet<string> = new Set(['authorization', 'telemetry', 'principal', 'status']);
+
+/** Whether it is left to that demand: nothing that went wrong is. */
+export const quietly = (event: LogEvent): boolean => QUIET_KINDS.has(event.kind) && eventLine(event).tone === 'quiet';
