@@ -78,6 +78,14 @@ ANSWERS = ("^Deny", "^(Approve|Read it first)")
 THREE_FRAMES = """async () => {
     for (let frame = 0; frame < 3; frame += 1) await new Promise((done) => requestAnimationFrame(done));
 }"""
+SLOW_TO_POLISH = """
+  - id: slow-to-polish
+    applies_to: [grasp_object]
+    when: has(metadata.intent) && metadata.intent == "polish it"
+    then: modify
+    set: {speed_mps: {max: 0.1}}
+    because: Polishing is slow.
+"""
 TWO_FOR_THE_DRIVER = """
   - id: driver-two-approvers
     applies_to: [grasp_object]
@@ -432,7 +440,7 @@ def console_ahead(
         authority.write_text(re.sub(r"^confirm_before: \[\].*\n", CONFIRMED, unconfirmed, flags=re.MULTILINE))
         assert authority.read_text() != unconfirmed
         with (folder / "policies" / "organization.yaml").open("a") as rules:
-            rules.write(TWO_FOR_THE_DRIVER)
+            rules.write(TWO_FOR_THE_DRIVER + SLOW_TO_POLISH)
         made = Servers(folder)
         made.begin(None, "--pace", "1", "--policies", str(folder / "policies"))
         return made
@@ -447,7 +455,8 @@ def server(console_ahead: Ahead) -> Iterator[ServerProcess]:
     """One server with one cell in real time, where people share the floor; a module's tests have it in turn.
 
     Its policy is the shipped one, but that whoever is asked under `real-restricted` has three seconds to answer, that
-    grasping the driver takes two people, and that a person confirms before something is let go.
+    grasping the driver takes two people, that a person confirms before something is let go, and that whoever
+    means to polish grasps slowly.
     """
     with console_ahead.take() as server:
         yield server

@@ -184,6 +184,15 @@ def test_an_edit_is_checked_again_and_all_three_versions_are_kept(
     assert [kept[one]["force_n"] for one in ("requested", "constrained", "approved")] == [80, 60, 45], kept
 
 
+def test_an_edit_is_checked_under_what_the_agent_said_with_its_proposal(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    assert floor.ask(intent="polish it")["effective"]["speed_mps"] == 0.1
+    card(person).get_by_role("textbox", name="Speed you approve, m/s").fill("0.2")
+    expect(card(person)).to_contain_text("Policy changes your edit to 0.10 m/s; you will be asked once more.")
+
+
 def test_of_two_who_answer_at_once_one_wins_and_the_other_is_told(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

@@ -1,15 +1,17 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
 import { ApiError, type Answer } from '../src/lib/api/client';
-import type { Escalation, Params, Verdict } from '../src/lib/api/documents';
-import { checkOf, mayApprove, readEdit, rowsOf } from '../src/lib/live/edit';
+import type { Escalation, List, LogEvent, Params, Verdict } from '../src/lib/api/documents';
+import { checkEdit, checkOf, mayApprove, readEdit, rowsOf } from '../src/lib/live/edit';
 import { ARM_MS } from '../src/lib/keys/arming.svelte';
 import { restrains, standingDenial } from '../src/lib/live/denials';
 import { another, coverOf } from '../src/lib/live/grants';
 import { Decision } from '../src/lib/live/decision.svelte';
-import { escalation, invocation } from './samples';
+import { escalation, event, invocation } from './samples';
 
 const SCHEMA = { force_n: { minimum: 2, maximum: 140 }, speed_mps: { minimum: 0.02, maximum: 2 } };
 const EFFECTIVE = escalation().effective;
+
+const events = (): Promise<List<LogEvent>> => Promise.resolve({ items: [], next: null });
 
 function verdict(of: Partial<Verdict>): Verdict {
   return { ...invocation(), status: 'awaiting_approval', ...of };
@@ -63,12 +65,22 @@ describe('what policy says to an edit', () => {
     expect(refused.is).toBe('refused');
     expect([refused, { is: 'checking' } as const, { is: 'faulty' } as const].map(mayApprove)).toEqual([false, false, false]);
   });
+
+  it('is asked under what the agent said with its proposal', async () => {
+    const said = { mode: 'careful', metadata: { confidence: 0.4 }, preconditions: ['arm_ready'], recovery_preference: null, capability_version: '^1.0.0' };
+    const proposed = event('proposal', { ...said, capability: 'grasp_object', params: { object_id: 'mug_1' }, cell: null, filled: {}, created_at: '' });
+    const check = vi.fn(() => Promise.resolve(verdict({ effective: wanted })));
+    const found = vi.fn(() => Promise.resolve({ items: [proposed], next: null }));
+    expect(await checkEdit({ check, events: found }, escalation(), { speed_mps: 0.1 }, 'workcell-1')).toEqual({ is: 'allowed' });
+    expect(String(found.mock.calls[0])).toBe('invocation=inv_1&kind=proposal');
+    expect(check).toHaveBeenCalledWith({ ...said, capability: 'grasp_object', params: wanted, cell: 'workcell-1', agent: 'planner' });
+  });
 });
 
 describe('a grant that does not fit', () => {
   it('is told with its field and the way out', async () => {
     const problem = { title: '', status: 422, code: 'params_invalid', detail: '`task` goes with the scope `task`', errors: [{ field: 'task', message: 'goes with the scope `task`' }] };
-    const decision = new Decision({ check: vi.fn(), resolve: () => Promise.reject(new ApiError(problem)) }, escalation(), () => ({ schema: {}, cell: null }));
+    const decision = new Decision({ check: vi.fn(), events, resolve: () => Promise.reject(new ApiError(problem)) }, escalation(), () => ({ schema: {}, cell: null }));
     decision.offer = { scope: 'task', minutes: 5 };
     await decision.approve();
     expect(decision.problem).toBe('What is to be allowed in advance does not fit (“task”): “task” goes with the scope “task”. Choose “ask me again next time” to approve only this.');
@@ -95,6 +107,7 @@ describe('a decision', () => {
     return new Decision(
       {
         check: () => new Promise((resolve) => checks.push(resolve)),
+        events,
         resolve: (_, answer) => {
           sent.push(answer);
           return reply();
@@ -143,7 +156,7 @@ describe('a decision', () => {
   it('says of what was typed on the card before that it is gone, where another thing is asked by now', () => {
     const before = decide();
     before.type('speed_mps', 'fast');
-    const after = new Decision({ check: vi.fn(), resolve: vi.fn() }, escalation({ digest: 'sha256:2' }), () => ({ schema: SCHEMA, cell: null }));
+    const after = new Decision({ check: vi.fn(), events, resolve: vi.fn() }, escalation({ digest: 'sha256:2' }), () => ({ schema: SCHEMA, cell: null }));
     const draft = before.putDown();
     if (draft !== null) after.takeUp(draft);
     expect([after.typed, after.lost, after.putDown()]).toEqual([{}, 'Your edit was of what was asked before: it was not sent, and is gone.', null]);

@@ -123,7 +123,7 @@ describe('a character that turns a line around', () => {
 
   it('is a mark in what a refusal says, and why a review is due', async () => {
     const refused = new ApiError({ title: '', status: 409, code: 'edit_refused', detail: '', reasons: [reason] });
-    const decision = new Decision({ check: vi.fn(), resolve: () => Promise.reject(refused) }, escalation(), () => ({ schema: {}, cell: null }));
+    const decision = new Decision({ check: vi.fn(), events: vi.fn(), resolve: () => Promise.reject(refused) }, escalation(), () => ({ schema: {}, cell: null }));
     await decision.approve();
     expect(decision.problem).toBe(`Policy refuses the edited values. no “${shown}” here`);
     expect(dueWords({ reasons: [reason] } as Review)).toBe(`No ${shown} here`);

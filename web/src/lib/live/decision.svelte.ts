@@ -40,7 +40,7 @@ export interface Draft {
   refused: boolean;
 }
 
-type Asks = Pick<Api, 'check' | 'resolve'>;
+type Asks = Pick<Api, 'check' | 'events' | 'resolve'>;
 
 /** One person's answer in the making: what was typed, what policy says to it, and what became of sending it. */
 export class Decision {

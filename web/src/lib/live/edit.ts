@@ -83,11 +83,21 @@ export function checkOf(verdict: Verdict, wanted: Params): Check {
   return cut.length === 0 ? { is: 'allowed' } : { is: 'cut', to: Object.fromEntries(cut) };
 }
 
+/** What an agent says of a proposal beside its parameters. */
+const TERMS = ['mode', 'metadata', 'preconditions', 'recovery_preference', 'capability_version'];
+
+/** What it said with this one, as the record has it: an edit of it is decided under the same. */
+async function termsOf(api: Pick<Api, 'events'>, invocation: string): Promise<Params> {
+  const { items } = await api.events(new URLSearchParams({ invocation, kind: 'proposal' }));
+  return Object.fromEntries(Object.entries(items[0]?.body ?? {}).filter(([name]) => TERMS.includes(name)));
+}
+
 /** Asks the server what policy would make of the edited proposal. Whatever goes wrong, the server checks once more on approval. */
-export async function checkEdit(api: Pick<Api, 'check'>, escalation: Escalation, edit: Params, cell: string | null): Promise<Check> {
+export async function checkEdit(api: Pick<Api, 'check' | 'events'>, escalation: Escalation, edit: Params, cell: string | null): Promise<Check> {
   const params = { ...escalation.effective, ...edit };
   try {
-    return checkOf(await api.check({ capability: escalation.capability, params, cell, agent: escalation.agent }), params);
+    const terms = await termsOf(api, escalation.invocation);
+    return checkOf(await api.check({ ...terms, capability: escalation.capability, params, cell, agent: escalation.agent }), params);
   } catch (error) {
     if (error instanceof ApiError && error.code === 'params_invalid') {
       return { is: 'refused', reasons: [{ rule: 'schema', code: error.code, message: error.message, remedy: '' }] };
