@@ -241,9 +241,9 @@ class Answer:
 
     async def _go_on_anew(self, cell: Cell, closed: Escalation, decided: Moment) -> Escalation:
         """Let a session go on that a human drove and left: what it does is decided again, and bound anew."""
-        kernel, present = self._kernel, self._invocation
-        judgement, approvals = await readmitted(kernel, self._register, cell, present, self._principal)
-        async with kernel.launch(present, judgement, approvals, anew=decided) as launch:
+        present = self._invocation
+        judgement, approvals = await readmitted(self._questions, cell, present, self._principal)
+        async with self._kernel.launch(present, judgement, approvals, anew=decided) as launch:
             terms = replace(launch.invocation.terms, undone_by=None)  # it goes on: its end is the agent's as well
             version = present.evolve(
                 closed.updated_at,

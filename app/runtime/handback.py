@@ -136,7 +136,7 @@ class Handbacks:
             raise Conflict("wrong_status", f"`{invocation}` has ended")
         async with entry.lock:
             present = _still_held(entry, cell)
-            judgement, approvals = await readmitted(self.kernel, self.register, cell, present, principal)
+            judgement, approvals = await readmitted(self.desk, cell, present, principal)
             document = cell.control_document() or {}
             async with self.kernel.launch(present, judgement, approvals, anew=decided) as launch:
                 word = self._word("release", present, principal, document, then="resume")

@@ -12,21 +12,25 @@ from app.runtime.kernel import GRANTED
 if TYPE_CHECKING:
     from app.runtime.cells import Cell
     from app.runtime.invocation import Invocation, Principal
-    from app.runtime.kernel import Judgement, Kernel
+    from app.runtime.kernel import Judgement
+    from app.runtime.questions import Questions
     from app.runtime.register import Register
 
 
 async def readmitted(
-    kernel: Kernel, register: Register, cell: Cell, present: Invocation, principal: Principal
+    desk: Questions, cell: Cell, present: Invocation, principal: Principal
 ) -> tuple[Judgement, tuple[str, ...]]:
     """Decide again on what a session does, from where the robot is now; returns the judgement and who approved it.
+
+    Whoever approved its launch and may approve nothing any more is none of them.
 
     Raises:
         Conflict: `resume_refused`, with the reasons.
     """
-    approvals = await _approvals(register, present.id)  # first: nothing is awaited between the decision and the launch
+    said = await _approvals(desk.register, present.id)  # first: nothing is awaited between the decision and the launch
+    approvals = tuple(name for name in said if name.startswith(GRANTED) or desk.grants.may_give(name))
     effective = dict(present.effective or {})
-    judgement = kernel.judge(present.proposal(effective), present.agent, cell, within=present)
+    judgement = desk.kernel.judge(present.proposal(effective), present.agent, cell, within=present)
     reasons = [reason._asdict() for reason in judgement.reasons()]
     if not judgement.conforms(effective):
         raise Conflict("resume_refused", "policy does not let it go on from here", reasons=reasons)

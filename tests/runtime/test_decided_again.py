@@ -14,7 +14,7 @@ from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
 from app.runtime.grant import GrantRequest
 
-from .conftest import AGENT, CELL, ENGINEER, OPERATOR, HandCell, grasp, until
+from .conftest import AGENT, CELL, ENGINEER, OPERATOR, OPERATOR_2, HandCell, House, grasp, until
 from .test_takeover import stating
 from .test_versions import SHARED, SLOWER, edited, put_in_force
 
@@ -91,6 +91,25 @@ async def test_a_grant_is_nobody_of_those_whom_a_hand_back_takes(runtime: Runtim
         with pytest.raises(Conflict, match="more approvals") as refused:
             await runtime.governor.release(made["id"], OPERATOR, "resume")
     assert refused.value.code == "resume_refused"
+    assert permit(cell)["capability"] == "takeover"
+
+
+async def test_who_may_approve_no_more_is_nobody_of_those_whom_a_hand_back_takes(
+    house: House, runtime: Runtime, cell: HandCell
+) -> None:
+    made, _ = await runtime.governor.propose(AGENT, grasp())
+    question = runtime.desk.pending_for(made["id"])
+    assert question is not None
+    await runtime.desk.resolve(question.id, OPERATOR_2, "approve", question.digest)
+    await cell.expect("launch")
+    await cell.launched(made["id"])
+    await put_in_force(runtime, TWO)
+    await runtime.governor.take_over(made["id"], OPERATOR)
+    await cell.report("launch", made["id"], capability="takeover")
+    house.withdrawn.add(OPERATOR_2.name)
+    async with stating(cell, status="running"):
+        with pytest.raises(Conflict, match="more approvals"):
+            await runtime.governor.release(made["id"], OPERATOR, "resume")
     assert permit(cell)["capability"] == "takeover"
 
 
