@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     from app.governance.policy import PolicySet
 
 KEPT_POLICIES: Final = 2
+EMPTY_TICKS: Final = 30  # a hand whose pads felt something until just now may hold it still
 
 
 class GovernedCell:
@@ -95,6 +96,7 @@ class GovernedCell:
         self._profile: str | None = None
         self._reset = ""
         self._held_n = inf  # how firmly policy let be taken what is in the hand
+        self._empty_ticks = 0  # for how long the pads have felt nothing
         self._outbox, self._wall = outbox, wall
         for entry in journal.unacknowledged():
             self._tell(entry)
@@ -120,6 +122,7 @@ class GovernedCell:
     def tick(self) -> None:
         """Do one control period."""
         self._runner.tick()
+        self._empty_ticks = 0 if self._runner.observation.pads_loaded else self._empty_ticks + 1
 
     def hold(self, reason: str) -> None:
         """Hold in place and launch nothing until welcomed; `shutdown` ends the session."""
@@ -256,7 +259,8 @@ class GovernedCell:
         what = recovery or permit
         make = partial(watch_plan, policy, what.capability, permit.profile, what.params, what.mode)
         takes = closes(policy, what.capability, permit.profile)
-        if not self._runner.substrate.facts().gripper_empty and (what.capability == TAKEOVER or not takes):
+        empty = self._runner.substrate.facts().gripper_empty and self._empty_ticks >= EMPTY_TICKS
+        if not empty and (what.capability == TAKEOVER or not takes):
             return make(held_n=self._held_n)
         plan = make()
         if takes or recovery is None:

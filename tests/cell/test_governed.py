@@ -288,6 +288,28 @@ def test_what_is_fragile_is_held_no_more_firmly_by_whatever_comes_after_its_gras
 
 
 @pytest.mark.physics
+@pytest.mark.parametrize("misses", ["now", "before"])
+def test_pads_that_miss_what_they_hold_for_a_tick_let_nobody_grip_it_firmer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, misses: str
+) -> None:
+    bench = Bench(tmp_path)
+    bench.launch("grasp_object", object_id="glass_1", force_n=20.0, speed_mps=0.15)
+    assert bench.until("outcome")["outcome"] == "succeeded"
+    seen = bench.workcell.observe()
+    assert seen.pads_loaded
+    with monkeypatch.context() as missing:
+        missing.setattr(bench.workcell, "observe", lambda: seen._replace(pads_loaded=False))
+        bench.launch("takeover", grip_force_n=60.0)
+    if misses == "before":
+        bench.cell.obey(Human(invocation=bench.running, op="end_takeover", actor="operator"))
+        bench.until("outcome")
+        bench.launch("takeover", grip_force_n=60.0)
+    session = bench.cell._runner.session
+    assert session is not None
+    assert session.run.bounds.grip_force_n == 20.0
+
+
+@pytest.mark.physics
 def test_what_is_held_may_be_held_as_firmly_as_it_was_taken_and_the_next_thing_as_firmly_as_policy_says(
     tmp_path: Path,
 ) -> None:
