@@ -58,9 +58,10 @@ def verify(
         say_error(problem)
     say(f"{log.size} events, root {log.root}: every byte of theirs is as it was signed")
     say(
-        "not compared: what else is kept beside them, which nobody signs (settings but for stops, versions of policy, "
-        "used permits, uses of grants, idempotency keys; of invocations their failures and takeovers; reports that the "
-        "log holds and a row does not count; when a row last changed, `updated_at`)"
+        "not compared: what else is kept beside them, which nobody signs (settings but for stops, used permits, uses "
+        "of grants, idempotency keys; of versions of policy their status and why they were brought; of invocations "
+        "their failures and takeovers; reports that the log holds and a row does not count; when a row last changed, "
+        "`updated_at`)"
     )
     if not found.ok:
         raise typer.Exit(FINDING)
