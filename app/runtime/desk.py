@@ -129,7 +129,7 @@ class Desk(Questions):
             Conflict: `already_resolved`, `escalation_expired`, `digest_mismatch`, `already_approved`, `edit_refused`
                 (with policy's reasons), `cell_offline`, `ending`, `grant_refused`; `policy_changed`, `profile_changed`
                 where what was asked under another one is decided again.
-            Forbidden: `own_proposal`, nobody approves what they proposed.
+            Forbidden: `own_proposal`, nobody approves what they proposed; `role_forbidden`, nor once they may no more.
             InvalidParams: edited parameters that do not fit the schema, or edit a session under way; a code that policy
                 does not declare, or one with an approval; parameters with a denial.
             RecordUnavailable: nothing was recorded; a denial of a session has been sent to the cell all the same.
@@ -143,6 +143,8 @@ class Desk(Questions):
         async with entry.lock:
             present = await self._present(escalation_id, entry.newest)
             _check_answer(present, principal, digest, self.outdated(present))
+            if decision == "approve" and not self.grants.may_give(principal.name):  # by now: their word had to wait
+                raise Forbidden.withdrawn(principal.name)
             grant = None if offer is None else self._grant(offer, present, entry.newest, principal, decision, params)
             answer = Answer(self, entry.newest, present, principal, comment, grant)
             match present.kind, decision:

@@ -12,7 +12,7 @@ RuntimeRefusal
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Self
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -88,6 +88,11 @@ class Forbidden(RuntimeRefusal):
         """Keep the code and the message."""
         self.code = code
         super().__init__(message)
+
+    @classmethod
+    def withdrawn(cls, name: str) -> Self:
+        """Say of somebody that their token was withdrawn, or expired, before their word counted."""
+        return cls("role_forbidden", f"`{name}` may not do this any more: the token was withdrawn, or has expired")
 
 
 class ExaminationFailed(RuntimeRefusal):

@@ -222,6 +222,22 @@ async def test_an_approval_goes_with_the_authority_of_who_gave_it(
     await cell.expect("launch")
 
 
+async def test_who_may_approve_no_more_once_their_turn_comes_launches_nothing(
+    house: House, runtime: Runtime, cell: HandCell
+) -> None:
+    made, question = await asked(runtime)
+    entry = runtime.register.entry(made["id"])
+    assert entry is not None
+    async with entry.lock:  # something of it is being recorded
+        word = asyncio.ensure_future(runtime.desk.resolve(question["id"], OPERATOR, "approve", question["digest"]))
+        await asyncio.sleep(0.05)
+        house.withdrawn.add(OPERATOR.name)
+    with pytest.raises(Forbidden) as refused:
+        await word
+    assert (refused.value.code, cell.all("launch")) == ("role_forbidden", [])
+    assert runtime.desk.pending_for(made["id"]) is not None
+
+
 async def test_an_edit_voids_earlier_approvals_and_gets_a_new_digest(runtime: Runtime, cell: HandCell) -> None:
     cell.facts = dict(AT_TOOLS)
     await cell.state()

@@ -18,7 +18,7 @@ from app.governance.comparison import compare
 from app.governance.errors import PolicyError, PolicyErrors, Undecided
 from app.governance.model import Role, Status
 from app.runtime.assembly import Runtime
-from app.runtime.errors import Conflict, ExaminationFailed, NotFound
+from app.runtime.errors import Conflict, ExaminationFailed, Forbidden, NotFound
 from app.runtime.examining import Candidate, Examined
 from app.runtime.invocation import Principal, ProposalRequest
 from app.runtime.version import files_row
@@ -388,6 +388,19 @@ async def test_nobodys_word_comes_from_a_row(house: House, field: str) -> None:
         _, entered = await runtime.versions.activate(digest, ENGINEER, "I want it alone")
         assert not entered
         assert runtime.kernel.policy.digest == present
+
+
+async def test_who_is_no_engineer_any_more_once_their_turn_comes_puts_nothing_in_force(house: House) -> None:
+    """Another change may be proved for minutes, and theirs waits behind it."""
+    async with house.open() as runtime:
+        digest, before = await brought(runtime, FASTER), runtime.kernel.policy.digest
+        async with runtime.versions._changing:
+            word = asyncio.ensure_future(runtime.versions.activate(digest, ENGINEER_2, "faster"))
+            await asyncio.sleep(0.05)
+            house.withdrawn.add(ENGINEER_2.name)
+        with pytest.raises(Forbidden) as refused:
+            await word
+        assert (refused.value.code, runtime.kernel.policy.digest) == ("role_forbidden", before)
 
 
 async def forge(house: House, digest: str, **said: Any) -> None:
