@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
+from app.audit.documents import documents
 from app.audit.errors import AuditError
 from app.audit.event import RowWrite
 from app.governance.authority import refusal, reviewed
@@ -18,8 +19,9 @@ from app.governance.control import TAKEOVER
 from app.governance.model import AuthorityMode, EventKind, Reason, Status
 from app.runtime.drafts import SERVER, review_event
 from app.runtime.errors import Conflict, Forbidden, NotFound
-from app.runtime.invocation import reasons_document
+from app.runtime.invocation import read_invocation, reasons_document
 from app.runtime.queue import Queue, rank
+from app.runtime.recollection import events_of, invocation_of
 from app.runtime.review import Review, read_review
 from app.runtime.uncut import uncut
 
@@ -113,7 +115,7 @@ class Reviews:
             RecordUnavailable: nothing was recorded.
         """
         async with self._lock:
-            ended = await self._register.load(invocation_id)
+            ended = await self._ended(invocation_id)
             if ended.status not in ENDED or ended.outcome is None:
                 raise Conflict("wrong_status", f"`{ended.status}` is no end of a session: there is nothing to review")
             refused = refusal(self._kernel.policy, ended.profile, AuthorityMode.REVIEW_ONLY)
@@ -127,6 +129,19 @@ class Reviews:
             await self._register.append([review_event("waiting", principal.name, review)], [review.row()])
             self._hold(review)
         return review.public()
+
+    async def _ended(self, name: str) -> Invocation:
+        """Return an invocation, and what has ended as the log has it: a review is signed with that."""
+        known = self._register.newest(name)
+        if known is not None:
+            return known
+        row = await self._register.store.row("invocations", id=name)
+        if row is not None:
+            stored = self._register.stored.read("invocations", row, read_invocation)
+            found, _ = invocation_of(row, stored, await events_of(self._register.store, invocation=name))
+            if found is not None:
+                return found
+        raise NotFound("invocation", name)
 
     # -- reading -----------------------------------------------------------------------------------------------------
 
@@ -167,10 +182,7 @@ class Reviews:
             RecordUnavailable: nothing was recorded.
         """
         async with self._lock:
-            row = await self._register.store.row("reviews", id=review_id)
-            if row is None:
-                raise NotFound("review", review_id)
-            present = self._register.stored.read("reviews", row, read_review)
+            present = await self._told(review_id)
             if present.verdict is not None:
                 by = present.verdict["by"]
                 raise Conflict("already_reviewed", f"`{by}` reviewed `{review_id}` already: `{present.status}`")
@@ -185,6 +197,17 @@ class Reviews:
                 with suppress(AuditError):  # the verdict is recorded, whatever reading says; the next one reads again
                     await self.recall()
         return closed.public()
+
+    async def _told(self, review_id: str) -> Review:
+        """Return a review as the log has it: a verdict is signed with what it is on. Raises `NotFound`."""
+        row = await self._register.store.row("reviews", id=review_id)
+        if row is not None:
+            kept = self._register.stored.read("reviews", row, read_review)
+            said = await events_of(self._register.store, invocation=kept.invocation, kind=EventKind.REVIEW)
+            for document in documents(said, "review"):
+                if document["id"] == review_id:
+                    return Review(**document)
+        raise NotFound("review", review_id)
 
     async def _drivers(self, present: Review) -> set[str]:
         """Return who had the controls of a session that was nothing but driving: it bears the first one's name."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import sqlite3
 from typing import Any
 
 import orjson
 import pytest
 
 from app.audit.errors import RecordUnreadable
+from app.audit.places import Places
 from app.governance.model import Role
 from app.runtime import reviews as reviews_module
 from app.runtime.assembly import Runtime
@@ -76,6 +78,49 @@ async def test_a_verdict_is_recorded_once_and_its_note_stays_among_people(runtim
     theirs = orjson.dumps(await runtime.governor.trace(session, AGENT))
     assert b"objected" in theirs
     assert b"turn left" not in theirs
+
+
+@pytest.mark.parametrize(
+    "forged", [{"outcome": "succeeded", "agent": "nobody"}, {"verdict": None, "status": "waiting"}]
+)
+async def test_a_verdict_repeats_nothing_that_only_a_row_says(house: House, forged: dict[str, Any]) -> None:
+    """What is signed with the verdict would be taken for what was reviewed."""
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        await finished(runtime, cell, "stopped")
+        (review,), _ = await runtime.desk.reviews.list()
+        if "verdict" in forged:
+            await runtime.desk.reviews.resolve(review["id"], ENGINEER, "objected")
+    with sqlite3.connect(Places(house.folder).database) as database:
+        document = orjson.dumps({**review, **forged})
+        values = document, str(forged.get("status", review["status"])), review["id"]
+        database.execute("UPDATE reviews SET document = ?, status = ? WHERE id = ?", values)
+    database.close()
+    async with house.open() as runtime:
+        if "verdict" in forged:
+            assert await refused(runtime.desk.reviews.resolve(review["id"], AUDITOR, "accepted")) == "already_reviewed"
+            house.sound = False
+        else:
+            closed = await runtime.desk.reviews.resolve(review["id"], AUDITOR, "accepted")
+            assert (closed["outcome"], closed["agent"]) == (review["outcome"], review["agent"])
+
+
+async def test_what_comes_up_for_review_is_what_the_log_says_ended(house: House) -> None:
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        session = await finished(runtime, cell, "succeeded")
+        row = await runtime.store.row("invocations", id=session)
+    assert row is not None
+    with sqlite3.connect(Places(house.folder).database) as database:
+        forged = orjson.dumps({**orjson.loads(row["document"]), "outcome": "stopped", "agent": "nobody"})
+        database.execute("UPDATE invocations SET document = ? WHERE id = ?", (forged, session))
+    database.close()
+    house.sound = False
+    async with house.open() as runtime:
+        review = await runtime.desk.reviews.request(session, ENGINEER)
+        assert (review["outcome"], review["agent"]) == ("succeeded", AGENT.name)
 
 
 async def test_two_verdicts_at_once_are_one_verdict(runtime: Runtime, cell: HandCell) -> None:
