@@ -307,7 +307,7 @@ def written(policy: PolicySet, case: Case, name: str) -> tuple[str, Case]:
             expect["changes"] = {change.param: change.effective for change in verdict.changes}
     if reasons:
         expect["codes"] = sorted({reason.code for reason in reasons})
-    kept = {key: held for key, held in case.items() if held not in ({}, "normal")}
+    kept = {key: held for key, held in case.items() if held != {} and (key, held) != ("mode", "normal")}
     entry = {"cases": [{"name": name, **kept, "expect": expect}]}
     text = yaml.dump(entry, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
     (result,) = run(policy, {"tests/counterexample.yaml": text})

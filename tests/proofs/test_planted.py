@@ -261,6 +261,19 @@ def test_a_character_that_the_solver_does_not_know_leaves_a_rule_undecided() -> 
     assert {fault.weight for fault in found} == {Weight.UNDECIDED}
 
 
+def test_a_fault_is_shown_in_a_profile_that_is_called_as_a_mode_is() -> None:
+    planted = rule(
+        "id: odd, applies_to: [navigate_to], when: params.speed_mps / (params.speed_mps - params.speed_mps) > 1.0, then: deny"
+    )
+    named = {
+        file.replace("sim-relaxed", "normal"): text.replace("sim-relaxed", "normal")
+        for file, text in {**files(), **planted}.items()
+    }
+    report = proved_of(bundle.load_files(named), "properties: []\n")
+    (shown,) = (one for one in report.faults if one.kind is Kind.ERROR and one.profile == "normal")
+    assert "profile: normal" in shown.example
+
+
 def test_a_promise_about_nothing_is_named() -> None:
     idle = "  - {id: idle, says: So., when: target.mass_kg > 50.0, never: [allowed]}\n"
     report = proved({}, promises().replace("properties:\n", f"properties:\n{idle}"))
