@@ -17,7 +17,7 @@ from app.config import find_policies
 from app.governance.bundle import read_cases, read_properties
 from app.governance.changes import SAME
 from app.governance.errors import PolicyErrors
-from app.terminal import MISUSE, err, out, say, say_error
+from app.terminal import MISUSE, err, out, plain, say, say_error
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -152,7 +152,7 @@ def _say_one(one: Vetted) -> None:
     if made.unwritten:
         say(f"  no patch, to be changed by hand: {made.unwritten}")
     else:
-        say(made.patch)  # not indented, so that it can be piped
+        typer.echo(plain(made.patch))  # not indented, and tabs as they are, so that it can be piped
 
 
 def _some(lines: Sequence[str]) -> str:

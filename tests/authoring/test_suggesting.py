@@ -621,3 +621,17 @@ def test_the_command_prints_patches_that_apply(tmp_path: Path) -> None:
     assert {path: path.read_bytes() for path in POLICIES.rglob("*.yaml")} == before
     told = CliRunner().invoke(app, ["policy", "suggest", "--data", str(tmp_path), "--policies", str(POLICIES)])
     assert told.exit_code == 2
+
+
+def test_a_printed_patch_applies_to_a_file_with_tabs(tmp_path: Path) -> None:
+    shutil.copytree(POLICIES, tmp_path / "policies")
+    file = tmp_path / "policies" / "organization.yaml"
+    text = file.read_text().replace("    then: escalate\n", "    then: escalate\t# asks\n")
+    file.write_text(text)
+    lived(tmp_path / "data", unsure, load(tmp_path / "policies"))
+    command = ["policy", "suggest", "--data", str(tmp_path / "data"), "--policies", str(tmp_path / "policies")]
+    told = CliRunner().invoke(app, [*command, "--least-answers", "4"])
+    assert told.exit_code == 0
+    patch = told.stdout[told.stdout.index("--- a/") : told.stdout.index("1 suggestions from")]
+    subprocess.run(["git", "apply", "-"], input=patch.encode(), cwd=tmp_path / "policies", check=True)
+    assert "organization/low-confidence" not in load(tmp_path / "policies").rules
