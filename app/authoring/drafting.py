@@ -20,6 +20,7 @@ import yaml
 from app.governance.bundle_schema import KINDS
 from app.governance.bundle_yaml import parse
 from app.governance.errors import PolicyError, PolicyErrors
+from app.governance.model import Intervention
 from app.governance.policy_model import LIMIT_UNITS
 from app.governance.vocabulary import always_there, properties
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from app.authoring.questions import Answers
     from app.authoring.templates import Draft, Template
     from app.governance.policy import PolicySet
+    from app.governance.policy_model import WatchRow
 
 PROPERTIES: Final = "properties.yaml"
 _KEY: Final = re.compile(r"^([a-z_]+):", re.MULTILINE)
@@ -186,7 +188,8 @@ def _profile(policy: PolicySet, template: Template, answers: Answers, draft: Dra
     sections.put("limits", {key: {"max": limits[key][0], "source": limits[key][1]} for key in LIMIT_UNITS})
     for key, value in draft.sections.items():
         sections.put(key, value)
-    if draft.sections.get("shared_floor") and not any(row.named == "protective_separation_m" for row in model.watch):
+    keeps = _pauses if "separation" in draft.sections else _minds
+    if draft.sections.get("shared_floor") and not any(map(keeps, model.watch)):
         sections.append("watch", [_SEPARATION])
     sections.drop("rules", lambda rule: _overruled(rule, draft))
     sections.append("rules", _rules(policy, draft, name, like))
@@ -199,6 +202,16 @@ _SEPARATION: Final[Mapping[str, Any]] = {
     "below": "protective_separation_m",
     "response": {"enter": "pause", "clear_after_ms": 1000, "then": "resume", "persist_ms": 5000, "else": "escalate"},
 }
+
+
+def _minds(row: WatchRow) -> bool:
+    """Say whether a watch rule speaks up below the protective separation distance."""
+    return row.named == "protective_separation_m"
+
+
+def _pauses(row: WatchRow) -> bool:
+    """Say whether it holds the robot there at once, whatever is executed: that is what the distance is reckoned for."""
+    return _minds(row) and row.applies_to is None and not row.for_ms and row.response.enter is not Intervention.CONTINUE
 
 
 def _overruled(rule: Mapping[str, Any], draft: Draft) -> bool:

@@ -48,8 +48,8 @@ def answers(name: str, **more: str) -> dict[str, Any]:
     return {one.key: one.read(said.get(one.key, one.default or "")) for one in asked}
 
 
-def made(name: str, **more: str) -> tuple[PolicySet, dict[str, str]]:
-    policy = shipped()
+def made(name: str, *, model: PolicySet | None = None, **more: str) -> tuple[PolicySet, dict[str, str]]:
+    policy = model or shipped()
     changed = drafted(policy, bundle.read_properties(POLICIES), TEMPLATES[name], answers(name, **more))
     files = {**policy.files, **{file: text for file, text in changed.items() if file != "properties.yaml"}}
     return bundle.load_files(files), changed
@@ -118,6 +118,21 @@ def test_a_clearance_takes_the_place_of_the_models_lesser_one():
     assert held.applies_to == frozenset({"navigate_to", "transport_object"})
     wider, _ = made("personal-care", clearance_m="0.2")
     assert "personal-care/clearance" in wider.rules
+
+
+@pytest.mark.parametrize(
+    "row", ["for_ms: 0\n    response: {enter: continue}", "for_ms: 3000\n    response: {enter: pause}"]
+)
+def test_a_protective_distance_is_paused_below_at_once_whatever_the_model_does_there(row: str):
+    file, policy = "profiles/human-shared.yaml", shipped()
+    held = "response: {enter: pause, clear_after_ms: 1000, then: resume, persist_ms: 5000, else: escalate}"
+    assert f"for_ms: 0\n    {held}" in policy.files[file]
+    model = bundle.load_files({**policy.files, file: policy.files[file].replace(f"for_ms: 0\n    {held}", row, 1)})
+    name = "speed-and-separation"
+    rows = [one for one in made(name, model=model)[0].profiles[name].watch if one.signal == "separation_m"]
+    assert ("pause", 0) in {(one.response.enter.value.lower(), one.for_ms) for one in rows}
+    (alone,) = (one for one in made(name)[0].profiles[name].watch if one.signal == "separation_m")
+    assert alone.id == "separation"
 
 
 def test_who_oversees_is_asked_told_and_may_take_over():
