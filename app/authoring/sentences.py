@@ -145,7 +145,9 @@ class _Speaker:
 
     def _part(self, typed: Typed, *, holds: bool) -> str:
         text = self.truth(typed, holds=holds)
-        return f"({text})" if isinstance(typed, (Logic, Conditional)) else text
+        while isinstance(typed, Apply) and typed.overload == "not":  # what it turns round is said in its place
+            (typed,) = typed.args
+        return f"({text})" if isinstance(typed, (Logic, Conditional, Quantifier)) else text
 
     def _given(self, select: Select, side: int) -> str:
         name = self.value(select)
@@ -222,7 +224,8 @@ class _Speaker:
             case Select() | Variable():
                 return self._name(typed)
             case Apply():
-                return self._computed(typed)
+                text = self._computed(typed)
+                return f"({text})" if typed.overload.rpartition("_")[0] in _JOINED else text
             case _:
                 return self.value(typed)
 
