@@ -75,15 +75,15 @@ UNPUBLISHED: Final = (
     Unpublished(
         "what counts as unsafe continuation",
         "RVDR and UCR leave 16.5 % of the violations unexplained, and at s = 0 UCR is .796, not 1",
-        "every violation that was not held or stopped counts, those that a profile does not watch for included; "
-        "`classes` has the missed, the not watched and the warned apart",
+        "every violation that was not held or stopped counts, those that a profile does not watch for included, but "
+        "for those of which policy warned; `classes` has the missed, the not watched and the warned apart",
         ("UCR", "sensitivity"),
     ),
     Unpublished(
         "what follows a detection",
         "every detected violation triggers a policy-compliant intervention",
         "what `intervene` answers to the watch rule; where policy only warns of people (reached in the sweep above "
-        "s = 0.7 alone) the robot goes on, and that counts as unsafe",
+        "s = 0.7 alone) the robot goes on, as policy wants: UCR and CEF leave those out",
         ("CEF", "UCR", "sensitivity"),
     ),
     Unpublished(

@@ -8,11 +8,11 @@ from typing import Any
 import orjson
 import pytest
 
-from app.evaluation import paper_protocol
+from app.evaluation import paper_protocol, paper_rows
 from app.evaluation.extensions import UnknownName
 from app.evaluation.jobs import Job
 from app.evaluation.methods import ABLATIONS, METHODS
-from app.evaluation.metrics import METRICS
+from app.evaluation.metrics import METRICS, measure
 from app.evaluation.model import TASKS, Row, Violation
 from app.evaluation.paper_generator import ALL, RECOVERY_FIRST
 from app.evaluation.paper_runtime import Ending
@@ -213,6 +213,21 @@ def test_whatever_is_unpublished_names_what_hangs_on_it() -> None:
     for one in UNPUBLISHED:
         assert set(one.affects) <= known
         assert one.describe()["here"]
+
+
+def test_what_is_said_of_warnings_is_what_the_rates_do() -> None:
+    rows = [
+        paper_rows.row(METHODS["reins"], shipped(), SEEDS[0], ALL, number, sensitivity=1.0) for number in range(COUNT)
+    ]
+    there, warned = (
+        [one for one in rows if one["occurred"]],
+        [one for one in rows if one["class"] == Ending.WARNED.value],
+    )
+    found = measure(rows, ("UCR", "CEF"))
+    assert warned
+    assert found["UCR"]["n"] == found["CEF"]["n"] == len(there) - len(warned)
+    (said,) = (one for one in UNPUBLISHED if one.parameter == "what follows a detection")
+    assert "UCR and CEF leave those out" in said.here
 
 
 def test_names_the_methods_there_are() -> None:
