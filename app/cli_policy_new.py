@@ -110,7 +110,7 @@ def _answers(questions: Sequence[Question], given: Sequence[str], *, ask: bool) 
     """Return an answer to every question: given, asked for, or the default. Ends the command where one is missing."""
     from app.authoring.questions import AnswerError
 
-    said = dict(_split(one) for one in given)
+    said = _said(given)
     known = {question.key for question in questions}
     unknown = sorted(said.keys() - known)
     missing = [question for question in questions if question.key not in said and question.default is None]
@@ -132,6 +132,17 @@ def _answers(questions: Sequence[Question], given: Sequence[str], *, ask: bool) 
     except AnswerError as error:
         say_error(str(error))
         raise typer.Exit(MISUSE) from error
+
+
+def _said(given: Sequence[str]) -> dict[str, str]:
+    """Return answers by question. Ends the command where one has two: of two numbers nobody can say which is meant."""
+    said: dict[str, str] = {}
+    for key, value in map(_split, given):
+        if key in said:
+            say_error(f"`{key}` is answered twice, `{said[key]}` and `{value}`", hint="--set, once for each question")
+            raise typer.Exit(MISUSE)
+        said[key] = value
+    return said
 
 
 def _split(one: str) -> tuple[str, str]:

@@ -80,6 +80,7 @@ def test_what_is_not_given_is_asked_for_until_it_can_be_taken(tmp_path: Path) ->
         ([*REDUCED, "--set", "speed=1"], "nothing is asked called `speed`"),
         ([*REDUCED, "--set", "tcp_speed_mps"], "`tcp_speed_mps` is no answer"),
         ([*REDUCED, "--set", "tcp_speed_mps=0.5"], "at most 0.25"),
+        ([*REDUCED, "--set", "base_speed_mps=0.25"], "`base_speed_mps` is answered twice, `0.2` and `0.25`"),
         (["--template", "wish"], "reduced-speed | speed-and-separation"),
         (["--template", "wish"], "there is no template `wish`"),
     ],
