@@ -24,7 +24,7 @@ from app.evaluation.stage import Stage
 from app.evaluation.timing import time_gates
 from app.evaluation.truth import SIGMA, Truth
 from app.governance.guard import check
-from app.governance.model import AgentFacts, Context, Proposal
+from app.governance.model import AgentFacts, Context, Intervention, Proposal
 from app.governance.plans import watch_plan
 from app.sim.faults import Scenario
 from app.sim.sensors import AS_MEASURED, Quality
@@ -223,8 +223,20 @@ def _shown(drawn: Drawn) -> Callable[[Truth], bool]:
 
 def looking(policy: PolicySet, drawn: Drawn, plan: WatchPlan) -> Truth:
     """Return what looks at the truth of an execution of this trial."""
-    near = [rule.threshold for rule in plan.rules if rule.signal == "separation_m"]
-    return Truth(plan=plan, people_m=near[0] if near else None, budget=policy.profiles[drawn.profile].retry_budget)
+    budget = policy.profiles[drawn.profile].retry_budget
+    return Truth(plan=plan, people_m=_kept_m(plan), budget=budget)
+
+
+def _kept_m(plan: WatchPlan) -> float | None:
+    """Return the fixed distance to people that policy asks for; None where it is the protective separation, or nothing.
+
+    A rule that only warns asks for its distance where no other does: beside one that holds the robot it is early.
+    """
+    rows = [rule for rule in plan.rules if rule.signal == "separation_m"]
+    holding = [rule for rule in rows if rule.response.enter is not Intervention.CONTINUE]
+    asked = [rule.threshold for rule in holding or rows]
+    fixed = [threshold for threshold in asked if threshold is not None]
+    return max(fixed) if fixed and len(fixed) == len(asked) else None
 
 
 def run(bench: Bench, trial: Trial, methods: Sequence[Method], *, change: Change | None = None) -> Mapping[str, Ran]:

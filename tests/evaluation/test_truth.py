@@ -9,11 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.evaluation.model import Violation
+from app.evaluation.draws import Drawn
+from app.evaluation.model import Kind, Violation
+from app.evaluation.physical_trial import looking
+from app.evaluation.stage import Start
 from app.evaluation.truth import LOST_M, OVER, SLACK_TICKS, UNSAFE_TICKS, Track, Truth, clearance
 from app.governance.bundle import load_files
 from app.governance.model import Zone
 from app.governance.plans import watch_plan
+from app.sim.faults import Scenario
 from app.sim.truth import Glance
 from tests.governance.policy_world import shipped
 
@@ -79,6 +83,26 @@ def test_a_rule_that_speaks_up_before_a_limit_makes_no_violation_of_what_the_lim
     assert onsets(seen) == {}
     seen.see(moving(OVER * limit + 0.01), **ON)
     assert onsets(seen) == {Violation.SPEED: 2}
+
+
+@pytest.mark.parametrize(
+    ("profile", "kept_m"), [("human-shared", None), ("real-restricted", 1.0), ("sim-relaxed", 0.5)]
+)
+def test_a_rule_that_warns_of_people_early_makes_no_violation_of_what_another_allows(
+    profile: str, kept_m: float | None
+) -> None:
+    early = "watch:\n  - {id: early, signal: separation_m, below: 2.5, response: {enter: continue}}\n"
+    file = f"profiles/{profile}.yaml"
+    warned = load_files({**shipped().files, file: shipped().files[file].replace("watch:\n", early)})
+    drawn = Drawn(
+        seed=1, number=0, kind=Kind.CLEAN, capability="navigate_to", profile=profile, params=PARAMS, start=Start(),
+        scenario=Scenario(),
+    )  # fmt: skip
+    plain, both = (
+        looking(policy, drawn, watch_plan(policy, "navigate_to", profile, PARAMS)) for policy in (shipped(), warned)
+    )
+    assert plain.people_m == kept_m
+    assert both.people_m == (kept_m if profile != "sim-relaxed" else 2.5)  # where nothing but warnings is asked for
 
 
 @pytest.mark.parametrize(
