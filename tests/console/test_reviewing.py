@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
 from playwright.sync_api import Locator, Route, expect
 
-from tests.conftest import ServerProcess, until
-from tests.console.conftest import PHONE, THREE_FRAMES, Floor, People, Person
+from tests.conftest import ServerProcess, Servers, until
+from tests.console.conftest import PHONE, THREE_FRAMES, Floor, People, Person, far
 from tests.console.wire import wire_to
+from tests.test_join import NAME, Hand, online, token_of
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 CELL = "/v1/cells/workcell-1"
@@ -132,6 +134,68 @@ def test_a_trace_gives_its_room_to_what_ran_and_shows_nothing_measured_where_not
     expect(events.locator("[aria-current=step]")).to_contain_text("Authorization signed")
     expect(moment).to_have_attribute("aria-valuetext", re.compile("before the launch$"))
     expect(stamp).to_have_text(re.compile(r"^First recorded, at \+0\.0 s"))
+
+
+@pytest.fixture
+def hand(tmp_path: Path) -> Iterator[Hand]:
+    made = Hand(tmp_path)
+    yield made
+    made.end()
+
+
+def test_parts_of_telemetry_are_told_apart_and_one_that_is_not_there_bars_the_way_to_no_other(
+    servers: Servers, hand: Hand, people: People
+) -> None:
+    server = servers.start(cells=0)
+    hand.join(server, token_of(server))
+    until(lambda: online(server), what="the cell joins")
+    session = server.launch("navigate_to", NAME, target="tool_stand")["id"]
+    start = server.cell(NAME)["facts"]["base"]
+    until(lambda: far(server.cell(NAME)["facts"]["base"], start) > 0.3, what="a robot on its way")
+    server.stop()  # what is measured from now on goes to a second file
+    server = servers.start(server.data, "--port", server.url.rpartition(":")[2], cells=0)
+    question = server.get(f"/v1/escalations/{server.await_status(session, 'escalated')['escalation']['id']}")
+    answer = {"decision": "approve", "digest": question["digest"]}
+    until(lambda: server.post(f"/v1/escalations/{question['id']}/resolve", answer).is_success, what="its answer")
+    server.await_status(session, "completed")
+    kept = until(
+        lambda: [] if len(said := told(server, session)) < 2 else said, what="the seal of its telemetry's second part"
+    )
+    first, second = (server.get(f"/v1/audit/telemetry/{session}?part={part}")["columns"]["time_s"] for part in (1, 2))
+    person = people.sit(server)
+    held: list[Route] = []
+
+    def hold(route: Route) -> None:
+        held.append(route)
+
+    person.page.route("**/v1/audit/telemetry/*part=2", hold)
+    person.page.evaluate(f"location.hash = '#/audit/{session}'")
+    side = person.region("Measured and recorded")
+    measured = side.get_by_role("list", name="What was measured")
+    expect(measured).to_be_visible()
+    part = person.page.get_by_label("Part")
+    expect(part).to_have_value("1")
+    part.select_option("2")
+    expect(side.get_by_text("Reading…")).to_be_visible()
+    expect(measured).to_have_count(0)
+    until(lambda: held or person.page.wait_for_timeout(20), what="the request for the second part")
+    held[0].continue_()
+    expect(measured).to_be_visible()
+    launched = person.region("Events of the session").get_by_role("button", name=re.compile("Launched"))
+    expect(launched).to_contain_text(f"−{second[0] - first[0] + 0.01:.1f} s")
+    person.page.unroute("**/v1/audit/telemetry/*part=2")
+    gone = server.data / "telemetry" / kept[0]["body"]["file"]
+    gone.rename(server.data / "away")
+    person.expects("Failed to load resource")
+    part.select_option("1")
+    expect(side).to_contain_text("its file is not where it was kept")
+    part.select_option("2")
+    expect(measured).to_be_visible()
+    (server.data / "away").rename(gone)
+
+
+def told(server: ServerProcess, session: str) -> list[dict[str, Any]]:
+    return server.get(f"/v1/audit/events?invocation={session}&kind=telemetry")["items"]
 
 
 def test_of_two_reviewers_one_wins_and_the_other_is_told(

@@ -4,7 +4,7 @@ import { Axis } from '../src/lib/audit/axis';
 import { Player, type Recording } from '../src/lib/audit/player.svelte';
 import { frameAt } from '../src/lib/audit/replay';
 import { guardAt, MEASURED } from '../src/lib/scene/separation';
-import { eventAt, goodForS, measuredAt, offset, outside, partsOf, rowAt, stepTo, timelineOf } from '../src/lib/audit/timeline';
+import { aheadOf, beginningOf, eventAt, goodForS, measuredAt, offset, outside, partsOf, rowAt, stepTo, timelineOf } from '../src/lib/audit/timeline';
 
 const START_MS = Date.parse('2026-03-01T09:30:00.000Z');
 const event = (seq: number, afterS: number, body: LogEvent['body'] = {}): LogEvent => ({
@@ -28,6 +28,19 @@ describe('a timeline', () => {
   it('begins with the launch whatever the clock of its robot says: the first row is of the tick behind it', () => {
     const found = timelineOf([{ ...event(1, 5, { tick: 132 }), kind: 'launch' }, event(2, 5.3, { tick: 167 })], telemetry({ time_s: [1.73, 1.78, 2.07] }));
     expect(found.placed.map(({ atS }) => Math.round(atS * 100) / 100)).toEqual([-0.01, 0.34]);
+  });
+
+  it('keeps to the clock of its robot in every part of its telemetry, once the first row of all was read', () => {
+    const launch = { ...event(1, 5, { tick: 132 }), kind: 'launch' };
+    const kept = (seq: number, body: LogEvent['body']): LogEvent => ({ ...event(seq, 6, body), kind: 'telemetry' });
+    const [first, second] = [telemetry({ time_s: [1.73, 1.78] }), { ...telemetry({ time_s: [3.73, 3.78] }), part: 2 }];
+    const whole = [launch, kept(2, { rows: 2 }), event(3, 7, { tick: 333 }), kept(4, { rows: 2 })];
+    const aheadS = aheadOf(whole, first) ?? NaN;
+    expect([aheadS, aheadOf(whole, second)]).toEqual([expect.closeTo(0.4), null]);
+    expect(timelineOf(whole, second, aheadS).placed.map(({ atS }) => Math.round(atS * 100) / 100)).toEqual([-2.01, -1.01, 0, 0]);
+    const late = [launch, kept(2, { rows: 0 }), kept(3, { rows: 2 })];
+    expect([whole, late, [launch, kept(2, { failed: 'no room' }), kept(3, { rows: 2 })], [launch]].map(beginningOf)).toEqual([1, 2, 1, 1]);
+    expect(aheadOf(late, { ...first, part: 2 })).toBeCloseTo(0.4);
   });
 
   it('puts what only the server says in proportion between its neighbours', () => {

@@ -30,12 +30,12 @@ export interface Timeline {
  *
  * Rows and what the cell reports bear the cell's control time, which a simulation may run faster or slower than the
  * wall clock. What the server records bears the wall clock alone, so it is placed between its neighbours in proportion,
- * and before the first and after the last of them at the wall clock's own pace.
+ * and before the first and after the last of them at the wall clock's own pace. `aheadS` is what `aheadOf` has found.
  */
-export function timelineOf(events: readonly LogEvent[], telemetry: Telemetry | null): Timeline {
+export function timelineOf(events: readonly LogEvent[], telemetry: Telemetry | null, aheadS = aheadOf(events, telemetry) ?? 0): Timeline {
   const times = telemetry?.columns['time_s'] ?? [];
   const firstRow = times[0] ?? null;
-  const timeOf = (tick: number): number => tick * TICK_S + aheadOf(events, telemetry);
+  const timeOf = (tick: number): number => tick * TICK_S + aheadS;
   const anchors = anchorsOf(events, timeOf);
   const zeroS = firstRow ?? anchors[0]?.cellS ?? 0;
   const firstWallS = events[0] === undefined ? 0 : wallOf(events[0]);
@@ -57,16 +57,26 @@ export function timelineOf(events: readonly LogEvent[], telemetry: Telemetry | n
 
 /** In how many parts a trace tells of telemetry, those included that were not kept: behind the session's end, and where a server ended before. */
 export function partsOf(events: readonly LogEvent[]): number {
-  return events.filter((event) => event.kind === 'telemetry').length;
+  return events.filter(isTelemetry).length;
 }
 
+const isTelemetry = (event: LogEvent): boolean => event.kind === 'telemetry';
 const launched = (event: LogEvent): boolean => event.kind === 'launch' && (event.body['refused'] ?? '') === '';
 
-/** How far a robot's clock, which rows bear, is ahead of the ticks of its cell, s: the first row is of the tick behind the launch. */
-function aheadOf(events: readonly LogEvent[], telemetry: Telemetry | null): number {
+/** The first part with rows, which is where a replay begins: a server that ends soon after a launch has had none yet. */
+export function beginningOf(events: readonly LogEvent[]): number {
+  return Math.max(0, events.filter(isTelemetry).findIndex(({ body }) => body['rows'] !== 0)) + 1;
+}
+
+/**
+ * How far a robot's clock, which rows bear, is ahead of the ticks of its cell, s, through all of a session.
+ *
+ * The first row of all is of the tick behind the launch; null where telemetry does not hold it.
+ */
+export function aheadOf(events: readonly LogEvent[], telemetry: Telemetry | null): number | null {
   const tick = events.find(launched)?.body['tick'];
-  const first = telemetry?.part === 1 ? telemetry.columns['time_s']?.[0] : null;
-  return typeof tick === 'number' && first != null ? first - (tick + 1) * TICK_S : 0;
+  const first = telemetry?.part === beginningOf(events) ? telemetry.columns['time_s']?.[0] : null;
+  return typeof tick === 'number' && first != null ? first - (tick + 1) * TICK_S : null;
 }
 
 function anchorsOf(events: readonly LogEvent[], timeOf: (tick: number) => number): { wallS: number; cellS: number }[] {
