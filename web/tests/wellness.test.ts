@@ -17,20 +17,27 @@ describe('how the server is', () => {
       return next === null ? Promise.reject(new Error('away')) : Promise.resolve(next);
     });
     const wellness = new Wellness();
-    let up = true;
-    const end = wellness.watch({ health }, () => up);
+    const end = wellness.watch({ health });
     await vi.advanceTimersByTimeAsync(1);
     expect(wellness.troubles.map(({ part }) => part)).toEqual(['record']);
     await vi.advanceTimersByTimeAsync(5_000);
     expect(wellness.troubles).toHaveLength(1); // it did not answer: what it said last stands
     await vi.advanceTimersByTimeAsync(5_000);
     expect(wellness.troubles).toEqual([]);
-    up = false;
-    await vi.advanceTimersByTimeAsync(10_000);
-    expect(health).toHaveBeenCalledTimes(3);
-    up = true;
     end();
     await vi.advanceTimersByTimeAsync(20_000);
     expect(health).toHaveBeenCalledTimes(3);
+  });
+
+  it('is not what it was before the link broke off, and is asked at once when that is back', async () => {
+    const health = vi.fn(() => Promise.resolve({ status: 'degraded', broken: { store: 'no space left' } }));
+    const wellness = new Wellness();
+    wellness.watch({ health })();
+    const end = wellness.watch({ health });
+    await vi.advanceTimersByTimeAsync(1);
+    expect(wellness.troubles).toHaveLength(1);
+    end();
+    wellness.watch({ health: () => new Promise(() => undefined) });
+    expect([wellness.troubles, health.mock.calls.length]).toEqual([[], 2]);
   });
 });

@@ -25,12 +25,13 @@ export function troublesOf(broken: Record<string, string | null>): Trouble[] {
 export class Wellness {
   troubles = $state.raw<Trouble[]>([]);
 
-  /** Asks until the returned function is called, while the link is up: a server that does not answer is its subject. */
-  watch(api: Pick<Api, 'health'>, up: () => boolean): () => void {
+  /** Asks until the returned function is called, which is while the link is up: what was so before it broke off may be over. */
+  watch(api: Pick<Api, 'health'>): () => void {
     let timer: ReturnType<typeof setTimeout> | undefined;
     let over = false;
+    this.troubles = [];
     const ask = async (): Promise<void> => {
-      const said = up() ? await api.health().catch(() => null) : null;
+      const said = await api.health().catch(() => null);
       if (over) return;
       if (said !== null) this.troubles = troublesOf(said.broken);
       timer = setTimeout(() => void ask(), EVERY_MS);
