@@ -291,6 +291,18 @@ def test_a_session_is_taken_over_and_ended_by_keyboard_alone(
     expect(panel).to_be_focused()
 
 
+def test_whoever_signs_in_where_another_drove_has_lost_no_controls(
+    server: ServerProcess, people: People, floor: Floor, free_again: None
+) -> None:
+    person = people.sit(server)
+    take_controls(person)
+    person.page.goto("about:blank")
+    until(lambda: server.cell()["control"] is None, what="the lapse of the lease")
+    person.page.goto(f"{server.url}/#token={server.tokens['operator_2']}")
+    expect(person.region("Events")).to_contain_text("holder fell silent")
+    expect(person.alert("You have lost the controls.")).to_have_count(0)
+
+
 @pytest.mark.drawn
 def test_on_a_small_desk_the_way_back_is_named_and_the_legend_keeps_out_of_the_picture(
     server: ServerProcess, people: People, floor: Floor

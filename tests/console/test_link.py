@@ -296,6 +296,27 @@ def test_a_stop_needs_no_seat(server: ServerProcess, people: People, floor: Floo
         until(lambda: server.cell()["latched"], what="the stop")
 
 
+def test_whoever_signs_in_where_a_stop_is_not_confirmed_is_told(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    with wire_to(int(server.url.rsplit(":", 1)[1])) as wire:
+        person = people.sit(server, at=f"http://127.0.0.1:{wire.port}")
+        person.expects(BROKEN)
+        wire.swallow()
+        person.press(".")
+        said = person.alert("The stop of workcell-1 is not confirmed.")
+        expect(said).to_be_visible()
+        person.page.evaluate(f"location.hash = 'token={server.tokens['operator']}'")  # nobody else
+        expect(said).to_have_count(1)
+        person.page.evaluate(f"location.hash = 'token={server.tokens['operator_2']}'")
+        expect(said).to_contain_text("Before you signed in here: The stop of workcell-1 is not confirmed.")
+        expect(said).to_have_count(1)
+        said.get_by_role("button", name="Understood").click()
+        expect(said).to_have_count(0)
+        wire.mend()
+        expect(person.page.get_by_text("operator_2").first).to_be_visible()
+
+
 def test_a_server_that_is_killed_and_started_again_finds_the_console_waiting(
     built: None, servers: Servers, people: People
 ) -> None:

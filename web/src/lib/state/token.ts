@@ -1,3 +1,5 @@
+import { drive } from './drive.svelte';
+
 /** The operator's token: handed over in the fragment of the printed link, kept for this tab alone. */
 const KEY = 'reins.token';
 
@@ -12,7 +14,9 @@ export function takeToken(): string | null {
   return sessionStorage.getItem(KEY);
 }
 
+/** Whoever signs in with another one has not the controls that were had before. */
 export function keepToken(token: string): void {
+  if (token !== sessionStorage.getItem(KEY)) drive.forget();
   sessionStorage.setItem(KEY, token);
 }
 
