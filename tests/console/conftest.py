@@ -439,6 +439,10 @@ def console_ahead(
         unconfirmed = authority.read_text()
         authority.write_text(re.sub(r"^confirm_before: \[\].*\n", CONFIRMED, unconfirmed, flags=re.MULTILINE))
         assert authority.read_text() != unconfirmed
+        grasp = folder / "policies" / "capabilities" / "grasp_object.yaml"
+        bounded = grasp.read_text()
+        grasp.write_text(bounded.replace("maximum: 140,", "maximum: 140, allOf: [{maximum: 140}],"))
+        assert grasp.read_text() != bounded
         with (folder / "policies" / "organization.yaml").open("a") as rules:
             rules.write(TWO_FOR_THE_DRIVER + SLOW_TO_POLISH)
         made = Servers(folder)
@@ -455,8 +459,8 @@ def server(console_ahead: Ahead) -> Iterator[ServerProcess]:
     """One server with one cell in real time, where people share the floor; a module's tests have it in turn.
 
     Its policy is the shipped one, but that whoever is asked under `real-restricted` has three seconds to answer, that
-    grasping the driver takes two people, that a person confirms before something is let go, and that whoever
-    means to polish grasps slowly.
+    grasping the driver takes two people, that a person confirms before something is let go, that whoever
+    means to polish grasps slowly, and that the bound of a grasp's force stands in its manifest twice.
     """
     with console_ahead.take() as server:
         yield server

@@ -283,6 +283,18 @@ def test_an_answer_of_policy_is_marked_once_its_question_has_changed(server: Ser
     expect(form).not_to_contain_text("Ask again")
 
 
+def test_a_fault_that_the_server_names_twice_is_shown(server: ServerProcess, people: People) -> None:
+    person = people.sit(server)
+    person.expects("422")
+    person.press("3")
+    form = person.region("What would happen if…")
+    form.get_by_label("Object (needed)").select_option("mug_1")
+    form.get_by_label(re.compile("^Grip force")).fill("141")
+    form.get_by_role("button", name="Ask policy").click()
+    faults = form.get_by_role("listitem").filter(has_text="141 is greater than the maximum of 140")
+    expect(faults).to_have_count(2)
+
+
 def test_an_answer_that_comes_late_is_no_answer_about_another_capability(server: ServerProcess, people: People) -> None:
     person = people.sit(server)
     person.page.evaluate("location.hash = '#/policy/safe_retreat/human-shared'")
