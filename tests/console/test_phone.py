@@ -109,6 +109,22 @@ def test_approve_is_offered_once_every_line_was_in_sight(
     expect(person.button(re.compile("^Approve"))).to_be_enabled()
 
 
+def test_why_nothing_can_be_approved_now_is_a_line_to_read(server: ServerProcess, people: People, floor: Floor) -> None:
+    person = people.sit(server, size=PHONE)
+    floor.ask("glass_1", confidence=0.3, goal="clear bench A and put away what stands there", task="set the table")
+    expect(person.button(re.compile("^Deny"))).to_be_enabled()
+    read_all(person)
+    expect(person.button(re.compile("^Approve"))).to_be_enabled()
+    person.page.evaluate("document.querySelector('#page').scrollTop = 100")
+    assert server.post("/v1/cells/workcell-1/estop").is_success
+    why, read = person.page.get_by_text("would refuse it"), person.button("Read it first")
+    expect(read).to_be_visible()
+    expect(why).not_to_be_in_viewport(ratio=1)
+    person.tap(read)
+    expect(why).to_be_in_viewport(ratio=0.9)
+    expect(person.button(re.compile("^Approve"))).to_be_disabled()
+
+
 def test_no_finger_approves_a_question_that_is_out_of_sight(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
