@@ -48,6 +48,8 @@ _SOLVES_PER_TICK = 3
 _DRIVE_GAIN, _TURN_GAIN = 1.5, 1.5
 _DOCKED_M, _DOCKED_RAD, _DOCKED_TICKS, _DOCKING_S = 0.006, 0.01, 20, 2.5
 _BLOCKED_ERROR_M, _LOOKAHEAD_M = 0.20, 0.9
+_CRATE_M = robot.BASE_RADIUS_M + 0.30  # from the middle of one to the middle of the base
+_LOOKS, _NEARER_M = 6, 0.05  # how often the way back is looked at within that, and what docking may wander
 _TURN_SPEED_RADPS = 0.8
 
 
@@ -305,24 +307,38 @@ class Body:
         travel = Travel(Path([start, end], [metres]), Limits(speed_mps * 0.97, BASE_ACCELERATION, BASE_JERK))
         while not travel.done:
             point, velocity = travel.advance(self.rate)
-            self._check_way(point, end)
+            self._check_follows(point)
+            self._check_way(end)
             yield self._drive_command(point, velocity, speed_mps)
             self.progress = before + share * travel.progress
 
-    def _check_way(self, point: Sequence[float], end: Vec3) -> None:
+    def _check_follows(self, point: Sequence[float]) -> None:
         if self.carrying and not self.holding:
             raise SkillFailed("object_lost", "the object was lost on the way")
         x, y, _ = self.senses.believed_pose()
         if hypot(point[0] - x, point[1] - y) > _BLOCKED_ERROR_M:
             raise SkillFailed("blocked", "the base does not follow: something holds it")
+
+    def _check_way(self, end: Vec3) -> None:
+        x, y, _ = self.senses.believed_pose()
         ahead = hypot(end[0] - x, end[1] - y)
         if ahead < 0.05:
             return
         reach = min(ahead, _LOOKAHEAD_M)
         tip = (x + (end[0] - x) / ahead * reach, y + (end[1] - y) / ahead * reach)
         for cx, cy in self.senses.perception.crates:
-            if _near_segment((cx, cy), (x, y), tip) < robot.BASE_RADIUS_M + 0.30:
+            if _near_segment((cx, cy), (x, y), tip) < _CRATE_M:
                 raise SkillFailed("blocked", f"a crate stands at ({cx:.1f}, {cy:.1f})")
+
+    def _check_way_back(self, travel: Travel) -> None:
+        """See that the recorded way leads up to no crate; away from one it may lead, however near it begins."""
+        x, y, _ = self.senses.believed_pose()
+        for cx, cy in self.senses.perception.crates:
+            here = hypot(cx - x, cy - y) - _NEARER_M
+            for part in range(1, _LOOKS + 1):
+                (ax, ay, _), _ = travel.path.sample(travel.metres + _LOOKAHEAD_M * part / _LOOKS)
+                if hypot(cx - ax, cy - ay) < min(here, _CRATE_M):
+                    raise SkillFailed("blocked", f"a crate stands at ({cx:.1f}, {cy:.1f})")
 
     def _drive_command(self, point: Sequence[float], velocity: Sequence[float], speed_mps: float) -> Command:
         x, y, yaw = self.senses.believed_pose()
@@ -355,13 +371,18 @@ class Body:
         yield self.hold()
 
     def drive_poses(self, poses: Sequence[Vec3], speed_mps: float) -> Moves:
-        """Drive through poses in one journey (retracing); no corner is sharper than it was when recorded."""
+        """Drive through poses in one journey (retracing); no corner is sharper than it was when recorded.
+
+        What was free when it was recorded need not be so any more: the way is looked at as any other is.
+        """
         start = self.senses.believed_pose()
         points = [np.array((*p[:2], start[2] + wrapped(p[2] - start[2]))) for p in (start, *poses)]
         lengths = [float(np.hypot(*(b - a)[:2])) + abs(float(b[2] - a[2])) * 0.3 for a, b in itertools.pairwise(points)]
         travel = Travel(Path(points, lengths), Limits(speed_mps * 0.97, BASE_ACCELERATION, BASE_JERK))
         while not travel.done:
             point, velocity = travel.advance(self.rate)
+            self._check_follows(point)
+            self._check_way_back(travel)
             yield self._drive_command(point, velocity, speed_mps)
         yield from self._settle((*poses[-1][:2], poses[-1][2]), speed_mps)
 

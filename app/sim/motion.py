@@ -67,6 +67,7 @@ class Travel:
     def __init__(self, path: Path, limits: Limits) -> None:
         """Time the journey with ruckig."""
         self.path = path
+        self.metres = 0.0  # along the path, so far
         self._time_s = 0.0
         self._trajectory = ruckig.Trajectory(1)
         self.duration_s = 0.0
@@ -99,6 +100,7 @@ class Travel:
         if self.duration_s == 0.0:
             return self.path.sample(0.0)
         position, velocity, _ = self._trajectory.at_time(self._time_s)
-        point, direction = self.path.sample(position[0])
+        self.metres = position[0]
+        point, direction = self.path.sample(self.metres)
         speed = velocity[0] * rate
         return point, [slope * speed for slope in direction]

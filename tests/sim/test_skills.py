@@ -6,11 +6,11 @@ from math import cos, dist, sin
 
 import pytest
 
-from app.governance.model import Site
+from app.governance.model import Site, Vec3
 from app.sim.hand import MARK_MAX
 from app.sim.soak import Report, Score, count, soak
 from app.sim.trial import run_skill
-from app.sim.workcell import make_workcell
+from app.sim.workcell import Workcell, make_workcell
 
 pytestmark = [pytest.mark.physics, pytest.mark.timeout(900)]
 
@@ -50,6 +50,39 @@ def test_going_back_keeps_to_its_own_limit_on_wheels_too(site: Site) -> None:
     assert ran.done, ran.detail
     assert dist(cell.truth().base[:2], start[:2]) < 0.1
     assert 0.05 < ran.base_speed_mps <= 0.1 * 1.05
+
+
+@pytest.fixture
+def driven(site: Site) -> tuple[Workcell, list[Vec3]]:
+    """A workcell that has driven to the dock, and where its base was on the way."""
+    cell = make_workcell(site, cell_id="back", seed=FIRST)
+    assert run_skill(cell, "navigate_to", {"target": "dock", "speed_mps": 0.6, "clearance_m": 0.3}).done
+    return cell, [mark.base for mark in cell.trail]
+
+
+@pytest.mark.parametrize("aside_m", [0.0, 0.3])
+def test_going_back_stops_before_a_crate_that_came_into_the_way_meanwhile(
+    driven: tuple[Workcell, list[Vec3]], aside_m: float
+) -> None:
+    cell, way = driven
+    there = cell.truth().base
+    x, y, _ = next(base for base in reversed(way) if dist(base[:2], there[:2]) > 2.0)
+    cell.plant.place_crate("crate_1", x, y + aside_m)
+    ran = run_skill(cell, "retrace", {"speed_mps": 0.2}, limit_s=60.0)
+    assert (ran.failure, cell.plant.true_push_n()[0]) == ("blocked", 0.0), ran
+    assert "a crate stands at" in ran.detail
+    assert dist(cell.plant.crates()[0], (x, y + aside_m)) < 0.01
+    assert dist(cell.truth().base[:2], there[:2]) > 0.1, "it went as far as it could"
+
+
+def test_going_back_leaves_a_crate_behind_however_near_it_stands(driven: tuple[Workcell, list[Vec3]]) -> None:
+    cell, way = driven
+    x, y, _ = cell.truth().base
+    back = next(base for base in reversed(way) if dist(base[:2], (x, y)) > 0.8)
+    cell.perception.crates[:] = [(x + 0.6 * (x - back[0]) / 0.8, y + 0.6 * (y - back[1]) / 0.8)]
+    ran = run_skill(cell, "retrace", {"speed_mps": 0.2}, limit_s=100.0)
+    assert ran.done, ran.detail
+    assert dist(cell.truth().base[:2], way[0][:2]) < 0.1
 
 
 def test_a_retreat_looks_at_its_whole_way(site: Site) -> None:
