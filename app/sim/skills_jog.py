@@ -30,6 +30,7 @@ _JOINT_SPEED_RADPS = 1.2
 _LARGEST_TURN_RADPS, _BASE_RADIUS_M = 0.8, 0.45
 _GRIP_RAMP_NPS = 100.0
 _IN_HAND_M = 0.06
+_EMPTY_TICKS = 30  # pads that felt something until just now may hold it still
 _RESTING: Vec3 = (0.0, 0.0, 0.0)
 _PUSHED_TICKS = 30  # a base that drives off is behind its command for a tenth of that
 _PUSHED_SHARE = 0.3  # of the commanded speed
@@ -55,7 +56,7 @@ class Jog:
         self._pushing = 0
         self._met: Vec3 | None = None  # which way something stood that the base has met
         self._tick = -1
-        self._touching = 0
+        self._touching = self._missing = 0  # for how many ticks the pads have felt something, and nothing
         self.refused = ""
         self.detail = ""
         body.enter("jog", 0.0)
@@ -127,14 +128,14 @@ class Jog:
         """Open or close for as long as it is wanted; what is held stays held."""
         body = self._body
         seen = body.seen
-        self._touching = self._touching + 1 if seen.pads_loaded else 0
+        self._touching, self._missing = (self._touching + 1, 0) if seen.pads_loaded else (0, self._missing + 1)
         if wanted == "open":
             body.grip_n = -OPEN_N if seen.grip_width_m < OPEN_WIDTH_M else 0.0
         elif wanted == "close" and self._touching < PAD_TOUCH_TICKS:
             body.grip_n = min(SOFT_CLOSE_N, self._grip_n)
         elif wanted == "close":
             body.grip_n = min(self._grip_n, max(body.grip_n, 0.0) + _GRIP_RAMP_NPS * CONTROL_PERIOD_S)
-        elif not seen.pads_loaded or body.grip_n < 0.0:
+        elif self._missing >= _EMPTY_TICKS or body.grip_n < 0.0:
             body.grip_n = 0.0
         self._know_the_hand()
 

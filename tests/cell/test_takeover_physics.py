@@ -186,6 +186,24 @@ def test_a_hand_grasps_what_is_there_and_the_robot_knows_it(tmp_path: Path) -> N
     assert shop.cell.facts().holding is None
 
 
+def test_a_hand_keeps_what_its_pads_miss_for_a_moment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shop = Workshop(tmp_path)
+    shop.launch("grasp_object", **GRASP)
+    while shop.runner.session is not None:
+        shop.runner.tick()
+    shop.launch("takeover", 2, **LIMITS)
+    console = Console(shop, "inv-2")
+    console.release()
+    console.tick(20)
+    step = shop.cell.step
+    with monkeypatch.context() as missing:
+        missing.setattr(shop.cell, "step", lambda command: step(command)._replace(pads_loaded=False))
+        console.tick()
+    console.tick(100)
+    assert (shop.cell.truth().held, shop.cell.facts().holding) == ("mug_1", "mug_1")
+    assert shop.cell.observe().grip_force_n > 15.0
+
+
 def test_a_thing_gripped_anew_in_another_place_has_not_slipped(tmp_path: Path) -> None:
     shop = Workshop(tmp_path)
     shop.launch("grasp_object", **GRASP)
