@@ -160,10 +160,11 @@ def _watch_rule(row: WatchRow, capability: Capability, profile: Profile, bounds:
 def _headroom(bound: float, row: WatchRow, profile: Profile) -> float:
     """Return the threshold over a bound; for a slow session at least what the speed's own noise needs.
 
-    At low speeds five percent of the bound drown in that noise. It is never more than the profile's limit allows.
+    At low speeds five percent of the bound drown in that noise. It is never more than the profile's limit allows. What
+    speaks up before the bound gets none: it would say no more than what speaks of the violation.
     """
     threshold = bound * row.times
-    if row.signal not in SPEEDS or row.limit is None:
+    if row.signal not in SPEEDS or row.limit is None or row.times < 1.0:
         return threshold
     return max(threshold, min(bound + SPEED_NOISE_MPS, profile.limits[row.limit].maximum * row.times))
 

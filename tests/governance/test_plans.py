@@ -112,6 +112,15 @@ def test_a_slow_session_has_headroom_for_the_noise_of_its_speed_and_never_more_t
     assert next(rule for rule in plan.rules if rule.id == "tcp-speed").threshold == pytest.approx(threshold)
 
 
+@pytest.mark.parametrize("speed_mps", [0.05, 0.1, 0.2])
+def test_what_speaks_up_before_a_speed_limit_does_so_in_a_slow_session_too(speed_mps):
+    name = "profiles/human-shared.yaml"
+    row = "{id: early, signal: tcp_speed_mps, above: {limit: tcp_speed_mps, times: 0.8}, response: {enter: pause}}"
+    policy = bundle.load_files({**files(), name: files()[name].replace("watch:\n", f"watch:\n  - {row}\n")})
+    plan = watch_plan(policy, "grasp_object", "human-shared", {"object_id": "mug_1", "speed_mps": speed_mps})
+    assert next(rule.threshold for rule in plan.rules if rule.id == "early") == pytest.approx(0.8 * speed_mps)
+
+
 @pytest.mark.parametrize(
     ("profile", "can_ask"),
     [("sim-relaxed", False), ("test-audit", False), ("real-restricted", True), ("human-shared", True)],
