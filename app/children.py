@@ -17,8 +17,9 @@ import json
 import os
 import signal
 import sys
+import time
 from collections import deque
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING, Final, TextIO, cast
 
 from app.clock import monotonic_s
 from app.config import CELL_TOKEN_VARIABLE, cell_terms
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
     from app.config import Settings
 
 LOCK_FILE: Final = "cell.lock"
+LOCK_TRIES: Final = 10
+LOCK_PAUSE_S: Final = 0.01
 RESTARTS: Final = 5  # within RESTARTS_WITHIN_S; after that a cell stays down until somebody starts it, or the server
 RESTARTS_WITHIN_S: Final = 120.0
 LOOK_S: Final = 0.25
@@ -58,14 +61,22 @@ def cell_lock(folder: Path, started_with: Mapping[str, object] | None = None) ->
         OSError: the folder cannot be written.
     """
     with (folder / LOCK_FILE).open("a+") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise CellRuns(folder, running_cell(folder)) from None
+        if not _locked(file):
+            raise CellRuns(folder, running_cell(folder))
         file.truncate(0)
         file.write(f"{os.getpid()}\n{json.dumps(dict(started_with or {}))}\n")
         file.flush()
         yield
+
+
+def _locked(file: TextIO) -> bool:
+    """Take the lock of a cell, and say whether it could be had; who looks whether the cell runs has it for a moment."""
+    for _ in range(LOCK_TRIES):
+        with contextlib.suppress(BlockingIOError):
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return True
+        time.sleep(LOCK_PAUSE_S)
+    return False
 
 
 def running_cell(folder: Path) -> int | None:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import fcntl
 import json
+import os
 import signal
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
 import anyio
 import pytest
 
-from app.children import Children, running_cell
+from app.children import LOCK_FILE, CellRuns, Children, cell_lock, running_cell
 from app.clock import monotonic_s
 from app.config import Settings
 
@@ -35,6 +38,16 @@ async def until_trouble(children: Children, wanted: bool) -> None:
     while (children.trouble() is not None) is not wanted:
         assert monotonic_s() < deadline_s
         await anyio.sleep(0.02)
+
+
+async def test_who_looks_whether_a_cell_runs_keeps_none_from_starting(tmp_path: Path) -> None:
+    with (tmp_path / LOCK_FILE).open("w") as looking:
+        fcntl.flock(looking, fcntl.LOCK_SH)
+        threading.Timer(0.03, fcntl.flock, (looking, fcntl.LOCK_UN)).start()
+        with cell_lock(tmp_path):
+            assert running_cell(tmp_path) == os.getpid()
+            with pytest.raises(CellRuns, match=f"process `{os.getpid()}`"), cell_lock(tmp_path):
+                pass
 
 
 @pytest.mark.parametrize("adopted", [False, True])
