@@ -11,12 +11,12 @@ import typer
 from rich.progress import BarColumn, Progress, TextColumn
 
 from app import cli_authoring, cli_policy_diff, cli_policy_new, cli_policy_suggest, cli_policy_test
-from app.cli_policies import Directory, finding, load_policy
+from app.cli_policies import Directory, finding
 from app.clock import monotonic_s
 from app.config import find_policies
 from app.governance.bundle import load, read_cases, read_properties
 from app.governance.cases import read as read_tests
-from app.governance.errors import PolicyErrors
+from app.governance.errors import PolicyError, PolicyErrors
 from app.governance.evolution import outgrown
 from app.governance.stated import read as read_promises
 from app.terminal import FINDING, err, say
@@ -24,7 +24,6 @@ from app.terminal import FINDING, err, say
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from app.governance.errors import PolicyError
     from app.governance.policy import PolicySet
     from app.proofs.findings import Finding
     from app.proofs.prove import Report
@@ -70,7 +69,7 @@ def check(  # its options
     try:
         policy = load(folder)
         cases = read_tests(policy, read_cases(folder))
-        if against is not None and (problems := outgrown(load_policy(find_policies(against)), policy)):
+        if against is not None and (problems := outgrown(_known(find_policies(against)), policy)):
             raise PolicyErrors(problems)  # noqa: TRY301  # they are written like all others
         promised = read_properties(folder)
         read_promises(policy, promised)  # what cannot be read is refused, whether it is to be proved or not
@@ -95,6 +94,22 @@ def check(  # its options
         say(policy.digest)
     if faults:
         raise typer.Exit(FINDING)
+
+
+def _known(folder: Path) -> PolicySet:
+    """Load the policy that agents know.
+
+    Raises:
+        PolicyErrors: something is wrong with it; its files are named by their whole paths, as they are not those that
+            are checked.
+    """
+    try:
+        return load(folder)
+    except PolicyErrors as found:
+        raise PolicyErrors([
+            PolicyError(file=str(folder / one.file), line=one.line, key=one.key, message=one.message, valid=one.valid)
+            for one in found.problems
+        ]) from found  # fmt: skip
 
 
 def _prove(policy: PolicySet, properties: str | None, effort: int, all_s: float) -> Report:

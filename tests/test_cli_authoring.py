@@ -131,3 +131,18 @@ def test_a_candidate_is_checked_against_the_policy_that_agents_know(tmp_path: Pa
     assert "grasp_object.yaml:3: version: 1.0.0 in force became 1.0.0, and what changed demands a major" in done.output
     manifest.write_text(manifest.read_text().replace("version: 1.0.0", "version: 2.0.0"))
     assert CliRunner().invoke(app, words).exit_code == 0
+
+
+def test_what_is_wrong_with_the_policy_that_agents_know_is_written_as_other_findings_are(tmp_path: Path) -> None:
+    shutil.copytree(POLICIES, tmp_path / "known")
+    broken = tmp_path / "known" / "organization.yaml"
+    broken.write_text(broken.read_text() + "nonsense: 1\n")
+    words = ["policy", "check", str(POLICIES), "--no-proofs", "--against", str(tmp_path / "known")]
+    done = CliRunner().invoke(app, [*words, "--format", "sarif"])
+    assert done.exit_code == 1
+    (found,) = orjson.loads(done.stdout)["runs"][0]["results"]
+    assert "nonsense" in found["message"]["text"]
+    assert str(broken) in orjson.dumps(found).decode()
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 1
+    assert f"{broken}:" in done.output.replace("\n", "")
