@@ -141,8 +141,8 @@ describe('an edit on approval', () => {
     said(event('approval', { decision, escalation: { ...asked, approvals: approvals.map(([who, at]) => ({ by: who, at, digest: 'e' })) } }, 'inv_1', by));
 
   it('says what it changed, and that it voids what was approved before', () => {
-    expect(answer('approve', 'bob', [['bob', '2026-11-22T10:00:00.003Z']])).toBe('bob edited: grip force 60 → 40 N, and approved, 1 of 2; earlier approvals do not count any more');
-    expect(answer('edit', 'bob', [])).toBe('bob edited, and policy cut it further: grip force 60 → 40 N; earlier approvals do not count any more');
+    expect(answer('approve', 'bob', [['bob', '2026-11-22T10:00:00.003Z']])).toBe('bob edited: grip force 60 → 40 N, and approved, 1 of 2; no earlier approval counts');
+    expect(answer('edit', 'bob', [])).toBe('bob edited, and policy cut it further: grip force 60 → 40 N; no earlier approval counts');
   });
 
   it('is not told again with the approvals that follow', () => {

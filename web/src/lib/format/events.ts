@@ -155,7 +155,7 @@ function editOf(body: Body, event: LogEvent, known: Known): string {
 function approval(body: Body, event: LogEvent, known: Known): Line {
   const asked = obj(body['escalation']);
   const [given, of] = [list(asked['approvals']).length, num(asked['needed']) ?? 1];
-  const voided = of > 1 ? '; earlier approvals do not count any more' : '';
+  const voided = of > 1 ? '; no earlier approval counts' : '';
   switch (str(body['decision'])) {
     case 'approve': {
       const edit = editOf(body, event, known);
