@@ -156,7 +156,7 @@ class TelemetryWriter:
             path.parent.mkdir(parents=True, exist_ok=True)
             file = self._draft.open("wb")
         except OSError as error:
-            raise RecordUnavailable(f"telemetry file: {error}") from error
+            raise _unwritten(error) from error
         arguments = (file, tuple(channels), start_wall_s)
         self._thread = threading.Thread(target=self._work, args=arguments, name=f"telemetry-{path.stem}", daemon=True)
         self._thread.start()
@@ -216,7 +216,7 @@ class TelemetryWriter:
         self._waiting.put(None)
         self._thread.join()
         if self._error is not None:
-            raise RecordUnavailable(f"telemetry file: {self._error}") from self._error
+            raise _unwritten(self._error) from self._error
         try:
             with self._draft.open("rb") as file:
                 digest = hashlib.file_digest(file, "sha256").hexdigest()
@@ -224,7 +224,7 @@ class TelemetryWriter:
             self._draft.replace(self.path)
             sync_folder(self.path.parent)
         except OSError as error:
-            raise RecordUnavailable(f"telemetry file: {error}") from error
+            raise _unwritten(error) from error
         rows, events = self._counts
         return TelemetryFile(
             file=self.path.name, sha256=digest, bytes=size, rows=rows, events=events, dropped=self._dropped
@@ -256,6 +256,11 @@ class TelemetryWriter:
             self._error = error
             while not closed:
                 closed = self._waiting.get() is None
+
+
+def _unwritten(error: Exception) -> RecordUnavailable:
+    """Say why there is no file; where the server keeps its files concerns nobody who reads the record."""
+    return RecordUnavailable(f"telemetry file: {getattr(error, 'strerror', None) or error}")
 
 
 class _Tape:
