@@ -413,7 +413,7 @@ def test_an_edit_that_anothers_overtakes_is_said_to_be_gone_and_no_key_falls_int
         assert other.post(f"{path}/resolve", json=edit).json()["status"] == "pending"
     expect(force).to_have_value("33")
     person.page.keyboard.type("5")
-    expect(card(person, "Grasp driver_1")).to_be_focused()
+    expect(person.page.locator("input:focus")).to_have_count(0)  # a slow line gives the safe choice the focus
     expect(force).to_have_value("33")
     told = card(person, "Grasp driver_1").get_by_role("alert")
     expect(told.last).to_have_text("Your edit was of what was asked before: it was not sent, and is gone.")
