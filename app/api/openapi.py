@@ -15,7 +15,7 @@ from fastapi.openapi.utils import get_openapi
 from pydantic.json_schema import models_json_schema
 from starlette.responses import JSONResponse, Response
 
-from app.api import documents, policy_documents, wire
+from app.api import documents
 from app.api.access import PUBLIC, allowed_roles
 from app.api.frame import Json
 from app.api.problems import CODES, MEDIA_TYPE, Problem
@@ -25,18 +25,8 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
 REFERENCE = "#/components/schemas/{model}"
-BODIES: tuple[type[BaseModel], ...] = (
-    wire.ProposalBody,
-    wire.ResolveBody,
-    wire.GrantBody,
-    wire.ReviewRequestBody,
-    wire.VerdictBody,
-    wire.ProfileBody,
-    wire.EmptyBody,
-    policy_documents.CandidateBody,
-    policy_documents.ActivationBody,
-    policy_documents.ShadowBody,
-)
+BODIES: dict[str, type[BaseModel]] = {}
+"""What routes take, by the name that they refer to: `declare` enters it, so that no reference leads nowhere."""
 
 ON_EVERY_ROUTE = ("internal", "row_unreadable", "record_damaged", "given_twice")
 ON_GUARDED = ("token_missing", "token_invalid", "token_expired", "role_forbidden", "record_unavailable")
@@ -100,6 +90,7 @@ def declare(
     codes = (*answers.codes, *ON_EVERY_ROUTE, *guarded, *(ON_BODY if body else ()))
     operation: dict[str, Any] = {"security": [] if public else [{"bearer": []}], "parameters": list(parameters)}
     if body is not None:
+        BODIES[body.__name__] = body
         schema = {"$ref": REFERENCE.format(model=body.__name__)}
         required = any(known.is_required() for known in body.model_fields.values())
         operation["requestBody"] = {"required": required, "content": {"application/json": {"schema": schema}}}
@@ -121,7 +112,7 @@ def describe(app: FastAPI, description: str) -> dict[str, Any]:
     """Return the OpenAPI document of an application."""
     document = get_openapi(title=app.title, version=app.version, description=description, routes=app.routes)
     schemas: dict[str, Any] = document["components"]["schemas"]
-    models = [(model, "validation") for model in (*BODIES, documents.ProblemDocument)]
+    models = [(model, "validation") for model in (*BODIES.values(), documents.ProblemDocument)]
     _, definitions = models_json_schema(models, ref_template=REFERENCE)  # type: ignore[arg-type]
     schemas.update(definitions["$defs"])
     document["components"]["securitySchemes"] = {"bearer": {"type": "http", "scheme": "bearer"}}

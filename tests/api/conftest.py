@@ -193,7 +193,7 @@ class Puppet:
 
 @dataclass
 class Described:
-    """The OpenAPI document; every answer a test gets is held against it."""
+    """The OpenAPI document; every answer a test gets is held against it, and every body that was taken."""
 
     document: dict[str, Any]
     validators: dict[tuple[str, str, str, str], Any] = field(default_factory=dict)
@@ -216,18 +216,24 @@ class Described:
         media_type = response.headers["content-type"].partition(";")[0]
         content = documented[status]["content"]
         assert media_type in content, f"{method} {template} {status} answers {media_type}, not {sorted(content)}"
+        described = self.document["paths"][template][method].get("requestBody")  # what restrains reads no body
+        if described and response.is_success and (taken := response.request.content):
+            schema = described["content"]["application/json"]["schema"]
+            self.hold((template, method, "taken", "application/json"), schema, orjson.loads(taken))
         if bare or media_type in {"text/event-stream", "application/octet-stream"}:
             return
         await response.aread()
-        place = (template, method, status, media_type)
-        if place not in self.validators:
-            schema = {**content[media_type]["schema"], "components": self.document["components"]}
-            self.validators[place] = jsonschema_rs.Draft202012Validator(schema)
-        for error in self.validators[place].iter_errors(response.json()):
-            pytest.fail(f"{place}: {error.instance_path}: {error.message}")
+        self.hold((template, method, status, media_type), content[media_type]["schema"], response.json())
         if media_type == MEDIA_TYPE:
             code = response.json()["code"]
             assert code in content[media_type]["examples"], f"{method} {template} does not describe the code `{code}`"
+
+    def hold(self, place: tuple[str, str, str, str], schema: dict[str, Any], document: object) -> None:
+        if place not in self.validators:
+            whole = {**schema, "components": self.document["components"]}
+            self.validators[place] = jsonschema_rs.Draft202012Validator(whole)
+        for error in self.validators[place].iter_errors(document):
+            pytest.fail(f"{place}: {error.instance_path}: {error.message}")
 
 
 @dataclass
