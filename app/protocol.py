@@ -24,7 +24,7 @@ from app.governance.control import GOING_ON
 LEASE_MS = 300
 BEAT_MS = 75
 STATE_MS = 100
-VERSION = 13
+VERSION = 14
 
 
 Count: TypeAlias = Annotated[int, Field(strict=True, ge=0, lt=2**63)]  # as the record can write down
@@ -122,11 +122,15 @@ class Estop(Message):
 
 
 class Reset(Message):
-    """Leave a latched stop. Moves nothing. The cell names it in its state once it has heard it."""
+    """Leave a latched stop, but none that the cell set by itself after the tick `seen`: nobody knew of that.
+
+    Moves nothing. The cell names it in its state once it has heard it.
+    """
 
     type: Literal["reset"] = "reset"
     id: Annotated[str, Field(min_length=1, max_length=64)]
     actor: str
+    seen: Count
 
 
 class SetProfile(Message):

@@ -161,7 +161,7 @@ class GovernedCell:
             case Estop():
                 self._runner.estop(order.actor)
             case Reset():
-                self._runner.reset(order.actor)
+                self._runner.reset(order.actor, order.seen)
                 self._reset = order.id
             case Shutdown():
                 self._runner.hold("shutdown")

@@ -119,6 +119,7 @@ class Runner:
         self._unpowered = False
         self.latched = bool(journal.marks.get("latched"))
         self.broken = ""
+        self._broke_tick = 0
         if self.latched:
             self._cut_power()
         close_left_open(journal, self._record)
@@ -267,10 +268,16 @@ class Runner:
         with suppress(JournalUnavailable):  # `fault` says so
             self._record.sync()
 
-    def reset(self, actor: str) -> str | None:
-        """Leave a latched stop; return None, or why not. Moves nothing."""
+    def reset(self, actor: str, seen: int | None = None) -> str | None:
+        """Leave a latched stop; return None, or why not. Moves nothing.
+
+        Whoever says so knows of what the cell has done up to the tick `seen`; None, of everything.
+        """
         if not self.latched:
             return "not_latched"
+        if seen is not None and seen < self._broke_tick:
+            self._record.say_anyway(telling.cell("reset_refused", actor, "the watch broke after what was seen"))
+            return "broken_since"
         try:
             self._record.say_first(telling.cell("reset", actor), marks={"latched": None})
         except JournalUnavailable:
@@ -336,6 +343,7 @@ class Runner:
             self.observation = session.tick()
         except Exception as error:  # a guard that breaks guards nothing: power off, and say so
             self.broken = f"its watch broke, and power was cut: {error!r}"
+            self._broke_tick = record.tick
             self._latch(telling.CELL, End(Outcome.FAULT, "guard_broken"))
             record.say_anyway(telling.cell("broken", telling.CELL, repr(error)))
             return

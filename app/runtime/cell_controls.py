@@ -68,7 +68,8 @@ class CellControls:
         """Leave a latched stop; recorded first, moves nothing.
 
         The answer waits, shortly, for the cell to say so itself; its `latched` is what a launch would meet. Where the
-        cell does not say so, the record says that behind the reset (`not_confirmed`).
+        cell does not say so, the record says that behind the reset (`not_confirmed`). A stop that the cell has set by
+        itself since its newest state, as it was when this was said, or armed, stays.
 
         Args:
             cell_id: which cell.
@@ -82,11 +83,7 @@ class CellControls:
             RecordUnavailable: nothing was recorded, it stays latched.
         """
         cell = self._resettable(cell_id)
-        confirmed = code is None or _confirms(cell, principal, code)
-        armed, cell.arming = cell.arming, None
-        if code is not None and not confirmed:
-            disarmed = "" if armed is None else f", and the one that `{armed.by}` armed is off"
-            raise Conflict("not_armed", f"`{code[:64]}` confirms no reset of `{cell.id}`{disarmed}; valid: arm it anew")
+        seen, decided = _seen(cell, principal, code), cell.moment
         self.desk.grants.drop(cell.id, "estop", principal.name)  # none outlives a stop that the cell latched by itself
         before, unkept = cell.stops, cell.latch_unkept
         cell.latch_unkept = False  # or the latch could follow the word that leaves it into the record
@@ -101,7 +98,7 @@ class CellControls:
         async with cell.unlatching:
             if cell.stops == before:  # none has come while this was recorded, or waited for another reset
                 cell.latched = cell.latch_unkept = False
-                if not await self.fleet.unlatch(cell, principal.name):
+                if not await self.fleet.unlatch(cell, principal.name, seen=seen, decided=decided):
                     body = {"what": NOT_CONFIRMED, "op": "reset", "cell": cell.id}
                     await self.register.say(EventDraft(kind=EventKind.CELL, actor=SERVER, body=body))
         return self.fleet.document(cell)
@@ -115,9 +112,10 @@ class CellControls:
         """
         cell = self._resettable(cell_id)
         until_s = monotonic_s() + CONFIRM_S
-        cell.arming = Arming(code=secrets.token_hex(4), by=principal.name, stops=cell.stops, until_s=until_s)
+        code = secrets.token_hex(4)
+        cell.arming = Arming(code=code, by=principal.name, stops=cell.stops, seen=cell.seen, until_s=until_s)
         expires_at = rfc3339(self.register.now_s() + CONFIRM_S)
-        return {**self.fleet.document(cell), "arming": {"code": cell.arming.code, "expires_at": expires_at}}
+        return {**self.fleet.document(cell), "arming": {"code": code, "expires_at": expires_at}}
 
     def _resettable(self, cell_id: str) -> Cell:
         cell = self.fleet.cell(cell_id)
@@ -165,6 +163,22 @@ class CellControls:
             await self.desk.grants.record_ends()
         if self.fleet.attached(cell):
             self.fleet.order(cell, SetProfile(profile=profile), decided=cell.moment)
+
+
+def _seen(cell: Cell, principal: Principal, code: str | None) -> int:
+    """Return the tick of the state that a reset is said of; whatever was armed is over.
+
+    Raises:
+        Conflict: `not_armed`.
+    """
+    confirmed = code is not None and _confirms(cell, principal, code)
+    armed, cell.arming = cell.arming, None
+    if armed is not None and confirmed:
+        return armed.seen
+    if code is not None:
+        disarmed = "" if armed is None else f", and the one that `{armed.by}` armed is off"
+        raise Conflict("not_armed", f"`{code[:64]}` confirms no reset of `{cell.id}`{disarmed}; valid: arm it anew")
+    return cell.seen
 
 
 def _confirms(cell: Cell, principal: Principal, code: str) -> bool:

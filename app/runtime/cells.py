@@ -91,11 +91,15 @@ class Reunion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Arming:
-    """A reset that was asked for and has to be confirmed: by whom, with which code, and after which stop."""
+    """A reset that was asked for and has to be confirmed: by whom, with which code, and after which stop.
+
+    `seen` is the tick of the newest state by then.
+    """
 
     code: str
     by: str
     stops: int
+    seen: int
     until_s: float
 
 
@@ -193,6 +197,11 @@ class Cell:
             return True
         names = self.state is not None and self.state.invocation is not None and self.state.invocation == self.ended
         return names and monotonic_s() - self.ended_at_s <= FRESH_S  # a stray is told to stop after that
+
+    @property
+    def seen(self) -> int:
+        """Return the tick of its newest state: whatever is said of it now is said of nothing that comes later."""
+        return 0 if self.state is None else self.state.tick
 
     @property
     def moment(self) -> Moment:

@@ -252,17 +252,24 @@ class Fleet:
         if cell is not None:
             cell.expected_until_s = monotonic_s() + EXPECTED_S if coming else 0.0
 
-    async def unlatch(self, cell: Cell, actor: str) -> bool:
+    async def unlatch(self, cell: Cell, actor: str, *, seen: int, decided: Moment) -> bool:
         """Have a cell that is there leave its latched stop; waits, shortly, until it says that it has heard of that.
 
-        What it says before may be older than the stop itself. One that is away says when it is back whether it is
-        latched still. Returns whether the cell has said that it heard.
+        What it says before may be older than the stop itself. One that is away, or was meanwhile, says when it is back
+        whether it is latched still. Returns whether the cell has said that it heard.
+
+        Args:
+            cell: which.
+            actor: who says so.
+            seen: of which tick the state was that they say it of: a stop that the cell has set since stays.
+            decided: how the cell stood when they said it; ticks are counted anew by one that was restarted.
         """
-        if not self.attached(cell):
+        reset = Reset(id=secrets.token_hex(8), actor=actor, seen=seen)
+        try:
+            self.order(cell, reset, decided=decided)
+        except Conflict:
             return False
-        reset = Reset(id=secrets.token_hex(8), actor=actor)
         cell.reset = reset.id
-        self.order(cell, reset, decided=cell.moment)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(RESET_S):
                 while cell.reset == reset.id:

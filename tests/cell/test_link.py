@@ -276,7 +276,7 @@ def human(op: str) -> Human:
     [
         (Launch(body="e30=", signature="c2ln"), human("stop")),
         (Launch(body="e30=", signature="c2ln"), human("let_go")),
-        (Reset(id="r1", actor="operator"), Estop(actor="planner")),
+        (Reset(id="r1", actor="operator", seen=1), Estop(actor="planner")),
         (human("resume"), human("pause")),
     ],
 )

@@ -215,6 +215,10 @@ def test_a_substrate_that_breaks_is_cut_off_and_latched(rig: Rig, monkeypatch: p
     assert [(body["outcome"], body["code"]) for body in rig.of("outcome")] == [("fault", "guard_broken")]
     assert "ZeroDivisionError" in rig.runner.view().broken
     assert rig.runner.launch(signed(id="auth-2")) == "estop_latched"
+    broke = rig.runner.view().tick
+    assert rig.runner.reset("operator", broke - 1) == "broken_since"
+    assert (rig.runner.latched, rig.of("cell")[-1]["what"]) == (True, "reset_refused")
+    assert rig.runner.reset("operator", broke) is None
 
 
 @pytest.mark.parametrize("reading", [1e39, -1e39, math.inf, math.nan])

@@ -105,6 +105,7 @@ class HandCell:
     latched: bool = False
     reset: str = ""
     obeys: bool = True  # a stop and a reset, and says so
+    tripped: int = 0  # the tick at which it latched a stop by itself
 
     async def send(self, frame: str) -> None:
         if self.closed:
@@ -112,13 +113,17 @@ class HandCell:
         message = decode_down(frame)
         self.heard.append(message)
         if self.obeys and isinstance(message, Estop | Reset):
-            self.latched = isinstance(message, Estop)
+            self.latched = isinstance(message, Estop) or (self.latched and message.seen < self.tripped)
             if isinstance(message, Reset):
                 self.reset = message.id
             await self.state()
 
     async def close(self, code: int, reason: str) -> None:
         self.closed = (code, reason)
+
+    def trip(self, tick: int) -> None:
+        """Latch a stop by itself."""
+        self.latched, self.tripped = True, tick
 
     async def dial(self, **changes: Any) -> HandCell:
         hello = {
@@ -146,7 +151,7 @@ class HandCell:
         assert self.attachment is not None
         state = {
             "at_s": 1.0,
-            "tick": 1,
+            "tick": max(1, self.tripped),
             "invocation": self.invocation,
             "status": self.status,
             "latched": self.latched,

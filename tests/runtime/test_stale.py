@@ -365,6 +365,38 @@ async def test_a_stop_that_comes_while_one_reset_waits_for_another_is_left_by_ne
     assert len(cell.all("reset")) == 1
 
 
+async def test_a_stop_that_the_cell_sets_by_itself_between_two_resets_is_left_by_neither(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its watch broke in a session that began after the first: nobody had seen that when the second was said."""
+    await runtime.governor.estop(CELL, AGENT)
+    append, goes_on = runtime.store.append, asyncio.Event()
+
+    async def slow(drafts: Any, *more: Any) -> Any:
+        if any(draft.actor == OPERATOR_2.name for draft in drafts):
+            await goes_on.wait()
+        return await append(drafts, *more)
+
+    monkeypatch.setattr(runtime.store, "append", slow)
+    second = asyncio.create_task(runtime.governor.reset(CELL, OPERATOR_2))
+    assert not (await runtime.governor.reset(CELL, OPERATOR))["latched"]
+    cell.trip(tick=50)
+    goes_on.set()  # while what the cell says of that is on its way
+    await second
+    assert (len(cell.all("reset")), cell.latched) == (2, True)
+
+
+async def test_a_reset_that_was_armed_leaves_no_stop_that_the_cell_set_by_itself_since(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    await runtime.governor.estop(CELL, AGENT)
+    code = runtime.governor.arm_reset(CELL, OPERATOR)["arming"]["code"]
+    cell.trip(tick=50)
+    await cell.state(tick=50)
+    assert (await runtime.governor.reset(CELL, OPERATOR, code))["latched"]
+    assert not (await runtime.governor.reset(CELL, OPERATOR))["latched"]
+
+
 async def test_two_resets_at_once_are_heard_one_after_the_other(runtime: Runtime, cell: HandCell) -> None:
     await runtime.governor.estop(CELL, AGENT)
     both = await asyncio.gather(
