@@ -20,7 +20,7 @@ from app.runtime.errors import Conflict, NotFound
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
-    from app.runtime.cells import Cell
+    from app.runtime.cells import Cell, Moment
     from app.runtime.desk import Desk
     from app.runtime.fleet import Fleet
     from app.runtime.invocation import Principal
@@ -85,23 +85,27 @@ class CellControls:
         cell = self._resettable(cell_id)
         seen, decided = _seen(cell, principal, code), cell.moment
         self.desk.grants.drop(cell.id, "estop", principal.name)  # none outlives a stop that the cell latched by itself
+        cell.resetting += 1
+        try:
+            await self._reset(cell, principal, seen, decided)
+        finally:
+            cell.resetting -= 1
+        return self.fleet.document(cell)
+
+    async def _reset(self, cell: Cell, principal: Principal, seen: int, decided: Moment) -> None:
         before, unkept = cell.stops, cell.latch_unkept
         cell.latch_unkept = False  # or the latch could follow the word that leaves it into the record
-        cell.resetting += 1
         try:
             await self.fleet.roster.keep(cell, [cell_word("reset", cell, principal)], estop=False)
         except RecordUnavailable:
             cell.latch_unkept = unkept or cell.latch_unkept
             raise
-        finally:
-            cell.resetting -= 1
         async with cell.unlatching:
             if cell.stops == before:  # none has come while this was recorded, or waited for another reset
                 cell.latched = cell.latch_unkept = False
                 if not await self.fleet.unlatch(cell, principal.name, seen=seen, decided=decided):
                     body = {"what": NOT_CONFIRMED, "op": "reset", "cell": cell.id}
                     await self.register.say(EventDraft(kind=EventKind.CELL, actor=SERVER, body=body))
-        return self.fleet.document(cell)
 
     def arm_reset(self, cell_id: str, principal: Principal) -> dict[str, Any]:
         """Prepare to leave a latched stop: returns the code to confirm it with. Changes nothing else, moves nothing.

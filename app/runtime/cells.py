@@ -145,7 +145,7 @@ class Cell:
     control_at: str = ""  # since when, by the wall clock
     unrecorded: str = ""  # the lease by which it is being taken from somebody: it moves nothing yet
     arming: Arming | None = None  # the first of the two steps out of a latched stop
-    resetting: int = 0  # resets that are being recorded
+    resetting: int = 0  # resets that are being recorded, or wait for another one
     profiling: asyncio.Lock = field(default_factory=asyncio.Lock)  # and is put under one profile at a time
     unlatching: asyncio.Lock = field(default_factory=asyncio.Lock)  # it is told one reset at a time
     reset: str = ""  # the one that it was told, and has not said to have heard: what it says until then is older

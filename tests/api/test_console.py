@@ -486,6 +486,12 @@ async def test_a_stop_said_here_while_somebody_resets_keeps_the_cell_stopped(
         await said(screen)
         goes_on.set()
         assert (await resetting).json()["latched"]
+        async with cell.cell(CELL).unlatching:  # another reset of which the cell says nothing for a second
+            size = house.runtime.store.size
+            resetting = asyncio.create_task(operator.post(reset))
+            await eventually(lambda: house.runtime.store.size > size)
+            await said(screen)
+        assert (await resetting).json()["latched"]
 
 
 async def test_an_escalation_appears_and_its_answer_too(shared_house: House) -> None:
