@@ -97,7 +97,7 @@ class Controls:
             after: the newest event that they had seen; None if they do not say.
 
         Errors as `cancel`, and Conflict `cell_offline`, `estop_latched`, `control_held`, `interrupt_not_enabled`, or
-        `overtaken` by a word that was said after the event.
+        `overtaken` by a word that was said after the event; Forbidden `role_forbidden`, they may say it no more.
         """
         return await self._operate("rollback", invocation_id, principal, after)
 
@@ -226,6 +226,7 @@ class Controls:
             present = entry.newest
             if present.final:
                 raise _wrong_status(op, present.status)
+            self.desk.ask_again(principal)
             if op != "rollback":
                 await self.register.append([human_event(op, present, principal)])
                 return None

@@ -143,8 +143,8 @@ class Desk(Questions):
         async with entry.lock:
             present = await self._present(escalation_id, entry.newest)
             _check_answer(present, principal, digest, self.outdated(present))
-            if decision == "approve" and not self.grants.may_give(principal.name):  # by now: their word had to wait
-                raise Forbidden.withdrawn(principal.name)
+            if decision == "approve":
+                self.ask_again(principal)
             grant = None if offer is None else self._grant(offer, present, entry.newest, principal, decision, params)
             answer = Answer(self, entry.newest, present, principal, comment, grant)
             match present.kind, decision:
@@ -318,6 +318,15 @@ class Desk(Questions):
             return []
         shown = (ended.escalation or {}).get("id") == closed.id
         return [ended.evolve(now, escalation=closed.reference())] if shown else []
+
+    def ask_again(self, principal: Principal) -> None:
+        """Refuse a word on which something moves, and which had to wait, of somebody who may say it no more by now.
+
+        Raises:
+            Forbidden: `role_forbidden`.
+        """
+        if not self.grants.may_give(principal.name):
+            raise Forbidden.withdrawn(principal.name)
 
     async def watch_deadlines(self) -> None:
         """Close questions when their time is over, for ever."""

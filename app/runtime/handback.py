@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.event import EventDraft
 from app.clock import monotonic_s
-from app.governance.control import TAKEOVER, Control, Phase, Taking, returning
+from app.governance.control import TAKEOVER, Control, Phase, Taking, keep, returning
 from app.governance.model import SESSION, EventKind
 from app.protocol import Human
 from app.runtime.cells import FRESH_S
@@ -68,11 +68,12 @@ class Handbacks:
             Conflict: `wrong_status`, `not_taken_over`, `control_held`, `nothing_to_resume`, `ending`, `cell_offline`;
                 `overtaken`, they have them by another lease by now, or others have said a word since; `facts_stale`,
                 `paused`, and `resume_refused` with the reasons: the holder keeps the controls.
+            Forbidden: `role_forbidden`, they may say so no more once the cell was waited for; likewise.
             RecordUnavailable: nothing was recorded, and the holder keeps the controls.
         """
         present = await self._session(invocation_id, principal)
         cell = self.fleet.cell(present.cell or "")
-        _held_by(cell, present.id, principal, ends=then == "end")
+        control = _held_by(cell, present.id, principal, ends=then == "end")
         self._reachable(cell, present.id)
         if then == "resume" and present.capability == TAKEOVER:
             raise Conflict("nothing_to_resume", "nothing ran before; valid: `rollback`, `end`")
@@ -80,8 +81,12 @@ class Handbacks:
             return await self._end(cell, present, principal)
         self.register.check_undamaged()
         decided = cell.moment
-        await self._in_time(cell, present.id, principal, lease, after)
-        if not await self._newer(cell) and then == "resume":  # a rollback is the cell's own to judge
+        _by_lease(cell, lease)
+        cell.control = keep(control, monotonic_s())  # some say nothing else
+        newer = await self._newer(cell)
+        if after is not None:
+            await check_newest(self.register, cell, present.id, principal, after)
+        if not newer and then == "resume":  # a rollback is the cell's own to judge
             raise Conflict(
                 "facts_stale",
                 f"the cell `{cell.id}` has not said for {FACTS_S:g} s where the robot is, so nothing can be decided on "
@@ -92,7 +97,8 @@ class Handbacks:
                 "paused", f"an operator paused `{present.id}`; valid: resume it and hand back, or `rollback`, `end`"
             )
         control = _held_by(cell, present.id, principal)  # again: much may have come meanwhile
-        cell.control = returning(control)
+        _by_lease(cell, lease)
+        cell.control = returning(keep(control, monotonic_s()))
         try:
             if then == "resume":
                 await self._resume(cell, present.id, principal, decided)
@@ -102,16 +108,6 @@ class Handbacks:
             _keep(cell, control)
             raise
         return await self._returned(present.id, then)
-
-    async def _in_time(
-        self, cell: Cell, invocation: str, principal: Principal, lease: str | None, after: int | None
-    ) -> None:
-        """Refuse a word that a link held back until it was overtaken. Raises `Conflict`, `overtaken`."""
-        if lease is not None and (cell.control is None or cell.control.lease != lease):
-            message = f"the controls of `{cell.id}` were handed out anew since `{lease}`; valid: look, and say it anew"
-            raise Conflict("overtaken", message)
-        if after is not None:
-            await check_newest(self.register, cell, invocation, principal, after)
 
     async def _newer(self, cell: Cell) -> bool:
         """Wait for the cell's next state, since a plan begins with where the robot is now; say whether there is one."""
@@ -136,6 +132,7 @@ class Handbacks:
             raise Conflict("wrong_status", f"`{invocation}` has ended")
         async with entry.lock:
             present = _still_held(entry, cell)
+            self.desk.ask_again(principal)
             judgement, approvals = await readmitted(self.desk, cell, present, principal)
             document = cell.control_document() or {}
             async with self.kernel.launch(present, judgement, approvals, anew=decided) as launch:
@@ -152,6 +149,7 @@ class Handbacks:
             raise Conflict("wrong_status", f"`{invocation}` has ended")
         async with entry.lock:
             present, document = _still_held(entry, cell), cell.control_document() or {}
+            self.desk.ask_again(principal)
             word = self._word("release", present, principal, document, then="rollback")
             terms = replace(present.terms, undone_by=principal.name)
             await self.register.append([word], versions=[self._given_back(cell, present, "rollback", terms=terms)])
@@ -247,6 +245,13 @@ def _held_by(cell: Cell, invocation: str, principal: Principal, *, ends: bool = 
             "control_held", f"`{control.holder}` hands `{cell.id}` back; valid: `end`, or once that has failed"
         )
     return control
+
+
+def _by_lease(cell: Cell, lease: str | None) -> None:
+    """Refuse a word that was said by another lease, before the controls were handed out anew. Raises `Conflict`."""
+    if lease is not None and (cell.control is None or cell.control.lease != lease):
+        message = f"the controls of `{cell.id}` were handed out anew since `{lease}`; valid: look, and say it anew"
+        raise Conflict("overtaken", message)
 
 
 def _keep(cell: Cell, control: Control) -> None:

@@ -49,6 +49,7 @@ class Takeovers(Handbacks):
             NotFound: there is none that this principal may see.
             Conflict: `wrong_status`, `takeover_not_enabled`, `control_held` (naming the holder), `ending`,
                 `cell_offline`, `takeover_refused` with policy's reasons.
+            Forbidden: `role_forbidden`, they may do so no more once it is their turn.
             RecordUnavailable: nothing was recorded, and nobody has taken anything.
         """
         present = await self._session(invocation_id, principal)
@@ -89,6 +90,7 @@ class Takeovers(Handbacks):
 
         Raises:
             NotFound: no such cell.
+            Forbidden: as `take_over`.
             Conflict: as `take_over`, and `cell_busy` where a session runs: that is taken over by its own name.
             RecordUnavailable: nothing was recorded, and nobody has taken anything.
         """
@@ -105,6 +107,7 @@ class Takeovers(Handbacks):
 
     async def _take_idle(self, cell: Cell, principal: Principal) -> dict[str, Any]:
         self._allow_takeover(self.fleet.profile(cell))
+        self.desk.ask_again(principal)
         self._reachable(cell, "")
         params = self._alone(cell)
         judgement = self.kernel.judge(Proposal(capability=TAKEOVER, params=params), None, cell)
@@ -186,6 +189,7 @@ class Takeovers(Handbacks):
             if cell.control is None or cell.control.invocation != invocation or cell.takings != mine:
                 raise Conflict("takeover_refused", f"the controls of `{cell.id}` were let go of meanwhile")
             self._allow_takeover(present.profile)  # again: another policy may be in force by now
+            self.desk.ask_again(principal)
             params = self._as_in(cell, present)
             proposal = Proposal(capability=TAKEOVER, params=params)
             judgement = self.kernel.judge(proposal, None, cell, within=present)

@@ -11,8 +11,9 @@ import pytest
 from app.clock import monotonic_s
 from app.governance.control import LAPSE_S, Phase
 from app.runtime.assembly import Runtime
+from app.runtime.errors import Forbidden
 
-from .conftest import AGENT, CELL, OPERATOR, OPERATOR_2, HandCell, navigate, until
+from .conftest import AGENT, CELL, OPERATOR, OPERATOR_2, HandCell, House, navigate, until
 from .test_races import Gate
 from .test_takeover import LOCAL, driving, jog, permit, refused, stating
 
@@ -150,3 +151,91 @@ async def test_a_hand_that_falls_silent_is_let_go_of_while_another_is_being_reco
         place.control = replace(place.control, heard_s=monotonic_s() - LAPSE_S - 0.1)
         await until(lambda driven=driven: driven.ops() == ["let_go"])
     gate.open.set()
+
+
+@pytest.mark.parametrize("then", ["resume", "rollback"])
+async def test_nobody_hands_back_whose_token_is_withdrawn_while_the_cell_is_waited_for(
+    house: House, runtime: Runtime, cell: HandCell, driving: str, then: str
+) -> None:
+    await runtime.governor.take_over(driving, OPERATOR)
+    await cell.report("launch", driving, capability="takeover")
+    back = asyncio.ensure_future(runtime.governor.release(driving, OPERATOR, then))
+    await asyncio.sleep(0.05)
+    house.withdrawn.add(OPERATOR.name)
+    async with stating(cell):
+        with pytest.raises(Forbidden):
+            await back
+    assert (cell.ops(), len(cell.all("launch"))) == ([], 2)
+    assert (await runtime.governor.invocation(driving, OPERATOR))["takeover"]["state"] == "held"
+
+
+@pytest.mark.parametrize("then", ["resume", "rollback"])
+async def test_what_was_said_by_one_lease_hands_back_none_that_was_given_while_the_cell_was_waited_for(
+    runtime: Runtime, cell: HandCell, driving: str, then: str
+) -> None:
+    lease = await runtime.governor.take_over(driving, OPERATOR)
+    await cell.report("launch", driving, capability="takeover")
+    back = asyncio.ensure_future(runtime.governor.release(driving, OPERATOR, then, lease["lease"]))
+    await asyncio.sleep(0.05)
+    await runtime.governor.take_over(driving, OPERATOR)  # in another window
+    async with stating(cell):
+        assert (await refused(back)).code == "overtaken"
+    assert (cell.ops(), len(cell.all("launch"))) == ([], 2)
+
+
+async def test_a_rollback_by_hand_is_overtaken_by_what_others_say_while_the_cell_is_waited_for(
+    runtime: Runtime, cell: HandCell, driving: str
+) -> None:
+    await runtime.governor.take_over(driving, OPERATOR)
+    await cell.report("launch", driving, capability="takeover")
+    back = asyncio.ensure_future(runtime.governor.release(driving, OPERATOR, "rollback", after=runtime.store.size))
+    await asyncio.sleep(0.05)
+    await runtime.governor.pause(driving, OPERATOR_2)
+    async with stating(cell):
+        assert (await refused(back)).code == "overtaken"
+
+
+async def test_who_hands_back_is_heard_by_that(runtime: Runtime, cell: HandCell, driving: str) -> None:
+    """A client that never jogs says nothing else: its lease does not lapse under the way back that it ordered."""
+    await runtime.governor.take_over(driving, OPERATOR)
+    await cell.report("launch", driving, capability="takeover")
+    place = runtime.fleet.cell(CELL)
+    assert place.control is not None
+    place.control = replace(place.control, heard_s=monotonic_s() - LAPSE_S + 0.5)
+    back = asyncio.ensure_future(runtime.governor.release(driving, OPERATOR, "rollback"))
+    async with stating(cell):
+        await until(lambda: cell.ops() == ["rollback"])
+        await asyncio.sleep(0.7)  # it comes to rest first
+        await cell.report("status", driving, status="recovering", reason="ROLLBACK")
+    assert (await back)["takeover"]["state"] == "returned"
+    assert cell.ops() == ["rollback"]
+
+
+@pytest.mark.parametrize("op", ["resume", "rollback"])
+async def test_nothing_goes_on_by_the_word_of_who_may_say_it_no_more_once_it_is_their_turn(
+    house: House, runtime: Runtime, cell: HandCell, driving: str, op: str
+) -> None:
+    await cell.report("status", driving, status="paused", reason="operator")
+    entry = runtime.register.entry(driving)
+    assert entry is not None
+    async with entry.lock:  # something of it is being recorded
+        word = asyncio.ensure_future(getattr(runtime.governor, op)(driving, OPERATOR))
+        await asyncio.sleep(0.05)
+        house.withdrawn.add(OPERATOR.name)
+    with pytest.raises(Forbidden):
+        await word
+    assert cell.ops() == []
+
+
+async def test_nobody_takes_over_who_may_no_more_once_it_is_their_turn(
+    house: House, runtime: Runtime, cell: HandCell, driving: str
+) -> None:
+    entry, place = runtime.register.entry(driving), runtime.fleet.cell(CELL)
+    assert entry is not None
+    async with entry.lock:
+        taking = asyncio.ensure_future(runtime.governor.take_over(driving, OPERATOR))
+        await asyncio.sleep(0.05)
+        house.withdrawn.add(OPERATOR.name)
+    with pytest.raises(Forbidden):
+        await taking
+    assert (place.control, len(cell.all("launch"))) == (None, 1)
