@@ -320,6 +320,12 @@ class Session(Governing):
         self._tell_anyway(telling.launch_refused(self.run.id, code, detail, permit))
         self._become(Event.TAKE_OVER, code)
 
+    def finish(self, end: End) -> None:
+        """Lock the actuators, then say how it ended; that a human had driven it before is no failure of its own."""
+        if end.outcome is not Outcome.TAKEN_OVER and self.run.failed == TAKEN_OVER:
+            self.run.failed = ""
+        super().finish(end)
+
     # -- restraints and other words ------------------------------------------------------------------------------------
 
     def escalate(self, reason: str) -> None:

@@ -1083,6 +1083,24 @@ def test_a_stop_takes_the_place_of_the_end_that_a_rule_began(rig: Rig) -> None:
     assert rig.finish()["outcome"] == "stopped"
 
 
+@pytest.mark.parametrize(
+    ("how", "failure"), [("estop", None), ("stop", None), ("resolve_terminate", None), ("end_takeover", "taken_over")]
+)
+def test_what_ends_a_session_after_its_driver_left_is_not_that_it_was_driven(
+    rig: Rig, how: str, failure: str | None
+) -> None:
+    rig.launch()
+    rig.ticks(60)
+    assert rig.runner.launch(signed(id="auth-2", capability="takeover")) is None
+    rig.until(lambda: rig.runner.session is not None and rig.runner.session.run.doing == "takeover")
+    assert rig.runner.human("inv-1", "let_go", "server") is None
+    if how == "estop":
+        rig.runner.estop("anyone")
+    else:
+        assert rig.runner.human("inv-1", how, "operator") is None
+    assert rig.finish()["failure"] == failure
+
+
 def test_a_stop_takes_the_place_of_the_end_of_a_takeover(rig: Rig) -> None:
     rig.launch()
     rig.ticks(20)
