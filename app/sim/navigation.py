@@ -2,7 +2,8 @@
 
 The base drives sideways as well as it drives forward. It leaves a bench straight backwards and comes up to one
 straight ahead; in between it keeps `clearance_m` beyond its own circle. A grid search (A*, 0.1 m) finds the way, and
-its corners are then cut where the straight line is free. Along a corridor the whole base stays within it: where
+its corners are then cut where the straight line is free. Nowhere does its circle come into anything; where it stands so
+near already, it comes no nearer. Along a corridor the whole base stays within it: where
 something stands there that leaves no room, there is no way.
 """
 
@@ -30,6 +31,7 @@ CELL_M = 0.1
 ZONE_MARGIN_M = 0.20  # beside the clearance, so that a stop still ends outside
 MIN_CLEARANCE_M = 0.05
 _UNDOCK_STEP_M, _UNDOCK_MAX_M = 0.05, 1.6
+_ROUNDING_M = 1e-6
 _NEIGHBOURS = tuple((dx, dy, hypot(dx, dy)) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if (dx, dy) != (0, 0))
 
 
@@ -81,12 +83,20 @@ class FloorMap:
 
     def free(self, x: float, y: float) -> bool:
         """Tell whether the middle of the base may be here."""
-        x0, y0, x1, y1 = self._bounds
-        if min(x - x0, x1 - x, y - y0, y1 - y) < BASE_RADIUS_M:
+        if self._to_wall(x, y) < BASE_RADIUS_M:
             return False
         px, py = np.array([x]), np.array([y])
         clear = all(float(distance_to(outline, px, py)[0]) >= distance for outline, distance in self._outlines)
         return clear and bool(self._within(px, py)[0])
+
+    def distances(self, x: float, y: float) -> list[float]:
+        """Return how far a point is from the walls, and from everything else that is drawn here."""
+        px, py = np.array([x]), np.array([y])
+        return [self._to_wall(x, y), *(float(distance_to(outline, px, py)[0]) for outline, _ in self._outlines)]
+
+    def _to_wall(self, x: float, y: float) -> float:
+        x0, y0, x1, y1 = self._bounds
+        return min(x - x0, x1 - x, y - y0, y1 - y)
 
     def straight(self, start: Point, end: Point) -> bool:
         """Tell whether the straight line is free."""
@@ -166,9 +176,12 @@ def plan_way(
     """
     here, there = (start[0], start[1]), (goal[0], goal[1])
     floor = FloorMap(site, crates, clearance_m, there)
+    least = [min(now, BASE_RADIUS_M) for now in floor.distances(*here)]
     if hypot(there[0] - here[0], there[1] - here[1]) < 0.15:
+        if not _clear(floor, there, least):
+            raise SubstrateError("no_path", "the base would touch what stands there")
         return [here, there]
-    leave, arrive = _back_off(floor, start), _back_off(floor, goal)
+    leave, arrive = _back_off(floor, start, least), _back_off(floor, goal, [BASE_RADIUS_M] * len(least))
     if leave is None or arrive is None:
         raise SubstrateError(
             "no_path",
@@ -262,10 +275,17 @@ def _shut(zone: Zone, goal: Point) -> bool:
     return zone.kind == "forbidden" or not here
 
 
-def _back_off(floor: FloorMap, pose: Vec3) -> Point | None:
-    """Return the nearest free place straight behind a pose."""
+def _clear(floor: FloorMap, point: Point, least: list[float]) -> bool:
+    """Tell whether a point is far enough from everything, each by its own distance."""
+    return all(now >= enough - _ROUNDING_M for now, enough in zip(floor.distances(*point), least, strict=True))
+
+
+def _back_off(floor: FloorMap, pose: Vec3, least: list[float]) -> Point | None:
+    """Return the nearest free place straight behind a pose; None where something stands nearer to the way there."""
     for k in range(int(_UNDOCK_MAX_M / _UNDOCK_STEP_M)):
         x, y = pose[0] - k * _UNDOCK_STEP_M * cos(pose[2]), pose[1] - k * _UNDOCK_STEP_M * sin(pose[2])
+        if not _clear(floor, (x, y), least):
+            return None
         if floor.free(x, y):
             return x, y
     return None

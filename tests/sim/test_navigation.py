@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
-from math import hypot
+from math import hypot, pi
 
+import numpy as np
 import pytest
 
 from app.cell.substrate import SubstrateError
-from app.governance.model import Corridor, Point, Site
-from app.sim.navigation import plan_way
+from app.governance.model import Corridor, Point, Site, Vec3
+from app.sim.navigation import distance_to, furniture, plan_way
 from app.sim.robot import BASE_RADIUS_M
 
 BENCH_A, BENCH_B = (1.6, 4.6, 1.5708), (5.2, 4.6, 1.5708)
@@ -61,3 +63,47 @@ def test_the_way_out_of_a_corridor_may_begin_beside_its_end(site: Site) -> None:
     # 0.4 m from everything leaves no room on the very end of the line, near the store.
     way = plan_way(site, (6.75, 2.6, 0.0), BENCH_B, clearance_m=0.4, corridor="aisle")
     assert way[-1] == BENCH_B[:2]
+
+
+def nearest(site: Site, way: list[Point]) -> float:
+    """Return how near the middle of the base comes to anything that stands, or to a forbidden zone."""
+    share = np.linspace(0.0, 1.0, 200)
+    solid = [*furniture(site), *(zone.polygon for zone in site.zones.values() if zone.kind == "forbidden")]
+    gaps = (
+        float(distance_to(outline, ax + share * (bx - ax), ay + share * (by - ay)).min())
+        for (ax, ay), (bx, by) in pairwise(way)
+        for outline in solid
+    )
+    return min(gaps, default=99.0)
+
+
+BESIDE_PRESS, BESIDE_ZONE = (3.72, 0.64), (4.4, 1.0)
+
+
+@pytest.mark.parametrize(
+    "at", [(1.6, 5.4), (5.2, 5.4), (7.5, 2.6), (3.15, 0.64), (3.4, 0.64), BESIDE_PRESS, BESIDE_ZONE]
+)
+@pytest.mark.parametrize("yaw", [0.0, 0.5 * pi, pi, -0.5 * pi])
+@pytest.mark.parametrize("clearance_m", [0.1, 0.3])
+def test_no_way_leads_into_anything_or_through_it(site: Site, at: Point, yaw: float, clearance_m: float) -> None:
+    way: list[Point] = []
+    with suppress(SubstrateError):
+        way = plan_way(site, (0.8, 0.8, 0.0), (*at, yaw), clearance_m=clearance_m, corridor=None)
+    assert nearest(site, way) >= BASE_RADIUS_M
+
+
+@pytest.mark.parametrize("start", [(1.6, 4.6, 0.5 * pi), (1.6, 4.64, 0.5 * pi)])
+def test_a_step_leads_no_nearer_to_what_stands_there_than_the_base_is_wide(site: Site, start: Vec3) -> None:
+    with pytest.raises(SubstrateError):
+        plan_way(site, start, (1.6, 4.74, 0.5 * pi), clearance_m=0.1, corridor=None)
+    assert plan_way(site, (1.6, 4.74, 0.5 * pi), BENCH_A, clearance_m=0.1, corridor=None)[-1] == BENCH_A[:2]
+
+
+def test_no_way_leads_into_a_wall(site: Site) -> None:
+    with pytest.raises(SubstrateError):
+        plan_way(site, (0.8, 0.8, 0.0), (0.3, 2.0, pi), clearance_m=0.1, corridor=None)
+
+
+def test_what_stands_behind_the_base_is_not_driven_through(site: Site) -> None:
+    with pytest.raises(SubstrateError):
+        plan_way(site, BENCH_A, (0.8, 0.8, 0.0), clearance_m=0.1, corridor=None, crates=[(1.6, 3.85)])
