@@ -379,7 +379,8 @@ class Governing:
             self.end(End(Outcome.FAULT, "no_plan", 1))
             return
         run.doing, run.previous = then.doing, substrate.hold()
-        run.responding = recovering(run.spared, self._ports.recorder.tick, substrate.period_s)
+        borne = run.responses.borne(run.responding)
+        run.responding = recovering(run.spared, self._ports.recorder.tick, substrate.period_s, borne)
         run.settling_ticks, run.unmet, run.failed = 0, (), ""
         run.begin_anew()
         if then.doing is Doing.ATTEMPT:

@@ -188,7 +188,8 @@ class Session(Governing):
         run = self.run
         speaking = {rule: kept for rule, kept in steering.blocked.items() if rule in run.speaking}
         steering.blocked, steering.stopped_by = speaking, ""
-        run.responding = leaving(speaking, self._tick, steering.period_s)
+        borne = run.responses.borne(run.responding)
+        run.responding = leaving(speaking, self._tick, steering.period_s, borne)
         run.paused_by.discard("watch")
         self._resume("operator")
 
@@ -293,7 +294,8 @@ class Session(Governing):
         run.grant, run.recovery = grant, recovery
         run.watch_with(plan, substrate.period_s)
         run.doing, run.previous = Doing.ATTEMPT, substrate.hold()
-        run.responding = recovering(run.spared, self._tick, substrate.period_s)
+        borne = run.responses.borne(run.responding)
+        run.responding = recovering(run.spared, self._tick, substrate.period_s, borne)
         run.settling_ticks, run.unmet, run.failed = 0, (), ""
         run.begin_anew()
         self._become(Event.RECOVERED, HANDED_BACK)

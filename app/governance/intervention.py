@@ -150,6 +150,11 @@ class Responses:
         ended = tuple(one for one in state.engaged if self._decide(one).ends_attempt)
         return InterventionState(ended, state.grace) if ended or state.grace else NOTHING
 
+    def borne(self, state: InterventionState) -> tuple[Engaged, ...]:
+        """Return the responses that only warn so far: for how long a rule is borne goes on, whatever begins anew."""
+        known = (one for one in state.engaged if one.rule in self._rules)
+        return tuple(one for one in known if self._decide(one).intervention is Intervention.CONTINUE)
+
     def barred(self, state: InterventionState, tick: int) -> str:
         """Return a rule that has to end by itself before a human may move anything, however long it lasts; else "".
 
@@ -231,13 +236,20 @@ def released(state: InterventionState) -> InterventionState:
     return InterventionState(grace=state.grace) if state.grace else NOTHING
 
 
-def recovering(rules: tuple[str, ...], tick: int, period_s: float) -> InterventionState:
-    """Return the state a recovery begins with: the violations it was started for get `GRACE_MS` to end."""
-    until = tick + round(GRACE_MS / (1000.0 * period_s))
-    return InterventionState(grace=tuple(Grace(rule, until) for rule in rules))
+def recovering(
+    rules: tuple[str, ...], tick: int, period_s: float, borne: tuple[Engaged, ...] = ()
+) -> InterventionState:
+    """Return the state a recovery begins with: the violations it was started for get `GRACE_MS` to end.
+
+    What is only `borne` needs no grace, and goes on as it was.
+    """
+    until, named = tick + round(GRACE_MS / (1000.0 * period_s)), {one.rule for one in borne}
+    return InterventionState(borne, tuple(Grace(rule, until) for rule in rules if rule not in named))
 
 
-def leaving(blocked: Mapping[str, tuple[str, float]], tick: int, period_s: float) -> InterventionState:
+def leaving(
+    blocked: Mapping[str, tuple[str, float]], tick: int, period_s: float, borne: tuple[Engaged, ...] = ()
+) -> InterventionState:
     """Return the state a human begins to move out of violations with: each may last `GRACE_MS` and hardly grow.
 
     Only what moving can mend is spared (`WAY_OUT`). Whoever is too near has to go, and what cannot be believed has to
@@ -247,12 +259,13 @@ def leaving(blocked: Mapping[str, tuple[str, float]], tick: int, period_s: float
         blocked: By rule, its signal, and how far it was violated when it stopped the motion first.
         tick: The session's.
         period_s: The control period.
+        borne: What is only warned of so far; it goes on as it was.
     """
     until = tick + round(GRACE_MS / (1000.0 * period_s))
     spared = tuple(
         Grace(rule, until, excess, WAY_OUT[signal]) for rule, (signal, excess) in blocked.items() if signal in WAY_OUT
     )
-    return InterventionState(grace=spared) if spared else NOTHING
+    return InterventionState(borne, spared) if spared or borne else NOTHING
 
 
 def _severity(decision: Decision) -> tuple[int, bool, bool]:

@@ -16,7 +16,16 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from app.cell.display import sitting
 from app.cell.journal import Journal, JournalUnavailable
 from app.cell.runner import Runner, run_session
-from app.governance.model import CoveredRecovery, Outcome, RecoveryRule, SkillReport, Strategy, Wish
+from app.governance.model import (
+    CoveredRecovery,
+    Intervention,
+    Outcome,
+    RecoveryRule,
+    Response,
+    SkillReport,
+    Strategy,
+    Wish,
+)
 from app.governance.permit import SignedAuthorization, mint
 from app.protocol import CHANNELS, ROW
 from tests.cell.rig import COVERED, DIGEST, KEY, NOW_S, PERMIT, PLAN, RECOVERY, RULES, Rig, rule, signed
@@ -381,6 +390,20 @@ def test_what_begins_while_a_recovery_waits_for_standstill_is_answered_at_once(r
     rig.until_status("escalated")
     assert len(rig.cell.commands) - began <= 2
     assert [body["failure"] for body in rig.of("recovery")] == ["object_lost", "contact"]
+
+
+def test_what_policy_bears_for_a_while_is_borne_no_longer_because_something_else_was_tried_again(rig: Rig) -> None:
+    bears = Response(enter=Intervention.CONTINUE, persist_ms=2500, otherwise=Intervention.STOP)
+    borne = rule("contact_force_n", name="borne", threshold=50.0, failure="contact", response=bears)
+    rig.plan = replace(PLAN, rules=(*RULES, borne))
+    rig.cell.lie = lambda seen: seen._replace(contact_force_n=60.0 + seen.contact_force_n)
+    rig.cell.script.ticks = 300.0
+    rig.cell.script.fails = {("grasp_object", 1): "grasp_failed"}
+    rig.launch()
+    rig.until_status("escalated")
+    assert rig.cell.runs == {"grasp_object": 2}
+    assert rig.last("escalation")["reason"] == "contact"
+    assert rig.runner.view().tick < 300
 
 
 def test_a_recovery_waits_for_whoever_is_in_the_way(rig: Rig) -> None:
