@@ -16,7 +16,7 @@ from app.cell.journal import JournalUnavailable
 from app.cell.run import LINK, Bind, Doing, End, Run, Unprepared, not_restored, seen_since
 from app.cell.substrate import SubstrateError
 from app.governance.clamp import clamp, hold
-from app.governance.intervention import NOTHING, Decision, recovering, released
+from app.governance.intervention import CONTACT, NOTHING, Decision, recovering, released
 from app.governance.model import Alert, Intervention, Mode, Outcome, SkillReport, SkillState, Status, Strategy
 from app.governance.recovery import RecoveryDecision, lead_back, recover, roll_back
 from app.governance.session import Event, final_status, step
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from app.cell.recorder import Recorder
     from app.cell.substrate import Skill, Substrate
+    from app.governance.intervention import Engaged
     from app.governance.model import (
         Command,
         CoveredRecovery,
@@ -45,7 +46,6 @@ QUIET_TICKS: Final = 50
 AWAY: Final = frozenset({"base_pose", "object_pose"})
 """What a rollback may leave open that driving back can set right: from elsewhere an object may be out of sight."""
 OVERSPEED: Final = "overspeed"
-PRESSING: Final = frozenset({"contact_force_n", "residual_nm"})
 UNBELIEVED: Final = frozenset({"implausible", "sensor_age_ms"})
 """Signals of what the sensors are worth: nothing follows readings that are held against them."""
 HELD: Final = {Status.PAUSED: Event.RESUME_RECOVERY, Status.ESCALATED: Event.CONTINUE_RECOVERY}
@@ -179,7 +179,7 @@ class Governing:
         doubted = run.watching.signals.implausible > 0.0  # before its rule speaks, which may wait for a second tick
         if doubted or any(signal_of(rule) in UNBELIEVED for rule in held_against):
             run.giving_ticks = 0
-        elif any(signal_of(alert.rule) in PRESSING for alert in alerts):
+        elif any(signal_of(alert.rule) in CONTACT for alert in alerts):
             run.give_way()
 
     # -- what the watcher says -----------------------------------------------------------------------------------------
@@ -324,8 +324,11 @@ class Governing:
         return decision is not None
 
     def _recovered(self) -> str:
-        deciding = self.run.deciding
-        return "recovery_incomplete" if deciding is None else deciding.failure
+        return self._decided() or "recovery_incomplete"
+
+    def _decided(self) -> str:
+        """Return the failure that what is tried was decided for; empty where nothing had failed."""
+        return "" if self.run.deciding is None else self.run.deciding.failure
 
     def _follow(self, decision: RecoveryDecision) -> None:
         """Hold, record the decision, and prepare what it says for when everything stands still."""
@@ -344,6 +347,7 @@ class Governing:
     def _prepare(self, then: Bind, reason: str) -> None:
         self.run.recoveries += 1
         self.run.next, self.run.answered = then, frozenset(self.run.speaking)
+        self.run.decided_tick = self._ports.recorder.tick
         self._become(Event.RECOVER, reason)
 
     # -- at standstill -------------------------------------------------------------------------------------------------
@@ -379,12 +383,16 @@ class Governing:
             self.end(End(Outcome.FAULT, "no_plan", 1))
             return
         run.doing, run.previous = then.doing, substrate.hold()
-        borne = run.responses.borne(run.responding)
-        run.responding = recovering(run.spared, self._ports.recorder.tick, substrate.period_s, borne)
+        run.responding = recovering(run.spared, self._ports.recorder.tick, substrate.period_s, self._kept())
         run.settling_ticks, run.unmet, run.failed = 0, (), ""
         run.begin_anew()
         if then.doing is Doing.ATTEMPT:
             self._become(Event.RECOVERED, "new_attempt")
+
+    def _kept(self) -> tuple[Engaged, ...]:
+        """Return the responses that go on whatever is bound: what is borne, and contacts that nothing has answered."""
+        responses, responding = self.run.responses, self.run.responding
+        return responses.borne(responding) + responses.met(responding, self._decided(), self.run.decided_tick)
 
     def _prepared(self, then: Bind) -> Skill:
         """Bind what comes next; what cannot begin fails as what it was to be, and so decides what may follow."""

@@ -144,6 +144,7 @@ class Run:
     still_ticks: int = 0
     speaking: dict[str, int] = field(default_factory=dict[str, int])
     answered: frozenset[str] = frozenset()  # the rules that spoke when it was decided what is bound next
+    decided_tick: int = 0  # and when that was
     hold_after_recovery: str = ""  # why, where a session waits for a human once its recovery has ended
     bounds: Bounds = field(init=False)
     confirms: bool = field(init=False)  # whether a phase may wait for a human at all

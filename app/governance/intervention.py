@@ -33,6 +33,7 @@ SEVERITY: Final = {
     Intervention.STOP: 4,
 }
 NEARNESS: Final = "separation_m"
+CONTACT: Final = frozenset({"contact_force_n", "residual_nm"})
 GRACE_MS: Final = 1000
 """How long a recovery may find the violation still there that it was started for."""
 GROWTH: Final = {"zone_margin_m": 0.04, "residual_nm": 5.0}
@@ -155,6 +156,16 @@ class Responses:
         known = (one for one in state.engaged if one.rule in self._rules)
         return tuple(one for one in known if self._decide(one).intervention is Intervention.CONTINUE)
 
+    def met(self, state: InterventionState, failure: str, tick: int) -> tuple[Engaged, ...]:
+        """Return the contacts that ended the attempt while the robot came to rest for another failure.
+
+        That was decided at `tick`. Each is answered once that is over, however short it was: what is tried for the
+        other failure is none for it.
+        """
+        late = (one for one in state.engaged if one.since > tick and one.alert.failure != failure)
+        known = (one for one in late if one.rule in self._rules)
+        return tuple(one for one in known if self._rules[one.rule].signal in CONTACT and self._decide(one).ends_attempt)
+
     def barred(self, state: InterventionState, tick: int) -> str:
         """Return a rule that has to end by itself before a human may move anything, however long it lasts; else "".
 
@@ -236,15 +247,13 @@ def released(state: InterventionState) -> InterventionState:
     return InterventionState(grace=state.grace) if state.grace else NOTHING
 
 
-def recovering(
-    rules: tuple[str, ...], tick: int, period_s: float, borne: tuple[Engaged, ...] = ()
-) -> InterventionState:
+def recovering(rules: tuple[str, ...], tick: int, period_s: float, kept: tuple[Engaged, ...] = ()) -> InterventionState:
     """Return the state a recovery begins with: the violations it was started for get `GRACE_MS` to end.
 
-    What is only `borne` needs no grace, and goes on as it was.
+    The responses that are `kept` (`borne`, `met`) need no grace, and go on as they were.
     """
-    until, named = tick + round(GRACE_MS / (1000.0 * period_s)), {one.rule for one in borne}
-    return InterventionState(borne, tuple(Grace(rule, until) for rule in rules if rule not in named))
+    until, named = tick + round(GRACE_MS / (1000.0 * period_s)), {one.rule for one in kept}
+    return InterventionState(kept, tuple(Grace(rule, until) for rule in rules if rule not in named))
 
 
 def leaving(

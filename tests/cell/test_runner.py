@@ -377,12 +377,16 @@ def test_slip_is_released_retracted_and_grasped_again(rig: Rig) -> None:
     assert rig.last("outcome")["retries"] == 1
 
 
-def test_what_begins_while_a_recovery_waits_for_standstill_is_answered_at_once(rig: Rig) -> None:
-    """A recovery has grace for what it was started for; a contact that came behind a slip is no such thing."""
+@pytest.mark.parametrize("until_s", [0.56, 99.0])
+def test_what_begins_while_a_recovery_waits_for_standstill_is_answered_at_once(rig: Rig, until_s: float) -> None:
+    """A recovery has grace for what it was started for; a contact that came behind a slip is no such thing.
+
+    Nor is one that is over by then: whoever was met has moved away, and the robot is not to move on as if nothing was.
+    """
     rig.cell.script.grip_n = 20.0
     rig.cell.lie = lambda seen: seen._replace(
         slip_m=0.02 if rig.cell.runs == {"grasp_object": 1} and seen.time_s > 0.5 else 0.0,
-        contact_force_n=seen.contact_force_n + (300.0 if seen.time_s > 0.53 else 0.0),
+        contact_force_n=seen.contact_force_n + (300.0 if 0.53 < seen.time_s < until_s else 0.0),
     )
     rig.launch()
     rig.until(lambda: "release_and_retract" in rig.cell.runs)
@@ -390,6 +394,9 @@ def test_what_begins_while_a_recovery_waits_for_standstill_is_answered_at_once(r
     rig.until_status("escalated")
     assert len(rig.cell.commands) - began <= 2
     assert [body["failure"] for body in rig.of("recovery")] == ["object_lost", "contact"]
+    if until_s < 99.0:  # it was asked about, and is not asked about again
+        assert rig.runner.human("inv-1", "resolve_continue", "operator") is None
+        assert rig.finish()["outcome"] == "recovered"
 
 
 def test_what_policy_bears_for_a_while_is_borne_no_longer_because_something_else_was_tried_again(rig: Rig) -> None:
