@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 FARTHEST_M: Final = 1000.0  # how far off an object may be perceived
 NEAREST_M: Final = 1e9  # `within` of `world.people_nearest_m`
 FLAGS: Final = ("gripper_empty", "arm_ready", "arm_retracted", "sensors_fresh")
-STRANGER: Final = "another-agent"
+STRANGER: Final = ""  # any agent that policy does not declare: what none can be called
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +49,8 @@ class Options:
 
     @staticmethod
     def of(name: str, values: Iterable[str | None]) -> Options:
-        """Make the variables."""
-        return Options(tuple((z3.Bool(f"{name} = {value}"), value) for value in values))
+        """Make the variables: one for each value, however often a schema lists it; two would exclude each other."""
+        return Options(tuple((z3.Bool(f"{name} = {value}"), value) for value in dict.fromkeys(values)))
 
     @property
     def one(self) -> Formula:

@@ -107,8 +107,14 @@ def _agent(space: Space, model: z3.ModelRef) -> Case:
     if name in (STRANGER, GOVERNANCE):
         held = sorted(permission for permission in space.held if _yes(model, space.holds(permission)))
         spoken = _number(model.eval(z3.String("agent.name")))
-        return {"agent": GOVERNANCE if name == GOVERNANCE else spoken or STRANGER, "permissions": held}
+        return {"agent": GOVERNANCE if name == GOVERNANCE else spoken or _stranger(space), "permissions": held}
     return {} if name is None else {"agent": name}
+
+
+def _stranger(space: Space) -> str:
+    """Return what an agent may be called that policy does not declare."""
+    known = space.policy.agents
+    return next(name for name in ("another-agent", *(f"agent-{n}" for n in range(len(known) + 1))) if name not in known)
 
 
 def _perceived(space: Space, model: z3.ModelRef, params: Mapping[str, object]) -> Case:

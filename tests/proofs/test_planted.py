@@ -284,3 +284,23 @@ def test_a_promise_about_nothing_is_named() -> None:
     ]
     assert report.summary().endswith("about nothing that can be proposed: `idle`")
     assert "about nothing" not in proved({}).summary()
+
+
+def test_a_value_that_a_schema_lists_twice_is_proved_like_any_other() -> None:
+    file = "capabilities/navigate_to.yaml"
+    gait = "    gait: {type: string, enum: [slow, fast, fast], default: slow}\n    corridor: {type"
+    slow = '  - {id: slow, says: So., applies_to: [navigate_to], always: params.gait == "slow"}\n'
+    report = proved(edited(file, "    corridor: {type", gait), f"properties:\n{slow}")
+    assert {(fault.kind, fault.rule) for fault in report.faults} == {(Kind.PROPERTY, "slow")}
+
+
+@pytest.mark.parametrize("name", ["third", "another-agent"])
+def test_an_agent_is_proved_about_whatever_it_is_called(name: str) -> None:
+    slow = f'id: slow, applies_to: [navigate_to], when: \'!(agent.name in ["planner", "{name}"])\', then: deny'
+    planted = rule(slow)
+    declared = f"  {name}: {{permissions: [navigation]}}\n  planner: {{"
+    planted[ORGANIZATION] = planted[ORGANIZATION].replace("  planner: {", declared, 1)
+    only = '  - {id: only, says: So., applies_to: [navigate_to], when: agent.name != "planner", never: [allowed]}\n'
+    report = proved(planted, f"properties:\n{only}")
+    assert {(fault.kind, fault.rule) for fault in report.faults} == {(Kind.PROPERTY, "only")}
+    assert all(f"agent: {name}" in fault.example for fault in report.faults)
