@@ -316,7 +316,8 @@ def _project(line: tuple[Point, ...], point: Point) -> tuple[float, Point]:
     for a, b in itertools.pairwise(line):
         dx, dy = b[0] - a[0], b[1] - a[1]
         length = hypot(dx, dy)
-        share = min(max(((point[0] - a[0]) * dx + (point[1] - a[1]) * dy) / length**2, 0.0), 1.0)
+        share = ((point[0] - a[0]) * dx + (point[1] - a[1]) * dy) / (length**2 or 1.0)  # a point may be named twice
+        share = min(max(share, 0.0), 1.0)
         at = (a[0] + share * dx, a[1] + share * dy)
         along = done + share * length
         best = min(best, (hypot(point[0] - at[0], point[1] - at[1]), along, at))

@@ -107,3 +107,9 @@ def test_no_way_leads_into_a_wall(site: Site) -> None:
 def test_what_stands_behind_the_base_is_not_driven_through(site: Site) -> None:
     with pytest.raises(SubstrateError):
         plan_way(site, BENCH_A, (0.8, 0.8, 0.0), clearance_m=0.1, corridor=None, crates=[(1.6, 3.85)])
+
+
+def test_a_corridor_may_name_a_point_of_its_line_twice(site: Site) -> None:
+    line = site.corridors["aisle"].line
+    twice = replace(site.corridors["aisle"], line=(line[0], line[0], *line[1:], line[-1]))
+    assert along(replace(site, corridors={"aisle": twice}), []) == along(site, [])
