@@ -23,6 +23,7 @@ REACH_MIN_M, REACH_MAX_M = 0.42, 0.95
 LOCALISE_S, MISMATCH_M, PLACED_WITHIN_M = 0.3, 0.15, 0.06
 SLIPPED_MAX_M = 0.05
 PLACE_GAP_M, PLACE_TOUCH_N, SPOT_FREE_M, SURFACE_MARGIN_M = 0.002, 12.0, 0.15, 0.07
+BESIDE_M = 0.02  # at least, between what stands and what is put beside it
 SEEN_FROM_M, SEEN_FROM_RAD = 0.3, 0.3  # how far off its stand an area is still seen; `area_in_view` asks for less
 TRAVEL_SPEED_MPS = 0.20  # of the arm, where a skill's own speed is the base's
 _LOOK_HEIGHT_M, _LOOK_FORWARD_M, _LOOK_ASIDE_M = 0.42, 0.55, (-0.3, 0.0, 0.3)
@@ -205,6 +206,8 @@ def place_object(body: Body, params: Mapping[str, Json]) -> Moves:
             "placement_failed",
             f"no such place on `{surface.name}`" if spot else f"no free place on `{surface.name}` in reach",
         )
+    if (there := _standing_at(body, hand.name, spot)) is not None:
+        raise SubstrateError("placement_failed", f"`{there}` stands there, as far as is known")
     if not within_reach(*body.relative(*spot)):
         raise SubstrateError(
             "unreachable", f"the place on `{surface.name}` is out of reach: drive to `{surface.target}` first"
@@ -246,6 +249,17 @@ def put_down(body: Body, support_z_m: float, hand: Hand, limit_mps: float) -> Mo
     up = body.pose
     yield from body.line(up._replace(z_m=up.z_m + 0.04), slow)
     yield from body.line(up._replace(z_m=up.z_m + HOVER_M + 0.06), speed)
+
+
+def _standing_at(body: Body, held: str, spot: Point) -> str | None:
+    """Return what is remembered to stand where the object in the hand is to stand, if anything is."""
+    things = body.senses.site.objects
+    half_m = min(things[held].size_m[:2]) + BESIDE_M
+    for name, seen in body.senses.perception.memory.items():
+        apart_m = hypot(seen.x_m - spot[0], seen.y_m - spot[1])
+        if name != held and apart_m < half_m + min(things[name].size_m[:2]):
+            return name
+    return None
 
 
 def free_spot(body: Body, surface: Surface) -> Point | None:

@@ -145,3 +145,15 @@ def test_a_button_that_another_session_pressed_is_pressed_again(site: Site) -> N
         )
         assert ran.done, ran.detail
         assert max(travel) > 0.01
+
+
+@pytest.mark.parametrize("beside_m", [0.0, 0.05])
+def test_nothing_is_put_where_something_is_known_to_stand(site: Site, beside_m: float) -> None:
+    glass = site.objects["glass_1"]
+    cell = make_workcell(site, cell_id="full", seed=FIRST)
+    assert run_skill(cell, "grasp_object", {"object_id": "mug_1", "force_n": 40.0, "speed_mps": 0.25}).done
+    place = {"surface": "bench_a", "x_m": glass.x_m + beside_m, "y_m": glass.y_m, "speed_mps": 0.15}
+    ran = run_skill(cell, "place_object", place)
+    assert (ran.failure, ran.detail) == ("placement_failed", "`glass_1` stands there, as far as is known")
+    assert run_skill(cell, "place_object", {**place, "x_m": 1.25}).done
+    assert cell.plant.true_object("glass_1")[2] > 0.99
