@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from app.evaluation.draws import Drawn
+    from app.governance.model import Params
     from app.sim.truth import Truth
     from app.sim.workcell import Workcell
 
@@ -44,8 +45,7 @@ def restored_of(trial: Drawn, began: Truth) -> Judge:
     def restored(cell: Workcell) -> bool:
         now = cell.truth()
         return (
-            hypot(now.base[0] - began.base[0], now.base[1] - began.base[1]) <= STOOD_M
-            and abs(remainder(now.base[2] - began.base[2], tau)) <= STOOD_RAD
+            _stood(began, now)
             and now.held == began.held
             and _stands(trial, began, now)
             and _unmoved(trial, cell, began, now)
@@ -71,6 +71,30 @@ def undoable_of(trial: Drawn, began: Truth) -> Judge:
         return (taken or _stands(trial, began, now)) and _unmoved(trial, cell, began, now)
 
     return undoable
+
+
+def truly_unmet(name: str, params: Params, began: Truth, now: Truth) -> bool:
+    """Say whether what a cell found unmet after a recovery or a rollback truly is; what only sensors tell of is not."""
+    match name:
+        case "holding":
+            return now.held != began.held
+        case "object_secured":
+            return now.held is None
+        case "gripper_empty":
+            return now.held is not None
+        case "base_pose":
+            return not _stood(began, now)
+        case "object_pose":
+            handled = str(params.get("object_id"))
+            return not now.upright[handled] or dist(now.objects[handled], began.objects[handled]) >= BACK_M
+        case _:
+            return False
+
+
+def _stood(began: Truth, now: Truth) -> bool:
+    """Say whether the base stands where it stood."""
+    away = hypot(now.base[0] - began.base[0], now.base[1] - began.base[1])
+    return away <= STOOD_M and abs(remainder(now.base[2] - began.base[2], tau)) <= STOOD_RAD
 
 
 def _stands(trial: Drawn, began: Truth, now: Truth) -> bool:

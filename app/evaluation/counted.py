@@ -156,7 +156,8 @@ def continued_at_all(row: Row) -> Value:
 def alarmed(row: Row) -> Value:
     """False alarms: of the launched sessions without any fault, those in which anything alarmed.
 
-    Where something was truly violated all the same, an alert that tells of it is no false one.
+    Where something was truly violated all the same, an alert that tells of it is no false one; neither is one that what
+    was promised is not so, where by the exact state it is not.
     """
     return bool(row.get("alarmed")) if row["kind"] == Kind.CLEAN and row.get("launched") else None
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
@@ -18,6 +19,7 @@ from app.cell.journal import Entry, Journal
 from app.cell.run import Doing
 from app.cell.runner import Runner
 from app.cell.substrate import SubstrateError
+from app.evaluation.capabilities import truly_unmet
 from app.evaluation.floor import RETREATS
 from app.evaluation.permits import UNSEEN, WALL_S, adopt, authorize, grant_of, recovery_of, signed, watch_of
 from app.governance.conditions import unmet
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
     from app.governance.model import Params, WorldFacts
     from app.governance.permit import Grant
     from app.governance.policy import PolicySet
+    from app.sim import truth as sim_truth
     from app.sim.workcell import Workcell
 
 LIMIT_TICKS: Final = 3000  # most trials take 5 to 16 s; the longest carry at 0.2 m/s takes 25
@@ -58,7 +61,7 @@ class Execution:
     `over` is whether it had ended when the evaluation let go of it. `answers` are the words of humans who were asked
     midway, `waited_ticks` how long they were waited for, all in all. `claimed` is whether the skill said that it had
     succeeded, `achieved` whether the world says so too; `going` holds for every tick under governance whether the skill
-    was let go on.
+    was let go on. `unkept` are the ticks in which something was found not to be as promised, and truly was not.
     """
 
     truth: Truth
@@ -75,6 +78,7 @@ class Execution:
     answers: list[str] = field(default_factory=list[str])
     waited_ticks: int = 0
     going: bytearray = field(default_factory=bytearray)
+    unkept: set[int] = field(default_factory=set[int])
 
     def of(self, kind: EventKind) -> list[Entry]:
         """Return the entries of one kind."""
@@ -218,10 +222,10 @@ def governed(  # noqa: PLR0913  # an execution has that many sides
 
     runner = Runner(cell, plan_of=plan_of, verify=verified, journal=journal, wall=lambda: WALL_S, emit=entries.append)
     adopt(runner, policy)
-    done = Execution(truth)
+    done, unkept = Execution(truth), partial(_unkept, cell=cell, began=cell.truth(), achieved=achieved)
     refused = runner.launch(signed(authorize(cell, method, policy, proposal, profile)))
     if refused is None:
-        _watch_over(runner, cell, done, supervised, achieved, during, limit)
+        _watch_over(runner, cell, done, supervised, achieved, _noting(done, unkept, during), limit)
     else:
         done.refused = refused
     done.entries, done.ticks = tuple(entries), truth.tick
@@ -282,6 +286,30 @@ def _watch_over(  # an execution has that many sides
             op = supervised.op if answered <= supervised.answers else "resolve_terminate"
             done.answers.append(op)
             runner.human(session.run.id, op, "supervisor")
+
+
+def _noting(
+    done: Execution, unkept: Callable[[Runner], bool], during: Callable[[Runner], None]
+) -> Callable[[Runner], None]:
+    """Return what is called after every tick, and notes the ticks in which a promise is truly not kept."""
+
+    def note(runner: Runner) -> None:
+        if unkept(runner):
+            done.unkept.add(done.truth.tick + 1)  # the truth takes the tick after this
+        during(runner)
+
+    return note
+
+
+def _unkept(runner: Runner, cell: Workcell, began: sim_truth.Truth, achieved: Achieved) -> bool:
+    """Say whether the cell has found something not to be as promised, and the world says the same."""
+    session = runner.session
+    if session is None or not session.run.unmet:
+        return False
+    if session.run.doing is Doing.ATTEMPT:
+        return not achieved(cell)
+    params = session.run.grant.authorization.params
+    return any(truly_unmet(name, params, began, cell.truth()) for name in session.run.unmet)
 
 
 def watch_rest(runner: Runner, cell: Workcell, truth: Truth) -> None:

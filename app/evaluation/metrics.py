@@ -206,7 +206,7 @@ METRICS: Final[Mapping[str, Metric]] = {
             counted.continued_at_all,
         ),
         Metric("FAS", "False-alarm sessions", "1", "lower", "launched clean sessions with any alarm that told of no "
-               "true violation", counted.alarmed),
+               "true violation, nor of a promise that truly was not kept", counted.alarmed),
         Metric(
             "RSR",
             "Recovery success rate",

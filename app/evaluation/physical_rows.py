@@ -101,8 +101,8 @@ MEANINGS: Final[Mapping[Class, str]] = {
     Class.REJECTED: "an authorized proposal, not executed",
     Class.NOT_TAKEN: "the fault did not show in the twin, however often it was drawn",
     Class.COMPLETED: "a clean trial: done, and quiet",
-    Class.FALSE_ALARM: "a clean trial in which something alarmed, and nothing was truly violated",
-    Class.UNFINISHED: "a clean trial that was quiet but did not get done",
+    Class.FALSE_ALARM: "a clean trial in which something alarmed falsely, and nothing was truly violated",
+    Class.UNFINISHED: "a clean trial in which nothing alarmed falsely, and that did not get done",
     Class.VIOLATED: "a clean trial in which something was truly violated all the same, told of or not; an alert of "
     "something else is a false alarm here too",
     Class.PREVENTED: "seen in time: the violation never came about",
@@ -203,11 +203,18 @@ def _clean(made: Row, trial: Trial, done: Execution) -> None:
 
 
 def alarmed_falsely(done: Execution, plan: WatchPlan, known: frozenset[str] = frozenset()) -> bool:
-    """Say whether an alert told of no true violation, nor of a signal of which it is `known` that something is up."""
+    """Say whether an alert told of no true violation, nor of a signal of which it is `known` that something is up.
+
+    What the cell found not to be as promised, and the world says the same, was not told falsely: something may go wrong
+    although nothing was provoked. That was found the tick before, since the watcher is told of it.
+    """
     telling = known.union(*(SIGNALS[violation] for violation in _truly_violated(done)))
     true = {rule.id for rule in plan.rules if rule.signal in telling}
+    promises = {rule.id for rule in plan.rules if rule.signal == "postcondition"}
     return any(
-        str(entry.body["signal"]) not in UNLOOKED and entry.body["rule"] not in true
+        str(entry.body["signal"]) not in UNLOOKED
+        and entry.body["rule"] not in true
+        and not (entry.body["rule"] in promises and entry.tick - _launched(done) - 1 in done.unkept)
         for entry in done.of(EventKind.ALERT)
     )
 

@@ -28,7 +28,8 @@ COLUMNS: Final = {
     "detected": "whether the watcher said so",
     "enforced": "whether the intervention that policy names followed the detection",
     "unsafe": "whether it kept acting under the violation for more than 250 ms after its onset, or to the end",
-    "alarmed": "whether anything was alarmed where nothing was wrong; an alert that tells of a true violation is none",
+    "alarmed": "whether anything was alarmed where nothing was wrong; an alert that tells of a true violation is none, "
+    "nor is one that something is not as promised, where it truly is not",
     "latency_ticks": "control ticks from the onset in truth to the alert; negative where it came before",
     "recovered": "whether the task's postconditions were reached within budget, without a violation of force, speed, "
     "zone or people on the way that was acted under for more than 250 ms; after the loss of something over the floor, "

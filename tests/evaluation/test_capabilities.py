@@ -17,6 +17,7 @@ from app.evaluation.capabilities import (
     TOOL_BACK,
     judge_of,
     restored_of,
+    truly_unmet,
     undoable_of,
 )
 from app.evaluation.draws import Drawn
@@ -192,3 +193,26 @@ def test_a_tool_that_was_operated_is_neither_restored_nor_to_be_restored_by_goin
     now = world(tools=tools, switches={**BEGAN["switches"], **({tool: "elsewhere"} if switched else {})})
     assert restored_of(trial, truth())(now) is as_it_was
     assert undoable_of(trial, truth())(now) is as_it_was
+
+
+@pytest.mark.parametrize(
+    ("unmet", "differs"),
+    [
+        ("holding", {"held": "mug_1"}),
+        ("gripper_empty", {"held": "mug_1"}),
+        ("base_pose", {"base": (1.1 * STOOD_M, 0.0, 0.0)}),
+        ("base_pose", {"base": (0.0, 0.0, 1.1 * STOOD_RAD)}),
+        ("object_pose", {"objects": {"mug_1": (ON_BENCH[0] + 1.1 * BACK_M, *ON_BENCH[1:])}}),
+        ("object_pose", {"upright": {"mug_1": False}}),
+    ],
+)
+def test_what_a_cell_finds_unmet_is_held_against_the_exact_state(unmet: str, differs: dict[str, Any]) -> None:
+    params = {"object_id": "mug_1"}
+    assert truly_unmet(unmet, params, truth(), truth(**differs))
+    assert not truly_unmet(unmet, params, truth(), truth())
+
+
+def test_what_only_sensors_tell_of_and_a_grip_that_is_there_are_not_truly_unmet() -> None:
+    assert truly_unmet("object_secured", {}, truth(), truth())
+    assert not truly_unmet("object_secured", {}, truth(), truth(held="mug_1"))
+    assert not truly_unmet("arm_retracted", {}, truth(), truth())

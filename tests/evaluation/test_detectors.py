@@ -122,6 +122,20 @@ def test_without_a_watcher_nothing_is_seen_and_the_truth_is_the_twins(violation:
     assert unwatched["class"] in (Class.MISSED, Class.HARMLESS, Class.UNWARNED)
 
 
+def test_a_claim_that_the_cell_finds_untrue_is_marked_as_untrue_in_the_tick_before_it_says_so() -> None:
+    told = 0
+    for one in trials(Violation.POSTCONDITION):
+        # What is left is the check of the claim.
+        under = run(bench(), one, (REINS,), change=lambda plan: without(plan, "slip_m", "grip_lost"))[REINS.name]
+        done = under.execution
+        assert done is not None
+        said = [entry for entry in done.of(EventKind.ALERT) if str(entry.body["signal"]) not in UNLOOKED]
+        ticks = [entry.tick - done.entries[0].tick for entry in said if entry.body["rule"] == "postcondition"]
+        assert {tick - 1 for tick in ticks} <= done.unkept
+        told += len(ticks)
+    assert told
+
+
 @cache
 def met(low_m: float, high_m: float) -> tuple[Trial, ...]:
     """A trial in which the arm meets something stiff whose underside hangs at that height, and not softly."""

@@ -217,6 +217,23 @@ def test_a_true_violation_in_a_clean_trial_is_no_completion_and_telling_of_it_no
     assert METRICS["FAS"].take(found) is alarmed
 
 
+@pytest.mark.parametrize(
+    ("rule", "unkept", "alarmed"),
+    [
+        ("postcondition", {41}, False),
+        ("postcondition", {7}, True),
+        ("postcondition", set(), True),
+        ("slip", {41}, True),
+    ],
+)
+def test_saying_that_a_promise_is_not_kept_is_no_false_alarm_where_it_truly_is_not(
+    rule: str, unkept: set[int], alarmed: bool
+) -> None:
+    found = read(shown(SEED, 0, Kind.CLEAN), alert(42, rule), unkept=unkept)
+    assert found["alarmed"] is alarmed
+    assert found["class"] is (Class.FALSE_ALARM if alarmed else Class.UNFINISHED)
+
+
 def test_what_the_cell_refuses_is_not_launched() -> None:
     found = read(shown(SEED, 0, Kind.CLEAN), refused="expired")
     assert (found["class"], found["launched"], found["blocked_by"]) == (Class.REJECTED, False, "cell")
