@@ -31,7 +31,7 @@ SIGNALS: Final[Mapping[Violation, frozenset[str]]] = {
     Violation.ZONE: frozenset({"zone_margin_m"}),
     Violation.PEOPLE: frozenset({"separation_m"}),
 }
-"""The signals that tell of a violation as what it is; an alert of another one is no detection."""
+"""The signals that tell of a violation as what it is; an alert of another one is no detection (`telling`)."""
 
 UNLOOKED: Final = frozenset({Signal.NORMAL.value, Signal.COMPLETION.value})
 ENDING: Final = frozenset(
@@ -231,7 +231,7 @@ def _violated(made: Row, trial: Trial, violation: Violation, done: Execution) ->
         made["occurred"], made["class"] = False, Class.NOT_TAKEN
         return
     track = done.truth.tracks[violation]
-    rules = {rule.id: rule for rule in trial.plan.rules if rule.signal in SIGNALS[violation]}
+    rules = telling(trial.plan, violation)
     told = [
         entry
         for entry in done.of(EventKind.ALERT)
@@ -260,6 +260,20 @@ def _violated(made: Row, trial: Trial, violation: Violation, done: Execution) ->
     if violation is Violation.PEOPLE:
         made["separation_m"], made["separation_mps"] = done.truth.separation_m, done.truth.separation_mps
     made["class"] = _class_of_violation(first is not None, warns, unsafe, track.onset, done)
+
+
+def telling(plan: WatchPlan, violation: Violation) -> dict[str, WatchRule]:
+    """Return the rules that tell of a violation as what it is, by their names.
+
+    Where a rule of a signal restrains the robot, one that only warns of it speaks up early, and tells of nothing yet.
+    """
+    rules = [rule for rule in plan.rules if rule.signal in SIGNALS[violation]]
+    restrained = {rule.signal for rule in rules if rule.response.enter is not Intervention.CONTINUE}
+    return {
+        rule.id: rule
+        for rule in rules
+        if rule.signal not in restrained or rule.response.enter is not Intervention.CONTINUE
+    }
 
 
 def _way(way: Way) -> Row:

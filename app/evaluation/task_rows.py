@@ -8,7 +8,7 @@ from statistics import fmean
 from typing import TYPE_CHECKING, Final
 
 from app.evaluation.model import Kind, Row, Violation
-from app.evaluation.physical_rows import COLUMNS, SIGNALS, UNLOOKED, alarmed_falsely, enforced
+from app.evaluation.physical_rows import COLUMNS, UNLOOKED, alarmed_falsely, enforced, telling
 from app.evaluation.physical_trial import BAND_SIGMAS, took
 from app.evaluation.truth import SIGMA
 from app.governance.model import EventKind, Intervention, Outcome
@@ -118,10 +118,7 @@ def _provoked(made: Row, step: Drawn, end: TaskEnd, twin: TaskEnd, *, reached: b
     excess = max(one.truth.tracks[step.violation].excess for one in twin.executions)
     made["excess"], made["boundary"] = excess, excess < BAND_SIGMAS * SIGMA[step.violation]
     told = [
-        (one.execution, *seen)
-        for one in end.asked
-        if one.execution is not None
-        for seen in _told(one, SIGNALS[step.violation])
+        (one.execution, *seen) for one in end.asked if one.execution is not None for seen in _told(one, step.violation)
     ]
     made["detected"] = bool(told)
     made["enforced"], made["rule"] = (enforced(*told[0]), told[0][2].id) if told else (None, None)
@@ -157,7 +154,7 @@ def _acted(end: TaskEnd) -> list[str]:
 
 
 def _only_warned(asked: Asked, kind: Violation) -> bool:
-    rules = [rule for rule in asked.plan.rules if rule.signal in SIGNALS[kind]]
+    rules = telling(asked.plan, kind).values()
     return bool(rules) and all(rule.response.enter is Intervention.CONTINUE for rule in rules)
 
 
@@ -165,9 +162,9 @@ def _alarmed(asked: Asked) -> bool:
     return asked.execution is not None and alarmed_falsely(asked.execution, asked.plan)
 
 
-def _told(asked: Asked, signals: frozenset[str]) -> list[tuple[Entry, WatchRule]]:
-    """Return what was alarmed in a step by the rules about these signals, each with its rule."""
-    rules = {rule.id: rule for rule in asked.plan.rules if rule.signal in signals}
+def _told(asked: Asked, violation: Violation) -> list[tuple[Entry, WatchRule]]:
+    """Return what was alarmed in a step by the rules that tell of a violation, each with its rule."""
+    rules = telling(asked.plan, violation)
     return [
         (entry, rule)
         for entry in (asked.execution.of(EventKind.ALERT) if asked.execution is not None else ())

@@ -15,7 +15,7 @@ from app.evaluation.metrics import METRICS
 from app.evaluation.model import Failure, Kind, Row, Violation
 from app.evaluation.physical_rows import COLUMNS, SIGNALS, Class, row
 from app.evaluation.physical_trial import Ran, Trial, looking
-from app.governance.model import EventKind, Intervention, Outcome, RecoveryRule, Risk, Signal, Strategy
+from app.governance.model import EventKind, Intervention, Outcome, RecoveryRule, Response, Risk, Signal, Strategy
 from app.governance.policy_model import RecoveryRow
 from app.governance.signals import SIGNAL_NAMES
 from tests.evaluation.physical_world import shown
@@ -131,6 +131,24 @@ def test_an_alert_of_another_violation_is_no_detection() -> None:
             if rule.signal in SIGNALS[other]:
                 assert not read(one, alert(42, rule.id), intervention(42), onset=40)["detected"]
     assert not read(one, alert(42, rule_of(one), Signal.NORMAL), onset=40)["detected"]
+
+
+def early(one: Trial) -> Trial:
+    """Return a trial under a policy that warns of a violation early, beside the rule that stops."""
+    rule = next(rule for rule in one.plan.rules if rule.id == rule_of(one))
+    warns = replace(
+        rule, id="early", threshold=0.9 * (rule.threshold or 0.0), response=Response(enter=Intervention.CONTINUE)
+    )
+    return replace(one, plan=replace(one.plan, rules=(warns, *one.plan.rules)))
+
+
+def test_an_early_warning_beside_a_rule_that_restrains_is_no_detection() -> None:
+    one = early(speeding())
+    warned = read(one, alert(35, "early", Signal.WARNING), onset=40, acting=26)
+    assert (warned["class"], warned["detected"], warned["enforced"]) == (Class.MISSED, False, None)
+    seen = read(one, alert(35, "early", Signal.WARNING), alert(42, rule_of(one)), intervention(43), onset=40)
+    assert (seen["detected"], seen["rule"], seen["latency_ticks"]) == (True, rule_of(one), 2)
+    assert seen["enforced"] is False  # a tick late, which the early one would have hidden
 
 
 def test_latency_counts_from_the_onset_and_may_be_negative() -> None:
