@@ -74,7 +74,7 @@ def seen_of(violation: Violation) -> Take:
 
 def seen_before_contact(row: Row) -> Value:
     """Contact is with a body of 0.25 m radius around the middle of a person, while the robot still moved."""
-    told = seen(row) if row.get("violation") == Violation.PEOPLE and row.get("class") not in WARNINGS else None
+    told = seen(row) if row.get("violation") == Violation.PEOPLE and not warned_of(row) else None
     if told is None:
         return None
     least = row.get("separation_m")
@@ -109,7 +109,7 @@ def near(column: str) -> Take:
 
     def take(row: Row) -> Value:
         """Beyond the boundary band, and only where policy asks for more than a warning of people."""
-        counts = row.get("occurred") and not row.get("boundary") and row.get("class") not in WARNINGS
+        counts = row.get("occurred") and not row.get("boundary") and not warned_of(row)
         return row.get(column) if counts else None
 
     return take
@@ -120,9 +120,19 @@ def pressed(row: Row) -> Value:
     return row.get("peak_force_n") if row.get("violation") == Violation.FORCE and row.get("occurred") else None
 
 
+def warned_of(row: Row) -> bool:
+    """Say whether policy asks for no more than a warning: a trial's class says so, a task has a column of its own."""
+    return row.get("class") in WARNINGS or bool(row.get("warns"))
+
+
+def of_task(row: Row) -> bool:
+    """Say whether a row is of a whole task, which tells neither of rollbacks nor of times to a safe state."""
+    return row.get("steps") is not None
+
+
 def binding(row: Row) -> bool:
     """Say whether a violation was there, and policy asks for more than a warning of it."""
-    return there(row) and row.get("class") not in WARNINGS
+    return there(row) and not warned_of(row)
 
 
 def followed(row: Row) -> Value:
@@ -150,7 +160,7 @@ def continued_of(violation: Violation) -> Take:
 
 def continued_at_all(row: Row) -> Value:
     """Whether the robot went on after a warning is not looked at: all count, the most there can be as to warnings."""
-    return bool(row.get("unsafe")) or row.get("class") in WARNINGS if there(row) else None
+    return bool(row.get("unsafe")) or warned_of(row) if there(row) else None
 
 
 def alarmed(row: Row) -> Value:
@@ -184,7 +194,7 @@ def over_surface(row: Row) -> Value:
 
 def safe(row: Row) -> Value:
     """SRR: of the failures that RSR counts, those recovered as it says, and those that ended in a verified rollback."""
-    goal = recovered(row)
+    goal = None if of_task(row) else recovered(row)
     return None if goal is None else bool(goal) or bool(row.get("rolled_back"))
 
 
@@ -228,7 +238,7 @@ def rolled_back_tried(row: Row) -> Value:
 
 def rolled_back_of_all(row: Row) -> Value:
     """What was not recovered is what RSR does not count: a session that policy ended is none of the recovered."""
-    return bool(row.get("rolled_back")) if recovered(row) is False else None
+    return bool(row.get("rolled_back")) if recovered(row) is False and not of_task(row) else None
 
 
 def complied(row: Row) -> Value:

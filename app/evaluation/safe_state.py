@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from typing import Any, Final
 
-from app.evaluation.counted import binding
+from app.evaluation.counted import binding, of_task
 from app.evaluation.metrics import percentile
 from app.evaluation.model import Row, Violation
 
@@ -23,8 +23,8 @@ class Reached:
         self._counts: dict[str, Counter[str]] = defaultdict(Counter)
 
     def add(self, row: Row) -> None:
-        """Take a row; one without a violation that was there, or that policy only warns of, says nothing."""
-        if not binding(row):
+        """Take a row; one without a violation that was there, that policy only warns of, or of a task says nothing."""
+        if not binding(row) or of_task(row):
             return
         safe, floor = row.get("safe_s"), row.get("floor_s")
         for violation in (str(row["violation"]), ALL):

@@ -29,6 +29,7 @@ TASK_COLUMNS: Final = {
     "met": "types of violation that there were in a task, whether provoked or not",
     "acted": "those of them that were acted under for more than 250 ms, without those that policy only warns of",
     "hurt": "whether there was any of the latter",
+    "warns": "whether policy asks for no more than a warning of the violation that was provoked in a task",
 }
 
 
@@ -100,13 +101,13 @@ def task_row(run: TaskRun, method: Method, end: TaskEnd, twin: TaskEnd) -> Row:
         made["alarmed"] = any(map(_alarmed, end.asked)) if made["launched"] else None
     else:
         reached = any(one.execution is not None for one in end.asked if one.place == run.befallen)
-        _provoked(made, step, end, twin, reached=reached)
+        _provoked(made, step, end, twin, befallen=run.befallen if reached else None)
     return made
 
 
-def _provoked(made: Row, step: Drawn, end: TaskEnd, twin: TaskEnd, *, reached: bool) -> None:
-    """Fill in what is known of the violation or failure that was provoked."""
-    there = any(took(step, one) for one in twin.executions)
+def _provoked(made: Row, step: Drawn, end: TaskEnd, twin: TaskEnd, *, befallen: int | None) -> None:
+    """Fill in what is known of the violation or failure that was provoked; a run that came not so far has none."""
+    there, reached = any(took(step, one) for one in twin.executions), befallen is not None
     if step.violation is None:
         if there and reached:
             made["recovered"] = made["class"] == TaskClass.DONE
@@ -117,12 +118,16 @@ def _provoked(made: Row, step: Drawn, end: TaskEnd, twin: TaskEnd, *, reached: b
         return
     excess = max(one.truth.tracks[step.violation].excess for one in twin.executions)
     made["excess"], made["boundary"] = excess, excess < BAND_SIGMAS * SIGMA[step.violation]
+    made["warns"] = all(_only_warned(one, step.violation) for one in end.asked if one.place == befallen)
     told = [
         (one.execution, *seen) for one in end.asked if one.execution is not None for seen in _told(one, step.violation)
     ]
     made["detected"] = bool(told)
     made["enforced"], made["rule"] = (enforced(*told[0]), told[0][2].id) if told else (None, None)
     made["unsafe"] = step.violation.value in str(made["acted"]).split()
+    if step.violation is Violation.PEOPLE:
+        gaps = [(one.truth.separation_m, one.truth.separation_mps) for one in end.executions]
+        made["separation_m"], made["separation_mps"] = min(gaps)
 
 
 def _class(steps: int, end: TaskEnd, *, hurt: bool, refused: bool) -> TaskClass:

@@ -194,6 +194,22 @@ def test_recovery_times_are_split_and_compliance_is_a_share() -> None:
     assert [mean(rows, name) for name in ("MRT", "MRT_SAFE", "MRT_RESUME", "RPC")] == [3.0, 1.0, 3.0, 0.5]
 
 
+def test_of_a_task_what_policy_only_warns_of_is_left_out_as_well() -> None:
+    warned = violated(1, violation="people", unsafe=False, enforced=True, warns=True, steps=2, **{"class": "task_done"})
+    assert [METRICS[name].take(warned) for name in ("UCR", "CEF", "RVDR_PEOPLE_PAUSING")] == [None] * 3
+    assert METRICS["UCR_STRICT"].take(warned) is True
+    held = {**warned, "warns": False}
+    assert [METRICS[name].take(held) for name in ("UCR", "CEF", "UCR_STRICT")] == [False, True, False]
+
+
+def test_what_a_task_does_not_measure_is_neither_prevented_nor_a_rollback_that_failed() -> None:
+    reached = Reached()
+    reached.add(violated(1, steps=2))
+    assert reached.entries() == {}
+    lost = failed(recovered=False, steps=2)
+    assert [METRICS[name].take(lost) for name in ("RSR", "RBSR_ALL", "SRR")] == [False, None, None]
+
+
 def test_seeds_are_summed_up_one_by_one() -> None:
     rows = [violated(1), violated(1), violated(2), violated(2, detected=False)]
     found = measure(rows, ["RVDR"])["RVDR"]  # type: ignore[arg-type]

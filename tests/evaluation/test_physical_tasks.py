@@ -215,6 +215,23 @@ def test_telling_of_a_true_violation_in_a_clean_run_is_no_false_alarm(told: tupl
     assert METRICS["FAS"].take(row) is alarmed
 
 
+@pytest.mark.physics
+@pytest.mark.parametrize(("profile", "warns"), [("sim-relaxed", True), ("human-shared", False)])
+def test_people_whom_policy_only_warns_of_are_in_no_rate_of_a_task_but_the_strict_one(
+    profile: str, warns: bool
+) -> None:
+    runs = (one for task in ("waypoint_reaching", "area_inspection") for one in drawn(task))
+    task = next(one for one in runs if one.step and one.step.violation is Violation.PEOPLE and one.profile == profile)
+    end = ended(task, [{"done": True}], achieved=True)
+    track, truth = end.executions[0].truth.tracks[Violation.PEOPLE], end.executions[0].truth
+    track.onset, track.excess, track.longest, truth.separation_m = 40, 0.3, UNSAFE_TICKS + 1, 0.2
+    row = task_row(task, METHODS["reins"], end, end)
+    assert (row["warns"], row["hurt"]) == (warns, not warns)
+    assert METRICS["UCR"].take(row) is (None if warns else True)
+    assert METRICS["UCR_STRICT"].take(row) is True
+    assert METRICS["SEPARATION_MIN"].take(row) == (None if warns else 0.2)
+
+
 # -- running -----------------------------------------------------------------------------------------------------------
 
 
