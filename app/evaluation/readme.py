@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from shutil import copymode
 from typing import TYPE_CHECKING, Any, Final
 
 from app.evaluation.goals import TARGETS
@@ -36,7 +37,19 @@ def refresh(path: Path, results: Results) -> None:
     if not rows:
         raise ReadmeError(f"`{path}` stays as it is: valid are results with figures of Reins, these have none")
     block = "\n".join([begin, *_head(results), *rows, end])
-    path.write_text(_place(begin, end).sub(lambda _: block, text, count=1), encoding="utf-8")
+    _write(path.resolve(), _place(begin, end).sub(lambda _: block, text, count=1))
+
+
+def _write(path: Path, text: str) -> None:
+    """Put another text into a file, which stays as it is until all of it is written; a disk may be full."""
+    partial = path.with_name(f"{path.name}.partial")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        copymode(path, partial)
+        partial.replace(path)
+    except OSError:
+        partial.unlink(missing_ok=True)
+        raise
 
 
 def check_place(path: Path, protocol: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from resource import RLIMIT_FSIZE, getrlimit, setrlimit
 
 import pytest
 
@@ -37,6 +38,32 @@ def test_replaces_what_stands_between_its_comments(tmp_path: Path) -> None:
     assert "old" not in text
     refresh(file, RESULTS)
     assert file.read_text(encoding="utf-8") == text
+
+
+def test_a_file_that_cannot_be_written_stays_as_it_is(tmp_path: Path) -> None:
+    file = tmp_path / "README.md"
+    file.write_text(f"{'words ' * 2000}\n<!-- evaluate:physical -->\n<!-- /evaluate:physical -->\n", encoding="utf-8")
+    before = file.read_bytes()
+    usual = getrlimit(RLIMIT_FSIZE)
+    setrlimit(RLIMIT_FSIZE, (4096, usual[1]))  # as on a disk without room
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            refresh(file, RESULTS)
+    finally:
+        setrlimit(RLIMIT_FSIZE, usual)
+    assert file.read_bytes() == before
+    assert [*tmp_path.iterdir()] == [file]
+
+
+def test_a_link_stays_a_link_and_a_file_keeps_its_mode(tmp_path: Path) -> None:
+    file, link = tmp_path / "real.md", tmp_path / "README.md"
+    file.write_text("<!-- evaluate:physical -->\n<!-- /evaluate:physical -->\n", encoding="utf-8")
+    file.chmod(0o640)
+    link.symlink_to(file.name)
+    refresh(link, RESULTS)
+    assert link.is_symlink()
+    assert "UAIR" in file.read_text(encoding="utf-8")
+    assert file.stat().st_mode & 0o777 == 0o640
 
 
 def test_a_rate_says_what_it_is_made_of_and_over_how_many_rows(tmp_path: Path) -> None:
