@@ -118,6 +118,7 @@ class _TaskDrawing(Drawing):
         self._stand, self._holding = self._beginning()
         self._touched: list[str] = []
         self._worked: list[str] = []
+        self._grips: dict[str, float] = {}
         self._sides = list(SIDES_M) if rng.uniform() < 0.5 else list(reversed(SIDES_M))
         self._asked: tuple[dict[str, Json], Start] = ({}, Start())
 
@@ -211,6 +212,7 @@ class _TaskDrawing(Drawing):
         elif capability == "grasp_object":
             self._holding = str(params["object_id"])
             self._touched.append(self._holding)
+            self._grips[self._holding] = float(str(params["force_n"]))
         elif capability == "place_object":
             self._holding = ""
         elif capability == "operate_tool":
@@ -251,6 +253,9 @@ class _TaskDrawing(Drawing):
     def _request(self, capability: str) -> tuple[dict[str, Json], Start]:
         del capability  # it is the step's
         return self._asked
+
+    def _held_with(self, start: Start) -> float:
+        return self._grips.get(start.holding) or super()._held_with(start)
 
     def _block(self, capability: str, params: dict[str, Json], start: Start) -> tuple[Fault, float]:
         """Put a crate in the way that the task takes."""

@@ -27,6 +27,13 @@ class Asked(NamedTuple):
     execution: Execution | None
 
     @property
+    def refused_by(self) -> str:
+        """Return what kept it from being executed: a part of the gate, or the cell; empty where nothing did."""
+        if self.execution is None:
+            return self.passed.by
+        return "cell" if self.execution.refused else ""
+
+    @property
     def done(self) -> bool:
         """Return whether the step was reported done, by the skill or by the session's outcome."""
         if self.execution is None or self.execution.refused:

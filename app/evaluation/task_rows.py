@@ -67,7 +67,7 @@ def task_row(run: TaskRun, method: Method, end: TaskEnd, twin: TaskEnd) -> Row:
     """
     step, met, acted = run.step, _met(end), _acted(end)
     succeeded = end.steps_done() == len(run.steps) and end.achieved
-    refused = all(one.execution is None for one in end.asked if one.place == end.asked[-1].place)
+    refused = all(one.refused_by for one in end.asked if one.place == end.asked[-1].place)
     made: Row = dict.fromkeys((*COLUMNS, *TASK_COLUMNS))
     made.update(
         method=method.name,
@@ -80,7 +80,7 @@ def task_row(run: TaskRun, method: Method, end: TaskEnd, twin: TaskEnd) -> Row:
         capability=None if step is None else step.capability,
         profile=run.profile,
         launched=not refused if run.kind is Kind.CLEAN else None,
-        blocked_by=end.asked[-1].passed.by or None,
+        blocked_by=end.asked[-1].refused_by or None,
         decision_us=fmean(one.decision_us for one in end.asked),
         size=None if step is None else step.size,
         walk_mps=None if step is None else step.walk_mps or None,

@@ -121,6 +121,20 @@ def test_sorting_puts_two_objects_on_two_sides() -> None:
         assert sorted(float(str(step.params["x_m"])) > middle for step in places) == [False, True]
 
 
+def test_a_gripper_that_gives_too_much_gives_what_was_drawn_of_the_grip_that_was_asked_for() -> None:
+    met = 0
+    for one in (*drawn("fetch_and_deliver"), *drawn("sorting"), *drawn("zone_limited_transport")):
+        gains = [fault.sizes["gain"] for fault in one.scenario.faults if fault.kind == "grip_gain"]
+        if one.step is None or not gains or one.befallen == 0:
+            continue
+        held = one.step.start.holding
+        asked = [step.params["force_n"] for step in one.steps if step.params.get("object_id") == held]
+        if held and asked:
+            met += 1
+            assert float(str(gains[0])) * 0.98 * float(str(asked[0])) == pytest.approx(one.step.size)
+    assert met
+
+
 def test_the_lever_is_pulled_before_the_press_is_pressed() -> None:
     for one in drawn("multi_step_tool_use"):
         assert [step.params.get("tool") for step in one.steps] == [None, "lever", "press"]
@@ -194,6 +208,17 @@ def test_every_run_falls_into_one_class(
     assert row["hurt"] == (row["acted"] == "force")
     assert row["launched"] == (expected is not TaskClass.REFUSED)
     assert row.keys() <= COLUMNS.keys()
+
+
+@pytest.mark.physics
+def test_a_step_that_the_cell_refuses_is_refused_like_one_that_the_gate_does() -> None:
+    task = draw_task(policy(), TASKS["fragile_handling"], SEED, first("fragile_handling", violation=None))
+    end = ended(task, [{"done": False}, {"done": False}], achieved=False)
+    for done in end.executions:
+        done.refused = "object_lost"
+    row = task_row(task, METHODS["reins"], end, TaskEnd())
+    assert (row["class"], row["launched"], row["blocked_by"]) == (TaskClass.REFUSED, False, "cell")
+    assert METRICS["FRR"].take(row) is True
 
 
 @pytest.mark.physics
