@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from app.cell.run import Doing
 from app.evaluation.draws import Drawn
 from app.evaluation.methods import REINS
 from app.evaluation.model import PROFILES, Kind, Row, Violation
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
     from app.cell.runner import Runner
     from app.evaluation.episode import Execution
     from app.evaluation.physical_trial import Trial
-    from app.governance.model import Json
+    from app.governance.model import Json, WatchPlan
     from app.governance.policy import PolicySet
     from app.sim.workcell import Workcell
 
@@ -111,14 +112,19 @@ class _Tightening:
         self.truth: Truth = looking(tighter, drawn, plan)
         self.over = 0
         self.old = self.fresh = ""
+        self.own: WatchPlan | None = None
+        self.kept = True
 
     def __call__(self, runner: Runner, cell: Workcell) -> None:
         self.now += 1
-        if self.now == self.tick:
+        run = None if runner.session is None else runner.session.run
+        if self.now == self.tick and run is not None:
+            self.own = run.plan
             adopt(runner, self.tighter)
             self.old = self._launch(runner, cell, self.policy, self.trial.proposal)
             self.fresh = self._launch(runner, cell, self.tighter, replace(self.trial.proposal, params=self.effective))
         if self.now > self.tick:
+            self.kept = self.kept and (run is None or run.doing is not Doing.ATTEMPT or run.plan == self.own)
             self.truth.see(cell.glance(), attempts=1, claims_falsely=False, executing=True, attempting=True)
             over = (self.truth.tracks[one] for one in (Violation.SPEED, Violation.FORCE))
             self.over += any(track.acting > 0 for track in over)
@@ -128,9 +134,12 @@ class _Tightening:
         return runner.launch(signed(replace(permit, id=f"permit-{policy.digest}"))) or "launched"
 
     def columns(self, done: Execution) -> dict[str, Any]:
-        """Return what the running session did after the tightening."""
+        """Return what the running session did after the tightening.
+
+        It has kept its policy if it was launched under that one, and was watched by the same plan ever after.
+        """
         launched = done.of(EventKind.LAUNCH)
-        own = bool(launched) and launched[0].body["policy_digest"] == self.policy.digest
+        own = bool(launched) and launched[0].body["policy_digest"] == self.policy.digest and self.kept
         return {
             "kind": "running",
             "ticks": self.over if done.ticks > self.tick else None,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+from app.cell.runner import Runner
 from app.cli import app
 from app.evaluation import (
     study_drift,
@@ -23,6 +25,7 @@ from app.evaluation import (
 from app.evaluation.draws import of_type
 from app.evaluation.model import TUNING_SEEDS, Failure, Kind, Row, Violation
 from app.evaluation.parts import Parts
+from app.evaluation.permits import adopt
 from app.evaluation.physical_protocol import COLUMNS, STUDIES, STUDY_COLUMNS, jobs, results, run, study_jobs
 from app.evaluation.physical_trial import prepare
 from app.evaluation.report import render
@@ -158,6 +161,19 @@ def test_a_tightened_policy_binds_the_next_session_and_not_the_one_that_runs() -
     assert (then["achieved"], then["unsafe"]) == (True, False)
     summed = told([running, then])["studies"]["drift"]["tables"][0]["rows"]["all"]
     assert summed["old authorization refused"]["mean"] == 1.0
+
+
+@pytest.mark.physics
+def test_a_session_that_is_bound_by_the_new_policy_midway_has_not_kept_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    def bind_as_well(runner: Runner, tighter: PolicySet) -> None:
+        adopt(runner, tighter)
+        if runner.session is not None and tighter.digest != policy().digest:
+            run = runner.session.run
+            run.plan = replace(run.plan, bounds=run.plan.bounds._replace(base_speed_mps=0.1))
+
+    monkeypatch.setattr(study_drift, "adopt", bind_as_well)
+    running, _ = study_drift.run(Part("human-shared", SEED, 0, 1), policy())
+    assert running["held"] is False
 
 
 @pytest.mark.physics
