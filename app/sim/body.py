@@ -327,7 +327,7 @@ class Body:
         reach = min(ahead, _LOOKAHEAD_M)
         tip = (x + (end[0] - x) / ahead * reach, y + (end[1] - y) / ahead * reach)
         for cx, cy in self.senses.perception.crates:
-            if _near_segment((cx, cy), (x, y), tip) < _CRATE_M:
+            if near_segment((cx, cy), (x, y), tip) < _CRATE_M:
                 raise SkillFailed("blocked", f"a crate stands at ({cx:.1f}, {cy:.1f})")
 
     def _check_way_back(self, travel: Travel) -> None:
@@ -413,7 +413,8 @@ def joint_path(
     return Path(points, metres)
 
 
-def _near_segment(point: Point, start: Point, end: Point) -> float:
+def near_segment(point: Point, start: Point, end: Point) -> float:
+    """Return the distance of a point to a line from one point to another."""
     dx, dy = end[0] - start[0], end[1] - start[1]
     share = min(max(((point[0] - start[0]) * dx + (point[1] - start[1]) * dy) / max(dx * dx + dy * dy, 1e-9), 0.0), 1.0)
     return hypot(point[0] - start[0] - share * dx, point[1] - start[1] - share * dy)

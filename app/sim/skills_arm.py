@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from app.cell.substrate import SubstrateError
-from app.sim.body import CONTACT_NEAR_M, CONTACT_SPEED_MPS, Body, Moves, SkillFailed
+from app.sim.body import CONTACT_NEAR_M, CONTACT_SPEED_MPS, Body, Moves, SkillFailed, near_segment
 from app.sim.hand import Hand, on_surface, support
 from app.sim.kinematics import ToolPose
 from app.sim.localisation import to_world, wrapped
@@ -23,7 +23,7 @@ REACH_MIN_M, REACH_MAX_M = 0.42, 0.95
 LOCALISE_S, MISMATCH_M, PLACED_WITHIN_M = 0.3, 0.15, 0.06
 SLIPPED_MAX_M = 0.05
 PLACE_GAP_M, PLACE_TOUCH_N, SPOT_FREE_M, SURFACE_MARGIN_M = 0.002, 12.0, 0.15, 0.07
-BESIDE_M = 0.02  # at least, between what stands and what is put beside it
+BESIDE_M = 0.02  # at least, between what stands and what is put beside it, or carried over it
 SEEN_FROM_M, SEEN_FROM_RAD = 0.3, 0.3  # how far off its stand an area is still seen; `area_in_view` asks for less
 TRAVEL_SPEED_MPS = 0.20  # of the arm, where a skill's own speed is the base's
 _LOOK_HEIGHT_M, _LOOK_FORWARD_M, _LOOK_ASIDE_M = 0.42, 0.55, (-0.3, 0.0, 0.3)
@@ -168,8 +168,8 @@ def localise(body: Body, name: str) -> Generator[Command, None, Glimpse]:
 
 def grip_for(thing: SiteObject, at: Glimpse) -> Grip:
     """Return where to close on an object: across its narrower side, from above, not deeper than the fingers reach."""
-    rx, ry, rz = thing.size_m
-    half_height = rz if at.upright else min(rx, ry)
+    rx, ry, _ = thing.size_m
+    half_height = _half_height(thing, at.upright)
     if thing.shape == "cylinder":
         yaw = 0.0 if at.upright else at.yaw_rad
     else:
@@ -177,6 +177,12 @@ def grip_for(thing: SiteObject, at: Glimpse) -> Grip:
     yaw = (yaw + pi / 2) % pi - pi / 2  # a parallel gripper is the same turned by half a circle
     top = at.z_m + half_height
     return Grip(ToolPose(at.x_m, at.y_m, max(at.z_m, top - GRIP_DEPTH_M), yaw), top)
+
+
+def _half_height(thing: SiteObject, upright: bool) -> float:
+    """Return how far an object's top is above its middle, standing or lying."""
+    rx, ry, rz = thing.size_m
+    return rz if upright else min(rx, ry)
 
 
 def remember_grip(body: Body, thing: SiteObject, found: Glimpse) -> None:
@@ -218,6 +224,8 @@ def place_object(body: Body, params: Mapping[str, Json]) -> Moves:
 def _place(body: Body, support_z_m: float, spot: Point, hand: Hand, limit_mps: float) -> Moves:
     body.enter("approach", 0.0)
     speed = body.speed(limit_mps)
+    if (clear := _clear_of_others(body, support_z_m, spot, hand)) > LIFT_M:
+        yield from body.line(body.pose._replace(z_m=support_z_m + hand.above_support_m + clear), speed)
     yield from body.approach(
         ToolPose(*body.relative(*spot), support_z_m + hand.above_support_m + LIFT_M, body.pose.yaw_rad), speed
     )
@@ -227,6 +235,18 @@ def _place(body: Body, support_z_m: float, spot: Point, hand: Hand, limit_mps: f
     x, y = to_world(body.senses.believed_pose(), found.x_m, found.y_m)
     if hypot(x - spot[0], y - spot[1]) > PLACED_WITHIN_M or not found.upright:
         raise SkillFailed("placement_failed", f"`{hand.name}` does not stand where it was put")
+
+
+def _clear_of_others(body: Body, support_z_m: float, spot: Point, hand: Hand) -> float:
+    """Return how high what is held has to hang over a support to pass over all that stands near its way to a spot."""
+    senses = body.senses
+    here = to_world(senses.believed_pose(), body.pose.x_m, body.pose.y_m)
+    tops = [
+        seen.z_m + _half_height(senses.site.objects[name], seen.upright) - support_z_m
+        for name, seen in senses.perception.memory.items()
+        if name != hand.name and near_segment((seen.x_m, seen.y_m), here, spot) < SPOT_FREE_M
+    ]
+    return max(tops, default=0.0) + BESIDE_M
 
 
 def put_down(body: Body, support_z_m: float, hand: Hand, limit_mps: float) -> Moves:

@@ -157,3 +157,15 @@ def test_nothing_is_put_where_something_is_known_to_stand(site: Site, beside_m: 
     assert (ran.failure, ran.detail) == ("placement_failed", "`glass_1` stands there, as far as is known")
     assert run_skill(cell, "place_object", {**place, "x_m": 1.25}).done
     assert cell.plant.true_object("glass_1")[2] > 0.99
+
+
+@pytest.mark.parametrize("carried", ["driver_1", "mug_1"])
+def test_what_is_put_beside_others_is_carried_over_the_tallest_of_them(site: Site, carried: str) -> None:
+    cell = make_workcell(site, cell_id="over", seed=FIRST)
+    assert run_skill(cell, "grasp_object", {"object_id": carried, "force_n": 50.0, "speed_mps": 0.4}).done
+    stood = cell.truth().objects["glass_1"]
+    ran = run_skill(cell, "place_object", {"surface": "bench_a", "speed_mps": 0.25, "x_m": 2.02, "y_m": 5.25})
+    assert ran.done, ran.detail
+    now = cell.truth()
+    assert now.upright["glass_1"]
+    assert dist(now.objects["glass_1"], stood) < 0.001
