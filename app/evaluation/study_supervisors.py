@@ -39,7 +39,7 @@ from app.evaluation.study_trials import (
 from app.governance.admission import admit
 from app.governance.authority import need
 from app.governance.guard import check
-from app.governance.model import EventKind, Outcome
+from app.governance.model import CONTROL_PERIOD_S, EventKind, Outcome
 
 if TYPE_CHECKING:
     from app.evaluation.physical_trial import Bench, Trial
@@ -59,7 +59,7 @@ CANDIDATES: Final = 20
 DELAYS_S: Final = (0.5, 2.0, 10.0, 60.0, None)
 ERRORS: Final = (0.0, 0.1, 0.3)
 USUAL_S: Final = 2.0
-SILENCE_TICKS: Final = 2500
+SILENCE_TICKS: Final = LIMIT_TICKS + RECOVERY_TICKS  # some are asked late: what recovers by itself may take long
 WORDS: Final = {"go on": "resolve_continue", "roll back": "rollback", "terminate": "resolve_terminate"}
 HOLDS: Final = frozenset({"real-restricted", "human-shared"})
 WRONG: Final[tuple[Failure | Violation, ...]] = (
@@ -185,7 +185,7 @@ def answered(bench: Bench, part: Part, number: int, trial: Trial, manner: Manner
     """Run a trial under one supervisor."""
     waits = None if manner.after_s is None else round(100 * manner.after_s)
     supervised = Supervised(after_ticks=waits, op=WORDS[manner.word])
-    limit = SILENCE_TICKS if waits is None else LIMIT_TICKS + RECOVERY_TICKS + 4 * waits
+    limit = SILENCE_TICKS + 4 * (waits or 0)
     drawn = trial.drawn
     cell = bench.stage.set(drawn.start, drawn.world, drawn.scenario)  # the one that is executed in
     restored = restored_of(drawn, cell.truth())
@@ -230,9 +230,9 @@ def tables(rows: Sequence[Row], policy: PolicySet) -> list[Table]:
             "Supervisor",
             {name: _waiting(mine) for name, mine in asked.items()},
             f"Of {quiet + silent} sessions that went wrong, {silent} asked somebody; those are here. After three "
-            "answers in a session it is terminated. Silence midway, as it is measured here, is 25 s without a word. "
-            f"Policy ends such a session after {policy.authority.within_s:g} s "
-            f"({policy.authority.on_timeout}); its robot stands until then.",
+            "answers in a session it is terminated. Silence midway is measured until "
+            f"{SILENCE_TICKS * CONTROL_PERIOD_S:g} s after the launch. Policy ends such a session after "
+            f"{policy.authority.within_s:g} s ({policy.authority.on_timeout}); its robot stands until then.",
         ),
     ]
 

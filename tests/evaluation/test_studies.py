@@ -177,6 +177,15 @@ def test_a_session_that_is_bound_by_the_new_policy_midway_has_not_kept_its_own(m
 
 
 @pytest.mark.physics
+def test_who_is_asked_late_is_asked_all_the_same() -> None:
+    seed, number = 123, 4  # places what slips until its budget is used up, and asks 26 s after its launch
+    trial = once(bench_of(policy()), study_supervisors.failing(policy(), seed, number))
+    silent = study_supervisors.Manner("go on", None)
+    row = study_supervisors.answered(bench_of(policy()), Part("midway", seed, number, 1), number, trial, silent)
+    assert (row["handed_over"], row["what"]) == (True, "expired")
+
+
+@pytest.mark.physics
 def test_a_session_midway_goes_on_is_undone_ends_or_waits_as_the_supervisor_says() -> None:
     bench, part = bench_of(policy()), Part("midway", SEED, 1, 1)  # a grip that gives too much
     trial = once(bench, study_supervisors.failing(policy(), SEED, 1))
