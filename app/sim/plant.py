@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 _BRAKE_ARM_NM, _BRAKE_BASE_N = 400.0, 3000.0
+_REST_ITERATIONS = 2
 _BASE_HOLD_PER_S, _BASE_HOLD_MAX, _STANDING_MPS = 5.0, 0.05, 0.01
 _SCALING_LEAK_S = 1.5
 _WAKE_M, _RESTING_MPS = (
@@ -245,6 +246,13 @@ class Plant:
             base_pose=pose,
             base_velocity=(c * vx + s * vy, c * vy - s * vx, wz),
         )
+
+    def let_rest(self, at_rest: bool) -> None:
+        """Keep what rests in the gripper where it is, or solve contacts without that.
+
+        MuJoCo's friction gives way by some millimetres a minute under a weight that a real grip bears for good.
+        """
+        self.model.opt.noslip_iterations = _REST_ITERATIONS if at_rest else 0
 
     def cut_power(self) -> None:
         """Take power from arm and base: the brakes fall in. The gripper locks itself and keeps its grip."""

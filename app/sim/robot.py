@@ -49,6 +49,8 @@ FINGER_MASS_KG = 0.12
 BASE_MASS_KG = 140.0
 BASE_RADIUS_M = 0.42  # circle around the footprint
 PAD_FRICTION = (0.9, 0.02, 0.0005)
+# As stiff as MuJoCo lets a brake be: friction yields to a steady load, by default some millimetres a second.
+_BRAKES, _BRAKING = (0.9999, 0.9999, 0.001, 0.5, 2.0), (0.004, 1.0)
 
 # Joint angles with the tool pointing down in front of the base: over the working height, and drawn in for driving.
 READY_RAD = (-0.3580, -1.8890, 1.7650, -1.4470, -1.5708, 1.2128)
@@ -194,7 +196,7 @@ def _add_base(spec: mujoco.MjSpec, *, mobile: bool) -> mujoco.MjsBody:
         kinds = (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE)
         axes = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
         for name, kind, axis, kv, force in zip(BASE_JOINTS, kinds, axes, BASE_KV, BASE_FORCE, strict=True):
-            base.add_joint(name=name, type=kind, axis=axis)
+            base.add_joint(name=name, type=kind, axis=axis, solimp_friction=_BRAKES, solref_friction=_BRAKING)
             _add_velocity_servo(spec, name, kv, force)
     _add_shape(base, "chassis", mujoco.mjtGeom.mjGEOM_BOX, (0.33, 0.25, 0.20), (0, 0, 0.26), BASE_MASS_KG * 0.8, _DARK)
     _add_shape(
@@ -219,6 +221,8 @@ def _add_arm(spec: mujoco.MjSpec, base: mujoco.MjsBody) -> mujoco.MjsBody:
             actgravcomp=True,
             actfrcrange=(-TORQUE_LIMIT_NM[i], TORQUE_LIMIT_NM[i]),
             actfrclimited=True,
+            solimp_friction=_BRAKES,
+            solref_friction=_BRAKING,
         )
         for k, link in enumerate(_LINKS[i]):
             body.add_geom(

@@ -52,6 +52,7 @@ _WARM_UP_TICKS = 40
 _NO_HABITS: AbstractSet[str] = frozenset()
 _MARK_TICKS, _MARK_RAD = 5, 0.004
 _DOZE_TICKS = 5
+_AT_REST_TICKS = 100  # without anything commanded to move
 _FRESH_S, _VISIBLE_S, _RETRACTED_RAD, _READY_RAD, _READY_RADPS = 0.5, 1.0, 0.08, 0.05, 0.05
 _LEVER_STATE_RAD, _BUTTON_PRESSED_M, _BUTTON_LATCH_S = 0.33, 0.012, 60.0
 _TALL_TOOL_M = 0.1
@@ -70,6 +71,7 @@ class State:
     occasions: Occasions
     held: Command
     tick: int = 0
+    still_ticks: int = 0
     hand: Hand | None = None
     trail: list[Mark] = field(default_factory=list[Mark])
     invocation: str = ""
@@ -184,8 +186,11 @@ class Workcell:
         state.clock.advance(now, state.occasions, Victim(plant, state.sensors, state.perception, state.habits))
         if state.tick % _DOZE_TICKS == 0:
             plant.doze()
+        still = _still(command)
+        state.still_ticks = state.still_ticks + 1 if command == still else 0
+        plant.let_rest(state.still_ticks >= _AT_REST_TICKS)
         physical = plant.step(command)
-        state.held = _still(command)
+        state.held = still
         state.observation = self._sense(physical, now)
         self._remember(command)
         return state.observation

@@ -124,6 +124,20 @@ def test_a_faded_arm_sinks_below_where_it_was_told_to_be(site: Site):
     assert sunk_rad(0.1) > 0.1
 
 
+@pytest.mark.parametrize("powered", [True, False], ids=["held", "stopped"])
+def test_what_was_grasped_stays_where_it_is_held_with_power_and_without(site: Site, powered: bool):
+    cell = cell_with(site)
+    assert run_skill(cell, "grasp_object", {"object_id": "mug_1", "force_n": 40.0, "speed_mps": 0.25}).done
+    cell.stop(2 if powered else 1)
+    for _ in range(200):
+        cell.step(cell.hold())
+    tool_m, mug_m = cell.plant.true_tcp()[2], cell.plant.true_object("mug_1")[0][2]
+    for _ in range(6_000):
+        cell.step(cell.hold())
+    assert abs(cell.plant.true_tcp()[2] - tool_m) < 2e-4
+    assert abs(cell.plant.true_object("mug_1")[0][2] - mug_m) < 2e-4
+
+
 def test_a_fade_that_begins_or_ends_without_power_drives_nothing_and_holds_when_power_is_back(site: Site):
     plant = cell_with(site).plant
     gain, bias = plant.model.actuator_gainprm, plant.model.actuator_biasprm
