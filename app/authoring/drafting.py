@@ -4,6 +4,7 @@
 |---|---|
 | `profiles/NAME.yaml` | is new: the model profile, with the draft's sections and limits in the place of its own |
 | `capabilities/*.yaml` | name the new profile in `env_profile`, with the standing they have in the model |
+| `organization.yaml`, `authority.yaml` | name it beside the model, in rules for some profiles and in `confirm_before` |
 | `properties.yaml` | promises what the draft is for, so that a later change cannot quietly undo it |
 
 Everything else is the copied policy's. The profile's own cases are found when it is whole (`holding`).
@@ -25,7 +26,7 @@ from app.governance.policy_model import LIMIT_UNITS
 from app.governance.vocabulary import always_there, properties
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from app.authoring.questions import Answers
     from app.authoring.templates import Draft, Template
@@ -171,6 +172,8 @@ def drafted(policy: PolicySet, promised: str | None, template: Template, answers
     for file in policy.files:
         if file.startswith("capabilities/"):
             files[file] = _standing(file, policy.files[file], name, like)
+        elif file in _SHARED and (text := _shared(file, policy.files[file], name, like)) != policy.files[file]:
+            files[file] = text
     files[PROPERTIES] = _promised(policy, promised, draft, answers)
     return files
 
@@ -253,18 +256,52 @@ def _clearing(policy: PolicySet, like: str) -> list[str]:
 
 def _standing(file: str, text: str, name: str, like: str) -> str:
     """Name the new profile in a manifest, with the standing the model has in it."""
-    root = yaml.compose(text, Loader=yaml.CSafeLoader)
-    entries = cast("list[tuple[yaml.Node, yaml.Node]]", root.value if isinstance(root, yaml.MappingNode) else [])
-    found = next((node for key, node in entries if key.value == "env_profile"), None)
-    if isinstance(found, yaml.MappingNode):
-        for key, value in cast("list[tuple[yaml.Node, yaml.Node]]", found.value):
+    for held in _at(text, "env_profile"):
+        for key, value in cast("list[tuple[yaml.Node, yaml.Node]]", held.value):
             if key.value == like:
-                lines = text.splitlines(keepends=True)
-                at = sum(len(line) for line in lines[: value.end_mark.line]) + value.end_mark.column
-                between = ", " if found.flow_style else "\n" + " " * key.start_mark.column
-                return f"{text[:at]}{between}{name}: {value.value}{text[at:]}"
+                return _behind(text, value, held, key.start_mark.column, f"{name}: {value.value}")
     message = f"does not say how it stands under `{like}`"
     raise PolicyErrors([PolicyError(file=file, line=1, key="env_profile", message=message)])
+
+
+_SHARED: Final = ("organization.yaml", "authority.yaml")
+
+
+def _shared(file: str, text: str, name: str, like: str) -> str:
+    """Name the new profile in what all profiles share, wherever the model is named: else it asks and denies less."""
+    for held in reversed([*_at(text, "rules", "*", "profiles")]):  # the last first: what is before it stays in place
+        for item in cast("list[yaml.Node]", held.value):
+            if item.value == like:
+                text = _behind(text, item, held, held.start_mark.column, name if held.flow_style else f"- {name}")
+    waits = cast("list[dict[str, Any]]", cast("dict[str, Any]", parse(file, text)[0].value).get("confirm_before") or [])
+    if mine := [{**one, "profile": name} for one in waits if one["profile"] == like]:
+        sections = Sections(file, text)
+        sections.append("confirm_before", mine)
+        text = sections.text()
+    return text
+
+
+def _at(text: str, *path: str) -> Iterator[yaml.CollectionNode]:
+    """Yield the mappings and lists at a path of keys in a file, in their order; `*` is every item of a list."""
+    nodes: list[yaml.Node | None] = [yaml.compose(text, Loader=yaml.CSafeLoader)]
+    for step in path:
+        nodes = [inside for node in nodes for inside in _inside(node, step)]
+    yield from (node for node in nodes if isinstance(node, yaml.CollectionNode))
+
+
+def _inside(node: yaml.Node | None, step: str) -> Iterator[yaml.Node]:
+    if isinstance(node, yaml.SequenceNode) and step == "*":
+        yield from cast("list[yaml.Node]", node.value)
+    elif isinstance(node, yaml.MappingNode):
+        yield from (value for key, value in cast("list[tuple[yaml.Node, yaml.Node]]", node.value) if key.value == step)
+
+
+def _behind(text: str, node: yaml.Node, held: yaml.CollectionNode, column: int, more: str) -> str:
+    """Write another entry behind one of a mapping or a list, in brackets or on a line of its own as that one is."""
+    end = node.end_mark
+    at = sum(len(line) for line in text.splitlines(keepends=True)[: end.line]) + end.column
+    between = ", " if held.flow_style else "\n" + " " * column
+    return f"{text[:at]}{between}{more}{text[at:]}"
 
 
 # Promises ------------------------------------------------------------------------------------------------------------

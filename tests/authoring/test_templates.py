@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +109,26 @@ def test_other_profiles_are_left_as_they_were_with_their_comments():
     assert "# From the strictest." in changed["properties.yaml"]
     manifest = changed["capabilities/takeover.yaml"]
     assert manifest.replace(", personal-care: guarded", "") == shipped().files["capabilities/takeover.yaml"]
+
+
+@pytest.mark.parametrize("profiles", ["[real-restricted, human-shared]", "\n    - human-shared   # beside people\n"])
+def test_what_all_profiles_share_holds_as_it_does_for_the_model(profiles: str):
+    files = {**shipped().files}
+    rule = f"profiles: {profiles}\n    then: deny\n    because: Nobody works a tool beside people."
+    files["organization.yaml"] += f"  - id: first\n    {rule}\n  - id: second\n    {rule}\n"
+    wait = "{capability: place_object, profile: human-shared, phases: [release], within_s: 60, on_deny: rollback}"
+    files["authority.yaml"] = files["authority.yaml"].replace("confirm_before: []", f"confirm_before: [{wait}]")
+    model = bundle.load_files(files)
+    policy, changed = made("reduced-speed", model=model)
+    for name in ("first", "second"):
+        was = model.rules[f"organization/{name}"].profiles or frozenset()
+        assert policy.rules[f"organization/{name}"].profiles == was | {"reduced-speed"}
+    first, second = policy.authority.confirm_before
+    assert (first.profile, second) == ("human-shared", replace(first, profile="reduced-speed"))
+    other, _ = made("reduced-speed", model=model, like="sim-relaxed")
+    assert other.rules["organization/first"] == model.rules["organization/first"]
+    assert other.authority == model.authority
+    assert "# Rules O: they hold in every profile." in changed["organization.yaml"]
 
 
 def test_a_clearance_takes_the_place_of_the_models_lesser_one():
