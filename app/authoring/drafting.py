@@ -21,7 +21,7 @@ import yaml
 from app.governance.bundle_schema import KINDS
 from app.governance.bundle_yaml import parse
 from app.governance.errors import PolicyError, PolicyErrors
-from app.governance.model import Intervention
+from app.governance.model import Intervention, Risk
 from app.governance.policy_model import LIMIT_UNITS
 from app.governance.vocabulary import always_there, properties
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from app.authoring.questions import Answers
     from app.authoring.templates import Draft, Template
     from app.governance.policy import PolicySet
-    from app.governance.policy_model import WatchRow
+    from app.governance.policy_model import Profile, WatchRow
 
 PROPERTIES: Final = "properties.yaml"
 _KEY: Final = re.compile(r"^([a-z_]+):", re.MULTILINE)
@@ -190,7 +190,7 @@ def _profile(policy: PolicySet, template: Template, answers: Answers, draft: Dra
     limits = {key: (found.maximum, found.source) for key, found in model.limits.items()} | dict(draft.limits)
     sections.put("limits", {key: {"max": limits[key][0], "source": limits[key][1]} for key in LIMIT_UNITS})
     for key, value in draft.sections.items():
-        sections.put(key, value)
+        sections.put(key, _overseen(value, model) if key == "authority" else value)
     keeps = _pauses if "separation" in draft.sections else _minds
     if draft.sections.get("shared_floor") and not any(map(keeps, model.watch)):
         sections.append("watch", [_SEPARATION])
@@ -252,6 +252,24 @@ def _enabled(policy: PolicySet, like: str) -> list[str]:
 
 def _clearing(policy: PolicySet, like: str) -> list[str]:
     return [name for name in _enabled(policy, like) if "clearance_m" in always_there(policy.capabilities[name])]
+
+
+def _overseen(authority: Mapping[str, Any], model: Profile) -> dict[str, Any]:
+    """Have as many people asked as the model has, and reviewed what it reviews: no template asks about either."""
+    changed = dict(authority)
+    if (asked := model.approval) is not None:
+        wanted = authority["approval"]["approvers"]
+        counts = {
+            risk: max(wanted.get(risk, wanted["default"]), asked.approvers.get(Risk(risk), asked.default_approvers))
+            for risk in (risk.value for risk in Risk)
+        }
+        default = max(wanted["default"], asked.default_approvers)
+        others = {risk: count for risk, count in counts.items() if count != default}
+        changed["approval"] = {**authority["approval"], "approvers": {"default": default, **others}}
+    if model.review is not None and model.review.risks:
+        risks = [risk.value for risk in Risk if risk in model.review.risks]
+        changed["review"] = {"risk": risks, **authority["review"]}
+    return changed
 
 
 def _standing(file: str, text: str, name: str, like: str) -> str:

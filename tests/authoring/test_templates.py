@@ -15,6 +15,7 @@ from app.authoring.templates import TEMPLATES, common
 from app.governance import bundle
 from app.governance.bundle_yaml import parse
 from app.governance.errors import PolicyErrors
+from app.governance.model import Risk
 from app.governance.policy import PolicySet
 
 POLICIES = Path(__file__).resolve().parents[2] / "policies"
@@ -164,6 +165,26 @@ def test_who_oversees_is_asked_told_and_may_take_over():
     assert sorted(profile.approval.risks) == ["critical", "low"]
     assert profile.approval.within_s == 60
     assert profile.keep_every_tick
+
+
+def test_who_oversees_is_as_many_as_in_the_model_and_reviews_what_is_reviewed_there():
+    file, policy = "profiles/human-shared.yaml", shipped()
+    assert "approvers: {default: 1, critical: 2}" in policy.files[file]
+    text = policy.files[file].replace(
+        "approvers: {default: 1, critical: 2}", "approvers: {default: 2, high: 3, low: 1}"
+    )
+    text = text.replace(
+        "  modes: [approval-required,",
+        "  review: {risk: [high, low], outcomes: [fault]}\n  modes: [review-only, approval-required,",
+    )
+    model = bundle.load_files({**policy.files, file: text})
+    profile = made("human-oversight", model=model, risks="low,high,critical")[0].profiles["human-oversight"]
+    assert profile.approval is not None
+    assert profile.review is not None
+    asked = {risk.value: profile.approval.approvers.get(risk, profile.approval.default_approvers) for risk in Risk}
+    assert asked == {"low": 1, "medium": 2, "high": 3, "critical": 2}
+    assert profile.review.risks == {Risk.LOW, Risk.HIGH}
+    assert len(profile.review.outcomes) == 5
 
 
 def test_a_speed_beyond_what_a_contact_bears_is_lowered_and_said():
