@@ -164,8 +164,8 @@ def _touched(answers: Answers) -> tuple[str, ...]:
 
 
 def _contact_speed(answers: Answers) -> float:
-    masses = {"moving_kg": _number(answers, "moving_mass_kg"), "load_kg": _number(answers, "load_kg")}
-    return contact_speed_mps(_touched(answers), **masses)
+    load_kg = _number(answers, "tool_kg") + _number(answers, "payload_kg")
+    return contact_speed_mps(_touched(answers), moving_kg=_number(answers, "moving_mass_kg"), load_kg=load_kg)
 
 
 def _limited(answers: Answers) -> Draft:
@@ -177,7 +177,7 @@ def _limited(answers: Answers) -> Draft:
             "grip_force_n": _assessed(answers, "grip_force_n", f"at most 140 N on hand and fingers ({PFL})"),
             "tcp_speed_mps": _touching(answers, "tcp_speed_mps", speed_mps),
             "base_speed_mps": _touching(answers, "base_speed_mps", speed_mps),
-            "payload_kg": Bound(_number(answers, "load_kg"), f"the load assumed for contact: {by}"),
+            "payload_kg": Bound(_number(answers, "payload_kg"), f"the load assumed for contact: {by}"),
         },
         sections={"shared_floor": True},
     )
@@ -323,8 +323,11 @@ TEMPLATES: Final[Mapping[str, Template]] = {
                 Number(key="moving_mass_kg", asks="How heavy are the robot's moving parts, in kg (M)?",
                        why="From the manufacturer; half of it counts in a contact.",
                        source="ISO/TS 15066:2016, Annex A"),
-                Number(key="load_kg", asks="How heavy is tool and load at most, in kg (m_L)?",
-                       why="It counts whole in a contact, and becomes the payload limit.",
+                Number(key="tool_kg", asks="How heavy is the tool, in kg?", above=-math.inf, least=0.0,
+                       why="It counts whole in a contact, beside the load; 0 where it is among the moving parts.",
+                       source="ISO/TS 15066:2016, Annex A"),
+                Number(key="payload_kg", asks="How heavy is what it carries at most, in kg?",
+                       why="With the tool it counts whole in a contact (m_L), and it becomes the payload limit.",
                        source="ISO/TS 15066:2016, Annex A"),
                 Number(key="grip_force_n", asks="How strongly may the gripper grip, in N?", most=140.0, source=PFL,
                        why="Hand and fingers bear 140 N in lasting contact; how much less, your risk assessment says."),

@@ -26,7 +26,8 @@ SAID = {
         "robot_uncertainty_m": "0.05", "tcp_speed_mps": "0.25", "base_speed_mps": "0.3",
     },
     "force-limited": {
-        "body_regions": "hand-and-fingers, abdomen", "moving_mass_kg": "20.6", "load_kg": "3", "grip_force_n": "60",
+        "body_regions": "hand-and-fingers, abdomen", "moving_mass_kg": "20.6", "tool_kg": "1", "payload_kg": "2",
+        "grip_force_n": "60",
         "tcp_speed_mps": "0.2", "base_speed_mps": "0.2",
     },
     "personal-care": {
@@ -203,6 +204,14 @@ def test_a_base_touches_no_faster_than_an_arm_does():
     assert "lowered to it: base_speed_mps" in TEMPLATES[name].warn(said)
     assert "arm and base together come to 0.45 m/s" in TEMPLATES[name].warn(said)
     assert "together" not in TEMPLATES[name].warn(answers(name, tcp_speed_mps="0.1", base_speed_mps="0.1"))
+
+
+def test_what_is_carried_and_the_tool_count_in_a_contact_together():
+    said = {"body_regions": "chest", "moving_mass_kg": "40", "tool_kg": "5", "payload_kg": "4", "tcp_speed_mps": "3"}
+    limits = made("force-limited", **said)[0].profiles["force-limited"].limits
+    heaviest_kg = 5.0 + limits["payload_kg"].maximum  # whatever is lighter is carried
+    assert limits["payload_kg"].maximum == 4.0
+    assert limits["tcp_speed_mps"].maximum <= contact_speed_mps(["chest"], moving_kg=40.0, load_kg=heaviest_kg)
 
 
 def test_arm_and_base_that_add_up_to_more_than_reduced_speed_are_told_of():
