@@ -113,10 +113,11 @@ def _name(credential: Credential) -> str:
 
 
 def _entry(credential: Credential) -> dict[str, Any]:
-    until_s = credential.expires_at_s
-    return {
+    until_s, who = credential.expires_at_s, credential.principal
+    entry = {
         "credential": _name(credential),
-        "principal": credential.principal.name,
-        "role": credential.principal.role.value,
+        "principal": who.name,
+        "role": who.role.value,
         "expires_at": None if until_s is None else rfc3339(until_s),
     }
+    return entry if who.station is None else {**entry, "station": who.station}  # there they take the controls first

@@ -148,3 +148,20 @@ async def test_a_name_stays_somebodys_after_its_token_is_withdrawn(tmp_path: Pat
     again = Roll(open_principals(tmp_path), store)
     await again.open()
     assert (roll.alike("lena m"), again.alike("lena m")) == ("Lena  M", "Lena  M")
+
+
+async def test_where_somebody_stands_is_recorded_before_it_counts(tmp_path: Path, store: AuditStore) -> None:
+    principals = open_principals(tmp_path)
+    roll = Roll(principals, store)
+    await roll.open()
+    token = issue_token(tmp_path, name="maria", role=Role.OPERATOR, station="workcell-1")
+    await roll.update()
+    assert (await words(store))[-1]["station"] == "workcell-1"
+    assert all("station" not in word for word in (await words(store))[:-1])
+    path = tmp_path / PRINCIPALS_FILE
+    rows = orjson.loads(path.read_bytes())["principals"]
+    path.write_bytes(orjson.dumps({"principals": [{**row, "station": "workcell-2"} for row in rows]}))
+    await roll.update()
+    changed = (await words(store))[-len(rows) :]
+    assert {(word["op"], word["station"]) for word in changed} == {("changed", "workcell-2")}
+    assert principals.recognize(token).station == "workcell-2"
