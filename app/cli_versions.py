@@ -104,9 +104,10 @@ class Door:
             raise typer.Exit(MISUSE)
         return found[0]
 
-    def activate(self, digest: str, why: str) -> None:
-        """Ask for a version to be in force, and say what became of it."""
-        status, document = self.call("POST", f"/v1/policies/{digest}/activate", {"why": why})
+    def activate(self, digest: str, why: str, before: str | None = None) -> None:
+        """Ask for a version to be in force, in the place of `before` if that is said, and say what became of it."""
+        body = {"why": why, "before": before}
+        status, document = self.call("POST", f"/v1/policies/{digest}/activate", body)
         if status == ACCEPTED:
             say(f"{digest} loosens something: it comes into force with another engineer's word")
             return
@@ -167,7 +168,7 @@ def rollback(*, why: Why, data: Data = Path("data"), server: Server = None, toke
     if former is None:
         say_error("nothing was in force before: there is nothing to go back to")
         raise typer.Exit(FINDING)
-    door.activate(former, why)
+    door.activate(former, why, active["digest"])  # what came into force meanwhile is not what somebody wants undone
 
 
 def versions(*, data: Data = Path("data"), server: Server = None, token: Token = None) -> None:

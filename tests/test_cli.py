@@ -25,7 +25,7 @@ from app.cli import app, main
 from app.config import CELL_TOKEN_VARIABLE, CellSettings, ConfigError, Settings, find_policies
 from app.main import listen, operator_token, read_cell_token
 from app.terminal import plain
-from tests.agent.scripted_server import serve
+from tests.agent.scripted_server import Turn, serve
 from tests.audit.conftest import draft, fill, hide_from_index
 from tests.governance.policy_world import POLICIES
 
@@ -322,6 +322,23 @@ def test_an_answer_of_another_kind_of_server_is_misuse(tmp_path: Path, status: i
         code, said = run("policy", "versions", "--server", server.url, "--token", "t", "--data", str(tmp_path))
     assert code == 2
     assert "answers with a list; valid is the address of a server" in said
+
+
+def test_goes_back_only_from_the_version_that_it_found_in_force(tmp_path: Path) -> None:
+    digests = [f"sha256:{number * 64}" for number in "ab"]
+    items = [{"digest": digests[1], "activations": [{"former": digests[0], "direction": "loosens"}]}]
+    listed = {"items": items, "next": None, "active": digests[1]}
+
+    def answer(turn: Turn) -> tuple[int, object]:
+        newer = {"code": "policy_changed", "detail": "another one is in force"}  # one that came behind the list
+        return (200, listed) if turn.method == "GET" else (409, newer)
+
+    with serve(answer) as server:
+        code, said = run(
+            "policy", "rollback", "--why", "w", "--server", server.url, "--token", "t", "--data", str(tmp_path)
+        )
+    assert (code, server.turns[-1].body) == (1, {"why": "w", "before": digests[1]}), said
+    assert server.turns[-1].path == f"/v1/policies/{digests[0]}/activate"
 
 
 def test_a_token_stays_out_of_what_is_printed(tmp_path: Path) -> None:
