@@ -160,13 +160,14 @@ def invoke(body: Document, key: str | None, defers: int, on_update: OnUpdate | N
             if reply.replayed and posted.get("status") == "deferred" and attempt < defers:
                 continue  # an earlier call was told so, and has waited: what came next is under the next key
             invocation = yield from follow(posted, hear)
+            again = invocation["status"] == "deferred" and attempt < defers
+            if again:
+                yield Sleep(seconds=max(_patience_s(invocation), _backoff_s(attempt)))
         except BaseException as error:
             _leave_key(error, first_key, next(iter(heard), None))
             raise
-        if invocation["status"] == "deferred" and attempt < defers:
-            yield Sleep(seconds=max(_patience_s(invocation), _backoff_s(attempt)))
-            continue
-        return conclude(invocation)
+        if not again:
+            return conclude(invocation)
     raise AssertionError("unreachable: the last attempt always concludes")
 
 

@@ -566,9 +566,10 @@ def test_a_misuse_within_on_update_does_not_lose_the_key():
 
 
 @pytest.mark.anyio
-async def test_a_cancelled_invocation_leaves_a_note_of_the_key():
+@pytest.mark.parametrize("status", ["running", "deferred"])
+async def test_a_cancelled_invocation_leaves_a_note_of_the_key(status: str):
     told = asyncio.Event()
-    with serve(lambda _: (201, invocation("running"))) as server:
+    with serve(lambda _: (201, invocation(status))) as server:
         async with AsyncReinsClient(server.url, "t") as client:
             asked = client.invoke("navigate_to", idempotency_key="key-1", on_update=lambda _: told.set())
             task = asyncio.ensure_future(asked)
