@@ -66,14 +66,15 @@ class Sections:
 
     def append(self, key: str, items: Iterable[Mapping[str, Any]]) -> None:
         """Add items to the end of a list."""
-        more = "".join(f"  - {written_item(item)}\n" for item in items)
-        if not more:
+        added = list(items)
+        if not added:
             return
         part = self.parts.get(key, f"{key}: []\n")
         if _flow(part):  # `rules: []` has no items to add one after
             above = part[: part.index(f"{key}:")]
             part = f"{above}{key}:\n" + "".join(f"  - {_flow_text(item)}\n" for item in _items(self._file, part))
-        body = part.rstrip()
+        body, indent = part.rstrip(), " " * _column(part)
+        more = "".join(f"{indent}- {written_item(item, indent)}\n" for item in added)
         self.parts[key] = f"{body}\n{more}" + part[len(body) :].partition("\n")[2]
 
     def drop(self, key: str, unwanted: Callable[[Mapping[str, Any]], bool]) -> None:
@@ -111,8 +112,17 @@ def _items(file: str, part: str) -> list[Any]:
 
 def _flow(part: str) -> bool:
     """Say whether a list is written between brackets, or is not there at all."""
+    return bool(_list(part).flow_style)
+
+
+def _column(part: str) -> int:
+    """Return how far in the items of a list stand; one without any has two blanks before the first."""
+    return _list(part).start_mark.column if _list(part).value else 2
+
+
+def _list(part: str) -> yaml.CollectionNode:
     node = cast("yaml.MappingNode", yaml.compose(part, Loader=yaml.CSafeLoader))
-    return bool(cast("list[tuple[yaml.Node, yaml.CollectionNode]]", node.value)[0][1].flow_style)
+    return cast("list[tuple[yaml.Node, yaml.CollectionNode]]", node.value)[0][1]
 
 
 def _scalar(value: object) -> str:
@@ -143,9 +153,9 @@ def written(key: str, value: object) -> str:
     return f"{key}:\n" + "".join(f"  {name}: {_flow_text(item)}\n" for name, item in inside.items())
 
 
-def written_item(item: Mapping[str, Any]) -> str:
+def written_item(item: Mapping[str, Any], indent: str) -> str:
     """Write an item of a list, a line for each of its keys."""
-    return "\n    ".join(f"{key}: {_flow_text(value)}" for key, value in item.items())
+    return f"\n{indent}  ".join(f"{key}: {_flow_text(value)}" for key, value in item.items())
 
 
 # A draft, written --------------------------------------------------------------------------------------------------

@@ -237,12 +237,14 @@ def test_a_file_that_is_all_one_flow_is_no_model():
 
 def test_items_are_added_and_taken_out_of_lists_however_they_are_written():
     sections = Sections(
-        "a.yaml", "# head\n# of a\na: [{x: 1}]\n\nb:   # these\n  - x: 1\n  - x: 2\n    y: 3\n  - x: 4\nc: []\n"
+        "a.yaml",
+        "# head\n# of a\na: [{x: 1}]\n\nb:   # these\n  - x: 1\n  - x: 2\n    y: 3\n  - x: 4\nc: []\ne:\n- x: 0\n",
     )
     sections.append("a", [{"x": "two words"}])
     sections.drop("b", lambda item: item["x"] == 2)
     sections.append("b", [{"x": 0.5, "y": [True, None, "true"]}])
     sections.append("d", [{"x": 1.0}])
+    sections.append("e", [{"x": 1, "y": 2}])
     sections.drop("c", lambda item: True)
     sections.drop("none", lambda item: True)
     assert parse("a.yaml", sections.text())[0].value == {
@@ -250,6 +252,7 @@ def test_items_are_added_and_taken_out_of_lists_however_they_are_written():
         "b": [{"x": 1}, {"x": 4}, {"x": 0.5, "y": [True, None, "true"]}],
         "c": [],
         "d": [{"x": 1}],
+        "e": [{"x": 0}, {"x": 1, "y": 2}],
     }
     sections.drop("b", lambda item: True)
     assert parse("a.yaml", sections.text())[0].value["b"] == []  # type: ignore[index, call-overload]
