@@ -254,8 +254,8 @@ _BY_REPAIR: tuple[tuple[_Repairer, str], ...] = (
 REPAIRS: Mapping[str, _Repairer] = {code: repairer for repairer, codes in _BY_REPAIR for code in codes.split()}
 """What the agent does about a reason: a precondition that is not met, a failure, or how a session was ended.
 
-What needs a person, or a proposal that it cannot think of, ends the goal, and so does whatever is not here. A denial is
-never argued with.
+What needs a person, or a proposal that it cannot think of, ends the goal, and so does whatever is not here, unless it
+was deferred: that is to be proposed again, whatever the reason. A denial is never argued with.
 """
 
 
@@ -264,7 +264,8 @@ def repair(step: Step, goal: Goal, site: Site, failed: NotCompleted) -> Repair:
     if failed.invocation["status"] in ("rejected", "denied") or failed.invocation.get("outcome") in _HUMAN_ENDINGS:
         return _give_up(step, goal, site, failed)
     names = [name for reason in failed.reasons for name in (reason.rule.rpartition("/")[2], reason.code)]
-    chosen = next((REPAIRS[name] for name in names if name in REPAIRS), _give_up)
+    otherwise = _wait if failed.invocation["status"] == "deferred" else _give_up
+    chosen = next((REPAIRS[name] for name in names if name in REPAIRS), otherwise)
     return chosen(step, goal, site, failed)
 
 

@@ -8,6 +8,7 @@ from app.agent.client import AsyncReinsClient, ExecutionFailed, Refused, Unreach
 from app.agent.planner import REPAIRS, Goal, GoalFailed, ReferenceAgent, Step, plan_for, recall, repair
 from app.governance.conditions import TESTS
 from app.runtime.failures import KNOWN as KNOWN_FAILURES
+from app.runtime.kernel import ANOTHER_PROFILE
 
 from .scripted_server import Turn, serve
 
@@ -64,6 +65,7 @@ def test_planning_names_what_the_site_does_not_know():
     ("failed", "gives_up", "first"),
     [
         (Refused(ended("deferred", ("admission/cell_busy", "cell_busy"))), False, ()),
+        (Refused(ended("deferred", tuple(ANOTHER_PROFILE[:2]))), False, ()),
         (
             Refused(ended("deferred", ("grasp_object/object_visible", "precondition_unmet"))),
             False,
