@@ -217,6 +217,9 @@ _SEPARATION: Final[Mapping[str, Any]] = {
 }
 
 
+_MOVING: Final = frozenset({Intervention.CONTINUE, Intervention.ROLLBACK})  # what a robot goes on moving by
+
+
 def _minds(row: WatchRow) -> bool:
     """Say whether a watch rule speaks up below the protective separation distance."""
     return row.named == "protective_separation_m"
@@ -224,7 +227,7 @@ def _minds(row: WatchRow) -> bool:
 
 def _pauses(row: WatchRow) -> bool:
     """Say whether it holds the robot there at once, whatever is executed: that is what the distance is reckoned for."""
-    return _minds(row) and row.applies_to is None and not row.for_ms and row.response.enter is not Intervention.CONTINUE
+    return _minds(row) and row.applies_to is None and not row.for_ms and row.response.enter not in _MOVING
 
 
 def _overruled(rule: Mapping[str, Any], draft: Draft) -> bool:

@@ -144,7 +144,12 @@ def test_a_clearance_takes_the_place_of_the_models_lesser_one():
 
 
 @pytest.mark.parametrize(
-    "row", ["for_ms: 0\n    response: {enter: continue}", "for_ms: 3000\n    response: {enter: pause}"]
+    "row",
+    [
+        "for_ms: 0\n    response: {enter: continue}",
+        "for_ms: 0\n    response: {enter: rollback}",  # it would drive back, whoever stands there
+        "for_ms: 3000\n    response: {enter: pause}",
+    ],
 )
 def test_a_protective_distance_is_paused_below_at_once_whatever_the_model_does_there(row: str):
     file, policy = "profiles/human-shared.yaml", shipped()
