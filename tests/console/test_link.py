@@ -45,6 +45,12 @@ GREYS = """() => new Promise((resolve, reject) => {
     };
     look();
 })"""
+NO_STOP_ON_THE_SOCKET = """
+    const post = Worker.prototype.postMessage;
+    Worker.prototype.postMessage = function (said, ...more) {
+        if (said.message?.type !== 'estop') post.call(this, said, ...more);
+    };
+"""
 GREY = """it => {
     const filters = [];
     for (let part = it; part !== null; part = part.parentElement) filters.push(getComputedStyle(part).filter);
@@ -315,6 +321,26 @@ def test_whoever_signs_in_where_a_stop_is_not_confirmed_is_told(
         expect(said).to_have_count(0)
         wire.mend()
         expect(person.page.get_by_text("operator_2").first).to_be_visible()
+
+
+def test_whoever_loads_the_page_anew_where_a_stop_is_not_confirmed_is_told(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, init=NO_STOP_ON_THE_SOCKET)
+    person.expects(BROKEN)
+    person.page.route("**/estop", lambda route: route.abort())
+    person.press(".")
+    said = person.alert("The stop of workcell-1 is not confirmed.")
+    expect(said).to_contain_text("again and again")
+    for _ in range(2):  # until whoever pressed it says that they know
+        person.page.reload()
+        expect(said).to_contain_text("Before you signed in here")
+    assert not server.cell()["latched"]
+    said.get_by_role("button", name="Understood").click()
+    expect(said).to_have_count(0)
+    person.page.reload()
+    expect(person.page.locator("header").get_by_role("button", name="stop workcell-1")).to_be_enabled()
+    expect(said).to_have_count(0)
 
 
 def test_a_server_that_is_killed_and_started_again_finds_the_console_waiting(

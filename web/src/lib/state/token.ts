@@ -23,3 +23,17 @@ export function keepToken(token: string): void {
 export function dropToken(): void {
   sessionStorage.removeItem(KEY);
 }
+
+const LEFT = 'reins.left';
+
+/** Keeps what whoever leaves the page has to know when it is loaded anew: whoever reloads is asked nothing. */
+export function keepLeft(words: string | null): void {
+  if (words === null) sessionStorage.removeItem(LEFT);
+  else sessionStorage.setItem(LEFT, words);
+}
+
+export function takeLeft(): string | null {
+  const words = sessionStorage.getItem(LEFT);
+  keepLeft(null);
+  return words;
+}
