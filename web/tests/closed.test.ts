@@ -1,6 +1,6 @@
 import { describe, expect, it } from 'vitest';
 import type { Invocation, LogEvent } from '../src/lib/api/documents';
-import { closingOf } from '../src/lib/live/closed';
+import { closingOf, endWords } from '../src/lib/live/closed';
 import { event, invocation } from './samples';
 
 describe('a question that others closed', () => {
@@ -47,6 +47,10 @@ describe('a question that others closed', () => {
     const again = [...log, asked('esc_2'), event('escalation', { reason: 'control_lapsed' }), word('rollback')];
     expect([words(log), words(again)]).toEqual(['It was withdrawn: operator took over.', 'It was withdrawn: operator took over.']);
     expect(closingOf(again, { id: 'esc_2', invocation: 'inv_1' }, null).words).toBe('It was withdrawn: operator ordered a rollback.');
+  });
+
+  it('is called withdrawn only where its record is here, for it may have been approved while the link was away', () => {
+    expect([endWords([asks('pending')], ASKED), endWords([], ASKED)]).toEqual(['It was withdrawn.', 'Audit tells what became of it.']);
   });
 
   it('that lapsed says who answered, and whose answer was missing', () => {

@@ -46,6 +46,11 @@ export function closingOf(events: readonly LogEvent[], asked: Asked, invocation:
   return { words: unapproved(events, asked, { from: told[0], last }, named) ?? over ?? 'It was withdrawn.', inVain: true, lapsed: question(last)['status'] === 'expired' };
 }
 
+/** Says how a question ended of whose end nothing is known: a cell withdraws what it asked, but of one whose record is not here anything may have come. */
+export function endWords(events: readonly LogEvent[], asked: Asked): string {
+  return events.some((event) => idOf(event) === asked.id) ? 'It was withdrawn.' : 'Audit tells what became of it.';
+}
+
 function first(name: string): string {
   return name === 'you' ? 'You' : name;
 }
