@@ -372,6 +372,27 @@ def test_a_server_that_is_killed_and_started_again_finds_the_console_waiting(
     assert started.get(f"/v1/invocations/{body['id']}")["status"] == "awaiting_approval"
 
 
+def test_a_console_whose_link_the_server_did_not_hand_over_asks_for_it_again(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    refused: list[str] = []
+
+    def once(route: Route) -> None:
+        if refused:
+            route.continue_()
+        else:
+            refused.append(route.request.url)
+            route.abort()
+
+    person = people.open(f"{server.url}/")
+    person.expects(BROKEN)
+    person.page.route("**/assets/worker-*", once)
+    person.page.goto(f"{server.url}/#token={server.tokens['operator']}")
+    until(lambda: refused or person.page.wait_for_timeout(20), what="the first attempt")
+    expect(person.alert("Connecting to the server.")).to_have_count(0)
+    expect(person.page.locator(".live .stale")).to_have_count(0)
+
+
 def test_a_page_that_the_server_does_not_hand_over_says_so_and_comes_when_it_is_back(
     server: ServerProcess, people: People
 ) -> None:

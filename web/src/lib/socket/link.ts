@@ -15,23 +15,34 @@ export interface LinkListener {
 /** The Worker is silent for this long: it is the link that cannot be vouched for. */
 export const WORKER_SILENT_MS = 600;
 
+/** A Worker that did not come is asked for again after this long. */
+const AGAIN_MS = 1_000;
+
 /** So many frames make one acknowledgement: half the words, and the server lets twice as many be under way. */
 const FRAMES_PER_ACK = 2;
 
 /** The page's end of the socket Worker. Beats and frames are acknowledged when the page took them, so a busy page gets fewer. */
 export class Link {
-  private readonly worker: Worker;
+  private worker: Worker;
+  private again: ReturnType<typeof setTimeout> | undefined;
   private heardMs = performance.now();
   private framesTaken = 0;
   private beat = { n: 0, takenMs: 0 };
   private readonly timer: ReturnType<typeof setInterval>;
 
-  constructor(token: string, private readonly listener: LinkListener) {
-    this.worker = new Worker(scriptUrl(workerUrl) as string, { type: 'module', name: 'reins-link' });
-    this.worker.onmessage = (event: MessageEvent<FromWorker>) => this.take(event.data);
+  constructor(private readonly token: string, private readonly listener: LinkListener) {
+    this.worker = this.begin();
     this.timer = setInterval(() => this.look(), 200);
+  }
+
+  /** Its script is fetched by itself: one that did not come is asked for again, as a socket is. */
+  private begin(): Worker {
+    const worker = new Worker(scriptUrl(workerUrl) as string, { type: 'module', name: 'reins-link' });
+    worker.onmessage = (event: MessageEvent<FromWorker>) => this.take(event.data);
+    worker.onerror = () => (this.again = setTimeout(() => (this.worker = this.begin()), AGAIN_MS));
     const url = `${location.protocol === 'https:' ? 'wss' : 'ws'}://${location.host}/v1/console`;
-    this.post({ do: 'open', url, token });
+    worker.postMessage({ do: 'open', url, token: this.token } satisfies ToWorker);
+    return worker;
   }
 
   send(message: Up): void {
@@ -45,6 +56,7 @@ export class Link {
 
   end(): void {
     clearInterval(this.timer);
+    clearTimeout(this.again);
     this.post({ do: 'end' });
     setTimeout(() => this.worker.terminate(), 100);
   }
@@ -55,6 +67,7 @@ export class Link {
 
   private take(said: FromWorker): void {
     this.heardMs = performance.now();
+    this.worker.onerror = null; // it is there
     switch (said.is) {
       case 'message':
         this.acknowledge(said.message);
