@@ -3,6 +3,12 @@ export function serverMs(at: string | number): number {
   return typeof at === 'number' ? at * 1000 : Date.parse(at);
 }
 
+/** By so much no clock wanders from another within a minute. */
+const SLEPT_MS = 2_000;
+/** Within so long after a sleep the server tells the time, if it is heard; and it does so at least this often. */
+const TOLD_BY_MS = 1_000;
+const OFTEN_MS = 500;
+
 /** The time everything on screen is told by: the server's wall clock, as far as its beats let us know it. */
 class Clock {
   /** Between beats it is this computer's time since the page was opened: its wall clock may be set meanwhile. */
@@ -10,6 +16,9 @@ class Clock {
   /** Server's wall clock, ms since the epoch; steps four times a second. */
   nowMs = $state(this.read());
   private synced = false;
+  private syncedMs = 0;
+  /** How far this computer's wall clock is ahead of that time: in a sleep it alone goes on. */
+  private aheadMs = Date.now() - performance.now();
 
   constructor() {
     setInterval(() => this.step(), 250);
@@ -23,6 +32,7 @@ class Clock {
     // The least delayed message tells best; drift and a server's clock that is set still come through.
     this.offsetMs = !this.synced || offset > this.offsetMs || this.offsetMs - offset > 500 ? offset : this.offsetMs;
     this.synced = true;
+    this.syncedMs = performance.now();
   }
 
   read(): number {
@@ -30,7 +40,17 @@ class Clock {
   }
 
   private step(): void {
+    const slept = Date.now() - performance.now() - this.aheadMs;
+    this.aheadMs += slept;
+    if (slept > SLEPT_MS) this.woke(this.offsetMs + slept);
     this.nowMs = this.read();
+  }
+
+  /** It slept, or its clock was set: whoever hears the server knows which. */
+  private woke(offsetMs: number): void {
+    setTimeout(() => {
+      if (performance.now() - this.syncedMs > OFTEN_MS) this.offsetMs = Math.max(this.offsetMs, offsetMs);
+    }, TOLD_BY_MS);
   }
 }
 
