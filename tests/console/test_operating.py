@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import re
 import signal
+from datetime import datetime
 from typing import TYPE_CHECKING
 
 import pytest
 from playwright.sync_api import Locator, Route, expect
 
+from app.clock import wall_s
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import Floor, People, Person, at_once, far, insist
 
@@ -42,6 +44,23 @@ def test_a_stop_is_heard_while_typing(server: ServerProcess, people: People, flo
     assert server.cell()["latched"] is False
     person.press("Control+.")
     expect(robot(person)).to_contain_text("Stopped, latched")
+
+
+def test_fleet_counts_a_session_from_its_launch_and_not_from_when_it_was_proposed(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    asked = floor.ask()
+    person.press("4")
+    person.page.wait_for_timeout(6_000)  # as long as somebody takes to answer, and longer than it takes to look
+    floor.answer(asked, "approve")
+    person.page.wait_for_function("document.body.innerText.match(/\\brunning\\b/i)")
+    told = re.search(r"(\d+):(\d\d) running", person.region("workcell-1").inner_text())
+    now_s = wall_s()
+    trace = server.get(f"/v1/invocations/{asked['id']}/trace")["items"]
+    launched = next(datetime.fromisoformat(event["at"]) for event in trace if event["kind"] == "launch")
+    assert told is not None
+    assert 60 * int(told[1]) + int(told[2]) <= now_s - launched.timestamp() + 1.0
 
 
 def test_a_pause_that_is_refused_is_told_on_whatever_page(server: ServerProcess, people: People, floor: Floor) -> None:
