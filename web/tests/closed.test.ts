@@ -1,7 +1,8 @@
 import { describe, expect, it } from 'vitest';
 import type { Invocation, LogEvent } from '../src/lib/api/documents';
-import { closingOf, endWords } from '../src/lib/live/closed';
-import { event, invocation } from './samples';
+import { closingOf, endWords, lapseWords } from '../src/lib/live/closed';
+import { clockTime } from '../src/lib/format/time';
+import { escalation, event, invocation } from './samples';
 
 describe('a question that others closed', () => {
   const ASKED = { id: 'esc_1', invocation: 'inv_1' };
@@ -87,4 +88,11 @@ describe('a question that others closed', () => {
   it('is nothing that can be told of where the record is not here', () => {
     expect(words([about('pending', 'approve')], invocation())).toBeNull();
   });
+});
+
+it('a question that lapsed names nothing that the gripper holds by now', () => {
+  const put = escalation({ capability: 'place_object', effective: { surface: 'bench_b' }, needed: 2, cell: 'workcell-1' });
+  const at = '2026-11-22T10:00:02Z';
+  const told = `(${clockTime(at)}, nobody answered)`;
+  expect([false, true].map((several) => lapseWords({ asked: put, at }, several))).toEqual([`Put what it held on bench_b ${told}`, `Put what it held on bench_b in workcell-1 ${told}`]);
 });

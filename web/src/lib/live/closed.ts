@@ -1,7 +1,10 @@
 import type { Escalation, Invocation, Json, LogEvent } from '../api/documents';
+import { titleOf } from '../format/capability';
 import { eventLine } from '../format/events';
 import { plain } from '../format/plain';
 import { outcomeWords } from '../format/status';
+import { clockTime } from '../format/time';
+import type { Lapse } from '../state/lapses.svelte';
 
 export type Asked = Pick<Escalation, 'id' | 'invocation'>;
 
@@ -49,6 +52,14 @@ export function closingOf(events: readonly LogEvent[], asked: Asked, invocation:
 /** Says how a question ended of whose end nothing is known: a cell withdraws what it asked, but of one whose record is not here anything may have come. */
 export function endWords(events: readonly LogEvent[], asked: Asked): string {
   return events.some((event) => idOf(event) === asked.id) ? 'It was withdrawn.' : 'Audit tells what became of it.';
+}
+
+/** Says what lapsed, and where, if there are several cells. What the gripper held then, nobody knows by now. */
+export function lapseWords({ asked, at }: Lapse, several: boolean): string {
+  const { approvals, needed, cell } = asked;
+  const where = several && cell != null ? ` in ${cell}` : '';
+  const given = approvals.length === 0 ? 'nobody answered' : `${approvals.length} of ${needed} approved`;
+  return `${titleOf(asked.capability, asked.effective, 'what it held')}${where} (${clockTime(at)}, ${given})`;
 }
 
 function first(name: string): string {
