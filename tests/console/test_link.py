@@ -302,6 +302,25 @@ def test_a_stop_needs_no_seat(server: ServerProcess, people: People, floor: Floo
         until(lambda: server.cell()["latched"], what="the stop")
 
 
+def test_a_console_that_lost_its_seat_with_its_link_says_why_it_does_not_come_back(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    with wire_to(urlsplit(server.url).port or 0) as wire, ExitStack() as seats:
+        person = people.sit(server, at=f"http://127.0.0.1:{wire.port}")
+        person.expects(BROKEN)
+        wire.cut()
+        down = person.alert("Link down.")
+        expect(down).to_be_visible()
+        for _ in range(EACH_CONSOLES):
+            screen = seats.enter_context(
+                connect(f"ws{server.url[4:]}/v1/console", subprotocols=[Subprotocol(SUBPROTOCOL)])
+            )
+            screen.send(json.dumps({"type": "hello", "token": server.tokens["operator"], "after": None}))
+            screen.recv()
+        wire.mend()
+        expect(down).to_contain_text("As many consoles are open as the server may have.")
+
+
 def test_whoever_signs_in_where_a_stop_is_not_confirmed_is_told(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
