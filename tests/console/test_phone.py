@@ -125,6 +125,18 @@ def test_why_nothing_can_be_approved_now_is_a_line_to_read(server: ServerProcess
     expect(person.button(re.compile("^Approve"))).to_be_disabled()
 
 
+def test_drive_opens_its_panel_from_another_page_whether_it_was_left_open_or_not(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, size=PHONE)
+    panel = person.region("Drive by hand")
+    for _ in range(2):
+        person.button("Drive").tap()
+        expect(panel).to_be_visible()
+        person.press("4")
+        expect(person.page.get_by_role("heading", name="Fleet")).to_be_visible()
+
+
 def test_no_finger_approves_a_question_that_is_out_of_sight(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
