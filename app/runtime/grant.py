@@ -88,6 +88,7 @@ class Standing:
     ended: Mapping[str, str] | None
     created_at: str
     updated_at: str
+    drops: int = 0  # how often the grants of its cell had been dropped when it was decided; not recorded
 
     @property
     def id(self) -> str:

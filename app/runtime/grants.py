@@ -54,6 +54,7 @@ class Grants:
         self._kernel = kernel
         self._active: dict[str, Standing] = {}
         self._until_s: dict[str, float] = {}  # on the clock that nobody puts back
+        self._dropped: dict[str, tuple[int, str, str]] = {}  # by cell: how often, and for what and by whom at last
         self._unrecorded: list[Standing] = []
         self._recording = asyncio.Lock()
         self.unfounded: frozenset[str] = frozenset()  # active by their rows, which is not what the log says
@@ -100,14 +101,18 @@ class Grants:
         """Grant something in advance; errors as `build`, and `RecordUnavailable`: then nothing is granted."""
         standing = self.build(principal, request)
         await self._register.append([grant_event("given", principal.name, standing)], [standing.row()])
-        self.hold(standing)
-        return standing.public()
+        return self._hold(standing).public()
 
     def hold(self, *given: Standing) -> None:
-        """Let grants that are recorded stand."""
+        """Let grants that are recorded stand, but for those of cells whose grants were dropped meanwhile."""
         for standing in given:
-            self._keep(standing)
-            self.on_changed(standing)
+            self._hold(standing)
+
+    def _hold(self, standing: Standing) -> Standing:
+        self._keep(standing)
+        self.on_changed(standing)
+        times, code, by = self._dropped.get(standing.grant.cell, (0, "", ""))
+        return standing if standing.drops == times else self._end(standing, code, by)
 
     def _keep(self, standing: Standing) -> None:
         self._active[standing.id] = standing
@@ -160,6 +165,7 @@ class Grants:
             ended=None,
             created_at=now,
             updated_at=now,
+            drops=self._dropped.get(cell.id, (0,))[0],
         )
 
     def _check(self, request: GrantRequest) -> Cell:
@@ -253,7 +259,8 @@ class Grants:
         return {**closed.public(), "recorded": await self.record_ends()}
 
     def drop(self, cell: str, code: str, by: str) -> None:
-        """End every grant on a cell, at once; `record_ends` records it."""
+        """End every grant on a cell, at once, also those that are being recorded; `record_ends` records it."""
+        self._dropped[cell] = (self._dropped.get(cell, (0,))[0] + 1, code, by)
         for standing in [one for one in self._active.values() if one.grant.cell == cell]:
             self._end(standing, code, by)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from dataclasses import replace
 from typing import Any
 
@@ -229,6 +230,29 @@ async def test_an_emergency_stop_ends_every_grant_on_its_cell(runtime: Runtime, 
     await runtime.governor.reset(CELL, OPERATOR)
     await cell.state()
     assert await status(runtime) == "awaiting_approval", "a reset gives nothing back"
+
+
+@pytest.mark.parametrize("with_an_approval", [False, True])
+async def test_a_grant_that_was_being_recorded_ends_with_the_stop_that_was_said_and_left_meanwhile(
+    runtime: Runtime, cell: HandCell, with_an_approval: bool
+) -> None:
+    question = (await asked(runtime))[1] if with_an_approval else {}
+    slow = threading.Event()
+    runtime.register.store._committer.submit(slow.wait)
+    if with_an_approval:
+        offer = Offer(scope=GrantScope.TIME, minutes=10.0)
+        given = asyncio.create_task(answer(runtime, question, grant=offer))
+    else:
+        given = asyncio.create_task(runtime.desk.grants.give(OPERATOR, REQUEST))
+    await asyncio.sleep(0)
+    stopped = asyncio.create_task(runtime.governor.estop(CELL, ENGINEER))
+    await asyncio.sleep(0)
+    left = asyncio.create_task(runtime.governor.reset(CELL, OPERATOR))
+    await asyncio.sleep(0)
+    slow.set()
+    await asyncio.gather(given, stopped, left, return_exceptions=True)
+    assert not runtime.fleet.cell(CELL).latched
+    assert runtime.desk.grants.active() == []
 
 
 async def test_a_stop_that_the_cell_latched_itself_ends_them_too(runtime: Runtime, cell: HandCell) -> None:
