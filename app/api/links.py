@@ -19,6 +19,7 @@ from app.api.parts import parts_of
 from app.api.problems import Problem
 from app.api.staying import close_code, until_refused
 from app.config import CELL_ID, VALID_CELL_ID
+from app.runtime.link import SILENT_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 PATH = "/v1/cells/{id}/link"
 POLICY_VIOLATION = 1008
+NO_HELLO = 4408
 
 
 class SocketLink:
@@ -64,9 +66,10 @@ async def link(socket: WebSocket) -> None:
     attachment = await parts_of(socket).fleet.attach(cell_id, SocketLink(socket))
     try:
         async with asyncio.TaskGroup() as tasks:  # whichever breaks ends the other: nobody stays who is not asked
-            staying = tasks.create_task(_stay_known(attachment, let_in))
+            watches = [tasks.create_task(_stay_known(attachment, let_in)), tasks.create_task(_greeted(attachment))]
             await _carry(socket, attachment)
-            staying.cancel()
+            for watch in watches:
+                watch.cancel()
     finally:
         await attachment.detach()
 
@@ -84,6 +87,13 @@ async def _stay_known(attachment: Attachment, let_in: Callable[[], object]) -> N
     """Shut the link when its token is withdrawn or expires: nothing more is taken from it, and nothing sent."""
     refusal = await until_refused(let_in)
     attachment.shut(close_code(refusal), refusal.detail)
+
+
+async def _greeted(attachment: Attachment) -> None:
+    """Shut a link on which nobody has said who dials in: no more of it is looked after than its socket."""
+    await asyncio.sleep(SILENT_S)
+    if attachment.hello is None:
+        attachment.shut(NO_HELLO, f"no `hello` came within {SILENT_S:g} s")
 
 
 def _check_name(cell_id: str, parts: Parts) -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import asyncio
 from dataclasses import replace
 from urllib.parse import quote
 
@@ -8,6 +9,7 @@ import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from app.api import links
 from app.api.auth import issue_token
 from app.governance.model import Role
 from app.protocol import ROW, ProtocolError, pack_batch, unpack_batch
@@ -39,6 +41,17 @@ async def test_a_frame_that_is_no_greeting_ends_the_link(house: House, frame: st
     assert ended.value.rcvd is not None
     assert ended.value.rcvd.code == 1002
     assert not house.runtime.fleet.knows("stranger")
+
+
+async def test_a_link_on_which_nothing_is_said_ends(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(links, "SILENT_S", 0.2)
+    headers = {"Authorization": f"Bearer {house.cell_token}"}
+    async with connect(link_url(house, "silent"), additional_headers=headers, proxy=None) as socket:
+        with pytest.raises(ConnectionClosed) as ended:
+            async with asyncio.timeout(10.0):
+                await socket.recv()
+    assert ended.value.rcvd is not None
+    assert (ended.value.rcvd.code, ended.value.rcvd.reason) == (4408, "no `hello` came within 0.2 s")
 
 
 @pytest.mark.parametrize("name", [b"inv_\xff", "übung".encode()])
