@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from app import __version__, cli_audit, cli_evaluate, cli_policy, cli_sim, cli_versions
+from app import __version__, cli_audit, cli_evaluate, cli_policy, cli_sim, cli_token, cli_versions
 from app.cli_data import directory
 from app.config import DEFAULT_PROFILE, CellSettings, ConfigError, Settings, cell_token, check_pace
-from app.governance.model import Role
 from app.terminal import MISUSE, say_error
 
 if TYPE_CHECKING:
@@ -32,8 +31,7 @@ app = typer.Typer(
     pretty_exceptions_show_locals=False,
     rich_markup_mode="rich",
 )
-token = typer.Typer(help="Bearer tokens.", no_args_is_help=True)
-app.add_typer(token, name="token")
+app.add_typer(cli_token.app, name="token")
 app.add_typer(cli_policy.app, name="policy")
 cli_versions.register(cli_policy.app)
 app.add_typer(cli_audit.app, name="audit")
@@ -56,10 +54,6 @@ Scenario = Annotated[
     typer.Option(help="What happens in the simulated world: a name or a YAML file.", envvar="REINS_SCENARIO"),
 ]
 Robot = Annotated[str | None, typer.Option(help="Another robot model: an MJCF path, or a menagerie name.")]
-
-
-LEAST_HOURS = 0.01
-MOST_HOURS = 876_000  # a hundred years: the record writes no year beyond 9999
 
 
 @contextmanager
@@ -228,40 +222,6 @@ def approver(
 
 
 app.command()(cli_evaluate.evaluate)
-
-
-@token.command("issue")
-def issue(
-    name: Annotated[str, typer.Argument(help="What the record calls the bearer; for an agent the name policy knows.")],
-    *,
-    role: Annotated[Role, typer.Option(help="What the bearer may do.")],
-    hours: Annotated[
-        float | None, typer.Option(help="How long it holds, up to a hundred years; default: for good.")
-    ] = None,
-    station: Annotated[
-        str | None, typer.Option(help="The cell the bearer stands at; there they take over first.")
-    ] = None,
-    data: Data = Path("data"),
-) -> None:
-    """Issue a token and print it; it is not kept anywhere, only its digest. A server that runs takes it within 2 s.
-
-    [bold]reins token issue planner --role agent --hours 8[/]
-    """
-    from app.api.auth import PrincipalsUnreadable, issue_token
-    from app.audit.errors import RecordDamaged, RecordUnreadable
-
-    if hours is not None and not LEAST_HOURS <= hours <= MOST_HOURS:  # nor is it so of NaN
-        raise ConfigError(
-            "hours", f"{hours:g}", f"{LEAST_HOURS} to {MOST_HOURS}, or none: the token then holds for good"
-        )
-    try:
-        text = issue_token(data, name=name, role=role, ttl_s=None if hours is None else hours * 3600, station=station)
-    except (OSError, ValueError, PrincipalsUnreadable, RecordDamaged, RecordUnreadable) as error:
-        missing = isinstance(error, FileNotFoundError | NotADirectoryError)
-        hint = f"`{data}` must be a data directory that `reins serve` has made" if missing else ""
-        say_error(f"no token issued: {error}", hint=hint)
-        raise typer.Exit(MISUSE) from error
-    typer.echo(text)
 
 
 @app.command()

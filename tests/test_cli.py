@@ -15,10 +15,12 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from starlette.datastructures import Headers
 from typer.testing import CliRunner
 
 from app import __version__
 from app.api.auth import open_principals
+from app.api.problems import Problem
 from app.audit.places import Places
 from app.audit.store import AuditStore
 from app.cli import app, main
@@ -39,6 +41,8 @@ COMMANDS = [
     "audit tail",
     "sim soak",
     "token issue",
+    "token list",
+    "token withdraw",
 ]
 
 
@@ -74,6 +78,23 @@ def test_issues_a_token_that_is_kept_as_a_digest_only(tmp_path: Path) -> None:
     assert code == 0
     assert re.fullmatch(r"reins_agent_\S+", said.strip())
     assert said.strip() not in (tmp_path / "principals.json").read_text()
+
+
+def test_a_token_that_is_withdrawn_is_listed_no_more_and_lets_nobody_in(tmp_path: Path) -> None:
+    open_principals(tmp_path)
+    words = ["token", "issue", "night", "--role", "operator", "--hours", "8", "--station", "workcell-1"]
+    given = [run(*words, "--data", str(tmp_path))[1].strip() for _ in range(2)]
+    bearer = Headers({"authorization": f"Bearer {given[0]}"})
+    assert open_principals(tmp_path).authenticate(bearer).name == "night"
+    said = run("token", "list", "--data", str(tmp_path))[1]
+    assert re.search(r"^planner +agent +for good$", said, re.MULTILINE)
+    assert len(re.findall(r"^night +operator +until 20\S+Z, stands at workcell-1$", said, re.MULTILINE)) == 2
+    assert run("token", "withdraw", "night", "--data", str(tmp_path)) == (0, "withdrew 2 tokens of `night`\n")
+    assert "night" not in run("token", "list", "--data", str(tmp_path))[1]
+    with pytest.raises(Problem, match="token"):
+        open_principals(tmp_path).authenticate(bearer)
+    code, said = run("token", "withdraw", "night", "--data", str(tmp_path))
+    assert (code, "`night` has no token: valid are `planner`" in said) == (2, True)
 
 
 HINT = "must be a data directory that `reins serve` has made"

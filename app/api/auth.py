@@ -270,6 +270,32 @@ def issue_token(
     return token
 
 
+def issued(data_dir: Path) -> list[Credential]:
+    """Return every token that is kept for a data directory, the oldest first. Errors as `issue_token`."""
+    path = data_dir / PRINCIPALS_FILE
+    return [_credential(path, row) for row in _rows(path)]
+
+
+def withdraw_tokens(data_dir: Path, name: str) -> int:
+    """Forget every token of a principal; return how many there were.
+
+    Raises:
+        ValueError: nobody of that name has one.
+        PrincipalsUnreadable: the file is not in its form.
+        OSError: the directory cannot be read or written, or no server has made it.
+    """
+    path = data_dir / PRINCIPALS_FILE
+    path.stat()
+    with _locked(data_dir / (PRINCIPALS_FILE + ".lock")):
+        known = _rows(path)
+        kept = [row for row in known if row["name"] != name]
+        if len(kept) == len(known):
+            names = ", ".join(f"`{one}`" for one in dict.fromkeys(str(row["name"]) for row in known))
+            raise ValueError(f"`{name}` has no token: valid are {names}")
+        _write(path, orjson.dumps({"principals": kept}, option=orjson.OPT_INDENT_2) + b"\n")
+    return len(known) - len(kept)
+
+
 def as_read(name: str) -> str:
     """Return what a reader tells names apart by: not by capitals, nor by how wide a blank is or how coded an accent."""
     return " ".join(unicodedata.normalize("NFKC", name).casefold().split())
