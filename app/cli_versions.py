@@ -100,7 +100,8 @@ class Door:
         wanted = digest if digest.startswith("sha256:") else f"sha256:{digest}"
         found = [item["digest"] for item in self.versions()["items"] if item["digest"].startswith(wanted)]
         if len(found) != 1:
-            say_error(f"`{digest}` begins {len(found)} versions' digests", hint="`reins policy versions` lists them")
+            which = f"the digests of {len(found)} versions begin" if found else "no version's digest begins"
+            say_error(f"{which} with `{digest}`", hint="`reins policy versions` lists them")
             raise typer.Exit(MISUSE)
         return found[0]
 

@@ -284,4 +284,7 @@ def _recovered(policy: PolicySet, gate: Gate) -> Iterator[str]:
     for steps, failures in alike.items():
         yield f"After {joined(failures, 'or')}: {', then '.join(step.replace('_', ' ') for step in steps)}."
     back = "" if plan.rollback_capability is None else f" by `{plan.rollback_capability}`"
-    yield f"A new attempt is made at most {plan.retry_budget} times in all; rollback{back} is {plan.rollback}."
+    budget = plan.retry_budget
+    most = {0: "No new attempt is made", 1: "A new attempt is made once at most"}
+    again = most.get(budget, f"A new attempt is made at most {budget} times in all")
+    yield f"{again}; rollback{back} is {plan.rollback}."
