@@ -13,7 +13,7 @@ from app.governance.model import PolicyOutcome
 from app.governance.vocabulary import referring
 from app.proofs.formulas import both, no, rational, term
 from app.proofs.pair import Pair
-from app.proofs.space import FLAGS, Space
+from app.proofs.space import FLAGS, STRANGER, Space
 from app.proofs.values import OVERFLOW
 from app.proofs.witness import decided
 from tests.proofs.random_rules import base, compiled, drawn, proposed, vocabulary
@@ -208,7 +208,7 @@ def pins(space: Space, case, params) -> Iterator[tuple[z3.ExprRef, z3.ExprRef]]:
     for name, sort in (("confidence", z3.RealSort()), ("intent", z3.StringSort()), ("priority", z3.IntSort())):
         yield z3.Bool(f"given metadata.{name}"), z3.BoolVal(name in metadata)
         yield z3.Const(f"metadata.{name}", sort), _constant(metadata.get(name, "" if name == "intent" else 0), sort)
-    agent = "another-agent" if "agent" in context else "planner"
+    agent = STRANGER if "agent" in context else "planner"
     for options, chosen in (
         (space.modes, case["mode"]),
         (space.holding, context.get("holding")),
