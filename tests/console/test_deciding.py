@@ -420,6 +420,17 @@ def test_an_edit_that_anothers_overtakes_is_said_to_be_gone_and_no_key_falls_int
     expect(told.first).to_contain_text("Read it again.")
 
 
+def test_the_panel_that_a_key_opens_takes_the_focus_from_the_answers_to_a_question(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person, asked = people.sit(server), floor.ask()
+    expect(person.button("Deny")).to_be_focused()
+    person.press("t")
+    expect(person.region("Drive by hand")).to_be_focused()
+    person.press("Enter")
+    assert server.get(f"/v1/escalations/{asked['escalation']['id']}")["status"] == "pending"
+
+
 def test_who_approved_first_of_two_may_still_deny(server: ServerProcess, people: People, floor: Floor) -> None:
     one, other = people.sit(server), people.sit(server, "operator_2")
     proposed = floor.ask("driver_1")

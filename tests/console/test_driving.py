@@ -611,17 +611,6 @@ def test_the_controls_outlive_a_reload_and_go_to_another_window_only_when_asked(
     assert server.cell()["control"]["holder"] == "operator"
 
 
-def test_the_panel_that_a_key_opens_takes_the_focus_from_the_answers_to_a_question(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person, asked = people.sit(server), floor.ask()
-    expect(person.button("Deny")).to_be_focused()
-    person.press("t")
-    expect(person.region("Drive by hand")).to_be_focused()
-    person.press("Enter")
-    assert server.get(f"/v1/escalations/{asked['escalation']['id']}")["status"] == "pending"
-
-
 def test_whoever_drives_goes_on_when_the_clock_is_set_back(server: ServerProcess, people: People, floor: Floor) -> None:
     person = people.sit(server, init=BENCH + SET_BACK)
     take_controls(person)

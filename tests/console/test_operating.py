@@ -54,8 +54,9 @@ def test_fleet_counts_a_session_from_its_launch_and_not_from_when_it_was_propose
     person.press("4")
     person.page.wait_for_timeout(6_000)  # as long as somebody takes to answer, and longer than it takes to look
     floor.answer(asked, "approve")
-    person.page.wait_for_function("document.body.innerText.match(/\\brunning\\b/i)")
-    told = re.search(r"(\d+):(\d\d) running", person.region("workcell-1").inner_text())
+    counted = re.compile(r"(\d+):(\d\d) running")
+    expect(person.region("workcell-1")).to_contain_text(counted)
+    told = counted.search(person.region("workcell-1").inner_text())
     now_s = wall_s()
     trace = server.get(f"/v1/invocations/{asked['id']}/trace")["items"]
     launched = next(datetime.fromisoformat(event["at"]) for event in trace if event["kind"] == "launch")
