@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from app.evaluation import plots, published
+from app.evaluation import plots, published, report_floor, report_profiles, report_studies
 from app.evaluation.metrics import METRICS
 from app.evaluation.physical_choices import CHOICES
 from app.evaluation.plots import shares
@@ -70,11 +70,9 @@ def page() -> Page:
 DRAWN: dict[str, plots.Plot] = {}
 
 
-def drawing_once(name: str) -> Callable[..., plots.Plot]:
-    real = getattr(plots, name)
-
+def drawing_once(real: Callable[..., plots.Plot]) -> Callable[..., plots.Plot]:
     def draw(*given: Any) -> plots.Plot:
-        key = f"{name}{given}"
+        key = f"{real.__name__}{given}"
         if key not in DRAWN:
             DRAWN[key] = real(*given)
         return DRAWN[key]
@@ -82,11 +80,19 @@ def drawing_once(name: str) -> Callable[..., plots.Plot]:
     return draw
 
 
-@pytest.fixture
-def drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A plot follows from what it is given alone: documents that lack something else share it."""
-    for name in ("per_type", "frontier", "sweep", "roc", "spread"):
-        monkeypatch.setattr(plots, name, drawing_once(name))
+@pytest.fixture(scope="module", autouse=True)
+def drawn_once() -> Iterator[None]:
+    """A plot follows from what it is given alone: documents that differ in something else share it."""
+    with pytest.MonkeyPatch.context() as patch:
+        for place, names in (
+            (plots, ("per_type", "frontier", "sweep", "roc", "spread")),
+            (report_floor, ("against_floor",)),
+            (report_profiles, ("marks",)),
+            (report_studies, ("shares",)),
+        ):
+            for name in names:
+                patch.setattr(place, name, drawing_once(getattr(place, name)))
+        yield
 
 
 @pytest.mark.parametrize("table", published.TABLES, ids=lambda table: table.label)
@@ -222,7 +228,6 @@ def test_sections_without_data_say_so() -> None:
 
 
 @pytest.mark.parametrize("key", sorted(results().keys() - {"protocol", "seeds", "trials"}))
-@pytest.mark.usefixtures("drawn_once")
 def test_renders_without_any_one_part(key: str) -> None:
     document = results()
     del document[key]
@@ -238,6 +243,7 @@ def test_seeds_of_tuning_are_named_and_warned_of() -> None:
 def test_is_written_whole_and_the_same_each_time(tmp_path: Path) -> None:
     write_report(results(), tmp_path / "report.html")
     first = (tmp_path / "report.html").read_bytes()
+    DRAWN.clear()
     write_report(results(), tmp_path / "report.html")
     assert (tmp_path / "report.html").read_bytes() == first
     assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
