@@ -6,16 +6,12 @@ governance goes the whole way: a signed permit, the cell's runner with its journ
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
-from shutil import rmtree
-from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Final
 
-from app.cell.journal import Entry, Journal
+from app.cell.journal import Entry
 from app.cell.run import Doing
 from app.cell.runner import Runner
 from app.cell.substrate import SubstrateError
@@ -38,6 +34,7 @@ from app.sim.skills import Run
 
 if TYPE_CHECKING:
     from app.cell.substrate import Skill
+    from app.evaluation.journals import Journals
     from app.evaluation.methods import Method
     from app.evaluation.truth import Truth
     from app.governance.model import Params, WorldFacts
@@ -131,25 +128,6 @@ def ungoverned(
     done.ticks, done.achieved = truth.tick, achieved(cell)
     cell.unbind()
     return done
-
-
-class Journals:
-    """A folder for journals that nobody will read again."""
-
-    def __init__(self) -> None:
-        """Make the folder; it goes with this object."""
-        self._folder = Path(mkdtemp(prefix="reins-evaluation-"))
-        self._remove = weakref.finalize(self, rmtree, self._folder)
-        self._count = 0
-
-    def open(self) -> Journal:
-        """Return a fresh journal."""
-        self._count += 1
-        return Journal(self._folder / f"{self._count}.journal", boot="evaluation")
-
-    def close(self) -> None:
-        """Remove the folder."""
-        self._remove()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,7 +16,8 @@ from app.cell.run import Doing
 from app.evaluation.capabilities import judge_of, restored_of, undoable_of
 from app.evaluation.circumstances import AS_REPORTED, USUAL, Circumstances, other_way
 from app.evaluation.draws import Drawn, draw, of_type
-from app.evaluation.episode import Execution, Journals, Supervised, governed, ungoverned
+from app.evaluation.episode import Execution, Supervised, governed, ungoverned
+from app.evaluation.journals import Journals
 from app.evaluation.methods import Passed, Recovering, Watching
 from app.evaluation.model import Breach, Failure, Kind, Violation
 from app.evaluation.permits import context_of

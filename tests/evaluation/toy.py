@@ -22,9 +22,9 @@ from types import SimpleNamespace
 from typing import Any
 
 from app.clock import monotonic_s
-from app.evaluation.episode import Journals
 from app.evaluation.extensions import ExtraFault, Registry, all_tasks, find_method
 from app.evaluation.jobs import Job
+from app.evaluation.journals import Journals
 from app.evaluation.methods import REINS, Method
 from app.evaluation.model import Row, Task, Violation
 
