@@ -13,7 +13,6 @@ from statistics import fmean, variance
 from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
-from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 _NO_SPREAD: Final = 1e-12
 
@@ -63,7 +62,7 @@ def compare(a: Sequence[float], b: Sequence[float]) -> Comparison:
 def _paired_t(differences: Sequence[float]) -> tuple[float | None, float | None]:
     if sqrt(variance(differences)) <= _NO_SPREAD:
         return None, None
-    found = cast("Any", stats).ttest_1samp(differences, 0.0)
+    found = _tests().ttest_1samp(differences, 0.0)
     return float(found.statistic), float(found.pvalue)
 
 
@@ -71,10 +70,17 @@ def _wilcoxon(differences: Sequence[float]) -> float | None:
     """Return the one-sided p-value; None where no pair differs, since the test is about those that do."""
     if all(abs(one) <= _NO_SPREAD for one in differences):
         return None
-    scipy_stats = cast("Any", stats)
+    tests = _tests()
     rounded = np.round(differences, 12)  # equal differences are ties, whatever their last bit
-    ways = scipy_stats.PermutationMethod(rng=np.random.default_rng(0))  # exact while there are no more ways than that
-    return float(scipy_stats.wilcoxon(rounded, alternative="greater", method=ways).pvalue)
+    ways = tests.PermutationMethod(rng=np.random.default_rng(0))  # exact while there are no more ways than that
+    return float(tests.wilcoxon(rounded, alternative="greater", method=ways).pvalue)
+
+
+def _tests() -> Any:  # noqa: ANN401  # scipy has no types
+    """Import what takes half a second when it is needed: whoever only makes rows compares nothing."""
+    from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
+
+    return cast("Any", stats)
 
 
 COMPARED: Final[Mapping[str, float]] = {"RVDR": 1.0, "UCR": -1.0, "RSR": 1.0, "RPC": 1.0}
