@@ -11,11 +11,13 @@ import contextlib
 import errno
 import os
 import signal
+import sys
 import threading
 import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from multiprocessing import connection, get_context
+from types import ModuleType
 from typing import TYPE_CHECKING, Final, Protocol
 
 if TYPE_CHECKING:
@@ -56,7 +58,7 @@ class Worker:
         context = get_context("spawn")
         self.pipe, theirs = context.Pipe()
         self.process: SpawnProcess = context.Process(target=_serve, args=(work, theirs), daemon=True)
-        with _one_thread():
+        with _one_thread(), _by_itself():
             self.process.start()
         theirs.close()
         self.job: Job | None = None
@@ -199,6 +201,20 @@ def _raising(error: Exception) -> Callable[[Job], None]:
         raise error
 
     return run
+
+
+@contextlib.contextmanager
+def _by_itself() -> Generator[None]:
+    """Let a child that starts now leave alone what this process was started as: it would import that anew for nothing.
+
+    A command line brings along what only a human needs, and a job is run by what its own modules name.
+    """
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
 
 
 @contextlib.contextmanager
