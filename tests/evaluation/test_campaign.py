@@ -42,6 +42,7 @@ REQUEST = Request(
     tasks=("sorting", "toy_task"),
     plugins=(TOY,),
 )
+SMALL = replace(REQUEST, methods=("direct",), tasks=("sorting",), seeds=(3,), trials=2)
 JOB = Job("a", "reins", "sorting", 1, 0, 2)
 
 
@@ -63,6 +64,26 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def finished(reference: Path, tmp_path: Path) -> Path:
     """A folder of its own with that campaign in it."""
     return Path(shutil.copytree(reference, tmp_path / "finished"))
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A campaign of one job, and beside it a plugin that adds nothing."""
+    folder = tmp_path_factory.mktemp("small")
+    plugin = folder / "more.py"
+    plugin.write_text("def register(registry): pass\n", encoding="utf-8")
+    campaign(folder / "out", plugged(SMALL, plugin))
+    return folder
+
+
+@pytest.fixture
+def done(small: Path, tmp_path: Path) -> Path:
+    """A folder of its own with both."""
+    return Path(shutil.copytree(small, tmp_path / "small"))
+
+
+def plugged(request: Request, plugin: Path) -> Request:
+    return replace(request, plugins=(TOY, plugin))
 
 
 def same(one: Path, other: Path) -> bool:
@@ -187,48 +208,40 @@ def test_an_interrupted_campaign_goes_on_where_it_was(
 
 @pytest.mark.parametrize(
     ("field", "request_"),
-    [("seeds", replace(REQUEST, seeds=(3, 2))), ("trials", replace(REQUEST, trials=9)), ("plugins", REQUEST)],
+    [("seeds", replace(SMALL, seeds=(4,))), ("trials", replace(SMALL, trials=3)), ("plugins", SMALL)],
 )
-def test_refuses_a_folder_of_another_configuration(field: str, request_: Request, tmp_path: Path) -> None:
-    out, plugin = tmp_path / "out", tmp_path / "more.py"
-    plugin.write_text("def register(registry): pass\n", encoding="utf-8")
-    campaign(out, replace(REQUEST, plugins=(TOY, plugin)))
+def test_refuses_a_folder_of_another_configuration(field: str, request_: Request, done: Path) -> None:
+    plugin = done / "more.py"
     if field == "plugins":
         plugin.write_text("def register(registry): ...\n", encoding="utf-8")
-    other = replace(request_, plugins=(TOY, plugin))
+    other = plugged(request_, plugin)
     with pytest.raises(OtherConfiguration) as caught:
-        campaign(out, other)
+        campaign(done / "out", other)
     assert caught.value.differing == (field,)
-    assert campaign(out, other, fresh=True)[0][0] == 0
+    assert campaign(done / "out", other, fresh=True)[0][0] == 0
 
 
 def test_a_campaign_that_finished_nothing_is_nothing_to_lose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    one = replace(REQUEST, methods=("direct",), tasks=("sorting",), seeds=(3,), trials=2)
     with monkeypatch.context() as patch:
         patch.setenv("TOY_RAISE", "direct-sorting-3-0")
         with pytest.raises(JobFailed):
-            campaign(tmp_path, one)
-    assert campaign(tmp_path, replace(one, seeds=(4,)))[-1] == (2, 2)
+            campaign(tmp_path, SMALL)
+    assert campaign(tmp_path, replace(SMALL, seeds=(4,)))[-1] == (2, 2)
 
 
-def test_rows_of_other_libraries_are_other_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    one = replace(REQUEST, methods=("direct",), tasks=("sorting",), seeds=(3,), trials=2)
-    campaign(tmp_path, one)
-    was = orjson.loads((tmp_path / "results.json").read_bytes())["configuration"]["libraries"]
+def test_rows_of_other_libraries_are_other_rows(done: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    was = orjson.loads((done / "out" / "results.json").read_bytes())["configuration"]["libraries"]
     assert was["mujoco"] == metadata.version("mujoco")
     versions = {**was, "mujoco": "4.9"}
     monkeypatch.setattr("app.evaluation.campaign.version", versions.__getitem__)
     with pytest.raises(OtherConfiguration) as caught:
-        campaign(tmp_path, one)
+        campaign(done / "out", plugged(SMALL, done / "more.py"))
     assert caught.value.differing == ("libraries",)
 
 
 @pytest.mark.parametrize("removed", range(4))
-def test_fresh_that_was_interrupted_is_gone_on_with(
-    removed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    one = replace(REQUEST, methods=("direct",), tasks=("sorting",), seeds=(3,), trials=2)
-    campaign(tmp_path, one)
+def test_fresh_that_was_interrupted_is_gone_on_with(removed: int, done: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    one = plugged(SMALL, done / "more.py")
     still, unlink = removed, Path.unlink
 
     def broken_off(path: Path, missing_ok: bool = False) -> None:
@@ -243,8 +256,8 @@ def test_fresh_that_was_interrupted_is_gone_on_with(
     with monkeypatch.context() as patch:
         patch.setattr(Path, "unlink", broken_off)
         with pytest.raises(KeyboardInterrupt):
-            campaign(tmp_path, one, fresh=True)
-    assert campaign(tmp_path, one, fresh=True)[0][0] == 0
+            campaign(done / "out", one, fresh=True)
+    assert campaign(done / "out", one, fresh=True)[0][0] == 0
 
 
 def test_fresh_leaves_a_folder_that_is_no_campaign_alone(tmp_path: Path) -> None:
