@@ -32,12 +32,10 @@ FAILURES = (SQLAlchemyError, sqlite3.Error, UnicodeDecodeError)  # the last wher
 LOOK_EVERY = 10_000  # of SQLite's own steps, between two looks at the clock
 EVENT_COLUMNS = (events.c.seq, events.c.at, events.c.kind, events.c.invocation, events.c.actor, events.c.body)
 NEWEST = sa.select(checkpoints.c.size, checkpoints.c.note).order_by(checkpoints.c.size.desc()).limit(1)
-EXTENT = sa.select(
-    sa.select(sa.func.min(events.c.seq)).scalar_subquery().label("first"),
-    sa.select(sa.func.max(events.c.seq)).scalar_subquery().label("last"),
-    sa.select(sa.func.max(checkpoints.c.size)).scalar_subquery().label("signed"),
-)
-
+EXTENT = sa.text(
+    "SELECT (SELECT min(seq) FROM events) AS first, (SELECT max(seq) FROM events) AS last,"
+    " (SELECT max(size) FROM checkpoints) AS signed"
+)  # as text: the one question of whoever opens a log, which SQLAlchemy compiles anew each time
 SCHEMA = sa.text("SELECT type, name, tbl_name, sql FROM sqlite_master")
 REVISION = sa.text("SELECT version_num FROM alembic_version")
 

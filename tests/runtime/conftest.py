@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import shutil
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
@@ -264,9 +265,21 @@ def lasting(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     return monkeypatch
 
 
+@pytest.fixture(scope="session")
+def new_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data directory on its first day, which a test copies: to make each anew took longer than most of the tests."""
+    folder = tmp_path_factory.mktemp("new") / "data"
+
+    async def make() -> None:
+        await AuditStore.open(folder).close()
+
+    asyncio.run(make())
+    return folder
+
+
 @pytest.fixture
-def house(tmp_path: Path, policy: PolicySet, lasting: pytest.MonkeyPatch) -> House:
-    return House(tmp_path / "data", policy)
+def house(tmp_path: Path, policy: PolicySet, new_log: Path, lasting: pytest.MonkeyPatch) -> House:
+    return House(shutil.copytree(new_log, tmp_path / "data"), policy)
 
 
 @pytest.fixture
