@@ -69,7 +69,8 @@ class Asking:
         for fact in self._facts():
             if id(fact) not in self._known:
                 self._known[id(fact)] = fact
-                self._solver.add(fact)
+                # As `add` does, which would first look what kind of thing it is given.
+                z3.Z3_solver_assert(self._solver.ctx.ref(), self._solver.solver, fact.as_ast())
         self._limit(left_ms if left_ms < self._hurry_ms else NO_TIMEOUT)
         self.asked += 1
         answer = self._solver.check(*(term(part) for part in parts if part is not True))

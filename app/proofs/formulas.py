@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ctypes import c_uint
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
 
 import z3
 
@@ -18,6 +18,17 @@ LAST_CHARACTER: Final = 0x2FFFF  # of Z3, as of SMT-LIB
 # Z3's Python asserts the sort of every argument of every term, a quarter of the time that proofs take. What is encoded
 # here was typed when it was loaded, and Z3 itself refuses terms whose sorts do not fit.
 z3.z3.Z3_DEBUG = False
+
+
+def _unasked(function: Callable[..., int]) -> Callable[..., int]:
+    """Return a function of Z3 itself: Z3's Python asks after every call whether it failed, at the price of another."""
+    return cast("tuple[Any]", function.__defaults__)[0].f
+
+
+# Terms are made by the million, and counting references to them cannot fail; nor can asking what they are.
+z3.z3.Z3_inc_ref, z3.z3.Z3_dec_ref = _unasked(z3.Z3_inc_ref), _unasked(z3.Z3_dec_ref)
+_kind, _applied, _operation = map(_unasked, (z3.Z3_get_ast_kind, z3.Z3_get_app_decl, z3.Z3_get_decl_kind))
+_truth = _unasked(z3.Z3_get_bool_value)
 
 
 def both(*parts: Formula) -> Formula:
@@ -51,11 +62,11 @@ def _joined(parts: Iterable[Formula], join: Callable[..., z3.Ast], *, decisive: 
             return decisive
         if not isinstance(part, bool):
             # Equal terms are one term to Z3, at one address as long as it lives.
-            kept[cast("z3.Ast", part.ast).value] = part
+            kept[part.ast.value] = part  # pyright: ignore[reportOptionalMemberAccess]
     if len(kept) < 2:
         return next(iter(kept.values()), not decisive)
     context = next(iter(kept.values())).ctx
-    terms = (z3.Ast * len(kept))(*(part.as_ast() for part in kept.values()))
+    terms = (z3.Ast * len(kept))(*[part.ast for part in kept.values()])
     return z3.BoolRef(join(context.ref(), len(kept), terms), context)
 
 
@@ -63,7 +74,13 @@ def no(part: Formula) -> Formula:
     """Return the negation."""
     if isinstance(part, bool):
         return not part
-    return part.arg(0) if z3.is_not(part) else z3.BoolRef(z3.Z3_mk_not(part.ctx.ref(), part.as_ast()), part.ctx)
+    context, whole = part.ctx.ref(), part.as_ast()
+    return part.arg(0) if _negates(context, whole) else z3.BoolRef(z3.Z3_mk_not(context, whole), part.ctx)
+
+
+def _negates(context: z3.ContextObj, whole: z3.Ast) -> bool:
+    """Say whether a formula is a negation: as `z3.is_not` does, without a Python object for what it applies."""
+    return _kind(context, whole) == z3.Z3_APP_AST and _operation(context, _applied(context, whole)) == z3.Z3_OP_NOT
 
 
 def implies(premise: Formula, conclusion: Formula) -> Formula:
@@ -88,6 +105,24 @@ def choose(condition: Formula, then: Formula, otherwise: Formula) -> Formula:
 def term(formula: Formula) -> z3.BoolRef:
     """Return a formula as a term of Z3."""
     return z3.BoolVal(formula) if isinstance(formula, bool) else formula
+
+
+@lru_cache(maxsize=4096)
+def named(name: str) -> z3.BoolRef:
+    """Return the variable of a name, true or false; there is one, however often it is asked for."""
+    return z3.Bool(name)
+
+
+def holds(model: z3.ModelRef, formula: Formula) -> bool | None:
+    """Return what a formula is in a model; None where the model leaves it open."""
+    if isinstance(formula, bool):
+        return formula
+    context, found = formula.ctx.ref(), (z3.Ast * 1)()
+    z3.Z3_model_eval(context, model.model, formula.as_ast(), False, found)
+    return _TRUTH.get(_truth(context, found[0]))
+
+
+_TRUTH: Final = {z3.Z3_L_TRUE: True, z3.Z3_L_FALSE: False}
 
 
 def exactly_one(options: list[z3.BoolRef]) -> Formula:

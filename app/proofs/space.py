@@ -22,7 +22,7 @@ from app.governance.places import names
 from app.governance.policy_model import GOVERNANCE
 from app.governance.vocabulary import always_there, properties, referring
 from app.proofs.encoding import Record, Slot
-from app.proofs.formulas import Formula, both, every, exactly_one, implies, no, rational, some, text
+from app.proofs.formulas import Formula, both, every, exactly_one, holds, implies, named, no, rational, some, text
 from app.proofs.ground import Coordinates, Ground
 from app.proofs.schema import Given, admitted, mentioned
 from app.proofs.values import Items, Theory, Value, choice, constant, truth
@@ -50,7 +50,7 @@ class Options:
     @staticmethod
     def of(name: str, values: Iterable[str | None]) -> Options:
         """Make the variables: one for each value, however often a schema lists it; two would exclude each other."""
-        return Options(tuple((z3.Bool(f"{name} = {value}"), value) for value in dict.fromkeys(values)))
+        return Options(tuple((named(f"{name} = {value}"), value) for value in dict.fromkeys(values)))
 
     @property
     def one(self) -> Formula:
@@ -64,7 +64,7 @@ class Options:
 
     def read(self, model: z3.ModelRef) -> str | None:
         """Return which one it is in a model."""
-        return next((value for option, value in self.options if z3.is_true(model.eval(option))), None)
+        return next((value for option, value in self.options if holds(model, option)), None)
 
 
 @dataclass(slots=True)
@@ -97,6 +97,7 @@ class Space:
     holding: Options = field(init=False)
     _holding: dict[str, Formula] = field(default_factory=dict[str, "Formula"])
     _lasting: dict[str, Value | Record] = field(default_factory=dict[str, "Value | Record"])
+    _ready: Formula | None = None
     held: dict[str, z3.BoolRef] = field(default_factory=dict[str, z3.BoolRef])  # permissions of the other agent
 
     def __post_init__(self) -> None:
@@ -144,7 +145,7 @@ class Space:
         required = frozenset(cast("list[str]", schema.get("required", [])))
         together = mentioned(schema)
         for name, spec in properties(self.capability).items():
-            given: Formula = True if name in required else z3.Bool(f"given {name}")
+            given: Formula = True if name in required else named(f"given {name}")
             value = self._parameter(name, spec, name in there or given)
             self.params[name] = Slot(True if name in there else given, value)
             if name not in required and name in there and together:
@@ -167,7 +168,7 @@ class Space:
     def _parameter(self, name: str, spec: Mapping[str, Json], there: Formula) -> Value:
         match spec["type"]:
             case "boolean":
-                said = z3.Bool(f"params.{name}")
+                said = named(f"params.{name}")
                 for listed in (
                     [spec[key]] if key == "const" else spec[key] for key in ("const", "enum") if key in spec
                 ):
@@ -224,7 +225,7 @@ class Space:
         declared = [] if recovery else sorted(self.policy.agents)
         self.agents = Options.of("agent", [*declared, GOVERNANCE if recovery else STRANGER])
         wanted = sorted(self.policy.permissions | ({GOVERNANCE} if recovery else set()))
-        self.held = {name: z3.Bool(f"permission {name}") for name in wanted}
+        self.held = {name: named(f"permission {name}") for name in wanted}
         self.facts.append(self.agents.one)
         if recovery:
             self.facts.append(self.held[GOVERNANCE])
@@ -295,7 +296,7 @@ class Space:
                 "capability": _known(name=self.capability.name, risk=self.capability.risk.value),
                 "mode": choice((option, cast("str", name)) for option, name in self.modes.options),
                 "world": self._world(),
-                "operator_on_duty": truth(z3.Bool("operator_on_duty")),
+                "operator_on_duty": truth(named("operator_on_duty")),
             }
         return self._lasting
 
@@ -316,7 +317,7 @@ class Space:
             "intent": z3.String("metadata.intent"),
             "priority": z3.Int("metadata.priority"),
         }
-        return {name: Slot(z3.Bool(f"given metadata.{name}"), constant(held)) for name, held in terms.items()}
+        return {name: Slot(named(f"given metadata.{name}"), constant(held)) for name, held in terms.items()}
 
     def _world(self) -> Record:
         count, near = self.people
@@ -324,18 +325,23 @@ class Space:
         return {
             "people_count": Slot(True, constant(count)),
             "people_nearest_m": Slot(True, constant(near)),
-            **{name: Slot(True, truth(z3.Bool(f"world.{name}"))) for name in FLAGS},
+            **{name: Slot(True, truth(named(f"world.{name}"))) for name in FLAGS},
             "holding": Slot(some(option for option, _ in held), choice(held)),
         }
 
     # What admission asks for -----------------------------------------------------------------------------------------
 
     def ready(self) -> Formula:
-        """Return where an idle cell meets the preconditions, as far as conditions can see them.
+        """Return where an idle cell meets the preconditions, as far as conditions can see them; made once.
 
         Where the base stands, and what is in sight, no condition sees; a counterexample is given what it needs.
         """
-        there = {name: z3.Bool(f"world.{name}") for name in FLAGS}
+        if self._ready is None:
+            self._ready = self._idle()
+        return self._ready
+
+    def _idle(self) -> Formula:
+        there = {name: named(f"world.{name}") for name in FLAGS}
         empty = both(there["gripper_empty"], self.holding.where([None]))
         carrying = both(z3.Not(there["gripper_empty"]), no(self.holding.where([None])))
         needs: Mapping[str, Formula] = {**there, "gripper_empty": empty, "carrying": carrying}

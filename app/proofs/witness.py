@@ -25,7 +25,7 @@ from app.governance.cases import asking, run
 from app.governance.decision import decide
 from app.governance.policy_model import GOVERNANCE
 from app.governance.vocabulary import referring
-from app.proofs.formulas import spelled, term
+from app.proofs.formulas import Formula, holds, named, spelled
 from app.proofs.space import FLAGS, STRANGER, Space
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def read(space: Space, profile: str, model: z3.ModelRef) -> Case:
             ("intent", z3.String("metadata.intent")),
             ("priority", z3.Int("metadata.priority")),
         )
-        if _yes(model, z3.Bool(f"given metadata.{name}"))
+        if _yes(model, named(f"given metadata.{name}"))
         and (found := _number(model.eval(held, model_completion=True))) is not None
     }
     return {
@@ -87,9 +87,8 @@ def read(space: Space, profile: str, model: z3.ModelRef) -> Case:
 def _context(space: Space, model: z3.ModelRef, params: Mapping[str, object]) -> Case:
     context: Case = {}
     for name in FLAGS:
-        found = model.eval(z3.Bool(f"world.{name}"))
-        if z3.is_true(found) or z3.is_false(found):
-            context[name] = z3.is_true(found)
+        if (flag := holds(model, named(f"world.{name}"))) is not None:
+            context[name] = flag
     holding = space.holding.read(model)
     if holding is not None:
         context["holding"] = holding
@@ -97,8 +96,7 @@ def _context(space: Space, model: z3.ModelRef, params: Mapping[str, object]) -> 
     for name, held in (("people_count", count), ("people_nearest_m", near)):
         if (found := _number(model.eval(held))) is not None:
             context[name] = found
-    on_duty = model.eval(z3.Bool("operator_on_duty"))
-    context["operator_on_duty"] = not z3.is_false(on_duty)
+    context["operator_on_duty"] = holds(model, named("operator_on_duty")) is not False
     return context | _agent(space, model) | _perceived(space, model, params) | _stand(space, params)
 
 
@@ -134,7 +132,7 @@ def _stand(space: Space, params: Mapping[str, object]) -> Case:
 
 
 def _yes(model: z3.ModelRef, formula: object) -> bool:
-    return z3.is_true(model.eval(term(cast("bool", formula))))
+    return holds(model, cast("Formula", formula)) is True
 
 
 def _payload(model: z3.ModelRef, cases: tuple[tuple[object, object], ...]) -> object:
@@ -149,8 +147,6 @@ def _payload(model: z3.ModelRef, cases: tuple[tuple[object, object], ...]) -> ob
 
 def _number(value: z3.ExprRef) -> bool | int | float | str | None:
     """Return a model's value as Python's; None where the model leaves it open."""
-    if z3.is_true(value) or z3.is_false(value):
-        return z3.is_true(value)
     if isinstance(value, z3.IntNumRef):
         return value.as_long()
     if isinstance(value, z3.RatNumRef):
@@ -160,7 +156,7 @@ def _number(value: z3.ExprRef) -> bool | int | float | str | None:
         return _double(Fraction(near.numerator_as_long(), near.denominator_as_long()))
     if isinstance(value, z3.SeqRef) and z3.is_string_value(value):
         return spelled(value)
-    return None
+    return z3.is_true(value) if z3.is_true(value) or z3.is_false(value) else None
 
 
 def _double(value: Fraction) -> float:
