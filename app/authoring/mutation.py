@@ -131,7 +131,7 @@ class Trial:
         return Outcome(mutant=mutant, fate=Fate.SURVIVED, proposal=self._proposal(mutant, policy))
 
     def _killer(self, mutant: Mutant, policy: PolicySet) -> str | None:
-        anew = mutant.file == "organization.yaml" or mutant.path[:1] == ("inputs",)
+        anew = _asks_anew(mutant)
         for place, ready in enumerate(self._cases):
             if not concerns(mutant, ready.case.capability, ready.profile):
                 continue
@@ -150,16 +150,25 @@ class Trial:
         share = EXAMPLES // len(pairs) if pairs else 0
         tried = [islice(Examples(both, self.bench.known.vocabulary, *pair), share) for pair in pairs]
         for example in chain.from_iterable(zip_longest(*tried)):  # every pair's plainest before any pair's varied ones
-            found = None if example is None else _telling(example, both)
+            found = None if example is None else _telling(example, both, anew=_asks_anew(mutant))
             if example is not None and found is not None:
                 return _written(f"holds {mutant.key}", example, found)
         return ""
 
 
-def _telling(example: Mapping[str, Any], both: tuple[PolicySet, PolicySet]) -> dict[str, Any] | None:
+def _asks_anew(mutant: Mutant) -> bool:
+    """Say whether a case may ask something else of a mutant: who asks, or with which parameters."""
+    return mutant.file == "organization.yaml" or mutant.path[:1] == ("inputs",)
+
+
+def _telling(
+    example: Mapping[str, Any], both: tuple[PolicySet, PolicySet], *, anew: bool = True
+) -> dict[str, Any] | None:
     """Return what to expect of an example, so that it passes under the first policy and fails under the other."""
     case = CaseShape.model_validate({**example, "name": "x", "expect": {"status": "allowed"}})
-    now, then = (cases.came_of(policy, cases.asking(policy, str(case.profile), case)) for policy in both)
+    asked = cases.asking(both[0], str(case.profile), case)
+    now = cases.came_of(both[0], asked)
+    then = cases.came_of(both[1], cases.asking(both[1], str(case.profile), case) if anew else asked)
     if now == then:
         return None
     expect = {"status": now["status"], **_differing(now, then)}
