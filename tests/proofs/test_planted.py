@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cache
 
 import pytest
 import z3
 
 from app.governance import bundle, cases
 from app.proofs.findings import Kind, Weight
+from app.proofs.prove import Report
 from tests.governance.policy_world import files
 from tests.proofs.planted import HUMAN, ORGANIZATION, REAL, SIM, edited, promises, proved, proved_of, with_rules
 
@@ -230,7 +232,6 @@ def test_a_case_made_small_still_shows_that_fewer_people_are_asked_by_authority(
 
 
 SOUND: list[tuple[str, dict[str, str]]] = [
-    ("as shipped", {}),
     ("a tighter limit", edited(HUMAN, "tcp_speed_mps: {max: 0.25", "tcp_speed_mps: {max: 0.2")),
     ("a rule about an agent that may come", rule("id: hazmat-asks, applies_to: [grasp_object], when: 'target.hazardous && \"hazmat\" in agent.permissions', then: escalate")),
     ("a field asked for first", rule("id: doubt, when: has(metadata.confidence) && metadata.confidence < 0.1, then: deny")),
@@ -247,6 +248,15 @@ SOUND: list[tuple[str, dict[str, str]]] = [
     ("a text with what the solver takes for an escape", rule("id: odd, when: 'has(metadata.intent) && metadata.intent == \"\\\\u{41}\"', then: escalate")),
     ("the same in another owner's words", rule("id: fragile-grip, applies_to: [grasp_object], when: target.fragile, then: modify, set: {force_n: {max: 20}, speed_mps: {max: 0.15}}", REAL)),
 ]  # fmt: skip
+
+
+@cache
+def as_shipped() -> Report:
+    return proved({})
+
+
+def test_what_is_shipped_passes():
+    assert [(f.kind.value, f.rule, f.message, f.example) for f in as_shipped().faults] == []
 
 
 @pytest.mark.parametrize("changed", [changed for _, changed in SOUND], ids=[name for name, _ in SOUND])
@@ -283,7 +293,7 @@ def test_a_promise_about_nothing_is_named() -> None:
         (Kind.PROPERTY, Weight.NOTE, "idle")
     ]
     assert report.summary().endswith("about nothing that can be proposed: `idle`")
-    assert "about nothing" not in proved({}).summary()
+    assert "about nothing" not in as_shipped().summary()
 
 
 def test_a_value_that_a_schema_lists_twice_is_proved_like_any_other() -> None:
