@@ -37,29 +37,31 @@ def new(place: Path, *words: str, typed: str | None = None) -> tuple[int, str]:
     return done.exit_code, done.output
 
 
-def test_a_policy_from_a_template_is_proved_and_written_and_says_what_next(tmp_path: Path) -> None:
+def shown() -> list[str]:
+    """Return the words after `reins policy new candidate` that the documentation shows."""
+    page = (POLICIES.parent / "docs" / "policy.md").read_text().replace("\\\n", " ")
+    lines = [shlex.split(line) for line in page.splitlines() if line.startswith("    reins policy new candidate ")]
+    assert len(lines) == 1
+    return lines[0][4:]
+
+
+def test_what_the_documentation_shows_is_proved_and_written_where_nobody_is_asked_and_says_what_next(
+    tmp_path: Path,
+) -> None:
     place = tmp_path / "deep" / "candidate"
-    code, said = new(place, *REDUCED)
+    code, said = new(place, *shown(), "--no-ask")
     assert code == 0, said
     assert "proved of" in said
     assert "reins policy propose" in said
-    assert bundle.load(place).profiles["reduced-speed"].limits["tcp_speed_mps"].maximum == 0.25
+    assert bundle.load(place).profiles["speed-and-separation"].limits["tcp_speed_mps"].maximum == 0.25
     found = bundle.read_cases(place)
-    assert found.keys() - bundle.read_cases(POLICIES).keys() == {"tests/reduced-speed.yaml"}
+    assert found.keys() - bundle.read_cases(POLICIES).keys() == {"tests/speed-and-separation.yaml"}
     assert found.items() >= bundle.read_cases(POLICIES).items()
     assert all(result.passed for result in cases.run(bundle.load(place), found))
     assert [path.name for path in place.parent.iterdir()] == ["candidate"]
     code, said = new(place, *REDUCED)
     assert code == 2
     assert "nothing is written over" in said
-
-
-def test_what_the_documentation_shows_can_be_pasted_where_nobody_is_asked(tmp_path: Path) -> None:
-    page = (POLICIES.parent / "docs" / "policy.md").read_text().replace("\\\n", " ")
-    shown = [shlex.split(line) for line in page.splitlines() if line.startswith("    reins policy new candidate ")]
-    assert len(shown) == 1
-    code, said = new(tmp_path / "candidate", *shown[0][4:], "--no-ask")
-    assert code == 0, said
 
 
 def test_what_is_not_given_is_asked_for_until_it_can_be_taken(tmp_path: Path) -> None:
