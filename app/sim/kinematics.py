@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 _RESIDUAL_GAIN_HZ = 12.0
-_AT_REST = (0.0,) * 9
 _IK_STEPS, _IK_POSITION_M, _IK_ANGLE_RAD, _IK_DAMPING = 12, 4e-4, 4e-3, 1e-4
 
 
@@ -84,9 +83,10 @@ class SelfModel:
 
     def tcp_speed(self, joint_rad: Floats, speed: Floats) -> float:
         """Return the speed of the tool relative to the base for exact joint angles and speeds (evaluation)."""
-        velocity = [0.0, 0.0, 0.0, *speed.tolist()]
-        self.update(joint_rad.tolist(), velocity, _AT_REST)
-        return speed_of(self.tcp()[1], velocity[3:9])
+        self._joint[:] = joint_rad
+        mujoco.mj_kinematics(self._model, self._data)  # all that the Jacobian goes by
+        mujoco.mj_comPos(self._model, self._data)
+        return speed_of(self.tcp()[1], speed.tolist())
 
 
 def speed_of(jacobian: Sequence[Sequence[float]], joint_speed: Sequence[float]) -> float:

@@ -190,7 +190,9 @@ class Plant:
 
     def _drive_arm(self, command: Command) -> None:
         drives, wanted = self.drives, command.joint_rad
-        if drives.speed_gain != 1.0 or drives.scaling_offset_rad.any():  # what is ahead leaks away when it is over, too
+        if drives.speed_gain != 1.0 or any(
+            drives.scaling_offset_rad.tolist()
+        ):  # what is ahead leaks away when it is over, too
             leak = _SCALING_LEAK_S if max(map(abs, command.joint_speed_radps)) > 1e-3 else 0.3
             drives.scaling_offset_rad *= 1.0 - PHYSICS_STEP_S * SUBSTEPS / leak
             drives.scaling_offset_rad += (drives.speed_gain - 1.0) * np.subtract(wanted, drives.joint_rad)
@@ -426,7 +428,7 @@ class Plant:
         Mean over 20 ms, highest substep; the sum of what is normal to the surfaces.
         """
         felt = self._force[:, self._crates_felt]
-        if not felt.any():  # nearly always, in every tick of an evaluation
+        if not any(map(any, felt.tolist())):  # nearly always, in every tick of an evaluation
             return 0.0, 0.0
         pushed = felt.sum(axis=1)
         return float(pushed.mean()), float(pushed[SUBSTEPS:].max())
