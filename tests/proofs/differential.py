@@ -11,7 +11,7 @@ import z3
 from app.governance.guard import check
 from app.governance.model import PolicyOutcome
 from app.governance.vocabulary import referring
-from app.proofs.formulas import both, no, rational, term
+from app.proofs.formulas import both, named, no, rational, some, term
 from app.proofs.pair import Pair
 from app.proofs.space import FLAGS, STRANGER, Space
 from app.proofs.values import OVERFLOW
@@ -62,6 +62,7 @@ class Bench:
             PolicyOutcome.ALLOW: pair.allowed,
         }  # fmt: skip
         self.left = pair.first.effective()
+        self.edge = some(pair.space.ground.edges)
         rounding = pair.space.theory.rounding()
         everything = (*pair.everything(), term(pair.space.said["agent.name"]))
         self.facts = [Fact.of(fact, rounding) for fact in everything]
@@ -75,7 +76,7 @@ class Bench:
         for either_way in self.pair.space.ground.open:
             world.put(either_way, z3.BoolVal(False))
         world.settle(self.facts)
-        if any(world.true(edge) for edge in self.pair.space.ground.edges if edge is not False):
+        if world.true(self.edge):
             return False
         assert world.true(self._said(verdict)), (
             case,
@@ -206,7 +207,7 @@ def pins(space: Space, case, params) -> Iterator[tuple[z3.ExprRef, z3.ExprRef]]:
         if not isinstance(given, bool):
             yield given, z3.BoolVal(name in case["params"])
     for name, sort in (("confidence", z3.RealSort()), ("intent", z3.StringSort()), ("priority", z3.IntSort())):
-        yield z3.Bool(f"given metadata.{name}"), z3.BoolVal(name in metadata)
+        yield named(f"given metadata.{name}"), z3.BoolVal(name in metadata)
         yield z3.Const(f"metadata.{name}", sort), _constant(metadata.get(name, "" if name == "intent" else 0), sort)
     agent = STRANGER if "agent" in context else "planner"
     for options, chosen in (
@@ -219,8 +220,8 @@ def pins(space: Space, case, params) -> Iterator[tuple[z3.ExprRef, z3.ExprRef]]:
     for name, held in space.held.items():
         yield held, z3.BoolVal(name in context.get("permissions", []))
     for name in FLAGS:
-        yield z3.Bool(f"world.{name}"), z3.BoolVal(context[name])
-    yield z3.Bool("operator_on_duty"), z3.BoolVal(context["operator_on_duty"])
+        yield named(f"world.{name}"), z3.BoolVal(context[name])
+    yield named("operator_on_duty"), z3.BoolVal(context["operator_on_duty"])
     count, near = space.people
     yield count, z3.IntVal(context["people_count"])
     yield near, rational(context["people_nearest_m"])
