@@ -190,9 +190,8 @@ class Plant:
 
     def _drive_arm(self, command: Command) -> None:
         drives, wanted = self.drives, command.joint_rad
-        if drives.speed_gain != 1.0 or any(
-            drives.scaling_offset_rad.tolist()
-        ):  # what is ahead leaks away when it is over, too
+        # What is ahead leaks away when it is over, too.
+        if drives.speed_gain != 1.0 or any(drives.scaling_offset_rad.tolist()):
             leak = _SCALING_LEAK_S if max(map(abs, command.joint_speed_radps)) > 1e-3 else 0.3
             drives.scaling_offset_rad *= 1.0 - PHYSICS_STEP_S * SUBSTEPS / leak
             drives.scaling_offset_rad += (drives.speed_gain - 1.0) * np.subtract(wanted, drives.joint_rad)
