@@ -16,7 +16,7 @@ from app.cell.run import Doing
 from app.evaluation.capabilities import judge_of, restored_of, undoable_of
 from app.evaluation.circumstances import AS_REPORTED, USUAL, Circumstances, other_way
 from app.evaluation.draws import Drawn, draw, of_type
-from app.evaluation.episode import Execution, Supervised, governed, ungoverned
+from app.evaluation.episode import LIMIT_TICKS, RECOVERY_TICKS, Execution, Supervised, governed, ungoverned
 from app.evaluation.journals import Journals
 from app.evaluation.methods import Passed, Recovering, Watching
 from app.evaluation.model import Breach, Failure, Kind, Violation
@@ -240,7 +240,14 @@ def _kept_m(plan: WatchPlan) -> float | None:
     return max(fixed) if fixed and len(fixed) == len(asked) else None
 
 
-def run(bench: Bench, trial: Trial, methods: Sequence[Method], *, change: Change | None = None) -> Mapping[str, Ran]:
+def run(
+    bench: Bench,
+    trial: Trial,
+    methods: Sequence[Method],
+    *,
+    change: Change | None = None,
+    limit: int = LIMIT_TICKS + RECOVERY_TICKS,
+) -> Mapping[str, Ran]:
     """Run a trial under every method; returns what came of it by the method's name.
 
     Args:
@@ -248,6 +255,7 @@ def run(bench: Bench, trial: Trial, methods: Sequence[Method], *, change: Change
         trial: what.
         methods: who.
         change: changes every watch plan, to take a detector out or move the sensitivity.
+        limit: ticks after which a session under governance that is not over is let go.
     """
     shared: dict[object, tuple[Execution, bool | None, bool | None]] = {}
     found: dict[str, Ran] = {}
@@ -265,7 +273,7 @@ def run(bench: Bench, trial: Trial, methods: Sequence[Method], *, change: Change
         if passed.launched and trial.drawn.kind is not Kind.UNAUTHORIZED:
             key = (*alike(method), tuple(sorted(passed.effective.items())))
             if key not in shared:
-                shared[key] = _execute(bench, trial, method, passed.effective, change)
+                shared[key] = _execute(bench, trial, method, passed.effective, change, limit)
             execution, restored, undoable = shared[key]
         found[method.name] = Ran(passed, spent_us, execution, restored, undoable)
     return found
@@ -284,7 +292,7 @@ def alike(method: Method) -> tuple[object, ...]:
 
 
 def _execute(
-    bench: Bench, trial: Trial, method: Method, effective: Params, change: Change | None
+    bench: Bench, trial: Trial, method: Method, effective: Params, change: Change | None, limit: int
 ) -> tuple[Execution, bool | None, bool | None]:
     drawn, twin = trial.drawn, trial.twin
     if twin is not None and trial.whole and alike(method) == ("twin",) and effective == trial.proposal.params:
@@ -309,6 +317,7 @@ def _execute(
         supervised=supervised,
         plan_change=change or _as_is,
         during=undoable.see,
+        limit=limit,
     )
     return execution, _at_rest(cell, restored), undoable.found
 

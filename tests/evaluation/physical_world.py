@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
+from app.evaluation.episode import LIMIT_TICKS, RECOVERY_TICKS
 from app.evaluation.methods import REINS, Method
 from app.evaluation.model import Failure, Kind, Row, Violation
 from app.evaluation.physical_rows import row
@@ -27,9 +28,11 @@ def shown(seed: int, number: int, wanted: Kind | Violation | Failure) -> Trial:
     return prepare(bench(), seed, number, wanted=wanted, whole=False)
 
 
-def ran(one: Trial, method: Method = REINS, *, change: Change | None = None) -> Row:
+def ran(
+    one: Trial, method: Method = REINS, *, change: Change | None = None, limit: int = LIMIT_TICKS + RECOVERY_TICKS
+) -> Row:
     """Run a trial and read its row."""
-    return row(shipped(), one, method, run(bench(), one, (method,), change=change)[method.name])
+    return row(shipped(), one, method, run(bench(), one, (method,), change=change, limit=limit)[method.name])
 
 
 @cache

@@ -19,7 +19,7 @@ from app.evaluation.methods import ABLATIONS, METHODS, REINS
 from app.evaluation.metrics import measure
 from app.evaluation.model import TUNING_SEEDS, Row, Violation
 from app.evaluation.physical_rows import SIGNALS, UNLOOKED, Class, row
-from app.evaluation.physical_trial import Trial, run, twinned
+from app.evaluation.physical_trial import LONGEST_TICKS, Trial, run, twinned
 from app.evaluation.truth import SLACK_TICKS
 from app.governance.model import EventKind, Intervention
 from app.governance.watcher import without
@@ -32,6 +32,7 @@ COUNT = 2
 SEEN = 1.0
 LOST = 0.25
 PROMPT_TICKS = 5  # what the goals ask of force and speed
+LIMIT_TICKS = LONGEST_TICKS + 200  # a violation shows by then, and whoever is told of it 2 s later is told too late
 IN_TIME_TICKS = SLACK_TICKS  # whoever is told later has acted under it for too long
 
 
@@ -66,7 +67,8 @@ class Watched(NamedTuple):
 
 
 def blind(one: Trial, *taken_out: str) -> Watched:
-    under = run(bench(), one, (REINS,), change=lambda plan: without(plan, *taken_out))[REINS.name]
+    taken = run(bench(), one, (REINS,), change=lambda plan: without(plan, *taken_out), limit=LIMIT_TICKS)
+    under = taken[REINS.name]
     done = under.execution
     assert done is not None
     assert one.drawn.violation is not None
@@ -117,7 +119,7 @@ def test_what_policy_names_follows_whatever_is_seen(violation: Violation) -> Non
 @pytest.mark.parametrize("violation", list(Violation))
 def test_without_a_watcher_nothing_is_seen_and_the_truth_is_the_twins(violation: Violation) -> None:
     one = trials(violation)[0]
-    unwatched = ran(one, ABLATIONS["-watcher"])
+    unwatched = ran(one, ABLATIONS["-watcher"], limit=LIMIT_TICKS)
     assert not unwatched["detected"]
     assert unwatched["class"] in (Class.MISSED, Class.HARMLESS, Class.UNWARNED)
 
@@ -228,11 +230,11 @@ def test_what_slips_out_slowly_is_told_too_late_by_a_lost_grip_alone() -> None:
 def test_the_detectors_of_other_types_do_not_stand_in() -> None:
     others = sorted(set().union(*SIGNALS.values()) - SIGNALS[Violation.ZONE])
     for one in trials(Violation.ZONE)[:2]:
-        assert ran(one, change=lambda plan: without(plan, *others))["detected"]
+        assert ran(one, change=lambda plan: without(plan, *others), limit=LIMIT_TICKS)["detected"]
 
 
 def test_the_skills_own_checks_see_force_but_neither_places_nor_people_nor_retries() -> None:
     internal = METHODS["capability-internal"]
-    assert ran(trials(Violation.FORCE)[0], internal)["detected"]
+    assert ran(trials(Violation.FORCE)[0], internal, limit=LIMIT_TICKS)["detected"]
     for violation in (Violation.SPEED, Violation.ZONE, Violation.PEOPLE, Violation.RETRY):
-        assert not ran(trials(violation)[0], internal)["detected"], violation
+        assert not ran(trials(violation)[0], internal, limit=LIMIT_TICKS)["detected"], violation
