@@ -11,9 +11,9 @@ import pytest
 
 from app.evaluation.capabilities import judge_of
 from app.evaluation.draws import of_type
-from app.evaluation.episode import REST_TICKS, Execution, ungoverned, watch_rest
+from app.evaluation.episode import LIMIT_TICKS, RECOVERY_TICKS, REST_TICKS, Execution, ungoverned, watch_rest
 from app.evaluation.methods import ABLATIONS, METHODS, REINS, Recovering, Watching
-from app.evaluation.model import Failure, Kind, Violation
+from app.evaluation.model import TUNING_SEEDS, Failure, Kind, Violation
 from app.evaluation.physical_rows import row
 from app.evaluation.physical_trial import Bench, Trial, looking, prepare, run
 from app.governance.model import EventKind, Outcome, Signal
@@ -31,8 +31,8 @@ def seen(done: Execution | None) -> dict[str, Any]:
     return {**noted, "ticks": done.ticks, "achieved": done.achieved, "failures": done.failures}
 
 
-def executed(one: Trial, method: Any = REINS) -> Execution:
-    done = run(bench(), one, (method,))[method.name].execution
+def executed(one: Trial, method: Any = REINS, *, limit: int = LIMIT_TICKS + RECOVERY_TICKS) -> Execution:
+    done = run(bench(), one, (method,), limit=limit)[method.name].execution
     assert done is not None
     return done
 
@@ -41,11 +41,11 @@ def taken(violation: Violation) -> Trial:
     return next(one for number in range(9) if (one := trial(SEED, number, violation)).occurred)
 
 
-def under(profile: str, violation: Violation) -> Iterator[Trial]:
+def under(profile: str, violation: Violation, seed: int = SEED) -> Iterator[Trial]:
     """The trials that are drawn under a profile: to learn the profile of the others, no twin of theirs is run."""
     for number in range(30):
-        if of_type(shipped(), SEED, number, violation).profile == profile:
-            one = shown(SEED, number, violation)
+        if of_type(shipped(), seed, number, violation).profile == profile:
+            one = shown(seed, number, violation)
             if one.drawn.profile == profile:  # it may have been drawn again, because the fault did not take
                 yield one
 
@@ -53,7 +53,7 @@ def under(profile: str, violation: Violation) -> Iterator[Trial]:
 @pytest.mark.parametrize("violation", [Violation.FORCE, Violation.SPEED, Violation.POSTCONDITION])
 def test_the_ungoverned_twin_is_repeatable_bit_by_bit(violation: Violation) -> None:
     one = taken(violation)
-    executed(one)  # something else on the same stage
+    executed(one, limit=500)  # something else on the same stage, let go midway
     again = prepare(bench(), SEED, one.drawn.number, wanted=violation)
     assert seen(again.twin) == seen(one.twin)
 
@@ -101,7 +101,7 @@ def test_a_clean_trial_is_done_with_and_without_governance() -> None:
 def test_attempts_are_those_of_the_skill_and_of_governance_together() -> None:
     one = taken(Violation.RETRY)
     budget = shipped().profiles[one.drawn.profile].retry_budget
-    free, watched = executed(one, WITHOUT), executed(one)
+    free, watched = executed(one, WITHOUT, limit=LIMIT_TICKS), executed(one)
     for wild in (free, one.twin):
         assert wild is not None
         assert wild.attempts > budget + 2
@@ -150,7 +150,7 @@ def test_looking_on_does_not_make_the_session_longer() -> None:
 def test_servos_that_run_ahead_or_something_in_the_arms_way_do_not_hinder_the_way_back(
     number: int, wanted: Violation, capability: str
 ) -> None:
-    one = trial(SEED, number, wanted)
+    one = shown(SEED, number, wanted)
     assert (one.drawn.capability, one.drawn.profile, one.occurred) == (capability, "test-audit", True)
     found = ran(one)
     assert (found["rollback_capable"], found["rolled_back"]) == (True, True)
@@ -164,7 +164,7 @@ def test_what_was_moved_away_or_slides_out_of_the_grip_leaves_nothing_to_go_back
     number: int, capability: str
 ) -> None:
     wanted = Failure.PERCEPTION_MISMATCH if capability == "grasp_object" else Failure.FAILED_GRASP
-    one = trial(SEED, number, wanted)
+    one = shown(SEED, number, wanted)
     assert (one.drawn.capability, one.occurred) == (capability, True)
     found = ran(one)
     assert (found["rollback_capable"], found["rolled_back"]) == (False, False)
@@ -180,8 +180,10 @@ def test_an_execution_ends_at_its_limit() -> None:
 
 
 def test_where_nobody_may_be_asked_policy_ends_what_slips_again_and_again() -> None:
-    one = next(one for one in under("sim-relaxed", Violation.POSTCONDITION) if one.drawn.capability == "grasp_object")
-    found = watched(SEED, one.drawn.number, Violation.POSTCONDITION)
+    seed = TUNING_SEEDS[3]  # as in `test_detectors`, which executes the same: it is long
+    slipping = under("sim-relaxed", Violation.POSTCONDITION, seed)
+    one = next(one for one in slipping if one.drawn.capability == "grasp_object")
+    found = watched(seed, one.drawn.number, Violation.POSTCONDITION)
     assert found["ended"] is True
     assert found["outcome"] == Outcome.TERMINATED
     assert found["attempts"] == 1 + shipped().profiles["sim-relaxed"].retry_budget
