@@ -269,20 +269,31 @@ def servers(tmp_path: Path) -> Iterator[Servers]:
 
 
 class Ahead:
-    """The servers of modules: the next module's starts while this one's tests run."""
+    """The servers of modules: the next module's starts while the last of this one's tests runs.
+
+    No earlier, for a cell is never idle: two of them take as much of the processor as two consoles.
+    """
 
     def __init__(self, request: pytest.FixtureRequest, begin: Callable[[], Servers]) -> None:
         items = [item for item in request.session.items if isinstance(item, pytest.Function)]
-        self._to_come = len({item.module for item in items if request.fixturename in item.fixturenames})
+        self._last = {item.module: item for item in items if request.fixturename in item.fixturenames}
+        self._to_come = len(self._last)
         self._begin = begin
         self._next: Servers | None = None
+        self._plugins = request.config.pluginmanager
+        self._plugins.register(self)
+
+    @pytest.hookimpl
+    def pytest_runtest_setup(self, item: pytest.Item) -> None:
+        if item in self._last.values() and self._to_come > 0:
+            self._next = self._next or self._begin()
 
     @contextlib.contextmanager
     def take(self) -> Iterator[ServerProcess]:
         """Have a server for one module; when it has ended, what it left behind is compared with its log."""
         taken = self._next or self._begin()
         self._to_come -= 1
-        self._next = self._begin() if self._to_come > 0 else None
+        self._next = None
         try:
             yield taken.await_up(taken.started[0], "/readyz")
         finally:
@@ -290,6 +301,7 @@ class Ahead:
         taken.examine()
 
     def end(self) -> None:
+        self._plugins.unregister(self)
         if self._next is not None:
             self._next.end()
 
