@@ -11,17 +11,19 @@ import re
 import shutil
 import subprocess
 import sys
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 from playwright.sync_api import (
     Browser,
-    BrowserContext,
     ConsoleMessage,
+    Error,
     Locator,
     Page,
     Playwright,
@@ -97,6 +99,7 @@ TWO_FOR_THE_DRIVER = """
 CONFIRMED = """confirm_before:
   - {capability: place_object, profile: human-shared, phases: [release], on_deny: rollback, on_timeout: terminate}
 """
+HELD = ("ArrowDown", "ArrowUp", "ArrowLeft", "BracketLeft", "Meta")  # keys that tests hold, and may leave held
 THUMB_PX = 48  # what a thumb hits, and how far up from the lower edge it comes easily
 REACH_PX = 140
 ASIDE_PX = 180  # and how far from the right edge, on a phone that is held sideways
@@ -106,12 +109,12 @@ DRIVER_TALK = re.compile(r"GL Driver Message|GPU stall due to ReadPixels|softwar
 
 @dataclass
 class Person:
-    """Somebody at a console: a browser of their own, and what its pages complained of."""
+    """Somebody at a console: a browser of their own, and what its page complained of."""
 
-    context: BrowserContext
     page: Page
     expected: list[re.Pattern[str]] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
+    heard: list[tuple[Any, Callable[[Any], object]]] = field(default_factory=list)
 
     def expects(self, complaint: str) -> None:
         self.expected.append(re.compile(complaint))
@@ -169,9 +172,19 @@ class Person:
     def alert(self, words: str) -> Locator:
         return self.page.get_by_role("alert").filter(has_text=words)
 
-    def listen(self, page: Page) -> None:
-        page.on("console", self._said)
-        page.on("pageerror", lambda error: self.complaints.append(f"uncaught: {error}"))
+    def listen(self) -> None:
+        self.hears("console", self._said)
+        self.hears("pageerror", lambda error: self.complaints.append(f"uncaught: {error}"))
+
+    def hears(self, event: Any, act: Callable[[Any], object]) -> None:
+        """Act upon each such event of the page, for as long as this person sits at it."""
+        self.page.on(event, act)
+        self.heard.append((event, act))
+
+    def leave(self) -> None:
+        for event, act in self.heard:
+            self.page.remove_listener(event, act)
+        self.page.unroute_all(behavior="ignoreErrors")
 
     def _said(self, message: ConsoleMessage) -> None:
         if message.type in {"error", "warning", "assert"} and not DRIVER_TALK.search(message.text):
@@ -179,23 +192,62 @@ class Person:
 
 
 @dataclass
+class Windows:
+    """Browsers that stand open, each for one person after the other: to make one anew costs as much as a page does.
+
+    What somebody leaves behind is gone when the next one comes, as when a browser is opened: the page with its socket
+    and its worker, what it stored, what was held down. The process that shows the pages of this server stays.
+    """
+
+    browser: Browser
+    free: dict[tuple[bool, str], list[Page]] = field(default_factory=lambda: defaultdict(list))
+    taken: dict[Page, tuple[bool, str]] = field(default_factory=dict)
+
+    def take(self, size: dict[str, int], theme: Any, init: str) -> Page:
+        kind = (size in (PHONE, SIDEWAYS), init)
+        page = self.free[kind].pop() if self.free[kind] else self._open(*kind)
+        page.set_viewport_size({"width": size["width"], "height": size["height"]})
+        page.emulate_media(color_scheme=theme, reduced_motion="reduce", forced_colors="none")
+        self.taken[page] = kind
+        return page
+
+    def give_back(self, page: Page) -> None:
+        """Leave the console for a picture of the same server: from there on nothing of it runs."""
+        kind = self.taken.pop(page)
+        try:
+            page.goto(urlsplit(page.url)._replace(path="/icon.svg", fragment="").geturl(), timeout=TAKEN_MS)
+            page.evaluate("sessionStorage.clear(), localStorage.clear()")
+            for key in HELD:
+                page.keyboard.up(key)
+            page.mouse.up()
+        except Error:  # its server is no more, or its wire
+            page.context.close()
+        else:
+            self.free[kind].append(page)
+
+    def close(self) -> None:
+        for page in (*self.taken, *(one for free in self.free.values() for one in free)):
+            page.context.close()
+
+    def _open(self, held: bool, init: str) -> Page:
+        context = self.browser.new_context(has_touch=held, is_mobile=held)
+        context.set_default_timeout(PATIENCE_MS)
+        context.add_init_script(init)
+        return context.new_page()
+
+
+@dataclass
 class People:
     """Seats people at consoles; all of them leave with the test."""
 
-    browser: Browser
+    windows: Windows
     seated: list[Person] = field(default_factory=list)
 
     def open(self, url: str, *, size: dict[str, int] | None = None, theme: str = "dark", init: str = "") -> Person:
         """Open a page in a browser of its own, `size` big, where the system prefers `theme`; `init` runs first."""
-        held = size in (PHONE, SIDEWAYS)
-        context = self.browser.new_context(
-            viewport=size or DESK, color_scheme=theme, reduced_motion="reduce", has_touch=held, is_mobile=held
-        )
-        context.set_default_timeout(PATIENCE_MS)
-        context.add_init_script(init)
-        person = Person(context, context.new_page())
+        person = Person(self.windows.take(size or DESK, theme, init))
         self.seated.append(person)
-        person.listen(person.page)
+        person.listen()
         person.page.goto(url)
         return person
 
@@ -208,7 +260,9 @@ class People:
     def leave(self) -> list[str]:
         said = [one for person in self.seated for one in person.unexpected()]
         for person in self.seated:
-            person.context.close()
+            person.leave()
+            self.windows.give_back(person.page)
+        self.seated.clear()
         return said
 
 
@@ -360,6 +414,12 @@ def far(here: tuple[float, float], there: tuple[float, float]) -> float:
     return abs(here[0] - there[0]) + abs(here[1] - there[1])
 
 
+def resize(person: Person, size: dict[str, int]) -> None:
+    """Turn or exchange the screen; returns when the page is laid out for it."""
+    person.page.set_viewport_size({"width": size["width"], "height": size["height"]})
+    person.page.evaluate(THREE_FRAMES)
+
+
 def wider_than_the_screen(page: Page) -> list[str]:
     """Say where a page has to be scrolled sideways: on a phone, however it is held, and on 320 px (WCAG 1.4.10)."""
     before = page.viewport_size
@@ -413,13 +473,28 @@ def built() -> None:
     assert done.returncode == 0, f"the console does not build: {done.stdout[-2000:]}{done.stderr[-2000:]}"
 
 
+@pytest.fixture(scope="module")
+def windows(browser: Browser) -> Iterator[Windows]:
+    """Ended with the module: pages of another server are another process's."""
+    made = Windows(browser)
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def flat_windows(flat_browser: Browser) -> Iterator[Windows]:
+    made = Windows(flat_browser)
+    yield made
+    made.close()
+
+
 @pytest.fixture
 def people(request: pytest.FixtureRequest) -> Iterator[People]:
     """Who sits down at a console; they have left before the floor is cleared, so no page says a stop once more then."""
     if "floor" in request.fixturenames:
         request.getfixturevalue("floor")
     drawn = request.node.get_closest_marker("drawn") is not None
-    made = People(request.getfixturevalue("browser" if drawn else "flat_browser"))
+    made = People(request.getfixturevalue("windows" if drawn else "flat_windows"))
     yield made
     assert made.leave() == []
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from playwright.sync_api import expect, sync_playwright
 
 from tests.conftest import ServerProcess, Servers, until
-from tests.console.conftest import DESK, FLAGS, PHONE, ROOT, SIDEWAYS, Floor, People, Person, chromium
+from tests.console.conftest import DESK, FLAGS, PHONE, ROOT, SIDEWAYS, Floor, People, Person, Windows, chromium
 
 FOLDER = ROOT / "docs" / "pictures"
 LIMIT_B = 300_000
@@ -96,7 +96,6 @@ def picture(people: People, server: ServerProcess, lead: Callable[[Person], None
 
 def leave(people: People) -> None:
     assert people.leave() == []
-    people.seated.clear()
 
 
 def take(people: People, server: ServerProcess) -> None:
@@ -126,7 +125,7 @@ def take(people: People, server: ServerProcess) -> None:
         shoot(person, f"takeover-{size}-dark")
         person.button("End session").click()
         server.await_status(held, "failed", "completed")
-        person.context.close()
+        leave(people)
 
 
 def lost_links(server: ServerProcess) -> int:
@@ -144,7 +143,7 @@ def main() -> int | str:
         browser = playwright.chromium.launch(executable_path=chromium(), args=list(FLAGS))
         try:
             server = servers.start(None, "--pace", "1", "--scenario", str(scenario))
-            take(People(browser), server)
+            take(People(Windows(browser)), server)
             lost = lost_links(server)
         finally:
             browser.close()

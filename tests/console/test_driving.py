@@ -169,7 +169,7 @@ def test_the_pad_on_the_screen_drives_while_a_thumb_is_on_it(
     person = people.sit(server, size=PHONE, init=BENCH)
     take_controls(person)
     began = floor.base()
-    thumb = person.context.new_cdp_session(person.page)
+    thumb = person.page.context.new_cdp_session(person.page)
     insist(
         person,
         lambda: touch(thumb, person, "Base back, hold to run"),

@@ -29,7 +29,7 @@ SIZES = pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
 def listed(person: Person, kind: str) -> list[str]:
     """Keep a list of what the page asks the server for by POST from now on."""
     said: list[str] = []
-    person.page.on("request", lambda one: said.append(one.url) if one.method == "POST" and kind in one.url else None)
+    person.hears("request", lambda one: said.append(one.url) if one.method == "POST" and kind in one.url else None)
     return said
 
 
