@@ -113,7 +113,7 @@ class Incident:
 def server(built: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
     made = Servers(tmp_path_factory.mktemp("incident"))
     try:
-        found = made.start(None, "--pace", "2", cells=2)
+        found = made.start(None, "--pace", "1", cells=2)
         until(
             lambda: all(cell["online"] for cell in cells_of(found)) and len(cells_of(found)) == 2,
             what="two cells online",
