@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import product
 
 import pytest
 from playwright.sync_api import Locator, expect
@@ -22,7 +23,7 @@ LISTENING = """
 """
 PUSHES = "window.jogs.filter((jog) => jog.grip !== null || [...jog.base, ...jog.tool].some(Boolean)).length"
 LET_GO = "Hold to run; let go to stop"
-SOON = pytest.mark.parametrize("after_ms", [150, 300])
+SOON_MS = (150, 300)
 SIZES = pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
 
 
@@ -62,7 +63,7 @@ def test_no_letter_decides_a_question_while_its_reader_drives(
     assert floor.settled(asked["id"])["status"] == "denied"
 
 
-@SOON
+@pytest.mark.parametrize("after_ms", SOON_MS)
 def test_an_approval_pressed_twice_on_a_phone_rolls_nothing_back(
     server: ServerProcess, people: People, floor: Floor, after_ms: int
 ) -> None:
@@ -83,25 +84,28 @@ def test_an_approval_pressed_twice_on_a_phone_rolls_nothing_back(
     assert len(rolled_back) == 1
 
 
-@SOON
-@pytest.mark.parametrize("where", ["desk", "phone", "fleet"])
+@pytest.mark.parametrize("wheres", [("desk", "fleet"), ("phone",)], ids=["desk", "phone"])
 def test_a_reset_pressed_twice_goes_no_further_than_its_first_step(
-    server: ServerProcess, people: People, floor: Floor, where: str, after_ms: int
+    server: ServerProcess, people: People, floor: Floor, wheres: tuple[str, ...]
 ) -> None:
-    person = people.sit(server, size=PHONE if where == "phone" else DESK)
-    if where == "fleet":
-        person.page.evaluate("location.hash = '#/fleet'")
-    stop(person).click()
-    here = person.region("workcell-1") if where == "fleet" else person.page
-    at = person.twice(here.get_by_role("button", name="Reset…"), after_ms)
-    keep, yes = here.get_by_role("button", name="Keep stopped"), here.get_by_role("button", name="Yes, reset the stop")
-    expect(keep).to_be_focused()
-    expect(yes).to_be_enabled()  # by now it would count
-    assert server.cell()["latched"] is True
-    safe = box(keep)
-    assert safe["x"] <= at["x"] <= safe["x"] + safe["width"]
-    yes.click()
-    until(lambda: not server.cell()["latched"], what="a stop that is reset")
+    person = people.sit(server, size=PHONE if wheres == ("phone",) else DESK)
+    for where, after_ms in product(wheres, SOON_MS):
+        person.page.evaluate(f"location.hash = '#/{'fleet' if where == 'fleet' else 'live'}'")
+        stop(person).click()
+        here = person.region("workcell-1") if where == "fleet" else person.page
+        at = person.twice(here.get_by_role("button", name="Reset…"), after_ms)
+        keep, yes = (
+            here.get_by_role("button", name="Keep stopped"),
+            here.get_by_role("button", name="Yes, reset the stop"),
+        )
+        expect(keep).to_be_focused()
+        expect(yes).to_be_enabled()  # by now it would count
+        assert server.cell()["latched"] is True
+        safe = box(keep)
+        assert safe["x"] <= at["x"] <= safe["x"] + safe["width"]
+        yes.click()
+        until(lambda: not server.cell()["latched"], what="a stop that is reset")
+        expect(yes).to_have_count(0)
 
 
 def test_a_cell_that_is_kept_stopped_stays_so_though_its_reset_was_on_its_way(
@@ -122,34 +126,38 @@ def test_a_cell_that_is_kept_stopped_stays_so_though_its_reset_was_on_its_way(
     assert server.cell()["latched"] is True
 
 
-@pytest.mark.parametrize("where", ["live", "fleet"])
 def test_the_safe_choice_has_the_focus_however_often_its_first_step_was_pressed_meanwhile(
-    server: ServerProcess, people: People, floor: Floor, where: str
+    server: ServerProcess, people: People, floor: Floor
 ) -> None:
     person = people.sit(server)
-    if where == "fleet":
-        person.page.evaluate("location.hash = '#/fleet'")
     stop(person).click()
-    here = person.region("workcell-1") if where == "fleet" else person.page
-    with at_once("**/reset", person):
-        person.twice(here.get_by_role("button", name="Reset…"), 150)
-    expect(here.get_by_role("button", name="Keep stopped")).to_be_focused()
+    for where in ("live", "fleet"):
+        person.page.evaluate(f"location.hash = '#/{where}'")
+        here = person.region("workcell-1") if where == "fleet" else person.page
+        with at_once("**/reset", person):
+            person.twice(here.get_by_role("button", name="Reset…"), 150)
+        expect(here.get_by_role("button", name="Keep stopped")).to_be_focused()
+        person.enter(here.get_by_role("button", name="Keep stopped"))
+        expect(here.get_by_role("button", name="Reset…")).to_be_visible()
 
 
-@SOON
 @SIZES
 def test_the_controls_taken_by_a_double_press_move_nothing_and_end_nothing(
-    server: ServerProcess, people: People, floor: Floor, size: dict[str, int], after_ms: int
+    server: ServerProcess, people: People, floor: Floor, size: dict[str, int]
 ) -> None:
     person = people.sit(server, size=size, init=LISTENING)
     released = listed(person, "/release")
-    person.twice(offered(person, size), after_ms)
-    pads = person.page.get_by_role("group", name="Hold to run")
-    expect(pads).to_be_visible()
-    expect(person.page.get_by_text(LET_GO)).to_be_visible()
-    expect(person.button("End session")).to_be_enabled()
-    assert person.page.evaluate(PUSHES) == 0
-    assert released == []
+    take = offered(person, size)
+    for after_ms in SOON_MS:
+        person.twice(take, after_ms)
+        expect(person.page.get_by_role("group", name="Hold to run")).to_be_visible()
+        expect(person.page.get_by_text(LET_GO)).to_be_visible()
+        expect(person.button("End session")).to_be_enabled()
+        assert person.page.evaluate(PUSHES) == 0
+        assert released == []
+        person.button("End session").click()
+        expect(take).to_be_enabled()
+        released.clear()
 
 
 def test_keys_and_fingers_held_while_the_controls_are_taken_move_nothing_until_they_are_let_go(
@@ -175,22 +183,25 @@ def test_keys_and_fingers_held_while_the_controls_are_taken_move_nothing_until_t
     keyboard.up("ArrowDown")
 
 
-@SOON
 def test_the_controls_are_neither_taken_by_a_double_press_on_what_offers_them_nor_on_what_ends_them(
-    server: ServerProcess, people: People, floor: Floor, after_ms: int
+    server: ServerProcess, people: People, floor: Floor
 ) -> None:
     person = people.sit(server)
     person.expects("409")  # the session may be ended twice before the page hears that it has
     taken = listed(person, "/takeover")
-    person.twice(person.button("Take over"), after_ms)
-    take = person.button("Take the controls")
-    expect(take).to_be_enabled()
-    assert taken == []
-    take.click()
-    person.twice(person.button("End session"), after_ms)
-    expect(take).to_be_enabled()
-    assert len(taken) == 1
-    until(lambda: server.cell()["control"] is None, what="controls that are free")
+    for after_ms in SOON_MS:
+        person.twice(person.button("Take over"), after_ms)
+        take = person.button("Take the controls")
+        expect(take).to_be_enabled()
+        assert taken == []
+        take.click()
+        person.twice(person.button("End session"), after_ms)
+        expect(take).to_be_enabled()
+        assert len(taken) == 1
+        until(lambda: server.cell()["control"] is None, what="controls that are free")
+        taken.clear()
+        person.button("Close").click()
+        expect(take).to_have_count(0)
 
 
 def test_a_pause_counts_at_once(server: ServerProcess, people: People, floor: Floor) -> None:
