@@ -25,6 +25,7 @@ from tests.console.conftest import (
     insist,
     on_top,
     out_of_reach,
+    resize,
     stop,
     wider_than_the_screen,
 )
@@ -195,31 +196,31 @@ def test_the_pad_on_the_screen_drives_while_a_thumb_is_on_it(
     let_go(person)
 
 
-@pytest.mark.parametrize("gone", ["window, 'blur'", "document, 'visibilitychange'"], ids=["focus", "sight"])
-def test_a_key_that_is_held_is_let_go_when_the_window_loses(
-    server: ServerProcess, people: People, floor: Floor, gone: str
+def test_a_key_that_is_held_is_let_go_when_the_window_loses_the_focus_or_is_out_of_sight(
+    server: ServerProcess, people: People, floor: Floor
 ) -> None:
     person = people.sit(server, init=BENCH)
     take_controls(person)
     person.button("medium").click()  # and the arrows still drive: choosing a speed does not keep them
-    began, keyboard = floor.base(), person.page.keyboard
-    insist(
-        person,
-        lambda: keyboard.down("ArrowDown"),
-        lambda: keyboard.up("ArrowDown"),
-        lambda: far(floor.base(), began) > 0.1,
-        "a base driven back",
-    )
-    target, event = gone.split(", ")
-    person.page.evaluate(f"{target}.dispatchEvent(new Event({event}))")
-    let_go(person)
-    at_rest(floor)
-    let_go(person)  # with the key still down
-    person.page.keyboard.up("ArrowDown")
-    person.page.keyboard.down("ArrowUp")
-    until(lambda: floor.speed() > 0.03, what="a base that drives again")
-    person.page.keyboard.up("ArrowUp")
-    at_rest(floor)
+    keyboard = person.page.keyboard
+    for gone in ("window.dispatchEvent(new Event('blur'))", "document.dispatchEvent(new Event('visibilitychange'))"):
+        began = floor.base()
+        insist(
+            person,
+            lambda: keyboard.down("ArrowDown"),
+            lambda: keyboard.up("ArrowDown"),
+            lambda began=began: far(floor.base(), began) > 0.1,
+            "a base driven back",
+        )
+        person.page.evaluate(gone)
+        let_go(person)
+        at_rest(floor)
+        let_go(person)  # with the key still down
+        keyboard.up("ArrowDown")
+        keyboard.down("ArrowUp")
+        until(lambda: floor.speed() > 0.03, what="a base that drives again")
+        keyboard.up("ArrowUp")
+        at_rest(floor)
 
 
 def test_a_key_that_is_held_is_let_go_when_a_modifier_comes_and_its_repeats_start_nothing(
@@ -301,24 +302,6 @@ def test_whoever_signs_in_where_another_drove_has_lost_no_controls(
     person.page.goto(f"{server.url}/#token={server.tokens['operator_2']}")
     expect(person.region("Events")).to_contain_text("holder fell silent")
     expect(person.alert("You have lost the controls.")).to_have_count(0)
-
-
-@pytest.mark.drawn
-def test_on_a_small_desk_the_way_back_is_named_and_the_legend_keeps_out_of_the_picture(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person = people.sit(server, size=DESK_SMALL)
-    take_controls(person)
-    back = person.region("Drive by hand").get_by_role("group", name="Hand back")
-    expect(back.get_by_role("heading", name="Hand back")).to_be_in_viewport(ratio=1)
-    expect(back.locator("kbd")).to_be_visible()
-    scene = person.region("The cell in 3D")
-    legend, pause = scene.locator(".legend"), scene.get_by_role("button", name="Pause")
-    expect(legend).to_contain_text("protective distance")
-    assert abs(box(legend)["y"] + box(legend)["height"] - box(pause)["y"] - box(pause)["height"]) < 2  # beside it
-    assert not overlap(box(legend), box(pause))
-    expect(scene.locator(".labels span", has_text="robot")).to_be_visible()
-    assert not overlap(box(legend), box(scene.locator(".labels span", has_text="robot")))
 
 
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
@@ -446,7 +429,7 @@ def two_who_may(server: ServerProcess, people: People) -> tuple[Person, Person]:
     return one, other
 
 
-def test_why_the_controls_were_not_given_is_said_as_long_as_it_is_so(
+def test_why_the_controls_were_not_given_is_said_as_long_as_it_is_so_and_stays_if_heard_before_who_has_them(
     server: ServerProcess, people: People, floor: Floor, free_again: None
 ) -> None:
     one, other = two_who_may(server, people)
@@ -462,13 +445,8 @@ def test_why_the_controls_were_not_given_is_said_as_long_as_it_is_so(
     other.button("End session").click()
     expect(one.button("Take the controls")).to_be_visible()
     expect(panel.get_by_role("alert")).to_have_count(0)
-
-
-def test_a_refusal_that_is_heard_before_who_has_the_controls_stays(
-    server: ServerProcess, people: People, floor: Floor, free_again: None
-) -> None:
-    one, other = two_who_may(server, people)
-    panel = one.region("Drive by hand")
+    one.page.unroute("**/takeover")
+    expect(other.button("Take the controls")).to_be_enabled()
     problem = {"title": "Conflict", "status": 409, "code": "control_held", "detail": "`operator_2` has the controls"}
     one.page.route("**/takeover", lambda route: route.fulfill(status=409, json=problem))
     one.button("Take the controls").click()
@@ -535,6 +513,22 @@ def test_whoever_drives_sees_the_robot_above_the_pad(
         expect(person.button(name)).to_be_in_viewport(ratio=1)
     if size == PHONE:
         assert out_of_reach(stop(person)) == []
+    else:
+        resize(person, DESK_SMALL)
+        the_way_back_is_named_and_the_legend_keeps_out_of_the_picture(person)
+
+
+def the_way_back_is_named_and_the_legend_keeps_out_of_the_picture(person: Person) -> None:
+    back = person.region("Drive by hand").get_by_role("group", name="Hand back")
+    expect(back.get_by_role("heading", name="Hand back")).to_be_in_viewport(ratio=1)
+    expect(back.locator("kbd")).to_be_visible()
+    scene = person.region("The cell in 3D")
+    legend, pause = scene.locator(".legend"), scene.get_by_role("button", name="Pause")
+    expect(legend).to_contain_text("protective distance")
+    assert abs(box(legend)["y"] + box(legend)["height"] - box(pause)["y"] - box(pause)["height"]) < 2  # beside it
+    assert not overlap(box(legend), box(pause))
+    expect(scene.locator(".labels span", has_text="robot")).to_be_visible()
+    assert not overlap(box(legend), box(scene.locator(".labels span", has_text="robot")))
 
 
 # All at once: to ask for them one by one takes a second of the processor for each width.
@@ -578,19 +572,17 @@ BANNER = """() => new Promise((done) => {
 })"""
 
 
-@pytest.mark.parametrize("size", [PHONE, TABLET, SIDEWAYS], ids=["phone", "tablet", "sideways"])
-def test_a_banner_moves_no_pad_or_has_it_take_no_finger(
-    server: ServerProcess, people: People, floor: Floor, size: dict[str, int]
-) -> None:
-    person = people.sit(server, size=size)
-    if size == TABLET:
-        person.press("t")
-    else:
-        person.button("Drive").tap()
+def test_a_banner_moves_no_pad_or_has_it_take_no_finger(server: ServerProcess, people: People, floor: Floor) -> None:
+    person = people.sit(server, size=PHONE)
+    person.button("Drive").tap()
     person.button("Take the controls").click()
-    expect(person.page.get_by_text(LET_GO)).to_be_visible()
-    moved = size == SIDEWAYS  # where height is short, the pad begins at the top
-    assert person.page.evaluate(BANNER) == {"moved": moved, "guarded": moved}
+    for size in (PHONE, TABLET, SIDEWAYS):
+        resize(person, size)
+        expect(person.page.get_by_text(LET_GO)).to_be_visible()
+        expect(person.page.locator(".pads:not([data-arming])")).to_be_visible()  # nor is it still from the turn
+        moved = size == SIDEWAYS  # where height is short, the pad begins at the top
+        assert person.page.evaluate(BANNER) == {"moved": moved, "guarded": moved}, size
+        person.page.evaluate("document.querySelector('.banners').lastElementChild.remove()")
 
 
 def test_the_controls_outlive_a_reload_and_go_to_another_window_only_when_asked(
