@@ -86,11 +86,11 @@ class Bench:
         return True
 
     def _said(self, verdict) -> Formula:
-        """Say in formulas what the real code decided: outcome, rules that failed, effective parameters."""
+        """Say in formulas what the real code decided: this outcome and no other, what failed, effective parameters."""
         pair = self.pair
         failed = {reason.rule for reason in verdict.reasons if reason.code == "rule_error"}
         unsettled = any(reason.code == "unsettled" for reason in verdict.reasons)
-        parts = [self.outcomes[verdict.outcome]]
+        parts = [said if outcome is verdict.outcome else no(said) for outcome, said in self.outcomes.items()]
         if "guard" in failed:
             return both(*parts, pair.lost)
         if not unsettled:
