@@ -51,7 +51,9 @@ Pace = Annotated[
 Seed = Annotated[int, typer.Option(help="Seed of the simulated world.", envvar="REINS_SEED")]
 Scenario = Annotated[
     str | None,
-    typer.Option(help="What happens in the simulated world: a name or a YAML file.", envvar="REINS_SCENARIO"),
+    typer.Option(
+        help="What happens in the simulated world: a name, or a YAML file (docs/scenarios.md).", envvar="REINS_SCENARIO"
+    ),
 ]
 Robot = Annotated[str | None, typer.Option(help="Another robot model: an MJCF path, or a menagerie name.")]
 
