@@ -165,6 +165,16 @@ class ServerProcess:
     def cell_pid(self, name: str = "workcell-1") -> int | None:
         return running_cell(self.data / "cells" / name)
 
+    def is_free(self) -> bool:
+        """Say whether another test can have it: it is well, and its cell idle, unlatched and in nobody's hand."""
+        if self.process.poll() is not None:
+            return False
+        with self.client() as client:
+            if not client.get("/readyz").is_success:
+                return False
+        cell = self.cell()
+        return cell["online"] and not (cell["latched"] or cell["busy"] or cell["control"])
+
     def kill(self) -> None:
         """End the server at once, as a power cut would; its cells live on."""
         self.process.send_signal(signal.SIGKILL)
@@ -195,6 +205,12 @@ class Servers:
 
     def start(self, data: Path | None = None, *flags: str, cells: int = 1, wait_cells: bool = True) -> ServerProcess:
         return self.await_up(self.begin(data, *flags, cells=cells), "/readyz" if wait_cells and cells else "/healthz")
+
+    def newest(self, *flags: str) -> ServerProcess:
+        """Hand on the newest server, if it is well and its cell has nothing to do; start another where not."""
+        if self.started and self.started[-1].is_free():
+            return self.started[-1]
+        return self.start(None, *flags)
 
     def begin(self, data: Path | None = None, *flags: str, cells: int = 1) -> ServerProcess:
         """Start a server, and do not wait for it."""
@@ -257,15 +273,35 @@ class Servers:
             assert found.ok, found
 
 
-@pytest.fixture
-def servers(tmp_path: Path) -> Iterator[Servers]:
-    """Start servers at will; all of them, and their cells, end with the test."""
-    made = Servers(tmp_path)
+@contextlib.contextmanager
+def serving(folder: Path) -> Iterator[Servers]:
+    """Start servers at will; all of them, and their cells, end with this, and what they left behind is examined."""
+    made = Servers(folder)
     try:
         yield made
     finally:
         made.end()
     made.examine()
+
+
+@pytest.fixture
+def servers(tmp_path: Path) -> Iterator[Servers]:
+    """Start servers that end with the test."""
+    with serving(tmp_path) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Servers]:
+    """Start servers that end with the module: its tests hand them on."""
+    with serving(tmp_path_factory.mktemp("kept")) as made:
+        yield made
+
+
+def put_in_profile(server: ServerProcess, profile: str) -> None:
+    with server.client() as client:
+        assert client.put("/v1/cells/workcell-1/profile", json={"profile": profile}).is_success
+    until(lambda: server.cell()["profile"] == profile, what="the cell is in that profile")
 
 
 class Ahead:

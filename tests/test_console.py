@@ -60,9 +60,9 @@ class Console:
 
 
 @pytest.fixture
-def paced(servers: Servers) -> ServerProcess:
+def paced(kept: Servers) -> ServerProcess:
     """A server whose cell keeps real time."""
-    return servers.start(None, "--profile", "sim-relaxed", "--pace", "1")
+    return kept.newest("--profile", "sim-relaxed", "--pace", "1")
 
 
 def door(server: ServerProcess) -> ClientConnection:
