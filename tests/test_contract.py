@@ -70,15 +70,13 @@ def test_an_emergency_stop_latches_until_an_operator_resets_it(server: ServerPro
     until(lambda: server.get("/readyz")["ready"])
 
 
-def test_an_operator_stops_what_runs(servers: Any) -> None:
-    server = servers.start(None, "--pace", "1")
+def test_an_operator_stops_what_runs_two_order_a_rollback_at_once_and_a_cancel_keeps_nobody_from_a_stop(
+    servers: Any,
+) -> None:
+    server = servers.start(None, "--pace", "0.5")
     made = server.propose("navigate_to", target="tool_stand")
     assert server.post(f"/v1/invocations/{made['id']}/stop").is_success
     assert server.await_status(made["id"], "failed")["outcome"] == "stopped"
-
-
-def test_a_rollback_is_ordered_by_two_at_once_and_a_cancel_keeps_nobody_from_a_stop(servers: Any) -> None:
-    server = servers.start(None, "--pace", "0.5")
 
     def driven() -> str:
         began = server.cell()["facts"]["base"][:2]
