@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner, Result
 
+from app.api.auth import issue_token
+from app.cli import app
+from app.governance.model import Role
 from tests.conftest import ServerProcess, until
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(240)]
@@ -28,23 +30,15 @@ def variant(folder: Path, *edits: tuple[str, str], file: str = SHARED) -> Path:
     return folder
 
 
-def reins(server: ServerProcess, *words: str, as_: str = "engineer") -> subprocess.CompletedProcess[str]:
-    """Run `reins policy …` as an engineer would, in a process of its own."""
+def reins(server: ServerProcess, *words: str, as_: str = "engineer") -> Result:
+    """Run `reins policy …` as an engineer would."""
     options = ["--data", str(server.data), "--token", server.tokens[as_]]
-    return subprocess.run(
-        [sys.executable, "-m", "app.cli", "policy", *words, *options], capture_output=True, text=True, timeout=200
-    )
-
-
-def second_engineer(server: ServerProcess) -> None:
-    words = ["token", "issue", "engineer_2", "--role", "engineer", "--data", str(server.data)]
-    made = subprocess.run([sys.executable, "-m", "app.cli", *words], capture_output=True, text=True, check=True)
-    server.tokens["engineer_2"] = made.stdout.strip()
+    return CliRunner().invoke(app, ["policy", *words, *options], env={"COLUMNS": "200", "TERM": "dumb"})
 
 
 def proposed(server: ServerProcess, folder: Path) -> str:
     answer = reins(server, "propose", str(folder), "--why", "a try")
-    assert answer.returncode == 0, answer.stderr
+    assert answer.exit_code == 0, answer.stderr
     return answer.stdout.split()[0]
 
 
@@ -66,7 +60,7 @@ def test_a_session_meets_a_tightening_at_once_and_the_next_one_is_bound_by_it(se
     server.await_status(made["id"], "running")
     until(lambda: server.cell()["status"] == "running", what="the cell runs it")
     done = reins(server, "activate", digest, "--why", "a visitor")
-    assert (done.returncode, "in force (tightens)" in done.stdout) == (0, True), done
+    assert (done.exit_code, "in force (tightens)" in done.stdout) == (0, True), done
     held = server.await_status(made["id"], "escalated")
     assert held["policy_version"] != digest
     question = pending(server, made["id"])
@@ -89,17 +83,17 @@ def test_a_session_meets_a_tightening_at_once_and_the_next_one_is_bound_by_it(se
 
 def test_what_two_engineers_chose_is_in_force_after_a_restart_until_one_goes_back(servers: Any, tmp_path: Path) -> None:
     server = servers.start()
-    second_engineer(server)
+    server.tokens["engineer_2"] = issue_token(server.data, name="engineer_2", role=Role.ENGINEER, station=None)
     first = server.get("/v1/policies/active")["version"]
     faster = variant(tmp_path / "faster", ("base_speed_mps: {max: 0.3", "base_speed_mps: {max: 0.4"))
     refused = reins(server, "propose", str(faster), "--why", "nobody looked")
-    assert (refused.returncode, "slow-base-among-people" in refused.stderr) == (1, True), refused
+    assert (refused.exit_code, "slow-base-among-people" in refused.stderr) == (1, True), refused
     promise = "profile.shared_floor\n    always: params.speed_mps <= {}"
     digest = proposed(server, variant(faster, (promise.format("0.3"), promise.format("0.4")), file="properties.yaml"))
     promises = faster / "properties.yaml"
     promises.write_text(f"{promises.read_text()}# one more line\n")
     known = reins(server, "propose", str(faster), "--why", "what was it again")
-    assert (known.returncode, known.stdout.split()[0]) == (0, digest), known
+    assert (known.exit_code, known.stdout.split()[0]) == (0, digest), known
     assert "known since" in known.stdout
     assert "\nproved of 48 pairs: no contradiction" in known.stdout
     assert "`properties.yaml` is not the one it is kept with" in known.stdout
