@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import resource
 import signal
@@ -11,17 +12,34 @@ from pathlib import Path
 import pytest
 
 from app.audit.archive import verify_file
-from tests.conftest import ServerProcess, Servers, until
+from tests.conftest import ServerProcess, Servers, put_in_profile, until
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(180)]
-FAR = "tool_stand"
+FAR, FAR_M, ELSEWHERE = "tool_stand", (3.4, 1.4), "dock"
+
+
+@pytest.fixture
+def server(kept: Servers) -> ServerProcess:
+    server = kept.newest("--pace", "3")
+    if server.cell()["facts"]["holding"] is not None:
+        server = kept.start(None, "--pace", "3")
+    put_in_profile(server, "human-shared")
+    return server
 
 
 def drive(server: ServerProcess) -> str:
-    """Set the robot going, and return the invocation once it moves."""
-    made = server.propose("navigate_to", target=FAR)
+    """Set the robot going, to where it is not yet, and return the invocation once it moves."""
+    there = math.dist(server.cell()["facts"]["base"][:2], FAR_M) < 1.0
+    made = server.launch("navigate_to", target=ELSEWHERE if there else FAR)
     moving = lambda: (server.cell()["gauges"] or {}).get("base_speed_mps", 0.0) > 0.05  # noqa: E731
     until(moving, what="the robot moves")
+    return made["id"]
+
+
+def stand_at_the_bench(server: ServerProcess) -> str:
+    """Have the robot where each world begins, and return the invocation that brought it there."""
+    made = server.launch("navigate_to", target="bench_a_stand")
+    server.await_status(made["id"], "completed")
     return made["id"]
 
 
@@ -29,13 +47,12 @@ def restarted(servers: Servers, server: ServerProcess) -> ServerProcess:
     return servers.start(server.data, "--pace", "3", wait_cells=False)
 
 
-def test_a_session_outlives_its_server_and_waits_for_a_human(servers: Servers) -> None:
-    server = servers.start(None, "--pace", "3")
+def test_a_session_outlives_its_server_and_waits_for_a_human(kept: Servers, server: ServerProcess) -> None:
     invocation = drive(server)
     before = server.get("/v1/audit/events?limit=500")["items"]
     pid = server.cell_pid()
     server.kill()
-    again = restarted(servers, server)
+    again = restarted(kept, server)
     found = again.await_status(invocation, "escalated")
     assert again.cell_pid() == pid
     assert found["escalation"]["status"] == "pending"
@@ -52,19 +69,38 @@ def test_a_session_outlives_its_server_and_waits_for_a_human(servers: Servers) -
     assert again.await_status(invocation, "completed")["outcome"] in {"succeeded", "recovered"}
 
 
-def test_a_cell_that_died_leaves_a_fault_and_comes_back_idle(servers: Servers) -> None:
-    server = servers.start(None, "--pace", "3")
+def test_a_cell_that_died_leaves_a_fault_comes_back_idle_and_reports_nothing_again(server: ServerProcess) -> None:
     invocation = drive(server)
+    end_the_cell(server)
+    assert server.await_status(invocation, "failed")["outcome"] == "fault"
+    assert outcomes(server, invocation) == ["cell_restarted"]
+    asked = [one["invocation"] for one in server.get("/v1/escalations")["items"]]
+    assert invocation not in asked, "a cell that is being started says itself what became of its session"
+    await_another_cell(server)
+    stand_at_the_bench(server)
+    end_the_cell(server)
+    await_another_cell(server)
+    stand_at_the_bench(server)
+    events = server.get("/v1/audit/events?limit=1000")["items"]
+    assert len(events) < 1000, "these are all"
+    numbers = [event["body"]["cell_seq"] for event in events if "cell_seq" in event["body"]]
+    assert numbers == list(range(1, len(numbers) + 1))
+    hellos = [event["body"] for event in events if event["body"].get("link") == "attached"]
+    assert [hello["last_seq"] > 0 for hello in hellos] == [False, *[True] * (len(hellos) - 1)]
+    assert len(hellos) > 2
+    assert len({hello["journal"] for hello in hellos}) == 1
+    assert server.get("/v1/audit/verify")["ok"]
+
+
+def end_the_cell(server: ServerProcess) -> None:
     pid = server.cell_pid()
     assert pid is not None
     os.kill(pid, signal.SIGKILL)
-    assert server.await_status(invocation, "failed")["outcome"] == "fault"
-    assert outcomes(server, invocation) == ["cell_restarted"]
-    asked = server.get("/v1/escalations")["items"]
-    assert asked == [], "a cell that is being started says itself what became of its session"
+    until(lambda: server.cell_pid() not in {None, pid}, what="another process is the cell")
+
+
+def await_another_cell(server: ServerProcess) -> None:
     until(lambda: server.cell()["online"] and server.cell()["busy"] is None, what="the cell is back, idle")
-    assert server.cell_pid() not in {None, pid}
-    assert server.get("/v1/audit/verify")["ok"]
 
 
 def outcomes(server: ServerProcess, invocation: str) -> list[str]:
@@ -72,59 +108,21 @@ def outcomes(server: ServerProcess, invocation: str) -> list[str]:
     return [event["body"]["code"] for event in trace if event["kind"] == "outcome"]
 
 
-def test_a_server_and_a_cell_that_died_together_leave_one_fault(servers: Servers) -> None:
-    server = servers.start(None, "--pace", "3")
+def test_a_server_and_a_cell_that_died_together_leave_one_fault(kept: Servers, server: ServerProcess) -> None:
     invocation = drive(server)
     pid = server.cell_pid()
     assert pid is not None
     server.kill()
     os.kill(pid, signal.SIGKILL)
-    again = restarted(servers, server)
+    again = restarted(kept, server)
     assert again.await_status(invocation, "failed")["outcome"] == "fault"
-    until(lambda: again.cell()["online"] and again.cell()["busy"] is None, what="the cell is back, idle")
+    await_another_cell(again)
     assert outcomes(again, invocation) == ["cell_restarted"]
 
 
-def test_no_restart_of_a_cell_brings_its_reports_into_the_log_again(servers: Servers) -> None:
-    server = servers.start(None, "--pace", "0")
-    for target in ("dock", "bench_a_stand"):
-        server.await_status(server.launch("navigate_to", target=target)["id"], "completed")
-        pid = server.cell_pid()
-        assert pid is not None
-        os.kill(pid, signal.SIGKILL)
-        until(lambda pid=pid: server.cell_pid() not in {None, pid}, what="another process is the cell")
-        until(lambda: server.cell()["online"], what="the cell is back")
-    server.await_status(server.launch("navigate_to", target="dock")["id"], "completed")
-    events = server.get("/v1/audit/events?limit=1000")["items"]
-    numbers = [event["body"]["cell_seq"] for event in events if "cell_seq" in event["body"]]
-    assert numbers == list(range(1, len(numbers) + 1))
-    hellos = [event["body"] for event in events if event["body"].get("link") == "attached"]
-    assert [hello["last_seq"] > 0 for hello in hellos] == [False, True, True]
-    assert len({hello["journal"] for hello in hellos}) == 1
-
-
-def test_a_cell_whose_journal_was_lost_begins_another_and_nothing_of_it_is_missed(servers: Servers) -> None:
-    server = servers.start()
-    first = server.propose("navigate_to", target="dock")["id"]
-    server.await_status(first, "completed")
-    server.stop()
-    (server.data / "cells" / "workcell-1" / "journal").unlink()
-    again = servers.start(server.data)
-    second = again.propose("navigate_to", target="bench_a_stand")["id"]
-    again.await_status(second, "completed")
-    events = again.get("/v1/audit/events?limit=1000")["items"]
-    journals = [event["body"]["journal"] for event in events if event["body"].get("link") == "attached"]
-    assert len(set(journals)) == len(journals) == 2
-    for invocation in (first, second):
-        told = [event for event in events if event["invocation"] == invocation and "cell_seq" in event["body"]]
-        assert told[0]["kind"] == "launch"
-        numbers = [event["body"]["cell_seq"] for event in told]
-        assert numbers[0] == 1, "each journal counts for itself"
-        assert numbers == sorted(set(numbers))
-
-
-def test_what_is_proposed_right_after_a_reset_is_launched(servers: Servers) -> None:
-    server = servers.start(None, "--pace", "3", "--profile", "sim-relaxed")
+def test_what_is_proposed_right_after_a_reset_is_launched(server: ServerProcess) -> None:
+    stand_at_the_bench(server)
+    put_in_profile(server, "sim-relaxed")
     for _ in range(3):
         assert server.post("/v1/cells/workcell-1/estop").json()["latched"]
         answer = server.post("/v1/cells/workcell-1/reset").json()
@@ -135,23 +133,7 @@ def test_what_is_proposed_right_after_a_reset_is_launched(servers: Servers) -> N
         assert server.await_status(made["id"], "failed")["outcome"] == "stopped"
 
 
-def test_a_pending_approval_keeps_its_deadline_across_a_restart(servers: Servers) -> None:
-    # Not as fast as it goes: a cell that computes all the time may miss its link's lease just when the answer comes.
-    server = servers.start(None, "--pace", "3")
-    made = server.propose("grasp_object", object_id="mug_1")
-    assert made["status"] == "awaiting_approval"
-    (before,) = server.get("/v1/escalations?status=pending")["items"]
-    server.kill()
-    again = servers.start(server.data, "--pace", "3")
-    (after,) = again.get("/v1/escalations?status=pending")["items"]
-    assert (after["id"], after["digest"], after["expires_at"]) == (before["id"], before["digest"], before["expires_at"])
-    answer = {"decision": "approve", "digest": after["digest"]}
-    assert again.post(f"/v1/escalations/{after['id']}/resolve", answer).is_success
-    again.await_status(made["id"], "completed")
-
-
-def test_a_full_disk_launches_nothing_and_stops_all_the_same(servers: Servers) -> None:
-    server = servers.start(None, "--pace", "3")
+def test_a_full_disk_launches_nothing_and_stops_all_the_same(server: ServerProcess) -> None:
     invocation = drive(server)
     hard = resource.prlimit(server.process.pid, resource.RLIMIT_FSIZE)[1]
     resource.prlimit(server.process.pid, resource.RLIMIT_FSIZE, (1024, hard))
@@ -208,8 +190,7 @@ def is_well_again(server: ServerProcess, invocation: str) -> None:
     server.await_status(again, "completed")
 
 
-def test_a_cell_without_room_for_its_journal_launches_nothing_and_says_why(servers: Servers) -> None:
-    server = servers.start()
+def test_a_cell_without_room_for_its_journal_launches_nothing_and_says_why(server: ServerProcess) -> None:
     make_room = fill_the_disk_of_the_cell(server)
     resting = server.cell()["facts"]["base"]
     refused = server.propose("navigate_to", target=FAR)["id"]
@@ -225,8 +206,7 @@ def test_a_cell_without_room_for_its_journal_launches_nothing_and_says_why(serve
     is_well_again(server, refused)
 
 
-def test_a_stop_shows_although_the_cell_cannot_write_it_down(servers: Servers) -> None:
-    server = servers.start(None, "--pace", "3")
+def test_a_stop_shows_although_the_cell_cannot_write_it_down(server: ServerProcess) -> None:
     invocation = drive(server)
     make_room = fill_the_disk_of_the_cell(server)
     assert server.post(f"/v1/invocations/{invocation}/stop").status_code == 200
@@ -243,6 +223,43 @@ def test_a_stop_shows_although_the_cell_cannot_write_it_down(servers: Servers) -
 def httpx_ready(server: ServerProcess) -> bool:
     with server.client() as client:
         return client.get("/readyz").is_success
+
+
+def test_a_cell_whose_journal_was_lost_begins_another_and_nothing_of_it_is_missed(
+    kept: Servers, server: ServerProcess
+) -> None:
+    first = stand_at_the_bench(server)
+    server.stop()
+    (server.data / "cells" / "workcell-1" / "journal").unlink()
+    again = kept.start(server.data, "--pace", "3")
+    second = stand_at_the_bench(again)
+    events = again.get("/v1/audit/events?limit=1000")["items"]
+    assert len(events) < 1000, "these are all"
+    journals = [event["body"]["journal"] for event in events if event["body"].get("link") == "attached"]
+    assert set(journals[:-1]) == {journals[0]} != {journals[-1]}
+    told = {
+        of: [event for event in events if event["invocation"] == of and "cell_seq" in event["body"]]
+        for of in (first, second)
+    }
+    for found in told.values():
+        assert found[0]["kind"] == "launch"
+        numbers = [event["body"]["cell_seq"] for event in found]
+        assert numbers == sorted(set(numbers))
+    assert told[second][0]["body"]["cell_seq"] == 1, "each journal counts for itself"
+
+
+def test_a_pending_approval_keeps_its_deadline_across_a_restart(kept: Servers, server: ServerProcess) -> None:
+    stand_at_the_bench(server)
+    made = server.launch("grasp_object", object_id="mug_1")
+    assert made["status"] == "awaiting_approval"
+    (before,) = server.get("/v1/escalations?status=pending")["items"]
+    server.kill()
+    again = kept.start(server.data, "--pace", "3")
+    (after,) = again.get("/v1/escalations?status=pending")["items"]
+    assert (after["id"], after["digest"], after["expires_at"]) == (before["id"], before["digest"], before["expires_at"])
+    answer = {"decision": "approve", "digest": after["digest"]}
+    assert again.post(f"/v1/escalations/{after['id']}/resolve", answer).is_success
+    again.await_status(made["id"], "completed")
 
 
 def test_a_damaged_journal_starts_no_cell_and_says_so(servers: Servers, tmp_path: Path) -> None:
