@@ -77,8 +77,8 @@ def hand(server: ServerProcess, lease: dict[str, Any], token: str) -> Iterator[H
 
 
 @pytest.fixture
-def server(servers: Servers) -> ServerProcess:
-    return servers.start(None, "--profile", "real-restricted", "--pace", "1")
+def server(kept: Servers) -> ServerProcess:
+    return kept.newest("--profile", "real-restricted", "--pace", "1")
 
 
 def base(server: ServerProcess) -> list[float]:
@@ -136,6 +136,7 @@ def test_what_a_slow_line_brings_late_moves_nothing_but_letting_go_is_never_late
         slow.hold(lambda: slow.said[-1] is None, "hands off")
         assert "jog" not in {event["body"].get("op") for event in trace(server, lease)}
         slow.hold(moved(server, 0.1), "a base that moves, in time", base=[-0.3, 0.0, 0.0])
+    assert server.post(f"/v1/invocations/{lease['invocation']}/release", {"then": "end"}).is_success
 
 
 def test_a_session_is_taken_over_lapses_and_goes_on_only_as_decided_anew(server: ServerProcess) -> None:
