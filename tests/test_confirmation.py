@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import signal
@@ -11,38 +12,62 @@ from typing import Any
 
 import pytest
 
-from tests.conftest import LAPSED, PACE, ServerProcess, Servers, until
+from tests.conftest import PACE, ServerProcess, Servers, put_in_profile, until
 from tests.test_contract import pending
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(180)]
 
+A_STAND_M = (1.6, 4.6)
 POLICIES = Path(__file__).resolve().parents[1] / "policies"
-ENTRY = "{capability: navigate_to, profile: human-shared, phases: [settle], within_s: %g, on_deny: %s, on_timeout: %s}"
+ENTRY = "{capability: %s, profile: %s, phases: [%s], within_s: %g, on_deny: %s, on_timeout: %s}"
+DRIVE, LOOK = "navigate_to", "inspect_area"
+PHASES = {DRIVE: "settle", LOOK: "retract"}
+SHARED, RESTRICTED = "human-shared", "real-restricted"
+TERMS = [
+    (DRIVE, SHARED, PHASES[DRIVE], 60.0, "rollback", "terminate"),
+    (LOOK, SHARED, PHASES[LOOK], 1.0, "terminate", "terminate"),
+    (DRIVE, RESTRICTED, PHASES[DRIVE], 1.0, "terminate", "rollback"),
+]
 
 
-def confirming(
-    servers: Servers,
-    tmp_path: Path,
-    *,
-    within_s: float = 60.0,
-    on_deny: str = "terminate",
-    on_timeout: str = "terminate",
-) -> ServerProcess:
-    """Serve a policy in which a drive waits for a human before it settles at its target."""
-    folder = tmp_path / "policies"
+@pytest.fixture(scope="module")
+def policies(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Make a policy in which a drive waits for a human before it settles at its target."""
+    folder = tmp_path_factory.mktemp("confirming") / "policies"
     shutil.copytree(POLICIES, folder)
     file = folder / "authority.yaml"
-    entry = ENTRY % (within_s, on_deny, on_timeout)
-    file.write_text(file.read_text().replace("confirm_before: []", f"confirm_before: [{entry}]"))
-    return servers.start(None, "--pace", PACE, "--policies", str(folder))
+    entries = ", ".join(ENTRY % terms for terms in TERMS)
+    file.write_text(file.read_text().replace("confirm_before: []", f"confirm_before: [{entries}]"))
+    return folder
 
 
-def held(server: ServerProcess) -> tuple[str, dict[str, Any]]:
-    made = server.propose("navigate_to", target="bench_b_stand")
-    server.await_status(made["id"], "escalated")
-    question = pending(server, made["id"])
-    assert (question["kind"], question["phase"]) == ("session", "settle")
-    return made["id"], question
+def confirming(servers: Servers, policies: Path, profile: str = SHARED) -> ServerProcess:
+    """Have a server whose cell is idle and in that profile: the one of the test before, if it is well."""
+    server = servers.newest("--pace", PACE, "--policies", str(policies))
+    put_in_profile(server, profile)
+    return server
+
+
+def stands_at(server: ServerProcess) -> str:
+    """Return the bench at which the robot stands."""
+    at_a = math.dist(server.cell()["facts"]["base"][:2], A_STAND_M) < 1.0
+    return "bench_a" if at_a else "bench_b"
+
+
+def proposed(server: ServerProcess, capability: str) -> str:
+    """Have a drive to the other bench begun, or a look at this one; return the invocation."""
+    bench = stands_at(server)
+    other = "bench_b" if bench == "bench_a" else "bench_a"
+    params = {"target": f"{other}_stand"} if capability == DRIVE else {"area": f"{bench}_top"}
+    return server.launch(capability, **params)["id"]
+
+
+def held(server: ServerProcess, capability: str = DRIVE) -> tuple[str, dict[str, Any]]:
+    invocation = proposed(server, capability)
+    server.await_status(invocation, "escalated")
+    question = pending(server, invocation)
+    assert (question["kind"], question["phase"]) == ("session", PHASES[capability])
+    return invocation, question
 
 
 def resolve(server: ServerProcess, question: dict[str, Any], decision: str) -> None:
@@ -50,31 +75,31 @@ def resolve(server: ServerProcess, question: dict[str, Any], decision: str) -> N
     assert server.post(f"/v1/escalations/{question['id']}/resolve", answer).is_success
 
 
-def test_a_confirmed_phase_goes_on_and_a_denied_one_is_undone(servers: Servers, tmp_path: Path) -> None:
-    server = confirming(servers, tmp_path, on_deny="rollback")
+def test_a_confirmed_phase_goes_on_and_a_denied_one_is_undone(kept: Servers, policies: Path) -> None:
+    server = confirming(kept, policies)
     session, question = held(server)
     resolve(server, question, "approve")
     assert server.await_status(session, "completed")["outcome"] == "succeeded"
     began = server.cell()["facts"]["base"]
-    made = server.propose("navigate_to", target="bench_a_stand")
-    server.await_status(made["id"], "escalated")
-    resolve(server, pending(server, made["id"]), "deny")
-    again = server.post(f"/v1/invocations/{made['id']}/rollback")  # 409 where it is over by then
+    denied = proposed(server, DRIVE)
+    server.await_status(denied, "escalated")
+    resolve(server, pending(server, denied), "deny")
+    again = server.post(f"/v1/invocations/{denied}/rollback")  # 409 where it is over by then
     assert (again.status_code, again.json().get("code")) in {(200, None), (409, "wrong_status")}, again.text
-    ended = server.await_status(made["id"], "completed", "failed")
+    ended = server.await_status(denied, "completed", "failed")
     assert (ended["outcome"], ended["escalation"]["code"]) == ("rolled_back", "unspecified")
     assert server.cell()["facts"]["base"] == pytest.approx(began, abs=0.15)
 
 
 @pytest.mark.parametrize(
-    ("on_timeout", "outcome", "codes"),
-    [("terminate", "terminated", ["expired"]), ("rollback", "rolled_back", ["expired", "verified"])],
+    ("capability", "profile", "outcome", "codes"),
+    [(LOOK, SHARED, "terminated", ["expired"]), (DRIVE, RESTRICTED, "rolled_back", ["expired", "verified"])],
 )
 def test_silence_ends_the_session_and_is_nobodys_answer(
-    servers: Servers, tmp_path: Path, on_timeout: str, outcome: str, codes: list[str]
+    kept: Servers, policies: Path, capability: str, profile: str, outcome: str, codes: list[str]
 ) -> None:
-    server = confirming(servers, tmp_path, within_s=1.0, on_timeout=on_timeout)
-    session, question = held(server)
+    server = confirming(kept, policies, profile)
+    session, question = held(server, capability)
     ended = server.await_status(session, "failed")
     assert (ended["outcome"], [why["code"] for why in ended["failure"]["reasons"]]) == (outcome, codes)
     trace = server.get(f"/v1/invocations/{session}/trace", key="agent")["items"]
@@ -89,35 +114,34 @@ def test_silence_ends_the_session_and_is_nobodys_answer(
 KEPT = ("phase", "on_deny", "on_timeout", "expires_at", "digest", "status")
 
 
-def frozen(servers: Servers, server: ServerProcess) -> ServerProcess:
+def frozen(servers: Servers, server: ServerProcess, _policies: Path) -> ServerProcess:
     """Have a server say nothing until its cell holds for that."""
-    before = server.log.read_bytes().count(LAPSED)
+    before = servers.lapses()  # a cell says so in the log of the server that started it
     os.kill(server.process.pid, signal.SIGSTOP)
     try:
-        until(lambda: server.log.read_bytes().count(LAPSED) > before, what="the cell's link lapses")
+        until(lambda: servers.lapses() > before, what="the cell's link lapses")
     finally:
         os.kill(server.process.pid, signal.SIGCONT)
     return server
 
 
-def killed(servers: Servers, server: ServerProcess) -> ServerProcess:
+def killed(servers: Servers, server: ServerProcess, policies: Path) -> ServerProcess:
     server.kill()
-    policies = server.data.parent / "policies"
     return servers.start(server.data, "--pace", PACE, "--policies", str(policies), wait_cells=False)
 
 
 @pytest.mark.parametrize("lose", [frozen, killed])
 @pytest.mark.parametrize(("decision", "outcome"), [("approve", "succeeded"), ("deny", "rolled_back")])
 def test_a_phase_waits_on_its_own_terms_over_a_lost_link(
-    servers: Servers,
-    tmp_path: Path,
-    lose: Callable[[Servers, ServerProcess], ServerProcess],
+    kept: Servers,
+    policies: Path,
+    lose: Callable[[Servers, ServerProcess, Path], ServerProcess],
     decision: str,
     outcome: str,
 ) -> None:
-    server = confirming(servers, tmp_path, on_deny="rollback")
+    server = confirming(kept, policies)
     session, question = held(server)
-    server = lose(servers, server)
+    server = lose(kept, server, policies)
 
     def asked() -> dict[str, Any]:
         return server.get(f"/v1/escalations/{question['id']}")
