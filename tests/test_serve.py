@@ -15,8 +15,10 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from app.cli import main
 from app.terminal import stop_signals
 from tests.conftest import ServerProcess, Servers, until
+from tests.test_cli import run
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(120)]
 POLICIES = Path(__file__).parents[1] / "policies"
@@ -76,13 +78,28 @@ def terminal() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("terminal")
-def test_a_server_and_its_cell_stop_in_order_when_their_terminal_is_closed(servers: Servers) -> None:
+def test_a_server_and_its_cell_stop_in_order_when_their_terminal_is_closed_or_when_told_to(servers: Servers) -> None:
     server = servers.start(cells=1)
+    with server.client() as client:
+        assert client.put("/v1/cells/workcell-1/profile", json={"profile": "test-audit"}).is_success
     cell = server.cell_pid()
     server.process.send_signal(signal.SIGHUP)
     assert server.process.wait(20.0) == 0
     assert not Path(f"/proc/{cell}").exists()
     assert not (server.data / "server.json").exists()
+
+    again = servers.start(server.data, "--profile", "human-shared", cells=1)
+    assert again.cell()["profile"] == "test-audit"
+    assert "not for workcell-1: it stays in test-audit" in again.log.read_text()
+    with again.client("auditor") as auditor, auditor.stream("GET", "/v1/events?after=0") as answer:
+        lines = answer.iter_lines()
+        assert next(lines).startswith("retry")
+        again.process.terminate()
+        for _ in lines:
+            pass  # to its end: an answer that is cut raises
+    assert again.stop() == 0
+    assert "ERROR" not in again.tail()
+    assert again.cell_pid() is None
 
 
 def test_what_is_to_outlive_its_terminal_does(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -90,16 +107,6 @@ def test_what_is_to_outlive_its_terminal_does(monkeypatch: pytest.MonkeyPatch) -
     for handler, stops in ((signal.SIG_DFL, {*asked, signal.SIGHUP}), (signal.SIG_IGN, asked)):  # the second: `nohup`
         monkeypatch.setattr(signal, "getsignal", lambda _, handler=handler: handler)
         assert set(stop_signals()) == stops
-
-
-def test_a_start_says_which_cells_stay_in_another_profile(servers: Servers) -> None:
-    first = servers.start(cells=1)
-    with first.client() as client:
-        assert client.put("/v1/cells/workcell-1/profile", json={"profile": "test-audit"}).is_success
-    first.stop()
-    again = servers.start(first.data, "--profile", "human-shared", cells=1)
-    assert again.cell()["profile"] == "test-audit"
-    assert "not for workcell-1: it stays in test-audit" in again.log.read_text()
 
 
 @pytest.mark.parametrize(("token", "status"), [(None, 401), ("nonsense", 401), ("agent", 403)])
@@ -123,31 +130,6 @@ def test_a_second_server_on_the_same_data_does_not_start(server: ServerProcess) 
     assert "in use" in second.stderr
 
 
-def test_a_taken_port_is_misuse(server: ServerProcess, tmp_path: Path) -> None:
-    port = server.url.rsplit(":", 1)[1]
-    second = reins("serve", "--port", port, "--data", str(tmp_path / "other"))
-    assert second.returncode == 2
-    assert "a free address" in second.stderr
-
-
-def test_leaves_with_its_cells_when_told_to(servers: Servers) -> None:
-    server = servers.start()
-    assert server.stop() == 0
-    assert server.cell_pid() is None
-
-
-def test_streams_end_whole_when_the_server_is_told_to_leave(servers: Servers) -> None:
-    server = servers.start(cells=0)
-    with server.client("auditor") as auditor, auditor.stream("GET", "/v1/events?after=0") as answer:
-        lines = answer.iter_lines()
-        assert next(lines).startswith("retry")
-        server.process.terminate()
-        for _ in lines:
-            pass  # to its end: an answer that is cut raises
-    assert server.stop() == 0
-    assert "ERROR" not in server.tail()
-
-
 def test_a_broken_policy_does_not_start_and_says_where(tmp_path: Path) -> None:
     folder = tmp_path / "policies"
     shutil.copytree(POLICIES, folder)
@@ -160,29 +142,34 @@ def test_a_broken_policy_does_not_start_and_says_where(tmp_path: Path) -> None:
     assert broken.returncode == 2
     assert f"profiles/human-shared.yaml:{place + 1}" in broken.stderr
     assert not (tmp_path / "data").exists()
-    checked = reins("policy", "check", str(folder))
-    assert checked.returncode == 1
-    assert f"profiles/human-shared.yaml:{place + 1}" in checked.stderr
+    code, said = run("policy", "check", str(folder))
+    assert code == 1
+    assert f"profiles/human-shared.yaml:{place + 1}" in said
 
 
 def test_promises_that_cannot_be_read_do_not_start_and_say_where(tmp_path: Path) -> None:
     folder = Path(shutil.copytree(POLICIES, tmp_path / "policies"))
     (folder / "properties.yaml").write_text("order: []\nproperties: [{id: a, says: So., nevr: [allowed]}]\n")
-    broken = reins("serve", "--port", "0", "--data", str(tmp_path / "data"), "--policies", str(folder))
-    assert broken.returncode == 2
-    assert "properties.yaml:2: properties[0].nevr: unknown key `nevr`" in broken.stderr
+    code, said = run("serve", "--port", "0", "--data", str(tmp_path / "data"), "--policies", str(folder))
+    assert code == 2
+    assert "properties.yaml:2: properties[0].nevr: unknown key `nevr`" in said
     assert not (tmp_path / "data").exists()
 
 
-def test_a_start_that_is_refused_leaves_nothing_behind(tmp_path: Path, server: ServerProcess) -> None:
+def test_a_start_that_is_refused_leaves_nothing_behind(
+    tmp_path: Path, server: ServerProcess, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     port = server.url.rpartition(":")[2]
-    for word in (("--profile", "nowhere"), ("--port", port)):
-        refused = reins("serve", "--port", "0", "--data", str(tmp_path / "data"), *word)
-        assert refused.returncode == 2
+    for said, word in (("nowhere", ("--profile", "nowhere")), ("a free address", ("--port", port))):
+        words = ["serve", "--port", "0", "--data", str(tmp_path / "data"), *word]
+        monkeypatch.setattr(sys, "argv", ["reins", *words])
+        with pytest.raises(SystemExit, match="2"):
+            main()
+        assert said in capsys.readouterr().err
         assert not (tmp_path / "data").exists()
 
 
 def test_an_auditor_verifies_beside_the_running_server(server: ServerProcess) -> None:
-    found = reins("audit", "verify", "--data", str(server.data))
-    assert found.returncode == 0
-    assert "as it was signed" in found.stdout
+    code, said = run("audit", "verify", "--data", str(server.data))
+    assert code == 0
+    assert "as it was signed" in said
