@@ -6,22 +6,20 @@ Every command imports what it needs when it runs, so that `reins --help` answers
 from __future__ import annotations
 
 import errno
-import gc
 import platform
 import sys
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
-import typer
+from app.importing import importing
 
-from app import __version__, cli_audit, cli_evaluate, cli_policy, cli_sim, cli_token, cli_versions
-from app.cli_data import directory
-from app.config import DEFAULT_PROFILE, CellSettings, ConfigError, Settings, cell_token, check_pace
-from app.terminal import MISUSE, say_error
+with importing():
+    import typer
 
-if TYPE_CHECKING:
-    from collections.abc import Generator
+    from app import __version__, cli_audit, cli_evaluate, cli_policy, cli_sim, cli_token, cli_versions
+    from app.cli_data import directory
+    from app.config import DEFAULT_PROFILE, CellSettings, ConfigError, Settings, cell_token, check_pace
+    from app.terminal import MISUSE, say_error
 
 app = typer.Typer(
     name="reins",
@@ -56,17 +54,6 @@ Scenario = Annotated[
     ),
 ]
 Robot = Annotated[str | None, typer.Option(help="Another robot model: an MJCF path, or a menagerie name.")]
-
-
-@contextmanager
-def importing() -> Generator[None]:
-    """Import without the collector: modules stay, and looking for garbage among them takes a sixth of a start."""
-    gc.disable()
-    try:
-        yield
-        gc.freeze()
-    finally:
-        gc.enable()
 
 
 @app.command()
