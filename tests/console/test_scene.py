@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from playwright.sync_api import expect
@@ -60,39 +59,47 @@ def red(person: Person) -> int:
     return person.page.evaluate(RED, base64.b64encode(person.page.screenshot(clip=clip)).decode())
 
 
-@pytest.fixture
-def approached(built: None, tmp_path: Path) -> Iterator[ServerProcess]:
-    """A server whose robot holds because somebody stands before it; neither moves."""
-    scenario = tmp_path / "scenario.yaml"
+@pytest.fixture(scope="module")
+def crossed(built: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
+    """A server whose robot, once it drives, is held by somebody who comes and stays; from then on neither moves."""
+    folder = tmp_path_factory.mktemp("crossed")
+    scenario = folder / "scenario.yaml"
     scenario.write_text(WALKS_UP)
-    servers = Servers(tmp_path)
-    try:
-        server = servers.start(None, "--pace", "1", "--scenario", str(scenario))
-        held = server.await_status(server.launch("navigate_to", target="bench_b_stand")["id"], "escalated")
-        why = server.get(f"/v1/escalations/{held['escalation']['id']}")["reasons"]
-        assert "separation" in [reason["code"] for reason in why], why
-        yield server
-    finally:
-        servers.end()
-
-
-@pytest.fixture
-def crossed(built: None, tmp_path: Path) -> Iterator[ServerProcess]:
-    """A server whose robot, once it drives, is held by somebody who comes and stays."""
-    scenario = tmp_path / "scenario.yaml"
-    scenario.write_text(WALKS_UP)
-    servers = Servers(tmp_path)
+    servers = Servers(folder)
     try:
         yield servers.start(None, "--pace", "1", "--scenario", str(scenario))
     finally:
         servers.end()
 
 
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+@pytest.mark.drawn
+def test_whom_the_watcher_holds_is_paused_to_stay_and_resumed_only_then(
+    crossed: ServerProcess, people: People, size: dict[str, int]
+) -> None:
+    person = people.sit(crossed, size=size)
+    if not crossed.get("/v1/invocations")["items"]:
+        crossed.launch("navigate_to", target="bench_b_stand")
+    scene, pause, resume = person.region("The cell in 3D"), person.button("Pause"), person.button("Resume")
+    expect(scene).to_contain_text("It goes on by itself once they have left, unless somebody pauses it.")
+    expect(pause).to_have_attribute("aria-disabled", "false")
+    expect(resume).to_have_attribute("aria-disabled", "true")
+    pause.click()
+    expect(resume).to_have_attribute("aria-disabled", "false")
+    expect(scene).to_contain_text("It waits for Resume, also once they have left.")
+    assert crossed.cell()["session"]["paused_by"] == ["operator", "watch"]
+    resume.click()
+    expect(resume).to_have_attribute("aria-disabled", "true")
+
+
 @pytest.mark.drawn
 def test_who_comes_to_a_robot_that_holds_sees_the_violated_distance_in_red(
-    approached: ServerProcess, people: People
+    crossed: ServerProcess, people: People
 ) -> None:
-    person = people.sit(approached)
+    held = crossed.await_status(crossed.get("/v1/invocations")["items"][0]["id"], "escalated")
+    why = crossed.get(f"/v1/escalations/{held['escalation']['id']}")["reasons"]
+    assert "separation" in [reason["code"] for reason in why], why
+    person = people.sit(crossed)
     scene = person.region("The cell in 3D")
     figure = scene.locator(".labels [data-tone=danger]")
     for _ in range(3):  # whether the picture or the first measurement comes first
@@ -106,39 +113,23 @@ def test_who_comes_to_a_robot_that_holds_sees_the_violated_distance_in_red(
         person.page.reload()
 
 
-@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
 @pytest.mark.drawn
-def test_whom_the_watcher_holds_is_paused_to_stay_and_resumed_only_then(
-    crossed: ServerProcess, people: People, size: dict[str, int]
+def test_the_cell_is_drawn_and_drawn_again_in_either_theme_after_the_graphics_were_lost(
+    server: ServerProcess, people: People, floor: Floor
 ) -> None:
-    person = people.sit(crossed, size=size)
-    crossed.launch("navigate_to", target="bench_b_stand")
-    scene, pause, resume = person.region("The cell in 3D"), person.button("Pause"), person.button("Resume")
-    expect(scene).to_contain_text("It goes on by itself once they have left, unless somebody pauses it.")
-    expect(pause).to_have_attribute("aria-disabled", "false")
-    expect(resume).to_have_attribute("aria-disabled", "true")
-    pause.click()
-    expect(resume).to_have_attribute("aria-disabled", "false")
-    expect(scene).to_contain_text("It waits for Resume, also once they have left.")
-    assert crossed.cell()["session"]["paused_by"] == ["operator", "watch"]
-    resume.click()
-    expect(resume).to_have_attribute("aria-disabled", "true")
-
-
-@pytest.mark.parametrize("theme", ["dark", "light"])
-@pytest.mark.drawn
-def test_the_cell_is_drawn_and_drawn_again_after_the_graphics_were_lost(
-    server: ServerProcess, people: People, floor: Floor, theme: str
-) -> None:
-    person = people.sit(server, theme=theme)
+    person = people.sit(server)
     person.expects("CONTEXT_LOST_WEBGL")
-    until(lambda: drawn(person) > MUCH, what="a cell that is drawn")
-    scene = person.region("The cell in 3D")
-    scene.locator("canvas").evaluate(LOSE)
-    scene.get_by_text("The graphics card dropped the picture").wait_for()
-    scene.locator("canvas").wait_for(state="visible")
-    until(lambda: drawn(person) > MUCH, what="a cell that is drawn again")
-    assert scene.locator("canvas").count() == 1
+    scene, words = person.region("The cell in 3D"), "The graphics card dropped the picture"
+    for theme in ("dark", "light"):  # what is drawn again is drawn as from the first
+        assert person.page.evaluate("document.documentElement.dataset.theme") == theme
+        until(lambda: drawn(person) > MUCH, what="a cell that is drawn")
+        scene.locator("canvas").evaluate(LOSE)
+        scene.get_by_text(words).wait_for()
+        scene.locator("canvas").wait_for(state="visible")
+        expect(scene.get_by_text(words)).to_have_count(0)
+        until(lambda: drawn(person) > MUCH, what="a cell that is drawn again")
+        assert scene.locator("canvas").count() == 1
+        person.press("n")
 
 
 @pytest.mark.drawn
