@@ -16,9 +16,11 @@ from tests.console.conftest import (
     THREE_FRAMES,
     Floor,
     People,
+    Person,
     at_once,
     box,
     on_top,
+    resize,
     wider_than_the_screen,
 )
 
@@ -40,33 +42,26 @@ def hurried(server: ServerProcess) -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("hurried")
-def test_a_question_that_nobody_answers_goes_by_itself(server: ServerProcess, people: People, floor: Floor) -> None:
-    person = people.sit(server)
-    asked = floor.ask(confidence=0.3)
-    card = person.page.get_by_role("article", name="Grasp mug_1")
-    expect(card).to_contain_text(re.compile("0:0[123]"))
-    expect(card).to_contain_text("then denied")
-    expect(card).to_have_count(0)
-    ended = floor.settled(asked["id"])
-    assert (ended["status"], ended["outcome"]) == ("denied", "expired")
-    expect(person.region("Events")).to_contain_text("The question is expired")
-
-
-@pytest.mark.usefixtures("hurried")
-def test_what_lapsed_is_told_whole_until_it_is_put_away_whatever_page_one_was_on(
+def test_a_question_that_nobody_answers_goes_by_itself_and_what_lapsed_is_told_whole_whatever_page_one_was_on(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
     person = people.sit(server)
     person.page.evaluate("location.hash = '#/audit'")
-    for _ in range(2):
-        floor.settled(floor.ask(confidence=0.3)["id"])
+    both = [floor.ask("mug_1", confidence=0.3), floor.ask("mug_1", confidence=0.3)]
+    for asked in both:
+        floor.settled(asked["id"])
     person.page.evaluate("location.hash = '#/live'")
     told = person.region("Waiting for you").get_by_role("status").filter(has_text="lapsed")
     lapse = r"Grasp mug_1 \(\d\d:\d\d:\d\d, nobody answered\)"
     expect(told).to_contain_text(re.compile(rf"2 questions lapsed: {lapse}; {lapse}\."))
     third = floor.ask(confidence=0.3)  # before one's eyes it is no other matter
-    expect(person.page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
-    floor.settled(third["id"])
+    card = person.page.get_by_role("article", name="Grasp mug_1")
+    expect(card).to_contain_text(re.compile("0:0[123]"))
+    expect(card).to_contain_text("then denied")
+    expect(card).to_have_count(0)
+    ended = floor.settled(third["id"])
+    assert (ended["status"], ended["outcome"]) == ("denied", "expired")
+    expect(person.region("Events")).to_contain_text("The question is expired")
     expect(told).to_contain_text("3 questions lapsed:")
     person.button("Put away what lapsed").click()
     expect(told).to_have_count(0)
@@ -149,7 +144,7 @@ def test_the_list_of_keys_shows_arrows_as_arrows(server: ServerProcess, people: 
 
 
 @pytest.mark.drawn
-def test_a_trace_follows_its_session_and_is_scrubbed_with_its_events(
+def test_a_trace_follows_its_session_shows_what_is_not_read_yet_as_unknown_and_is_scrubbed_with_its_events(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
     person = people.sit(server)
@@ -182,9 +177,17 @@ def test_a_trace_follows_its_session_and_is_scrubbed_with_its_events(
         assert box(person.page.get_by_label(when, exact=True))["width"] > 190  # a day and a time to the second
     person.button("Events").click()
     person.button("Sessions").click()  # what was only typed filters nothing
-    person.page.get_by_role("link", name=re.compile("Drive to")).first.click()
     moment = person.page.get_by_role("slider", name="Moment of the session")
     events = person.region("Events of the session")
+    with at_once(f"**/v1/invocations/{drive['id']}/trace", person):
+        person.page.get_by_role("link", name=re.compile("Drive to")).first.click()
+        expect(person.region("Replay")).to_contain_text("Reading…")
+        counted = events.get_by_role("heading", name="Events").locator("..")
+        expect(counted).to_have_text(re.compile(r"^Events\s*–\s*Show the record$"))
+        expect(person.region("Replay")).not_to_contain_text("+0.0 s")
+        expect(moment).to_have_attribute("aria-valuetext", "not known yet")
+    expect(counted).to_contain_text(re.compile(r"[1-9]\d* of [1-9]"))
+    expect(person.region("Replay")).to_contain_text(re.compile(r"\+\d+\.\d s of \+"))
     expect(events).to_contain_text("Launched, authorization")
     expect(person.page.locator("article.trace canvas").first).to_be_visible()
     moment.evaluate("(range) => { range.value = range.min; range.dispatchEvent(new Event('input', {bubbles: true})); }")
@@ -218,11 +221,24 @@ def test_a_trace_follows_its_session_and_is_scrubbed_with_its_events(
     expect(person.button("MCAP")).to_be_enabled()
 
 
-@pytest.mark.parametrize("size", [DESK, DESK_SMALL, PHONE], ids=["desk", "small desk", "phone"])
-def test_the_matrix_shows_where_a_person_confirms_in_mid_execution(
-    server: ServerProcess, people: People, size: dict[str, int]
+@pytest.mark.parametrize("sizes", [(DESK, DESK_SMALL), (PHONE,)], ids=["desk", "phone"])
+def test_on_the_page_of_the_policy_the_matrix_an_answer_and_what_takes_the_focus_can_be_seen(
+    server: ServerProcess, people: People, sizes: tuple[dict[str, int], ...]
 ) -> None:
-    person = people.sit(server, "engineer", size=size)
+    person = people.sit(server, "engineer", size=sizes[0])
+    for size in sizes:
+        resize(person, size)
+        sees_where_a_person_confirms(person, size)
+    assert wider_than_the_screen(person.page) == []
+    for size in sizes:
+        resize(person, size)
+        asks_policy(person)
+    assert wider_than_the_screen(person.page) == []
+    goes_to_the_fleet_by_tab(person)
+
+
+def sees_where_a_person_confirms(person: Person, size: dict[str, int]) -> None:
+    person.page.evaluate("location.hash = '#/policy'")
     person.page.evaluate("location.hash = '#/policy/place_object/human-shared'")
     matrix, detail = person.region("Matrix"), person.region("place_object under human-shared")
     squares = matrix.get_by_role("row", name=re.compile("^place_object")).get_by_role("button")
@@ -238,14 +254,12 @@ def test_the_matrix_shows_where_a_person_confirms_in_mid_execution(
         expect(said).to_be_visible()
     else:
         expect(said).to_be_in_viewport(ratio=1)
-    assert wider_than_the_screen(person.page) == []
 
 
-@pytest.mark.parametrize("size", [DESK, DESK_SMALL, PHONE], ids=["desk", "small desk", "phone"])
-def test_an_answer_of_policy_comes_into_view_and_is_said_each_time(
-    server: ServerProcess, people: People, size: dict[str, int]
-) -> None:
-    person = people.sit(server, size=size)
+def asks_policy(person: Person) -> None:
+    """Ask twice; each time the answer comes into view by itself, and is said."""
+    person.page.evaluate("location.hash = '#/live'")
+    expect(person.region("Events")).to_be_attached()
     person.page.evaluate("location.hash = '#/policy/grasp_object/human-shared'")
     form = person.region("What would happen if…")
     form.get_by_label("Object (needed)").select_option("glass_1")
@@ -263,42 +277,52 @@ def test_an_answer_of_policy_comes_into_view_and_is_said_each_time(
             expect(part).to_be_in_viewport(ratio=1)
             assert on_top(part)
     assert person.page.evaluate("window.heard") == [True, False, True]
+
+
+def goes_to_the_fleet_by_tab(person: Person) -> None:
+    person.page.evaluate("location.hash = '#/policy'")
+    link = person.page.get_by_role("link", name="Which cells work under which profile")
+    expect(link).to_be_attached()
+    assert box(link)["width"] <= 1
+    person.page.locator("main").focus()
+    for _ in range(40):
+        person.press("Tab")
+        if link.evaluate("link => link === document.activeElement"):
+            break
+    expect(link).to_be_focused()
+    expect(link).to_be_in_viewport(ratio=1)
+    assert box(link)["width"] > 200
+    assert on_top(link)
     assert wider_than_the_screen(person.page) == []
-
-
-def test_an_answer_of_policy_is_marked_once_its_question_has_changed(server: ServerProcess, people: People) -> None:
-    person = people.sit(server)
-    person.press("3")
-    form = person.region("What would happen if…")
-    form.get_by_label("Object (needed)").select_option("mug_1")
-    form.get_by_label(re.compile("^Grip force")).fill("50")
     person.press("Enter")
-    expect(form).to_contain_text("Policy version")
-    form.get_by_role("button", name="Ask policy").press("Enter")
-    expect(form.get_by_role("button", name="Ask policy")).to_be_focused()
-    expect(form).not_to_contain_text("Ask again")
-    form.get_by_label(re.compile("^Grip force")).fill("60")
-    expect(form).to_contain_text("Asked before something above changed. Ask again.")
-    form.get_by_label(re.compile("^Grip force")).fill("50")
-    expect(form).not_to_contain_text("Ask again")
+    expect(person.page.get_by_role("heading", name="Fleet")).to_be_visible()
 
 
-def test_a_fault_that_the_server_names_twice_is_shown(server: ServerProcess, people: People) -> None:
+def test_an_answer_of_policy_is_marked_once_its_question_has_changed_even_if_it_comes_late_and_faults_are_shown(
+    server: ServerProcess, people: People
+) -> None:
     person = people.sit(server)
     person.expects("422")
     person.press("3")
     form = person.region("What would happen if…")
     form.get_by_label("Object (needed)").select_option("mug_1")
-    form.get_by_label(re.compile("^Grip force")).fill("141")
+    force = form.get_by_label(re.compile("^Grip force"))
+    force.fill("50")
+    person.press("Enter")
+    expect(form).to_contain_text("Policy version")
+    form.get_by_role("button", name="Ask policy").press("Enter")
+    expect(form.get_by_role("button", name="Ask policy")).to_be_focused()
+    expect(form).not_to_contain_text("Ask again")
+    force.fill("60")
+    expect(form).to_contain_text("Asked before something above changed. Ask again.")
+    force.fill("50")
+    expect(form).not_to_contain_text("Ask again")
+    force.fill("141")
     form.get_by_role("button", name="Ask policy").click()
     faults = form.get_by_role("listitem").filter(has_text="141 is greater than the maximum of 140")
-    expect(faults).to_have_count(2)
-
-
-def test_an_answer_that_comes_late_is_no_answer_about_another_capability(server: ServerProcess, people: People) -> None:
-    person = people.sit(server)
+    expect(faults).to_have_count(2)  # the server names it twice
     person.page.evaluate("location.hash = '#/policy/safe_retreat/human-shared'")
-    form = person.region("What would happen if…")
+    expect(form.get_by_label("Capability")).to_have_value("safe_retreat")
     with at_once("**/v1/check", person):
         form.get_by_role("button", name="Ask policy").click()
         form.get_by_label("Capability").select_option("release_and_retract")
@@ -311,25 +335,6 @@ def test_an_answer_that_comes_late_is_no_answer_about_another_capability(server:
         expect(form).to_have_count(0)
     person.page.evaluate(THREE_FRAMES)
     expect(person.region("Waiting for you")).to_be_visible()
-
-
-@pytest.mark.drawn
-def test_what_is_not_read_yet_of_a_trace_is_not_shown_as_none(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person = people.sit(server)
-    drive = floor.drive_off()
-    floor.clear()  # the record of what is over stays as it is
-    events = person.region("Events of the session").get_by_role("heading", name="Events").locator("..")
-    moment = person.page.get_by_role("slider", name="Moment of the session")
-    with at_once(f"**/v1/invocations/{drive['id']}/trace", person):
-        person.page.evaluate(f"location.hash = '#/audit/{drive['id']}'")
-        expect(person.region("Replay")).to_contain_text("Reading…")
-        expect(events).to_have_text(re.compile(r"^Events\s*–\s*Show the record$"))
-        expect(person.region("Replay")).not_to_contain_text("+0.0 s")
-        expect(moment).to_have_attribute("aria-valuetext", "not known yet")
-    expect(events).to_contain_text(re.compile(r"[1-9] of [1-9]"))
-    expect(person.region("Replay")).to_contain_text(re.compile(r"\+\d+\.\d s of \+"))
 
 
 def test_what_is_chosen_can_be_told_where_the_system_chooses_the_colours(server: ServerProcess, people: People) -> None:
@@ -354,26 +359,3 @@ def test_what_is_chosen_can_be_told_where_the_system_chooses_the_colours(server:
         found = all_of.evaluate_all(edge)
         (chosen,) = [width for current, width in found if current]
         assert chosen > max(width for current, width in found if not current) + 1, name
-
-
-@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
-def test_what_takes_the_focus_on_the_page_of_the_policy_can_be_seen_to_have_it(
-    server: ServerProcess, people: People, size: dict[str, int]
-) -> None:
-    person = people.sit(server, size=size)
-    person.page.evaluate("location.hash = '#/policy'")
-    link = person.page.get_by_role("link", name="Which cells work under which profile")
-    expect(link).to_be_attached()
-    assert box(link)["width"] <= 1
-    person.page.locator("main").focus()
-    for _ in range(40):
-        person.press("Tab")
-        if link.evaluate("link => link === document.activeElement"):
-            break
-    expect(link).to_be_focused()
-    expect(link).to_be_in_viewport(ratio=1)
-    assert box(link)["width"] > 200
-    assert on_top(link)
-    assert wider_than_the_screen(person.page) == []
-    person.press("Enter")
-    expect(person.page.get_by_role("heading", name="Fleet")).to_be_visible()
