@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from urllib.parse import urlsplit
 
 import pytest
@@ -36,8 +36,9 @@ AXE = ROOT / "web" / "node_modules" / "axe-core" / "axe.min.js"
 # In the other theme nothing but colours differs: two of a hundred rules look at them, and take half of the time.
 EVERYTHING = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
 COLOURS = ["color-contrast", "link-in-text-block"]
-FIND = """async (runOnly) => {
-    const { violations } = await axe.run(document, { runOnly, resultTypes: ['violations'] });
+FIND = """async ([runOnly, off]) => {
+    const rules = Object.fromEntries(off.map((rule) => [rule, { enabled: false }]));
+    const { violations } = await axe.run(document, { runOnly, rules, resultTypes: ['violations'] });
     return violations.map(({id, nodes}) => id + ': ' + nodes.map((node) => node.html.slice(0, 160)).join(' | '));
 }"""
 
@@ -47,10 +48,10 @@ def axe() -> str:
     return AXE.read_text()
 
 
-def faults(page: Page, axe: str, rules: list[str] = EVERYTHING) -> list[str]:
+def faults(page: Page, axe: str, rules: list[str] = EVERYTHING, *, off: Sequence[str] = ()) -> list[str]:
     if not page.evaluate("'axe' in window"):
         page.evaluate(axe)
-    return page.evaluate(FIND, rules)
+    return page.evaluate(FIND, [rules, list(off)])
 
 
 @pytest.fixture
@@ -112,7 +113,8 @@ def test_axe_finds_nothing_on_any_page_in_dark_and_light(
         change_theme(person, "dark")  # the key leads there and back
         for size in reversed(sizes):
             resize(person, size)
-            found[f"{name}, {size}"] = faults(person.page, axe)
+            # No letter of a large desk is smaller, or of another colour, than on a small one.
+            found[f"{name}, {size}"] = faults(person.page, axe, off=COLOURS if size == DESK else ())
             if PHONE in sizes:
                 found[f"{name}, stop, {size}"] = out_of_reach(stop(person))
         if PHONE in sizes:
