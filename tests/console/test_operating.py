@@ -34,7 +34,9 @@ def hold(person: Person, key: str, so: Callable[[], bool], what: str) -> None:
     expect(person.page.get_by_text("Hold to run; let go to stop")).to_be_visible()
 
 
-def test_a_stop_is_heard_while_typing(server: ServerProcess, people: People, floor: Floor) -> None:
+def test_a_stop_is_heard_while_typing_pressed_from_anywhere_and_left_in_two_steps(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
     person = people.sit(server)
     floor.ask()
     force = person.page.get_by_role("textbox", name="Grip force you approve, N")
@@ -44,74 +46,8 @@ def test_a_stop_is_heard_while_typing(server: ServerProcess, people: People, flo
     assert server.cell()["latched"] is False
     person.press("Control+.")
     expect(robot(person)).to_contain_text("Stopped, latched")
-
-
-def test_fleet_counts_a_session_from_its_launch_and_not_from_when_it_was_proposed(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person = people.sit(server)
-    asked = floor.ask()
-    person.press("4")
-    person.page.wait_for_timeout(6_000)  # as long as somebody takes to answer, and longer than it takes to look
-    floor.answer(asked, "approve")
-    counted = re.compile(r"(\d+):(\d\d) running")
-    expect(person.region("workcell-1")).to_contain_text(counted)
-    told = counted.search(person.region("workcell-1").inner_text())
-    now_s = wall_s()
-    trace = server.get(f"/v1/invocations/{asked['id']}/trace")["items"]
-    launched = next(datetime.fromisoformat(event["at"]) for event in trace if event["kind"] == "launch")
-    assert told is not None
-    assert 60 * int(told[1]) + int(told[2]) <= now_s - launched.timestamp() + 1.0
-
-
-def test_a_pause_that_is_refused_is_told_on_whatever_page(server: ServerProcess, people: People, floor: Floor) -> None:
-    person = people.sit(server)
-    person.expects("status of 409")
-    floor.drive_off()
-    expect(robot(person)).to_contain_text("Running")
-    held: list[Route] = []
-    person.page.route("**/pause", lambda route: held.append(route))  # noqa: PLW0108 (Playwright takes no built-in)
-    person.press("p")
-    until(lambda: held or person.page.wait_for_timeout(20), what="a pause that is held")
-    person.press("2")
-    expect(person.region("Find")).to_be_visible()
-    problem = {"title": "Conflict", "status": 409, "code": "ending", "detail": "it is coming to its end"}
-    held[0].fulfill(status=409, json=problem)
-    expect(person.alert("Pause in workcell-1: It is coming to its end.")).to_be_visible()
-    person.press("1")
-    expect(person.alert("It is coming to its end.")).to_have_count(1)
-    person.button("Understood").click()
-    expect(person.alert("It is coming to its end.")).to_have_count(0)
-
-
-def test_a_session_is_paused_by_one_key_however_often_and_resumed_by_another(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person = people.sit(server)
-    drive = floor.drive_off()
-    expect(robot(person)).to_contain_text("Running")
-    expect(robot(person)).to_contain_text("Agent “planner”")
-    until(lambda: floor.speed() > 0.05, what="a base that moves")
-    person.press("p")
-    expect(robot(person)).to_contain_text("Paused, holding")
-    expect(person.button("Pause")).to_be_disabled()  # the record says it a moment after the robot does
-    person.press("p")
-    person.button("Pause").click(force=True)
-    server.await_status(drive["id"], "paused")
-    until(lambda: floor.speed() < 0.01, what="a base at rest")
-    expect(person.region("Events")).to_contain_text("operator paused the session")
-    person.press("r")
-    expect(robot(person)).to_contain_text("Running")
-    until(lambda: floor.speed() > 0.05, what="a base that moves again")
-    trace = server.get(f"/v1/invocations/{drive['id']}/trace")["items"]
-    said = [event["body"]["op"] for event in trace if event["kind"] == "human"]
-    assert said == ["pause", "pause", "resume", "resume"]  # the server says it, and the cell that it has done it
-
-
-def test_a_stop_is_pressed_from_anywhere_and_left_in_two_steps(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person = people.sit(server)
+    floor.clear()
+    expect(robot(person)).to_contain_text("Idle")
     drive = floor.drive_off()
     until(lambda: floor.speed() > 0.05, what="a base that moves")
     person.press("2")
@@ -135,6 +71,66 @@ def test_a_stop_is_pressed_from_anywhere_and_left_in_two_steps(
     assert server.cell()["latched"] is False
     expect(person.page.locator("main")).to_be_focused()
     assert floor.base() == pytest.approx(stood, abs=0.1)  # a drive would have gone on by metres
+
+
+def test_fleet_counts_a_session_from_its_launch_and_not_from_when_it_was_proposed(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    asked = floor.ask()
+    person.press("4")
+    person.page.wait_for_timeout(6_000)  # as long as somebody takes to answer, and longer than it takes to look
+    floor.answer(asked, "approve")
+    counted = re.compile(r"(\d+):(\d\d) running")
+    expect(person.region("workcell-1")).to_contain_text(counted)
+    told = counted.search(person.region("workcell-1").inner_text())
+    now_s = wall_s()
+    trace = server.get(f"/v1/invocations/{asked['id']}/trace")["items"]
+    launched = next(datetime.fromisoformat(event["at"]) for event in trace if event["kind"] == "launch")
+    assert told is not None
+    assert 60 * int(told[1]) + int(told[2]) <= now_s - launched.timestamp() + 1.0
+
+
+def test_a_session_is_paused_by_one_key_however_often_resumed_by_another_and_a_refused_pause_is_told_on_any_page(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    drive = floor.drive_off()
+    expect(robot(person)).to_contain_text("Running")
+    expect(robot(person)).to_contain_text("Agent “planner”")
+    until(lambda: floor.speed() > 0.05, what="a base that moves")
+    person.press("p")
+    expect(robot(person)).to_contain_text("Paused, holding")
+    expect(person.button("Pause")).to_be_disabled()  # the record says it a moment after the robot does
+    person.press("p")
+    person.button("Pause").click(force=True)
+    server.await_status(drive["id"], "paused")
+    until(lambda: floor.speed() < 0.01, what="a base at rest")
+    expect(person.region("Events")).to_contain_text("operator paused the session")
+    person.press("r")
+    expect(robot(person)).to_contain_text("Running")
+    until(lambda: floor.speed() > 0.05, what="a base that moves again")
+    trace = server.get(f"/v1/invocations/{drive['id']}/trace")["items"]
+    said = [event["body"]["op"] for event in trace if event["kind"] == "human"]
+    assert said == ["pause", "pause", "resume", "resume"]  # the server says it, and the cell that it has done it
+
+    floor.clear()
+    person.expects("status of 409")
+    floor.drive_off()
+    expect(person.button("Pause")).to_be_enabled()
+    held: list[Route] = []
+    person.page.route("**/pause", lambda route: held.append(route))  # noqa: PLW0108 (Playwright takes no built-in)
+    person.press("p")
+    until(lambda: held or person.page.wait_for_timeout(20), what="a pause that is held")
+    person.press("2")
+    expect(person.region("Find")).to_be_visible()
+    problem = {"title": "Conflict", "status": 409, "code": "ending", "detail": "it is coming to its end"}
+    held[0].fulfill(status=409, json=problem)
+    expect(person.alert("Pause in workcell-1: It is coming to its end.")).to_be_visible()
+    person.press("1")
+    expect(person.alert("It is coming to its end.")).to_have_count(1)
+    person.button("Understood").click()
+    expect(person.alert("It is coming to its end.")).to_have_count(0)
 
 
 @pytest.mark.drawn
@@ -188,13 +184,28 @@ def test_a_session_taken_over_goes_on_when_it_is_handed_back(
     assert {"takeover", "jog", "release"} <= set(told)
 
 
-def test_the_second_step_of_a_reset_goes_when_it_is_dead_and_says_why(
+def test_a_reset_that_the_cell_did_not_hear_is_told_and_its_second_step_goes_when_it_is_dead_and_says_why(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
     person = people.sit(server)
     again, reset, yes = person.alert("is latched"), person.button("Reset…"), person.button("Yes, reset the stop")
     person.press(".")
     expect(again).to_contain_text(re.compile(r"Pressed by operator at \d\d:\d\d:\d\d\."))
+    reset.click()
+    yes.wait_for()
+    cell = server.cell_pid()
+    assert cell is not None
+    os.kill(cell, signal.SIGSTOP)
+    try:
+        yes.click()
+        expect(person.region("Events")).to_contain_text("Reset not confirmed: workcell-1 has not said that it heard it")
+    finally:
+        os.kill(cell, signal.SIGCONT)
+    expect(again).to_contain_text("workcell-1 has not said that it heard the reset by operator, and stays stopped.")
+    expect(again).to_contain_text("Pressed by operator at")
+    until(lambda: server.cell()["online"], what="a cell that is heard again")
+    assert server.cell()["latched"] is True
+
     reset.click()
     expect(person.page.get_by_text(re.compile("^([1-9]|10) s left to confirm"))).to_be_visible()
     assert server.post("/v1/cells/workcell-1/estop", key="operator_2").is_success
@@ -213,28 +224,6 @@ def test_the_second_step_of_a_reset_goes_when_it_is_dead_and_says_why(
     expect(yes).to_be_visible()
     expect(again).to_contain_text("The time to confirm is over.")
     expect(yes).to_have_count(0)
-    assert server.cell()["latched"] is True
-
-
-def test_a_reset_that_the_cell_did_not_hear_is_told_to_whoever_confirmed_it(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person = people.sit(server)
-    latched = person.alert("is latched")
-    person.press(".")
-    expect(latched).to_contain_text("Pressed by operator at")
-    person.button("Reset…").click()
-    person.button("Yes, reset the stop").wait_for()
-    cell = server.cell_pid()
-    assert cell is not None
-    os.kill(cell, signal.SIGSTOP)
-    try:
-        person.button("Yes, reset the stop").click()
-        expect(person.region("Events")).to_contain_text("Reset not confirmed: workcell-1 has not said that it heard it")
-    finally:
-        os.kill(cell, signal.SIGCONT)
-    expect(latched).to_contain_text("workcell-1 has not said that it heard the reset by operator, and stays stopped.")
-    expect(latched).to_contain_text("Pressed by operator at")
     assert server.cell()["latched"] is True
 
 
@@ -261,14 +250,14 @@ def test_what_closes_or_was_sent_gives_the_focus_back_to_where_one_goes_on(
     expect(check).to_be_focused()
 
 
-def test_a_profile_is_chosen_by_arrow_keys_and_compared_anew_when_another_changes_it(
+def test_a_profile_is_chosen_by_arrow_keys_compared_anew_when_another_changes_it_and_not_called_kept_on_its_way(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
     person = people.sit(server)
     before = server.cell()["profile"]
     person.press("4")
     card = person.region("workcell-1")
-    choice, change = card.get_by_label("Profile"), card.get_by_role("button", name="Change…")
+    choice, change = card.get_by_label("Profile", exact=True), card.get_by_role("button", name="Change…")
     choice.focus()
     person.press("Home")
     names = choice.locator("option").all_inner_texts()
@@ -280,7 +269,7 @@ def test_a_profile_is_chosen_by_arrow_keys_and_compared_anew_when_another_change
     choice.select_option(wanted)
     change.click()
     expect(card.get_by_role("button", name=f"Keep {before}")).to_be_focused()
-    yes = card.get_by_role("button", name="Yes, change it")
+    yes, keep = (card.get_by_role("button", name=name) for name in ("Yes, change it", f"Keep {theirs}"))
     try:
         put_under(server, theirs, "operator_2")
         told = card.get_by_role("alert")
@@ -288,29 +277,12 @@ def test_a_profile_is_chosen_by_arrow_keys_and_compared_anew_when_another_change
         expect(told).to_contain_text(f"You compared {wanted} with {before}.")
         expect(yes).to_have_count(0)
         card.get_by_role("button", name=f"Compare with {theirs}").click()
-        expect(card.get_by_role("button", name=f"Keep {theirs}")).to_be_focused()
-        yes.click()
-        until(lambda: server.cell()["profile"] == wanted, what="the profile that was confirmed anew")
-    finally:
-        put_under(server, before)
-
-
-def test_a_profile_that_is_on_its_way_is_not_called_kept(server: ServerProcess, people: People, floor: Floor) -> None:
-    person = people.sit(server)
-    before = server.cell()["profile"]
-    person.press("4")
-    card = person.region("workcell-1")
-    choice = card.get_by_label("Profile", exact=True)
-    wanted = next(name for name in choice.locator("option").all_inner_texts() if name != before)
-    choice.select_option(wanted)
-    card.get_by_role("button", name="Change…").click()
-    keep, yes = (card.get_by_role("button", name=name) for name in (f"Keep {before}", "Yes, change it"))
-    try:
+        expect(keep).to_be_focused()
         with at_once("**/profile", person):
             yes.click()
             expect(yes).to_be_disabled()
             expect(keep).to_be_disabled(timeout=5_000)  # nothing takes it back, and nothing says that it did
-        until(lambda: server.cell()["profile"] == wanted, what="the profile that was confirmed")
+        until(lambda: server.cell()["profile"] == wanted, what="the profile that was confirmed anew")
         expect(choice).to_be_focused()
     finally:
         put_under(server, before)
