@@ -144,7 +144,7 @@ def deny(person: Person) -> Locator:
     return person.button(re.compile("^Deny"))
 
 
-def test_five_at_once_are_sorted_counted_and_told_in_two_sentences(
+def test_five_at_once_are_sorted_counted_and_told_in_two_sentences_and_what_waits_for_another_person_makes_room(
     server: ServerProcess, people: People, incident: Incident
 ) -> None:
     person = people.sit(server)
@@ -166,6 +166,15 @@ def test_five_at_once_are_sorted_counted_and_told_in_two_sentences(
         f"Waiting for you: {FIRST} in workcell-1, medium risk.",
         f"4 new questions, 5 wait for you. Most urgent of the new: {REST[0]} in workcell-2, high risk.",
     ]
+    rows(person).filter(has_text=REST[1]).click()
+    expect(cards(person)).to_have_accessible_name(REST[1])
+    yes = person.button(re.compile("^Approve"))
+    expect(yes).to_be_enabled()
+    person.press("a")
+    expect(cards(person)).to_have_accessible_name(REST[0])
+    expect(deny(person)).to_be_focused()
+    expect(person.region("Waiting for you").locator(".count")).to_have_text("4")
+    expect(rows(person).last).to_contain_text("1 of 2 approved by you")
 
 
 @pytest.mark.drawn
@@ -188,22 +197,33 @@ def test_of_two_cells_each_part_of_the_page_names_its_own(
     expect(person.page.get_by_role("list", name="The seven stages of the session in workcell-2")).to_be_visible()
 
 
-@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
-def test_axe_finds_nothing_where_several_wait_in_two_cells(
-    server: ServerProcess, people: People, incident: Incident, size: dict[str, int]
+def test_an_incident_is_worked_off_by_keyboard_the_gravest_first_and_axe_finds_nothing(
+    server: ServerProcess, people: People, incident: Incident
 ) -> None:
-    person, axe, found = people.sit(server, size=size), AXE.read_text(), dict[str, list[str]]()
+    person, axe, found = people.sit(server), AXE.read_text(), dict[str, list[str]]()
     incident.begin(person)
     expect(rows(person)).to_have_count(4)
     expect(stop(person)).to_contain_text("workcell-1")
     expect(person.button(f"2 more urgent (open {REST[0]})")).to_be_visible()
     found["more urgent"] = faults(person.page, axe)
     person.press("x")
+    expect(cards(person)).to_have_accessible_name(REST[2])  # the next below; round at the end to the gravest
     person.press("x")
     person.press("x")
     expect(cards(person)).to_have_accessible_name(REST[0])
-    if size == PHONE:  # the bar's answers are another cell's than its stop
-        expect(person.page.locator("footer .docked")).to_have_text(re.compile(rf"^{REST[0]}\s*workcell-2\s*\d:\d\d$"))
+    see_what_comes_next_and_the_fleet(person, axe, found)
+    for left, title in ((4, REST[0]), (3, REST[1])):
+        expect(cards(person)).to_have_accessible_name(title)
+        expect(rows(person)).to_have_count(left)
+        expect(deny(person)).to_be_focused()
+        person.press("Enter")
+    expect(rows(person)).to_have_count(2)
+    denied = [server.get(f"/v1/invocations/{id}")["status"] for id in incident.made]
+    assert denied == ["awaiting_approval", "awaiting_approval", "denied", "awaiting_approval", "denied"]
+    assert {name: what for name, what in found.items() if what} == {}
+
+
+def see_what_comes_next_and_the_fleet(person: Person, axe: str, found: dict[str, list[str]]) -> None:
     expect(person.button(re.compile(rf"^next in .* \(open {FIRST}\)$"))).to_be_visible()
     found["next"] = faults(person.page, axe)
     person.page.evaluate("location.hash = '#/fleet'")
@@ -214,45 +234,6 @@ def test_axe_finds_nothing_where_several_wait_in_two_cells(
     expect(person.page).to_have_title(re.compile(r"^\(5, \d:\d\d\) Reins console$"))
     person.press("x")
     expect(cards(person)).to_be_visible()
-    assert {name: what for name, what in found.items() if what} == {}
-
-
-def test_an_incident_is_worked_off_by_keyboard_the_gravest_first(
-    server: ServerProcess, people: People, incident: Incident
-) -> None:
-    person = people.sit(server)
-    incident.begin(person)
-    expect(rows(person)).to_have_count(4)
-    expect(person.button(f"2 more urgent (open {REST[0]})")).to_be_visible()
-    person.press("x")
-    expect(cards(person)).to_have_accessible_name(REST[2])  # the next below; round at the end to the gravest
-    person.press("x")
-    person.press("x")
-    for left, title in ((4, REST[0]), (3, REST[1])):
-        expect(cards(person)).to_have_accessible_name(title)
-        expect(rows(person)).to_have_count(left)
-        expect(deny(person)).to_be_focused()
-        person.press("Enter")
-    expect(rows(person)).to_have_count(2)
-    denied = [server.get(f"/v1/invocations/{id}")["status"] for id in incident.made]
-    assert denied == ["awaiting_approval", "awaiting_approval", "denied", "awaiting_approval", "denied"]
-
-
-def test_what_waits_for_another_person_makes_room_for_what_waits_for_me(
-    server: ServerProcess, people: People, incident: Incident
-) -> None:
-    person = people.sit(server)
-    incident.begin(person)
-    expect(rows(person)).to_have_count(4)
-    rows(person).filter(has_text=REST[1]).click()
-    expect(cards(person)).to_have_accessible_name(REST[1])
-    yes = person.button(re.compile("^Approve"))
-    expect(yes).to_be_enabled()
-    person.press("a")
-    expect(cards(person)).to_have_accessible_name(REST[0])
-    expect(deny(person)).to_be_focused()
-    expect(person.region("Waiting for you").locator(".count")).to_have_text("4")
-    expect(rows(person).last).to_contain_text("1 of 2 approved by you")
 
 
 def test_a_stop_from_the_fleet_page_that_is_not_confirmed_is_told_on_every_page_until_it_is(
@@ -281,9 +262,26 @@ def test_a_stop_from_the_fleet_page_that_is_not_confirmed_is_told_on_every_page_
     assert server.post("/v1/cells/workcell-2/reset").is_success
 
 
-def test_a_stop_that_only_the_socket_carries_is_confirmed_by_its_record(server: ServerProcess, people: People) -> None:
+def test_a_stop_on_the_fleets_page_stays_where_it_is_when_a_banner_comes_and_the_socket_alone_carries_it(
+    server: ServerProcess, people: People
+) -> None:
     person = people.sit(server)
     person.expects("ERR_FAILED|ERR_INTERNET_DISCONNECTED")
+    person.press("4")
+    card = person.region("workcell-2")
+    button = card.get_by_role("button", name="Emergency stop of workcell-2")
+    expect(button).to_be_visible()
+    person.page.wait_for_timeout(600)  # what it says in its first half second scrolls nothing: it is read from its top
+    stands = box(button)
+    try:
+        server.post("/v1/cells/workcell-1/estop", key="operator_2")
+        expect(person.page.locator(".banners").get_by_role("button", name="Reset…")).to_be_visible()
+        assert box(button)["y"] == pytest.approx(stands["y"], abs=2)
+    finally:
+        server.post("/v1/cells/workcell-1/reset")
+    expect(person.page.locator(".banners").get_by_role("button", name="Reset…")).to_have_count(0)
+    assert box(button)["y"] == pytest.approx(stands["y"], abs=2)
+
     tried: list[str] = []
 
     def abort(route: Route) -> None:
@@ -291,9 +289,7 @@ def test_a_stop_that_only_the_socket_carries_is_confirmed_by_its_record(server: 
         route.abort()
 
     person.page.route("**/v1/cells/workcell-2/estop", abort)
-    person.press("4")
-    card = person.region("workcell-2")
-    card.get_by_role("button", name="Emergency stop of workcell-2").click()
+    button.click()
     expect(card).to_contain_text("Stopped, latched")
     expect(person.alert("The stop of workcell-2 is not confirmed.")).to_have_count(0)
     events = server.get("/v1/audit/events?kind=human&limit=1000")["items"]
@@ -352,14 +348,16 @@ def test_the_trace_of_another_cell_is_drawn_and_the_stop_stays_where_it_is(
     expect(person.page.locator(".live .stale")).to_have_count(0)
 
 
-def test_in_an_incident_on_a_phone_answers_and_stop_stay_in_reach(
+def test_in_an_incident_on_a_phone_answers_and_stop_stay_in_reach_and_axe_finds_nothing(
     server: ServerProcess, people: People, incident: Incident
 ) -> None:
-    person = people.sit(server, size=PHONE)
+    person, axe, found = people.sit(server, size=PHONE), AXE.read_text(), dict[str, list[str]]()
     incident.begin(person)
     expect(rows(person)).to_have_count(4)
+    expect(stop(person)).to_contain_text("workcell-1")
     more = person.button(f"2 more urgent (open {REST[0]})")
     expect(more).to_be_in_viewport(ratio=1)
+    found["more urgent"] = faults(person.page, axe)
     more.tap()
     expect(cards(person)).to_have_accessible_name(REST[0])
     for answer in ANSWERS:
@@ -367,14 +365,20 @@ def test_in_an_incident_on_a_phone_answers_and_stop_stay_in_reach(
     assert out_of_reach(stop(person)) == []
     assert wider_than_the_screen(person.page) == []
     expect(cards(person)).to_contain_text("workcell-2")
+    # the bar's answers are another cell's than its stop
+    expect(person.page.locator("footer .docked")).to_have_text(re.compile(rf"^{REST[0]}\s*workcell-2\s*\d:\d\d$"))
+    see_what_comes_next_and_the_fleet(person, axe, found)
+    expect(cards(person)).to_have_accessible_name(REST[0])
     person.button("Show workcell-2").tap()
     expect(person.button("Emergency stop: stop workcell-2")).to_be_visible()
     deny(person).tap()
     expect(rows(person)).to_have_count(3)
     expect(cards(person)).to_have_accessible_name(REST[1])
+    assert {name: what for name, what in found.items() if what} == {}
 
 
-def test_on_a_phone_a_question_that_comes_or_goes_moves_no_pause_and_the_stop_names_its_cell(
+@pytest.mark.usefixtures("free_again")
+def test_on_a_phone_a_question_that_comes_or_goes_moves_no_pause_and_no_pad_and_the_stop_names_its_cell(
     server: ServerProcess, people: People, incident: Incident
 ) -> None:
     person = people.sit(server, size=PHONE)
@@ -394,13 +398,9 @@ def test_on_a_phone_a_question_that_comes_or_goes_moves_no_pause_and_the_stop_na
     expect(stop(person)).to_contain_text("workcell-1")
     assert out_of_reach(stop(person)) == []
     assert wider_than_the_screen(person.page) == []
+    incident.clear()
+    expect(deny(person)).to_have_count(0)
 
-
-@pytest.mark.usefixtures("free_again")
-def test_a_question_that_comes_or_goes_moves_no_pad_under_the_finger_that_drives(
-    server: ServerProcess, people: People, incident: Incident
-) -> None:
-    person = people.sit(server, size=PHONE)
     person.button("Drive").tap()
     person.button("Take the controls").tap()
     expect(person.page.get_by_text("Hold to run; let go to stop")).to_be_visible()
@@ -439,22 +439,3 @@ def test_a_banner_that_moves_the_answers_keeps_fingers_off_them_for_a_moment(
     assert server.get(escalation)["approvals"] == []
     approve.click()
     until(lambda: server.get(escalation)["approvals"] != [], what="an approval")
-
-
-def test_a_stop_on_the_fleets_page_stays_where_it_is_when_a_banner_comes(
-    server: ServerProcess, people: People, incident: Incident
-) -> None:
-    person = people.sit(server)
-    person.page.evaluate("location.hash = '#/fleet'")
-    button = person.button("Emergency stop of workcell-2")
-    expect(button).to_be_visible()
-    person.page.wait_for_timeout(600)  # what it says in its first half second scrolls nothing: it is read from its top
-    stands = box(button)
-    try:
-        server.post("/v1/cells/workcell-1/estop", key="operator_2")
-        expect(person.page.locator(".banners").get_by_role("button", name="Reset…")).to_be_visible()
-        assert box(button)["y"] == pytest.approx(stands["y"], abs=2)
-    finally:
-        server.post("/v1/cells/workcell-1/reset")
-    expect(person.page.locator(".banners").get_by_role("button", name="Reset…")).to_have_count(0)
-    assert box(button)["y"] == pytest.approx(stands["y"], abs=2)
