@@ -6,7 +6,6 @@ import json
 import os
 import re
 import signal
-from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 from urllib.parse import urlsplit
@@ -19,8 +18,8 @@ from websockets.typing import Subprotocol
 from app.api.console import SUBPROTOCOL
 from app.api.parts import EACH_CONSOLES
 from tests.conftest import ServerProcess, Servers, until
-from tests.console.conftest import THREE_FRAMES, Floor, People
-from tests.console.wire import Wire, wire_to
+from tests.console.conftest import THREE_FRAMES, Floor, People, Person
+from tests.console.wire import wire_to
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 
@@ -59,9 +58,8 @@ GREY = """it => {
 BROKEN = r"WebSocket connection|ERR_CONNECTION|ERR_EMPTY_RESPONSE|Failed to load resource"
 
 
-@pytest.mark.parametrize("how", [Wire.cut, Wire.swallow], ids=["aborted", "black hole"])
 def test_a_link_that_goes_is_told_and_what_came_meanwhile_is_there_when_it_is_back(
-    server: ServerProcess, people: People, floor: Floor, how: Callable[[Wire], None]
+    server: ServerProcess, people: People, floor: Floor
 ) -> None:
     with wire_to(urlsplit(server.url).port or 0) as wire:
         person = people.sit(server, at=f"http://127.0.0.1:{wire.port}")
@@ -70,25 +68,26 @@ def test_a_link_that_goes_is_told_and_what_came_meanwhile_is_there_when_it_is_ba
         expect(header).to_contain_text("Idle")
         person.press("t")
         drive = person.region("Drive by hand")
-        expect(drive).to_contain_text("the controls of the idle cell")
-        how(wire)
-        told_after_ms = person.page.evaluate(SAYS_SO)
-        assert told_after_ms <= 1_000
-        expect(header.get_by_text("Nobody")).to_have_count(0)
-        expect(person.alert("Link down.")).to_contain_text("STOP is still sent")
-        expect(person.alert("Link down.").locator(".num")).to_have_attribute(
-            "aria-hidden", "true"
-        )  # or it is all said anew
-        expect(header).to_contain_text("Not known")
-        expect(drive).to_contain_text("Who has the controls of workcell-1 is not known")
-        expect(person.page.locator(".live .stale").first).to_be_visible()
-        asked = floor.ask()
-        wire.mend()
-        expect(person.page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
-        expect(person.alert("Link down.")).to_have_count(0)
-        expect(person.page.locator(".live .stale")).to_have_count(0)
-        person.button(re.compile("^Deny")).click()
-        assert floor.settled(asked["id"])["status"] == "denied"
+        for goes in (wire.cut, wire.swallow):  # aborted, or a black hole
+            expect(drive).to_contain_text("the controls of the idle cell")
+            goes()
+            told_after_ms = person.page.evaluate(SAYS_SO)
+            assert told_after_ms <= 1_000
+            expect(header.get_by_text("Nobody")).to_have_count(0)
+            expect(person.alert("Link down.")).to_contain_text("STOP is still sent")
+            expect(person.alert("Link down.").locator(".num")).to_have_attribute(
+                "aria-hidden", "true"
+            )  # or it is all said anew
+            expect(header).to_contain_text("Not known")
+            expect(drive).to_contain_text("Who has the controls of workcell-1 is not known")
+            expect(person.page.locator(".live .stale").first).to_be_visible()
+            asked = floor.ask()
+            wire.mend()
+            expect(person.page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
+            expect(person.alert("Link down.")).to_have_count(0)
+            expect(person.page.locator(".live .stale")).to_have_count(0)
+            person.button(re.compile("^Deny")).click()
+            assert floor.settled(asked["id"])["status"] == "denied"
 
 
 def test_a_pause_is_sent_though_the_link_is_down_and_what_came_of_it_is_told(
@@ -129,12 +128,6 @@ def test_a_pause_right_after_a_resume_is_the_last_word(server: ServerProcess, pe
     assert server.get(f"/v1/invocations/{drive['id']}")["status"] == "paused"
 
 
-def said(server: ServerProcess, invocation: str) -> list[dict[str, Any]]:
-    """Return what people said of an invocation."""
-    trace = server.get(f"/v1/invocations/{invocation}/trace")["items"]
-    return [event for event in trace if event["kind"] == "human" and "role" in event["body"]]
-
-
 def test_a_denial_is_sent_though_the_link_is_down_and_an_approval_is_not(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
@@ -157,54 +150,42 @@ def test_a_denial_is_sent_though_the_link_is_down_and_an_approval_is_not(
         assert floor.settled(asked["id"])["status"] == "denied"
 
 
-def test_a_question_to_policy_outlasts_the_link_it_is_written_over(server: ServerProcess, people: People) -> None:
-    with wire_to(urlsplit(server.url).port or 0) as wire:
-        person = people.sit(server, at=f"http://127.0.0.1:{wire.port}")
-        person.expects(BROKEN)
-        person.press("3")
-        form = person.region("What would happen if…")
-        form.get_by_label("Object (needed)").select_option("mug_1")
-        force = form.get_by_label(re.compile("^Grip force"))
-        force.fill("50")
-        form.get_by_role("button", name="Ask policy").click()
-        expect(form).to_contain_text("Policy version")
-        wire.cut()
-        expect(person.alert("Link down.")).to_be_visible()
-        with person.page.expect_response("**/v1/capabilities"):
-            wire.mend()
-        person.page.evaluate(THREE_FRAMES)
-        expect(force).to_have_value("50")
-        expect(form.get_by_label("Object (needed)")).to_have_value("mug_1")
-        expect(form).to_contain_text("Policy version")
+def said(server: ServerProcess, invocation: str) -> list[dict[str, Any]]:
+    """Return what people said of an invocation."""
+    trace = server.get(f"/v1/invocations/{invocation}/trace")["items"]
+    return [event for event in trace if event["kind"] == "human" and "role" in event["body"]]
 
 
-def test_a_cell_that_falls_silent_is_not_shown_as_the_present(
+def test_a_cell_that_falls_silent_is_not_shown_as_the_present_and_one_press_of_its_stop_on_fleet_is_one_stop(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
     person = people.sit(server)
-    robot = person.page.locator("header dl.facts > div", has_text="Robot says")
+    robot, card = person.page.locator("header dl.facts > div", has_text="Robot says"), person.region("workcell-1")
     floor.drive_off()
     until(lambda: floor.speed() > 0.05, what="a base that moves")
     pid = server.cell_pid()
     assert pid is not None
+    before = len(stops(server))
     os.kill(pid, signal.SIGSTOP)
     try:
         assert person.page.evaluate(GREYS) is False  # its pictures stop before the server calls it silent
         expect(person.alert("workcell-1 is not heard.")).to_contain_text("A stop is kept for it")
         expect(robot).to_contain_text("Not heard")
         expect(person.page.locator(".live .session.stale")).to_be_visible()
-        person.press(".")
+        person.press("4")
+        expect(card).to_contain_text("Not heard: this is what it last said.")
+        press_slowly_and_again(server, person)
+        expect(card).to_contain_text("that the robot stands is not confirmed")
+        expect(card.get_by_role("button", name="Emergency stop of workcell-1")).to_be_visible()
+        expect(person.page.get_by_text("Nothing moves")).to_have_count(0)
+        person.press("1")
         expect(robot).to_contain_text("Not heard, stop sent")
         expect(person.alert("workcell-1 is not heard.")).to_contain_text("that the robot stands is not confirmed")
         expect(person.page.get_by_text("Nothing moves")).to_have_count(0)
         expect(person.page.locator("header").get_by_role("button", name="stopped")).to_have_count(0)
         expect(person.page.locator("header dl.facts > div", has_text="In control")).to_contain_text("Not known")
-        person.press("4")
-        card = person.region("workcell-1")
-        expect(card).to_contain_text("that the robot stands is not confirmed")
-        expect(card.get_by_role("button", name="Emergency stop of workcell-1")).to_be_visible()
-        expect(person.page.get_by_text("Nothing moves")).to_have_count(0)
-        person.press("1")
+        person.press(".")
+        until(lambda: len(stops(server)) == before + 3, what="a stop by key")
     finally:
         os.kill(pid, signal.SIGCONT)
     expect(robot).to_contain_text("Stopped, latched")
@@ -213,31 +194,21 @@ def test_a_cell_that_falls_silent_is_not_shown_as_the_present(
     expect(person.page.locator(".live .stale")).to_have_count(0)
 
 
-def test_one_press_of_a_silent_cells_stop_on_fleet_is_one_stop(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person = people.sit(server)
-    person.press("4")
-    button = person.region("workcell-1").get_by_role("button", name="Emergency stop of workcell-1")
-    pid = server.cell_pid()
-    assert pid is not None
-    before = len(stops(server))
-    os.kill(pid, signal.SIGSTOP)
-    try:
-        expect(person.region("workcell-1")).to_contain_text("Not heard: this is what it last said.")
-        button.hover()
-        person.page.mouse.down()
-        expect(person.region("workcell-1")).to_contain_text("A stop that it has not had")
-        expect(button).to_have_text("STOP")  # it is confirmed by now
-        button.hover()  # a banner may have moved it
-        person.page.mouse.up()
-        expect(button).to_have_text("STOP")
-        assert len(stops(server)) == before + 1
-        person.page.wait_for_timeout(300)
-        button.click()  # another press is another stop
-        until(lambda: len(stops(server)) == before + 2, what="the second stop")
-    finally:
-        os.kill(pid, signal.SIGCONT)
+def press_slowly_and_again(server: ServerProcess, person: Person) -> None:
+    """Press the stop of the cell on the page of the fleet, let go once it is confirmed, and press it again."""
+    card, before = person.region("workcell-1"), len(stops(server))
+    button = card.get_by_role("button", name="Emergency stop of workcell-1")
+    button.hover()
+    person.page.mouse.down()
+    expect(card).to_contain_text("A stop that it has not had")
+    expect(button).to_have_text("STOP")  # it is confirmed by now
+    button.hover()  # a banner may have moved it
+    person.page.mouse.up()
+    expect(button).to_have_text("STOP")
+    assert len(stops(server)) == before + 1
+    person.page.wait_for_timeout(300)
+    button.click()  # another press is another stop
+    until(lambda: len(stops(server)) == before + 2, what="the second stop")
 
 
 def stops(server: ServerProcess) -> list[dict[str, Any]]:
@@ -286,23 +257,7 @@ def test_a_stop_goes_out_with_the_link_as_soon_as_it_is_back_though_what_was_sen
         expect(person.alert("is not confirmed")).to_have_count(0)
 
 
-def test_a_stop_needs_no_seat(server: ServerProcess, people: People, floor: Floor) -> None:
-    with ExitStack() as seats:
-        for _ in range(EACH_CONSOLES):
-            screen = seats.enter_context(
-                connect(f"ws{server.url[4:]}/v1/console", subprotocols=[Subprotocol(SUBPROTOCOL)])
-            )
-            screen.send(json.dumps({"type": "hello", "token": server.tokens["operator"], "after": None}))
-            screen.recv()
-        person = people.open(f"{server.url}/#token={server.tokens['operator']}")
-        person.expects(BROKEN)
-        expect(person.alert("Connecting to the server.")).to_contain_text("As many consoles are open")
-        expect(person.page.locator("header").get_by_role("button", name="stop workcell-1")).to_be_enabled()
-        person.press(".")
-        until(lambda: server.cell()["latched"], what="the stop")
-
-
-def test_a_console_that_lost_its_seat_with_its_link_says_why_it_does_not_come_back(
+def test_a_console_that_lost_its_seat_with_its_link_says_why_it_does_not_come_back_and_a_stop_needs_no_seat(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
     with wire_to(urlsplit(server.url).port or 0) as wire, ExitStack() as seats:
@@ -319,6 +274,11 @@ def test_a_console_that_lost_its_seat_with_its_link_says_why_it_does_not_come_ba
             screen.recv()
         wire.mend()
         expect(down).to_contain_text("As many consoles are open as the server may have.")
+        person.page.reload()  # and never had a seat
+        expect(person.alert("Connecting to the server.")).to_contain_text("As many consoles are open")
+        expect(person.page.locator("header").get_by_role("button", name="stop workcell-1")).to_be_enabled()
+        person.press(".")
+        until(lambda: server.cell()["latched"], what="the stop")
 
 
 def test_whoever_signs_in_where_a_stop_is_not_confirmed_is_told(
@@ -412,7 +372,7 @@ def test_a_console_whose_link_the_server_did_not_hand_over_asks_for_it_again(
     expect(person.page.locator(".live .stale")).to_have_count(0)
 
 
-def test_a_page_that_the_server_does_not_hand_over_says_so_and_comes_when_it_is_back(
+def test_a_page_that_the_server_does_not_hand_over_comes_when_it_is_back_and_a_question_to_policy_outlasts_its_link(
     server: ServerProcess, people: People
 ) -> None:
     with wire_to(urlsplit(server.url).port or 0) as wire:
@@ -438,3 +398,19 @@ def test_a_page_that_the_server_does_not_hand_over_says_so_and_comes_when_it_is_
         wire.mend()
         expect(person.page.get_by_role("heading", name="Fleet")).to_be_visible()
         expect(person.page.locator("main section header").first).to_have_css("display", "flex")
+
+        person.press("3")
+        form = person.region("What would happen if…")
+        form.get_by_label("Object (needed)").select_option("mug_1")
+        force = form.get_by_label(re.compile("^Grip force"))
+        force.fill("50")
+        form.get_by_role("button", name="Ask policy").click()
+        expect(form).to_contain_text("Policy version")
+        wire.cut()
+        expect(person.alert("Link down.")).to_be_visible()
+        with person.page.expect_response("**/v1/capabilities"):
+            wire.mend()
+        person.page.evaluate(THREE_FRAMES)
+        expect(force).to_have_value("50")
+        expect(form.get_by_label("Object (needed)")).to_have_value("mug_1")
+        expect(form).to_contain_text("Policy version")
