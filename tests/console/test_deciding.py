@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import pytest
 from playwright.sync_api import Locator, Route, expect
@@ -41,10 +42,11 @@ def test_the_printed_link_signs_in_and_its_token_leaves_the_address(server: Serv
     expect(person.region("Waiting for you")).to_be_visible()
 
 
-def test_the_focus_stays_with_a_question_while_its_answer_is_sent(
+def test_the_focus_stays_with_a_question_while_its_answer_is_sent_and_a_denial_that_did_not_arrive_is_told_anywhere(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
     person, held = people.sit(server), list[Route]()
+    person.expects("ERR_FAILED")
 
     def hold(route: Route) -> None:
         held.append(route)
@@ -73,6 +75,19 @@ def test_the_focus_stays_with_a_question_while_its_answer_is_sent(
     held.pop().continue_()
     expect(card(person)).to_have_count(0)
     expect(link).to_be_focused()
+    floor.ask("glass_1")
+    expect(card(person, "Grasp glass_1")).to_be_visible()
+    floor.ask("mug_1")
+    deny.click()
+    until(lambda: held or person.page.wait_for_timeout(20), what="a denial that is held")
+    person.press("x")
+    expect(card(person)).to_be_visible()
+    held.pop().abort()
+    told = person.alert("Grasp glass_1: No answer from the server")
+    expect(told).to_contain_text("The question still waits.")
+    for page in "21":
+        person.press(page)
+    expect(person.alert("No answer from the server: it is not known whether this arrived.")).to_be_visible()
 
 
 def test_a_wrong_token_is_refused_in_words(server: ServerProcess, people: People) -> None:
@@ -84,7 +99,9 @@ def test_a_wrong_token_is_refused_in_words(server: ServerProcess, people: People
     expect(person.region("Waiting for you")).to_be_visible()
 
 
-def test_a_question_appears_and_is_approved_by_one_key(server: ServerProcess, people: People, floor: Floor) -> None:
+def test_a_question_appears_and_is_answered_by_one_key_and_a_denial_gives_the_agent_a_code_and_nobodys_words(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
     person = people.sit(server)
     proposed = floor.ask()
     expect(card(person)).to_contain_text("Medium risk")
@@ -92,6 +109,14 @@ def test_a_question_appears_and_is_approved_by_one_key(server: ServerProcess, pe
     expect(person.alert("Waiting for you: Grasp mug_1, medium risk.")).to_be_attached()
     expect(person.button(re.compile("^Deny"))).to_be_focused()
     expect(person.page.get_by_role("row", name=re.compile("^Grip force|^Force"))).to_contain_text("80")
+    card(person).get_by_label("Reason if denied").select_option(label="person in the way")
+    card(person).get_by_role("heading").click()
+    press_until(person, "d", gone=card(person))
+    denied = floor.settled(proposed["id"])
+    assert (denied["status"], denied["escalation"]["code"]) == ("denied", "person_in_the_way")
+    expect(person.region("Events")).to_contain_text("operator denied")
+    proposed = floor.ask()
+    expect(card(person)).to_be_visible()
     press_until(person, "a", gone=card(person))
     expect(card(person)).to_have_count(0)
     expect(person.page.locator("main")).to_be_focused()
@@ -144,21 +169,16 @@ def press_until(person: Person, key: str, *, gone: Locator) -> None:
     pytest.fail(f"`{key}` was never taken")
 
 
-def test_a_denial_gives_the_agent_a_code_and_nobodys_words(server: ServerProcess, people: People, floor: Floor) -> None:
-    person = people.sit(server)
-    proposed = floor.ask()
-    card(person).get_by_label("Reason if denied").select_option(label="person in the way")
-    card(person).get_by_role("heading").click()
-    press_until(person, "d", gone=card(person))
-    denied = floor.settled(proposed["id"])
-    assert (denied["status"], denied["escalation"]["code"]) == ("denied", "person_in_the_way")
-    expect(person.region("Events")).to_contain_text("operator denied")
-
-
-def test_an_edit_is_checked_again_and_all_three_versions_are_kept(
+def test_an_edit_is_checked_again_under_what_the_agent_said_and_all_three_versions_are_kept(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
     person = people.sit(server)
+    asked = floor.ask(intent="polish it")
+    assert asked["effective"]["speed_mps"] == 0.1
+    card(person).get_by_role("textbox", name="Speed you approve, m/s").fill("0.2")
+    expect(card(person)).to_contain_text("Policy changes your edit to 0.10 m/s; you will be asked once more.")
+    floor.answer(asked, "deny")
+    expect(card(person)).to_have_count(0)
     proposed = floor.ask()
     force = card(person).get_by_role("textbox", name="Grip force you approve, N")
     expect(force).to_have_value("60")
@@ -184,254 +204,9 @@ def test_an_edit_is_checked_again_and_all_three_versions_are_kept(
     assert [kept[one]["force_n"] for one in ("requested", "constrained", "approved")] == [80, 60, 45], kept
 
 
-def test_an_edit_is_checked_under_what_the_agent_said_with_its_proposal(
+def test_of_two_who_answer_one_wins_or_the_first_may_still_deny_and_is_told_what_was_for_nothing(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
-    person = people.sit(server)
-    assert floor.ask(intent="polish it")["effective"]["speed_mps"] == 0.1
-    card(person).get_by_role("textbox", name="Speed you approve, m/s").fill("0.2")
-    expect(card(person)).to_contain_text("Policy changes your edit to 0.10 m/s; you will be asked once more.")
-
-
-def test_of_two_who_answer_at_once_one_wins_and_the_other_is_told(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    one, other = people.sit(server), people.sit(server, "operator_2")
-    for person in (one, other):
-        person.expects("409")
-    proposed = floor.ask()
-    for person in (one, other):
-        expect(person.button(re.compile("^Approve"))).to_be_enabled()
-    with at_once("**/resolve", one, other):
-        one.button(re.compile("^Approve")).click()
-        other.button(re.compile("^Deny")).click()
-    told = [person.page.get_by_text("Somebody has answered this already.") for person in (one, other)]
-    until(lambda: any(words.is_visible() for words in told), what="words for the one who came second")
-    second = next(words for words in told if words.is_visible())
-    expect(second).to_have_text(re.compile(r"(operator_2 denied|operator approved it(: it was launched)?)\.$"))
-    assert floor.settled(proposed["id"])["status"] in {"running", "denied", "completed"}
-
-
-def test_whoever_edits_what_another_answers_is_told_that_the_edit_went_nowhere(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person = people.sit(server)
-    asked = floor.ask()["escalation"]
-    card(person).get_by_role("textbox", name="Grip force you approve, N").fill("22")
-    expect(card(person)).to_contain_text("Your edit was checked again: allowed.")
-    question = server.get(f"/v1/escalations/{asked['id']}")
-    answer = {"decision": "deny", "digest": question["digest"]}
-    assert server.post(f"/v1/escalations/{asked['id']}/resolve", answer, key="operator_2").is_success
-    expect(person.alert("it is not open any more, and your edit was not sent")).to_be_visible()
-    person.button("Understood").click()
-    expect(person.alert("your edit was not sent")).to_have_count(0)
-
-
-def test_an_edit_in_the_making_outlasts_a_look_at_another_page(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person = people.sit(server)
-    asked = floor.ask()
-    force = person.page.get_by_role("textbox", name="Grip force you approve, N")
-    force.fill("22")
-    expect(card(person)).to_contain_text("Your edit was checked again: allowed.")
-    person.page.get_by_role("link", name="Audit").click()
-    expect(force).to_have_count(0)
-    person.page.get_by_role("link", name="Live").click()
-    expect(force).to_have_value("22")
-    expect(card(person)).to_contain_text("Your edit was checked again: allowed.")
-    person.button("Approve edit").click()
-    assert floor.settled(asked["id"])["effective"]["force_n"] == 22
-
-
-def test_an_edit_whose_question_goes_while_one_is_elsewhere_is_told_to_be_gone(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person = people.sit(server)
-    asked = floor.ask()["escalation"]
-    person.page.get_by_role("textbox", name="Grip force you approve, N").fill("22")
-    person.page.get_by_role("link", name="Audit").click()
-    answer = {"decision": "deny", "digest": server.get(f"/v1/escalations/{asked['id']}")["digest"]}
-    assert server.post(f"/v1/escalations/{asked['id']}/resolve", answer, key="operator_2").is_success
-    person.page.get_by_role("link", name="Live").click()
-    expect(person.alert("it is not open any more, and your edit was not sent. operator_2 denied")).to_be_visible()
-    person.button("Understood").click()
-    expect(person.alert("your edit was not sent")).to_have_count(0)
-
-
-def test_a_question_that_another_answers_says_so_before_one_that_looks_the_same_takes_its_place(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person = people.sit(server)
-    first = floor.ask()["escalation"]
-    expect(card(person)).to_be_visible()
-    second = floor.ask()["escalation"]
-    question = server.get(f"/v1/escalations/{first['id']}")
-    answer = {"decision": "deny", "digest": question["digest"]}
-    assert server.post(f"/v1/escalations/{first['id']}/resolve", answer, key="operator_2").is_success
-    told = person.page.get_by_role("status").filter(has_text="is not open any more: operator_2 denied.")
-    expect(told).to_contain_text("This is another question.")
-    expect(card(person)).to_have_count(1)
-    person.button("Put this away").click()
-    expect(told).to_have_count(0)
-    assert server.get(f"/v1/escalations/{second['id']}")["status"] == "pending"
-
-
-def test_a_question_that_a_rollback_withdraws_says_who_ordered_it(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person = people.sit(server)
-    session = floor.drive_off()["id"]
-    assert server.post(f"/v1/invocations/{session}/takeover", {}, key="operator_2").is_success
-    server.await_status(session, "escalated")  # nobody holds on to the controls
-    expect(person.region("Waiting for you").get_by_role("article")).to_be_visible()
-    assert server.post(f"/v1/invocations/{session}/rollback", {}, key="operator_2").is_success
-    told = person.page.get_by_role("status").filter(has_text="is not open any more")
-    expect(told).to_contain_text("It was withdrawn: operator_2 ordered a rollback.")
-
-
-def test_a_question_that_another_profile_withdraws_says_so_and_what_became_of_it(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person = people.sit(server)
-    floor.ask()
-    expect(card(person)).to_be_visible()
-    with server.client("operator_2") as other:
-        assert other.put("/v1/cells/workcell-1/profile", json={"profile": "sim-relaxed"}).is_success
-        try:
-            told = person.page.get_by_role("status").filter(has_text="is not open any more")
-            expect(told).to_contain_text(
-                "It was withdrawn: operator_2 put the cell under another profile. "
-                "It did not begin, and may be proposed again."
-            )
-        finally:
-            other.put("/v1/cells/workcell-1/profile", json={"profile": "human-shared"})
-
-
-def test_what_would_be_approved_in_vain_is_kept_back_and_what_was_says_why(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person = people.sit(server)
-    asked = floor.ask()
-    expect(person.button(re.compile("^Approve"))).to_be_enabled()
-    floor.drive_off()
-    expect(card(person)).to_contain_text("workcell-1 is busy with another session and would defer it")
-    expect(person.button(re.compile("^Approve"))).to_be_disabled()
-    expect(person.button(re.compile("^Deny"))).to_be_enabled()
-    person.press("a")
-    assert server.get(f"/v1/escalations/{asked['escalation']['id']}")["status"] == "pending"
-    floor.answer(asked, "approve")  # from where the console's word does not reach
-    told = person.page.get_by_role("status").filter(has_text="is not open any more")
-    expect(told).to_contain_text(re.compile("You approved it, but it was deferred: .*"))
-    assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "deferred"
-    floor.made.remove(asked["id"])
-
-
-def test_a_stopped_cell_keeps_an_approval_back_but_not_a_denial(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person = people.sit(server)
-    proposed = floor.ask()
-    approve, deny = (person.button(re.compile(f"^{word}")) for word in ("Approve", "Deny"))
-    expect(approve).to_be_enabled()
-    person.page.keyboard.press(".")
-    expect(card(person)).to_contain_text("is stopped and would refuse it")
-    expect(approve).to_be_disabled()
-    person.page.keyboard.press("t")
-    expect(person.button("Take the controls")).to_be_disabled()
-    deny.click()
-    assert floor.settled(proposed["id"])["status"] == "denied"
-
-
-@pytest.mark.parametrize("cover", ["the keys", "the menu of a phone"])
-def test_no_key_answers_what_lies_behind_something_else(
-    server: ServerProcess, people: People, floor: Floor, cover: str
-) -> None:
-    on_phone = cover == "the menu of a phone"
-    person = people.sit(server, size=PHONE if on_phone else DESK)
-    proposed = floor.ask()
-    expect(person.button(re.compile("^Deny"))).to_be_focused()
-    if on_phone:
-        person.button("Menu").click()
-    else:
-        person.press("?")
-        expect(person.page.get_by_role("dialog", name="Keys")).to_be_visible()
-    for key in "adp":
-        person.press(key)
-    assert server.get(f"/v1/invocations/{proposed['id']}")["status"] == "awaiting_approval"
-    person.press("Escape")
-    press_until(person, "d", gone=card(person))
-    assert floor.settled(proposed["id"])["status"] == "denied"
-
-
-def stages(person: Person) -> Locator:
-    return person.page.get_by_role("list", name="The seven stages of the session")
-
-
-def test_what_somebody_edits_is_read_again_before_a_key_approves_it(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person = people.sit(server)
-    asked = floor.ask("driver_1")
-    yes = person.button(re.compile("^Approve"))
-    expect(yes).to_be_enabled()
-    path = f"/v1/escalations/{asked['escalation']['id']}"
-    # A key that is on its way when the edit comes: pressed in the very moment the page shows the other value.
-    person.page.evaluate(
-        """() => { const seen = new MutationObserver(() => {
-            if (!document.querySelector('article')?.textContent.includes('1 of 2 approved')) return;
-            seen.disconnect();
-            dispatchEvent(new KeyboardEvent('keydown', { key: 'a' }));
-            window.pressed = true;
-        }); seen.observe(document.body, { childList: true, subtree: true, characterData: true }); }"""
-    )
-    with server.client("operator_2") as other:
-        edit = {"decision": "approve", "digest": server.get(path)["digest"], "params": {"force_n": 33}}
-        assert other.post(f"{path}/resolve", json=edit).json()["status"] == "pending"
-    told = card(person, "Grasp driver_1").get_by_role("alert")
-    expect(told).to_have_text("operator_2 changed what is asked: grip force 60 → 33 N. Read it again.")
-    expect(card(person, "Grasp driver_1").get_by_role("row", name=re.compile("Grip force"))).to_contain_text("changed")
-    assert person.page.evaluate("window.pressed")
-    expect(yes).to_be_enabled()  # once there was time to read
-    assert [one["by"] for one in server.get(path)["approvals"]] == ["operator_2"]
-    expect(person.page.get_by_role("textbox", name="Grip force you approve, N")).to_have_value("33")
-    press_until(person, "a", gone=card(person, "Grasp driver_1"))
-    assert floor.settled(asked["id"])["effective"]["force_n"] == 33
-
-
-def test_an_edit_that_anothers_overtakes_is_said_to_be_gone_and_no_key_falls_into_the_other_value(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person = people.sit(server)
-    path = f"/v1/escalations/{floor.ask('driver_1')['escalation']['id']}"
-    force = person.page.get_by_role("textbox", name="Grip force you approve, N")
-    expect(force).to_be_enabled()
-    force.fill("3")
-    expect(force).to_be_focused()
-    with server.client("operator_2") as other:
-        edit = {"decision": "approve", "digest": server.get(path)["digest"], "params": {"force_n": 33}}
-        assert other.post(f"{path}/resolve", json=edit).json()["status"] == "pending"
-    expect(force).to_have_value("33")
-    person.page.keyboard.type("5")
-    expect(person.page.locator("input:focus")).to_have_count(0)  # a slow line gives the safe choice the focus
-    expect(force).to_have_value("33")
-    told = card(person, "Grasp driver_1").get_by_role("alert")
-    expect(told.last).to_have_text("Your edit was of what was asked before: it was not sent, and is gone.")
-    expect(told.first).to_contain_text("Read it again.")
-
-
-def test_the_panel_that_a_key_opens_takes_the_focus_from_the_answers_to_a_question(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person, asked = people.sit(server), floor.ask()
-    expect(person.button("Deny")).to_be_focused()
-    person.press("t")
-    expect(person.region("Drive by hand")).to_be_focused()
-    person.press("Enter")
-    assert server.get(f"/v1/escalations/{asked['escalation']['id']}")["status"] == "pending"
-
-
-def test_who_approved_first_of_two_may_still_deny(server: ServerProcess, people: People, floor: Floor) -> None:
     one, other = people.sit(server), people.sit(server, "operator_2")
     proposed = floor.ask("driver_1")
     mine, theirs = one.page.get_by_role("article"), other.page.get_by_role("article")
@@ -454,21 +229,221 @@ def test_who_approved_first_of_two_may_still_deny(server: ServerProcess, people:
     expect(theirs).to_have_count(0)
     assert floor.settled(proposed["id"])["status"] == "denied"
 
+    # what the first approved, the second denies while the first is at another question
+    first = floor.ask("driver_1")["escalation"]
+    expect(card(one, "Grasp driver_1")).to_be_visible()
+    proposed = floor.ask()
+    expect(one.button(re.compile("^Approve"))).to_be_enabled()
+    one.button(re.compile("^Approve")).click()
+    expect(card(one, "Grasp driver_1")).to_have_count(0)
+    denied_by(server, first, "operator_2")
+    told = one.page.get_by_role("status").filter(has_text="Grasp driver_1 is not open any more: operator_2 denied.")
+    expect(told).to_contain_text("This is another question.")
 
-def test_who_approved_first_of_two_is_told_that_it_was_for_nothing_also_at_another_question(
+    # and both answer the other one at once
+    for person in (one, other):
+        person.expects("409")
+        expect(card(person)).to_be_visible()
+        expect(person.button(re.compile("^Approve"))).to_be_enabled()
+    with at_once("**/resolve", one, other):
+        one.button(re.compile("^Approve")).click()
+        other.button(re.compile("^Deny")).click()
+    words = [person.page.get_by_text("Somebody has answered this already.") for person in (one, other)]
+    until(lambda: any(said.is_visible() for said in words), what="words for the one who came second")
+    second = next(said for said in words if said.is_visible())
+    expect(second).to_have_text(re.compile(r"(operator_2 denied|operator approved it(: it was launched)?)\.$"))
+    assert floor.settled(proposed["id"])["status"] in {"running", "denied", "completed"}
+
+
+def denied_by(server: ServerProcess, question: dict[str, Any], key: str) -> None:
+    path = f"/v1/escalations/{question['id']}"
+    answer = {"decision": "deny", "digest": server.get(path)["digest"]}
+    assert server.post(f"{path}/resolve", answer, key=key).is_success
+
+
+def test_an_edit_outlasts_a_look_at_another_page_and_is_told_to_be_gone_where_another_has_answered_here_or_meanwhile(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
     person = people.sit(server)
-    path = f"/v1/escalations/{floor.ask('driver_1')['escalation']['id']}"
-    expect(card(person, "Grasp driver_1")).to_be_visible()
-    floor.ask()
+    gone = person.alert("it is not open any more, and your edit was not sent")
+    for elsewhere in (False, True):
+        asked = floor.ask()["escalation"]
+        card(person).get_by_role("textbox", name="Grip force you approve, N").fill("22")
+        expect(card(person)).to_contain_text("Your edit was checked again: allowed.")
+        if elsewhere:
+            person.page.get_by_role("link", name="Audit").click()
+        denied_by(server, asked, "operator_2")
+        if elsewhere:
+            person.page.get_by_role("link", name="Live").click()
+        expect(gone).to_contain_text("operator_2 denied")
+        person.button("Understood").click()
+        expect(gone).to_have_count(0)
+    kept = floor.ask()
+    force = person.page.get_by_role("textbox", name="Grip force you approve, N")
+    force.fill("22")
+    expect(card(person)).to_contain_text("Your edit was checked again: allowed.")
+    person.page.get_by_role("link", name="Audit").click()
+    expect(force).to_have_count(0)
+    person.page.get_by_role("link", name="Live").click()
+    expect(force).to_have_value("22")  # an edit in the making outlasts a look at another page
+    expect(card(person)).to_contain_text("Your edit was checked again: allowed.")
+    person.button("Approve edit").click()
+    assert floor.settled(kept["id"])["effective"]["force_n"] == 22
+
+
+def test_a_question_that_another_answers_or_another_profile_withdraws_says_so_and_what_became_of_it(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    first = floor.ask()["escalation"]
+    expect(card(person)).to_be_visible()
+    second = floor.ask()["escalation"]
+    denied_by(server, first, "operator_2")
+    told = person.page.get_by_role("status").filter(has_text="is not open any more")
+    expect(told).to_contain_text("is not open any more: operator_2 denied.")
+    expect(told).to_contain_text("This is another question.")  # for it looks the same
+    expect(card(person)).to_have_count(1)
+    person.button("Put this away").click()
+    expect(told).to_have_count(0)
+    assert server.get(f"/v1/escalations/{second['id']}")["status"] == "pending"
+    with server.client("operator_2") as other:
+        assert other.put("/v1/cells/workcell-1/profile", json={"profile": "sim-relaxed"}).is_success
+        try:
+            expect(told).to_contain_text(
+                "It was withdrawn: operator_2 put the cell under another profile. "
+                "It did not begin, and may be proposed again."
+            )
+        finally:
+            other.put("/v1/cells/workcell-1/profile", json={"profile": "human-shared"})
+
+
+def test_what_would_be_approved_in_vain_is_kept_back_and_what_was_or_a_rollback_withdraws_says_why(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    asked = floor.ask()
     expect(person.button(re.compile("^Approve"))).to_be_enabled()
-    person.button(re.compile("^Approve")).click()
+    floor.drive_off()
+    expect(card(person)).to_contain_text("workcell-1 is busy with another session and would defer it")
+    expect(person.button(re.compile("^Approve"))).to_be_disabled()
+    expect(person.button(re.compile("^Deny"))).to_be_enabled()
+    person.press("a")
+    assert server.get(f"/v1/escalations/{asked['escalation']['id']}")["status"] == "pending"
+    floor.answer(asked, "approve")  # from where the console's word does not reach
+    told = person.page.get_by_role("status").filter(has_text="is not open any more")
+    expect(told).to_contain_text(re.compile("You approved it, but it was deferred: .*"))
+    assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "deferred"
+    floor.made.remove(asked["id"])
+    person.button("Put this away").click()
+    floor.clear()
+    session = floor.drive_off()["id"]
+    assert server.post(f"/v1/invocations/{session}/takeover", {}, key="operator_2").is_success
+    server.await_status(session, "escalated")  # nobody holds on to the controls
+    expect(person.region("Waiting for you").get_by_role("article")).to_be_visible()
+    assert server.post(f"/v1/invocations/{session}/rollback", {}, key="operator_2").is_success
+    expect(told).to_contain_text("It was withdrawn: operator_2 ordered a rollback.")
+
+
+def covered(server: ServerProcess, person: Person, proposed: dict[str, Any]) -> None:
+    """Press the keys of answers where something lies over the question, and then where nothing does any more."""
+    for key in "adp":
+        person.press(key)
+    assert server.get(f"/v1/invocations/{proposed['id']}")["status"] == "awaiting_approval"
+    person.press("Escape")
+    press_until(person, "d", gone=card(person))
+    assert server.await_status(proposed["id"], "denied")
+
+
+def test_no_key_answers_behind_the_list_of_keys_or_from_the_panel_and_a_stopped_cell_keeps_only_an_approval_back(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    proposed = floor.ask()
+    approve, deny = (person.button(re.compile(f"^{word}")) for word in ("Approve", "Deny"))
+    expect(deny).to_be_focused()
+    person.press("t")  # a panel takes the focus from the answers
+    expect(person.region("Drive by hand")).to_be_focused()
+    person.press("Enter")
+    assert server.get(f"/v1/escalations/{proposed['escalation']['id']}")["status"] == "pending"
+    person.press("t")
+    person.press("?")
+    expect(person.page.get_by_role("dialog", name="Keys")).to_be_visible()
+    covered(server, person, proposed)
+    proposed = floor.ask()
+    expect(approve).to_be_enabled()
+    person.press(".")
+    expect(card(person)).to_contain_text("is stopped and would refuse it")
+    expect(approve).to_be_disabled()
+    person.press("t")
+    expect(person.button("Take the controls")).to_be_disabled()
+    deny.click()
+    assert floor.settled(proposed["id"])["status"] == "denied"
+
+
+def test_no_key_answers_what_lies_behind_the_menu_of_a_phone(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, size=PHONE)
+    proposed = floor.ask()
+    expect(person.button(re.compile("^Deny"))).to_be_focused()
+    person.button("Menu").click()
+    covered(server, person, proposed)
+
+
+def stages(person: Person) -> Locator:
+    return person.page.get_by_role("list", name="The seven stages of the session")
+
+
+def test_what_somebody_edits_is_read_again_before_a_key_approves_it_and_an_edit_that_it_overtakes_is_said_to_be_gone(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    asked = floor.ask("driver_1")
+    force, told = (
+        person.page.get_by_role("textbox", name="Grip force you approve, N"),
+        card(person, "Grasp driver_1").get_by_role("alert"),
+    )
+    expect(force).to_be_enabled()
+    force.fill("3")
+    expect(force).to_be_focused()
+    edited_by(server, asked, "operator_2")
+    expect(force).to_have_value("33")
+    person.page.keyboard.type("5")  # no key falls into the other value
+    expect(person.page.locator("input:focus")).to_have_count(0)  # a slow line gives the safe choice the focus
+    expect(force).to_have_value("33")
+    expect(told.last).to_have_text("Your edit was of what was asked before: it was not sent, and is gone.")
+    expect(told.first).to_contain_text("Read it again.")
+    floor.answer(asked, "deny")
     expect(card(person, "Grasp driver_1")).to_have_count(0)
-    answer = {"decision": "deny", "digest": server.get(path)["digest"]}
-    assert server.post(f"{path}/resolve", answer, key="operator_2").is_success
-    told = person.page.get_by_role("status").filter(has_text="Grasp driver_1 is not open any more: operator_2 denied.")
-    expect(told).to_contain_text("This is another question.")
+
+    asked = floor.ask("driver_1")
+    yes = person.button(re.compile("^Approve"))
+    expect(yes).to_be_enabled()
+    # A key that is on its way when the edit comes: pressed in the very moment the page shows the other value.
+    person.page.evaluate(
+        """() => { const seen = new MutationObserver(() => {
+            if (!document.querySelector('article')?.textContent.includes('1 of 2 approved')) return;
+            seen.disconnect();
+            dispatchEvent(new KeyboardEvent('keydown', { key: 'a' }));
+            window.pressed = true;
+        }); seen.observe(document.body, { childList: true, subtree: true, characterData: true }); }"""
+    )
+    edited_by(server, asked, "operator_2")
+    expect(told).to_have_text("operator_2 changed what is asked: grip force 60 → 33 N. Read it again.")
+    expect(card(person, "Grasp driver_1").get_by_role("row", name=re.compile("Grip force"))).to_contain_text("changed")
+    assert person.page.evaluate("window.pressed")
+    expect(yes).to_be_enabled()  # once there was time to read
+    approvals = server.get(f"/v1/escalations/{asked['escalation']['id']}")["approvals"]
+    assert [one["by"] for one in approvals] == ["operator_2"]
+    expect(force).to_have_value("33")
+    press_until(person, "a", gone=card(person, "Grasp driver_1"))
+    assert floor.settled(asked["id"])["effective"]["force_n"] == 33
+
+
+def edited_by(server: ServerProcess, asked: dict[str, Any], key: str) -> None:
+    path = f"/v1/escalations/{asked['escalation']['id']}"
+    edit = {"decision": "approve", "digest": server.get(path)["digest"], "params": {"force_n": 33}}
+    assert server.post(f"{path}/resolve", edit, key=key).json()["status"] == "pending"
 
 
 def test_a_grant_says_whole_what_it_covers_and_is_for_a_task_only_where_the_proposal_names_one(
@@ -512,73 +487,44 @@ def test_a_grant_says_whole_what_it_covers_and_is_for_a_task_only_where_the_prop
     expect(grants).to_have_count(0)
 
 
-def test_a_denial_that_did_not_arrive_is_told_on_whatever_card_or_page(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person = people.sit(server)
-    person.expects("ERR_FAILED")
-    floor.ask("glass_1")
-    expect(card(person, "Grasp glass_1")).to_be_visible()
-    floor.ask("mug_1")
-    held: list[Route] = []
-    person.page.route("**/resolve", lambda route: held.append(route))  # noqa: PLW0108 (Playwright takes no built-in)
-    person.button(re.compile("^Deny")).click()
-    until(lambda: held or person.page.wait_for_timeout(20), what="a denial that is held")
-    person.press("x")
-    expect(card(person)).to_be_visible()
-    held[0].abort()
-    told = person.alert("Grasp glass_1: No answer from the server")
-    expect(told).to_contain_text("The question still waits.")
-    for page in "21":
-        person.press(page)
-    expect(person.alert("No answer from the server: it is not known whether this arrived.")).to_be_visible()
-
-
-def test_standing_grants_stand_below_what_waits_and_are_revoked_by_keyboard(
-    server: ServerProcess, people: People, floor: Floor
+def test_standing_grants_are_revoked_by_keyboard_or_run_out_and_only_who_gave_one_is_told_once_that_it_ended(
+    server: ServerProcess, people: People
 ) -> None:
     give(server, "glass_1", 1)
     give(server, "mug_1", 1)
-    person = people.sit(server)
-    grants = person.page.get_by_role("list", name="Standing grants")
+    giver, other = people.sit(server), people.sit(server, "operator_2")
+    grants = giver.page.get_by_role("list", name="Standing grants")
     expect(grants).to_contain_text("glass_1")
-    calm = box(person.page.get_by_text("Nothing waits for a person."))
+    calm = box(giver.page.get_by_text("Nothing waits for a person."))
     assert box(grants)["y"] >= calm["y"] + calm["height"]
     grants.get_by_role("button", name="Revoke the grant for “grasp object” of glass_1").focus()
-    person.press("Enter")
+    giver.press("Enter")
     left = grants.get_by_role("button")
     expect(left).to_have_count(1)
     expect(left).to_have_accessible_name("Revoke the grant for “grasp object” of mug_1 by planner in workcell-1")
     expect(left).to_be_focused()
-    person.press("Enter")
+    giver.press("Enter")
     expect(grants).to_have_count(0)
-    expect(person.page.get_by_text("No standing grants.")).to_be_focused()
-    expect(person.region("Events")).to_contain_text("operator revoked a standing grant: grasp object glass_1")
+    expect(giver.page.get_by_text("No standing grants.")).to_be_focused()
+    expect(giver.region("Events")).to_contain_text("operator revoked a standing grant: grasp object glass_1")
+    told = giver.page.get_by_text("A standing grant of yours ended: “grasp object” of glass_1 by planner in workcell-1")
+    expect(told).to_have_count(0)  # one's own doing
 
-
-def test_a_standing_grant_that_runs_out_goes_while_one_watches(server: ServerProcess, people: People) -> None:
-    person = people.sit(server)
-    give(server, "glass_1", 0.05)
-    grants = person.page.get_by_role("list", name="Standing grants")
-    expect(grants).to_contain_text(re.compile("glass_1 by planner in workcell-1, [1-3] s left"))
-    grants.get_by_role("button").focus()
-    expect(grants).to_have_count(0)
-    expect(person.page.get_by_text("No standing grants.")).to_be_focused()
-    expect(person.region("Events")).to_contain_text("Standing grant ran out: grasp object glass_1")
-
-
-def test_whoever_gave_a_grant_and_nobody_else_is_told_once_that_it_ended(server: ServerProcess, people: People) -> None:
-    giver, other = people.sit(server), people.sit(server, "operator_2")
     give(server, "glass_1", 1)
     giver.press("2")
     other.page.get_by_role("button", name="Revoke the grant for “grasp object” of glass_1").click()
     expect(other.region("Events")).to_contain_text("operator_2 revoked a standing grant: grasp object glass_1")
     giver.press("1")
-    told = giver.page.get_by_text("A standing grant of yours ended: “grasp object” of glass_1 by planner in workcell-1")
     expect(told).to_contain_text("revoked by operator_2")
     giver.button("Put away which grants ended").click()
     expect(told).to_have_count(0)
-    give(server, "glass_1", 0.01)
+
+    give(server, "glass_1", 0.05)
+    expect(grants).to_contain_text(re.compile("glass_1 by planner in workcell-1, [1-3] s left"))
+    grants.get_by_role("button").focus()
+    expect(grants).to_have_count(0)
+    expect(giver.page.get_by_text("No standing grants.")).to_be_focused()
+    expect(giver.region("Events")).to_contain_text("Standing grant ran out: grasp object glass_1")
     expect(told).to_contain_text("ran out")
     expect(other.page.get_by_text("of yours ended")).to_have_count(0)
 
