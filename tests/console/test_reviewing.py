@@ -61,7 +61,7 @@ def kept(server: ServerProcess, session: dict[str, Any]) -> dict[str, Any]:
     return next(one for one in items if one["invocation"] == session["id"])
 
 
-def test_an_auditor_gives_a_verdict_and_a_note_by_keyboard(
+def test_an_auditor_gives_a_verdict_by_keyboard_and_its_trace_shows_nothing_measured_where_nothing_was(
     server: ServerProcess, people: People, stopped: dict[str, Any]
 ) -> None:
     person, other = people.sit(server, "auditor"), people.sit(server)
@@ -75,6 +75,8 @@ def test_an_auditor_gives_a_verdict_and_a_note_by_keyboard(
     expect(form.get_by_role("button", name="Record the verdict")).to_have_accessible_description(
         "Choose a verdict first."
     )
+    until(lambda: told(server, stopped["id"]), what="its telemetry")
+    person.page.wait_for_timeout(3000)  # as long as its reviewer takes, and longer than it ran
     form.get_by_role("radio", name=re.compile("Accepted")).focus()
     person.press("ArrowDown")
     expect(form.get_by_role("radio", name=re.compile("Objected"))).to_be_checked()
@@ -93,18 +95,11 @@ def test_an_auditor_gives_a_verdict_and_a_note_by_keyboard(
     queue(person).get_by_role("link", name=re.compile("Drive to")).click()
     expect(person.region("Review")).to_contain_text("Reviewed by auditor: objected")
     expect(person.region("Events of the session")).to_contain_text("auditor reviewed: objected")
+    looks_where_nothing_was_measured(person, "auditor reviewed: objected")
 
 
-def test_a_trace_gives_its_room_to_what_ran_and_shows_nothing_measured_where_nothing_was(
-    server: ServerProcess, people: People, stopped: dict[str, Any]
-) -> None:
-    person = people.sit(server)
-    until(
-        lambda: server.get(f"/v1/audit/events?invocation={stopped['id']}&kind=telemetry")["items"], what="its telemetry"
-    )
-    person.page.wait_for_timeout(3000)  # as long as its reviewer takes, and longer than it ran
-    judge(server, kept(server, stopped), "accepted")
-    person.page.evaluate(f"location.hash = '#/audit/{stopped['id']}'")
+def looks_where_nothing_was_measured(person: Person, verdict: str) -> None:
+    """Go through a trace: it gives its room to what ran, and shows nothing measured before and after."""
     events, replay, measured = (
         person.region("Events of the session"),
         person.region("Replay"),
@@ -114,7 +109,7 @@ def test_a_trace_gives_its_room_to_what_ran_and_shows_nothing_measured_where_not
     expect(stamp).to_have_text("Record, not the present")
     expect(measured).to_contain_text(re.compile(r"Base speed\s*\d\.\d\d m/s"))
     ran_s = float(moment.evaluate("(range) => Number(range.max)"))
-    last = events.get_by_role("button", name="operator_2 reviewed: accepted")
+    last = events.get_by_role("button", name=verdict)
     last.click()
     expect(moment).to_have_attribute("aria-valuetext", re.compile(r"^\+\d+\.\d s, after the end$"))
     reviewed_s = float(re.findall(r"[\d.]+", str(moment.get_attribute("aria-valuetext")))[0])
@@ -163,24 +158,25 @@ def test_parts_of_telemetry_are_told_apart_and_one_that_is_not_there_bars_the_wa
 
     until(approved, what="its answer")
     server.await_status(session, "completed")
-    kept = until(
-        lambda: [] if len(said := told(server, session)) < 2 else said, what="the seal of its telemetry's second part"
+    # On a busy machine the link may lapse once more, and leave a part in which nothing was measured.
+    found = until(
+        lambda: found if len(found := measured_in(server, session)) > 1 else None, what="a second part of its telemetry"
     )
-    first, second = (server.get(f"/v1/audit/telemetry/{session}?part={part}")["columns"]["time_s"] for part in (1, 2))
+    (one, first), (two, second) = list(found.items())[:2]
     person = people.sit(server)
     held: list[Route] = []
 
     def hold(route: Route) -> None:
         held.append(route)
 
-    person.page.route("**/v1/audit/telemetry/*part=2", hold)
+    person.page.route(f"**/v1/audit/telemetry/*part={two}", hold)
     person.page.evaluate(f"location.hash = '#/audit/{session}'")
     side = person.region("Measured and recorded")
     measured = side.get_by_role("list", name="What was measured")
     expect(measured).to_be_visible()
     part = person.page.get_by_label("Part")
-    expect(part).to_have_value("1")
-    part.select_option("2")
+    expect(part).to_have_value(f"{one}")
+    part.select_option(f"{two}")
     expect(side.get_by_text("Reading…")).to_be_visible()
     expect(measured).to_have_count(0)
     until(lambda: held or person.page.wait_for_timeout(20), what="the request for the second part")
@@ -188,15 +184,22 @@ def test_parts_of_telemetry_are_told_apart_and_one_that_is_not_there_bars_the_wa
     expect(measured).to_be_visible()
     launched = person.region("Events of the session").get_by_role("button", name=re.compile("Launched"))
     expect(launched).to_contain_text(f"−{second[0] - first[0] + 0.01:.1f} s")
-    person.page.unroute("**/v1/audit/telemetry/*part=2")
-    gone = server.data / "telemetry" / kept[0]["body"]["file"]
+    person.page.unroute(f"**/v1/audit/telemetry/*part={two}")
+    gone = server.data / "telemetry" / told(server, session)[one - 1]["body"]["file"]
     gone.rename(server.data / "away")
     person.expects("Failed to load resource")
-    part.select_option("1")
+    part.select_option(f"{one}")
     expect(side).to_contain_text("its file is not where it was kept")
-    part.select_option("2")
+    part.select_option(f"{two}")
     expect(measured).to_be_visible()
     (server.data / "away").rename(gone)
+
+
+def measured_in(server: ServerProcess, session: str) -> dict[int, list[float]]:
+    """Return when it was measured, of each part in which anything was."""
+    parts = range(1, len(told(server, session)) + 1)
+    columns = {part: server.get(f"/v1/audit/telemetry/{session}?part={part}")["columns"] for part in parts}
+    return {part: found["time_s"] for part, found in columns.items() if found}
 
 
 def told(server: ServerProcess, session: str) -> list[dict[str, Any]]:
