@@ -61,13 +61,15 @@ def red(person: Person) -> int:
 
 @pytest.fixture(scope="module")
 def crossed(built: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
-    """A server whose robot, once it drives, is held by somebody who comes and stays; from then on neither moves."""
+    """A server whose robot drives, and is held by somebody who comes and stays; from then on neither moves."""
     folder = tmp_path_factory.mktemp("crossed")
     scenario = folder / "scenario.yaml"
     scenario.write_text(WALKS_UP)
     servers = Servers(folder)
     try:
-        yield servers.start(None, "--pace", "1", "--scenario", str(scenario))
+        server = servers.start(None, "--pace", "1", "--scenario", str(scenario))
+        server.launch("navigate_to", target="bench_b_stand")
+        yield server
     finally:
         servers.end()
 
@@ -78,8 +80,6 @@ def test_whom_the_watcher_holds_is_paused_to_stay_and_resumed_only_then(
     crossed: ServerProcess, people: People, size: dict[str, int]
 ) -> None:
     person = people.sit(crossed, size=size)
-    if not crossed.get("/v1/invocations")["items"]:
-        crossed.launch("navigate_to", target="bench_b_stand")
     scene, pause, resume = person.region("The cell in 3D"), person.button("Pause"), person.button("Resume")
     expect(scene).to_contain_text("It goes on by itself once they have left, unless somebody pauses it.")
     expect(pause).to_have_attribute("aria-disabled", "false")
