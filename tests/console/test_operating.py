@@ -115,8 +115,10 @@ def test_a_session_is_paused_by_one_key_however_often_resumed_by_another_and_a_r
     assert said == ["pause", "pause", "resume", "resume"]  # the server says it, and the cell that it has done it
 
     floor.clear()
+    expect(robot(person)).to_contain_text("Idle")
     person.expects("status of 409")
     floor.drive_off()
+    expect(robot(person)).to_contain_text("Running")
     expect(person.button("Pause")).to_be_enabled()
     held: list[Route] = []
     person.page.route("**/pause", lambda route: held.append(route))  # noqa: PLW0108 (Playwright takes no built-in)
