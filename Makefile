@@ -27,7 +27,8 @@ $(STAMP): requirements/dev.txt pyproject.toml
 	@echo "setting up $(VENV) (one to three minutes, once) ..."
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --require-hashes -r requirements/dev.txt
-	@$(BIN)/python -m compileall -q -j 0 $(VENV)/lib  # what pip does as well, but with one processor
+	@# What pip does as well, but with one processor. What cannot be compiled says so when it is imported.
+	@$(BIN)/python -W ignore -m compileall -qq -j 0 $(VENV)/lib || true
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $(STAMP)
 

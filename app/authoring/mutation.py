@@ -161,9 +161,7 @@ def _asks_anew(mutant: Mutant) -> bool:
     return mutant.file == "organization.yaml" or mutant.path[:1] == ("inputs",)
 
 
-def _telling(
-    example: Mapping[str, Any], both: tuple[PolicySet, PolicySet], *, anew: bool = True
-) -> dict[str, Any] | None:
+def _telling(example: Mapping[str, Any], both: tuple[PolicySet, PolicySet], *, anew: bool) -> dict[str, Any] | None:
     """Return what to expect of an example, so that it passes under the first policy and fails under the other."""
     case = CaseShape.model_validate({**example, "name": "x", "expect": {"status": "allowed"}})
     asked = cases.asking(both[0], str(case.profile), case)
