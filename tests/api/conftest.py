@@ -8,7 +8,7 @@ import contextlib
 import json
 import re
 import struct
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -51,6 +51,7 @@ from app.protocol import (
 from app.runtime.assembly import Runtime
 from tests.conftest import NO_TLS
 from tests.examining import examine_here
+from tests.lasting import let_states_last
 
 POLICIES = Path(__file__).resolve().parents[2] / "policies"
 CELL = "workcell-1"
@@ -378,6 +379,14 @@ class Door(uvicorn.Server):
 
     @contextlib.contextmanager
     def capture_signals(self) -> Any:
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def lasting() -> Iterator[None]:
+    """Let what a puppet said last count however long nobody ran: it and the server that hears it are one process."""
+    with pytest.MonkeyPatch.context() as patch:
+        let_states_last(patch)
         yield
 
 

@@ -20,16 +20,14 @@ from app.governance.bundle import load
 from app.governance.model import Role
 from app.governance.policy import PolicySet
 from app.protocol import Down, Estop, Hello, Reset, State, UpEvent, decode_down, encode
-from app.runtime import cells as cells_module
-from app.runtime import fleet as fleet_module
 from app.runtime.assembly import Runtime
 from app.runtime.examining import Examine
 from app.runtime.invocation import Principal, ProposalRequest
 from app.runtime.link import Attachment
 from tests.examining import examine_here
+from tests.lasting import let_states_last
 
 PATIENCE_S = 20.0
-LASTING_S = 30.0  # a hand speaks when a test says so: how long a busy machine takes between is no silence of the cell's
 CELL = "workcell-1"
 AGENT = Principal(name="planner", role=Role.AGENT)
 STRANGER = Principal(name="stranger", role=Role.AGENT)
@@ -260,8 +258,7 @@ def policy() -> PolicySet:
 @pytest.fixture
 def lasting(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     """Let a state count for longer than a test takes; what is about one that lapses undoes it, or ages the state."""
-    monkeypatch.setattr(cells_module, "FRESH_S", LASTING_S)
-    monkeypatch.setattr(fleet_module, "FRESH_S", LASTING_S)
+    let_states_last(monkeypatch)
     return monkeypatch
 
 
