@@ -32,7 +32,7 @@ hypothesis.settings.load_profile("untimed")
 START_S = 120.0
 END_S = 30.0
 PATIENCE_S = 120.0  # for what gives way to everything else on a busy machine; only a failure takes as long
-STEP_S = 0.02
+STEP_S, STEPS_S = 0.02, 0.1  # between two looks, at first and in the end: what takes long is looked at less often
 PACE = "10"
 """Simulated seconds per second: a cell that computes all the time (0) misses its link's lease on a busy machine."""
 # Servers under test speak no TLS. A client that is not given this reads every certificate there is, and a test that
@@ -98,13 +98,15 @@ def telling_lapses(item: pytest.Item) -> Generator[None, object, object]:
 def until(condition: Callable[[], Any], within_s: float = PATIENCE_S, what: str = "") -> Any:
     """Return the condition's first true value; fail with `what` when the deadline passes."""
     deadline = monotonic_s() + within_s
+    step_s = STEP_S
     while True:
         value = condition()
         if value:
             return value
         if monotonic_s() > deadline:
             pytest.fail(f"not within {within_s} s: {what or condition}")
-        time.sleep(STEP_S)
+        time.sleep(step_s)
+        step_s = min(STEPS_S, 1.2 * step_s)
 
 
 @dataclass
