@@ -35,7 +35,7 @@ from app.runtime.reviews import Reviews
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Mapping
+    from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
 
     from app.audit.reader import Row
     from app.governance.policy_model import Denial
@@ -138,9 +138,7 @@ class Desk(Questions):
         if decision == "deny" and params is not None:
             raise InvalidParams([{"path": "params", "message": "go with an approval; valid: none with a denial"}])
         entry = await self._open(escalation_id)
-        if decision == "approve" and entry.newest.cell is not None:
-            await self.fleet.settle(self.fleet.cell(entry.newest.cell))
-        async with entry.lock:
+        async with self.settled(entry) if decision == "approve" else entry.lock:
             present = await self._present(escalation_id, entry.newest)
             _check_answer(present, principal, digest, self.outdated(present))
             if decision == "approve":
@@ -160,6 +158,20 @@ class Desk(Questions):
                 case _:
                     final = await answer.deny(why)
         return final.public()
+
+    @contextlib.asynccontextmanager
+    async def settled(self, entry: Entry) -> AsyncGenerator[None]:
+        """Hold the lock of an invocation that may launch, on facts newer than the last session's end on its cell.
+
+        While the lock is waited for, a session may end: what is decided then is not decided on the world before.
+        """
+        cell = self.fleet.cell(entry.newest.cell) if entry.newest.cell else None
+        while True:
+            await self.fleet.settle(cell)
+            async with entry.lock:
+                if cell is None or not self.fleet.unsettled(cell):
+                    yield
+                    return
 
     def _denial(self, decision: str, code: str | None) -> Denial:
         policy = self.kernel.policy

@@ -241,10 +241,14 @@ class Fleet:
         that are there count for. Whoever decides then meets a cell that is silent, not what its world looked like
         before.
         """
-        while cell is not None and cell.fresh and cell.outlived:
+        while cell is not None and self.unsettled(cell):
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(max(0.0, cell.state_at_s + FRESH_S - monotonic_s())):
                     await cell.stated.wait()
+
+    def unsettled(self, cell: Cell) -> bool:
+        """Say whether the facts that are there are from before the last session's end."""
+        return cell.fresh and cell.outlived
 
     def expect(self, cell_id: str, coming: bool) -> None:
         """Note that a cell's process is being started, or that nobody starts it any more."""

@@ -293,9 +293,8 @@ class Succession:
             entry = self._register.entry(known.invocation)
             if entry is None or self._desk.outdated(known) is None:
                 continue
-            if known.kind == APPROVAL and known.cell is not None:  # it may launch, on what the last session left
-                await self._fleet.settle(self._fleet.cell(known.cell))
-            async with entry.lock:
+            # What waits for approval may launch, on what the last session left.
+            async with self._desk.settled(entry) if known.kind == APPROVAL else entry.lock:
                 present = self._desk.pending_for(known.invocation)
                 why = None if present is None else self._desk.outdated(present)
                 if present is not None and why is not None:

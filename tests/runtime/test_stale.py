@@ -56,6 +56,26 @@ def launches(cell: HandCell) -> int:
     return len(cell.all("launch"))
 
 
+async def test_an_approval_that_waited_while_a_session_ended_is_of_the_world_after_it(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    made, _ = await runtime.governor.propose(AGENT, grasp())
+    before, question = await running(runtime, cell), runtime.desk.pending_for(made["id"])
+    entry = runtime.register.entry(made["id"])
+    assert question is not None
+    assert entry is not None
+    async with entry.lock:  # something else about the question is being recorded
+        approving = asyncio.create_task(runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest))
+        await settled()
+        await cell.report("outcome", before, outcome="succeeded", code="done")
+    await settled()
+    cell.invocation, cell.facts = None, {**AT_BENCH, "gripper_empty": False, "holding": "glass_1"}
+    await cell.state()
+    await approving
+    late = await runtime.governor.invocation(made["id"], AGENT)
+    assert (late["status"], launches(cell)) == ("deferred", 1)
+
+
 async def settled() -> None:
     """Let everything that waits for nothing else be done."""
     for _ in range(50):
