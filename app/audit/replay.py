@@ -136,7 +136,7 @@ def replay(data_dir: Path, policies: Policies, *, after: int = 0, until: int | N
             if again is None:
                 result.without_policy += 1
                 continue
-            changed = again.compare(seq, invocation, admission, verdict, kept)
+            changed = again.compare(seq, invocation, admission, _own(admission, verdict), kept)
         except (KeyError, TypeError, ValueError) as error:
             database = Places(data_dir).database
             raise RecordDamaged(database, f"event `{seq}` is no record of a decision: {error!r}") from error
@@ -220,6 +220,12 @@ def _paired(connection: sqlite3.Connection, after: int, until: int) -> Iterator[
         query = "SELECT body FROM events WHERE seq = ? AND kind = 'policy'"
         following = connection.execute(query, (held[0] + 1,)).fetchone()
         yield (*held, None if following is None else loads(following[0])["body"])
+
+
+def _own(admission: Body, verdict: Body | None) -> Body | None:
+    """Return what policy said of the very parameters it was asked about, where more was shown with that."""
+    anew = admission.get(recorded.ANEW, verdict)
+    return None if anew is None or verdict is None else {**verdict, **anew}
 
 
 class _Again:

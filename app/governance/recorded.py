@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from app.governance.policy import PolicySet
 
 KEY: Final = "context"
+ANEW: Final = "anew"  # beside a decision on what was approved, where the verdict shown leads there from the request
 _MODES: Final = {mode.value: mode for mode in Mode}
 _NOTHING: Final[Mapping[str, Any]] = {}
 

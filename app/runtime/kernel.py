@@ -37,8 +37,8 @@ from app.governance.model import (
 )
 from app.governance.permit import mint
 from app.governance.plans import confirm_before
+from app.governance.recorded import ANEW, circumstances
 from app.governance.recorded import KEY as CIRCUMSTANCES
-from app.governance.recorded import circumstances
 from app.protocol import Launch
 from app.runtime.cells import Moment
 from app.runtime.drafts import SERVER
@@ -175,8 +175,11 @@ class Judgement(NamedTuple):
 
     def recheck_events(self, invocation: Invocation) -> list[EventDraft]:
         """Return the events of deciding again, with the last approval, on what was approved; `recheck` marks them."""
-        if invocation.final:  # it ended by this decision, and shows it
-            return self._events(invocation, invocation.admission, invocation.policy, {"recheck": True})
+        if (
+            invocation.final
+        ):  # it ended by this decision, and shows it; what leads there from the request is not its own
+            mark = {"recheck": True, ANEW: self.policy_document()}
+            return self._events(invocation, invocation.admission, invocation.policy, mark)
         return self._events(invocation, self.admission_document(), self.policy_document(), {"recheck": True})
 
     def _events(

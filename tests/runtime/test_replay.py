@@ -185,18 +185,21 @@ async def test_an_approval_is_a_second_decision_with_its_own_context(house: Hous
     async with house.open() as runtime:
         cell = await HandCell(runtime).dial()
         await cell.state()
-        made, _ = await runtime.governor.propose(AGENT, grasp())
-        question = runtime.desk.pending_for(made["id"])
+        hard = ProposalRequest(capability="grasp_object", params={"object_id": "mug_1", "force_n": 80})
+        made, late = [(await runtime.governor.propose(AGENT, one))[0] for one in (grasp(), hard)]
+        question, other = (runtime.desk.pending_for(one["id"]) for one in (made, late))
         assert question is not None
+        assert other is not None
         await cell.state()
         await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest, params={"force_n": 20})
+        await runtime.desk.resolve(other.id, OPERATOR, "approve", other.digest)  # the cell is busy: it ends by that
         trace = await runtime.governor.trace(made["id"], ENGINEER)
         shown = await runtime.governor.trace(made["id"], AGENT)
     kept = [event["body"]["context"]["proposal"]["params"] for event in trace if event["kind"] == "admission"]
     assert [params["force_n"] for params in kept] == [40.0, 20.0]
     assert not any("context" in event["body"] for event in shown)
     found = replay(house.folder, then_in_force(house.folder))
-    assert (found.decisions, found.changed) == (2, [])
+    assert (found.decisions, found.changed) == (4, [])
 
 
 @pytest.mark.anyio
