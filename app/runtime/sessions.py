@@ -30,11 +30,11 @@ from app.audit.documents import TABLES, follow, is_founded, nothing_said
 from app.audit.errors import AuditError, RecordUnavailable
 from app.audit.event import EventDraft
 from app.clock import monotonic_s, parse_rfc3339
-from app.governance.control import Phase, refused
+from app.governance.control import GOING_ON, TAKEOVER, Phase, refused
 from app.governance.model import SESSION, EventKind, Outcome, Status
 from app.governance.session import final_status
 from app.protocol import Human, ProtocolError
-from app.runtime.cells import ended_by
+from app.runtime.cells import PAUSE, ended_by
 from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
 from app.runtime.escalation import DENIED, EXPIRED, PENDING, ROLLBACK, WITHDRAWN
 from app.runtime.failures import failure
@@ -67,6 +67,7 @@ UNWRITABLE: Final = "journal_unavailable"
 GOES_ON_S: Final = 2.0  # a session that was answered has long begun by then
 UNCONFIRMED_S: Final = LAUNCH_WITHIN_S + 1.0  # by then the permit has run out
 _ENDS_AS: Final = {DENIED: "on_deny", EXPIRED: "on_timeout"}  # what a question says of it
+LIFTING: Final = GOING_ON | {TAKEOVER, "release"}  # words that end a pause
 LIVED_THROUGH: Final = SESSION | {Status.COMPLETED, Status.FAILED}
 REPORTABLE: Final = frozenset({
     EventKind.LAUNCH, EventKind.ALERT, EventKind.INTERVENTION, EventKind.RECOVERY, EventKind.STATUS, EventKind.HUMAN,
@@ -234,13 +235,13 @@ class Sessions:
     # -- coming and going --------------------------------------------------------------------------------------------
 
     async def recall(self) -> None:
-        """Owe cells again what an earlier run said to end their sessions, as the log has it: they may not know it."""
+        """Owe cells again what was said in an earlier run to hold or end their sessions, where they may not know it."""
         for known in self._register.live():
             if known.status not in SESSION or not known.cell:
                 continue
             events = await events_of(self._register.store, invocation=known.id)
             await self._compare_answered(events)
-            if (word := _last_word(known, events)) is not None:
+            if (word := _last_word(known, events) or _unheard_pause(events)) is not None:
                 said = {"invocation": known.id, "actor": SERVER, **word}
                 self._fleet.restrain(self._fleet.cell(known.cell), Human.model_validate(said))
 
@@ -425,6 +426,21 @@ def _last_word(known: Invocation, events: Sequence[Event]) -> dict[str, Any] | N
         return None
     undone = answered.get(_ENDS_AS[answered["status"]]) == ROLLBACK
     return None if undone else {"op": "resolve_terminate", "expired": answered["status"] == EXPIRED}
+
+
+def _unheard_pause(events: Sequence[Event]) -> dict[str, Any] | None:
+    """Return a pause that nobody has lifted since, and of which the cell has not said that it heard it."""
+    pause: dict[str, Any] | None = None
+    for event in events:
+        body = event.payload() if event.kind in {EventKind.HUMAN, EventKind.APPROVAL} else {}
+        match body.get("op"):
+            case "pause":
+                pause = {"op": PAUSE, "actor": event.actor} if "role" in body else None
+            case op if op in LIFTING or "decision" in body:
+                pause = None
+            case _:
+                pass
+    return pause
 
 
 def _member(what: str, value: object, valid: Any) -> None:  # noqa: ANN401  # an enumeration or a set of one

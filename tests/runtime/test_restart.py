@@ -77,6 +77,25 @@ async def test_a_session_whose_cell_held_on_waits_for_a_human_and_nothing_moves(
         assert not back.all("human")
 
 
+async def test_a_pause_that_its_cell_may_not_have_heard_stands_after_a_start(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        document, _ = await first.governor.propose(AGENT, navigate())
+        await cell.launched(document["id"])
+        await first.governor.pause(document["id"], OPERATOR)
+    async with house.open() as second:
+        back = await HandCell(second, seq=cell.seq, invocation=document["id"], status="escalated").dial()
+        assert back.ops() == ["pause"]
+        question = second.desk.pending_for(document["id"])
+        assert question is not None
+        assert "it was paused by `olivia`" in question.reasons[-1]["message"]
+        await back.report("human", document["id"], op="pause", done=True, refused=None)
+    async with house.open() as third:
+        again = await HandCell(third, seq=back.seq, invocation=document["id"], status="escalated").dial()
+        assert again.ops() == []
+
+
 async def test_a_session_whose_cell_died_is_a_fault(house: House) -> None:
     async with house.open() as first:
         cell = await HandCell(first).dial()
