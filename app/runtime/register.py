@@ -49,6 +49,7 @@ class Register:
         self._wall_s = wall_s
         self._live: dict[str, Entry] = {}
         self._unsaid: list[EventDraft] = []  # what the record could not take yet
+        self._saying = asyncio.Lock()
         self.unfounded: dict[str, str] = {}  # rows that said, at the start, something else than the log: what
         self.on_final: Callable[[Invocation], None] = lambda _: None
         self.on_ending: Callable[[Invocation], tuple[EventDraft, RowWrite, Callable[[], None]] | None] = lambda _: None
@@ -144,17 +145,18 @@ class Register:
 
     async def say_unsaid(self) -> bool:
         """Record what is left unsaid; returns whether nothing is. What waits is stamped with when it was said."""
-        unsaid, self._unsaid = self._unsaid, []
-        if not unsaid:
+        async with self._saying:  # what somebody else is having recorded may be left unsaid yet
+            unsaid, self._unsaid = self._unsaid, []
+            if not unsaid:
+                return True
+            now = self.now()
+            try:
+                await self.append(unsaid)
+            except RecordUnavailable:
+                stamped = [replace(draft, body={"said_at": now, **draft.body}) for draft in unsaid]
+                self._unsaid = [*stamped, *self._unsaid][-MAX_UNSAID:]
+                return False
             return True
-        now = self.now()
-        try:
-            await self.append(unsaid)
-        except RecordUnavailable:
-            stamped = [replace(draft, body={"said_at": now, **draft.body}) for draft in unsaid]
-            self._unsaid = [*stamped, *self._unsaid][-MAX_UNSAID:]
-            return False
-        return True
 
     def unsaid(self) -> list[str]:
         """Return what happened and is not in the record, one line each."""

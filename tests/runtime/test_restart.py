@@ -435,7 +435,11 @@ async def test_no_report_is_acknowledged_that_only_a_row_says_is_recorded(house:
 async def test_reports_follow_the_word_that_says_in_which_journal_they_count(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def full(*_: object, **__: object) -> list[int]:
+    tried: list[object] = []
+
+    async def full(*given: object, **_: object) -> list[int]:
+        tried.append(given)
+        await asyncio.sleep(0.02)
         raise RecordUnavailable("no space left on device")
 
     async with house.open() as first:
@@ -444,9 +448,11 @@ async def test_reports_follow_the_word_that_says_in_which_journal_they_count(
         await first.fleet.leave(first.fleet.cell(CELL).attachment)  # pyright: ignore[reportArgumentType]
         with monkeypatch.context() as disk:
             disk.setattr(first.store, "append", full)
-            cell = await HandCell(first, journal="jrn-2").dial()
-            await cell.say(cell.event("cell", what="new"))
-            await asyncio.sleep(0)
+            cell = HandCell(first, journal="jrn-2")
+            dialing = asyncio.create_task(cell.dial())
+            await until(lambda: len(tried) == 2)  # that the cell is there is being said once more, in vain
+        await cell.say(cell.event("cell", what="new"))
+        await dialing
         await cell.acknowledged(1)
     async with house.open() as second:
         assert second.register.unfounded == {}
