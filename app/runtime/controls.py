@@ -165,7 +165,7 @@ class Controls:
         present = self.register.newest(invocation_id) or await self.visible(invocation_id, principal)
         if not may_see(principal, present.agent):
             raise NotFound("invocation", invocation_id)
-        if present.status not in legal and not self._stands(op, present):
+        if present.final or (present.status not in legal and not self._stands(op, present)):
             raise _wrong_status(op, present.status)
         self._allow(op, present)
         cell = self.fleet.cell(present.cell or UNNAMED)

@@ -128,6 +128,8 @@ async def test_defers_where_no_cell_was_ever_seen(runtime: Runtime) -> None:
     document, _ = await runtime.governor.propose(AGENT, navigate())
     assert document["status"] == "deferred"
     assert document["cell"] is None
+    with pytest.raises(Conflict, match="`stop` is not possible while the invocation is `deferred`"):
+        await runtime.governor.stop(document["id"], OPERATOR)
 
 
 async def test_defers_on_an_unmet_precondition(runtime: Runtime, cell: HandCell) -> None:
