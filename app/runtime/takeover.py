@@ -161,6 +161,7 @@ class Takeovers(Handbacks):
 
         Raises:
             Conflict: `takeover_refused`, it was let go of before that.
+            Forbidden: `role_forbidden`, they may do so no more once it is their turn.
         """
         entry = self.register.entry(present.id)
         word = self._word("takeover", present, principal, document, how)
@@ -171,6 +172,7 @@ class Takeovers(Handbacks):
         async with entry.lock:  # whoever had it before may be about to have it recorded
             if cell.control is None or cell.control.lease != document["lease"]:
                 raise Conflict("takeover_refused", f"the controls of `{cell.id}` were let go of meanwhile")
+            self.desk.ask_again(principal)
             newest = entry.newest
             takeover = {**(newest.takeover or {}), **held}
             versions = [newest.evolve(self.register.now(), takeover=takeover)] if _moved(newest, held) else []

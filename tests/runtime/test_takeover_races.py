@@ -227,15 +227,19 @@ async def test_nothing_goes_on_by_the_word_of_who_may_say_it_no_more_once_it_is_
     assert cell.ops() == []
 
 
+@pytest.mark.parametrize("held", [False, True])
 async def test_nobody_takes_over_who_may_no_more_once_it_is_their_turn(
-    house: House, runtime: Runtime, cell: HandCell, driving: str
+    house: House, runtime: Runtime, cell: HandCell, driving: str, held: bool
 ) -> None:
     entry, place = runtime.register.entry(driving), runtime.fleet.cell(CELL)
     assert entry is not None
+    if held:  # by somebody remote, whom somebody local takes the controls from
+        await runtime.governor.take_over(driving, OPERATOR)
+    before, launches = place.control, 1 + held
     async with entry.lock:
-        taking = asyncio.ensure_future(runtime.governor.take_over(driving, OPERATOR))
+        taking = asyncio.ensure_future(runtime.governor.take_over(driving, LOCAL))
         await asyncio.sleep(0.05)
-        house.withdrawn.add(OPERATOR.name)
+        house.withdrawn.add(LOCAL.name)
     with pytest.raises(Forbidden):
         await taking
-    assert (place.control, len(cell.all("launch"))) == (None, 1)
+    assert (place.control, len(cell.all("launch"))) == (before, launches)
