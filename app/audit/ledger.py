@@ -163,6 +163,7 @@ class Ledger:
         if self._due_outside is not None:
             self._file.missing = self._due_outside if self._due_outside != (self._file.last or "") else None
             self._due_outside = None
+        self._check_names()  # what is refused below is in the database all the same, and would be again at every try
         self._file.catch_up()
         self._batches.write(staged.writings)
         self._check_names()  # what went into a file without a name is not recorded

@@ -203,6 +203,7 @@ async def test_a_log_whose_file_was_deleted_takes_nothing_more_until_it_is_back(
     await fill(store)
     await store.look()
     assert store.healthy
+    recorded = store.size
     path, aside = store.places.folder / name, tmp_path / "aside"
     path.rename(aside)  # as good as deleted, and can be undone
     with pytest.raises(RecordUnavailable, match=f"the record's file `{name}` was deleted"):
@@ -213,7 +214,7 @@ async def test_a_log_whose_file_was_deleted_takes_nothing_more_until_it_is_back(
         await store.append([draft()])
     aside.replace(path)
     await until(lambda: store.healthy)
-    await store.append([draft()])
+    assert await store.append([draft()]) == [recorded + 1], "what was refused is not in the log"
     assert (await store.verify()).ok
 
 
