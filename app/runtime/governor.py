@@ -6,6 +6,7 @@ and launched only behind that record. Nothing is awaited between the decision an
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -139,8 +140,10 @@ class Governor(Takeovers, Controls, CellControls):
             not invocation.final and judgement.need is None and cell is not None
         ):  # at once: nothing else may be decided on the cell's being free
             self.fleet.claim(cell, invocation.id)
+        asks = not invocation.final and judgement.need is not None
         try:
-            return await self._open(invocation, judgement, drafts, rows)
+            with self.desk.asking(principal.name) if asks else nullcontext():
+                return await self._open(invocation, judgement, drafts, rows)
         except GrantEnded:  # between the decision and its record, of which there is none: without the grant, then
             return await self._propose(principal, request, slots)
 

@@ -7,6 +7,8 @@ and what silence means, is the desk's subject (`app.runtime.desk`).
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.errors import RecordUnavailable
@@ -31,7 +33,7 @@ from app.runtime.escalation import (
 from app.runtime.grants import Grants
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine, Mapping, Sequence
+    from collections.abc import Callable, Coroutine, Generator, Mapping, Sequence
 
     from app.audit.event import EventDraft, RowWrite
     from app.governance.model import ApprovalNeed
@@ -59,6 +61,7 @@ class Questions:
         self.on_held: Callable[[Escalation], None] = lambda _: None
         self.kept_back: Callable[[Invocation], Sequence[Mapping[str, str]]] = lambda _: ()
         self._pending: dict[str, Escalation] = {}
+        self._asking: Counter[str] = Counter()  # by agent, what is being recorded
         self._asked = asyncio.Event()
 
     # -- asking ------------------------------------------------------------------------------------------------------
@@ -167,6 +170,7 @@ class Questions:
         ask, and what people are to see of it.
         """
         asked = [question.agent for question in self._pending.values() if question.kind == APPROVAL]
+        asked += self._asking.elements()
         own = asked.count(agent)
         if own < MOST_OF_AGENT and len(asked) < MOST_ASKED:
             return None
@@ -177,6 +181,15 @@ class Questions:
             f"{who} wait for people already",
             "wait for answers, or cancel some",
         )
+
+    @contextmanager
+    def asking(self, agent: str) -> Generator[None]:
+        """Have a question of an agent count among those that wait while it is being recorded."""
+        self._asking[agent] += 1
+        try:
+            yield
+        finally:
+            self._asking[agent] -= 1
 
     def pending_for(self, invocation: str) -> Escalation | None:
         """Return the question that is open about an invocation."""

@@ -210,8 +210,8 @@ async def test_a_question_for_which_people_had_no_room_is_decided_alike(
     async with house.open() as runtime:
         cell = await HandCell(runtime).dial()
         await cell.state()
-        made = [(await runtime.governor.propose(AGENT, grasp()))[0]["status"] for _ in range(2)]
-    assert made == ["awaiting_approval", "deferred"]
+        made = await asyncio.gather(*(runtime.governor.propose(AGENT, grasp()) for _ in range(2)))
+    assert [document["status"] for document, _ in made] == ["awaiting_approval", "deferred"]
     found = replay(house.folder, then_in_force(house.folder))
     assert (found.decisions, found.changed) == (2, [])
     mug = "\n  - {id: no-mug, applies_to: [grasp_object], then: deny, because: It stays.}\n"
