@@ -12,8 +12,10 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 from app.audit.errors import RecordUnavailable, RowUnreadable
+from app.audit.event import EventDraft
 from app.clock import rfc3339
-from app.governance.model import TERMINAL, Status
+from app.governance.model import TERMINAL, EventKind, Status
+from app.runtime.drafts import SERVER
 from app.runtime.errors import NotFound
 from app.runtime.invocation import read_invocation
 from app.runtime.recollection import events_of, invocation_of
@@ -22,11 +24,12 @@ from app.runtime.stored import Stored
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from app.audit.event import EventDraft, RowWrite
+    from app.audit.event import RowWrite
     from app.audit.store import AuditStore
     from app.runtime.invocation import Invocation
 
 MAX_UNSAID: Final = 1000
+LEFT_OUT: Final = {"what": "left_out"}  # words of which there were more than could wait, and how many: the oldest
 UNFINISHED: Final = tuple(status.value for status in Status if status not in TERMINAL)
 
 
@@ -49,6 +52,7 @@ class Register:
         self._wall_s = wall_s
         self._live: dict[str, Entry] = {}
         self._unsaid: list[EventDraft] = []  # what the record could not take yet
+        self._lost = 0  # words that it will never take: there were too many
         self._saying = asyncio.Lock()
         self.unfounded: dict[str, str] = {}  # rows that said, at the start, something else than the log: what
         self.on_final: Callable[[Invocation], None] = lambda _: None
@@ -144,18 +148,25 @@ class Register:
         return await self.say_unsaid()
 
     async def say_unsaid(self) -> bool:
-        """Record what is left unsaid; returns whether nothing is. What waits is stamped with when it was said."""
+        """Record what is left unsaid; returns whether nothing is. What waits is stamped with when it was said.
+
+        Only so much waits; how many of the oldest words were given up for newer ones is recorded in their place.
+        """
         async with self._saying:  # what somebody else is having recorded may be left unsaid yet
             unsaid, self._unsaid = self._unsaid, []
             if not unsaid:
                 return True
-            now = self.now()
+            now, lost = self.now(), self._lost
+            told = [] if not lost else [EventDraft(kind=EventKind.CELL, actor=SERVER, body={**LEFT_OUT, "count": lost})]
             try:
-                await self.append(unsaid)
+                await self.append([*told, *unsaid])
             except RecordUnavailable:
                 stamped = [replace(draft, body={"said_at": now, **draft.body}) for draft in unsaid]
-                self._unsaid = [*stamped, *self._unsaid][-MAX_UNSAID:]
+                waiting = [*stamped, *self._unsaid]
+                self._lost += max(0, len(waiting) - MAX_UNSAID)
+                self._unsaid = waiting[-MAX_UNSAID:]
                 return False
+            self._lost -= lost
             return True
 
     def unsaid(self) -> list[str]:

@@ -12,7 +12,7 @@ import pytest
 
 from app.audit.errors import RecordUnavailable
 from app.governance.permit import SignedAuthorization, verify
-from app.runtime import cell_controls
+from app.runtime import cell_controls, register
 from app.runtime import fleet as fleet_module
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, InvalidParams, NotFound
@@ -311,6 +311,25 @@ async def test_a_stop_is_sent_even_when_the_record_fails(
     said = [event.payload() for event in await runtime.store.events(kind="human")]
     assert [body["op"] for body in said] == ["stop", "estop"], "it is recorded as soon as that is possible"
     assert all(body["said_at"] for body in said)
+
+
+async def test_the_record_says_how_many_words_it_lacks(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def broken(*_: Any) -> list[int]:
+        raise RecordUnavailable("disk full")
+
+    document, _ = await runtime.governor.propose(AGENT, navigate())
+    await cell.launched(document["id"])
+    monkeypatch.setattr(register, "MAX_UNSAID", 2)
+    with monkeypatch.context() as disk:
+        disk.setattr(runtime.store, "append", broken)
+        for _ in range(5):
+            await runtime.governor.pause(document["id"], OPERATOR)
+    for _ in range(2):
+        await runtime.fleet.tend_once()
+    said = [event.payload() for event in await runtime.store.events(after=runtime.store.size - 3)]
+    assert [body.get("count", body.get("op")) for body in said] == [3, "pause", "pause"]
 
 
 async def test_what_loosens_is_not_sent_when_the_record_fails(
