@@ -75,9 +75,9 @@ def demo(folder: Path, *, scripted: bool, keep: bool, pace: float, port: int) ->
                 process.wait()
     except KeyboardInterrupt:
         return FINE if keep else FINDING
-    except ServerFailed as error:
-        say_error(str(error), hint=f"its own words: {_said(data.root / 'server.log')}")
-        return MISUSE if error.misused else FINDING
+    except (ServerFailed, ReinsError) as error:  # also one that ends while the story is told
+        say_error(str(error), hint=f"the server's own words: {_said(data.root / 'server.log')}")
+        return MISUSE if isinstance(error, ServerFailed) and error.misused else FINDING
     return code
 
 

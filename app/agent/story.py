@@ -264,6 +264,7 @@ async def fetch(
     """Have the reference agent reach a goal on the server at `url`, narrate it, and examine what was recorded.
 
     `tokens` needs `agent` and `operator`. With `habits`, a scripted approver answers escalations; without, people do.
+    Raises `ReinsError` where the server refuses, or is gone.
     """
     async with (
         AsyncReinsClient(url, tokens["agent"], defers=0) as agent_client,
@@ -279,12 +280,13 @@ async def fetch(
         failure = ""
         on_line(Line(who="agent", mood="agent", words=f"goal: {goal.text()}"))
         try:
-            await agent.pursue(goal, on_thought=lambda words: on_line(Line(who="agent", mood="agent", words=words)))
-        except GoalFailed as given_up:
-            failure = str(given_up)
-            on_line(Line(who="agent", mood="warn", words=failure))
-        finally:
+            try:
+                await agent.pursue(goal, on_thought=lambda words: on_line(Line(who="agent", mood="agent", words=words)))
+            except GoalFailed as given_up:
+                failure = str(given_up)
+                on_line(Line(who="agent", mood="warn", words=failure))
             await _heard_all(operator_client, seen)
+        finally:  # a server that is gone has no more to tell, and nobody stays behind to ask it
             for bystander in bystanders:
                 bystander.cancel()
             await asyncio.gather(*bystanders, return_exceptions=True)

@@ -1,8 +1,14 @@
 from __future__ import annotations
 
+import asyncio
+from pathlib import Path
+
 import pytest
 
-from app.agent.story import Fetched, examine, narrate
+from app.agent.approver import parse_habits
+from app.agent.client import Problem
+from app.agent.story import Fetched, examine, fetch, narrate
+from tests.agent.scripted_server import Turn, serve
 
 NAVIGATE, INSPECT, GRASP, MOVE, PLACE = "inv_n", "inv_i", "inv_g", "inv_t", "inv_p"
 CAPABILITY = {
@@ -106,3 +112,17 @@ def test_every_event_of_the_story_has_its_words():
     assert "PAUSE because of separation" in words
     assert "RECOVERY_CAPABILITY with release_and_retract after object_lost" in words
     assert "paused → running (clear)" in words
+
+
+@pytest.mark.anyio
+async def test_nobody_stays_behind_where_the_server_refuses_midway(tmp_path: Path):
+    before, once = asyncio.all_tasks(), iter([(200, {"size": 0})])
+
+    def answer(turn: Turn) -> tuple[int, object]:
+        return next(once, (401, {"code": "token_invalid", "detail": "gone"}))
+
+    with serve(answer) as server, pytest.raises(Problem, match="token_invalid"):
+        await fetch(
+            server.url, {"agent": "a", "operator": "o"}, tmp_path / "m", habits=parse_habits({}), on_line=lambda _: None
+        )
+    assert asyncio.all_tasks() == before
