@@ -26,6 +26,7 @@ from app import clock
 from app.api.problems import Problem
 from app.audit.archive import reading
 from app.audit.places import Places
+from app.config import CELL_ID, VALID_CELL_ID
 from app.governance.model import Role
 from app.governance.policy_model import GOVERNANCE
 from app.runtime.drafts import SERVER
@@ -240,7 +241,7 @@ def issue_token(
 
     Raises:
         ValueError: an empty name, or one with control characters or blanks around it; one that the record uses for a
-            machine, or for somebody of another role; one that reads like another's.
+            machine, or for somebody of another role; one that reads like another's; a station that names no cell.
         PrincipalsUnreadable: the file is not in its form.
         RecordDamaged: the record cannot be read, so that nobody knows which cells there are.
         OSError: the directory cannot be read or written, or no server has made it.
@@ -251,6 +252,8 @@ def issue_token(
         )
     if role is not Role.CELL and as_read(name) in map(as_read, _machines(data_dir)):
         raise ValueError(f"`{name}` is what the record calls a machine: valid is another name")
+    if station is not None and CELL_ID.fullmatch(station) is None:  # who stands there would be taken for remote
+        raise ValueError(f"the station `{station}` is no name of a cell: valid are {VALID_CELL_ID}")
     token = _new_token(role)
     expires_at = None if ttl_s is None else clock.rfc3339(clock.wall_s() + ttl_s)
     path = data_dir / PRINCIPALS_FILE
@@ -330,15 +333,19 @@ def _row(name: str, role: Role, token: str, expires_at: str | None) -> dict[str,
 
 
 def _rows(path: Path) -> list[dict[str, Any]]:
+    """Return the entries of a file, each in its form. Raises `PrincipalsUnreadable`."""
     try:
         document: object = orjson.loads(path.read_bytes())
-        match document:
-            case {"principals": list()}:
-                return cast("dict[str, list[dict[str, Any]]]", document)["principals"]
-            case _:
-                raise PrincipalsUnreadable(path, "valid is an object with the list `principals`")
     except orjson.JSONDecodeError as error:
         raise PrincipalsUnreadable(path, f"line {error.lineno}: {error.msg}") from error
+    match document:
+        case {"principals": list()}:
+            rows = cast("dict[str, list[dict[str, Any]]]", document)["principals"]
+        case _:
+            raise PrincipalsUnreadable(path, "valid is an object with the list `principals`")
+    for row in rows:
+        _credential(path, row)
+    return rows
 
 
 def _read(path: Path) -> dict[bytes, Credential]:

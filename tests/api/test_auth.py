@@ -19,6 +19,7 @@ from app.api.auth import (
     PrincipalsUnreadable,
     issue_token,
     open_principals,
+    withdraw_tokens,
 )
 from app.api.problems import Problem
 from app.audit.errors import RecordDamaged
@@ -192,6 +193,17 @@ def test_does_not_start_on_principals_it_cannot_read(tmp_path: Path, content: st
     (tmp_path / PRINCIPALS_FILE).write_text(content)
     with pytest.raises(PrincipalsUnreadable, match=PRINCIPALS_FILE):
         open_principals(tmp_path)
+    with pytest.raises(PrincipalsUnreadable, match=PRINCIPALS_FILE):
+        issue_token(tmp_path, name="maria", role=Role.OPERATOR)
+    with pytest.raises(PrincipalsUnreadable, match=PRINCIPALS_FILE):
+        withdraw_tokens(tmp_path, "maria")
+
+
+@pytest.mark.parametrize("station", ["", "workcell 1", "Workcell-1"])
+def test_refuses_a_station_that_no_cell_can_be(tmp_path: Path, station: str) -> None:
+    open_principals(tmp_path)
+    with pytest.raises(ValueError, match="the station"):
+        issue_token(tmp_path, name="maria", role=Role.OPERATOR, station=station)
 
 
 @pytest.mark.parametrize("name", ["", "x" * 129, "a\nb", " operator", "operator "])
