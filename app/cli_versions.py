@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import orjson
 import typer
 
+from app.agent.address import blaming_environment
 from app.agent.answers import Unsendable
 from app.agent.conversation import MAX_TOKEN, header_text
 from app.cli_data import directory
@@ -25,6 +26,7 @@ TOKEN_KEY = "engineer"  # noqa: S105  # a key in tokens.json
 PATIENCE_S = 1800.0  # for proofs of a large policy
 CREATED = 201
 ACCEPTED = 202
+SUCCESS = range(200, 300)
 EXAMPLES = 3
 SHOWN = 19  # of a digest: its kind and twelve characters
 
@@ -49,18 +51,37 @@ class Door:
     """The server's door, for one engineer."""
 
     def __init__(self, data: Path, server: str | None, token: str | None) -> None:
-        """Find the address and the token. Ends the command where there is none."""
+        """Find the address, the token, and whom to trust. Ends the command where there is none."""
+        import httpx
+
         layout = DataDir(root=data)
         self._url = server or _read(layout.server, "url", "name the server with --server, or a data directory in use")
         known = token or _read(layout.tokens, TOKEN_KEY, "give an engineer's token with --token or REINS_TOKEN")
         try:
             self._token = header_text("token", known, MAX_TOKEN)
-        except Unsendable as error:
+            with blaming_environment():
+                self._trusted = httpx.create_ssl_context()  # SSL_CERT_FILE and SSL_CERT_DIR, as agents and cells do
+        except (Unsendable, ValueError) as error:
             say_error(str(error))
             raise typer.Exit(MISUSE) from error
 
-    def call(self, method: str, path: str, body: object = None) -> tuple[int, dict[str, Any]]:
-        """Ask the server; a problem is printed, fault by fault, and ends the command."""
+    def call(self, method: str, path: str, body: object = None, *, holds: str) -> tuple[int, dict[str, Any]]:
+        """Ask the server for what `holds` a key; a problem is printed, fault by fault, and ends the command."""
+        with err.status("waiting for the server …"):
+            status, found = self._ask(method, path, body)
+        document = cast("dict[str, Any]", found) if isinstance(found, dict) else {}
+        if (holds if status in SUCCESS else "code") not in document:
+            say_error(f"`{self._url}` answers with a {type(found).__name__}; valid is the address of a server")
+            raise typer.Exit(MISUSE)
+        if status not in SUCCESS:
+            for fault in document.get("errors") or ():
+                place = f"{fault['file']}:{fault['line']}: " if "file" in fault else ""
+                err.print(f"{place}{fault['field']}: {fault['message']}", markup=False)
+            say_error(f"{document['code']}: {document.get('detail')}")
+            raise typer.Exit(FINDING)
+        return status, document
+
+    def _ask(self, method: str, path: str, body: object) -> tuple[int, object]:
         import httpx
 
         headers = {"Authorization": f"Bearer {self._token}"}
@@ -69,29 +90,24 @@ class Door:
             headers["Content-Type"] = "application/json"
         try:
             answer = httpx.request(
-                method, f"{self._url}{path}", headers=headers, content=content, timeout=PATIENCE_S, trust_env=False
+                method,
+                f"{self._url}{path}",
+                headers=headers,
+                content=content,
+                timeout=PATIENCE_S,
+                trust_env=False,
+                verify=self._trusted,
             )
-            found: object = orjson.loads(answer.content)
+            return answer.status_code, orjson.loads(answer.content)
         except (httpx.HTTPError, httpx.InvalidURL, orjson.JSONDecodeError) as error:
             say_error(f"`{self._url}` gave no answer: {error}")
             raise typer.Exit(MISUSE) from error
-        if not isinstance(found, dict):
-            say_error(f"`{self._url}` answers with a {type(found).__name__}; valid is the address of a server")
-            raise typer.Exit(MISUSE)
-        document = cast("dict[str, Any]", found)
-        if not answer.is_success:
-            for fault in document.get("errors") or ():
-                place = f"{fault['file']}:{fault['line']}: " if "file" in fault else ""
-                err.print(f"{place}{fault['field']}: {fault['message']}", markup=False)
-            say_error(f"{document.get('code')}: {document.get('detail')}")
-            raise typer.Exit(FINDING)
-        return answer.status_code, document
 
     def versions(self) -> dict[str, Any]:
         """Return the list of versions, whole."""
-        known = page = self.call("GET", "/v1/policies?limit=200")[1]
+        known = page = self.call("GET", "/v1/policies?limit=200", holds="items")[1]
         while page["next"] is not None:
-            page = self.call("GET", f"/v1/policies?limit=200&cursor={page['next']}")[1]
+            page = self.call("GET", f"/v1/policies?limit=200&cursor={page['next']}", holds="items")[1]
             known["items"] += page["items"]
         return known
 
@@ -108,7 +124,7 @@ class Door:
     def activate(self, digest: str, why: str, before: str | None = None) -> None:
         """Ask for a version to be in force, in the place of `before` if that is said, and say what became of it."""
         body = {"why": why, "before": before}
-        status, document = self.call("POST", f"/v1/policies/{digest}/activate", body)
+        status, document = self.call("POST", f"/v1/policies/{digest}/activate", body, holds="activations")
         if status == ACCEPTED:
             say(f"{digest} loosens something: it comes into force with another engineer's word")
             return
@@ -136,14 +152,15 @@ def propose(
             err.print(str(problem), markup=False)
         raise typer.Exit(FINDING) from found
     door = Door(data, server, token)
-    status, document = door.call("POST", "/v1/policies", {"files": files, "why": why})
-    known = "" if status == CREATED else f", known since {document['created_at']}"
-    say(f"{document['digest']} is a {document['status']}: {document['rules']} rules, {document['cases']} cases{known}")
+    status, document = door.call("POST", "/v1/policies", {"files": files, "why": why}, holds="digest")
+    known = "" if status == CREATED else f" as it is known since {document['created_at']}"
+    say(f"{document['digest']} is {document['status']}: {document['rules']} rules, {document['cases']} cases{known}")
     say(_proofs(document))
-    if status != CREATED and door.call("GET", f"/v1/policies/{document['digest']}/files")[1]["promises"] != promises:
+    place = f"/v1/policies/{document['digest']}"
+    if status != CREATED and door.call("GET", f"{place}/files", holds="promises")[1]["promises"] != promises:
         say(f"`{PROPERTIES}` is not the one it is kept with: what was proved, and counts, is with that one")
     if document["status"] != "active":
-        _print_difference(door.call("GET", f"/v1/policies/{document['digest']}/diff")[1])
+        _print_difference(door.call("GET", f"{place}/diff", holds="direction")[1])
 
 
 def activate(

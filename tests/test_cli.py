@@ -337,12 +337,21 @@ def test_a_token_that_fits_no_header_is_misuse(tmp_path: Path) -> None:
     assert "é" not in said
 
 
-@pytest.mark.parametrize("status", [200, 404])
-def test_an_answer_of_another_kind_of_server_is_misuse(tmp_path: Path, status: int) -> None:
-    with serve(lambda _turn: (status, [])) as server:
+@pytest.mark.parametrize(("status", "answer"), [(200, []), (404, []), (200, {"hello": "world"}), (404, {})])
+def test_an_answer_of_another_kind_of_server_is_misuse(tmp_path: Path, status: int, answer: object) -> None:
+    with serve(lambda _turn: (status, answer)) as server:
         code, said = run("policy", "versions", "--server", server.url, "--token", "t", "--data", str(tmp_path))
     assert code == 2
-    assert "answers with a list; valid is the address of a server" in said
+    assert f"answers with a {type(answer).__name__}; valid is the address of a server" in said
+
+
+def test_versions_are_asked_for_with_the_certificates_that_the_environment_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SSL_CERT_FILE", str(tmp_path / "none.pem"))
+    code, said = run("policy", "versions", "--server", "https://127.0.0.1:9", "--token", "t", "--data", str(tmp_path))
+    assert code == 2
+    assert "`SSL_CERT_FILE`" in said
 
 
 def test_goes_back_only_from_the_version_that_it_found_in_force(tmp_path: Path) -> None:
