@@ -181,12 +181,22 @@ def demo(
 def approver(
     *,
     policy: Annotated[Path, typer.Option(help="Habits: who, how fast, approves what, at which error rate (YAML).")],
-    server: Annotated[str, typer.Option(help="The server's address.")] = "http://127.0.0.1:8000",
+    server: Annotated[
+        str | None,
+        typer.Option(help="The server's address; default: as the data directory says.", envvar="REINS_SERVER"),
+    ] = None,
     data: Data = Path("data"),
+    token: Annotated[
+        str | None,
+        typer.Option(
+            help="An operator's token; default: the data directory's.", envvar="REINS_TOKEN", show_default=False
+        ),
+    ] = None,
 ) -> None:
     """Answer escalations as a simulated person of given habits would; Ctrl-C ends. Never in front of a real robot.
 
-    The token is taken from the data directory's tokens.json, under the key that the habits name as `approver`. A
+    The token is taken from the data directory's tokens.json, under the key that the habits name as `approver`. One
+    that was issued later stands in no file and is given: `approver` is then the name that it was issued for. A
     question whose answer the server does not take, say an edit that does not fit the capability, is left and named.
 
     The habits are a YAML file. All keys may be left out; without a rule that matches the answer is deny.
@@ -207,7 +217,7 @@ def approver(
     """
     from app.demo import approve
 
-    raise typer.Exit(approve(policy, server, data))
+    raise typer.Exit(approve(policy, server, data, token))
 
 
 app.command()(cli_evaluate.evaluate)

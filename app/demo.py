@@ -81,11 +81,16 @@ def demo(folder: Path, *, scripted: bool, keep: bool, pace: float, port: int) ->
     return code
 
 
-def approve(habits_file: Path, url: str, data: Path) -> int:
-    """Answer escalations by habit until interrupted; return the exit code."""
+def approve(habits_file: Path, url: str | None, data: Path, token: str | None = None) -> int:
+    """Answer escalations by habit until interrupted; return the exit code.
+
+    Without `url` the server is asked that runs on the data directory; without `token` the one in its `tokens.json`.
+    """
+    layout = DataDir(root=data)
     try:
         habits = load_habits(habits_file)
-        client = AsyncReinsClient(url, _token_of(habits.name, DataDir(root=data).tokens))
+        known = token or _token_of(habits.name, layout.tokens)
+        client = AsyncReinsClient(url or str(_read(layout.server).get("url")), known)
     except (OSError, ValueError, Unsendable) as error:
         say_error(f"no approver: {error}")
         return MISUSE
@@ -99,10 +104,18 @@ def approve(habits_file: Path, url: str, data: Path) -> int:
     return FINE
 
 
+def _read(file: Path) -> dict[str, Any]:
+    """Return what a file of a data directory holds. Raises `OSError`, `ValueError` naming a file that is no JSON."""
+    try:
+        document: object = orjson.loads(file.read_bytes())
+    except orjson.JSONDecodeError as error:
+        raise ValueError(f"`{file}` cannot be read: {error}; valid is the file as a server wrote it") from error
+    return cast("dict[str, Any]", document) if isinstance(document, dict) else {}
+
+
 def _token_of(name: str, tokens: Path) -> str:
     """Return who it is to the server. Raises `OSError`, `ValueError` naming who is known."""
-    document: object = orjson.loads(tokens.read_bytes())
-    known = cast("dict[str, str]", document) if isinstance(document, dict) else {}
+    known = _read(tokens)
     if name not in known:
         raise ValueError(
             f"`{name}` has no token in `{tokens}`; valid as `approver`: an operator among {', '.join(known) or 'none'}"

@@ -105,6 +105,12 @@ def test_an_approver_who_cannot_ask_anybody_is_refused(tmp_path, capfd, token, u
     habits.write_text("approver: operator")
     assert approve(habits, url, tmp_path) == 2
     assert f"no approver: {said}" in capfd.readouterr().err
+    (tmp_path / "server.json").write_text(json.dumps({"url": url}))  # where the server runs, the directory says
+    assert approve(habits, None, tmp_path, token) == 2
+    assert f"no approver: {said}" in capfd.readouterr().err
+    (tmp_path / "tokens.json").write_text("{")
+    assert approve(habits, url, tmp_path) == 2
+    assert f"`{tmp_path / 'tokens.json'}` cannot be read" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(
