@@ -37,11 +37,10 @@ from app.sim.workcell import make_workcell
 from app.terminal import DAMAGED, FINDING, FINE, MISUSE, remark, say_error, stop_signals
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection, Iterable
 
     from app.cell.loop import Order
     from app.config import CellSettings
-    from app.governance.model import Site
     from app.governance.policy import PolicySet
 
 SCENARIOS: Final = Path(__file__).resolve().parent / "sim" / "scenarios"
@@ -84,7 +83,7 @@ async def _run(settings: CellSettings) -> int:
         journal.number_behind(acknowledged)
         with suppress(JournalUnavailable):  # they are forgotten all the same; only the file was not made smaller
             journal.acknowledge(acknowledged)
-        check_objects(settings.scenario, scenario, policies.site)
+        check_names(settings.scenario, scenario, policies)
         substrate = make_workcell(
             policies.site,
             cell_id=settings.id,
@@ -147,18 +146,25 @@ def read_scenario(name: str | None) -> Scenario | None:
         raise ConfigError("scenario", name, f"a YAML file, or one of {shipped} ({error})") from error
 
 
-def check_objects(name: str | None, scenario: Scenario | None, site: Site) -> None:
-    """Refuse a scenario about objects that the site does not have.
+def check_names(name: str | None, scenario: Scenario | None, policies: PolicySet) -> None:
+    """Refuse a scenario about an object that the site does not have, or of a moment that never comes.
 
     Raises:
-        ConfigError: there is such an object in it.
+        ConfigError: there is such an object, or such a capability or phase of one, in it.
     """
-    faults = () if scenario is None else scenario.faults
-    about = {str(fault.sizes["object"]) for fault in faults if "object" in fault.sizes}
-    if strange := sorted(about - set(site.objects)):
-        raise ConfigError(
-            "scenario", name, f"faults of the site's objects: {', '.join(site.objects)} (not `{strange[0]}`)"
-        )
+    found = Scenario() if scenario is None else scenario
+    things = [str(fault.sizes["object"]) for fault in found.faults if "object" in fault.sizes]
+    _known(name, "faults of the site's objects", things, policies.site.objects)
+    moments = [*(fault.at for fault in found.faults), *(person.start for person in found.people)]
+    for moment in (one for one in moments if one.time_s is None):
+        _known(name, "moments of the capabilities", [moment.capability], policies.capabilities)
+        phases = policies.capabilities[moment.capability].phases
+        _known(name, f"moments of the phases of `{moment.capability}`", [moment.phase], phases)
+
+
+def _known(name: str | None, what: str, names: Iterable[str], known: Collection[str]) -> None:
+    if strange := sorted(set(names).difference(known)):
+        raise ConfigError("scenario", name, f"{what}: {', '.join(known)} (not `{strange[0]}`)")
 
 
 def _scenario_of(path: Path) -> Scenario:

@@ -7,20 +7,20 @@ from pathlib import Path
 
 import pytest
 
-from app.governance.model import Site
 from app.sim.faults import _KINDS, HABITS, SENSOR_FAULTS
 from app.sim.sensors import SENSORS
-from app.workcell import check_objects, read_scenario
+from app.workcell import check_names, read_scenario
+from tests.governance.policy_world import shipped
 
 DOCUMENT = (Path(__file__).resolve().parents[2] / "docs" / "scenarios.md").read_text()
 
 
-def test_the_scenario_of_the_documentation_can_be_run(tmp_path: Path, site: Site) -> None:
+def test_the_scenario_of_the_documentation_can_be_run(tmp_path: Path) -> None:
     (text,) = re.findall(r"```yaml\n(.*?)```", DOCUMENT, re.DOTALL)
     (path := tmp_path / "late-visitor.yaml").write_text(text)
     scenario = read_scenario(str(path))
     assert scenario is not None
-    check_objects(str(path), scenario, site)
+    check_names(str(path), scenario, shipped())
     assert [fault.kind for fault in scenario.faults] == ["sensor", "payload_shift"]
     assert [len(walk.points) for walk in scenario.people] == [3]
 

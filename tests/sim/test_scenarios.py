@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 
 from app.config import ConfigError
-from app.governance.model import Site
+from app.governance.model import Json
 from app.sim.faults import Scenario
-from app.workcell import check_objects, read_scenario
+from app.workcell import check_names, read_scenario
+from tests.governance.policy_world import shipped
 
 
 @pytest.mark.parametrize(
@@ -57,14 +58,21 @@ def test_a_scenario_that_is_no_text_is_refused(tmp_path: Path) -> None:
         read_scenario(str(path))
 
 
-def test_a_fault_of_an_object_that_the_site_does_not_have_is_refused(site: Site) -> None:
-    def about(thing: str) -> Scenario:
-        return Scenario.read({"faults": [{"kind": "slippery", "object": thing, "at": 2.0}]})
+@pytest.mark.parametrize(
+    ("strange", "said"),
+    [
+        ({"faults": [{"kind": "slippery", "object": "cup_9"}]}, "the site's objects: .*mug_1.*not `cup_9`"),
+        ({"faults": [{"kind": "fade", "at": {"capability": "fly", "phase": "lift"}}]}, "grasp_object.*not `fly`"),
+        (
+            {"people": [{"points": [[1, 2]], "start": {"capability": "grasp_object", "phase": "drive"}}]},
+            "the phases of `grasp_object`: approach.*not `drive`",
+        ),
+    ],
+)
+def test_what_the_policy_does_not_know_is_refused(strange: dict[str, Json], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        check_names("here", Scenario.read(strange), shipped())
 
-    check_objects("here", about("mug_1"), site)
-    with pytest.raises(ConfigError, match=r"the site's objects: .*mug_1.*not `cup_9`"):
-        check_objects("here", about("cup_9"), site)
 
-
-def test_the_scenarios_that_come_with_reins_are_read(site: Site) -> None:
-    check_objects("fetch_shared", read_scenario("fetch_shared"), site)
+def test_the_scenarios_that_come_with_reins_are_read() -> None:
+    check_names("fetch_shared", read_scenario("fetch_shared"), shipped())
