@@ -169,6 +169,10 @@ def register(router: APIRouter) -> None:
         Answers(
             model=documents.InvocationDocument,
             status=201,
+            headers={
+                "Location": "The path of the invocation.",
+                "Idempotency-Replayed": "`true` where this is the answer to an earlier request with the same key.",
+            },
             codes=(
                 "params_invalid",
                 "idempotency_key_invalid",

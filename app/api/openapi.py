@@ -30,6 +30,11 @@ BODIES: dict[str, type[BaseModel]] = {}
 
 ON_EVERY_ROUTE = ("internal", "row_unreadable", "record_damaged", "given_twice")
 ON_GUARDED = ("token_missing", "token_invalid", "token_expired", "role_forbidden", "record_unavailable")
+WITH_PROBLEMS: Mapping[int, Mapping[str, str]] = {
+    401: {"WWW-Authenticate": "What the request needs: a bearer token (RFC 6750, 3)."},
+    503: {"Retry-After": "After how many seconds to ask again; left out where nobody knows."},
+}
+"""The headers that come with problems, by status."""
 ON_READING = ("request_invalid",)  # by a query that the route does not know
 ON_BODY = (
     "body_incomplete",
@@ -51,7 +56,7 @@ class Answers:
     """What a route may answer with.
 
     `model` and `status` are the ordinary answer, `also` further ones that are no problems, `codes` the problem codes
-    beside those that every such route has.
+    beside those that every such route has; `headers` come with the ordinary answer, each with what it says.
     """
 
     model: type[BaseModel]
@@ -59,6 +64,7 @@ class Answers:
     codes: tuple[str, ...] = ()
     also: Mapping[int, type[BaseModel]] = field(default_factory=dict[int, "type[BaseModel]"])
     media_type: str = "application/json"
+    headers: Mapping[str, str] = field(default_factory=dict[str, str])
 
 
 def declare(
@@ -88,6 +94,8 @@ def declare(
     public = roles is PUBLIC
     guarded = () if public else (*ON_GUARDED, *(ON_READING if method == "GET" else ()))
     codes = (*answers.codes, *ON_EVERY_ROUTE, *guarded, *(ON_BODY if body else ()))
+    described = _answers({answers.status: answers.model, **answers.also})
+    described[answers.status].update(_headers(answers.headers))
     operation: dict[str, Any] = {"security": [] if public else [{"bearer": []}], "parameters": list(parameters)}
     if body is not None:
         BODIES[body.__name__] = body
@@ -103,7 +111,7 @@ def declare(
         # Never used to answer; as a JSON class it keeps FastAPI from describing every answer as a text.
         response_class=type("Described", (JSONResponse,), {"media_type": answers.media_type}),
         description=_description(endpoint, roles),
-        responses={**_answers({answers.status: answers.model, **answers.also}), **_refusals(codes)},
+        responses={**described, **_refusals(codes)},
         openapi_extra=operation,
     )
 
@@ -128,6 +136,11 @@ def _answers(models: Mapping[int, type[BaseModel]]) -> dict[int | str, dict[str,
     return {status: {"model": model, "description": (model.__doc__ or "").strip()} for status, model in models.items()}
 
 
+def _headers(said: Mapping[str, str]) -> dict[str, Any]:
+    described = {name: {"description": words, "schema": {"type": "string"}} for name, words in said.items()}
+    return {"headers": described} if described else {}
+
+
 def _refusals(codes: tuple[str, ...]) -> dict[int | str, dict[str, Any]]:
     """Return the problem responses by status, each with an example for every code it may bear."""
     by_status: dict[int | str, dict[str, Any]] = {}
@@ -140,6 +153,7 @@ def _refusals(codes: tuple[str, ...]) -> dict[int | str, dict[str, Any]]:
     return {
         status: {
             "description": entry["description"],
+            **_headers(WITH_PROBLEMS.get(int(status), {})),
             "content": {
                 MEDIA_TYPE: {
                     "schema": {"$ref": REFERENCE.format(model=documents.ProblemDocument.__name__)},

@@ -82,7 +82,9 @@ async def propose(request: Request) -> Response:
     """
     body = await read_body(request, models.CandidateBody, at_most=models.MAX_POLICY_BYTES)
     document, new = await parts_of(request).versions.propose(body.files, caller(request), body.why)
-    return answer(document, 201 if new else 200)
+    if not new:
+        return answer(document)
+    return answer(document, 201, {"Location": f"/v1/policies/{document['digest']}"})
 
 
 async def activate(request: Request, digest: Digest) -> Response:
@@ -150,6 +152,7 @@ def register(router: APIRouter) -> None:
         Answers(
             model=models.VersionDocument,
             status=201,
+            headers={"Location": "The path of the version."},
             also={200: models.VersionDocument},
             codes=("policy_invalid", "examination_failed", "record_unavailable"),
         ),

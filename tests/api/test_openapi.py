@@ -22,3 +22,17 @@ async def test_no_reference_leads_nowhere(house: House) -> None:
     assert named == set(schemas), "each is there, and each is used"
     for schema in schemas.values():
         jsonschema_rs.meta.validate(schema)
+
+
+async def test_the_headers_that_a_program_reads_are_described(house: House) -> None:
+    async with house.client(None) as client:
+        document = (await client.get("/openapi.json")).json()
+        stranger = await client.get("/v1/cells")
+    async with house.client("agent") as agent:
+        body = {"capability": "fly", "params": {}}
+        made = [await agent.post("/v1/invocations", json=body, headers={"Idempotency-Key": "k"}) for _ in range(2)][1]
+    for answer, path, method in ((stranger, "/v1/cells", "get"), (made, "/v1/invocations", "post")):
+        said = document["paths"][path][method]["responses"][str(answer.status_code)]["headers"]
+        assert {name.lower() for name in said} == {
+            name for name in answer.headers if name in ("location", "idempotency-replayed", "www-authenticate")
+        }

@@ -51,6 +51,7 @@ async def test_a_tightening_comes_into_force_by_one_engineers_word(changing: Hou
     brought = await bring(changing, SLOWER)
     assert brought.status_code == 201
     digest = brought.json()["digest"]
+    assert (await get(changing, brought.headers["location"]))["digest"] == digest
     assert (await bring(changing, SLOWER)).status_code == 200
     found = await get(changing, f"/v1/policies/{digest}/diff")
     assert found["direction"] == "tightens"
