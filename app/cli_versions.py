@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any
 
 import orjson
 import typer
 
 from app.agent.address import blaming_environment
 from app.agent.answers import Unsendable
+from app.agent.answers import document as as_document
 from app.agent.conversation import MAX_TOKEN, header_text
 from app.cli_data import directory
 from app.config import DataDir, find_policies
@@ -69,7 +70,7 @@ class Door:
         """Ask the server for what `holds` a key; a problem is printed, fault by fault, and ends the command."""
         with err.status("waiting for the server …"):
             status, found = self._ask(method, path, body)
-        document = cast("dict[str, Any]", found) if isinstance(found, dict) else {}
+        document = as_document(found)
         if (holds if status in SUCCESS else "code") not in document:
             say_error(f"`{self._url}` answers with a {type(found).__name__}; valid is the address of a server")
             raise typer.Exit(MISUSE)

@@ -195,7 +195,9 @@ async def _serve(settings: Settings, policies: PolicySet, listener: socket.socke
         try:
             write_private(layout.server, orjson.dumps({"url": url, "pid": os.getpid()}))
             version = await house["versions"].load(house["versions"].in_force.digest)
-            introduce(settings, house["fleet"], house["versions"], policies.digest, url, verdict=version.verdict)
+            introduce(
+                settings, house["fleet"], house["versions"], policies.digest, url, principals, verdict=version.verdict
+            )
             children.start()
             proving = asyncio.create_task(_prove(house["versions"].proving)) if settings.prove else None
             await _told_to_stop(serving, children.misused)
@@ -314,8 +316,8 @@ def _next_proof(settings: Settings) -> str:
     return "`reins policy propose` of the same directory has it proved, and says so"
 
 
-def operator_token(path: Path) -> str:
-    """Return the operator's token from the note of the first start; empty, and said, where it holds none.
+def operator_token(path: Path, principals: Principals) -> str:
+    """Return the operator's token from the note of the first start; empty, and said, where none of it holds.
 
     The note is for people: the server knows tokens by their digests, and starts without it.
     """
@@ -330,10 +332,22 @@ def operator_token(path: Path) -> str:
     if not isinstance(token, str):
         remark(f"  `{path}` holds no token of `operator`, so the console's address bears none")
         return ""
+    if not principals.has(token):  # withdrawn since: what was issued in its place stands in no file
+        remark(f"  the token of `operator` in `{path}` holds no more, so the console's address bears none")
+        return ""
     return token
 
 
-def introduce(settings: Settings, fleet: Fleet, versions: Versions, directory: str, url: str, *, verdict: str) -> None:
+def introduce(
+    settings: Settings,
+    fleet: Fleet,
+    versions: Versions,
+    directory: str,
+    url: str,
+    principals: Principals,
+    *,
+    verdict: str,
+) -> None:
     """Print where the server is, what holds there, and how to come in."""
     tokens = settings.layout.tokens
     say(f"reins {__version__} serves {url}")
@@ -350,4 +364,4 @@ def introduce(settings: Settings, fleet: Fleet, versions: Versions, directory: s
         say(f"           not in force: {directory}, the directory's (`reins policy activate`, or --take-policies)")
     say(f"  data     {settings.layout.root}")
     say(f"  tokens   {tokens}")
-    say(f"  console  {url}/#token={operator_token(tokens)}")
+    say(f"  console  {url}/#token={operator_token(tokens, principals)}")

@@ -19,7 +19,7 @@ from starlette.datastructures import Headers
 from typer.testing import CliRunner
 
 from app import __version__
-from app.api.auth import open_principals
+from app.api.auth import open_principals, withdraw_tokens
 from app.api.problems import Problem
 from app.audit.places import Places
 from app.audit.store import AuditStore
@@ -316,11 +316,16 @@ def test_a_cells_token_that_is_none_is_named_with_what_makes_one(tmp_path: Path,
 def test_a_note_of_tokens_that_cannot_be_read_keeps_no_server_from_starting(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes
 ) -> None:
-    (tmp_path / "tokens.json").write_bytes(content)
-    assert operator_token(tmp_path / "tokens.json") == ""
+    principals, note = open_principals(tmp_path), tmp_path / "tokens.json"
+    first = note.read_bytes()
+    note.write_bytes(content)
+    assert operator_token(note, principals) == ""
     assert "tokens.json" in capsys.readouterr().out
-    (tmp_path / "tokens.json").write_bytes(b'{"operator": "t"}')
-    assert operator_token(tmp_path / "tokens.json") == "t"
+    note.write_bytes(first)
+    assert operator_token(note, principals) == json.loads(first)["operator"]
+    withdraw_tokens(tmp_path, "operator")
+    assert operator_token(note, open_principals(tmp_path)) == ""
+    assert "holds no more" in capsys.readouterr().out
 
 
 def test_a_soak_says_what_is_wrong_with_the_policies(tmp_path: Path) -> None:

@@ -156,6 +156,11 @@ class Principals:
         """Say the same of an engineer's token."""
         return self._holds(name, Role.ENGINEER)
 
+    def has(self, token: str) -> bool:
+        """Say whether a token stands in the file and has not expired; before the record says so, it may not count."""
+        found = self._found.get(sha256(token.encode()).digest())
+        return found is not None and not found.expired(clock.wall_s())
+
     def _holds(self, name: str, role: Role) -> bool:
         # What is found, and not what counts: at a start nobody counts before the record says so.
         now_s = clock.wall_s()
