@@ -77,16 +77,21 @@ def list_tokens(*, data: Data = Path("data")) -> None:
 def withdraw(
     name: Annotated[str, typer.Argument(help="Whose tokens: the name they were issued for.")],
     *,
+    but_newest: Annotated[
+        bool, typer.Option("--but-newest", help="All but the one issued last, which takes their place.")
+    ] = False,
     data: Data = Path("data"),
 ) -> None:
     """Withdraw every token of a name. A server that runs lets its bearer do nothing more within 2 s.
 
     [bold]reins token withdraw planner[/]
+
+    [bold]reins token withdraw planner --but-newest[/]    after `reins token issue planner …`, and handing that on
     """
     from app.api.auth import withdraw_tokens
 
     with _told("nothing withdrawn", data):
-        count = withdraw_tokens(data, name)
+        count = withdraw_tokens(data, name, but_newest=but_newest)
     say(f"withdrew {count} token{'' if count == 1 else 's'} of `{name}`")
 
 

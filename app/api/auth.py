@@ -284,8 +284,8 @@ def issued(data_dir: Path) -> list[Credential]:
     return [_credential(path, row) for row in _rows(path)]
 
 
-def withdraw_tokens(data_dir: Path, name: str) -> int:
-    """Forget every token of a principal; return how many there were.
+def withdraw_tokens(data_dir: Path, name: str, *, but_newest: bool = False) -> int:
+    """Forget every token of a principal, or all but the one that was issued last; return how many were forgotten.
 
     Raises:
         ValueError: nobody of that name has one.
@@ -296,8 +296,10 @@ def withdraw_tokens(data_dir: Path, name: str) -> int:
     path.stat()
     with _locked(data_dir / (PRINCIPALS_FILE + ".lock")):
         known = _rows(path)
-        kept = [row for row in known if row["name"] != name]
-        if len(kept) == len(known):
+        theirs = [row for row in known if row["name"] == name]
+        gone = theirs[:-1] if but_newest else theirs
+        kept = [row for row in known if row not in gone]
+        if not theirs:
             names = ", ".join(f"`{one}`" for one in dict.fromkeys(str(row["name"]) for row in known))
             raise ValueError(f"`{name}` has no token: valid are {names}")
         _write(path, orjson.dumps({"principals": kept}, option=orjson.OPT_INDENT_2) + b"\n")

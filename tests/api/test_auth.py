@@ -311,3 +311,14 @@ def test_whoever_has_an_engineers_token_left_may_vouch(tmp_path: Path, monkeypat
     now_s = clock.wall_s()
     monkeypatch.setattr(clock, "wall_s", lambda: now_s + 90.0)
     assert not principals.may_vouch("eva")
+
+
+def test_older_tokens_are_withdrawn_while_the_newest_holds(tmp_path: Path) -> None:
+    open_principals(tmp_path)
+    first = json.loads((tmp_path / TOKENS_FILE).read_text())["agent"]
+    newest = [issue_token(tmp_path, name="planner", role=Role.AGENT) for _ in range(2)][-1]
+    assert withdraw_tokens(tmp_path, "planner", but_newest=True) == 2
+    principals = open_principals(tmp_path)
+    assert (principals.has(first), principals.has(newest)) == (False, True)
+    assert withdraw_tokens(tmp_path, "planner", but_newest=True) == 0
+    assert withdraw_tokens(tmp_path, "planner") == 1
