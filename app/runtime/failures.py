@@ -49,6 +49,14 @@ KNOWN: Final[Mapping[str, tuple[str, str]]] = {
         "the robot works by another site than the policy's",
         "propose it again once the cell is restarted",
     ),
+    "session_lost": ("the cell came back and knows nothing of it any more", "inspect, then propose it again"),
+    "cell_lost": ("the cell has been away for too long", "propose it again when the cell is back"),
+    "cell_restarted": ("the cell was started anew while it ran", "inspect, then propose it again"),
+    "launch_unconfirmed": ("the cell never confirmed the launch", "inspect, then propose it again"),
+    "holding": ("the cell holds since it lost its link", "propose it again when the link holds"),
+    "unknown_capability": ("the robot has no skill for it", "choose another capability, or another cell"),
+    "unknown_name": ("the cell knows nothing of that name", "choose another, or wait until the cell is restarted"),
+    "power_off": ("the robot's power is off", "wait until it is reset"),
     "verified": ("it was rolled back; the world is as it was before", "change what is proposed"),
 }
 
