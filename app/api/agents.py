@@ -15,7 +15,7 @@ from starlette.responses import Response
 
 from app.api import documents
 from app.api.access import caller
-from app.api.listing import Filter, Identifier, PageQuery
+from app.api.listing import Digits, Filter, Identifier, PageQuery
 from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
 from app.api.problems import Problem
@@ -55,7 +55,7 @@ class WaitQuery(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     wait: Annotated[
-        float, Field(ge=0, le=MAX_WAIT_S, allow_inf_nan=False, description="Seconds; 0 answers at once.")
+        float, Field(ge=0, le=MAX_WAIT_S, allow_inf_nan=False, description="Seconds; 0 answers at once."), Digits
     ] = 0.0
     seen: Annotated[
         str | None,

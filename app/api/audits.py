@@ -20,7 +20,7 @@ from starlette.responses import FileResponse, Response, StreamingResponse
 
 from app.api import documents
 from app.api.access import allowed_roles, authorize, caller
-from app.api.listing import MAX_SEQ, Filter, Identifier, within_the_log
+from app.api.listing import MAX_SEQ, Digits, Filter, Identifier, within_the_log
 from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
 from app.api.problems import Problem, as_problem
@@ -71,8 +71,8 @@ class EventQuery(BaseModel):
     actor: Filter = None
     since: Moment | None = Field(default=None, description="RFC 3339, included.")
     until: Moment | None = Field(default=None, description="RFC 3339, excluded.")
-    after: Annotated[int, Field(ge=0, le=MAX_SEQ, description="The last `seq` already seen.")] = 0
-    limit: Annotated[int, Field(ge=1, le=MAX_EVENTS)] = 100
+    after: Annotated[int, Field(ge=0, le=MAX_SEQ, description="The last `seq` already seen."), Digits] = 0
+    limit: Annotated[int, Field(ge=1, le=MAX_EVENTS), Digits] = 100
 
 
 class PartQuery(BaseModel):
@@ -81,7 +81,9 @@ class PartQuery(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     part: Annotated[
-        int, Field(ge=1, le=MAX_EVENTS, description="A session that outlived a server goes on in a second file.")
+        int,
+        Field(ge=1, le=MAX_EVENTS, description="A session that outlived a server goes on in a second file."),
+        Digits,
     ] = 1
 
 
@@ -89,7 +91,7 @@ class TelemetryQuery(PartQuery):
     """Which of a session's telemetry files, and how finely."""
 
     rows: Annotated[
-        int, Field(ge=1, le=MAX_ROWS, description="At most so many rows, evenly chosen, and the last one.")
+        int, Field(ge=1, le=MAX_ROWS, description="At most so many rows, evenly chosen, and the last one."), Digits
     ] = 2000
 
 
@@ -105,6 +107,7 @@ class StreamQuery(BaseModel):
             le=MAX_SEQ,
             description="Begin after this `seq`; `Last-Event-ID` outranks it. Without either: from now.",
         ),
+        Digits,
     ] = None
 
 

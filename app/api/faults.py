@@ -27,6 +27,7 @@ _BOUND: Mapping[str, tuple[str, str]] = {
     "string_too_short": ("valid are texts of at least {} characters", "min_length"),
     "string_too_long": ("valid are texts of at most {} characters", "max_length"),
     "string_pattern_mismatch": ("valid is what matches `{}`", "pattern"),
+    "too_short": ("valid are at least {} items", "min_length"),
     "too_long": ("valid are at most {} items", "max_length"),
     "greater_than_equal": ("valid is at least {}", "ge"),
     "greater_than": ("valid is more than {}", "gt"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, ClassVar
 
 from fastapi import Path
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator
 from starlette.requests import Request
 
 from app.api.parts import parts_of
@@ -14,6 +14,17 @@ from app.audit.reader import parse_cursor
 
 MAX_LIMIT = 200
 MAX_SEQ = 2**63 - 1
+
+
+def _plain(value: object) -> object:
+    """Refuse what Python alone takes for a number: `1_0`, and blanks around it. What a number is, its type says."""
+    if isinstance(value, str) and ("_" in value or value != value.strip()):
+        raise ValueError(f"is `{value}`: valid is a number in plain digits")
+    return value
+
+
+Digits = BeforeValidator(_plain)
+"""On numbers of a query, which come as text."""
 
 Identifier = Annotated[str, Path(min_length=1, max_length=128)]
 Filter = Annotated[str | None, Field(min_length=1, max_length=128)]
@@ -30,7 +41,7 @@ class PageQuery(BaseModel):
     listed: ClassVar[str]
     """The table that is listed: its cursors count for no other list."""
 
-    limit: Annotated[int, Field(ge=1, le=MAX_LIMIT)] = 50
+    limit: Annotated[int, Field(ge=1, le=MAX_LIMIT), Digits] = 50
     cursor: Cursor | None = None
 
     @field_validator("cursor")

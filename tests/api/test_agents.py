@@ -176,7 +176,19 @@ async def test_a_cursor_counts_for_the_list_that_gave_it_alone(house: House, pat
 
 @pytest.mark.parametrize(
     "query",
-    ["limit=0", "limit=201", "limit=many", "cursor=zz", "cursor=", "cursor=-1.x", "status=odd", "agent=", "colour=red"],
+    [
+        "limit=0",
+        "limit=201",
+        "limit=many",
+        "limit=1_0",
+        "limit=+5",
+        "cursor=zz",
+        "cursor=",
+        "cursor=-1.x",
+        "status=odd",
+        "agent=",
+        "colour=red",
+    ],
 )
 async def test_refuses_a_filter_it_does_not_know(house: House, query: str) -> None:
     async with house.client() as agent:

@@ -98,6 +98,7 @@ async def test_filters_the_log(house: House) -> None:
         "after=-1",
         "after=9223372036854775808",
         "limit=1001",
+        "after=1_0",
         "a=b",
     ],
 )
