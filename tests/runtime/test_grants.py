@@ -212,6 +212,7 @@ async def test_a_grant_lasts_no_longer_because_the_clock_is_put_back(house: Hous
             house.wall_s.offset_s = -1.1  # of the 1.2 s that it holds
             await asyncio.sleep(1.3)
             assert [one.id for one in runtime.desk.grants.active()] == []
+            await runtime.desk.grants.record_ends()
             assert (await newest(runtime))["ended"]["code"] == "expired"
     if restarted:
         async with house.open() as runtime, asyncio.timeout(10.0):
