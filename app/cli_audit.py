@@ -18,6 +18,7 @@ from app.terminal import FINDING, INTERRUPTED, MISUSE, out, say, say_error
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable
 
+    from app.audit.checkpoint import Verifier
     from app.audit.event import Event
 
 app = typer.Typer(
@@ -43,7 +44,7 @@ def verify(
     from app.audit.examination import examine_file
 
     with _said(data, interrupted="interrupted: not all was compared, so nothing is said of this record"):
-        verifier = None if key is None else parse_verifier(key.read_text())
+        verifier = None if key is None else _verifier(key)
         with out.status("verifying …"):
             found = examine_file(data, verifier)
     log = found.log
@@ -65,6 +66,14 @@ def verify(
     )
     if not found.ok:
         raise typer.Exit(FINDING)
+
+
+def _verifier(key: Path) -> Verifier:
+    """Read a public key. Raises `OSError`, `ValueError` naming a file that holds none."""
+    try:
+        return parse_verifier(key.read_text(encoding="utf-8"))
+    except (NoteInvalid, UnicodeDecodeError) as error:
+        raise ValueError(f"`{key}` is no public key of a log: {error}; valid is what `log.pub` holds") from error
 
 
 def _good(size: int) -> str:

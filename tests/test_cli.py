@@ -221,6 +221,9 @@ def test_checks_the_cases_of_a_policy_too(tmp_path: Path, cases: str, said: str)
 
 def test_there_is_nothing_to_verify_where_no_log_is(tmp_path: Path) -> None:
     assert run("audit", "verify", "--data", str(tmp_path))[0] == 2
+    (other := tmp_path / "other").write_text("no key")
+    code, said = run("audit", "verify", "--data", str(tmp_path), "--key", str(other))
+    assert (code, "valid is what `log.pub` holds" in said) == (2, True)
 
 
 def test_the_shipped_policies_check() -> None:

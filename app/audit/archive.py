@@ -98,9 +98,11 @@ def export(data_dir: Path, out: Path, format: Literal["jsonl"] = "jsonl") -> Exp
     """
     if format != "jsonl":
         raise ValueError(f"`{format}` is no export format: valid is `jsonl`")
-    note_path = out.with_name(out.name + ".checkpoint")
+    note_path = out.parent / f"{out.name}.checkpoint"
     for path in (out, note_path):
         _check_place(path, data_dir)
+    if not out.parent.is_dir():
+        raise ValueError(f"`{out}` is in no directory: valid is a name in one that is there")
     verifier = load_verifier(Places(data_dir))
     digest = hashlib.sha256()
     frontier = Frontier()
@@ -173,7 +175,7 @@ def _check_place(path: Path, data_dir: Path) -> None:
 
 
 def _draft_of(path: Path) -> Path:
-    return path.with_name(path.name + ".partial")
+    return path.parent / f"{path.name}.partial"  # `.` has no name, and is a directory
 
 
 def _other_than_file(path: Path) -> str | None:

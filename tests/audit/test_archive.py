@@ -194,9 +194,15 @@ async def test_an_export_that_fails_leaves_nothing(
     assert len(list((tmp_path / "out").iterdir())) == 2
 
 
-async def test_refuses_another_format(store: AuditStore, data: Path, tmp_path: Path) -> None:
+async def test_refuses_another_format_and_what_is_no_place_for_a_file(
+    store: AuditStore, data: Path, tmp_path: Path
+) -> None:
     with pytest.raises(ValueError, match="jsonl"):
         export(data, tmp_path / "log.csv", "csv")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="valid is a name in one that is there"):
+        export(data, tmp_path / "nowhere" / "log.jsonl")
+    with pytest.raises(ValueError, match="is a directory: valid is the name of a file"):
+        export(data, Path())
     assert store.healthy
 
 
