@@ -513,6 +513,9 @@ def test_whoever_drives_sees_the_robot_above_the_pad(
         expect(person.button(name)).to_be_in_viewport(ratio=1)
     if size == PHONE:
         assert out_of_reach(stop(person)) == []
+        # What it was held for may be asked for a moment longer.
+        person.page.evaluate("document.querySelector('.live').classList.add('asking', 'held')")
+        assert box(person.region("The cell in 3D")) == scene
     else:
         resize(person, DESK_SMALL)
         the_way_back_is_named_and_the_legend_keeps_out_of_the_picture(person)
