@@ -94,6 +94,9 @@ def test_who_may_only_look_is_offered_nothing_but_the_stop(
     expect(stop(person)).to_be_enabled()
     if size == PHONE:
         expect(person.button("Drive")).to_be_disabled()
+    assert server.post("/v1/cells/workcell-1/estop").is_success
+    expect(person.page.get_by_text("workcell-1 is latched")).to_be_visible()
+    expect(person.page.get_by_role("article")).not_to_contain_text(re.compile("You approve|You may"))
 
 
 def test_an_agent_is_told_that_the_console_is_not_for_its_role(server: ServerProcess, people: People) -> None:

@@ -80,7 +80,7 @@ describe('words', () => {
   it('say that whoever drives moves nothing while the session is held', () => {
     const control: Control = { lease: 'lea_1', holder: 'ada', where: 'local', since: '2026-11-22T10:00:00.000Z', invocation: 'inv_1' };
     const said = ['running', 'paused', 'escalated'].map((status) => robotSays(cell({ status, control })).text);
-    expect(said).toEqual(['Driven by hand', 'Driven by hand, paused', 'Driven by hand, asks you']);
+    expect(said).toEqual(['Driven by hand', 'Driven by hand, paused', 'By hand, asks a person']);
     const held = (paused_by: string[], violated: string[] = []): Cell => cell({ status: 'paused', control, session: { phase: null, doing: 'takeover', violated, paused_by, waits_for: null } });
     expect(pausedWords(cell({ control }))).toBe(null);
     expect(pausedWords(held(['operator', 'watch'], ['separation']))).toEqual({ why: 'somebody paused the session', resumable: true });

@@ -10,7 +10,7 @@ const STATUS: Record<Status, { text: string; tone: Tone }> = {
   awaiting_approval: { text: 'Waits for approval', tone: 'warn' },
   running: { text: 'Running', tone: 'plain' },
   paused: { text: 'Paused, holding', tone: 'danger' },
-  escalated: { text: 'Held, asks you', tone: 'warn' },
+  escalated: { text: 'Held, asks a person', tone: 'warn' },
   recovering: { text: 'Recovering', tone: 'warn' },
   taken_over: { text: 'Driven by hand', tone: 'human' },
   completed: { text: 'Done', tone: 'ok' },
@@ -40,7 +40,7 @@ export function robotSays(cell: Cell | null): { text: string; tone: Tone } {
 function heldIn(cell: Cell): { text?: string; tone?: Tone } {
   const { status } = cell;
   if (status === 'paused') return { text: 'Driven by hand, paused', tone: pausedTone(cell) };
-  if (status === 'escalated') return { text: 'Driven by hand, asks you', tone: STATUS.escalated.tone };
+  if (status === 'escalated') return { text: 'By hand, asks a person', tone: STATUS.escalated.tone };
   return {};
 }
 
