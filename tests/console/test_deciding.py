@@ -297,7 +297,10 @@ def test_a_question_that_another_answers_or_another_profile_withdraws_says_so_an
     person = people.sit(server)
     first = floor.ask()["escalation"]
     expect(card(person)).to_be_visible()
+    expect(card(person)).to_contain_text("0.30 default")  # which nobody asked for
     second = floor.ask()["escalation"]
+    row = person.region("Waiting for you").locator("button.row")
+    expect(row).to_contain_text("60 N, 0.25 m/s")  # by which one tells it from the other
     denied_by(server, first, "operator_2")
     told = person.page.get_by_role("status").filter(has_text="is not open any more")
     expect(told).to_contain_text("is not open any more: operator_2 denied.")

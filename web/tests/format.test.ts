@@ -1,7 +1,7 @@
 import { describe, expect, it } from 'vitest';
 import { heldIn, titleOf } from '../src/lib/format/capability';
 import { entriesOf, eventLine } from '../src/lib/format/events';
-import { labelOf, unitOf, valueOf } from '../src/lib/format/quantity';
+import { figuresOf, labelOf, unitOf, valueOf } from '../src/lib/format/quantity';
 import type { Cell, Control } from '../src/lib/api/documents';
 import { pausedWords } from '../src/lib/live/control';
 import { robotSays, whoWords } from '../src/lib/format/status';
@@ -41,6 +41,7 @@ describe('quantities', () => {
   it('have the unit and the digits of their name', () => {
     expect([unitOf('speed_mps'), unitOf('force_n'), unitOf('residual_nm'), unitOf('object_id')]).toEqual(['m/s', 'N', 'N·m', '']);
     expect([valueOf('speed_mps', 0.5), valueOf('force_n', 17.62), valueOf('force_n', 60), valueOf('x', null)]).toEqual(['0.50', '17.6', '60', '–']);
+    expect(figuresOf({ speed_mps: 0.1, object_id: 'mug_1', force_n: 40 })).toBe('40 N, 0.10 m/s');
     expect([labelOf('force_n'), labelOf('travel_time_s')]).toEqual(['Grip force', 'Travel time']);
   });
 });

@@ -1,4 +1,4 @@
-import type { InputSchema, Json } from '../api/documents';
+import type { InputSchema, Json, Params } from '../api/documents';
 import { entryOf } from './entry';
 import { plain } from './plain';
 
@@ -67,4 +67,10 @@ export function valueOf(name: string, value: Json | undefined): string {
 export function withUnit(name: string, value: Json | undefined): string {
   const unit = typeof value === 'number' ? unitOf(name) : '';
   return unit === '' ? valueOf(name, value) : `${valueOf(name, value)} ${unit}`;
+}
+
+/** The numbers among parameters, for a glance: `40 N, 0.10 m/s`. */
+export function figuresOf(params: Params): string {
+  const names = Object.keys(params).filter((name) => typeof params[name] === 'number').sort();
+  return names.map((name) => withUnit(name, params[name])).join(', ');
 }
