@@ -67,9 +67,10 @@ def test_a_link_that_goes_is_told_and_what_came_meanwhile_is_there_when_it_is_ba
         header = person.page.locator("header dl.facts")
         expect(header).to_contain_text("Idle")
         person.press("t")
-        drive = person.region("Drive by hand")
+        drive, waiting = person.region("Drive by hand"), person.region("Waiting for you")
         for goes in (wire.cut, wire.swallow):  # aborted, or a black hole
             expect(drive).to_contain_text("the controls of the idle cell")
+            expect(waiting).to_contain_text("Nothing waits for a person.")
             goes()
             told_after_ms = person.page.evaluate(SAYS_SO)
             assert told_after_ms <= 1_000
@@ -80,6 +81,7 @@ def test_a_link_that_goes_is_told_and_what_came_meanwhile_is_there_when_it_is_ba
             )  # or it is all said anew
             expect(header).to_contain_text("Not known")
             expect(drive).to_contain_text("Who has the controls of workcell-1 is not known")
+            expect(waiting).to_contain_text("What waits is not known.")
             expect(person.page.locator(".live .stale").first).to_be_visible()
             asked = floor.ask()
             wire.mend()
