@@ -42,21 +42,23 @@ describe('how a session is getting on', () => {
   const launches = (body: LogEvent['body'] = {}): LogEvent[] => [{ ...event('launch', body), at: began }];
 
   it('is counted from its launch, and a question from its proposal', () => {
-    expect(sessionSays(invocation({ status: 'running', created_at: asked }), launches(), now, false)).toBe('0:02 running');
-    expect(sessionSays(invocation({ status: 'awaiting_approval', created_at: asked }), [], now, false)).toBe('0:52 waits for approval');
+    expect(sessionSays(invocation({ status: 'running', created_at: asked }), launches(), now)).toBe('0:02 running');
+    expect(sessionSays(invocation({ status: 'awaiting_approval', created_at: asked }), [], now)).toBe('0:52 waits for approval');
   });
 
-  it('says that somebody drives it', () => {
-    expect(sessionSays(invocation({ status: 'running' }), launches(), now, true)).toBe('0:02 driven by hand');
+  it('says since when somebody drives it', () => {
+    const control = { invocation: 'inv_1', since: '2026-11-22T10:00:51.000Z' };
+    expect(sessionSays(invocation({ status: 'running' }), launches(), now, control)).toBe('0:01 driven by hand'); // however long it ran before
+    expect(sessionSays(invocation({ status: 'running' }), launches(), now, { ...control, invocation: 'inv_2' })).toBe('0:02 running');
   });
 
   it('does not guess a launch that is not known, or was refused', () => {
-    expect(sessionSays(invocation({ status: 'running' }), [], now, false)).toBe('running');
-    expect(sessionSays(invocation({ status: 'running' }), launches({ refused: 'busy' }), now, false)).toBe('running');
+    expect(sessionSays(invocation({ status: 'running' }), [], now)).toBe('running');
+    expect(sessionSays(invocation({ status: 'running' }), launches({ refused: 'busy' }), now)).toBe('running');
   });
 
   it('is its outcome once it has one', () => {
-    expect(sessionSays(invocation({ status: 'completed', outcome: 'succeeded' }), launches(), now, false)).toBe('done, verified');
+    expect(sessionSays(invocation({ status: 'completed', outcome: 'succeeded' }), launches(), now)).toBe('done, verified');
   });
 });
 
