@@ -2,6 +2,7 @@ import { describe, expect, it } from 'vitest';
 import type { Cell, LogEvent } from '../src/lib/api/documents';
 import { differences, takesOver } from '../src/lib/fleet/profiles';
 import { lastStopBy, secondsLeft, stopOf, unheardOf, VOIDED, whyWithdrawn } from '../src/lib/live/reset';
+import { peopleWords } from '../src/lib/fleet/people';
 import { heard, profileBarrier, resetBarrier, samePolicy } from '../src/lib/fleet/rights';
 import { event } from './samples';
 
@@ -10,6 +11,17 @@ const cell = (over: Partial<Cell> = {}): Cell => ({
 });
 const STRICT = { sensitivity: 0.9, limits: { tcp_speed_mps: { max: 0.25 }, payload_kg: { max: 3 } }, authority: { modes: ['approval-required'] } };
 const LOOSE = { sensitivity: 0.3, limits: { tcp_speed_mps: { max: 1.5 }, payload_kg: { max: 3 } }, authority: { modes: ['review-only'] } };
+
+describe('how near people are', () => {
+  it('is what Live shows where a session measures it, and otherwise says from where it is measured', () => {
+    const facts = { people_count: 1, people_nearest_m: 1.08 };
+    expect(peopleWords(cell({ facts, gauges: { separation_m: 0.61 } }))).toBe('1, separation 0.61 m');
+    for (const gauges of [{}, { separation_m: 99 }, { separation_m: null as unknown as number }]) {
+      expect(peopleWords(cell({ facts, gauges }))).toBe('1, nearest 1.08 m from the middle of the base');
+    }
+    expect([{ people_count: 0, people_nearest_m: 99 }, null].map((seen) => peopleWords(cell({ facts: seen })))).toEqual(['nobody seen', 'not known']);
+  });
+});
 
 describe('who may act', () => {
   it.each([
