@@ -2,7 +2,7 @@ import { afterEach, describe, expect, it, vi } from 'vitest';
 import type { LogEvent, Telemetry } from '../src/lib/api/documents';
 import { Axis } from '../src/lib/audit/axis';
 import { Player, type Recording } from '../src/lib/audit/player.svelte';
-import { frameAt } from '../src/lib/audit/replay';
+import { authorizedOf, frameAt, topOf, TRACES } from '../src/lib/audit/replay';
 import { guardAt, MEASURED } from '../src/lib/scene/separation';
 import { aheadOf, beginningOf, eventAt, goodForS, measuredAt, offset, outside, partsOf, rowAt, stepTo, timelineOf } from '../src/lib/audit/timeline';
 
@@ -295,5 +295,19 @@ describe('an axis', () => {
     expect(drawn.columns).toEqual([[1, 2, 3, null, 4, 5, 6]]);
     expect(drawn.times).toHaveLength(7);
     expect(drawn.times.every((at, k) => k === 0 || at > (drawn.times[k - 1] ?? 0))).toBe(true);
+  });
+});
+
+describe('a plot', () => {
+  const contact = TRACES.find(({ channel }) => channel === 'contact_force_n') ?? TRACES[0];
+
+  it('is drawn in a scale that noise does not fill, and that all of it fits in', () => {
+    if (contact === undefined) throw new Error('nothing is drawn');
+    expect([topOf(contact, [0.3, null, 2]), topOf(contact, []), topOf(contact, [1], [60])]).toEqual([25, 25, 66]);
+  });
+
+  it('has the line that was authorized where a parameter falls under a limit of its name', () => {
+    const inputs = { speed_mps: { 'x-limit': 'base_speed_mps' }, clearance_m: {}, target: { 'x-limit': 'tcp_speed_mps' } };
+    expect(authorizedOf({ speed_mps: 0.3, clearance_m: 0.3, target: 'dock', constructor: 1 }, inputs)).toEqual({ base_speed_mps: 0.3 });
   });
 });

@@ -5,8 +5,9 @@ export interface Drawn {
   times: number[];
   values: (number | null)[];
   limits: (number | null)[] | null;
-  /** Of the axis; it begins at 0. */
+  /** Of the axis; it begins at 0, as the scale does. */
   length: number;
+  top: number;
 }
 
 function token(name: string): string {
@@ -19,8 +20,6 @@ export class TracePlot {
   private readonly watch: ResizeObserver;
 
   constructor(host: HTMLElement, drawn: Drawn, heightPx: number) {
-    const known = [...drawn.values, ...(drawn.limits ?? [])].filter((value) => value !== null);
-    const top = 1.1 * Math.max(0.02, known.reduce((a, b) => Math.max(a, b), 0));
     const series: uPlot.Series[] = [{}, { stroke: token('--t1'), width: 1.25, points: { show: false } }];
     if (drawn.limits !== null) series.push({ stroke: token('--danger'), width: 1.25, dash: [4, 3], points: { show: false } });
     const data = [drawn.times, drawn.values, ...(drawn.limits === null ? [] : [drawn.limits])] as uPlot.AlignedData;
@@ -33,7 +32,7 @@ export class TracePlot {
         legend: { show: false },
         cursor: { show: false },
         axes: [{ show: false }, { show: false }],
-        scales: { x: { time: false, range: () => [0, drawn.length] }, y: { range: () => [0, top] } },
+        scales: { x: { time: false, range: () => [0, drawn.length] }, y: { range: () => [0, drawn.top] } },
         series,
       },
       data,

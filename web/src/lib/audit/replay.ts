@@ -1,4 +1,5 @@
-import type { Telemetry } from '../api/documents';
+import type { InputSchema, Params, Telemetry } from '../api/documents';
+import { entryOf } from '../format/entry';
 import type { PoseFrame } from '../socket/frame';
 import { bodiesOf, toolError, type Posture } from './kinematics';
 
@@ -103,19 +104,36 @@ export interface Trace {
   channel: string;
   /** Another channel that is its limit, and the side of it where things are wrong. */
   limit: string | null;
+  /** Top of the scale while the values stay below it: noise fills no plot. */
+  span: number;
 }
 
 export const TRACES: readonly Trace[] = [
-  { label: 'Separation', unit: 'm', channel: 'separation_m', limit: 'protective_separation_m' },
-  { label: 'Tool speed', unit: 'm/s', channel: 'tcp_speed_mps', limit: null },
-  { label: 'Base speed', unit: 'm/s', channel: 'base_speed_mps', limit: null },
-  { label: 'Grip force', unit: 'N', channel: 'grip_force_n', limit: null },
-  { label: 'Contact force', unit: 'N', channel: 'contact_force_n', limit: null },
-  { label: 'Progress', unit: '', channel: 'progress', limit: null },
+  { label: 'Separation', unit: 'm', channel: 'separation_m', limit: 'protective_separation_m', span: 3 },
+  { label: 'Tool speed', unit: 'm/s', channel: 'tcp_speed_mps', limit: null, span: 0.3 },
+  { label: 'Base speed', unit: 'm/s', channel: 'base_speed_mps', limit: null, span: 0.4 },
+  { label: 'Grip force', unit: 'N', channel: 'grip_force_n', limit: null, span: 25 },
+  { label: 'Contact force', unit: 'N', channel: 'contact_force_n', limit: null, span: 25 },
+  { label: 'Progress', unit: '', channel: 'progress', limit: null, span: 1 },
 ];
 
 /** A channel's values for a plot; a distance to nobody is no value. */
 export function valuesOf(telemetry: Telemetry, channel: string): (number | null)[] {
   const values = telemetry.columns[channel] ?? [];
   return channel === 'separation_m' ? values.map((value) => (value !== null && value > FAR_M ? null : value)) : values;
+}
+
+/** Top of the scale that all of this is drawn in. */
+export function topOf({ span }: Trace, ...columns: readonly (readonly (number | null)[])[]): number {
+  const most = columns.flat().reduce<number>((top, value) => Math.max(top, value ?? 0), 0);
+  return most > span ? 1.1 * most : span;
+}
+
+/** What a channel was authorized to reach, by its name: the parameters say it that fall under a limit of that name. */
+export function authorizedOf(params: Params, inputs: Record<string, InputSchema>): Record<string, number> {
+  const bounds = Object.entries(params).flatMap(([name, value]) => {
+    const channel = entryOf(inputs, name)?.['x-limit'];
+    return channel === undefined || typeof value !== 'number' ? [] : [[channel, value] as const];
+  });
+  return Object.fromEntries(bounds);
 }
