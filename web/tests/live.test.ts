@@ -366,9 +366,14 @@ describe('why a held session asks', () => {
   });
 
   it('says once what two cuts of one rule come to in the same words', () => {
-    const cut = (name: string) => ({ ...reason, code: 'x', rule: 'own/grip', message: `\`${name}\` lowered to 20 N (limit of ${name})` });
+    const cut = (name: string) => ({ ...reason, code: 'limit', rule: 'own/grip', message: `\`${name}\` lowered to 20 N (limit of ${name})` });
     const inputs = { force_n: { 'x-limit': 'grip_force_n' }, grip_force_n: { 'x-limit': 'grip_force_n' } };
     expect(reasonLines(escalation({ reasons: [cut('force_n'), cut('grip_force_n')] }), null, inputs)).toHaveLength(1);
+  });
+
+  it('has what a rule says in brackets, but where the number of a limit is from', () => {
+    const said = (code: string) => reasonLines(escalation({ reasons: [{ ...reason, code, message: 'ask first (the plate is at 80 °C)', remedy: '' }] }), null)[0]?.text;
+    expect([said('hot'), said('limit')]).toEqual(['Ask first (the plate is at 80 °C).', 'Ask first.']);
   });
 
   it('is not told what an agent is told of a proposal', () => {

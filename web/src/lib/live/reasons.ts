@@ -37,18 +37,22 @@ function heldWords(code: string): string {
   return phase === undefined ? (entryOf(HELD, code) ?? '') : `Policy wants a person to confirm “${plain(phase)}” before it begins.`;
 }
 
+/** Of a limit, where its number is from: that is left to the rule. Whatever else stands in brackets is why a person is asked. */
+const SOURCE = / \([^()]*\)$/;
+
 function lineOf(reason: Reason, held: boolean, inputs: Inputs): ReasonLine {
   const icon = /separation|person/.test(`${reason.rule} ${reason.code}`) ? 'person' : held ? 'hand' : 'scale';
   const strong = held ? heldWords(reason.code) : '';
-  const said = strong === '' ? sentence(reason.message, inputs) : 'The robot holds where it is and waits.';
+  const message = reason.code === 'limit' ? reason.message.replace(SOURCE, '') : reason.message;
+  const said = strong === '' ? sentence(message, inputs) : 'The robot holds where it is and waits.';
   // What a person may say is worth a sentence only where a person is asked what becomes of a session.
   const text = held && reason.remedy !== '' ? `${said} ${sentence(reason.remedy, inputs)}` : said;
   return { icon, strong, text, rule: reason.rule.replaceAll('/', ' / ') };
 }
 
-/** Policy's words as a sentence: names in backticks become labels, and the source in brackets is left to the rule. */
+/** Policy's words as a sentence: names in backticks become labels. */
 function sentence(said: string, inputs: Inputs): string {
-  const text = plain(said).replace(/`([a-z_0-9]+)`/g, (_, name: string) => (/_(n|mps|m|s|kg|rad|ms)$/.test(name) ? labelFor(name, entryOf(inputs, name)) : name)).replace(/ \([^()]*\)$/, '');
+  const text = plain(said).replace(/`([a-z_0-9]+)`/g, (_, name: string) => (/_(n|mps|m|s|kg|rad|ms)$/.test(name) ? labelFor(name, entryOf(inputs, name)) : name));
   const upper = text.charAt(0).toUpperCase() + text.slice(1);
   return /[.!?]$/.test(upper) ? upper : `${upper}.`;
 }
