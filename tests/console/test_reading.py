@@ -279,7 +279,7 @@ def asks_policy(person: Person) -> None:
         form.get_by_label("Object (needed)").select_option(asked)
         form.get_by_role("button", name="Ask policy").click()
         expect(said).to_have_text(ANSWER)
-        for part in (form.locator(".verdict"), form.get_by_text("Policy allows")):
+        for part in (form.locator(".verdict"), form.get_by_text("After policy")):
             expect(part).to_be_in_viewport(ratio=1)
             assert on_top(part)
     assert person.page.evaluate("window.heard") == [True, False, True]
