@@ -40,7 +40,8 @@ describe('times', () => {
 describe('quantities', () => {
   it('have the unit and the digits of their name', () => {
     expect([unitOf('speed_mps'), unitOf('force_n'), unitOf('residual_nm'), unitOf('object_id')]).toEqual(['m/s', 'N', 'N·m', '']);
-    expect([valueOf('speed_mps', 0.5), valueOf('force_n', 17.62), valueOf('force_n', 60), valueOf('x', null)]).toEqual(['0.50', '17.6', '60', '–']);
+    expect([valueOf('speed_mps', 0.5), valueOf('force_n', 17.62), valueOf('force_n', 60), valueOf('x', null)]).toEqual(['0.50', '17.62', '60', '–']);
+    expect([valueOf('speed_mps', 0.125), valueOf('force_n', 100.4), valueOf('yaw_rad', Math.PI / 2), valueOf('force_n', NaN)]).toEqual(['0.125', '100.4', '1.5708', '–']);
     expect(figuresOf({ speed_mps: 0.1, object_id: 'mug_1', force_n: 40 })).toBe('40 N, 0.10 m/s');
     expect([labelOf('force_n'), labelOf('travel_time_s')]).toEqual(['Grip force', 'Travel time']);
   });

@@ -56,10 +56,13 @@ function trimmed(value: number, digits: number): string {
   return value.toFixed(digits).replace(/\.0$/, '');
 }
 
-/** A parameter's value in words; numbers by the unit of their name. */
+/** A parameter's value in words; numbers by the unit of their name, with six digits where that would round them: what is approved is approved as it stands there. */
 export function valueOf(name: string, value: Json | undefined): string {
   if (value === undefined || value === null) return '–';
-  if (typeof value === 'number') return number(value, unitOf(name));
+  if (typeof value === 'number') {
+    const text = number(value, unitOf(name));
+    return Number.isFinite(value) && Number(text) !== value ? String(Number(value.toPrecision(6))) : text;
+  }
   if (typeof value === 'string') return plain(value);
   return typeof value === 'boolean' ? (value ? 'yes' : 'no') : plain(JSON.stringify(value));
 }
