@@ -99,7 +99,7 @@ class Governing:
         period_s = substrate.period_s
         rate = run.ramp(period_s)
         if rate == 0.0:  # not asked to move
-            report, command = self._last_report(), hold(run.previous)
+            report, command = self._last_report(), run.held()
         else:
             try:
                 command, report = run.skill.act(self.seen, rate), run.skill.report()
@@ -111,8 +111,8 @@ class Governing:
             command = run.yielding(command, self.seen)
         command, _ = clamp(command, run.previous, run.bounds, self.seen.jacobian, period_s)
         self.seen = seen = substrate.step(command)
-        run.previous, run.report = command, report
-        rate = run.rate
+        run.sent(command, seen)
+        run.report, rate = report, run.rate
         watching, alerts = run.watcher.watch(
             run.watching, seen, report, command, rate, run.used.retries, len(run.unmet)
         )

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final, TypeAlias
 
+from app.governance.clamp import hold
 from app.governance.intervention import NOTHING, InterventionState, Responses
 from app.governance.model import Outcome, SkillReport, SkillState, Status
 from app.governance.recovery import Budgets, RecoveryDecision
@@ -111,6 +112,9 @@ class Run:
     much. A stop keeps the grip, and letting go may drop what is held: a gripper that gives more than it is told has to
     be told less, at once and until the session ends.
 
+    `grips` says whether the hand has something to keep: it was closed when the session began, or its pads have felt
+    something since it was told to close. Fingers that have not are on their way, and a hold stops them.
+
     `given` is where the arm gave way to what it met, from where it was `told` to be, until something moves it again: an
     arm that keeps where it was told to be presses on, however still it stands.
     """
@@ -149,6 +153,7 @@ class Run:
     bounds: Bounds = field(init=False)
     confirms: bool = field(init=False)  # whether a phase may wait for a human at all
     report: SkillReport = NOT_SAID  # the skill's last
+    grips: bool = field(init=False)
     eased: Bounds | None = None
     ease_again: int = 0
     told: Vec6 = _AT_REST
@@ -158,6 +163,7 @@ class Run:
     def __post_init__(self) -> None:
         """Begin with the bounds of the plan."""
         self.bounds = self.plan.bounds
+        self.grips = self.previous.grip_force_n > 0.0
         self.confirms = bool(self.grant.authorization.confirm_before)
 
     @property
@@ -219,6 +225,16 @@ class Run:
         told_n = min(self.previous.grip_force_n, self.bounds.grip_force_n)
         self.bounds = self.eased = self.bounds._replace(grip_force_n=max(0.0, told_n * EASED * allowed_n / measured_n))
         self.ease_again = tick + EASE_TICKS
+
+    def held(self) -> Command:
+        """Return the command that keeps everything where it is: fingers as well, which else open or close on."""
+        command = hold(self.previous)
+        return command if self.grips else command._replace(grip_force_n=0.0)
+
+    def sent(self, command: Command, seen: Observation) -> None:
+        """Note what was sent, and whether there is something between the fingers that it closes."""
+        self.previous = command
+        self.grips = command.grip_force_n > 0.0 and (self.grips or seen.pads_loaded)
 
     def give_way(self) -> None:
         """Have the arm keep where it is instead of where it was told to be, so that its servos stop pressing.

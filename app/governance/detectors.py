@@ -244,6 +244,7 @@ def stall(
 def attempts(
     command: Command,
     report: SkillReport,
+    rate: float,
     retried: int,
     closing: bool | None,
     closings: int,
@@ -253,9 +254,9 @@ def attempts(
     """Count retries: those that governance ordered, and those that a skill makes by itself without saying so.
 
     A skill that begins again closes its hand a second time, or falls back in its own progress. Neither can lower what
-    governance counts.
+    governance counts. What a hold makes of the hand is none of the skill's doing.
     """
-    closes = command.grip_force_n > 0.0
+    closes = command.grip_force_n > 0.0 if rate > 0.0 else closing
     if closes and closing is False:
         closings += 1
     closing = closes

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 _BRAKE_ARM_NM, _BRAKE_BASE_N = 400.0, 3000.0
 _REST_ITERATIONS = 2
 _BASE_HOLD_PER_S, _BASE_HOLD_MAX, _STANDING_MPS = 5.0, 0.05, 0.01
+_FINGERS_STAND_MPS = 0.005  # the softest grip closes ten times as fast
 _SCALING_LEAK_S = 1.5
 _WAKE_M, _RESTING_MPS = (
     0.25,
@@ -149,6 +150,7 @@ class Plant:
         self._base_at, self._base_speed = self._qpos[self._base_q], self._qvel[self._base_v]
         self._arm_at, self._arm_speed = self._qpos[self._arm_q], self._qvel[self._arm_v]
         self._arm_pushed, self._fingers_at = data.qfrc_actuator[self._arm_v], self._qpos[self._finger_q]
+        self._fingers_speed = self._qvel[_run_of([model.joint(n).dofadr[0] for n in robot.FINGER_JOINTS])]
         self._arm_ctrl, self._base_ctrl = self._ctrl[self._arm_u], self._ctrl[self._base_u]
         damping, stiffness = model.actuator_biasprm[self._arm_u, 2], model.actuator_gainprm[self._arm_u, 0]
         self._feed_forward_s = tuple((-damping / stiffness).tolist())
@@ -256,10 +258,15 @@ class Plant:
         self.model.opt.noslip_iterations = _REST_ITERATIONS if at_rest else 0
 
     def cut_power(self) -> None:
-        """Take power from arm and base: the brakes fall in. The gripper locks itself and keeps its grip."""
+        """Take power from arm and base: the brakes fall in. The gripper locks itself and keeps its grip, if it has one.
+
+        Fingers that are on their way stay where they are.
+        """
         if not self.drives.powered:
             return
         self.drives.powered = False
+        if max(map(abs, self._fingers_speed.tolist())) > _FINGERS_STAND_MPS:
+            self.drives.grip_force_n = 0.0
         model = self.model
         for actuators in (self._arm_u, self._base_u):
             model.actuator_gainprm[actuators, 0] = 0.0

@@ -209,6 +209,7 @@ class Workcell:
         self._state.held = self._state.held._replace(joint_speed_radps=(0.0,) * 6, base_velocity=(0.0, 0.0, 0.0))  # type: ignore[arg-type]
         if category < 2:  # category 2 keeps power
             self.plant.cut_power()
+            self._state.held = self._state.held._replace(grip_force_n=max(self.plant.drives.grip_force_n, 0.0))
 
     @property
     def powered(self) -> bool:

@@ -241,3 +241,28 @@ def test_an_arm_that_was_stopped_can_grasp_again_and_does_not_move_before(tmp_pa
     shop.launch("grasp_object", 2, **GRASP)
     assert shop.finish()["outcome"] == "succeeded"
     assert shop.cell.truth().held == "mug_1"
+
+
+def test_fingers_that_are_on_their_way_stop_with_the_robot(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path)
+    shop.launch("grasp_object", **GRASP)
+
+    def moved_m(ticks: int) -> float:
+        before = shop.cell.plant.read().width_m
+        for _ in range(ticks):
+            shop.runner.tick()
+        return abs(shop.cell.plant.read().width_m - before)
+
+    while shop.runner.session is not None and shop.runner.session.run.report.phase != "close":
+        shop.runner.tick()
+    assert moved_m(3) > 0.003, "they close"
+    assert shop.runner.human("inv-1", "pause", "operator") is None
+    moved_m(8)
+    assert moved_m(30) < 0.001
+    assert shop.runner.human("inv-1", "resume", "operator") is None
+    assert moved_m(3) > 0.003, "they close on"
+    shop.runner.estop("operator")
+    assert moved_m(30) < 0.002
+    assert shop.runner.reset("operator") is None
+    shop.launch("navigate_to", 2, **DRIVE)  # power is back
+    assert moved_m(10) < 0.001

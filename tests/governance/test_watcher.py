@@ -389,6 +389,15 @@ def test_retries_and_unmet_postconditions_are_what_governance_counted() -> None:
 GRIPPING = HOLD._replace(grip_force_n=30.0)
 
 
+@pytest.mark.parametrize(("rate", "told"), [(1.0, ["retries"]), (0.0, [])])
+def test_a_hand_that_closes_again_is_a_retry_but_not_where_a_hold_had_stopped_it(rate: float, told: list[str]) -> None:
+    watcher = compile_watch(watching(rule("retries", threshold=0.5)))
+    state, alerts, close = watcher.begin(), (), SkillReport("close", 0.5)
+    for tick, (command, went) in enumerate([(HOLD, 1.0), (GRIPPING, 1.0), (HOLD, rate), (GRIPPING, 1.0)]):
+        state, alerts = watcher.watch(state, seen(tick), close, command, went)
+    assert [alert.rule for alert in alerts] == told
+
+
 def test_slip_counts_from_the_grip_and_starts_anew_with_the_next_one() -> None:
     plan = watching(rule("slip_m", threshold=0.005))
     slipping = [seen(t, slip_m=0.002 + 0.001 * t, pads_loaded=True) for t in range(20)]
