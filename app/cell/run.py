@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from operator import mul
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from app.governance.clamp import hold
@@ -283,15 +284,25 @@ class Run:
         return self.rate
 
     def brake(self, seen: Observation) -> None:
-        """Choose the ramp down: the base at its declared deceleration, the arm at its own, the slower of the two."""
+        """Choose the ramp down: the base at its declared deceleration, the arm at its own, the slower of the two.
+
+        What moves faster than it was told brakes for longer, up to twice: a reading that is wrong is not to hold up a
+        stop, least of all of what was told to stand.
+        """
         vx, vy, _ = seen.base_velocity
-        bounds = self.plan.bounds
-        # The constants go first in min() and max(): there they win against a reading that is no number.
-        base_mps = min(2.0 * bounds.base_speed_mps, math.hypot(vx, vy))
-        arm_mps = min(2.0 * bounds.tcp_speed_mps, seen.tcp_speed_mps)
+        told_x, told_y, _ = self.previous.base_velocity
+        # What was told goes first in min() and max(): there it wins against a reading that is no number.
+        base_mps = min(2.0 * math.hypot(told_x, told_y), math.hypot(vx, vy))
+        arm_mps = min(2.0 * self._told_tcp_mps(seen.jacobian), seen.tcp_speed_mps)
         stopping_s = max(SHORTEST_RAMP_S, base_mps / self.plan.base_deceleration_mps2, arm_mps / ARM_DECELERATION_MPS2)
         self.ramp_s = stopping_s / max(self.rate, 0.1)
         self.still_ticks = 0
+
+    def _told_tcp_mps(self, jacobian: tuple[float, ...]) -> float:
+        """Return how fast the tool was told to be, and no more than the bound where the joints' readings say so."""
+        speeds = self.previous.joint_speed_radps
+        told_mps = math.hypot(*(sum(map(mul, jacobian[row : row + 6], speeds)) for row in (0, 6, 12)))
+        return min(self.bounds.tcp_speed_mps, told_mps)
 
     def still(self, seen: Observation) -> bool:
         """Say whether everything has come to rest (or has had long enough to)."""

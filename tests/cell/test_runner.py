@@ -306,6 +306,18 @@ def test_a_pause_ramps_down_as_declared_and_then_the_skill_is_not_asked_any_more
     assert rig.finish()["outcome"] == "succeeded"
 
 
+def test_a_reading_that_is_wrong_does_not_hold_up_a_stop(rig: Rig) -> None:
+    rig.plan = replace(rig.plan, rules=())
+    rig.cell.script.base_mps = 0.0
+    rig.cell.lie = lambda seen: seen._replace(base_velocity=(5.0, 0.0, 0.0))  # while the arm moves alone
+    rig.launch()
+    rig.ticks(50)
+    assert rig.moving()
+    assert rig.runner.human("inv-1", "pause", "operator") is None
+    rig.ticks(6)
+    assert not rig.moving()
+
+
 def test_a_person_who_stays_ends_the_session_where_nobody_can_be_asked(rig: Rig) -> None:
     rig.recovery = replace(rig.recovery, can_ask=False)
     walking_in(rig, from_s=1.0, until_s=math.inf)
