@@ -30,6 +30,7 @@ from app.cell.series import Series
 from app.cell.substrate import SubstrateError
 from app.governance.continuing import CHANGED
 from app.governance.control import GOING_ON, TAKEOVER
+from app.governance.detectors import DOUBT_S, FIX_JUMP_M
 from app.governance.estimation import BaseEstimate, follow_base
 from app.governance.intervention import Responses
 from app.governance.model import EventKind, Mode, Outcome, Status
@@ -116,6 +117,7 @@ class Runner:
         self._session: Session | None = None
         self._signals = Signals()
         self._base = BaseEstimate()
+        self._doubted = False  # something leapt, and no session has waited it out
         self._unpowered = False
         self.latched = bool(journal.marks.get("latched"))
         self.broken = ""
@@ -338,6 +340,7 @@ class Runner:
         if session is None:
             self.observation = self.substrate.step(self.substrate.hold())
             self._base = follow_base(self._base, self.observation)  # who is launched next is watched from where it is
+            self._doubted = self._doubted or self._base.miss_m > FIX_JUMP_M
             return
         try:
             self.observation = session.tick()
@@ -351,7 +354,9 @@ class Runner:
             self._take_leave(session)
 
     def _take_leave(self, session: Session) -> None:
-        self._signals, self._base = session.run.watching.signals, session.run.watching.senses.base
+        watching = session.run.watching
+        self._signals, self._base = watching.signals, watching.senses.base
+        self._doubted = watching.senses.doubted_until_s > self.observation.time_s
         self._unpowered = self._unpowered or session.over is None or session.over.category is not None
         self._session = None
 
@@ -439,7 +444,7 @@ class Runner:
             skill=skill,
             watcher=watcher,
             responses=Responses(watcher.rules, substrate.period_s),
-            watching=watcher.begin(base=self._base),
+            watching=watcher.begin(base=self._base, doubted_until_s=self._doubted_until_s()),
             previous=substrate.hold(),
             series=Series(substrate.period_s, keep_every_tick=plan.keep_every_tick),
             began=began,
@@ -449,6 +454,13 @@ class Runner:
         self._session = Session(self._ports, run, self.observation)
         self._record.say_anyway(telling.status(permit.invocation, Status.RUNNING, None, "launched"))
         return None
+
+    def _doubted_until_s(self) -> float:
+        """Return until when a session that begins now holds against its sensors what leapt before, with nobody there.
+
+        For as long as if it had leapt just now: what is left of that time might be over before the session asks.
+        """
+        return self.observation.time_s + DOUBT_S if self._doubted else 0.0
 
     def _prepared(self, grant: Grant) -> Skill:
         """Bind the granted capability; what fails by a name that policy recovers from has failed like any attempt.

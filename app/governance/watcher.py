@@ -107,17 +107,20 @@ class Watcher:
         self._none = (0.0,) * len(self._sums)
         self.watch: Final = generate(self._constants, tuple(row.bound() for row in rows), self._none, self._judge)
 
-    def begin(self, before: WatchState | None = None, *, base: BaseEstimate = NOWHERE) -> WatchState:
+    def begin(
+        self, before: WatchState | None = None, *, base: BaseEstimate = NOWHERE, doubted_until_s: float = 0.0
+    ) -> WatchState:
         """Return the state an attempt begins with: estimates and doubts live on, all else starts afresh.
 
         Args:
             before: What watching the same session left; None at its launch.
             base: Where the base was found to be by then, for a launch. Fixes come every fifth tick at best, and until
                 the first one odometry alone would tell.
+            doubted_until_s: Until when what leapt before a launch is held against its sensor.
         """
         fresh = WatchState(sums=self._none)
         if before is None:
-            return fresh._replace(remembered=tuple(Senses(base=base)))
+            return fresh._replace(remembered=tuple(Senses(base=base, doubted_until_s=doubted_until_s)))
         kept = before.senses
         lives_on = Senses(
             base=kept.base,

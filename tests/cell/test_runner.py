@@ -318,6 +318,30 @@ def test_a_reading_that_is_wrong_does_not_hold_up_a_stop(rig: Rig) -> None:
     assert not rig.moving()
 
 
+def test_a_fix_that_leapt_while_nothing_ran_is_held_against_it_and_the_next_session_does_not_forget(rig: Rig) -> None:
+    rig.cell.script.ticks = 2000
+    rig.ticks(20)
+    rig.cell.lie = lambda seen: seen if seen.fix is None else seen._replace(fix=seen.fix._replace(x_m=9.0))
+    rig.ticks(200)
+    for number in (1, 2):
+        rig.launch(id=f"auth-{number}")
+        rig.ticks(3)
+        assert rig.runner.status == "escalated", rig.story()
+        assert rig.last("escalation")["reason"] == "watch/implausible"
+        rig.runner.human("inv-1", "resolve_terminate", "operator")
+        rig.finish()
+    rig.launch(id="auth-3")
+    rig.ticks(550)
+    assert rig.runner.human("inv-1", "resolve_continue", "operator") is None
+    rig.ticks(60)
+    assert rig.runner.status == "running", "whoever has looked may let it go on"
+    rig.runner.human("inv-1", "cancel", "operator")
+    rig.finish()
+    rig.launch(id="auth-4")
+    rig.ticks(60)
+    assert rig.runner.status == "running", "and what was waited out is over"
+
+
 def test_a_person_who_stays_ends_the_session_where_nobody_can_be_asked(rig: Rig) -> None:
     rig.recovery = replace(rig.recovery, can_ask=False)
     walking_in(rig, from_s=1.0, until_s=math.inf)
