@@ -46,6 +46,7 @@ QUIET_TICKS: Final = 50
 AWAY: Final = frozenset({"base_pose", "object_pose"})
 """What a rollback may leave open that driving back can set right: from elsewhere an object may be out of sight."""
 OVERSPEED: Final = "overspeed"
+UNDONE_BADLY: Final = "rollback_failed"
 UNBELIEVED: Final = frozenset({"implausible", "sensor_age_ms"})
 """Signals of what the sensors are worth: nothing follows readings that are held against them."""
 HELD: Final = {Status.PAUSED: Event.RESUME_RECOVERY, Status.ESCALATED: Event.CONTINUE_RECOVERY}
@@ -294,12 +295,12 @@ class Governing:
     def _choose(self, failure: str, after: RecoveryDecision | None = None) -> RecoveryDecision:
         run = self.run
         covered = run.grant.authorization.recoveries
-        # Undoing that fails is a failure of its own: nothing may make a new attempt of it.
         if run.doing is Doing.ROLLBACK:
-            failure = "rollback_failed"
+            failure = UNDONE_BADLY
         elif run.doing is Doing.RECOVERY and failure == "postcondition_failed":
             failure = "recovery_failed"
-        failed_in = run.doing is Doing.RECOVERY and after is None
+        # Undoing that fails is a failure of its own: nothing may make a new attempt of it, or of what recovers from it.
+        failed_in = failure == UNDONE_BADLY or (run.doing is Doing.RECOVERY and after is None)
         return recover(failure, run.recovery, run.used, covered=covered, after=after, recovering=failed_in)
 
     def _roll_back(self, failure: str) -> str | None:

@@ -378,8 +378,7 @@ class Session(Governing):
         decision = roll_back(code, run.recovery, run.used, run.grant.authorization.recoveries)
         if decision is None:
             return "rollback_unavailable"
-        if self.steering is not None:
-            self._leave()
+        self._leave()  # nor is it handed back any more, where that was under way
         run.paused_by.clear()
         run.responding = released(run.responding)
         self._follow(decision)

@@ -577,6 +577,18 @@ def test_a_rollback_that_did_not_bring_the_base_back_is_a_failure(rig: Rig) -> N
     assert rig.of("outcome") == []
 
 
+@pytest.mark.parametrize("steps", [(Strategy.RETRY,), (Strategy.RECOVERY_CAPABILITY, Strategy.RETRY)])
+def test_no_new_attempt_is_made_of_a_rollback_that_failed(rig: Rig, steps: tuple[Strategy, ...]) -> None:
+    table = (RecoveryRule(on="any", do=(*steps, Strategy.ASK_HUMAN), capability="release_and_retract"),)
+    rig.recovery, rig.cell.script.fails = replace(RECOVERY, rules=table), {("retrace", 1): "no_path"}
+    rig.launch()
+    rig.ticks(40)
+    rig.runner.human("inv-1", "rollback", "operator")
+    rig.until_status("escalated")
+    assert rig.runs("grasp_object") == 1
+    assert rig.last("escalation")["failure"] == "rollback_failed"
+
+
 RETREATING = replace(RECOVERY, rollback_capability="safe_retreat")
 RETREAT = CoveredRecovery(strategy=Strategy.ROLLBACK, capability="safe_retreat", params={})
 
@@ -1496,6 +1508,21 @@ def test_a_human_who_takes_over_from_a_way_back_has_the_controls(rig: Rig) -> No
     rig.until(lambda: rig.runner.jog("inv-1", "lease", 1, Wish(grip="open"), "operator") != "coming_to_rest")
     assert rig.runner.jog("inv-1", "lease", 2, Wish(), "operator") is None
     assert rig.runner.jog("inv-1", "lease", 3, Wish(base=(0.1, 0.0, 0.0)), "operator") is None
+
+
+def test_a_rollback_takes_the_place_of_a_way_back_to_the_plan(rig: Rig) -> None:
+    rig.cell.script.fails = {("retrace", 1): "no_path"}
+    rig.launch()
+    rig.ticks(60)
+    assert rig.runner.launch(signed(id="auth-2", capability="takeover"), anew=True) is None
+    rig.ticks(5)
+    assert rig.runner.human("inv-1", "let_go", "server") is None
+    assert rig.runner.launch(signed(id="auth-3"), anew=True) is None
+    assert rig.runner.human("inv-1", "rollback", "operator") is None
+    rig.ticks(5)
+    assert rig.runner.human("inv-1", "let_go", "server") == "not_taken_over"
+    rig.until_status("escalated")
+    assert rig.last("escalation")["failure"] == "rollback_failed"
 
 
 @pytest.mark.parametrize("held_by", ["paused", "separation_m"])
