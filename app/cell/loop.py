@@ -265,7 +265,7 @@ class TickLoop:
 
     def _working(self) -> bool:
         state = self._outbox.state
-        return state is not None and state.status in WORKING
+        return state is not None and state.status in WORKING and state.jog is None
 
     def _obey_until(self, due_s: float) -> None:
         """Obey what has come in, and whatever comes in before the deadline."""

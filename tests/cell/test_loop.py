@@ -11,7 +11,7 @@ import pytest
 from app.cell.loop import SIGHT_EVERY, Lease, Order, Outbox, Shutdown, TickLoop, Welcomed
 from app.cell.moment import Sight
 from app.clock import monotonic_s
-from app.protocol import LEASE_MS, Estop, Launch, State, Unrecorded, UpEvent
+from app.protocol import LEASE_MS, Estop, Jogged, Launch, State, Unrecorded, UpEvent
 from tests.conftest import until
 
 LONG_S = 3600.0
@@ -20,9 +20,10 @@ LONG_S = 3600.0
 class Recorder:
     """A runner that writes down what it is told."""
 
-    def __init__(self, period_s: float = 0.001, status: str | None = None) -> None:
+    def __init__(self, period_s: float = 0.001, status: str | None = None, *, driven: bool = False) -> None:
         self.period_s = period_s
         self.status = status
+        self.driven = driven
         self.ticks = 0
         self.orders: list[Order] = []
         self.holds: list[str] = []
@@ -71,6 +72,7 @@ class Recorder:
             profile=None,
             facts={},
             gauges={"late_ticks": float(overruns)},
+            jog=Jogged(n=-1, refused=None) if self.driven else None,
             fault=self.unrecorded,
         )
 
@@ -230,11 +232,11 @@ def test_pace_zero_does_not_wait_while_a_session_works(start: Callable[..., Benc
 
 
 @pytest.mark.parametrize("pace", [0.0, 100.0])
-@pytest.mark.parametrize("status", [None, "escalated", "taken_over"])
+@pytest.mark.parametrize(("status", "driven"), [(None, False), ("escalated", False), ("running", True)])
 def test_a_pace_is_that_of_the_clock_while_nothing_moves_by_itself(
-    start: Callable[..., Bench], status: str | None, pace: float
+    start: Callable[..., Bench], status: str | None, driven: bool, pace: float
 ) -> None:
-    bench = start(Recorder(period_s=LONG_S, status=status), pace)
+    bench = start(Recorder(period_s=LONG_S, status=status, driven=driven), pace)
     until(lambda: bench.runner.ticks == 1)
     bench.inbox.put(Estop(actor="operator"))
     until(lambda: bench.runner.orders)
