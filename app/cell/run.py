@@ -220,11 +220,11 @@ class Run:
 
     def ease_grip(self, measured_n: float, tick: int) -> None:
         """Lower the bound of the grip so far that what the gripper makes of it is within what policy allows."""
-        if tick < self.ease_again or not measured_n > 0.0:
-            return
         allowed_n = self.plan.bounds.grip_force_n
         told_n = min(self.previous.grip_force_n, self.bounds.grip_force_n)
-        self.bounds = self.eased = self.bounds._replace(grip_force_n=max(0.0, told_n * EASED * allowed_n / measured_n))
+        if tick < self.ease_again or not measured_n > 0.0 or told_n <= 0.0:  # of a hand that opens it tells nothing
+            return
+        self.bounds = self.eased = self.bounds._replace(grip_force_n=told_n * EASED * allowed_n / measured_n)
         self.ease_again = tick + EASE_TICKS
 
     def held(self) -> Command:

@@ -400,6 +400,19 @@ def test_a_resume_that_comes_late_does_not_answer_what_is_asked_meanwhile(rig: R
 # -- violations and recovery -----------------------------------------------------------------------------------------
 
 
+def test_what_pads_feel_while_the_hand_opens_says_nothing_of_how_it_grips(rig: Rig) -> None:
+    warning = rule("grip_force_n", threshold=63.0, response=Response(enter=Intervention.CONTINUE))
+    rig.plan = replace(rig.plan, rules=(warning,))
+    rig.cell.script.grip_n = -12.0
+    rig.cell.lie = lambda seen: seen._replace(grip_force_n=70.0 if seen.time_s < 0.2 else 1.0)
+    rig.launch()
+    rig.ticks(30)
+    rig.cell.script.grip_n = 40.0
+    rig.ticks(5)
+    assert rig.of("alert")[0]["rule"] == "grip_force_n"
+    assert rig.cell.commands[-1].grip_force_n == 40.0
+
+
 def test_slip_is_released_retracted_and_grasped_again(rig: Rig) -> None:
     rig.cell.script.grip_n = 20.0
     rig.cell.lie = lambda seen: seen._replace(
