@@ -59,6 +59,14 @@ RUNNING: Final = SkillState.RUNNING
 FAILED: Final = SkillState.FAILED
 
 
+class NotHeldError(Exception):
+    """An arm that is held moves all the same: what stops by its drives alone does not stop it."""
+
+    def __init__(self) -> None:
+        """Say so."""
+        super().__init__("the arm moved while it was held")
+
+
 class PlanOf(Protocol):
     """Compiles what a grant is watched by, from the policy the cell holds; for a recovery it covers, what that is."""
 
@@ -100,7 +108,7 @@ class Governing:
         period_s = substrate.period_s
         rate = run.ramp(period_s)
         if rate == 0.0:  # not asked to move
-            report, command = self._last_report(), run.held()
+            report, command = self._last_report(), self._held()
         else:
             try:
                 command, report = run.skill.act(self.seen, rate), run.skill.report()
@@ -129,6 +137,16 @@ class Governing:
             except JournalUnavailable:
                 self._end_unrecorded()
         return seen
+
+    def _held(self) -> Command:
+        """Return the command that keeps everything where it is, as long as that keeps it there.
+
+        Raises:
+            NotHeldError: the arm moves away, and its readings can be believed.
+        """
+        if self.run.strays(self.seen) and not self._doubted():
+            raise NotHeldError
+        return self.run.held()
 
     def _wait_before(self, phase: str) -> Command:
         """Hold before a phase that a human has to confirm; a session that comes to rest asks once it is let go on."""
@@ -175,13 +193,18 @@ class Governing:
     def _yield_to(self, alerts: tuple[Alert, ...]) -> None:
         """Have an arm that stands give way to what it presses on, where its readings say so and can be believed."""
         run = self.run
-        signal_of = run.watcher.signal_of
-        held_against = (*run.speaking, *(one.rule for one in run.responding.engaged))
-        doubted = run.watching.signals.implausible > 0.0  # before its rule speaks, which may wait for a second tick
-        if doubted or any(signal_of(rule) in UNBELIEVED for rule in held_against):
+        if self._doubted():
             run.giving_ticks = 0
-        elif any(signal_of(alert.rule) in CONTACT for alert in alerts):
+        elif any(run.watcher.signal_of(alert.rule) in CONTACT for alert in alerts):
             run.give_way()
+
+    def _doubted(self) -> bool:
+        """Say whether readings are held against their sensors."""
+        run = self.run
+        if run.watching.signals.implausible > 0.0:  # before its rule speaks, which may wait for a second tick
+            return True
+        held_against = (*run.speaking, *(one.rule for one in run.responding.engaged))
+        return any(run.watcher.signal_of(rule) in UNBELIEVED for rule in held_against)
 
     # -- what the watcher says -----------------------------------------------------------------------------------------
 

@@ -46,6 +46,7 @@ MOVING: Final = (Status.RUNNING, Status.RECOVERING)
 EASED: Final = 0.9
 GIVES_RAD: Final = 0.15  # a push of 600 N bends the arm by less
 GIVES_TICKS: Final = 60
+STRAYS_RAD: Final = 0.2  # more than a stop or `GIVES_RAD` moves a joint that is held
 LINK: Final = "link"  # why a cell holds whose link's lease has lapsed
 _AT_REST: Final = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 NOT_SAID: Final = SkillReport("", 0.0)
@@ -160,6 +161,7 @@ class Run:
     told: Vec6 = _AT_REST
     given: Vec6 | None = None
     giving_ticks: int = 0
+    stood: Vec6 | None = None  # where the arm was once it was held
 
     def __post_init__(self) -> None:
         """Begin with the bounds of the plan."""
@@ -236,6 +238,8 @@ class Run:
         """Note what was sent, and whether there is something between the fingers that it closes."""
         self.previous = command
         self.grips = command.grip_force_n > 0.0 and (self.grips or seen.pads_loaded)
+        if self.rate > 0.0:
+            self.stood = None
 
     def give_way(self) -> None:
         """Have the arm keep where it is instead of where it was told to be, so that its servos stop pressing.
@@ -260,6 +264,12 @@ class Run:
                 for told, q in zip(self.told, seen.joint_rad, strict=True)
             )
         return command._replace(joint_rad=self.given, joint_speed_radps=_AT_REST)
+
+    def strays(self, seen: Observation) -> bool:
+        """Say whether an arm that is held moves away all the same: its drives do not hold it, or do so again."""
+        if self.stood is None or self.giving_ticks > 0:
+            self.stood = seen.joint_rad
+        return any(abs(q - stood) > STRAYS_RAD for q, stood in zip(seen.joint_rad, self.stood, strict=True))
 
     def watch_with(self, plan: WatchPlan, period_s: float) -> None:
         """Go on under another plan, with timers of its own; estimates live on."""

@@ -21,7 +21,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 from app.cell import telling
-from app.cell.governing import EXPIRED, STOP, PlanOf, Ports, Verify
+from app.cell.governing import EXPIRED, STOP, NotHeldError, PlanOf, Ports, Verify
 from app.cell.handover import Session
 from app.cell.journal import USED, Entry, Journal, JournalUnavailable
 from app.cell.recorder import Recorder
@@ -344,14 +344,20 @@ class Runner:
             return
         try:
             self.observation = session.tick()
+        except NotHeldError as error:
+            self._break(f"{error}, and power was cut", str(error))
+            return
         except Exception as error:  # a guard that breaks guards nothing: power off, and say so
-            self.broken = f"its watch broke, and power was cut: {error!r}"
-            self._broke_tick = record.tick
-            self._latch(telling.CELL, End(Outcome.FAULT, "guard_broken"))
-            record.say_anyway(telling.cell("broken", telling.CELL, repr(error)))
+            self._break(f"its watch broke, and power was cut: {error!r}", repr(error))
             return
         if session.over is not None:
             self._take_leave(session)
+
+    def _break(self, why: str, detail: str) -> None:
+        """Cut power, until somebody who knows of it resets it: what has to stop the robot does not."""
+        self.broken, self._broke_tick = why, self._record.tick
+        self._latch(telling.CELL, End(Outcome.FAULT, "guard_broken"))
+        self._record.say_anyway(telling.cell("broken", telling.CELL, detail))
 
     def _take_leave(self, session: Session) -> None:
         watching = session.run.watching

@@ -19,6 +19,7 @@ from app.cell.runner import Runner, run_session
 from app.governance.model import (
     CoveredRecovery,
     Intervention,
+    Observation,
     Outcome,
     RecoveryRule,
     Response,
@@ -304,6 +305,26 @@ def test_a_pause_ramps_down_as_declared_and_then_the_skill_is_not_asked_any_more
     assert not rig.moving()
     assert rig.runner.human("inv-1", "resume", "operator") is None
     assert rig.finish()["outcome"] == "succeeded"
+
+
+def test_power_is_cut_where_an_arm_moves_while_it_is_held(rig: Rig) -> None:
+    rig.launch()
+    rig.ticks(50)
+    assert rig.runner.human("inv-1", "pause", "operator") is None
+    rig.ticks(20)
+    paused_s = rig.cell.observe().time_s
+
+    def sags(seen: Observation) -> Observation:
+        first, a, b, c, d, e = seen.joint_rad
+        return seen._replace(joint_rad=(first - 0.3 * (seen.time_s - paused_s), a, b, c, d, e))
+
+    rig.cell.lie = sags
+    rig.ticks(60)
+    assert rig.runner.status == "paused"
+    assert rig.finish()["code"] == "guard_broken"
+    assert rig.runner.latched
+    assert rig.cell.stops == [0]
+    assert "held" in rig.runner.view().broken
 
 
 def test_a_reading_that_is_wrong_does_not_hold_up_a_stop(rig: Rig) -> None:

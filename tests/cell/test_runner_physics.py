@@ -266,3 +266,14 @@ def test_fingers_that_are_on_their_way_stop_with_the_robot(tmp_path: Path) -> No
     assert shop.runner.reset("operator") is None
     shop.launch("navigate_to", 2, **DRIVE)  # power is back
     assert moved_m(10) < 0.001
+
+
+def test_an_arm_that_falls_while_it_is_held_falls_into_its_brakes(tmp_path: Path) -> None:
+    # With servos that come back it would swing up again, at some metres a second beside whoever is asked.
+    fade = Fault(kind="fade", at=grasping("approach", after_s=1.0), sizes={"strength": 0.05}, for_s=4.0)
+    shop = Workshop(tmp_path, faults=(fade,))
+    shop.launch("grasp_object", **GRASP)
+    ended = shop.finish()
+    assert (ended["outcome"], ended["code"]) == ("fault", "guard_broken")
+    assert shop.runner.latched
+    assert shop.cell.truth().tcp_m[2] > 0.8, "the bench is at 0.75 m"
