@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+PAD_LOADED_N = 1.0
 _BRAKE_ARM_NM, _BRAKE_BASE_N = 400.0, 3000.0
 _REST_ITERATIONS = 2
 _BASE_HOLD_PER_S, _BASE_HOLD_MAX, _STANDING_MPS = 5.0, 0.05, 0.01
@@ -260,12 +261,13 @@ class Plant:
     def cut_power(self) -> None:
         """Take power from arm and base: the brakes fall in. The gripper locks itself and keeps its grip, if it has one.
 
-        Fingers that are on their way stay where they are.
+        Fingers that are on their way, with nothing between them, stay where they are.
         """
         if not self.drives.powered:
             return
         self.drives.powered = False
-        if max(map(abs, self._fingers_speed.tolist())) > _FINGERS_STAND_MPS:
+        pads_n = self._force[-1, 6:8].tolist()
+        if min(pads_n) < PAD_LOADED_N and max(map(abs, self._fingers_speed.tolist())) > _FINGERS_STAND_MPS:
             self.drives.grip_force_n = 0.0
         model = self.model
         for actuators in (self._arm_u, self._base_u):

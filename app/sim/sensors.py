@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from app.governance.model import CONTROL_PERIOD_S, Fix, PersonTrack
-from app.sim.plant import beyond_wrist
+from app.sim.plant import PAD_LOADED_N, beyond_wrist
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -35,7 +35,6 @@ PEOPLE_PERIOD_TICKS, PEOPLE_DELAY_TICKS, PEOPLE_SIGMA_M, PEOPLE_DROPOUT = 5, 6, 
 PEOPLE_RANGE_M, PEOPLE_KEEP_S = 8.0, 1.0
 ENCODER_SIGMA_RAD, DRIVE_SIGMA_RADPS, TORQUE_SIGMA_NM = 2e-5, 2e-3, 0.15
 WRIST_SIGMA_N, PAD_SIGMA_N, WIDTH_SIGMA_M, SLIP_SIGMA_M = 0.6, 0.15, 1e-4, 1e-4
-PAD_LOADED_N = 1.0
 SENSORS = ("arm", "wrist", "gripper", "odometry", "fix", "people", "objects")
 _COLUMNS, _ROWS = 64, 512
 _BASE_SIGMA, _WHEELS_STILL = 0.002, 1e-3

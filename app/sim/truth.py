@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from app.sim.navigation import distance_to
-from app.sim.sensors import PAD_LOADED_N
+from app.sim.plant import PAD_LOADED_N
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -29,8 +29,8 @@ from app.sim.localisation import Localiser, to_base
 from app.sim.occasions import Occasions
 from app.sim.people import People
 from app.sim.perception import Perception, pictured
-from app.sim.plant import Plant
-from app.sim.sensors import AS_MEASURED, PAD_LOADED_N, Quality, Sensors
+from app.sim.plant import PAD_LOADED_N, Plant
+from app.sim.sensors import AS_MEASURED, Quality, Sensors
 from app.sim.skills import RECOVERIES, SKILLS, Run, start
 from app.sim.skills_arm import within_reach
 from app.sim.skills_jog import CAPABILITY as TAKEOVER

@@ -13,6 +13,7 @@ from app.governance.model import Intervention, Response, WatchPlan
 from app.sim.faults import Fault
 from app.sim.occasions import Trigger
 from app.sim.people import Walk
+from app.sim.robot import FINGER_JOINTS
 from tests.cell.workshop import Workshop
 
 pytestmark = pytest.mark.physics
@@ -266,6 +267,18 @@ def test_fingers_that_are_on_their_way_stop_with_the_robot(tmp_path: Path) -> No
     assert shop.runner.reset("operator") is None
     shop.launch("navigate_to", 2, **DRIVE)  # power is back
     assert moved_m(10) < 0.001
+
+
+def test_what_slips_between_the_fingers_is_not_let_go_by_a_stop(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path)
+    shop.launch("grasp_object", **GRASP)
+    while shop.runner.session is not None and shop.runner.session.run.report.phase != "lift":
+        shop.runner.tick()
+    shop.cell.plant.data.qvel[[shop.cell.plant.model.joint(name).dofadr[0] for name in FINGER_JOINTS]] = 0.02
+    shop.runner.estop("operator")
+    for _ in range(100):
+        shop.runner.tick()
+    assert shop.cell.observe().pads_loaded
 
 
 def test_an_arm_that_falls_while_it_is_held_falls_into_its_brakes(tmp_path: Path) -> None:
