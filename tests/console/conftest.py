@@ -275,6 +275,7 @@ class Floor:
 
     server: ServerProcess
     made: list[str] = field(default_factory=list)
+    latest: dict[str, Any] = field(default_factory=dict)  # what was answered to the last proposal
 
     def ask(self, object_id: str = "mug_1", **metadata: Any) -> dict[str, Any]:
         """Propose a grasp, which waits for a person."""
@@ -318,13 +319,16 @@ class Floor:
         return not self.server.post("/v1/cells/workcell-1/reset").json().get("latched", True)
 
     def _decided(self, body: dict[str, Any]) -> dict[str, Any] | None:
-        proposed = self.server.post("/v1/invocations", body, key="agent").json()
-        return None if proposed["status"] == "deferred" else proposed
+        self.latest = self.server.post("/v1/invocations", body, key="agent").json()
+        return None if self.latest["status"] == "deferred" else self.latest
 
     def _propose(self, status: str, capability: str, metadata: dict[str, Any], **params: Any) -> dict[str, Any]:
         body = {"capability": capability, "params": params, "metadata": metadata}
         # What is deferred may be proposed again: the cell comes to rest, and sees afresh what stands before it.
-        proposed = until(lambda: self._decided(body), what=f"a cell that is free for {body}")
+        try:
+            proposed = until(lambda: self._decided(body))
+        except pytest.fail.Exception as error:
+            raise AssertionError(f"the cell is not free for {body}: {self.latest['admission']}") from error
         assert proposed["status"] == status, proposed["admission"]
         self.made.append(proposed["id"])
         return proposed
