@@ -266,6 +266,7 @@ class People:
         return said
 
 
+REACH_M = 0.2
 STANDS = {"dock": (0.8, 0.8), "bench_a_stand": (1.6, 4.6)}  # as in policies/site.yaml
 
 
@@ -278,7 +279,12 @@ class Floor:
     latest: dict[str, Any] = field(default_factory=dict)  # what was answered to the last proposal
 
     def ask(self, object_id: str = "mug_1", **metadata: Any) -> dict[str, Any]:
-        """Propose a grasp, which waits for a person."""
+        """Propose a grasp, which waits for a person; what is out of reach would be put off for good."""
+        cell = self.server.cell()
+        away = cell["facts"] and math.dist(cell["facts"]["base"][:2], STANDS["bench_a_stand"]) > REACH_M
+        if away and cell["busy"] is None and not cell["latched"]:
+            self.drive(target="bench_a_stand")
+            until(lambda: self.server.cell()["busy"] is None, what="a robot that is back at the bench")
         return self._propose("awaiting_approval", "grasp_object", metadata, object_id=object_id, force_n=80)
 
     def answer(self, asked: dict[str, Any], decision: str) -> None:
