@@ -302,6 +302,7 @@ def test_whoever_signs_in_where_a_stop_is_not_confirmed_is_told(
         expect(said).to_have_count(0)
         wire.mend()
         expect(person.page.get_by_text("operator_2").first).to_be_visible()
+        until(lambda: server.cell()["latched"], what="a stop that is heard in the end, whoever knows of it")
 
 
 def test_whoever_loads_the_page_anew_where_a_stop_is_not_confirmed_is_told(
