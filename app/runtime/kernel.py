@@ -175,9 +175,7 @@ class Judgement(NamedTuple):
 
     def recheck_events(self, invocation: Invocation) -> list[EventDraft]:
         """Return the events of deciding again, with the last approval, on what was approved; `recheck` marks them."""
-        if (
-            invocation.final
-        ):  # it ended by this decision, and shows it; what leads there from the request is not its own
+        if invocation.final:  # it ended by this decision, and shows what leads there from the request
             mark = {"recheck": True, ANEW: self.policy_document()}
             return self._events(invocation, invocation.admission, invocation.policy, mark)
         return self._events(invocation, self.admission_document(), self.policy_document(), {"recheck": True})
