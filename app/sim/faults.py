@@ -10,7 +10,7 @@ They never tell the watcher; what they do shows in physics and sensors alone.
 | `missing` | object | the object is gone |
 | `blocked` | x_m, y_m, z_m | a crate stands in the way, or hangs in it with its middle at `z_m` |
 | `odometry_bias` | x_mps, y_mps | dead reckoning drifts |
-| `payload_shift` | object, factor, offset_m | mass and centre of mass of an object change |
+| `payload_shift` | object, factor, offset_m | an object's mass changes, and how far beside its middle it pulls |
 | `sensor` | sensor, fault, size | a sensor is stuck, stale, noisy, offset or delayed |
 | `fade` | strength | the arm's servos keep this share of their strength |
 | `misplaced` | object, x_m, y_m | somebody moves the object by so much |
@@ -200,7 +200,8 @@ def _odometry_bias(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> No
 def _payload_shift(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> None:
     thing, factor, offset = str(sizes["object"]), _number(sizes, "factor", 2.0), _number(sizes, "offset_m", 0.0)
     victim.plant.scale_mass(thing, factor if begin else 1.0 / factor)
-    victim.plant.shift_mass(thing, (offset if begin else -offset, 0.0, 0.0))
+    if offset != 0.0:
+        victim.plant.shift_mass(thing, offset if begin else 0.0)
 
 
 def _sensor(victim: Victim, sizes: Mapping[str, Json], begin: bool) -> None:

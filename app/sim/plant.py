@@ -64,7 +64,6 @@ _EDITED = (
     "geom_priority",
     "body_mass",
     "body_inertia",
-    "body_ipos",
     "body_subtreemass",
     "body_invweight0",
     "dof_invweight0",
@@ -81,7 +80,7 @@ _EDITED = (
 
 @dataclass(slots=True)
 class Drives:
-    """What the low-level drives remember between ticks, and the faults in them."""
+    """What the low-level drives remember between ticks, and the faults in them and in what they carry."""
 
     joint_rad: Vec6
     grip_force_n: float = 0.0
@@ -91,6 +90,7 @@ class Drives:
     grip_gain: float = 1.0
     speed_gain: float = 1.0
     strength: float = 1.0
+    beside_m: dict[str, float] = field(default_factory=dict)
 
 
 class Tick(NamedTuple):
@@ -181,6 +181,8 @@ class Plant:
             self._drive_arm(command)
             self._drive_base(command)
         self._drive_grip(command.grip_force_n)
+        if drives.beside_m:
+            self._weigh_beside()
         self._force[:SUBSTEPS] = self._force[SUBSTEPS:]
         model, data, sensed, pushed, mj_step = self.model, self.data, self._sensed, self._arm_pushed, mujoco.mj_step
         for force, torque in self._rows:
@@ -324,9 +326,24 @@ class Plant:
         # The solver's softness follows inverse weights worked out at compile time; stale ones let a heavy thing creep.
         mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
 
-    def shift_mass(self, name: str, offset_m: tuple[float, float, float]) -> None:
-        """Move an object's centre of mass within it."""
-        self.model.body_ipos[self._object_body[name]] += offset_m
+    def shift_mass(self, name: str, offset_m: float) -> None:
+        """Have an object's weight pull so far along its own x beside its middle; its inertia stays where it was.
+
+        MuJoCo compiles what moves freely around its own centre in a simpler form, in which that centre cannot move
+        afterwards. The torque of a weight beside it can be put on any body; what is left out, the same for the object's
+        acceleration, is a tenth of it for a load that is carried.
+        """
+        self.drives.beside_m[name] = offset_m
+        self._weigh_beside()
+        if offset_m == 0.0:
+            del self.drives.beside_m[name]
+
+    def _weigh_beside(self) -> None:
+        model, data = self.model, self.data
+        for name, offset_m in self.drives.beside_m.items():
+            body = self._object_body[name]
+            weight_n = model.opt.gravity * (model.body_mass[body] * (1.0 - model.body_gravcomp[body]))
+            data.xfrc_applied[body, 3:] = np.cross(data.xmat[body].reshape(3, 3)[:, 0] * offset_m, weight_n)
 
     def place_object(self, name: str, x_m: float, y_m: float, z_m: float, yaw_rad: float = 0.0) -> None:
         """Put an object somewhere before a run starts, or take it away (under the floor it is hung up, not falling)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -179,6 +180,19 @@ def test_a_shifted_payload_weighs_on_the_arm(site: Site):
     held = Trigger(capability="grasp_object", phase="lift", after_s=0.3)
     heavier = cell_with(site, fault("payload_shift", held, object="mug_1", factor=3.0))
     assert strain(heavier) > strain(cell_with(site)) + 2.0  # 0.7 kg more, half a metre out
+
+
+def test_a_load_that_pulls_beside_its_middle_twists_the_wrist_for_as_long_as_that_lasts(site: Site):
+    def wrist_nm(offset_m: float, for_s: float | None = None) -> tuple[float, ...]:
+        sizes = {"object": "mug_1", "factor": 1.0, "offset_m": offset_m}
+        held = Trigger(capability="grasp_object", phase="lift", after_s=0.3)
+        cell = cell_with(site, Fault(kind="payload_shift", at=held, sizes=sizes, for_s=for_s))
+        assert run_skill(cell, "grasp_object", GRASP).done
+        return cell.observe().joint_torque_nm[3:]
+
+    middle, beside, over = wrist_nm(0.0), wrist_nm(0.1), wrist_nm(0.1, for_s=0.3)
+    assert math.dist(beside, middle) == pytest.approx(0.35 * 9.81 * 0.1, rel=0.1)
+    assert math.dist(over, middle) < 0.02
 
 
 @pytest.mark.parametrize(
