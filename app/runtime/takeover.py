@@ -23,7 +23,7 @@ from app.runtime.drafts import SERVER
 from app.runtime.errors import Conflict
 from app.runtime.handback import Handbacks
 from app.runtime.hands import OPEN, taken
-from app.runtime.invocation import Invocation, Terms
+from app.runtime.invocation import Invocation, Terms, reasons_document
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
@@ -306,28 +306,38 @@ class Takeovers(Handbacks):
             self.fleet.jog(cell, Jog(invocation=here, lease="", actor=SERVER, n=0, base=resting, tool=resting))
 
     async def watch_leases(self) -> None:
-        """Take the controls out of hands that have fallen silent, for ever."""
+        """Take the controls out of hands that are silent, or that policy does not let drive any more, for ever."""
         async with asyncio.TaskGroup() as saying:
             while True:
                 await asyncio.sleep(LOOK_S)
-                if drafts := self.let_go_of_silent():  # whoever falls silent next does not wait for the record of these
-                    saying.create_task(self._say_lapsed(drafts), name="lapses")
+                if drafts := self.loosen_hands():  # whoever loses them next does not wait for the record of these
+                    saying.create_task(self._say_loosened(drafts), name="loosened")
 
     @uncut
-    async def _say_lapsed(self, drafts: list[EventDraft]) -> None:
+    async def _say_loosened(self, drafts: list[EventDraft]) -> None:
         await self.register.say(*drafts)
 
-    def let_go_of_silent(self) -> list[EventDraft]:
-        """Take the controls out of every hand that has fallen silent, at once; returns what is to be recorded of it."""
+    def loosen_hands(self) -> list[EventDraft]:
+        """Take the controls, at once, out of every hand that may have them no longer; return what to record of it."""
         now_s, said = monotonic_s(), list[EventDraft]()
         for cell in self.fleet.cells():
-            if cell.control is None or not cell.control.lapsed(now_s):
+            control = cell.control
+            if control is None:
                 continue
-            lapsed = self.fleet.loosen(cell, SERVER)
-            if lapsed is not None:
-                body = {"op": "control_lapsed", "cell": cell.id, "holder": lapsed.holder, "lease": lapsed.lease}
-                said.append(EventDraft(kind=EventKind.HUMAN, actor=SERVER, invocation=lapsed.invocation, body=body))
+            why = {"op": "control_lapsed"} if control.lapsed(now_s) else self._not_allowed(control)
+            if why is not None:
+                self.fleet.loosen(cell, SERVER)
+                body = {**why, "cell": cell.id, "holder": control.holder, "lease": control.lease}
+                said.append(EventDraft(kind=EventKind.HUMAN, actor=SERVER, invocation=control.invocation, body=body))
         return said
+
+    def _not_allowed(self, control: Control) -> dict[str, Any] | None:
+        """Return why the policy in force lets nobody drive what is driven; what is not recorded yet is asked there."""
+        driven = self.register.newest(control.invocation)
+        if driven is None or (driven.takeover or {}).get("state") not in OPEN:
+            return None
+        refused = refusal(self.kernel.policy, driven.profile, AuthorityMode.TAKEOVER_ENABLED)
+        return None if refused is None else {"op": "control_withdrawn", "reasons": reasons_document((refused,))}
 
 
 def _held_to(judgement: Judgement) -> None:

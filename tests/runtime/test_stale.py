@@ -42,7 +42,7 @@ async def fall_silent(runtime: Runtime) -> None:
     place = runtime.fleet.cell(CELL)
     assert place.control is not None
     place.control = replace(place.control, heard_s=monotonic_s() - LAPSE_S - 0.1)
-    await runtime.register.say(*runtime.governor.let_go_of_silent())
+    await runtime.register.say(*runtime.governor.loosen_hands())
 
 
 async def ended(runtime: Runtime, cell: HandCell) -> str:

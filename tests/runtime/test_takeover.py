@@ -132,7 +132,7 @@ async def test_a_hand_that_falls_silent_loses_the_controls_and_a_human_is_asked(
     place = runtime.fleet.cell("workcell-1")
     assert place.control is not None
     place.control = replace(place.control, heard_s=monotonic_s() - LAPSE_S - 0.1)
-    await runtime.register.say(*runtime.governor.let_go_of_silent())
+    await runtime.register.say(*runtime.governor.loosen_hands())
     assert place.control is None
     await cell.expect("human")
     assert cell.ops() == ["let_go"]

@@ -16,14 +16,25 @@ from app.audit.places import Places
 from app.governance import bundle
 from app.governance.comparison import compare
 from app.governance.errors import PolicyError, PolicyErrors, Undecided
-from app.governance.model import Role, Status
+from app.governance.model import Role, Status, Wish
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, ExaminationFailed, Forbidden, NotFound
 from app.runtime.examining import Candidate, Examined
 from app.runtime.invocation import Principal, ProposalRequest
 from app.runtime.version import files_row
 from tests.examining import examine_here
-from tests.runtime.conftest import AGENT, AT_BENCH, ENGINEER, OPERATOR, HandCell, House, grasp, navigate, until
+from tests.runtime.conftest import (
+    AGENT,
+    AT_BENCH,
+    ENGINEER,
+    OPERATOR,
+    PATIENCE_S,
+    HandCell,
+    House,
+    grasp,
+    navigate,
+    until,
+)
 
 pytestmark = pytest.mark.anyio
 FILES = bundle.read_files(Path(__file__).resolve().parents[2] / "policies")
@@ -839,6 +850,23 @@ async def test_nobody_takes_the_controls_once_a_policy_is_in_force_that_lets_nob
     assert refused.value.code == "takeover_not_enabled"
     assert runtime.fleet.cell(cell.id).control is None
     assert len(cell.all("launch")) == 1
+
+
+async def test_whoever_drives_has_the_controls_no_longer_once_a_policy_is_in_force_that_lets_nobody(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    made = await running(runtime, cell)
+    lease = (await runtime.governor.take_over(made["id"], OPERATOR))["lease"]
+    digest = await brought(runtime, edited(SHARED, "interrupt-enabled, takeover-enabled]", "interrupt-enabled]"))
+    await runtime.versions.activate(digest, ENGINEER, "nobody drives here")
+    await until(lambda: cell.ops()[-1:] == ["let_go"])
+    assert runtime.fleet.cell(cell.id).control is None
+    assert runtime.governor.jog(OPERATOR, cell.id, lease, 1, Wish(base=(0.1, 0.0, 0.0))) == "not_holder"
+    async with asyncio.timeout(PATIENCE_S):  # it is taken away first, and recorded then
+        while not (said := [body for body in await bodies(runtime, "human") if body["op"] == "control_withdrawn"]):
+            await asyncio.sleep(0.002)
+    assert [(body["holder"], body["lease"]) for body in said] == [(OPERATOR.name, lease)]
+    assert [why["code"] for why in said[0]["reasons"]] == ["takeover_not_enabled"]
 
 
 async def test_what_is_bound_anew_under_a_policy_that_gives_way_meanwhile_is_held(
