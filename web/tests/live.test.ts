@@ -247,6 +247,7 @@ describe('the controls of a cell', () => {
   it('are lost where the log says so of their lease', () => {
     const lapsed = event('human', { op: 'control_lapsed', cell: 'workcell-1', holder: 'ann', lease: 'lease_1' });
     expect(lossOf([lapsed], 'lease_1')).toContain('for three seconds');
+    expect(lossOf([{ ...lapsed, body: { ...lapsed.body, op: 'control_withdrawn' } }], 'lease_1')).toContain('lets nobody drive');
     expect([lossOf([lapsed], 'lease_0'), lossOf([lapsed], null)]).toEqual([null, null]);
     expect(lossOf([event('human', { op: 'release', lease: 'lease_1' })], 'lease_1')).toBe(null);
   });

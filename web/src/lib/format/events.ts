@@ -218,6 +218,7 @@ const ORDERS: Record<string, string> = {
   end_takeover: 'ended the session that was driven by hand',
   confirm: 'goes on, as a person confirmed',
   control_lapsed: 'ended the lease: its holder fell silent',
+  control_withdrawn: 'ended the lease: policy lets nobody drive',
 };
 
 /** What only a cell says, in its own words; what else it says is an echo of what a person was heard to say. */
@@ -233,9 +234,7 @@ function echo(op: string, body: Body, event: LogEvent): Line | null {
 
 function human(body: Body, event: LogEvent): Line {
   const op = str(body['op']) || str(body['decision']) || 'spoke';
-  const echoed = 'done' in body ? echo(op, body, event) : null;
-  if (echoed !== null) return echoed;
-  return line('person', op === 'estop' || op === 'stop' ? 'danger' : 'human', ` ${entryOf(ORDERS, op) ?? `said ${op.replaceAll('_', ' ')}`}`, event.actor);
+  return ('done' in body ? echo(op, body, event) : null) ?? line('person', op === 'estop' || op === 'stop' ? 'danger' : 'human', ` ${entryOf(ORDERS, op) ?? `said ${op.replaceAll('_', ' ')}`}`, event.actor);
 }
 
 function launch(body: Body): Line {

@@ -55,7 +55,11 @@ export function unreachedWords({ live, cell }: { live: boolean; cell: Pick<Cell,
   return cell?.online === true ? null : `${cell?.id ?? 'the cell'} is not heard`;
 }
 
-const SILENT = 'Nothing was heard from this window for three seconds, so the robot came to rest.';
+/** What has the server take the controls out of somebody's hands. */
+const TAKEN_AWAY: Record<string, string> = {
+  control_lapsed: 'Nothing was heard from this window for three seconds, so the robot came to rest.',
+  control_withdrawn: 'Another policy came into force that lets nobody drive: the robot came to rest.',
+};
 const CUT = 'The cell had lost the server: the robot came to rest, and what you drove is over.';
 /** What the banners of a stop and of a cell's fault tell already. */
 const TOLD = new Set(['estop', 'guard_broken']);
@@ -66,7 +70,8 @@ const TOLD = new Set(['estop', 'guard_broken']);
  */
 export function lossOf(events: readonly LogEvent[], lease: string | null): string | null {
   if (lease === null) return null;
-  if (events.some((event) => leaseLapsed(event, lease))) return SILENT;
+  const [taken] = events.map((event) => takenAway(event, lease)).filter((words) => words !== null);
+  if (taken !== undefined) return taken;
   const at = events.findLastIndex((event) => isTaking(event) && event.body['lease'] === lease);
   const since = at === -1 ? [] : events.slice(at + 1).filter(({ invocation }) => invocation === events[at]?.invocation);
   if (since.some(isTaking) || isGivenBack(since)) return null;
@@ -102,9 +107,10 @@ function endWords(said: LogEvent['body'][string] | undefined, since: readonly Lo
   return word === undefined ? `What you drove is over: ${code.replaceAll('_', ' ')}.` : `${word.actor} ended what was driven.`;
 }
 
-/** Whether an event says that this lease ended because its holder fell silent. */
-function leaseLapsed(event: LogEvent, lease: string): boolean {
-  return event.kind === 'human' && event.body['op'] === 'control_lapsed' && event.body['lease'] === lease;
+/** Why the server took the controls out of the hands that had them by this lease, if that is what an event says. */
+function takenAway({ kind, body }: LogEvent, lease: string): string | null {
+  const op = body['op'];
+  return kind === 'human' && typeof op === 'string' && body['lease'] === lease ? (entryOf(TAKEN_AWAY, op) ?? null) : null;
 }
 
 function isTaking({ kind, body }: LogEvent): boolean {
