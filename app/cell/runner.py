@@ -345,18 +345,18 @@ class Runner:
         try:
             self.observation = session.tick()
         except NotHeldError as error:
-            self._break(f"{error}, and power was cut", str(error))
+            self._break("not_held", f"{error}, and power was cut", str(error))
             return
         except Exception as error:  # a guard that breaks guards nothing: power off, and say so
-            self._break(f"its watch broke, and power was cut: {error!r}", repr(error))
+            self._break("guard_broken", f"its watch broke, and power was cut: {error!r}", repr(error))
             return
         if session.over is not None:
             self._take_leave(session)
 
-    def _break(self, why: str, detail: str) -> None:
+    def _break(self, code: str, why: str, detail: str) -> None:
         """Cut power, until somebody who knows of it resets it: what has to stop the robot does not."""
         self.broken, self._broke_tick = why, self._record.tick
-        self._latch(telling.CELL, End(Outcome.FAULT, "guard_broken"))
+        self._latch(telling.CELL, End(Outcome.FAULT, code))
         self._record.say_anyway(telling.cell("broken", telling.CELL, detail))
 
     def _take_leave(self, session: Session) -> None:

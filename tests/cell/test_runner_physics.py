@@ -287,6 +287,6 @@ def test_an_arm_that_falls_while_it_is_held_falls_into_its_brakes(tmp_path: Path
     shop = Workshop(tmp_path, faults=(fade,))
     shop.launch("grasp_object", **GRASP)
     ended = shop.finish()
-    assert (ended["outcome"], ended["code"]) == ("fault", "guard_broken")
+    assert (ended["outcome"], ended["code"]) == ("fault", "not_held")
     assert shop.runner.latched
     assert shop.cell.truth().tcp_m[2] > 0.8, "the bench is at 0.75 m"

@@ -250,6 +250,7 @@ const ENDS: Record<string, string> = {
   control_lapsed: 'ended, as its holder fell silent',
   estop: 'by an emergency stop',
   guard_broken: 'what guards the cell broke',
+  not_held: 'the arm moved while it was held',
   journal_unavailable: 'the cell could not write its journal',
   another_site: 'the robot works by another site than the policy; restart the cell',
   no_plan: 'the cell had no plan for it',
