@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 NICENESS: Final = 15
 PATIENCE_S: Final = 1800.0  # it has the lowest priority, and may wait long for its turn
+STOPPING: Final = "the server is stopping; valid is to ask again once it is back"
 COMMAND: Final = (sys.executable, "-m", "app.assay")
 
 
@@ -54,12 +55,14 @@ class Assayer:
         )
 
     def close(self) -> None:
-        """End the examination that runs, if one does; none begins after this."""
+        """End the examination that runs, if one does: it fails, as does whatever is asked for after this."""
         self._closed = True
         if self._child is not None:
             self._child.kill()
 
     def _run(self, request: bytes) -> bytes:
+        if self._closed:
+            raise ExaminationFailed(STOPPING)
         pipe = subprocess.PIPE
         try:
             with subprocess.Popen(COMMAND, stdin=pipe, stdout=pipe, stderr=pipe) as child:  # noqa: S603  # our own words
@@ -74,6 +77,8 @@ class Assayer:
                     child.kill()  # nothing, where it has ended
         except (OSError, subprocess.TimeoutExpired) as error:
             raise ExaminationFailed(str(error)) from error
+        if self._closed:
+            raise ExaminationFailed(STOPPING)
         if child.returncode != 0:
             last = said.decode(errors="replace").strip().splitlines()[-1:] or ["it said nothing"]
             raise ExaminationFailed(f"it ended with `{child.returncode}`: {last[0]}")

@@ -186,7 +186,8 @@ async def _serve(settings: Settings, policies: PolicySet, listener: socket.socke
     principals = open_principals(layout.root)
     token = read_cell_token(layout.root / CELL_TOKEN_FILE)
     url = address(listener)
-    async with open_house(settings, policies, principals) as house:
+    examine = Assayer()
+    async with open_house(settings, policies, principals, examine) as house:
         children = Children(settings, token, lambda cell, word: remark(f"{cell}: {word}"), expect=house["fleet"].expect)
         door = DoorServer(_door(create_app(**house, principals=principals, checks={"children": children.trouble})))
         serving = asyncio.create_task(door.serve(sockets=[listener]))
@@ -206,7 +207,9 @@ async def _serve(settings: Settings, policies: PolicySet, listener: socket.socke
         finally:
             await children.stop()
             layout.server.unlink(missing_ok=True)
-            house["feed"].close()  # streams end, or the door would wait for them
+            house["feed"].close()  # streams end, or the door would wait for them; so do long polls and examinations
+            house["governor"].let_go()
+            examine.close()
             door.should_exit = True
             await serving
     return MISUSE if children.misused.is_set() else FINE
@@ -235,13 +238,14 @@ async def _ended(task: asyncio.Task[None]) -> None:
 
 
 @contextlib.asynccontextmanager
-async def open_house(settings: Settings, policies: PolicySet, principals: Principals) -> AsyncGenerator[dict[str, Any]]:
+async def open_house(
+    settings: Settings, policies: PolicySet, principals: Principals, examine: Assayer
+) -> AsyncGenerator[dict[str, Any]]:
     """Open the record and run the governor on it; yields what the application serves, and closes in the other order."""
     layout = settings.layout
     promises = await asyncio.to_thread(read_properties, find_policies(settings.policies))
     with counting("verifying the record") as progress:
         store = await asyncio.to_thread(AuditStore.open, layout.root, progress=progress)
-    examine = Assayer()
     try:
         runtime = Runtime(
             store,

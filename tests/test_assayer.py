@@ -133,8 +133,9 @@ async def test_a_server_that_ends_does_not_wait_for_an_examination(monkeypatch: 
         await asyncio.sleep(0.01)
     assert os.getpriority(os.PRIO_PROCESS, examining._child.pid) == assayer.NICENESS  # from its first moment
     examining.close()
-    with pytest.raises(ExaminationFailed, match="ended with"):
+    with pytest.raises(ExaminationFailed, match="the server is stopping"):
         await waiting
-    with pytest.raises(ExaminationFailed):
+    monkeypatch.setattr(assayer, "COMMAND", ("no-such-command-here",))
+    with pytest.raises(ExaminationFailed, match="the server is stopping"):
         await examining(candidate(files()), None)
     assert shipped().digest == bundle.digest(files())

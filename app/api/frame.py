@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import re
 from typing import TYPE_CHECKING, Any
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from starlette.requests import Request
 from starlette.responses import Response
 
-from app.api.problems import as_problem
+from app.api.problems import AGAIN, Problem, as_problem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Mapping
@@ -88,6 +89,8 @@ class Frame:
             return
         try:
             response = await handler(Request(scope, receive))
+        except asyncio.CancelledError:
+            response = _left().response(scope["path"])
         except Exception as error:
             response = _answer_to(error, scope)
         if type(response) is not Json:
@@ -109,6 +112,10 @@ class Frame:
 
         try:
             await app(scope, receive, stamped)
+        except asyncio.CancelledError:
+            if started:
+                raise
+            await _left().response(scope["path"])(scope, receive, stamped)
         except Exception as error:
             if started:  # half an answer is out; cutting the connection is the only honest end
                 raise
@@ -124,6 +131,15 @@ def _without_body(send: Send) -> Send:
             await send({"type": "http.response.body", "body": b""})
 
     return head
+
+
+def _left() -> Problem:
+    """Return what is said to a request that the server ends before it is answered: only a server that stops does so.
+
+    What was begun may come about all the same, so this says nothing of that.
+    """
+    detail = "the server stops before this is answered; valid is to look, or to ask again, once it is back"
+    return Problem("record_unavailable", detail, headers=AGAIN)
 
 
 def _answer_to(error: Exception, scope: Scope) -> Response:

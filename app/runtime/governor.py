@@ -59,6 +59,7 @@ class Governor(Takeovers, Controls, CellControls):
         self.desk = desk
         self.feed = feed
         self._in_flight: set[tuple[str, str]] = set()
+        self._letting_go = False
         self.broken = ""  # what ended the work in the background: no deadline is met any more, and no cell is tended
         self.shadowed: Callable[[Judgement, Invocation], tuple[EventDraft, ...]] = lambda _, __: ()
 
@@ -236,11 +237,19 @@ class Governor(Takeovers, Controls, CellControls):
     ) -> dict[str, Any]:
         """Return an invocation at its next change, or after the time; at once when it is final or newer than known.
 
+        Once the server stops (`let_go`), that is at once too.
+
         Raises:
             NotFound: there is none that this principal may see.
         """
         await self.visible(invocation_id, principal)
-        return (await self.register.wait(invocation_id, seconds, known_updated_at)).public()
+        patience_s = 0.0 if self._letting_go else seconds
+        return (await self.register.wait(invocation_id, patience_s, known_updated_at)).public()
+
+    def let_go(self) -> None:
+        """Answer whoever waits for a change with what there is, and nobody waits from now on: the server stops."""
+        self._letting_go = True
+        self.register.wake()
 
     async def list(
         self, principal: Principal, filters: Mapping[str, str | None], *, limit: int = 50, cursor: str | None = None

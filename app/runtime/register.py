@@ -41,6 +41,11 @@ class Entry:
     lock: asyncio.Lock = field(default_factory=asyncio.Lock)
     changed: asyncio.Event = field(default_factory=asyncio.Event)
 
+    def tell(self) -> None:
+        """Wake whoever waits for the next version."""
+        self.changed.set()
+        self.changed = asyncio.Event()
+
 
 class Register:
     """Live invocations of one server, and appending on their behalf."""
@@ -206,6 +211,11 @@ class Register:
                 return entry.newest
         return entry.newest
 
+    def wake(self) -> None:
+        """Have everybody who waits for a change look, though there was none."""
+        for entry in self._live.values():
+            entry.tell()
+
     def _show(self, version: Invocation) -> None:
         self.on_shown(version)
         entry = self._live.get(version.id)
@@ -214,8 +224,7 @@ class Register:
                 self._live[version.id] = Entry(newest=version)
             return
         entry.newest = version
-        entry.changed.set()
-        entry.changed = asyncio.Event()
+        entry.tell()
         if version.final:
             del self._live[version.id]
             self.on_final(version)

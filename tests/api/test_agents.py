@@ -75,6 +75,25 @@ async def test_a_long_poll_returns_at_the_next_change(house: House) -> None:
         await eventually(lambda: house.runtime.register.newest(document["id"]) is None)
 
 
+async def test_whoever_waits_when_the_server_stops_is_answered_with_what_there_is(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(house.runtime.governor, "_letting_go", False)  # and again, after this
+    async with house.cell() as cell, house.client() as agent:
+        document = (await agent.post("/v1/invocations", json=DRIVE)).json()
+        await eventually(lambda: house.runtime.register.newest(document["id"]).terms.confirmed)
+        path = f"/v1/invocations/{document['id']}?wait=60"
+        polling = asyncio.create_task(agent.get(path))
+        await eventually(lambda: house.app.state.parts.waits.taken)
+        house.runtime.governor.let_go()
+        began_s = monotonic_s()
+        for answer in (await polling, await agent.get(path)):
+            assert (answer.status_code, answer.json()["status"]) == (200, "running")
+        assert monotonic_s() - began_s < 20
+        await cell.end("succeeded")
+        await eventually(lambda: house.runtime.register.newest(document["id"]) is None)
+
+
 async def test_a_long_poll_returns_what_is_final_at_once(house: House) -> None:
     async with house.client() as agent:
         document = await refused(agent)

@@ -238,6 +238,20 @@ async def test_a_failure_of_the_server_says_nothing_of_its_inside(
     assert "secret" not in answer.text
 
 
+@pytest.mark.parametrize(("path", "method"), [("/v1/cells", "cells"), ("/v1/invocations/inv_1", "invocation")])
+async def test_what_a_server_that_stops_leaves_unanswered_is_a_problem_too(
+    house: House, monkeypatch: pytest.MonkeyPatch, path: str, method: str
+) -> None:
+    def cut(*_: object) -> None:
+        raise asyncio.CancelledError
+
+    monkeypatch.setattr(house.runtime.governor, method, cut)
+    async with house.client() as agent:
+        answer = await agent.get(path)
+    assert (answer.status_code, answer.json()["code"]) == (503, "record_unavailable")
+    assert (answer.headers["retry-after"], answer.headers["x-content-type-options"]) == ("5", "nosniff")
+
+
 @pytest.mark.parametrize(("sent", "code"), BENEATH.values(), ids=BENEATH)
 async def test_what_no_route_is_asked_for_is_refused_as_a_problem_too(house: House, sent: bytes, code: str) -> None:
     reader, writer = await asyncio.open_connection("127.0.0.1", urlsplit(house.url).port)
