@@ -63,6 +63,7 @@ LAST_ROWS_S: Final = 0.5
 LOST_WITH_CELL: Final = frozenset(
     {"session_lost", "cell_lost", "cell_restarted"}
 )  # how a session ends without its cell
+END_TAKEOVER: Final = "end_takeover"
 UNWRITABLE: Final = "journal_unavailable"
 GOES_ON_S: Final = 2.0  # a session that was answered has long begun by then
 UNCONFIRMED_S: Final = LAUNCH_WITHIN_S + 1.0  # by then the permit has run out
@@ -417,15 +418,26 @@ class Sessions:
 
 def _last_word(known: Invocation, events: Sequence[Event]) -> dict[str, Any] | None:
     """Return by which word a session was to end, if the log has that one was said, or that nobody said one in time."""
-    words = (event.payload() for event in events if event.kind == EventKind.HUMAN)
-    said = ("end_takeover" if body.get("then") == "end" else str(body.get("op")) for body in words)
-    if (word := ended_by(said)) is not None:
+    if (word := ended_by(_words(events))) is not None:
         return {"op": word}
     answered = last_question(events)
     if known.status is not Status.ESCALATED or answered is None or answered["status"] not in _ENDS_AS:
         return None
     undone = answered.get(_ENDS_AS[answered["status"]]) == ROLLBACK
     return None if undone else {"op": "resolve_terminate", "expired": answered["status"] == EXPIRED}
+
+
+def _words(events: Sequence[Event]) -> list[str]:
+    """Return the words that were said to a session, but for the end of a takeover that was over when it was heard."""
+    said: list[str] = []
+    for event in events:
+        body = event.payload() if event.kind == EventKind.HUMAN else {}
+        word = END_TAKEOVER if body.get("then") == "end" else str(body.get("op"))
+        if word == END_TAKEOVER and body.get("refused") == "not_taken_over":
+            said = [earlier for earlier in said if earlier != END_TAKEOVER]
+        else:
+            said.append(word)
+    return said
 
 
 def _unheard_pause(events: Sequence[Event]) -> dict[str, Any] | None:

@@ -22,7 +22,7 @@ from app.runtime import fleet as fleet_module
 from app.runtime.drafts import escalation_event
 from app.runtime.errors import Conflict
 
-from .conftest import AGENT, CELL, ENGINEER, OPERATOR, HandCell, House, grasp, navigate, until
+from .conftest import AGENT, CELL, ENGINEER, OPERATOR, OPERATOR_2, HandCell, House, grasp, navigate, until
 
 pytestmark = pytest.mark.anyio
 
@@ -94,6 +94,31 @@ async def test_a_pause_that_its_cell_may_not_have_heard_stands_after_a_start(hou
     async with house.open() as third:
         again = await HandCell(third, seq=back.seq, invocation=document["id"], status="escalated").dial()
         assert again.ops() == []
+
+
+async def test_the_end_of_a_takeover_that_its_cell_refused_ends_no_other_after_a_start(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        name = (await first.governor.propose(AGENT, navigate()))[0]["id"]
+        await cell.launched(name)
+        await first.governor.take_over(name, OPERATOR)
+        await cell.report("launch", name, capability="takeover")
+        back = asyncio.create_task(first.governor.release(name, OPERATOR, "resume"))
+        while len(cell.all("launch")) < 3:
+            await cell.state()
+            await asyncio.sleep(0.01)
+        ending = asyncio.create_task(first.governor.release(name, OPERATOR, "end"))
+        await until(lambda: cell.ops() == ["end_takeover"])
+        await cell.report("status", name, status="running", before="recovering", reason="handed_back")
+        await cell.report("human", name, op="end_takeover", refused="not_taken_over")  # the session has it by then
+        await asyncio.gather(back, ending)
+        assert first.fleet.cell(CELL).ending(name) is None
+        await first.governor.take_over(name, OPERATOR_2)
+        await cell.report("launch", name, capability="takeover")
+    async with house.open() as second:
+        again = await HandCell(second, seq=cell.seq, invocation=name, status="escalated").dial()
+        assert "end_takeover" not in again.ops()
 
 
 async def test_a_session_whose_cell_died_is_a_fault(house: House) -> None:
