@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 POLL_S: Final = 0.25
 PAGE: Final = 500
+MILLISECOND_S: Final = 0.001  # events are stamped to that
 MOST_GRANTS: Final = 64  # more of them nobody keeps in view
 
 
@@ -328,8 +329,15 @@ class Grants:
         standing = self._register.stored.those_of("grants", founded, read_standing)
         for one in sorted(standing, key=lambda one: one.id):
             self._keep(one)
+            if await self._put_back(given[one.id].seq):
+                self._end(one, "expired", SERVER)
         self.look()
         await self.record_ends()
+
+    async def _put_back(self, seq: int) -> bool:
+        """Say whether the clock was put back since an event: nobody knows then how much time has passed."""
+        later_s = self._register.now_s() + MILLISECOND_S
+        return bool(await self._register.store.events(after=seq - 1, since=later_s, limit=1))
 
     async def _given(self) -> Mapping[str, Said]:
         said, after = nothing_said(), 0

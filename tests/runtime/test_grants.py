@@ -221,6 +221,18 @@ async def test_a_grant_lasts_no_longer_because_the_clock_is_put_back(house: Hous
             assert [one.id for one in runtime.desk.grants.active()] == []
 
 
+async def test_a_grant_ends_with_a_start_that_finds_the_clock_put_back(house: House) -> None:
+    async with house.open() as runtime:
+        await (await HandCell(runtime).dial()).state()
+        await grant(runtime)
+    async with house.open() as runtime:
+        assert len(runtime.desk.grants.active()) == 1
+    house.wall_s.offset_s = -3600.0
+    async with house.open() as runtime:
+        assert runtime.desk.grants.active() == []
+        assert (await newest(runtime))["ended"]["code"] == "expired"
+
+
 async def test_an_emergency_stop_ends_every_grant_on_its_cell(runtime: Runtime, cell: HandCell) -> None:
     await grant(runtime)
     await runtime.governor.estop(CELL, ENGINEER)
