@@ -8,6 +8,7 @@ Whoever keeps a record, the server's log or a cell's journal, asks here and says
 from __future__ import annotations
 
 import os
+import secrets
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
@@ -54,6 +55,26 @@ def displaced(path: Path, held: os.stat_result, what: str) -> str | None:
     except OSError as error:
         return f"the {what} cannot be looked at: {error.strerror}"
     return None if os.path.samestat(found, held) else f"another file stands in the place of the {what}"
+
+
+def write_private(path: Path, content: bytes) -> None:
+    """Put a file in place in one step, readable by its owner alone from the first byte on, and there to stay.
+
+    Raises:
+        OSError: the disk did not take it; what stood there stands there still, unless its new name could not be synced.
+    """
+    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    handle = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        draft.replace(path)
+    except BaseException:
+        draft.unlink(missing_ok=True)
+        raise
+    sync_folder(path.parent)
 
 
 def sync_folder(folder: Path) -> None:

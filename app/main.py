@@ -29,6 +29,7 @@ from app.audit.errors import AuditError
 from app.audit.store import AuditStore
 from app.children import Children
 from app.config import ConfigError, find_policies
+from app.disk import write_private
 from app.governance.bundle import load, read_properties
 from app.governance.errors import PolicyErrors
 from app.governance.stated import read as read_promises
@@ -153,16 +154,6 @@ def kernel_key(path: Path) -> Ed25519PrivateKey:
     if path.stat().st_mode & 0o077 or len(seed) != KEY_BYTES:
         raise ConfigError("kernel.key", path, f"{KEY_BYTES} bytes that only their owner may read (mode 600)")
     return Ed25519PrivateKey.from_private_bytes(seed)
-
-
-def write_private(path: Path, content: bytes) -> None:
-    """Put a file in place in one step, readable by its owner alone. Raises `OSError`."""
-    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    with os.fdopen(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    draft.replace(path)
 
 
 def read_cell_token(path: Path) -> str:

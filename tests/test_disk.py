@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from app.disk import displaced, full
+from app.disk import displaced, full, write_private
 
 
 def test_says_of_a_disk_whether_it_takes_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -50,3 +50,20 @@ def test_an_open_file_that_is_not_the_one_under_its_name_any_more_is_said_to_be_
     assert displaced(path, held, "journal") is None
     aside.write_text("")
     assert displaced(aside / "journal", held, "journal") == "the journal cannot be looked at: Not a directory"
+
+
+def test_what_was_put_in_place_is_there_after_a_power_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced: list[tuple[bool, list[str]]] = []
+    path, fsync = tmp_path / "key", os.fsync
+
+    def sync(descriptor: int) -> None:
+        names = [one.name for one in tmp_path.iterdir()]
+        synced.append((os.path.samestat(os.fstat(descriptor), tmp_path.stat()), names))
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", sync)
+    write_private(path, b"secret")
+    (_, before), after = synced
+    assert "key" not in before, "the bytes come before the name"
+    assert after == (True, ["key"])
+    assert (path.read_bytes(), path.stat().st_mode & 0o777) == (b"secret", 0o600)

@@ -408,6 +408,11 @@ class ReferenceAgent:
             file.flush()
             os.fsync(file.fileno())  # else a power cut may leave the new name with nothing in it
         scratch.replace(self._path)
+        folder = os.open(self._path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            os.fsync(folder)  # else it may bring the old memory back, and a step is proposed under another key
+        finally:
+            os.close(folder)
 
 
 def recall(path: Path, identity: str) -> AgentState:

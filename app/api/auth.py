@@ -12,7 +12,6 @@ import contextlib
 import fcntl
 import hmac
 import logging
-import os
 import secrets
 import unicodedata
 from dataclasses import dataclass
@@ -27,6 +26,7 @@ from app.api.problems import Problem
 from app.audit.archive import reading
 from app.audit.places import Places
 from app.config import CELL_ID, VALID_CELL_ID
+from app.disk import write_private
 from app.governance.model import Role
 from app.governance.policy_model import GOVERNANCE
 from app.runtime.drafts import SERVER
@@ -226,9 +226,10 @@ def open_principals(data_dir: Path) -> Principals:
         cell_token = _new_token(Role.CELL)
         rows = [_row(name, role, tokens[key], None) for key, name, role in FIRST_PRINCIPALS]
         rows.append(_row(CELL_NAME, Role.CELL, cell_token, None))
-        _write(data_dir / TOKENS_FILE, orjson.dumps(tokens, option=orjson.OPT_INDENT_2) + b"\n")
-        _write(data_dir / CELL_TOKEN_FILE, cell_token.encode() + b"\n")
-        _write(path, orjson.dumps({"principals": rows}, option=orjson.OPT_INDENT_2) + b"\n")  # last: it ends the start
+        write_private(data_dir / TOKENS_FILE, orjson.dumps(tokens, option=orjson.OPT_INDENT_2) + b"\n")
+        write_private(data_dir / CELL_TOKEN_FILE, cell_token.encode() + b"\n")
+        listed = orjson.dumps({"principals": rows}, option=orjson.OPT_INDENT_2) + b"\n"
+        write_private(path, listed)  # last: it ends the start
     return Principals(path)
 
 
@@ -274,7 +275,7 @@ def issue_token(
         if name not in names and alike != name:  # two people who read as one would count as two approvers
             raise ValueError(f"`{name}` reads like `{alike}`, who is there already: valid is that, or another name")
         rows = [*known, row if station is None else {**row, "station": station}]
-        _write(path, orjson.dumps({"principals": rows}, option=orjson.OPT_INDENT_2) + b"\n")
+        write_private(path, orjson.dumps({"principals": rows}, option=orjson.OPT_INDENT_2) + b"\n")
     return token
 
 
@@ -302,7 +303,7 @@ def withdraw_tokens(data_dir: Path, name: str, *, but_newest: bool = False) -> i
         if not theirs:
             names = ", ".join(f"`{one}`" for one in dict.fromkeys(str(row["name"]) for row in known))
             raise ValueError(f"`{name}` has no token: valid are {names}")
-        _write(path, orjson.dumps({"principals": kept}, option=orjson.OPT_INDENT_2) + b"\n")
+        write_private(path, orjson.dumps({"principals": kept}, option=orjson.OPT_INDENT_2) + b"\n")
     return len(known) - len(kept)
 
 
@@ -396,18 +397,3 @@ def _locked(path: Path) -> Generator[None]:
     with path.open("w") as handle:
         fcntl.flock(handle, fcntl.LOCK_EX)
         yield
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Put a file in place in one step, readable by its owner alone from the first byte on."""
-    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    handle = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        draft.replace(path)
-    except BaseException:
-        draft.unlink(missing_ok=True)
-        raise

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from app.disk import write_private
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -41,7 +43,4 @@ class KeyPin:
         return self.path.read_text().strip() if self.path.exists() else None
 
     def _keep(self, key: str) -> None:
-        draft = self.path.with_name(self.path.name + ".new")
-        draft.write_text(key + "\n")
-        draft.chmod(0o600)
-        draft.replace(self.path)
+        write_private(self.path, f"{key}\n".encode())

@@ -1,4 +1,5 @@
 import itertools
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -123,6 +124,18 @@ async def test_gives_a_denied_goal_up_and_says_why(tmp_path: Path):
         async with AsyncReinsClient(server.url, "t", defers=0) as client:
             with pytest.raises(GoalFailed, match="gave up `fetch mug_1 and deliver it to bench_b` at `navigate_to`"):
                 await ReferenceAgent(client, tmp_path / "memory.json").pursue(FETCH)
+
+
+@pytest.mark.anyio
+async def test_what_it_remembers_is_there_after_a_power_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    synced: list[bool] = []
+    monkeypatch.setattr(os, "fsync", lambda one: synced.append(os.path.samestat(os.fstat(one), tmp_path.stat())))
+    with serve(_answers(ended("denied", ("organization/hazmat", "rule")))) as server:
+        async with AsyncReinsClient(server.url, "t", defers=0) as client:
+            with pytest.raises(GoalFailed):
+                await ReferenceAgent(client, tmp_path / "memory.json").pursue(FETCH)
+    assert synced
+    assert synced == [False, True] * (len(synced) // 2), "each time the memory, and then the folder that names it"
 
 
 @pytest.mark.anyio
