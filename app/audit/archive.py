@@ -18,6 +18,7 @@ from app.audit.places import Places, load_verifier
 from app.audit.reader import MAX_LIMIT, Reader
 from app.audit.schema import schema_problems
 from app.audit.verification import Verification, verify_log
+from app.disk import sync_folder
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator
@@ -118,12 +119,18 @@ def export(data_dir: Path, out: Path, format: Literal["jsonl"] = "jsonl") -> Exp
         for one in (file, note_file):
             one.flush()
             os.fsync(one.fileno())
-        Path(note_file.name).replace(note_path)
+        # Two names cannot change at once. So the old checkpoint goes first: events may be without one after a crash,
+        # which says what it is, and never beside another's, which would look forged.
+        note_path.unlink(missing_ok=True)
+        sync_folder(out.parent)
+        Path(file.name).replace(out)
         try:
-            Path(file.name).replace(out)
+            sync_folder(out.parent)
+            Path(note_file.name).replace(note_path)
         except OSError:
-            note_path.unlink()
+            out.unlink()
             raise
+        sync_folder(out.parent)
     return Export(events=out, checkpoint=note_path, count=size, sha256=digest.hexdigest())
 
 

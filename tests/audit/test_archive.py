@@ -194,6 +194,33 @@ async def test_an_export_that_fails_leaves_nothing(
     assert len(list((tmp_path / "out").iterdir())) == 2
 
 
+@pytest.mark.parametrize("crash", [1, 2])
+async def test_an_export_that_crashes_leaves_no_events_beside_the_checkpoint_of_others(
+    store: AuditStore, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, crash: int
+) -> None:
+    out, note = tmp_path / "log.jsonl", tmp_path / "log.jsonl.checkpoint"
+    await fill(store)
+    before = export(data, out)
+    await fill(store)
+    renames = 0
+
+    def rename(this: Path, to: Path) -> None:
+        nonlocal renames
+        renames += 1
+        if renames == crash:
+            raise KeyboardInterrupt
+        this.rename(to)
+
+    monkeypatch.setattr(Path, "replace", rename)
+    with pytest.raises(KeyboardInterrupt):
+        export(data, out)
+    monkeypatch.undo()
+    assert not note.exists()
+    assert len(out.read_bytes().splitlines()) == before.count * crash
+    assert export(data, out).count == 2 * before.count
+    assert note.exists()
+
+
 async def test_refuses_another_format_and_what_is_no_place_for_a_file(
     store: AuditStore, data: Path, tmp_path: Path
 ) -> None:
