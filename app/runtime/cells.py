@@ -124,6 +124,7 @@ class Cell:
     state_at_s: float = 0.0
     world: WorldFacts | None = None
     trouble: str | None = None
+    replaced: bool = False  # its link took the place of one of which the record has not said that it is gone
     recalled: bool = False  # known from an earlier run of the server, and not seen in this one
     absent_since_s: float | None = None
     expected_until_s: float = 0.0  # its process is being started

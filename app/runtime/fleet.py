@@ -386,6 +386,7 @@ class Fleet:
             cell.taken[hello.journal] = cell.taken.pop("")
         cell.journal = hello.journal  # another one counts for itself, and those before it stay known
         cell.attachment = attachment
+        cell.replaced = present is not None
         cell.state = None
         cell.reset = ""
         if present is not None:
@@ -411,6 +412,9 @@ class Fleet:
         known = None if cell.claim is None else self._register.newest(cell.claim)
         believed = None if known is None or known.status not in SESSION else known.id
         cell.unreconciled = Reunion(hello=hello, believed=believed)
+        if cell.replaced:  # behind what it is owed: no stop waits for the record
+            cell.replaced = False
+            await self._desk.left(cell.id)
         await self._desk.attached(cell.id, hello)
         await self.caught_up(attachment)
 

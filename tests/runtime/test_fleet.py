@@ -141,6 +141,8 @@ async def test_a_dead_link_is_replaced(runtime: Runtime, cell: HandCell) -> None
     await until(lambda: cell.closed is not None)
     await cell.attachment.detach()
     assert runtime.fleet.cell(CELL).attachment is second.attachment
+    told = [event.payload()["link"] for event in await runtime.store.events(kind="cell")]
+    assert told == ["attached", "lost", "attached"]
 
 
 async def test_a_link_that_hangs_is_closed(runtime: Runtime, cell: HandCell) -> None:
