@@ -130,6 +130,7 @@ class Runtime:
             [EventDraft(kind=EventKind.BOOT, actor="server", body=body), *drafts],
             rows,
         )
+        await self.sessions.tell_unsealed()
         await self.versions.proving.recall()
         await self.shadow.recall()
         await self.succession.prepare(self.versions.compiled)

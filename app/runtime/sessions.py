@@ -43,6 +43,7 @@ from app.runtime.kernel import LAUNCH_WITHIN_S
 from app.runtime.questions import RULE
 from app.runtime.recollection import events_of, last_question
 from app.runtime.story import DONE, Story, denied
+from app.runtime.telemetry import CUT_OFF
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
@@ -216,6 +217,19 @@ class Sessions:
                 await self._fleet.cell(cell).stated.wait()
         reasons = (ended.failure or {}).get("reasons", ())
         await self._sealed(ended.id, lost=any(because["code"] in LOST_WITH_CELL for because in reasons))
+
+    async def tell_unsealed(self) -> None:
+        """Record what telemetry was lost with an earlier run of the server, which was killed: nobody vouches for it.
+
+        Else a session that outlived it would look as if it had been measured whole.
+        """
+        for name, count in self._telemetry.unsealed().items():
+            if await self._register.store.row("invocations", id=name) is None:  # what else lies there is not ours
+                continue
+            said = await events_of(self._register.store, invocation=name, kind=EventKind.TELEMETRY)
+            told = sum("failed" in event.payload() for event in said)
+            draft = EventDraft(kind=EventKind.TELEMETRY, actor=SERVER, invocation=name, body={"failed": CUT_OFF})
+            await self._register.say(*[draft] * (count - told))
 
     async def _sealed(self, invocation: str, *, lost: bool = False) -> None:
         """Seal a session's telemetry; `lost` where its cell was, and with it what that had not sent."""

@@ -5,6 +5,7 @@ A telemetry file is evidence, not permission: if it cannot be written the sessio
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, Final
 
 from app.audit.errors import RecordUnavailable
@@ -28,6 +29,8 @@ LEVELS: Final[Mapping[str, Level]] = {
 }
 """What of a session's reports goes beside its rows, and how loudly."""
 
+UNSEALED: Final = ".mcap.partial"
+CUT_OFF: Final = "the server ended before it was complete"
 MISSING: Final = "the cell was lost with what it had not sent yet, mostly the last second"
 
 
@@ -45,6 +48,10 @@ class Telemetry:
     def open(self) -> list[str]:
         """Return the sessions whose files are not sealed yet."""
         return [*self._writers, *self._failed]
+
+    def unsealed(self) -> Counter[str]:
+        """Return of how many files of each session an earlier run of the server left only what it had written."""
+        return Counter(path.name.removesuffix(UNSEALED).partition("-")[0] for path in self._folder.glob(f"*{UNSEALED}"))
 
     def write(self, invocation: str, rows: Sequence[tuple[float, ...]]) -> None:
         """Take rows of a session."""

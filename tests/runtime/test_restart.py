@@ -225,6 +225,20 @@ async def test_every_start_is_recorded_and_the_log_verifies(house: House) -> Non
         assert (await second.store.verify()).ok
 
 
+async def test_the_record_says_what_telemetry_was_lost_with_the_server(house: House) -> None:
+    async with house.open() as first:
+        await (await HandCell(first).dial()).state()
+        name = (await first.governor.propose(AGENT, navigate()))[0]["id"]
+        folder = first.store.places.telemetry
+    folder.mkdir(exist_ok=True)
+    for left in (f"{name}.mcap.partial", f"{name}-2.mcap.partial", "inv_of_another_log.mcap.partial"):
+        (folder / left).write_bytes(b"unfinished")  # as a server leaves it that is killed
+    for _ in range(2):  # once for each
+        async with house.open() as later:
+            told = [event.payload()["failed"] for event in await later.store.events(kind="telemetry")]
+            assert told == ["the server ended before it was complete"] * 2
+
+
 async def test_a_second_file_of_telemetry_does_not_overwrite_the_first(house: House) -> None:
     async with house.open() as first:
         first.telemetry.write("inv_1", [])
