@@ -39,6 +39,7 @@ _BACKOFF_S = 0.2
 _BACKOFF_MAX_S = 5.0
 _LONGEST_WAIT_S = 60.0  # whoever is told to stay away for a day had better be told so themselves
 _TRANSIENT = frozenset({0, 408, 429, 502, 503, 504})
+_SERVERS_FAULT = 500
 _ATTEMPTS = uuid.UUID("6f1c5a52-3f0e-4d0b-9a53-0d7a0b1f7c11")  # sets our keys apart from whatever else is named so
 
 
@@ -185,13 +186,17 @@ def _leave_key(error: BaseException, key: str, heard: Document | None) -> None:
     """Leave with whatever breaks `invoke` off the key under which the robot may be moving.
 
     Exceptions of this client have a place for it; any other, `on_update`'s own or one that ends the program, keeps its
-    type and gets a note.
+    type. Either gets a note, so that the key is not lost with a program that lets it through.
     """
     if isinstance(error, Unsendable) and heard is None:  # nothing was sent
         return
     if isinstance(error, Problem | Unreachable) and error.idempotency_key is None:
         error.idempotency_key, error.invocation = key, heard
+        refused = isinstance(error, Problem) and error.status < _SERVERS_FAULT  # then nothing is under way
+        noted = heard is not None or not refused
     else:  # also one that an `invoke` within `on_update` has left its own key with
+        noted = True
+    if noted:
         name = "" if heard is None else f", invocation `{heard.get('id')}`"
         error.add_note(f"proposed under the idempotency key `{key}`{name}: invoking again under it takes it up")
 

@@ -481,8 +481,10 @@ def test_what_breaks_a_proposal_off_says_the_key_under_which_it_is_found_again(m
         pytest.raises(Unreachable) as caught,
     ):
         client.invoke("navigate_to", target="dock")
-    assert caught.value.idempotency_key == server.turns[0].headers["idempotency-key"]
-    assert caught.value.invocation is None
+    key = server.turns[0].headers["idempotency-key"]
+    assert (caught.value.idempotency_key, caught.value.invocation) == (key, None)
+    (said,) = caught.value.__notes__  # what a program prints that lets it through
+    assert f"`{key}`: invoking again under it takes it up" in said
 
 
 def test_what_breaks_a_poll_off_says_the_key_and_the_invocation_last_heard_of():
