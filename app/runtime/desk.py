@@ -239,8 +239,7 @@ class Desk(Questions):
         present = self._pending.get(escalation_id)
         if present is None:
             raise _gone(await self._load(escalation_id))
-        deadline_s = present.deadline_s
-        if deadline_s is not None and self.register.now_s() >= deadline_s:
+        if self.due(present):
             with contextlib.suppress(RecordUnavailable):  # it stays pending, and is tried again; the answer is the same
                 await self._expire(present, invocation)
             raise Conflict("escalation_expired", f"the escalation `{present.id}` expired at `{present.expires_at}`")
@@ -266,15 +265,11 @@ class Desk(Questions):
         entry = self.register.entry(known.invocation)
         if entry is None:
             await self._withdraw_stray(known.id)
-        elif self._due(known):
+        elif self.due(known):
             async with entry.lock:
                 present = self._pending.get(known.id)
-                if present is not None and self._due(present):
+                if present is not None and self.due(present):
                     await self._expire(present, entry.newest)
-
-    def _due(self, escalation: Escalation) -> bool:
-        deadline_s = escalation.deadline_s
-        return deadline_s is not None and self.register.now_s() >= deadline_s
 
     async def _expire(self, present: Escalation, invocation: Invocation) -> None:
         if present.kind == SESSION_QUESTION:

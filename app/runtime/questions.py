@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.errors import RecordUnavailable
-from app.clock import rfc3339
+from app.clock import monotonic_s, rfc3339
 from app.governance.authority import waiting
 from app.governance.model import Reason
 from app.protocol import Human
@@ -20,6 +20,7 @@ from app.runtime.drafts import reason
 from app.runtime.errors import Conflict
 from app.runtime.escalation import (
     APPROVAL,
+    NEVER_S,
     PENDING,
     POLICY_CHANGED,
     PROFILE_CHANGED,
@@ -61,6 +62,7 @@ class Questions:
         self.on_held: Callable[[Escalation], None] = lambda _: None
         self.kept_back: Callable[[Invocation], Sequence[Mapping[str, str]]] = lambda _: ()
         self._pending: dict[str, Escalation] = {}
+        self._until_s: dict[str, tuple[float, float]] = {}  # the deadline, and when that is on the clock nobody sets
         self._asking: Counter[str] = Counter()  # by agent, what is being recorded
         self._asked = asyncio.Event()
 
@@ -150,10 +152,23 @@ class Questions:
         for version in versions:
             if version.status == PENDING:
                 self._pending[version.id] = version
+                self._time(version)
                 self._asked.set()
             else:
                 self._pending.pop(version.id, None)
+                self._until_s.pop(version.id, None)
             self.on_held(version)
+
+    def _time(self, question: Escalation) -> None:
+        """Note how long an open question may wait from now on, unless that is known."""
+        deadline_s, known = question.deadline_s, self._until_s.get(question.id)
+        if deadline_s is not None and (known is None or known[0] != deadline_s):
+            self._until_s[question.id] = deadline_s, monotonic_s() + deadline_s - self.register.now_s()
+
+    def due(self, question: Escalation) -> bool:
+        """Say whether silence answers an open question by now; a clock that is put back makes that no later."""
+        deadline_s, until_s = self._until_s.get(question.id, (NEVER_S, NEVER_S))
+        return self.register.now_s() >= deadline_s or monotonic_s() >= until_s
 
     def pending(self) -> list[Escalation]:
         """Return the questions that are open."""

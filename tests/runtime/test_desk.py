@@ -11,6 +11,7 @@ import pytest
 
 from app.agent.approver import decide, parse_habits
 from app.audit.errors import RecordUnavailable
+from app.clock import monotonic_s
 from app.governance.model import GrantScope
 from app.runtime import questions
 from app.runtime.assembly import Runtime
@@ -571,6 +572,18 @@ async def test_silence_expires_and_is_nobodys_answer(house: House, runtime: Runt
     trace = await runtime.governor.trace(document["id"], AUDITOR)
     assert "approval" not in [event["kind"] for event in trace]
     assert {event["actor"] for event in trace[3:]} == {"server"}
+
+
+async def test_silence_lasts_no_longer_because_the_clock_is_put_back(
+    house: House, runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    document, question = await asked(runtime)
+    house.wall_s.offset_s = -3600.0
+    await runtime.desk.expire_due()
+    assert (await runtime.desk.get(question["id"]))["status"] == "pending"
+    monkeypatch.setattr(questions, "monotonic_s", lambda: monotonic_s() + 120.5)
+    assert await refusal(runtime, question) == "escalation_expired"
+    assert (await runtime.governor.invocation(document["id"], AGENT))["outcome"] == "expired"
 
 
 async def test_the_deadline_is_kept_without_anybody_asking(house: House, runtime: Runtime, cell: HandCell) -> None:
