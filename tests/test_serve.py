@@ -8,6 +8,9 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from itertools import chain
 from pathlib import Path
 
 import httpx
@@ -69,6 +72,14 @@ def test_the_cells_token_is_in_no_command_line(server: ServerProcess) -> None:
     assert token not in Path(f"/proc/{pid}/cmdline").read_text()
 
 
+def examines(server: int) -> bool:
+    """Say whether a server has a process that examines a policy."""
+    with suppress(FileNotFoundError, ProcessLookupError):  # a thread or a process that ends just now
+        children = (path.read_text().split() for path in Path(f"/proc/{server}/task").glob("*/children"))
+        return any("app.assay" in Path(f"/proc/{child}/cmdline").read_text() for child in chain.from_iterable(children))
+    return False
+
+
 @pytest.fixture
 def terminal() -> Iterator[None]:
     """Be started from a terminal, whatever the tests were: what ignores SIGHUP passes that on to what it starts."""
@@ -91,12 +102,21 @@ def test_a_server_and_its_cell_stop_in_order_when_their_terminal_is_closed_or_wh
     again = servers.start(server.data, "--profile", "human-shared", cells=1)
     assert again.cell()["profile"] == "test-audit"
     assert "not for workcell-1: it stays in test-audit" in again.log.read_text()
-    with again.client("auditor") as auditor, auditor.stream("GET", "/v1/events?after=0") as answer:
+    files = {str(path.relative_to(POLICIES)): path.read_text() for path in POLICIES.rglob("*.yaml")}
+    with (
+        ThreadPoolExecutor() as pool,
+        again.client("auditor") as auditor,
+        auditor.stream("GET", "/v1/events?after=0") as answer,
+    ):
         lines = answer.iter_lines()
         assert next(lines).startswith("retry")
+        bringing = pool.submit(again.post, "/v1/policies", {"files": files, "why": "as it is"}, "engineer")
+        until(lambda: examines(again.process.pid), what="the policy is being examined")
         again.process.terminate()
         for _ in lines:
             pass  # to its end: an answer that is cut raises
+        brought = bringing.result()
+        assert (brought.status_code, brought.json()["code"]) == (503, "examination_failed")
     assert again.stop() == 0
     assert "ERROR" not in again.tail()
     assert again.cell_pid() is None
