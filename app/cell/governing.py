@@ -110,12 +110,7 @@ class Governing:
         if rate == 0.0:  # not asked to move
             report, command = self._last_report(), self._held()
         else:
-            try:
-                command, report = run.skill.act(self.seen, rate), run.skill.report()
-            except Exception as error:  # whatever a skill does wrong must not take the watcher along
-                command, report = hold(run.previous), self._failed(error)
-            if run.confirms and run.waits_for_confirmation(report.phase):
-                command = self._wait_before(report.phase)
+            command, report = self._asked(rate)
         if run.given is not None:
             command = run.yielding(command, self.seen)
         command, _ = clamp(command, run.previous, run.bounds, self.seen.jacobian, period_s)
@@ -137,6 +132,19 @@ class Governing:
             except JournalUnavailable:
                 self._end_unrecorded()
         return seen
+
+    def _asked(self, rate: float) -> tuple[Command, SkillReport]:
+        """Return what the skill wants, and what it says."""
+        run = self.run
+        try:
+            command, report = run.skill.act(self.seen, rate), run.skill.report()
+        except Exception as error:  # whatever a skill does wrong must not take the watcher along
+            return hold(run.previous), self._failed(error)
+        if run.given is not None or run.apart is not None:
+            command = run.led_back(command, self._substrate.period_s)
+        if run.confirms and run.waits_for_confirmation(report.phase):
+            command = self._wait_before(report.phase)
+        return command, report
 
     def _held(self) -> Command:
         """Return the command that keeps everything where it is, as long as that keeps it there.
@@ -406,7 +414,7 @@ class Governing:
             self._tell(telling.cell("no_plan", telling.CELL, str(error)))
             self.end(End(Outcome.FAULT, "no_plan", 1))
             return
-        run.doing, run.previous = then.doing, substrate.hold()
+        run.bound(then.doing, substrate.hold())
         run.responding = recovering(run.spared, self._ports.recorder.tick, substrate.period_s, self._kept())
         run.settling_ticks, run.unmet, run.failed = 0, (), ""
         run.begin_anew()

@@ -278,7 +278,7 @@ class Session(Governing):
         self._foreign = True
         run.watch_with(steering.plan, substrate.period_s)
         run.series.keep_every_tick()
-        run.doing, run.previous = Doing.TAKEOVER, substrate.hold()
+        run.bound(Doing.TAKEOVER, substrate.hold())
         run.responding, run.settling_ticks, run.unmet = intervention.NOTHING, 0, ()
 
     def _bind_anew(self, grant: Grant, then: Bind) -> None:
@@ -293,7 +293,7 @@ class Session(Governing):
         self.steering, self._handing, self._displaced = None, None, False
         run.grant, run.recovery = grant, recovery
         run.watch_with(plan, substrate.period_s)
-        run.doing, run.previous = Doing.ATTEMPT, substrate.hold()
+        run.bound(Doing.ATTEMPT, substrate.hold())
         borne = run.responses.borne(run.responding)
         run.responding = recovering(run.spared, self._tick, substrate.period_s, borne)
         run.settling_ticks, run.unmet, run.failed = 0, (), ""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from operator import mul
+from operator import add, mul, sub
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from app.governance.clamp import hold
@@ -46,6 +46,7 @@ MOVING: Final = (Status.RUNNING, Status.RECOVERING)
 EASED: Final = 0.9
 GIVES_RAD: Final = 0.15  # a push of 600 N bends the arm by less
 GIVES_TICKS: Final = 60
+RETURNS_RADPS: Final = 0.1  # 6 cm/s for a hand at 0.6 m: what it gave way to may be there still
 STRAYS_RAD: Final = 0.2  # more than a stop or `GIVES_RAD` moves a joint that is held
 LINK: Final = "link"  # why a cell holds whose link's lease has lapsed
 _AT_REST: Final = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -118,7 +119,8 @@ class Run:
     something since it was told to close. Fingers that have not are on their way, and a hold stops them.
 
     `given` is where the arm gave way to what it met, from where it was `told` to be, until something moves it again: an
-    arm that keeps where it was told to be presses on, however still it stands.
+    arm that keeps where it was told to be presses on, however still it stands. `apart` is how far it is from where its
+    skill has it since, until it was led back.
     """
 
     grant: Grant
@@ -160,6 +162,7 @@ class Run:
     ease_again: int = 0
     told: Vec6 = _AT_REST
     given: Vec6 | None = None
+    apart: Vec6 | None = None
     giving_ticks: int = 0
     stood: Vec6 | None = None  # where the arm was once it was held
 
@@ -264,6 +267,32 @@ class Run:
                 for told, q in zip(self.told, seen.joint_rad, strict=True)
             )
         return command._replace(joint_rad=self.given, joint_speed_radps=_AT_REST)
+
+    def led_back(self, command: Command, period_s: float) -> Command:
+        """Return what a skill says to an arm that gave way: from there it is led back slowly to where the skill has it.
+
+        At once it would jump onto what it pressed on, as fast as the bounds let it.
+        """
+        if self.given is not None:
+            if not self.moves():
+                return command
+            self.apart = tuple(map(sub, self.previous.joint_rad, command.joint_rad))  # type: ignore[assignment]  # six of them
+        most = RETURNS_RADPS * period_s
+        if self.apart is None or self._near(self.apart, command, most, period_s):
+            self.apart = None
+            return command
+        left = most * self.rate
+        self.apart = tuple(d - max(-left, min(left, d)) for d in self.apart)  # type: ignore[assignment]
+        return command._replace(joint_rad=tuple(map(add, command.joint_rad, self.apart)))  # type: ignore[arg-type]
+
+    @staticmethod
+    def _near(apart: Vec6, command: Command, most: float, period_s: float) -> bool:
+        """Say whether an arm is as near to where its skill has it as one tick takes it."""
+        return all(abs(d) <= most + period_s * abs(v) for d, v in zip(apart, command.joint_speed_radps, strict=True))
+
+    def bound(self, doing: Doing, held: Command) -> None:
+        """Note that something else is bound, which begins from where everything is held."""
+        self.doing, self.previous, self.apart = doing, held, None
 
     def strays(self, seen: Observation) -> bool:
         """Say whether an arm that is held moves away all the same: its drives do not hold it, or do so again."""

@@ -76,6 +76,10 @@ class Senses(Protocol):
         """Return the bad habits that faults have given the skill: `faults.HABITS`."""
         ...
 
+    def hold(self) -> Command:
+        """Return the command that keeps everything where it is told to be."""
+        ...
+
     def believed_pose(self) -> Vec3:
         """Return where the robot believes its base is."""
         ...
@@ -128,6 +132,10 @@ class Body:
     def hold(self) -> Command:
         """Return the command that keeps arm, base and grip."""
         return Command(self._joints, self._still, (0.0, 0.0, 0.0), self.grip_n)
+
+    def begin_at(self, joints: Vec6) -> None:
+        """Go on with the arm from these joint angles, wherever the last command was to take it."""
+        self._joints = joints
 
     def placed(self, joints: Floats, speeds: Floats) -> Command:
         """Return the command that takes the arm to these joint angles at these joint speeds, with the present grip."""

@@ -73,6 +73,7 @@ class Jog:
         """Return the command for this tick."""
         body = self._body
         body.seen, body.rate = observation, rate
+        body.begin_at(body.senses.hold().joint_rad)  # it may have given way meanwhile; a hand leads from where it is
         if observation.tick > self._tick + 1:  # it was held meanwhile, and everything stands
             self._base.rest()
             self._tool.rest()

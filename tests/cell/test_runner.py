@@ -15,8 +15,10 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from app.cell.display import sitting
 from app.cell.journal import Journal, JournalUnavailable
+from app.cell.run import RETURNS_RADPS
 from app.cell.runner import Runner, run_session
 from app.governance.model import (
+    Command,
     CoveredRecovery,
     Intervention,
     Observation,
@@ -29,7 +31,22 @@ from app.governance.model import (
 )
 from app.governance.permit import SignedAuthorization, mint
 from app.protocol import CHANNELS, ROW
-from tests.cell.rig import COVERED, DIGEST, KEY, NOW_S, PERMIT, PLAN, RECOVERY, RULES, Rig, rule, signed
+from tests.cell.rig import (
+    COVERED,
+    DIGEST,
+    HOME,
+    KEY,
+    NOW_S,
+    PERMIT,
+    PLAN,
+    RECOVERY,
+    RULES,
+    STILL,
+    FakeSkill,
+    Rig,
+    rule,
+    signed,
+)
 
 
 @pytest.fixture
@@ -325,6 +342,39 @@ def test_power_is_cut_where_an_arm_moves_while_it_is_held(rig: Rig) -> None:
     assert rig.runner.latched
     assert rig.cell.stops == [0]
     assert "held" in rig.runner.view().broken
+
+
+def test_an_arm_that_gave_way_is_led_back_slowly_to_where_its_skill_has_it(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    turning = itertools.count()
+
+    def act(_: FakeSkill, seen: Observation, rate: float) -> Command:  # by a way of its own, wherever the arm is
+        there = 0.0001 * next(turning)
+        return Command((there, *HOME[1:]), (0.01, *STILL[1:]), (0.0, 0.0, 0.0), 0.0)
+
+    monkeypatch.setattr(FakeSkill, "act", act)
+    rig.launch()
+    rig.ticks(50)
+    assert rig.runner.human("inv-1", "pause", "operator") is None
+    rig.ticks(20)
+    session = rig.runner.session
+    assert session is not None
+    session.run.given = (-0.1, *HOME[1:])  # as contact would have it
+    rig.ticks(30)
+    before = len(rig.cell.commands) - 1
+    assert rig.runner.human("inv-1", "resume", "operator") is None
+    rig.ticks(60)
+    assert rig.runner.human("inv-1", "pause", "operator") is None
+    rig.ticks(20)
+    assert rig.runner.human("inv-1", "resume", "operator") is None
+    rig.ticks(120)
+    turned = [command.joint_rad[0] for command in rig.cell.commands[before:]]
+    assert turned[0] == -0.1
+    steps = [later - earlier for earlier, later in itertools.pairwise(turned)]
+    assert min(steps) >= 0.0
+    assert max(steps) <= 0.01 * RETURNS_RADPS + 0.0001 + 1e-9
+    assert turned[-1] == pytest.approx(0.0001 * (next(turning) - 1))
 
 
 def test_a_reading_that_is_wrong_does_not_hold_up_a_stop(rig: Rig) -> None:

@@ -120,6 +120,21 @@ def test_a_hand_moves_the_tool_straight_and_stays_below_the_limit(tmp_path: Path
     assert shop.rules() == []
 
 
+def test_a_hand_that_has_met_something_leads_the_tool_off_it_and_not_onto_it_again(tmp_path: Path) -> None:
+    shop, console = idle(tmp_path)
+    console.hold(Wish(tool=(0.25, 0.0, 0.0)), 60)
+    console.press(Wish(tool=(0.0, 0.0, -0.25)), 130)  # onto the bench
+    assert refused(shop) == "grip-force"
+    console.release()
+    console.tick(60)
+    met_m, pressing_n = shop.cell.truth().tcp_m[2], []
+    for _ in range(8):
+        assert console.press(Wish(tool=(0.0, 0.0, 0.1)), 5) is None
+        pressing_n.append(shop.cell.truth().contact_force_n)
+    assert max(pressing_n) < 5.0
+    assert shop.cell.truth().tcp_m[2] > met_m + 0.005
+
+
 @pytest.mark.parametrize("wish", [Wish(base=(-1.0, 0.0, 0.0)), Wish(tool=(0.0, 0.0, 1.0)), Wish(base=(0.0, 0.0, 1.0))])
 def test_a_command_that_is_not_said_again_expires_and_everything_stands(tmp_path: Path, wish: Wish) -> None:
     shop, console = idle(tmp_path)
