@@ -148,14 +148,14 @@ class ArmSolver:
         (x, y, z), matrix = self._tcp_at.tolist(), self._tcp_turn.tolist()
         return ToolPose(x, y, z, atan2(-matrix[1], matrix[4]))
 
-    def solve(self, seed_rad: Floats, pose: ToolPose) -> Floats | None:
+    def solve(self, seed_rad: Floats, pose: ToolPose, within_m: float = _IK_POSITION_M) -> Floats | None:
         """Return joint angles that reach the pose from the seed, or None where the arm does not get there."""
         configuration, task = self._configuration, self._task
         configuration.update(np.asarray(seed_rad, dtype=np.float64))
         task.set_target(_target(pose))
         for _ in range(_IK_STEPS):
             error = task.compute_error(configuration)
-            if np.abs(error[:3]).max() < _IK_POSITION_M and np.abs(error[3:]).max() < _IK_ANGLE_RAD:
+            if np.abs(error[:3]).max() < within_m and np.abs(error[3:]).max() < _IK_ANGLE_RAD:
                 return configuration.q.copy()
             configuration.integrate_inplace(np.clip(self._step(error), -0.4, 0.4), 1.0)
         return None

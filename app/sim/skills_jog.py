@@ -3,8 +3,9 @@
 The wish is a velocity. It is held to 0.95 of what was authorized, along its own direction, and followed with a bounded
 acceleration; the way down takes `STOP_S`, whatever the speed. The tool keeps its attitude: every tick the point a step
 ahead is solved for by differential inverse kinematics, and where the arm does not get there, or only by a swing of its
-joints, it stays and says `unreachable`. A base that does not get on although it is driven has met something no sensor
-told of: it stops pushing, says `blocked`, and is driven again once the hand has let go of it.
+joints, it stays and says `unreachable` until the hand wants another way. A base that does not get on although it is
+driven has met something no sensor told of: it stops pushing, says `blocked`, and is driven again once the hand has let
+go of it.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ CAPABILITY = "takeover"
 STOP_S = 0.05
 _JOINT_SPEED_RADPS = 1.2
 _LARGEST_TURN_RADPS, _BASE_RADIUS_M = 0.8, 0.45
+_WITHIN_M = 1e-5  # a tenth of what the slowest hand moves the tool in a tick
+_SAME_WAY = 0.9  # cosine
 _GRIP_RAMP_NPS = 100.0
 _IN_HAND_M = 0.06
 _EMPTY_TICKS = 30  # pads that felt something until just now may hold it still
@@ -55,6 +58,7 @@ class Jog:
         self._sent: Vec3 = _RESTING
         self._pushing = 0
         self._met: Vec3 | None = None  # which way something stood that the base has met
+        self._beyond: Vec3 | None = None  # which way the tool was wanted where the arm did not get
         self._tick = -1
         self._touching = self._missing = 0  # for how many ticks the pads have felt something, and nothing
         self.refused = ""
@@ -81,11 +85,12 @@ class Jog:
         wish = self._wish
         blocked = self._blocked()
         vx, vy, wz = self._base.follow(_RESTING if blocked else self._driven(wish.base))
-        tool = self._tool.follow(_held(wish.tool, self._tool_mps))
+        far = self._out_of_reach()
+        tool = self._tool.follow(_RESTING if far else _held(wish.tool, self._tool_mps))
         self._grip(wish.grip)
         moved = self._moved(tool, rate)
-        if blocked:
-            self.refused = "blocked"
+        if blocked or far:
+            self.refused = "blocked" if blocked else "unreachable"
         self._sent = (vx * rate, vy * rate, wz * rate)
         return moved._replace(base_velocity=self._sent)
 
@@ -97,6 +102,13 @@ class Jog:
             self._pushing = self._pushing + 1 if _stands_against(self._sent, self._body.seen.base_velocity) else 0
             self._met = self._sent if self._pushing >= _PUSHED_TICKS else None
         return self._met is not None
+
+    def _out_of_reach(self) -> bool:
+        """Say whether the arm got no further, and the hand still wants it to: it would start and stop for ever."""
+        wanted, beyond = self._wish.tool, self._beyond
+        if beyond is not None and _along(wanted, beyond) <= _SAME_WAY * hypot(*wanted) * hypot(*beyond):
+            self._beyond = None
+        return self._beyond is not None
 
     def _driven(self, wanted: Vec3) -> Vec3:
         """Hold the base to its speed, and its turning to what moves no point of the robot faster than that."""
@@ -116,9 +128,9 @@ class Jog:
         step = tuple(speed * rate * CONTROL_PERIOD_S for speed in tool)
         here, joints = body.pose, body.joints
         ahead = here._replace(x_m=here.x_m + step[0], y_m=here.y_m + step[1], z_m=here.z_m + step[2])
-        solved = body.senses.solver.solve(joints, ahead)
+        solved = body.senses.solver.solve(joints, ahead, _WITHIN_M)
         if solved is None or float(np.abs(solved - joints).max()) > _JOINT_SPEED_RADPS * CONTROL_PERIOD_S:
-            self.refused = "unreachable"
+            self.refused, self._beyond = "unreachable", self._wish.tool
             self._tool.rest()
             return body.hold()
         self.refused = ""

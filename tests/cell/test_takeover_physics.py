@@ -120,6 +120,13 @@ def test_a_hand_moves_the_tool_straight_and_stays_below_the_limit(tmp_path: Path
     assert shop.rules() == []
 
 
+def test_a_hand_that_is_slow_moves_the_tool_as_slowly(tmp_path: Path) -> None:
+    shop, console = idle(tmp_path)
+    before = shop.cell.truth().tcp_m
+    assert console.hold(Wish(tool=(0.0, 0.0, 0.01)), 100) is None
+    assert shop.cell.truth().tcp_m[2] - before[2] == pytest.approx(0.0085, abs=0.001)  # the rate ramps up first
+
+
 def test_a_hand_that_has_met_something_leads_the_tool_off_it_and_not_onto_it_again(tmp_path: Path) -> None:
     shop, console = idle(tmp_path)
     console.hold(Wish(tool=(0.25, 0.0, 0.0)), 60)
@@ -357,7 +364,10 @@ def test_a_tool_out_of_reach_stays_and_says_so(tmp_path: Path) -> None:
         if refused(shop):
             break
     assert refused(shop) == "unreachable"
-    console.tick(20)
+    stays = shop.cell.hold().joint_rad
+    console.hold(Wish(tool=(0.0, 0.0, 0.2)), 40)
+    assert refused(shop) == "unreachable"
+    assert shop.cell.hold().joint_rad == stays
     assert shop.cell.truth().tcp_speed_mps < 0.02
     assert console.press(Wish(tool=(0.0, 0.0, -0.2)), 30) is None
     assert refused(shop) == ""
