@@ -21,7 +21,17 @@ from app.sim import robot
 from app.sim.hand import Hand, Mark, support
 from app.sim.kinematics import ArmSolver, ToolPose
 from app.sim.localisation import to_base, to_world, wrapped
-from app.sim.motion import ARM_ACCELERATION, ARM_JERK, BASE_ACCELERATION, BASE_JERK, MARGIN, Limits, Path, Travel
+from app.sim.motion import (
+    ARM_ACCELERATION,
+    ARM_JERK,
+    BASE_ACCELERATION,
+    BASE_JERK,
+    MARGIN,
+    Limits,
+    Path,
+    Travel,
+    reversals,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -379,12 +389,18 @@ class Body:
         yield self.hold()
 
     def drive_poses(self, poses: Sequence[Vec3], speed_mps: float) -> Moves:
-        """Drive through poses in one journey (retracing); no corner is sharper than it was when recorded.
+        """Drive through poses (retracing); no corner is sharper than it was when recorded.
 
-        What was free when it was recorded need not be so any more: the way is looked at as any other is.
+        Where the way turns back the base comes to a stand: whoever led it there by hand came to a stand as well. What
+        was free when it was recorded need not be so any more: the way is looked at as any other is.
         """
         start = self.senses.believed_pose()
         points = [np.array((*p[:2], start[2] + wrapped(p[2] - start[2]))) for p in (start, *poses)]
+        for first, last in itertools.pairwise((0, *reversals(points), len(points) - 1)):
+            yield from self._journey(points[first : last + 1], speed_mps)
+        yield from self._settle((*poses[-1][:2], poses[-1][2]), speed_mps)
+
+    def _journey(self, points: Sequence[Floats], speed_mps: float) -> Moves:
         lengths = [float(np.hypot(*(b - a)[:2])) + abs(float(b[2] - a[2])) * 0.3 for a, b in itertools.pairwise(points)]
         travel = Travel(Path(points, lengths), Limits(speed_mps * 0.97, BASE_ACCELERATION, BASE_JERK))
         while not travel.done:
@@ -392,7 +408,6 @@ class Body:
             self._check_follows(point)
             self._check_way_back(travel)
             yield self._drive_command(point, velocity, speed_mps)
-        yield from self._settle((*poses[-1][:2], poses[-1][2]), speed_mps)
 
     def support_below(self) -> float | None:
         """Return the height of the surface under the tool, if one is there."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from bisect import bisect_right
+from math import hypot
 from operator import sub
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 ARM_ACCELERATION, ARM_JERK = 1.2, 10.0
 BASE_ACCELERATION, BASE_JERK = 0.8, 4.0
+APART_M, BACK = 0.05, -0.5  # a turn of more than 120 degrees leads back
 MARGIN = 0.95  # skills drive below the limit: the truth overshoots a command by up to some percent
 
 
@@ -59,6 +61,27 @@ class Path:
         share = min(max((metres - self._at[k]) / span, 0.0), 1.0)
         step = self._steps[k]
         return [p + share * s for p, s in zip(self._points[k], step, strict=True)], [s / span for s in step]
+
+
+def reversals(points: Sequence[Floats]) -> list[int]:
+    """Return where a way turns back on itself, as indices; what is nearer than `APART_M` may be noise and is no turn.
+
+    Args:
+        points: the way, of which the first two coordinates count (metres).
+    """
+    anchors, turns = [0], list[int]()
+    for k, point in enumerate(points):
+        if hypot(*(point - points[anchors[-1]])[:2]) < APART_M:
+            continue
+        anchors.append(k)
+        if len(anchors) < 3:
+            continue
+        a, b, c = anchors[-3:]
+        before, after = (points[b] - points[a])[:2], (points[c] - points[b])[:2]
+        if float(before @ after) < BACK * hypot(*before) * hypot(*after):
+            turns.append(max(range(b, c), key=lambda k, a=a: hypot(*(points[k] - points[a])[:2])))
+            anchors[-2:] = [turns[-1], c]
+    return turns
 
 
 class Travel:

@@ -155,6 +155,15 @@ def _apart(pose: Vec3, other: Vec3) -> bool:
     return hypot(pose[0] - other[0], pose[1] - other[1]) > _APART_M or abs(wrapped(pose[2] - other[2])) > _APART_RAD
 
 
+def _spaced(poses: list[Vec3]) -> list[Vec3]:
+    """Leave out poses that say nothing new: a base that hardly moved would follow the noise of its own position."""
+    kept = [poses[0]]
+    for pose in poses[1:-1]:
+        if _apart(pose, kept[-1]):
+            kept.append(pose)
+    return [*kept, poses[-1]]
+
+
 def _undo(body: Body, trail: list[Mark], limit_mps: float) -> Moves:
     """Follow the marks backwards; what was taken on them is put back where it was taken."""
     taken = _taken_at(trail) if body.holding else None
@@ -200,7 +209,7 @@ def _back(body: Body, trail: list[Mark], limit_mps: float, *, gentle: bool) -> M
         while end < len(marks) - 1 and marks[end].driving == base:
             end += 1
         if base:
-            stands = [mark.base for mark in marks[k : end + 1]]
+            stands = _spaced([mark.base for mark in marks[k : end + 1]])
             yield from body.drive_poses(stands, min(body.speed(limit_mps), RECOVERY_BASE_SPEED_MPS))
         else:
             yield from _back_arm(

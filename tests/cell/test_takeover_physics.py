@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import cos, dist, hypot, sin
 from pathlib import Path
 
 import pytest
 
-from app.governance.model import Authorization, Json, Mode, Wish
+from app.governance.model import Authorization, Json, Mode, Vec3, Wish
 from app.governance.permit import mint
 from app.sim.occasions import Trigger
 from app.sim.people import Walk
@@ -421,8 +422,15 @@ def test_a_rollback_goes_back_the_way_the_hand_went_too(tmp_path: Path) -> None:
         shop.runner.tick()
     console = take_over(shop)
     assert console.press(Wish(base=(0.0, 0.2, 0.0)), 150) is None
+    assert console.press(Wish(base=(0.0, -0.2, 0.0)), 100) is None
     assert shop.runner.human("inv-1", "rollback", "operator") is None
-    assert shop.finish()["outcome"] == "rolled_back", shop.story()
+    session, velocities = shop.runner.session, list[Vec3]()
+    assert session is not None
+    while shop.runner.invocation is not None:
+        shop.runner.tick()
+        velocities.append(session.run.previous.base_velocity)
+    assert shop.last("outcome")["outcome"] == "rolled_back", shop.story()
+    assert max(dist(a[:2], b[:2]) for a, b in pairwise(velocities)) < 0.06  # where the way turns back, the base stands
     assert shop.cell.truth().base[:2] == pytest.approx(began[:2], abs=0.1)
 
 

@@ -12,6 +12,7 @@ import pytest
 
 from app.cell.substrate import SubstrateError
 from app.governance.model import Corridor, Point, Site, Vec3
+from app.sim.motion import reversals
 from app.sim.navigation import distance_to, furniture, plan_way
 from app.sim.robot import BASE_RADIUS_M
 
@@ -113,3 +114,12 @@ def test_a_corridor_may_name_a_point_of_its_line_twice(site: Site) -> None:
     line = site.corridors["aisle"].line
     twice = replace(site.corridors["aisle"], line=(line[0], line[0], *line[1:], line[-1]))
     assert along(replace(site, corridors={"aisle": twice}), []) == along(site, [])
+
+
+def test_a_way_turns_back_where_it_leads_furthest_and_noise_is_no_turn() -> None:
+    out = [0.01 * k for k in range(41)]
+    there = [(x, 0.0) for x in out] + [(x, 0.01) for x in reversed(out[10:])] + [(x, 0.02) for x in out[10:31]]
+    assert reversals([np.array((*at, 0.0)) for at in there]) == [41, 72]
+    corner = [(x, 0.0) for x in out] + [(0.4, y) for y in out] + [(0.4 - x, 0.4 - x) for x in out[1:]]
+    noise = np.random.default_rng(1).normal(0.0, 0.004, (len(corner), 2))
+    assert reversals([np.array((*at, 0.0)) for at in corner + noise]) == [81]
