@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 MAX_LAG_S: Final = 0.1  # a loop further behind than this starts afresh instead of catching up
 MAX_BATCHES: Final = 3000  # about ten minutes of telemetry while nobody listens
+MOST_LATE: Final = 64  # orders that a tick which is due may wait for: a burst, but no flood
 STOPPING_S: Final = 2.0  # how long a controlled stop may take before the loop ends anyway
 LOOK_S: Final = 1 / 30
 SIGHT_EVERY: Final = 20  # ticks: taking hold of all poses costs some 12 us, of which a tick may bear one
@@ -268,13 +269,18 @@ class TickLoop:
         return state is not None and state.status in WORKING and state.jog is None
 
     def _obey_until(self, due_s: float) -> None:
-        """Obey what has come in, and whatever comes in before the deadline."""
-        while not self._ending:
+        """Obey what has come in, and whatever comes in before the deadline; then no more than a burst.
+
+        Nobody watches meanwhile, and the last command stays in force: however many orders come, the tick does.
+        """
+        late = 0
+        while not self._ending and late < MOST_LATE:
             try:
                 wait_s = due_s - monotonic_s()
                 order = self._inbox.get(timeout=wait_s) if wait_s > 0 else self._inbox.get_nowait()
             except Empty:
                 return
+            late += wait_s <= 0
             self._obey(order)
 
     def _obey(self, order: Order) -> None:

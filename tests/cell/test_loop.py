@@ -11,7 +11,7 @@ import pytest
 from app.cell.loop import SIGHT_EVERY, Lease, Order, Outbox, Shutdown, TickLoop, Welcomed
 from app.cell.moment import Sight
 from app.clock import monotonic_s
-from app.protocol import LEASE_MS, Estop, Jogged, Launch, State, Unrecorded, UpEvent
+from app.protocol import LEASE_MS, Ack, Estop, Jogged, Launch, State, Unrecorded, UpEvent
 from tests.conftest import until
 
 LONG_S = 3600.0
@@ -114,6 +114,17 @@ def test_obeys_a_stop_at_once_however_far_the_next_tick_is(start: Callable[..., 
     bench.inbox.put(Estop(actor="operator"))
     until(lambda: bench.runner.orders == [Estop(actor="operator")])
     assert bench.runner.ticks == 1
+
+
+@pytest.mark.parametrize("pace", [0.0, 1.0])
+def test_ticks_however_many_orders_come(start: Callable[..., Bench], pace: float) -> None:
+    class Flooded(Recorder):
+        def obey(self, order: Order) -> None:
+            bench.inbox.put(order)  # there is always one more
+
+    bench = start(Flooded(), pace)
+    bench.inbox.put(Ack(seq=1))
+    until(lambda: bench.runner.ticks > 3)
 
 
 def test_holds_when_nothing_was_heard_for_the_lease(start: Callable[..., Bench]) -> None:
