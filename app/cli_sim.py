@@ -45,3 +45,30 @@ def soak(
         say(line)
     if report.worst < NOMINAL:
         raise typer.Exit(FINDING)
+
+
+@app.command()
+def fuzz(
+    seeds: Annotated[int, typer.Option(help="How many stories.", min=1)] = 20,
+    first: Annotated[int, typer.Option(help="The first seed.", min=0)] = 0,
+    ticks: Annotated[int, typer.Option(help="How long a story is, in hundredths of a second.", min=1)] = 2500,
+    policies: Annotated[Path | None, typer.Option(help="Policy directory.")] = None,
+) -> None:
+    """Play random scenarios and words of operators on a simulated cell; exit 1 where something does not hold.
+
+    Says which invariant it was, and the shortest story that breaks it. [bold]reins sim fuzz --seeds 200[/]
+    """
+    from app.ordeal.playing import ordeal
+
+    policy = load_policy(find_policies(policies))
+    with Progress(console=err, transient=True) as bars:
+        bar = bars.add_task("stories", total=seeds)
+        found = ordeal(
+            policy, seeds=seeds, first=first, ticks=ticks, progress=lambda done: bars.update(bar, completed=done)
+        )
+    if found is None:
+        say(f"{seeds} stories, and everything held")
+        return
+    for line in found.lines():
+        say(line)
+    raise typer.Exit(FINDING)

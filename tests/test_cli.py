@@ -40,6 +40,7 @@ COMMANDS = [
     "audit verify",
     "audit tail",
     "sim soak",
+    "sim fuzz",
     "token issue",
     "token list",
     "token withdraw",

@@ -1,0 +1,162 @@
+"""What has to hold of a cell in every tick, whatever is said to it and whatever breaks."""
+
+from __future__ import annotations
+
+from math import dist, hypot
+from typing import TYPE_CHECKING, Final
+
+from app.cell.run import End
+from app.governance.control import GOING_ON
+from app.governance.model import EventKind, Status
+from app.governance.session import TABLE
+
+if TYPE_CHECKING:
+    from app.cell.handover import Session
+    from app.cell.journal import Entry
+    from app.governance.model import Bounds
+    from app.ordeal.story import Story
+
+HELD_TICKS: Final = 250  # what is held stands by then: two seconds of braking at most, and what swings out after it
+END_TICKS: Final = 350
+STILL_MPS, DRIFT_M, DRIFT_RAD, DRIFT_FINGERS_M = 0.03, 0.02, 0.06, 0.006
+ROUNDING: Final = 1.001
+
+
+class BrokenInvariant(Exception):  # a finding, not an error of the program
+    """Something did not hold."""
+
+    def __init__(self, invariant: str, detail: str) -> None:
+        """Keep both."""
+        self.invariant, self.detail = invariant, detail
+        super().__init__(f"{invariant}: {detail}")
+
+
+class Invariants:
+    """What has to hold, whatever is said and whatever breaks."""
+
+    def __init__(self, story: Story) -> None:
+        """Watch a story."""
+        self._story = story
+        self._was: Session | None = None
+        self._rate = 0.0
+        self._bounds: Bounds | None = None  # of the tick before
+        self._held = self._ending = self._recorded = 0
+        self._paused: Session | None = None
+        self._stood: tuple[tuple[float, ...], ...] | None = None
+        self._status: dict[str, str] = {}
+        self._ended: dict[str, str] = {}
+        sinks = any(fault.kind in ("fade", "payload_shift") for fault in story.scene.faults)
+        self._arm_rad = 0.5 if sinks else DRIFT_RAD  # of an arm that its drives do not hold the cell cuts power itself
+
+    def after_word(self, session: Session, op: str, refused: str | None) -> None:
+        """A pause lasts until somebody lets the session go on, and a stop is never refused."""
+        ending = isinstance(session.run.next, End) or session.over is not None
+        _hold(op != "stop" or ending, "a stop is never lost", f"{refused}")
+        _hold(op != "pause" or not session.run.moves(), "a pause is never lost", f"{refused}")
+        if refused is None and op == "pause":
+            self._paused = session
+        elif refused is None and op in GOING_ON:
+            self.may_move()
+
+    def may_move(self) -> None:
+        """Somebody let the session go on, or has taken the controls: it may move for a tick at least."""
+        self._paused, self._held = None, 0
+
+    def after_entry(self, entry: Entry) -> None:
+        """Statuses follow the table, and every session ends once."""
+        name, body = entry.invocation or "", entry.body
+        if entry.kind == EventKind.STATUS:
+            before, now = body["before"], str(body["status"])
+            _hold(before == self._status.get(name), "statuses follow one another", f"{body}")
+            legal = before is None or Status(now) in TABLE[Status(str(before))].values()
+            _hold(legal, "statuses follow the table", f"{body}")
+            self._status[name] = now
+        elif entry.kind == EventKind.OUTCOME:
+            _hold(name not in self._ended, "a session ends once", f"{body}")
+            self._ended[name] = str(body["outcome"])
+
+    def after_tick(self) -> None:
+        """Look at what was commanded, what truly moved, and what is recorded."""
+        session = self._story.runner.session
+        self._commanded(session)
+        self._latched(session)
+        self._restrained(session)
+        self._stands(session)
+        self._is_recorded(session)
+        self._was, self._rate, self._bounds = session, 0.0, None
+        if session is not None:
+            self._rate, self._bounds = session.run.rate, session.run.plan.bounds
+
+    def at_the_end(self) -> None:
+        """Whatever was launched has ended."""
+        _hold(self._story.runner.session is None, "a stop ends a session", f"{self._status}")
+        lost = self._status.keys() - self._ended.keys()
+        _hold(not lost, "every session has an outcome", f"{sorted(lost)}")
+
+    def _commanded(self, session: Session | None) -> None:
+        cell, by = self._story.cell, self._was or session
+        sent, before = cell.sent, cell.before
+        if sent is None or before is None:
+            return
+        if by is None:
+            _hold(not any((*sent.base_velocity, *sent.joint_speed_radps)), "nothing moves without a session", f"{sent}")
+            return
+        limits = [by.run.plan.bounds] if self._bounds is None else [self._bounds, by.run.plan.bounds]
+        base_mps, grip_n = max(b.base_speed_mps for b in limits), max(b.grip_force_n for b in limits)
+        _hold(hypot(*sent.base_velocity[:2]) <= ROUNDING * base_mps, "the base keeps its bound", f"{sent}")
+        _hold(sent.grip_force_n <= ROUNDING * max(grip_n, before.grip_force_n), "the grip keeps its bound", f"{sent}")
+        step = max(abs(a - b) for a, b in zip(sent.joint_rad, before.joint_rad, strict=True)) / cell.period_s
+        bound = session is self._was and cell.powered
+        _hold(not bound or step <= ROUNDING * limits[-1].joint_speed_radps, "joints keep their bound", f"{step} rad/s")
+
+    def _latched(self, session: Session | None) -> None:
+        latched = self._story.runner.latched
+        _hold(not latched or (session is None and not self._story.cell.powered), "a latched cell has no power", "")
+
+    def _restrained(self, session: Session | None) -> None:
+        if session is None or session is not self._was:
+            self._held = self._ending = 0
+            self._paused = self._paused if session is self._paused else None
+            return
+        run = session.run
+        self._held = 0 if run.moves() else self._held + 1
+        self._ending = self._ending + 1 if isinstance(run.next, End) else 0
+        _hold(self._held < 3 or run.rate <= self._rate, "what is held goes no faster", f"{self._rate} → {run.rate}")
+        _hold(self._ending < END_TICKS, "an end comes", f"{run.next}")
+        _hold(session is not self._paused or not run.moves(), "a pause lasts", f"{run.status}")
+        holds = bool(self._story.runner.holding) and run.status is not Status.RECOVERING
+        _hold(not holds or not run.moves(), "a cell without its server holds", f"{run.status}")
+
+    def _stands(self, session: Session | None) -> None:
+        rests = self._held >= HELD_TICKS or (session is None and self._was is None)
+        if not rests or (session is not None and session.run.giving_ticks > 0):
+            self._stood = None
+            return
+        physical, now = self._story.cell.plant.read(), self._story.cell.glance()
+        stands = (now.base[:2], tuple(physical.joint_rad.tolist()), (physical.width_m,))
+        if self._stood is None:
+            self._stood = stands
+            return
+        _hold(self._held == 0 or now.base_speed_mps < STILL_MPS, "a held base stands", f"{now.base_speed_mps:.3f} m/s")
+        for was, at, most, what in zip(
+            self._stood, stands, (DRIFT_M, self._arm_rad, DRIFT_FINGERS_M), ("base", "arm", "hand"), strict=True
+        ):
+            off = dist(was, at) if what == "base" else max(abs(a - b) for a, b in zip(was, at, strict=True))
+            _hold(self._held == 0 or off < most, f"a held {what} stays where it is", f"{off:.3f} off")
+
+    def _is_recorded(self, session: Session | None) -> None:
+        well = not self._story.disk.full and not self._story.runner.fault
+        self._recorded = self._recorded + 1 if well else 0
+        if self._recorded < 3:
+            return
+        marks, name = self._story.disk.marks, None if session is None else session.run.id
+        _hold(marks.get("open") == name, "the journal knows what runs", f"{marks.get('open')}, not {name}")
+        _hold(bool(marks.get("latched")) == self._story.runner.latched, "the journal knows of a latched stop", "")
+        if session is not None:
+            said = self._status.get(session.run.id)
+            _hold(said == session.run.status, "the record knows the status", f"{said}, not {session.run.status}")
+
+
+def _hold(holds: bool, invariant: str, detail: str) -> None:
+    if not holds:
+        raise BrokenInvariant(invariant, detail)
