@@ -434,4 +434,5 @@ def make_inputs(capability: Capability) -> Inputs:
         validator=validator(capability.inputs),
         defaults={name: spec["default"] for name, spec in specs.items() if "default" in spec},
         numbers=frozenset(name for name, spec in specs.items() if spec.get("type") == "number"),
+        integers=frozenset(name for name, spec in specs.items() if spec.get("type") == "integer"),
     )

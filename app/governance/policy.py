@@ -69,6 +69,7 @@ class Inputs:
     validator: Draft202012Validator
     defaults: Mapping[str, Json]
     numbers: frozenset[str]
+    integers: frozenset[str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -106,9 +107,10 @@ class PolicySet:
     ) -> Params | tuple[ParamProblem, ...]:
         """Hold parameters to the capability's input schema; return them with defaults filled in, or what is wrong.
 
-        Numbers come back as floats. Names that the site does not know are no problem here: admission rejects them. For
-        an unknown capability, and where `version` asks for another one than is in force, there is nothing to hold the
-        parameters to, and admission rejects the proposal.
+        Numbers come back as floats, and integers as integers of 64 bits: to JSON Schema `3.0` and `1e30` are some too.
+        Names that the site does not know are no problem here: admission rejects them. For an unknown capability, and
+        where `version` asks for another one than is in force, there is nothing to hold the parameters to, and admission
+        rejects the proposal.
         """
         problems = () if _plainly_safe(params) else tuple(_unsafe(params, ()))
         inputs = self.inputs.get(capability)
@@ -121,6 +123,10 @@ class PolicySet:
         filled = {**inputs.defaults, **params}
         for name in inputs.numbers & filled.keys():
             filled[name] = float(cast("float", filled[name]))
+        for name in inputs.integers & filled.keys():
+            filled[name] = whole = int(cast("float", filled[name]))
+            if abs(whole) >= 2**63:
+                return (_beyond_64_bits(name),)
         return filled
 
     def agent(self, name: str) -> AgentFacts:
@@ -202,7 +208,7 @@ def _unsafe(value: object, path: tuple[str, ...]) -> list[ParamProblem]:
         case float() if not math.isfinite(value):
             return [ParamProblem(where, "not_finite", f"`{value}` is not a finite number", "a finite number")]
         case int() if abs(value) >= 2**63:
-            return [ParamProblem(where, "out_of_range", "an integer beyond 64 bits", "a smaller number")]
+            return [_beyond_64_bits(where)]
         case str():
             return [] if _encodable(value) else [ParamProblem(where, "bad_text", "half of a surrogate pair")]
         case None | bool() | int() | float():
@@ -216,6 +222,10 @@ def _unsafe(value: object, path: tuple[str, ...]) -> list[ParamProblem]:
             return keys + [found for key, item in entries.items() for found in _unsafe(item, (*path, key))]
         case _:
             return [ParamProblem(where, "not_json", f"a `{type(value).__name__}` is not JSON")]
+
+
+def _beyond_64_bits(where: str) -> ParamProblem:
+    return ParamProblem(where, "out_of_range", "an integer beyond 64 bits", "a smaller number")
 
 
 def _encodable(text: str) -> bool:

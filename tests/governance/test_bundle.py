@@ -716,6 +716,18 @@ def test_parameters_may_be_counted_chosen_from_a_list_or_switched():
         assert isinstance(policy.validate_params("grasp_object", {"object_id": "mug_1", **wrong}), tuple)
 
 
+def test_an_integer_is_one_however_it_is_written():
+    text = files()
+    text[GRASP] = text[GRASP].replace("  properties:\n", "  properties:\n    tries: {type: integer, default: 2.0}\n")
+    policy = bundle.load_files(text)
+    for given, whole in (({}, 2), ({"tries": 3.0}, 3), ({"tries": 1e17}, 10**17)):
+        filled = policy.validate_params("grasp_object", {"object_id": "mug_1", **given})
+        assert (filled["tries"], type(filled["tries"])) == (whole, int)
+    for huge in (2**63, 1e30, -1e300):
+        (problem,) = policy.validate_params("grasp_object", {"object_id": "mug_1", "tries": huge})
+        assert (problem.param, problem.code) == ("tries", "out_of_range")
+
+
 FORCE = "    force_n: {type: number,"
 REFERRING = [
     ("to what is beside it", "#/$defs/gentle", "gentle: {maximum: 50}", None),
