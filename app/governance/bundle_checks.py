@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final, cast
 
 import jsonschema_rs
 
+from app.governance.bundle_checks_values import listed, unproposable
 from app.governance.bundle_references import references, validator
 from app.governance.bundle_yaml import Path, Reader
 from app.governance.conditions import TESTS
@@ -135,6 +136,7 @@ def inputs(reader: Reader, shape: shapes.CapabilityShape) -> Iterator[PolicyErro
             yield reader.problem(path, f"`{name}` needs a type", list(_PARAM_CHECKS))
             continue
         yield from _PARAM_CHECKS[str(spec["type"])](reader, path, name, cast("Mapping[str, Json]", spec))
+        yield from listed(reader, path, cast("Mapping[str, Json]", spec))
         yield from _default(reader, path, cast("Mapping[str, Json]", spec), whole)
     yield from _references(reader, cast("Mapping[str, object]", declared if isinstance(declared, dict) else {}))
 
@@ -339,6 +341,9 @@ def _numeric_setting(
             yield reader.problem(path, message, needed(param))
         else:
             yield from _beyond_schema(reader, path, f"`{param}` of `{holder.name}`", setting, spec)
+            yield from unproposable(
+                reader, path, f"`{param}` of `{holder.name}`", {"min": setting.min, "max": setting.max}, spec
+            )
 
 
 def needed(param: str) -> list[str]:

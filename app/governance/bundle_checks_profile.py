@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final, cast
 
 from app.governance.bundle_checks import needed, repeated
 from app.governance.bundle_checks_dead import dead_rows, dead_steps
+from app.governance.bundle_checks_values import unproposable
 from app.governance.model import Strategy
 from app.governance.policy_model import FAILURES, LIMIT_UNITS, NAMED_THRESHOLDS, SENSORS, SIGNAL_UNITS, WALKING_MPS
 from app.governance.recovery import NEW_ATTEMPTS
@@ -230,6 +231,7 @@ def _room(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[
             if isinstance(low, (int, float)) and low > value:
                 message = f"`{value}` leaves `{param}` of `{name}` no room: its minimum is `{low}`"
                 yield reader.problem(("limits", key, "max"), message, [f"{low:g} or more"])
+            yield from unproposable(reader, ("limits", key), f"`{param}` of `{name}`", {"max": value}, spec)
             if param not in always_there(found):
                 message = f"`{param}` of `{name}` is limited by `{key}` but may be left out: give it a default"
                 yield reader.problem(("limits", key), message, needed(param))

@@ -42,6 +42,20 @@ BROKEN = [
      "default `glass_1` is not valid for the parameter itself; valid: `mug_1`, `box_1`"),
     ("default of another type", GRASP, "x-ref: object", "x-ref: object, default: 3",
      "default `3` is not valid for the parameter itself; valid: `a string`"),
+    ("a listed value of another type", GRASP, "x-ref: object", "x-ref: object, enum: [mug_1, 3]",
+     "grasp_object.yaml:10: inputs.properties.object_id.enum[1]: `3` is no string, so that no proposal could have it"),
+    ("a value of another type", GRASP, "  properties:\n", "  properties:\n    n: {type: integer, const: 1.5}\n",
+     "const: `1.5` is no integer"),
+    ("a flag for a number", GRASP, "unit: N,", "unit: N, enum: [40, 20, 60, 80, 100, true],", "`True` is no"),
+    ("a flag that is a number", GRASP, "  properties:\n", "  properties:\n    b: {type: boolean, enum: [1]}\n",
+     "`1` is no boolean"),
+    ("a bound that may not be proposed", GRASP, "unit: N,", "unit: N, enum: [40, 60, 80, 100, 120],",
+     "set.force_n.max: `20` is no value that `force_n` of `grasp_object` may have, and would become its value"),
+    ("a limit that may not be proposed", GRASP, "unit: N,", "unit: N, enum: [20, 40, 80, 100, 120],",
+     "human-shared.yaml:14: limits.grip_force_n.max: `60` is no value that `force_n` of `grasp_object` may have"),
+    ("a bound at an open end", GRASP, "unit: N, minimum: 2,", "unit: N, exclusiveMinimum: 20, minimum: 2,",
+     "`20` is no value that `force_n`"),
+    ("a bound between two steps", GRASP, "unit: N,", "unit: N, multipleOf: 8,", "`20` is no value that `force_n`"),
     ("inverted range", GRASP, "minimum: 2,", "minimum: 200,",
      "empty range: minimum `200` is not below maximum `140`; valid: `a minimum below 140`, `a maximum above 200`"),
     ("a manifest under another name", GRASP, "name: grasp_object", "name: seize_object", "stands in"),
@@ -518,7 +532,7 @@ def test_what_a_schema_gives_a_name_exists(spec, key):
 
 def test_a_condition_may_name_those_of_its_list_alone():
     text = files()
-    text[GRASP] = text[GRASP].replace("x-ref: object", "x-ref: object, enum: [mug_1, 3, [box_1]]")
+    text[GRASP] = text[GRASP].replace("x-ref: object", "x-ref: object, enum: [mug_1]")
     text[ORG] = text[ORG].replace("[grasp_object, transport_object, regrasp]", "[grasp_object]", 1)
     text[ORG] = text[ORG].replace("when: target.mass_kg >", "when: params.object_id == 'box_1' || target.mass_kg >")
     with pytest.raises(PolicyErrors, match=r"column 18: `box_1` is compared .*; valid: `mug_1`"):
@@ -757,6 +771,16 @@ def test_an_input_may_refer(to, beside, said):
     policy = bundle.load_files(text)
     assert isinstance(policy.validate_params("grasp_object", {"object_id": "mug_1", "force_n": 1}), tuple)
     assert isinstance(policy.validate_params("grasp_object", {"object_id": "mug_1", "force_n": 40}), dict)
+
+
+@pytest.mark.parametrize(
+    ("also", "default"),
+    [("exclusiveMaximum: 15", 5), ("enum: [5, 15]", 5), ("const: 5", 5), ("multipleOf: 20, exclusiveMinimum: 0", 40)],
+)
+def test_a_bound_that_nothing_proposed_lies_beyond_may_be_any(also, default):
+    text = files()
+    text[GRASP] = text[GRASP].replace("unit: N,", f"unit: N, {also},").replace("default: 40", f"default: {default}")
+    assert bundle.load_files(text)
 
 
 def test_an_input_may_name_the_dialect_it_is_written_in():
