@@ -11,7 +11,7 @@ permissions there are. So what is proved survives a new line in `agents`.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import ceil, floor
+from math import ceil, floor, inf
 from typing import TYPE_CHECKING, Final, cast
 
 import z3
@@ -37,6 +37,10 @@ if TYPE_CHECKING:
 
 FARTHEST_M: Final = 1000.0  # how far off an object may be perceived
 NEAREST_M: Final = 1e9  # `within` of `world.people_nearest_m`
+KEPT: Final = frozenset({  # the keywords of a parameter that are known here
+    "type", "const", "enum", "default", "title", "description", "$comment", "unit", "x-limit", "x-ref", "minLength",
+    "maxLength", "minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum",
+})  # fmt: skip
 FLAGS: Final = ("gripper_empty", "arm_ready", "arm_retracted", "sensors_fresh")
 STRANGER: Final = ""  # any agent that policy does not declare: what none can be called
 
@@ -166,6 +170,7 @@ class Space:
         self._actions()
 
     def _parameter(self, name: str, spec: Mapping[str, Json], there: Formula) -> Value:
+        self.loose |= not spec.keys() <= KEPT
         match spec["type"]:
             case "boolean":
                 said = named(f"params.{name}")
@@ -184,9 +189,9 @@ class Space:
     def _choices(self, spec: Mapping[str, Json]) -> list[str]:
         known = names(self.policy.site)[str(spec["x-ref"])] if "x-ref" in spec else None
         listed = spec.get("enum", [spec["const"]] if "const" in spec else None)
-        if listed is None:
-            return sorted(known or ())
-        return [value for value in cast("list[str]", listed) if known is None or value in known]
+        choices = cast("list[str]", sorted(known or ()) if listed is None else listed)
+        low, high = (cast("float", spec.get(key, end)) for key, end in (("minLength", 0), ("maxLength", inf)))
+        return [value for value in choices if (known is None or value in known) and low <= len(value) <= high]
 
     def _number(self, number: z3.ArithRef, spec: Mapping[str, Json]) -> Value:
         real = number.is_real()
@@ -205,7 +210,6 @@ class Space:
             if key in spec:
                 listed = cast("list[float]", spec[key] if key == "enum" else [spec[key]])
                 self.facts.append(some(number == (rational(float(value)) if real else value) for value in listed))
-        self.loose |= "multipleOf" in spec
         return constant(number)
 
     def _actions(self) -> None:
@@ -230,7 +234,7 @@ class Space:
         if recovery:
             self.facts.append(self.held[GOVERNANCE])
         name = z3.String("agent.name")
-        self.said["agent.name"] = every(name != text(agent) for agent in declared)
+        self.said["agent.name"] = every(name != text(agent) for agent in (STRANGER, *declared))
         missing = [no(self.holds(permission)) for permission in sorted(self.capability.permissions)]
         backed = [
             some(o for o, agent in self.agents.options if agent in declared and permission in self._under(agent))

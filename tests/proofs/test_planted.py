@@ -312,3 +312,19 @@ def test_an_agent_is_proved_about_whatever_it_is_called(name: str) -> None:
     report = proved(planted, f"properties:\n{only}")
     assert {(fault.kind, fault.rule) for fault in report.faults} == {(Kind.PROPERTY, "only")}
     assert all(f"agent: {name}" in fault.example for fault in report.faults)
+
+
+def test_what_no_proposal_has_is_no_fault_of_the_encoding() -> None:
+    gait = "    gait: {type: string, enum: [slow, fast], maxLength: 4, not: {const: fast}, default: slow}\n"
+    gait += "    lane: {type: string, enum: [left, middle], maxLength: 4, default: left}\n    corridor: {type"
+    planted = edited("capabilities/navigate_to.yaml", "    corridor: {type", gait) | with_rules("""
+  - {id: fast, applies_to: [navigate_to], when: 'params.gait == "fast"', then: deny, because: So.}
+  - {id: middle, applies_to: [navigate_to], when: 'params.lane == "middle"', then: deny, because: So.}
+  - {id: nobody, applies_to: [navigate_to], when: 'agent.name == ""', then: deny, because: So.}
+""")
+    found = {fault.rule: (fault.kind, fault.weight) for fault in proved(planted, "order: []\n").faults}
+    assert found == {
+        "organization/fast": (Kind.DEAD, Weight.UNDECIDED),
+        "organization/middle": (Kind.DEAD, Weight.REFUTED),
+        "organization/nobody": (Kind.DEAD, Weight.REFUTED),
+    }
