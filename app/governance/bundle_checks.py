@@ -76,8 +76,9 @@ def capability(reader: Reader, shape: shapes.CapabilityShape, known: Known) -> I
     if not shape.permissions and not shape.recovery:
         message = "a capability that agents propose needs a permission"
         yield reader.problem(("permissions",), message, sorted(known.permissions))
-    if shape.rollback is not None:
-        yield from reader.unknown(("rollback",), "recovery capability", shape.rollback, known.recoveries)
+    if shape.rollback is not None and shape.rollback not in known.recoveries:
+        message = f"there is no recovery capability `{shape.rollback}`"
+        yield reader.problem(("rollback",), message, [*sorted(known.recoveries), "null: it has none"])
     yield from _named_always(reader, known.capabilities[shape.name])
     yield from _named(reader, known.capabilities[shape.name], known)
     yield from _coverage(reader, shape, known)

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast, get_args, get_ori
 
 from pydantic import BaseModel, ValidationError
 
+from app.governance.bundle_shapes import AGENT, NAME, SLUG
 from app.governance.bundle_yaml import dotted
 from app.governance.errors import PolicyError
+from app.governance.semver import PIN, VERSION
 
 if TYPE_CHECKING:
     from app.governance.bundle_yaml import Document
@@ -17,6 +19,17 @@ if TYPE_CHECKING:
 Misfit: TypeAlias = Mapping[str, Any]  # as pydantic tells it
 
 _QUOTED: Final = re.compile(r"'([^']*)'")
+_KINDS: Final = {  # what pydantic calls a misfit of type, and what is expected there
+    "string_type": "text", "float_type": "a number", "int_type": "a whole number", "int_from_float": "a whole number",
+    "bool_type": "`true` or `false`", "model_type": "a mapping", "dict_type": "a mapping", "list_type": "a list",
+}  # fmt: skip
+_PATTERNS: Final = {  # what texts are made of, in words
+    NAME: "small letters, digits and `_`, a letter first",
+    SLUG: "small letters and digits, `-` between them, a letter first",
+    AGENT: "small letters, digits, `_` and `-`, a letter first",
+    f"^{VERSION}$": "three numbers, as in `1.0.0`",
+    PIN: "three numbers, as in `1.0.0`, `~1.0.0` or `^1.0.0`",
+}
 _SCALARS: Final = {"float": "float_type", "str": "string_type"}  # a union's members, and how each says what misfits
 _UNIONS: Final = frozenset({"float", "str", "int", "bool", "constrained-str", "ScaledLimit"})
 
@@ -63,11 +76,25 @@ def _problem(shape: type[BaseModel], document: Document, found: Misfit) -> Polic
     elif kind == "union":
         keys = ", ".join(f"`{name}`" for name in _keys_at(shape, path))
         message = f"expected a number, a name, or a mapping of {keys}; found `{_short(found['input'])}`"
-    elif kind in ("model_type", "dict_type", "list_type"):
-        message = f"expected a {'list' if kind == 'list_type' else 'mapping'}, found `{_short(found['input'])}`"
+    elif kind == "string_pattern_mismatch":
+        message = f"`{_short(found['input'])}` is not made of {_PATTERNS[str(context['pattern'])]}"
+    elif kind in _KINDS:
+        message = f"expected {_KINDS[kind]}, found {_shown(found['input'])}"
+        valid = ("1.0.0",) if path[-1:] == ("version",) else ()
     else:
         message = f"`{_short(found['input'])}`: {message}"
     return PolicyError(file=document.file, line=document.line(path), key=key, message=message, valid=valid)
+
+
+def _shown(value: object) -> str:
+    """Write a value as it may stand in the file."""
+    match value:
+        case None:
+            return "nothing"
+        case bool():
+            return "`true`" if value else "`false`"
+        case _:
+            return f"`{_short(value)}`"
 
 
 def _short(value: object) -> str:

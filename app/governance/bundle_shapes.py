@@ -6,14 +6,18 @@ the policy set from both.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Final, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from app.governance.semver import PIN, VERSION
 
-Name: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
-Slug: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9]*(-[a-z0-9]+)*$", max_length=64)]
+NAME: Final = r"^[a-z][a-z0-9_]*$"
+SLUG: Final = r"^[a-z][a-z0-9]*(-[a-z0-9]+)*$"
+AGENT: Final = r"^[a-z][a-z0-9_-]*$"
+
+Name: TypeAlias = Annotated[str, Field(pattern=NAME, max_length=64)]
+Slug: TypeAlias = Annotated[str, Field(pattern=SLUG, max_length=64)]
 Version: TypeAlias = Annotated[str, Field(pattern=rf"^{VERSION}$")]
 Text: TypeAlias = Annotated[str, Field(min_length=1, max_length=400)]
 Length: TypeAlias = Annotated[float, Field(gt=0, le=1000)]  # what a cell holds, or anything in it does, is within that
@@ -237,7 +241,7 @@ class OrganizationShape(Shape):
     """O: rules of every profile, and who may propose what."""
 
     organization: Slug
-    agents: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_-]*$", max_length=64)], AgentShape]
+    agents: dict[Annotated[str, Field(pattern=AGENT, max_length=64)], AgentShape]
     permissions: list[Name]
     rules: list[RuleShape]
 

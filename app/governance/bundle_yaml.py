@@ -100,7 +100,8 @@ class _Walk:
     def value(self, node: yaml.Node, path: Path) -> Json:
         self.lines.setdefault(path, _line(node))
         if id(node) in self.seen:
-            self.fault(node, path, "aliases are not allowed: write the value out")
+            message = "aliases are not allowed: write the value out"
+            self.problems.append(PolicyError(file=self.file, line=self.lines[path], key=dotted(path), message=message))
             return None
         self.seen.add(id(node))
         match node:

@@ -31,8 +31,8 @@ def test_plain_words_mean_what_the_core_schema_says(text, means):
 @pytest.mark.parametrize(
     ("text", "key", "line", "said"),
     [
-        ("a: &x [1]\nb: *x", "b", 1, "aliases are not allowed"),
-        ("a: &x\n  b: *x", "a.b", 1, "aliases are not allowed"),
+        ("a: &x [1]\nb: *x", "b", 2, "aliases are not allowed"),
+        ("a: &x\n  b: *x", "a.b", 2, "aliases are not allowed"),
         ("a: " + "[" * 60 + "]" * 60, "", 1, "nested deeper than 40 levels"),
         ("a: 1\nb: !!python/object:os.system x", "b", 2, "is not allowed: plain values"),
         ("a: !!binary aGk=", "a", 1, "is not allowed: plain values"),
