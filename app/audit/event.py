@@ -1,8 +1,8 @@
 """Events on their way into the log: the caller's draft, the canonical bytes that are hashed, the committed event.
 
-The bytes are JSON with sorted keys and no spaces, `{"actor", "at", "body", "invocation", "kind", "seq"}`, so that a
-record stands alone: the columns beside it in the store are only indexes. JSON has no NaN and no infinity; they are
-written as null.
+The bytes are JSON without spaces, `{"actor", "at", "body", "invocation", "kind", "seq"}` in this order, so that a
+record stands alone: the columns beside it in the store are only indexes. In a body the keys are sorted but for those of
+dataclasses, which keep their own order. JSON has no NaN and no infinity; they are written as null.
 """
 
 from __future__ import annotations

@@ -58,6 +58,12 @@ def test_a_changed_export_is_not(exported: Path, before: bytes, after: bytes, na
     assert (found.returncode, named in found.stderr) == (1, True), found.stderr
 
 
+def test_an_export_with_something_behind_its_last_line_is_not(exported: Path) -> None:
+    exported.write_bytes(exported.read_bytes() + b'{"actor":"operator"}')
+    found = checked(exported)
+    assert (found.returncode, "is no event" in found.stderr) == (1, True), found.stdout
+
+
 @pytest.mark.parametrize(
     ("before", "after", "named"), [("\n7\n", "\n6\n", "InvalidSignature"), ("reins", "other", "another log")]
 )
