@@ -172,7 +172,8 @@ class Governor(Takeovers, Controls, CellControls):
             return self.fleet.choose()
         if not self.fleet.knows(request.cell):
             valid = ", ".join(f"`{cell.id}`" for cell in self.fleet.cells()) or "none has attached yet"
-            raise InvalidParams([{"path": "cell", "message": f"no cell `{request.cell}`; valid: {valid}"}])
+            message = f"names no cell there is: `{request.cell}`; valid: {valid}"
+            raise InvalidParams([{"path": "cell", "message": message}])
         return self.fleet.cell(request.cell)
 
     def _decided(

@@ -348,7 +348,8 @@ class Grants:
 
 def _known(field: str, name: str, names: Sequence[str] | Any) -> None:  # noqa: ANN401  # a mapping by name will do
     if name not in names:
-        raise _invalid(field, f"no {field} `{name}`; valid: {', '.join(f'`{one}`' for one in sorted(names))}")
+        valid = ", ".join(f"`{one}`" for one in sorted(names))
+        raise _invalid(field, f"names no {field} there is: `{name}`; valid: {valid}")
 
 
 def _invalid(field: str, message: str) -> InvalidParams:

@@ -112,12 +112,12 @@ async def test_no_grant_goes_with_a_denial_or_an_edit(runtime: Runtime, cell: Ha
 @pytest.mark.parametrize(
     ("differs", "said"),
     [
-        ({"capability": "dance"}, "no capability `dance`"),
-        ({"agent": "stranger"}, "no agent `stranger`; valid: `planner`"),
-        ({"cell": "elsewhere"}, "no cell `elsewhere`"),
+        ({"capability": "dance"}, "`capability` names no capability there is: `dance`"),
+        ({"agent": "stranger"}, "names no agent there is: `stranger`; valid: `planner`"),
+        ({"cell": "elsewhere"}, "names no cell there is: `elsewhere`; valid: "),
         ({"object": "mug_1"}, "`object` goes with the scope `object`"),
         ({"scope": GrantScope.TASK}, "`task` goes with the scope `task`"),
-        ({"scope": GrantScope.OBJECT, "object": "unicorn"}, "no object `unicorn`"),
+        ({"scope": GrantScope.OBJECT, "object": "unicorn"}, "names no object there is: `unicorn`"),
         ({"profile": "sim-relaxed"}, "valid is `human-shared`"),
         ({"minutes": 15.5}, "valid are at most 15"),
         ({"minutes": 1e-9}, "`minutes` `1e-09` is too short: valid are at least 0.01"),
