@@ -69,7 +69,8 @@ def suggest(  # its options
     policy = load_policy(folder)
     least = Least(decisions=decisions, answers=answers, silent=silent, overrides=overrides)
     try:
-        habits = read_habits(data, policy, since=None if since is None else parse_rfc3339(since))
+        with err.status("reading the record …"):
+            habits = read_habits(data, policy, since=None if since is None else parse_rfc3339(since))
     except (RecordDamaged, RecordUnreadable, ValueError) as error:
         say_error(str(error), hint="--data names a data directory, --since a time like 2026-03-01T00:00:00Z")
         raise typer.Exit(MISUSE) from error

@@ -12,7 +12,7 @@ from app.config import find_policies
 from app.governance.bundle import read_cases
 from app.governance.cases import run as run_cases
 from app.governance.errors import PolicyErrors
-from app.terminal import FINDING, err, say, say_error
+from app.terminal import FINDING, counting, err, say, say_error
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -91,8 +91,8 @@ def _say_coverage(policy: PolicySet, files: Mapping[str, str], least: float) -> 
 def _say_score(policy: PolicySet, files: Mapping[str, str], least: float, processes: int, shown: int | None) -> bool:
     from app.authoring.mutation import Fate, score
 
-    with err.status("changing one thing after the other …"):
-        found = score(policy.files, files, processes=processes)
+    with counting("changing one thing after the other") as progress:
+        found = score(policy.files, files, processes=processes, progress=progress)
     _say_survivors(found, shown)
     counts = {fate: found.count(fate) for fate in Fate}
     say(

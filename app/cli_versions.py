@@ -221,7 +221,8 @@ def replay(
 
     try:
         files = None if policy is None else read_files(find_policies(policy))
-        found = replay_in_processes(data, files, since=None if since is None else parse_rfc3339(since))
+        with err.status("deciding again what was recorded …"):
+            found = replay_in_processes(data, files, since=None if since is None else parse_rfc3339(since))
     except PolicyErrors as faults:
         for problem in faults.problems:
             err.print(str(problem), markup=False)

@@ -13,12 +13,12 @@ found none proves nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import chain, islice, zip_longest
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import yaml
 
@@ -36,6 +36,9 @@ if TYPE_CHECKING:
 
 EXAMPLES: Final = 3000
 """At so many examples the search for a case that kills gives up; every pair that a change concerns has its share."""
+
+
+Progress: TypeAlias = "Callable[[int, int], None]"
 
 
 class Fate(StrEnum):
@@ -214,30 +217,46 @@ def _some(numbers: Sequence[int]) -> list[Outcome]:
     return [_trial.outcome(_trial.mutants[number]) for number in numbers]
 
 
-def score(files: Mapping[str, str], case_files: Mapping[str, str], *, processes: int = 2) -> Score:
+def score(
+    files: Mapping[str, str],
+    case_files: Mapping[str, str],
+    *,
+    processes: int = 2,
+    progress: Progress = lambda _done, _of: None,
+) -> Score:
     """Change everything in turn, and see what the cases notice.
 
     Args:
         files: The policy.
         case_files: Its cases, all of which hold.
         processes: How many work at it.
+        progress: Called with how many of how many were changed.
 
     Raises:
         PolicyErrors: The policy, or a file of cases, has something wrong with it.
     """
     count = len(Trial(files, case_files).mutants)
-    return Score(outcomes=tuple(fates(files, case_files, range(count), processes=processes)))
+    return Score(outcomes=tuple(fates(files, case_files, range(count), processes=processes, progress=progress)))
 
 
 def fates(
-    files: Mapping[str, str], case_files: Mapping[str, str], numbers: Sequence[int], *, processes: int
+    files: Mapping[str, str],
+    case_files: Mapping[str, str],
+    numbers: Sequence[int],
+    *,
+    processes: int,
+    progress: Progress = lambda _done, _of: None,
 ) -> list[Outcome]:
     """Return what becomes of these mutants, by their place among all."""
     if processes == 1:
         trial = Trial(files, case_files)
         return [trial.outcome(trial.mutants[number]) for number in numbers]
     with ProcessPoolExecutor(processes, initializer=_open, initargs=(dict(files), dict(case_files))) as pool:
-        return [outcome for part in pool.map(_some, _shares(numbers)) for outcome in part]
+        found: list[Outcome] = []
+        for part in pool.map(_some, _shares(numbers)):
+            found += part
+            progress(len(found), len(numbers))
+        return found
 
 
 def _shares(numbers: Sequence[int]) -> Iterator[list[int]]:

@@ -126,8 +126,10 @@ def test_two_processes_find_what_one_finds(monkeypatch):
     trial = Trial(files(), case_files)
     numbers = [number for number, mutant in enumerate(trial.mutants) if mutant.file == ORGANIZATION][1:40:4]
     alone = [trial.outcome(trial.mutants[number]).fate for number in numbers]
-    found = mutation.fates(files(), case_files, numbers, processes=2)
+    told = []
+    found = mutation.fates(files(), case_files, numbers, processes=2, progress=lambda *done: told.append(done))
     assert [outcome.fate for outcome in found] == alone
+    assert told == [(min(done, len(numbers)), len(numbers)) for done in range(4, len(numbers) + 4, 4)]
 
 
 def test_the_score_is_of_what_could_be_noticed():
