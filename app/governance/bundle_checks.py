@@ -79,6 +79,8 @@ def capability(reader: Reader, shape: shapes.CapabilityShape, known: Known) -> I
     if shape.rollback is not None and shape.rollback not in known.recoveries:
         message = f"there is no recovery capability `{shape.rollback}`"
         yield reader.problem(("rollback",), message, [*sorted(known.recoveries), "null: it has none"])
+    for name, spec in properties(known.capabilities[shape.name]).items():
+        yield from listed(reader, ("inputs", "properties", name), spec)
     yield from _named_always(reader, known.capabilities[shape.name])
     yield from _named(reader, known.capabilities[shape.name], known)
     yield from _coverage(reader, shape, known)
@@ -137,7 +139,6 @@ def inputs(reader: Reader, shape: shapes.CapabilityShape) -> Iterator[PolicyErro
             yield reader.problem(path, f"`{name}` needs a type", list(_PARAM_CHECKS))
             continue
         yield from _PARAM_CHECKS[str(spec["type"])](reader, path, name, cast("Mapping[str, Json]", spec))
-        yield from listed(reader, path, cast("Mapping[str, Json]", spec))
         yield from _default(reader, path, cast("Mapping[str, Json]", spec), whole)
     yield from _references(reader, cast("Mapping[str, object]", declared if isinstance(declared, dict) else {}))
 

@@ -177,7 +177,8 @@ class Space:
                 for listed in (
                     [spec[key]] if key == "const" else spec[key] for key in ("const", "enum") if key in spec
                 ):
-                    self.facts.append(some(said if value else no(said) for value in cast("list[bool]", listed)))
+                    flags = [value for value in cast("list[Json]", listed) if isinstance(value, bool)]
+                    self.facts.append(some(said if value else no(said) for value in flags))
                 return truth(said)
             case "string":
                 options = Options.of(f"params.{name}", self._choices(spec))
@@ -189,9 +190,10 @@ class Space:
     def _choices(self, spec: Mapping[str, Json]) -> list[str]:
         known = names(self.policy.site)[str(spec["x-ref"])] if "x-ref" in spec else None
         listed = spec.get("enum", [spec["const"]] if "const" in spec else None)
-        choices = cast("list[str]", sorted(known or ()) if listed is None else listed)
+        choices = cast("list[Json]", sorted(known or ()) if listed is None else listed)
         low, high = (cast("float", spec.get(key, end)) for key, end in (("minLength", 0), ("maxLength", inf)))
-        return [value for value in choices if (known is None or value in known) and low <= len(value) <= high]
+        texts = [value for value in choices if isinstance(value, str)]  # an earlier release let others stand there
+        return [value for value in texts if (known is None or value in known) and low <= len(value) <= high]
 
     def _number(self, number: z3.ArithRef, spec: Mapping[str, Json]) -> Value:
         real = number.is_real()
@@ -208,7 +210,8 @@ class Space:
             self.facts.append(number < bound("exclusiveMaximum", 0, ceil))
         for key in ("enum", "const"):
             if key in spec:
-                listed = cast("list[float]", spec[key] if key == "enum" else [spec[key]])
+                given = cast("list[Json]", spec[key] if key == "enum" else [spec[key]])
+                listed = [value for value in given if isinstance(value, (int, float)) and not isinstance(value, bool)]
                 self.facts.append(some(number == (rational(float(value)) if real else value) for value in listed))
         return constant(number)
 

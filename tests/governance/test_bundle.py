@@ -555,6 +555,14 @@ def test_a_condition_may_name_those_of_its_list_alone():
 ACCEPTED_ONCE = "capability.name != 'moon' && profile.name != 'moon' && target.name != 'moon' && place.kind != 'moon'"
 
 
+def test_a_version_that_decided_once_decides_though_it_lists_what_no_proposal_could_have():
+    text = files()
+    text[GRASP] = text[GRASP].replace("x-ref: object", "x-ref: object, enum: [mug_1, 3, [box_1]]")
+    with pytest.raises(PolicyErrors, match="`3` is no string"):
+        bundle.load_files(text)
+    assert bundle.load_kept(text).gates
+
+
 def test_a_version_that_decided_once_decides_as_it_did_though_it_names_what_does_not_exist():
     text = files()
     text[ORG] = text[ORG].replace("when: tool.press && profile.shared_floor", f'when: "{ACCEPTED_ONCE}"')

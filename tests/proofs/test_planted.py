@@ -12,6 +12,7 @@ import z3
 from app.governance import bundle, cases
 from app.proofs.findings import Kind, Weight
 from app.proofs.prove import Report
+from app.proofs.space import Space
 from tests.governance.policy_world import files
 from tests.proofs.planted import HUMAN, ORGANIZATION, REAL, SIM, edited, promises, proved, proved_of, with_rules
 
@@ -328,3 +329,15 @@ def test_what_no_proposal_has_is_no_fault_of_the_encoding() -> None:
         "organization/middle": (Kind.DEAD, Weight.REFUTED),
         "organization/nobody": (Kind.DEAD, Weight.REFUTED),
     }
+
+
+def test_what_an_earlier_release_let_a_schema_list_is_left_out() -> None:
+    """A version that was in force once is compared with what comes after it, whatever stands in its lists."""
+    file = "capabilities/grasp_object.yaml"
+    text = edited(file, "x-ref: object", "x-ref: object, enum: [mug_1, 3, [box_1]]")[file]
+    text = text.replace("unit: N,", "unit: N, enum: [40, 20, true, few],").replace(
+        "  properties:\n", "  properties:\n    wet: {type: boolean, const: never}\n"
+    )
+    policy = bundle.load_kept({**files(), file: text})
+    space = Space(policy, policy.capabilities["grasp_object"])
+    assert [name for _, name in space.params["object_id"].value.cases] == ["mug_1"]
