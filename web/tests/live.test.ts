@@ -124,6 +124,8 @@ describe('the stage strip', () => {
     const over = 'Launch skipped, Watch skipped, Recover skipped, Outcome bad';
     expect(states({ status: 'denied', outcome: 'denied' })).toContain(over);
     expect(note('Launch', { status: 'denied', outcome: 'expired' })).toBe('not launched');
+    expect(['denied', 'expired', 'cancelled', 'stopped'].map((outcome) => note('Decision', { status: 'denied', outcome }))).toEqual(['denied', 'expired', 'cancelled', 'stopped']);
+    expect(states({ status: 'denied', outcome: 'cancelled' })).toContain('Decision skipped, Launch skipped');
     const held = [event('launch', {}), event('intervention', { intervention: 'ESCALATE' })];
     expect(note('Recover', { status: 'failed', outcome: 'terminated' }, held)).toBe('ended instead');
     expect(note('Recover', { status: 'failed', outcome: 'terminated' }, held.slice(0, 1))).toBe('not needed');

@@ -61,10 +61,15 @@ function proposal(invocation: Invocation, time: string): Stage {
 
 function decision(invocation: Invocation, asked: string): Stage {
   if (invocation.status === 'awaiting_approval') return { name: 'Decision', state: 'asks', note: asked };
-  if (invocation.status === 'denied') return { name: 'Decision', state: 'bad', note: invocation.outcome === 'expired' ? 'expired' : 'denied' };
+  if (invocation.status === 'denied') return undecided(invocation.outcome ?? 'denied');
   const policy = invocation.policy;
   if (policy === null) return unbegun('Decision', invocation, 'not decided');
   return { name: 'Decision', state: 'done', note: policy.changes.length === 0 ? 'allowed' : changed(policy.changes) };
+}
+
+/** What ended before it began: by a denial, by silence, or by a word that was no answer, as of who called it off. */
+function undecided(outcome: string): Stage {
+  return { name: 'Decision', state: outcomeTone(outcome) === 'quiet' ? 'skipped' : 'bad', note: outcomeWords(outcome) };
 }
 
 /** What is raised, or added, or another name is not cut. */
