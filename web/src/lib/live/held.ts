@@ -16,11 +16,11 @@ const WHEN_CLEAR = 'Go on once they have left';
 export function goingOn(asked: Pick<Escalation, 'invocation' | 'reasons'>, cell: Cell | null, events: readonly LogEvent[]): GoingOn {
   if (cell?.busy !== asked.invocation || cell.session?.violated.includes('separation') !== true) return PLAIN;
   if (asked.reasons.some(({ code }) => code === 'separation')) {
-    return { yes: WHEN_CLEAR, note: 'A person is still too near. If you let it go on, the robot waits until they have left, and asks again if they stay.' };
+    return { yes: WHEN_CLEAR, note: 'A person is still too near. Told to go on, the robot waits until they have left, and asks again if they stay.' };
   }
   const pauses = events.some(({ kind, invocation, body }) => kind === 'intervention' && invocation === asked.invocation && body['rule'] === 'separation' && body['intervention'] === 'PAUSE');
   if (!pauses) return { ...PLAIN, note: 'A person is too near now.' };
-  return { yes: WHEN_CLEAR, note: 'A person is too near now. If you let it go on, the robot waits until they have left.' };
+  return { yes: WHEN_CLEAR, note: 'A person is too near now. Told to go on, the robot waits until they have left.' };
 }
 
 /** Whether a denial of the open question rolls the session back: then that is the answer, and no order beside it. */
