@@ -35,6 +35,14 @@ UNSAID = """(() => {
     };
 })()"""
 
+# How many tones the page has let sound: three are an alarm. A machine that plays none takes its time to say so.
+TONES = """(() => {
+    window.tones = 0;
+    Object.defineProperty(AudioContext.prototype, 'state', { get: () => 'running' });
+    const make = AudioContext.prototype.createOscillator;
+    AudioContext.prototype.createOscillator = function () { window.tones += 1; return make.call(this); };
+})()"""
+
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 FIRST = "Grasp mug_1"
 # In the order of urgency, which is not the one they come in: the risk counts before the deadline.
@@ -247,10 +255,10 @@ def test_axe_finds_nothing_where_several_wait_in_two_cells(
     assert {name: what for name, what in found.items() if what} == {}
 
 
-def test_a_stop_from_the_fleet_page_that_is_not_confirmed_is_told_on_every_page_until_it_is(
+def test_a_stop_from_the_fleet_page_that_is_not_confirmed_is_told_on_every_page_until_it_is_and_then_as_another_cells(
     server: ServerProcess, people: People
 ) -> None:
-    person = people.sit(server, init=UNSAID)
+    person = people.sit(server, init=f"{UNSAID}; {TONES}")
     person.expects("ERR_FAILED|ERR_INTERNET_DISCONNECTED")
     said = person.alert("The stop of workcell-2 is not confirmed.")
     door = "**/v1/cells/workcell-2/estop"
@@ -270,7 +278,22 @@ def test_a_stop_from_the_fleet_page_that_is_not_confirmed_is_told_on_every_page_
     expect(said).to_have_count(0)
     assert cells_of(server)[1]["latched"]
     assert not cells_of(server)[0]["latched"]
-    assert server.post("/v1/cells/workcell-2/reset").is_success
+    latched = person.alert("Emergency stop: workcell-2 is latched, another cell than STOP is for.")
+    expect(latched).to_contain_text("Pressed by operator at")
+    assert person.page.evaluate("window.tones") == 3
+    expect(stop(person)).to_have_accessible_name("Emergency stop: stop workcell-1")
+    latched.get_by_role("link", name="See it on Fleet").click()
+    expect(card.get_by_role("button", name="Reset…")).to_be_visible()
+    expect(latched).to_have_count(0)  # its card tells of it there
+    person.press("2")
+    latched.get_by_role("button", name="Understood").click()
+    expect(latched).to_have_count(0)
+    for again in range(2):
+        assert server.post("/v1/cells/workcell-2/reset").is_success
+        expect(latched).to_have_count(0)
+        if not again:
+            assert server.post("/v1/cells/workcell-2/estop").is_success
+            expect(latched).to_be_visible()  # a new one is news
 
 
 def test_a_stop_on_the_fleets_page_stays_where_it_is_when_a_banner_comes_and_the_socket_alone_carries_it(

@@ -1,7 +1,7 @@
 import { describe, expect, it } from 'vitest';
 import type { Cell, LogEvent } from '../src/lib/api/documents';
 import { differences, takesOver } from '../src/lib/fleet/profiles';
-import { lastStopBy, secondsLeft, stopOf, unheardOf, VOIDED, whyWithdrawn } from '../src/lib/live/reset';
+import { lastStopBy, secondsLeft, stopOf, stoppedElsewhere, unheardOf, VOIDED, whyWithdrawn } from '../src/lib/live/reset';
 import { peopleWords } from '../src/lib/fleet/people';
 import { heard, profileBarrier, resetBarrier, samePolicy } from '../src/lib/fleet/rights';
 import { event } from './samples';
@@ -72,6 +72,11 @@ describe('the stop a cell is latched by', () => {
   it('is the first one since the reset before it, of this cell', () => {
     const log = [word('estop', 'ann'), word('reset', 'ann'), word('estop', 'eve', 'workcell-2'), word('estop', 'bob'), word('estop', 'ann')];
     expect(stopOf('workcell-1', log)).toEqual({ by: 'bob', at: '2026-11-22T10:00:01.000Z' });
+  });
+  it('is told of every cell but the one that is looked at, and as confirmed only where the cell is heard', () => {
+    const log = [word('estop', 'eve', 'workcell-2')];
+    const cells = ['workcell-1', 'workcell-2', 'workcell-3', 'workcell-4'].map((id, k) => cell({ id, latched: k < 3, online: k < 2 }));
+    expect(stoppedElsewhere(cells, 'workcell-1', log)).toEqual([{ cell: 'workcell-2', heard: true, stop: { by: 'eve', at: log[0]?.at } }, { cell: 'workcell-3', heard: false, stop: null }]);
   });
   it('was last pressed by somebody where the record says so of them and of this cell', () => {
     const log = [word('estop', 'ann'), word('estop', 'bob'), word('reset', 'ann'), word('estop', 'ann', 'workcell-2')];

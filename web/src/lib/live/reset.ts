@@ -1,4 +1,4 @@
-import type { LogEvent } from '../api/documents';
+import type { Cell, LogEvent } from '../api/documents';
 
 const CLOCKS_MS = 1_000;
 /** What the server says of a second step that is none any more, where nothing else tells why. */
@@ -23,6 +23,20 @@ export function stopOf(cell: string, events: readonly LogEvent[]): { by: string;
     else if (isUnheard(event)) stop ??= left;
   }
   return stop === null ? null : { by: stop.actor, at: stop.at };
+}
+
+/** The stop of a cell that one does not look at. */
+export interface StopElsewhere {
+  cell: string;
+  /** Whether the cell is heard: one that is not has confirmed nothing. */
+  heard: boolean;
+  /** Who pressed it, and when; null where the record of it is not here. */
+  stop: { by: string; at: string } | null;
+}
+
+/** The cells that are stopped, but the one that is looked at: its own banner tells of that one. */
+export function stoppedElsewhere(cells: readonly Cell[], here: string | null, events: readonly LogEvent[]): StopElsewhere[] {
+  return cells.filter(({ id, latched }) => latched && id !== here).map(({ id, online }) => ({ cell: id, heard: online, stop: stopOf(id, events) }));
 }
 
 /** Whose reset the cell was not heard to have had, if that was the last word on its stop; null: nobody's. */
