@@ -21,6 +21,23 @@ if TYPE_CHECKING:
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 
 
+# Presses R over and over from when a pause is shown, for less time than it takes to read whose it is.
+PRESS_WHAT_CAME = """() => {
+    let sinceMs = null;
+    const timer = setInterval(() => {
+        if (sinceMs === null && document.body.innerText.includes('Paused, holding')) sinceMs = performance.now();
+        if (sinceMs === null) return;
+        if (performance.now() - sinceMs > 500) {
+            clearInterval(timer);
+            window.pressed = true;
+            return;
+        }
+        const how = { key: 'r', code: 'KeyR', bubbles: true, cancelable: true };
+        for (const what of ['keydown', 'keyup']) document.body.dispatchEvent(new KeyboardEvent(what, how));
+    }, 20);
+}"""
+
+
 def robot(person: Person) -> Locator:
     """What the robot says of itself, in the header."""
     return person.page.locator("header dl.facts")
@@ -107,12 +124,21 @@ def test_a_session_is_paused_by_one_key_however_often_resumed_by_another_and_a_r
     server.await_status(drive["id"], "paused")
     until(lambda: floor.speed() < 0.01, what="a base at rest")
     expect(person.region("Events")).to_contain_text("operator paused the session")
+    server.post(f"/v1/invocations/{drive['id']}/resume")
+    expect(robot(person)).to_contain_text("Running")
+    asked: list[str] = []
+    person.hears("request", lambda request: asked.append(request.url) if request.url.endswith("/resume") else None)
+    person.page.evaluate(PRESS_WHAT_CAME)
+    server.post(f"/v1/invocations/{drive['id']}/pause", key="operator_2")
+    until(lambda: person.page.evaluate("window.pressed") or person.page.wait_for_timeout(20), what="keys pressed")
+    assert asked == []  # nobody has seen yet that another one paused it
+    expect(person.button("Resume")).to_be_enabled()
     person.press("r")
     expect(robot(person)).to_contain_text("Running")
     until(lambda: floor.speed() > 0.05, what="a base that moves again")
     trace = server.get(f"/v1/invocations/{drive['id']}/trace")["items"]
     said = [event["body"]["op"] for event in trace if event["kind"] == "human"]
-    assert said == ["pause", "pause", "resume", "resume"]  # the server says it, and the cell that it has done it
+    assert said == ["pause", "pause", "resume", "resume"] * 2  # the server says it, and the cell that it has done it
 
     floor.clear()
     expect(robot(person)).to_contain_text("Idle")

@@ -159,8 +159,12 @@ export function restraintsOf(status: string | null, { operator }: Holders): { pa
 
 /** Who paused a session last, as the record says it: the server notes a person's word with their role, the cell only its echo. */
 export function pauserOf(events: readonly LogEvent[], invocation: string | null): string | null {
-  const word = events.findLast((event) => event.kind === 'human' && event.invocation === invocation && event.body['op'] === 'pause' && 'role' in event.body);
-  return word?.actor ?? null;
+  return pauseOf(events, invocation)?.actor ?? null;
+}
+
+/** The newest pause of a session, as the record has it: the one that a resume would end. */
+export function pauseOf(events: readonly LogEvent[], invocation: string | null): LogEvent | null {
+  return events.findLast((event) => event.kind === 'human' && event.invocation === invocation && event.body['op'] === 'pause' && 'role' in event.body) ?? null;
 }
 
 /** Whose pause ended when somebody took the controls, for who drives and who paused; null where none stood then. */
