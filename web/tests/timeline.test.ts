@@ -1,8 +1,8 @@
 import { afterEach, describe, expect, it, vi } from 'vitest';
-import type { LogEvent, Telemetry } from '../src/lib/api/documents';
+import type { InputSchema, LogEvent, Telemetry } from '../src/lib/api/documents';
 import { Axis } from '../src/lib/audit/axis';
 import { Player, type Recording } from '../src/lib/audit/player.svelte';
-import { authorizedOf, frameAt, topOf, TRACES } from '../src/lib/audit/replay';
+import { authorizedAlong, authorizedOf, boundAt, frameAt, topOf, TRACES } from '../src/lib/audit/replay';
 import { guardAt, MEASURED } from '../src/lib/scene/separation';
 import { aheadOf, beginningOf, eventAt, goodForS, measuredAt, offset, outside, partsOf, rowAt, stepTo, timelineOf } from '../src/lib/audit/timeline';
 
@@ -309,5 +309,28 @@ describe('a plot', () => {
   it('has the line that was authorized where a parameter falls under a limit of its name', () => {
     const inputs = { speed_mps: { 'x-limit': 'base_speed_mps' }, clearance_m: {}, target: { 'x-limit': 'tcp_speed_mps' } };
     expect(authorizedOf({ speed_mps: 0.3, clearance_m: 0.3, target: 'dock', constructor: 1 }, inputs)).toEqual({ base_speed_mps: 0.3 });
+  });
+
+  it('has the line of what moves the robot then: of a recovery, of who drives it, and of the attempt that follows', () => {
+    const limits: Record<string, string> = { navigate_to: 'base_speed_mps', reposition_base: 'base_speed_mps', grasp_object: 'tcp_speed_mps' };
+    const under = (capability: string, speed: number): LogEvent['body'] => ({ capability, params: { speed_mps: speed } });
+    const anew: LogEvent['body'] = { reason: 'new_attempt' };
+    const told: [string, LogEvent['body']][] = [
+      ['launch', { ...under('navigate_to', 0.9), refused: 'busy' }],
+      ['launch', under('navigate_to', 0.3)],
+      ['recovery', { ...under('reposition_base', 0.15), strategy: 'RECOVERY_CAPABILITY' }],
+      ['status', anew],
+      ['recovery', { ...under('navigate_to', 0.2), strategy: 'SAFER_MODE' }],
+      ['status', anew],
+      ['recovery', { strategy: 'ASK_HUMAN', capability: null, params: {} }],
+      ['recovery', { strategy: 'RETRY' }], // somebody let it try again
+      ['status', anew],
+      ['recovery', { ...under('retrace', 0.15), strategy: 'ROLLBACK' }], // which falls under no one limit
+      ['launch', under('grasp_object', 0.1)],
+    ];
+    const { placed } = timelineOf(told.map(([kind, body], k) => ({ ...event(k, k), kind, body })), null);
+    const along = authorizedAlong(placed, (capability) => ({ speed_mps: { 'x-limit': limits[capability] } }) as Record<string, InputSchema>);
+    expect(placed.map(({ atS }) => boundAt(along, 'base_speed_mps', atS))).toEqual([null, 0.3, 0.15, 0.3, 0.2, 0.2, 0.2, 0.2, 0.3, null, null]);
+    expect([boundAt(along, 'base_speed_mps', 2.5), boundAt(along, 'tcp_speed_mps', 10)]).toEqual([0.15, 0.1]);
   });
 });

@@ -1,7 +1,8 @@
-import type { InputSchema, Params, Telemetry } from '../api/documents';
+import type { InputSchema, Json, Params, Telemetry } from '../api/documents';
 import { entryOf } from '../format/entry';
 import type { PoseFrame } from '../socket/frame';
 import { bodiesOf, toolError, type Posture } from './kinematics';
+import type { Placed } from './timeline';
 
 const FAR_M = 90;
 /** A sighting older than this says nothing of where somebody is; the tracker's are recorded five times a second. */
@@ -127,6 +128,47 @@ export function valuesOf(telemetry: Telemetry, channel: string): (number | null)
 export function topOf({ span }: Trace, ...columns: readonly (readonly (number | null)[])[]): number {
   const most = columns.flat().reduce<number>((top, value) => Math.max(top, value ?? 0), 0);
   return most > span ? 1.1 * most : span;
+}
+
+/** What was authorized from a moment on, s: what each channel may reach, by its name. */
+export interface Authorized {
+  fromS: number;
+  bounds: Readonly<Record<string, number>>;
+}
+
+/** Such a recovery is the attempt itself, made anew under what it was covered with. */
+const ATTEMPTS: ReadonlySet<Json | undefined> = new Set(['RETRY', 'SAFER_MODE']);
+
+/**
+ * What was authorized along a trace. Each launch has parameters of its own, as when somebody takes over, and so has each recovery
+ * that it covers; the new attempt behind that is under those of the launch again.
+ */
+export function authorizedAlong(placed: readonly Placed[], inputsOf: (capability: string) => Record<string, InputSchema>): Authorized[] {
+  let launched: Authorized['bounds'] = {};
+  let anew = launched; // what the next attempt is under
+  return placed.flatMap(({ event: { kind, body }, atS }): Authorized[] => {
+    const { capability, params, reason, strategy } = body;
+    const own = typeof capability === 'string' && isParams(params) ? authorizedOf(params, inputsOf(capability)) : null;
+    if (kind === 'launch' && !('refused' in body)) {
+      launched = anew = own ?? {};
+      return [{ fromS: atS, bounds: launched }];
+    }
+    if (kind === 'recovery') {
+      anew = own !== null && ATTEMPTS.has(strategy) ? own : launched;
+      return own === null ? [] : [{ fromS: atS, bounds: own }]; // else it moves nothing, or is the attempt that was launched
+    }
+    return kind === 'status' && reason === 'new_attempt' ? [{ fromS: atS, bounds: anew }] : [];
+  });
+}
+
+function isParams(said: Json | undefined): said is Params {
+  return typeof said === 'object' && said !== null && !Array.isArray(said);
+}
+
+/** What a channel was authorized to reach at a moment; null where nothing bounds it. */
+export function boundAt(along: readonly Authorized[], channel: string, atS: number): number | null {
+  const now = along.findLast(({ fromS }) => fromS <= atS);
+  return now === undefined ? null : (entryOf(now.bounds, channel) ?? null);
 }
 
 /** What a channel was authorized to reach, by its name: the parameters say it that fall under a limit of that name. */
