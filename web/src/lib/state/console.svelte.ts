@@ -1,6 +1,6 @@
 import { SvelteMap } from 'svelte/reactivity';
 import { Api } from '../api/client';
-import type { Capability, Cell, Escalation, InputSchema, Invocation, LogEvent, PolicySet } from '../api/documents';
+import type { Capability, Cell, Escalation, InputSchema, Invocation, LogEvent, PolicySet, Review } from '../api/documents';
 import { entryOf } from '../format/entry';
 import { turnedAway, type Known } from '../format/events';
 import { Lasting, withLasting } from '../live/lasting';
@@ -115,7 +115,7 @@ export class Console {
     this.api = new Api(token);
     this.titles = new Titles(this.api);
     this.revoking = new Revoking(this.api);
-    this.reviewing = new Reviewing(this.api, () => this.me?.name ?? null, (review) => this.titles.of(review));
+    this.reviewing = new Reviewing(this.api, () => this.me?.name ?? null, (review) => this.reviewed(review));
     this.link = new Link(token, {
       message: (message) => this.take(message),
       frame: (frame) => this.show(frame),
@@ -130,6 +130,10 @@ export class Console {
       this.quietly = this.quiet.look(performance.now());
     }, QUIET_LOOK_MS);
     this.looking = setInterval(() => void this.list(), LOOK_MS);
+  }
+
+  private reviewed(review: Review): string {
+    return this.titles.of(review) + (this.cells.length > 1 && review.cell !== null ? ` in ${review.cell}` : '');
   }
 
   /** Whether what is shown may be taken as the present. */

@@ -1,0 +1,23 @@
+import type { Escalation } from '../api/documents';
+import { heldIn, titleOf } from '../format/capability';
+import { figuresOf } from '../format/quantity';
+import type { Documents } from '../state/documents';
+
+type Known = Pick<Documents, 'cells' | 'escalations'>;
+
+/** What is asked, and where, if there are several cells. */
+export function placedOf({ capability, effective, cell }: Pick<Escalation, 'capability' | 'effective' | 'cell'>, { cells }: Pick<Known, 'cells'>): string {
+  const where = Object.keys(cells).length > 1 && cell != null ? ` in ${cell}` : '';
+  return titleOf(capability, effective, heldIn(cells, cell)) + where;
+}
+
+/** Whether another one that waits reads the same. */
+export function isAlike(asked: Escalation, known: Known): boolean {
+  return Object.values(known.escalations).some((other) => other.id !== asked.id && placedOf(other, known) === placedOf(asked, known));
+}
+
+/** What a question is called where it does not stand before one, as in a notice; one that reads as another does also by who asks, and its figures. */
+export function calledOf(asked: Escalation, known: Known): string {
+  const apart = [asked.agent, figuresOf(asked.effective)].filter((part) => part !== '').join(', ');
+  return placedOf(asked, known) + (isAlike(asked, known) ? ` (${apart})` : '');
+}
