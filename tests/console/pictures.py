@@ -28,6 +28,8 @@ people:
 
 
 def shoot(person: Person, name: str) -> None:
+    for _ in range(2):
+        person.press("m")  # a key lets the sound begin
     person.page.mouse.move(0, 0)
     person.page.wait_for_timeout(1_500)  # plots and scene fill; nothing is decided on it
     person.page.screenshot(path=FOLDER / f"{name}.png")

@@ -3,6 +3,7 @@ import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
 class FakeAudio {
   static made: FakeAudio[] = [];
   state = 'suspended';
+  onstatechange: () => void = () => undefined;
   currentTime = 0;
   destination = {};
   began = 0;
@@ -28,9 +29,9 @@ describe('the sound of a new question', () => {
   });
   afterEach(() => vi.unstubAllGlobals());
 
-  async function sound(active: boolean): Promise<typeof import('../src/lib/alarm/sound')> {
+  async function sound(active: boolean): Promise<typeof import('../src/lib/alarm/sound.svelte')> {
     vi.stubGlobal('navigator', { userActivation: { hasBeenActive: active } });
-    return import('../src/lib/alarm/sound');
+    return import('../src/lib/alarm/sound.svelte');
   }
 
   it('asks the browser for nothing before a gesture', async () => {
@@ -50,5 +51,22 @@ describe('the sound of a new question', () => {
     if (audio !== undefined) audio.state = 'running';
     playTones(ASKS);
     expect([audio?.began, FakeAudio.made.length]).toEqual([2, 1]);
+  });
+
+  it('is not called on before the browser lets the page sound, and the press that lets it switches nothing off', async () => {
+    vi.useFakeTimers();
+    const { wakeSound, audible } = await sound(true);
+    expect([audible.now, audible.begins]).toEqual([false, true]);
+    wakeSound();
+    await vi.advanceTimersByTimeAsync(2_000); // a machine without a loudspeaker lets it never
+    expect([audible.now, audible.begins]).toEqual([false, false]);
+    const [audio] = FakeAudio.made;
+    for (const state of ['running', 'suspended']) {
+      if (audio !== undefined) audio.state = state;
+      audio?.onstatechange();
+      expect([audible.now, audible.begins]).toEqual([state === 'running', true]);
+      await vi.advanceTimersByTimeAsync(500);
+    }
+    vi.useRealTimers();
   });
 });
