@@ -58,6 +58,8 @@ describe('words', () => {
   it('say what a proposal would do', () => {
     expect(titleOf('transport_object', { target: 'bench_b_stand' }, 'glass_1')).toBe('Carry glass_1 to bench_b');
     expect(titleOf('polish_lens', {})).toBe('Polish lens');
+    expect(titleOf('polish_lens', { with: 'cloth', lens: 'lens_2', force_n: 3, dry: true })).toBe('Polish lens: lens_2, cloth');
+    expect(titleOf('polish_lens', { lens: 'x'.repeat(500) }).length).toBeLessThan(180);
   });
 
   it('tell events', () => {

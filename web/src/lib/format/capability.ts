@@ -1,6 +1,6 @@
 import type { Cell, Params } from '../api/documents';
 import { entryOf } from './entry';
-import { plain } from './plain';
+import { inBrief, plain } from './plain';
 
 function text(params: Params, name: string): string | null {
   const value = params[name];
@@ -33,9 +33,15 @@ export function words(name: string): string {
   return spaced.charAt(0).toUpperCase() + spaced.slice(1);
 }
 
-/** What a proposal would do, as a short sentence: `Carry glass_1 to bench_b`. */
+/** Of a capability that only its own policy knows: what it is called, and the things and places that it names. */
+function named(capability: string, params: Params): string {
+  const names = Object.keys(params).sort().map((name) => text(params, name)).filter((name) => name !== null && name !== '');
+  return names.length === 0 ? words(capability) : `${words(capability)}: ${inBrief(names.join(', '))}`;
+}
+
+/** What a proposal would do, as a short sentence: `Carry glass_1 to bench_b`, `Polish lens: lens_2`. */
 export function titleOf(capability: string, params: Params, holding: string | null = null): string {
-  return plain(entryOf(SENTENCES, capability)?.(params, holding ?? 'what it holds') ?? words(capability));
+  return plain(entryOf(SENTENCES, capability)?.(params, holding ?? 'what it holds') ?? named(capability, params));
 }
 
 /** What the gripper of a cell holds, as far as that is known: of the cell in question, which need not be the one looked at. */
