@@ -242,7 +242,7 @@ def test_axe_finds_nothing_where_several_wait_in_two_cells(
     expect(cards(person)).to_have_accessible_name(REST[0])
     if size == PHONE:  # the bar's answers are another cell's than its stop
         expect(person.page.locator("footer .docked")).to_have_text(re.compile(rf"^{REST[0]}\s*workcell-2\s*\d:\d\d$"))
-    expect(person.button(re.compile(rf"^next in .* \(open {FIRST}\)$"))).to_be_visible()
+    expect(person.button(re.compile(rf"^next in .* \(open {FIRST} in workcell-1\)$"))).to_be_visible()
     found["next"] = faults(person.page, axe)
     person.page.evaluate("location.hash = '#/fleet'")
     expect(person.page.get_by_role("heading", name="workcell-2")).to_be_visible()

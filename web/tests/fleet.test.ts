@@ -1,6 +1,7 @@
 import { describe, expect, it } from 'vitest';
 import type { Cell, LogEvent } from '../src/lib/api/documents';
-import { differences, takesOver } from '../src/lib/fleet/profiles';
+import { differences } from '../src/lib/fleet/profiles';
+import { takesOver } from '../src/lib/fleet/takes';
 import { lastStopBy, secondsLeft, stopOf, stoppedElsewhere, unheardOf, VOIDED, whyWithdrawn } from '../src/lib/live/reset';
 import { peopleWords } from '../src/lib/fleet/people';
 import { heard, profileBarrier, resetBarrier, samePolicy } from '../src/lib/fleet/rights';

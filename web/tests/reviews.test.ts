@@ -3,7 +3,8 @@ import { ApiError } from '../src/lib/api/client';
 import type { Invocation, Review, ReviewVerdict } from '../src/lib/api/documents';
 import { eventLine } from '../src/lib/format/events';
 import { Reviewing, type Draft } from '../src/lib/live/reviewing.svelte';
-import { dueWords, judgedOf, reviewOf, shownWords, waitingOf } from '../src/lib/live/reviews';
+import { reviewOf } from '../src/lib/audit/reviewed';
+import { dueWords, judgedOf, shownWords, waitingOf } from '../src/lib/live/reviews';
 import { Titles } from '../src/lib/live/titles.svelte';
 import { event, invocation } from './samples';
 

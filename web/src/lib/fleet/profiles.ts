@@ -48,8 +48,3 @@ function asking(facts: ProfileFacts): string {
   const modes = facts.authority?.modes ?? [];
   return RANK.findLast((mode) => modes.includes(mode)) ?? 'nobody is asked';
 }
-
-/** Whether a person may take the controls there; where it is not known yet, the server says so. */
-export function takesOver(facts: ProfileFacts | undefined): boolean {
-  return facts === undefined || (facts.authority?.modes ?? []).includes('takeover-enabled');
-}

@@ -3,7 +3,7 @@
  * spaces, of which a browser draws each but the plain ones; and marks on a letter beyond those that any script needs, which
  * are drawn over the lines above and below.
  */
-const UNSEEN = new RegExp(
+export const UNSEEN = new RegExp(
   String.raw`(?!${joiners()})\p{Cf}|[\u115F\u1160\u2800\u3164\uFFA0]|(?<=\p{Z})(?! )\p{Z}|(?<=\p{M}{4})\p{M}+`,
   'gu',
 );
@@ -33,10 +33,4 @@ export function inBrief(said: string): string {
   const line = plain(said.replace(/[\p{Z}\p{Cc}]+/gu, ' ').replace(/(\p{M}{2})\p{M}+/gu, '$1')).trim();
   const characters = Array.from(line); // and no half of one
   return characters.length <= MOST ? line : `${characters.slice(0, MOST - 1).join('')}…`;
-}
-
-/** A document as it was recorded, where such characters stand as JSON escapes them: nothing is lost, and nothing turns around. */
-export function recorded(document: unknown): string {
-  const escaped = (unit: string): string => `\\u${unit.charCodeAt(0).toString(16).padStart(4, '0')}`;
-  return JSON.stringify(document, null, 2).replace(UNSEEN, (characters) => characters.split('').map(escaped).join(''));
 }

@@ -1,4 +1,4 @@
-import type { Json, LogEvent, Review, ReviewVerdict, Risk } from '../api/documents';
+import type { Review, ReviewVerdict, Risk } from '../api/documents';
 import { entryOf } from '../format/entry';
 import { plain } from '../format/plain';
 import { outcomeWords } from '../format/status';
@@ -34,14 +34,6 @@ function gravity({ risk }: Review): number {
 
 function inOrder(a: string, b: string): number {
   return a < b ? -1 : a > b ? 1 : 0;
-}
-
-/** The review of a session: the newest version that is known, or else the one that its trace ends with. */
-export function reviewOf(invocation: string, known: Readonly<Record<string, Review>>, trace: readonly LogEvent[]): Review | null {
-  const told = Object.values(known).find((review) => review.invocation === invocation);
-  if (told !== undefined) return told;
-  const recorded: Json | undefined = trace.findLast((event) => event.kind === 'review')?.body['review'];
-  return recorded === null || typeof recorded !== 'object' ? null : (recorded as unknown as Review);
 }
 
 /** Why a review is due, as one sentence. */
