@@ -279,7 +279,9 @@ def test_a_stop_from_the_fleet_page_that_is_not_confirmed_is_told_on_every_page_
     expect(said).to_have_count(0)
     assert cells_of(server)[1]["latched"]
     assert not cells_of(server)[0]["latched"]
-    latched = person.alert("Emergency stop: workcell-2 is latched, another cell than STOP is for. Pressed by operator at")
+    latched = person.alert(
+        "Emergency stop: workcell-2 is latched, another cell than STOP is for. Pressed by operator at"
+    )
     expect(latched).to_be_visible()
     assert box(person.page.get_by_label("Cell", exact=True))["width"] == width
     assert person.page.evaluate("window.tones") == 3

@@ -147,18 +147,22 @@ export function authorizedAlong(placed: readonly Placed[], inputsOf: (capability
   let launched: Authorized['bounds'] = {};
   let anew = launched; // what the next attempt is under
   return placed.flatMap(({ event: { kind, body }, atS }): Authorized[] => {
-    const { capability, params, reason, strategy } = body;
-    const own = typeof capability === 'string' && isParams(params) ? authorizedOf(params, inputsOf(capability)) : null;
+    const own = boundsIn(body, inputsOf);
     if (kind === 'launch' && !('refused' in body)) {
       launched = anew = own ?? {};
       return [{ fromS: atS, bounds: launched }];
     }
     if (kind === 'recovery') {
-      anew = own !== null && ATTEMPTS.has(strategy) ? own : launched;
+      anew = own !== null && ATTEMPTS.has(body['strategy']) ? own : launched;
       return own === null ? [] : [{ fromS: atS, bounds: own }]; // else it moves nothing, or is the attempt that was launched
     }
-    return kind === 'status' && reason === 'new_attempt' ? [{ fromS: atS, bounds: anew }] : [];
+    return kind === 'status' && body['reason'] === 'new_attempt' ? [{ fromS: atS, bounds: anew }] : [];
   });
+}
+
+/** What an event says that something was authorized to; null where it names nothing that moves. */
+function boundsIn({ capability, params }: Record<string, Json>, inputsOf: (capability: string) => Record<string, InputSchema>): Authorized['bounds'] | null {
+  return typeof capability === 'string' && isParams(params) ? authorizedOf(params, inputsOf(capability)) : null;
 }
 
 function isParams(said: Json | undefined): said is Params {
