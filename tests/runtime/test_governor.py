@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import base64
+from collections import Counter
 from dataclasses import replace
 from typing import Any
 
@@ -16,6 +17,7 @@ from app.runtime import cell_controls, register
 from app.runtime import fleet as fleet_module
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, InvalidParams, NotFound
+from app.runtime.governor import Governor
 from app.runtime.invocation import ProposalRequest
 
 from .conftest import (
@@ -34,6 +36,11 @@ from .conftest import (
 )
 
 pytestmark = pytest.mark.anyio
+
+
+def test_no_part_of_the_governor_takes_a_name_of_another():
+    names = Counter(name for part in Governor.__mro__[:-1] for name in vars(part) if not name.startswith("__"))
+    assert [name for name, times in names.items() if times > 1] == []
 
 
 async def kinds(runtime: Runtime, invocation: str) -> list[str]:
