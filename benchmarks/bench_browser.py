@@ -191,7 +191,7 @@ def first_load(browser: Browser, served: Served, loads: int) -> None:
             times_ms.append(page.evaluate("window.notes.drawn"))
             sizes.append(sum(came))
     print(f"first load, nothing cached, {loads} times:")
-    print(f"  {max(sizes) / 1000:.0f} kB over the wire (at most 300 kB)")
+    print(f"  {max(sizes) / 1000:.1f} kB over the wire (at most 300 kB)")
     print(
         f"  cell drawn after {statistics.median(times_ms):.0f} ms median, {max(times_ms):.0f} ms most (at most 1500 ms)"
     )

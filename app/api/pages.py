@@ -57,6 +57,13 @@ PAGE_HEADERS: Final = (
     (b"cross-origin-opener-policy", b"same-origin"),
     (b"cross-origin-resource-policy", b"same-origin"),
 )
+PART_HEADERS: Final = tuple(
+    (name, value)
+    for name, value in PAGE_HEADERS
+    if name in {b"x-content-type-options", b"cross-origin-resource-policy"}
+)
+PARTS: Final = ("text/css", "font/")
+"""What a page is made of and never is one itself; a script may be a worker, and a picture may be opened alone."""
 NOT_BUILT: Final = b"""<!doctype html>
 <html lang="en">
 <meta charset="utf-8">
@@ -79,6 +86,11 @@ class Page:
     media_type: str
     kept: str
     forms: Mapping[str, bytes]
+
+    @property
+    def headers(self) -> tuple[tuple[bytes, bytes], ...]:
+        """Return what holds it to its own server."""
+        return PART_HEADERS if self.media_type.startswith(PARTS) else PAGE_HEADERS
 
     def response(self, accepted: str) -> Response:
         """Return the page in the best form that is accepted."""
@@ -130,7 +142,7 @@ async def file(request: Request) -> Response:
     page = pages.get(request.url.path.removeprefix("/"))
     if page is None:
         raise Problem("not_found", "there is nothing at this path")
-    request.scope[HEADERS] = PAGE_HEADERS
+    request.scope[HEADERS] = page.headers
     return page.response(request.headers.get("accept-encoding", ""))
 
 

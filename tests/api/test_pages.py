@@ -63,6 +63,13 @@ async def test_every_page_runs_nothing_but_its_own(built: House, path: str) -> N
     assert headers["cross-origin-opener-policy"] == headers["cross-origin-resource-policy"] == "same-origin"
 
 
+async def test_what_a_page_is_made_of_is_for_its_own_server_alone_and_nothing_but_what_it_says(built: House) -> None:
+    headers = (await ask(built, "/assets/plain.css")).headers
+    assert headers["x-content-type-options"] == "nosniff"
+    assert headers["cross-origin-resource-policy"] == "same-origin"
+    assert "content-security-policy" not in headers
+
+
 async def test_the_api_keeps_its_own_headers(built: House) -> None:
     answer = await ask(built, "/healthz")
     assert answer.headers["content-security-policy"] == "default-src 'none'; frame-ancestors 'none'"
