@@ -407,10 +407,13 @@ def insist(
     """
     idle = person.page.get_by_text("Hold to run; let go to stop")
     asked = person.page.get_by_text("let go of everything, then press again")
+    pad = person.page.get_by_role("group", name="Hold to run")
     expect(idle).to_be_visible()  # nothing counts before
     press()
 
     def done() -> bool:
+        if not pad.count():
+            pytest.fail(f"the controls went before {what}")
         if idle.is_visible() or asked.is_visible():
             release()
             expect(asked).to_be_hidden()
