@@ -15,7 +15,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help setup console demo run test check bench evaluate pictures format lock clean \
-  test-served test-processes test-sessions test-shown test-console test-driven test-runtime test-evaluation test-campaigns \
+  test-served test-processes test-sessions test-shown test-console test-runtime test-evaluation test-campaigns \
   test-proofs test-rules test-authoring test-sim test-pages check-types check-policy check-console check-code
 
 help:  ## list the targets
@@ -53,22 +53,20 @@ run: setup  ## a server with one simulated cell and a demo agent; keeps running
 	@$(BIN)/reins demo --keep --port 8000
 
 test: setup  ## the whole test suite; what decides and what proves covered to the last branch
-	@$(MAKE) --no-print-directory --keep-going -j5 test-served test-console test-driven test-runtime $(COMPUTING)
+	@$(MAKE) --no-print-directory --keep-going -j5 test-served test-console test-evaluation test-campaigns test-runtime $(COMPUTING)
 
-# For two cores, five at a time. What starts servers and cells mostly waits, and so does what somebody does at a console:
-# a lane for the first, two for the second, none longer than the others, and one for what serves within one process.
-# Leases of 300 ms are real time there. What only computes fills the cores and gives way, the longest first. What is named
-# nowhere runs with the processes, or at the first console.
+# For two cores, five at a time, the longest first. What starts servers and cells mostly waits, and so does what drives a
+# robot at a console: one lane each, as long as the other, and a third for what serves within one process. Leases of
+# 300 ms are real time there. What only computes fills the cores and gives way. What is named nowhere runs with the processes.
 WATCHED := tests/test_demo.py tests/test_takeover.py tests/console
-DRIVEN := tests/test_takeover.py $(patsubst %,tests/console/test_%.py,driving operating phone pressing)
-SHOWN := $(patsubst %,tests/console/test_%.py,names reading reviewing scene versions)
+SHOWN := $(patsubst %,tests/console/test_%.py,names phone pressing reading reviewing scene versions)
 SESSIONS := $(patsubst %,tests/test_%.py,activation confirmation console contract crash_recovering)
 AUTHORED := tests/authoring tests/test_cli_authoring.py tests/test_assayer.py
 SIMULATED := tests/sim tests/test_cli.py tests/test_disk.py tests/test_ordeal.py
 CAMPAIGNS := $(patsubst %,tests/evaluation/test_%.py,campaign cli_evaluate draws physical_tasks studies)
 WITHIN := tests/runtime tests/api tests/agent tests/cell
 ELSEWHERE := $(MEASURED) $(COMPARED) tests/evaluation tests/proofs $(WITHIN) $(AUTHORED) $(SIMULATED) $(SESSIONS) $(WATCHED)
-COMPUTING := test-rules test-proofs test-evaluation test-campaigns test-sim test-authoring test-pages
+COMPUTING := test-proofs test-rules test-sim test-authoring test-pages
 PYTEST := $(BIN)/python -m pytest -p no:cacheprovider
 GIVING_WAY := nice -n 19
 
@@ -82,12 +80,9 @@ test-processes: $(STAMP)
 test-sessions: $(STAMP)
 	@$(PYTEST) $(SESSIONS)
 
-# These three build the console themselves if it changed: one more step before them would cost them their place in the row.
+# These two build the console themselves if it changed: one more step before them would cost them their place in the row.
 test-console: $(STAMP)
-	@$(PYTEST) $(filter-out $(DRIVEN),$(WATCHED)) $(SHOWN:%=--ignore=%) $(DRIVEN:%=--ignore=%)
-
-test-driven: $(STAMP)
-	@$(PYTEST) $(DRIVEN)
+	@$(PYTEST) $(WATCHED) $(SHOWN:%=--ignore=%)
 
 test-shown: $(STAMP)
 	@$(PYTEST) $(SHOWN)

@@ -61,17 +61,26 @@ def red(person: Person) -> int:
 
 @pytest.fixture(scope="module")
 def crossed(built: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
-    """A server whose robot drives, and is held by somebody who comes and stays; from then on neither moves."""
+    """A server whose robot is held, once it drives, by somebody who comes and stays; from then on neither moves."""
     folder = tmp_path_factory.mktemp("crossed")
     scenario = folder / "scenario.yaml"
     scenario.write_text(WALKS_UP)
     servers = Servers(folder)
     try:
         server = servers.start(None, "--pace", "1", "--scenario", str(scenario))
-        server.launch("navigate_to", target="bench_b_stand")
         yield server
     finally:
         servers.end()
+
+
+def held_anew(server: ServerProcess) -> str:
+    """Have the robot drive, or told to go on, and so held for as long as the watcher holds before it asks."""
+    known = server.get("/v1/invocations")["items"]
+    if not known:
+        return server.launch("navigate_to", target="bench_b_stand")["id"]
+    for word in ("pause", "resume"):
+        assert server.post(f"/v1/invocations/{known[0]['id']}/{word}").is_success
+    return known[0]["id"]
 
 
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
@@ -81,6 +90,7 @@ def test_whom_the_watcher_holds_is_paused_to_stay_and_resumed_only_then(
 ) -> None:
     person = people.sit(crossed, size=size)
     scene, pause, resume = person.region("The cell in 3D"), person.button("Pause"), person.button("Resume")
+    held_anew(crossed)
     expect(scene).to_contain_text("It goes on by itself once they have left, unless somebody pauses it.")
     expect(pause).to_have_attribute("aria-disabled", "false")
     expect(resume).to_have_attribute("aria-disabled", "true")
@@ -96,7 +106,7 @@ def test_whom_the_watcher_holds_is_paused_to_stay_and_resumed_only_then(
 def test_who_comes_to_a_robot_that_holds_sees_the_violated_distance_in_red(
     crossed: ServerProcess, people: People
 ) -> None:
-    held = crossed.await_status(crossed.get("/v1/invocations")["items"][0]["id"], "escalated")
+    held = crossed.await_status(held_anew(crossed), "escalated")
     why = crossed.get(f"/v1/escalations/{held['escalation']['id']}")["reasons"]
     assert "separation" in [reason["code"] for reason in why], why
     person = people.sit(crossed)

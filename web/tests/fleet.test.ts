@@ -2,7 +2,7 @@ import { describe, expect, it } from 'vitest';
 import type { Cell, LogEvent } from '../src/lib/api/documents';
 import { differences } from '../src/lib/fleet/profiles';
 import { takesOver } from '../src/lib/fleet/takes';
-import { lastStopBy, secondsLeft, stopOf, stoppedElsewhere, unheardOf, VOIDED, whyWithdrawn } from '../src/lib/live/reset';
+import { isNews, lastStopBy, secondsLeft, stopOf, stoppedElsewhere, unheardOf, VOIDED, whyWithdrawn } from '../src/lib/live/reset';
 import { peopleWords } from '../src/lib/fleet/people';
 import { heard, profileBarrier, resetBarrier, samePolicy } from '../src/lib/fleet/rights';
 import { event } from './samples';
@@ -78,6 +78,9 @@ describe('the stop a cell is latched by', () => {
     const log = [word('estop', 'eve', 'workcell-2')];
     const cells = ['workcell-1', 'workcell-2', 'workcell-3', 'workcell-4'].map((id, k) => cell({ id, latched: k < 3, online: k < 2 }));
     expect(stoppedElsewhere(cells, 'workcell-1', log)).toEqual([{ cell: 'workcell-2', heard: true, stop: { by: 'eve', at: log[0]?.at } }, { cell: 'workcell-3', heard: false, stop: null }]);
+    expect(isNews({ by: 'eve', at: '2026-01-01T10:00:00Z' }, '2026-01-01T09:00:00Z')).toBe(true); // right behind a reset
+    expect(isNews({ by: 'eve', at: '2026-01-01T10:00:00Z' }, '2026-01-01T10:00:00Z')).toBe(false);
+    expect([isNews(null, undefined), isNews(null, '2026-01-01T09:00:00Z'), isNews({ by: 'eve', at: '2026-01-01T10:00:00Z' }, null)]).toEqual([true, false, false]);
   });
   it('was last pressed by somebody where the record says so of them and of this cell', () => {
     const log = [word('estop', 'ann'), word('estop', 'bob'), word('reset', 'ann'), word('estop', 'ann', 'workcell-2')];

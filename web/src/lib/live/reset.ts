@@ -39,6 +39,15 @@ export function stoppedElsewhere(cells: readonly Cell[], here: string | null, ev
   return cells.filter(({ id, latched }) => latched && id !== here).map(({ id, online }) => ({ cell: id, heard: online, stop: stopOf(id, events) }));
 }
 
+/**
+ * Whether a stop is another one than was put away, by when it was pressed: a reset and the next stop may come together.
+ * Undefined: none was put away. Null: when is not known, of either.
+ */
+export function isNews(stop: StopElsewhere['stop'], putAway: string | null | undefined): boolean {
+  if (putAway === undefined) return true;
+  return stop !== null && putAway !== null && stop.at !== putAway;
+}
+
 /** Whose reset the cell was not heard to have had, if that was the last word on its stop; null: nobody's. */
 export function unheardOf(cell: string, events: readonly LogEvent[]): string | null {
   const words = events.filter((event) => event.body['cell'] === cell && (isWord(event, 'estop') || isWord(event, 'reset') || isUnheard(event)));
