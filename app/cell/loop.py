@@ -131,7 +131,8 @@ class Lease:
         self._term += 1  # last, so that whoever looks meanwhile sees the old term, or a new one that was just heard
 
     def heard(self) -> None:
-        """Note that the server spoke just now; a term that has lapsed stays so."""
+        """Note that the server spoke just now; a term that has lapsed stays so, also where nobody has asked before."""
+        self.lapsed()  # a cell that stood still may read what was said meanwhile before anybody looks at the time
         self._heard_s = monotonic_s()
 
     def lapsed(self, since: int | None = None) -> bool:

@@ -277,6 +277,9 @@ class Runner:
         """
         if not self.latched:
             return "not_latched"
+        if self.holding:  # it may have been under way for as long: whoever said it was told that nobody heard it
+            self._record.say_anyway(telling.cell("reset_refused", actor, "the server was lost when it came"))
+            return "holding"
         if seen is not None and seen < self._broke_tick:
             self._record.say_anyway(telling.cell("reset_refused", actor, "the watch broke after what was seen"))
             return "broken_since"

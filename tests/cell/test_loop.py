@@ -166,6 +166,18 @@ def test_a_frame_that_comes_after_the_lapse_does_not_hide_it(monkeypatch: pytest
     assert not lease.lapsed()
 
 
+def test_a_frame_that_ends_a_silence_does_not_hide_it_where_nobody_asked_meanwhile(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now_s = 100.0
+    monkeypatch.setattr("app.cell.loop.monotonic_s", lambda: now_s)
+    lease = Lease()
+    lease.welcomed()
+    now_s += 3.0  # the whole process stood still
+    lease.heard()
+    assert lease.lapsed()
+
+
 class Busy(Recorder):
     """A runner whose ticks take as long as somebody else wants."""
 

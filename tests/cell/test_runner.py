@@ -1307,6 +1307,15 @@ def test_an_emergency_stop_is_at_once_latched_and_its_reset_moves_nothing(rig: R
     assert rig.finish()["outcome"] == "succeeded"
 
 
+def test_a_reset_that_comes_when_the_server_is_lost_leaves_the_stop_as_whoever_said_it_was_told(rig: Rig) -> None:
+    rig.runner.estop("anyone")
+    rig.runner.hold("link")
+    assert rig.runner.reset("operator") == "holding"
+    assert (rig.runner.latched, rig.of("cell")[-1]["what"]) == (True, "reset_refused")
+    rig.runner.welcomed()
+    assert rig.runner.reset("operator") is None
+
+
 # -- the link --------------------------------------------------------------------------------------------------------
 
 
