@@ -139,6 +139,10 @@ class ServerProcess:
         assert answer.status_code == 201, answer.text
         return answer.json()
 
+    def facts(self) -> dict[str, Any]:
+        """Return what the cell says of the world; on a busy machine it may have been silent for a moment."""
+        return until(lambda: self.cell()["facts"], what="a cell that is heard")
+
     def launch(
         self, capability: str, cell: str = "workcell-1", *, metadata: dict[str, Any] | None = None, **params: Any
     ) -> dict[str, Any]:

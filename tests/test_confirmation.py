@@ -50,7 +50,7 @@ def confirming(servers: Servers, policies: Path, profile: str = SHARED) -> Serve
 
 def stands_at(server: ServerProcess) -> str:
     """Return the bench at which the robot stands."""
-    at_a = math.dist(server.cell()["facts"]["base"][:2], A_STAND_M) < 1.0
+    at_a = math.dist(server.facts()["base"][:2], A_STAND_M) < 1.0
     return "bench_a" if at_a else "bench_b"
 
 
@@ -80,7 +80,7 @@ def test_a_confirmed_phase_goes_on_and_a_denied_one_is_undone(kept: Servers, pol
     session, question = held(server)
     resolve(server, question, "approve")
     assert server.await_status(session, "completed")["outcome"] == "succeeded"
-    began = server.cell()["facts"]["base"]
+    began = server.facts()["base"]
     denied = proposed(server, DRIVE)
     server.await_status(denied, "escalated")
     resolve(server, pending(server, denied), "deny")
@@ -88,7 +88,7 @@ def test_a_confirmed_phase_goes_on_and_a_denied_one_is_undone(kept: Servers, pol
     assert (again.status_code, again.json().get("code")) in {(200, None), (409, "wrong_status")}, again.text
     ended = server.await_status(denied, "completed", "failed")
     assert (ended["outcome"], ended["escalation"]["code"]) == ("rolled_back", "unspecified")
-    assert server.cell()["facts"]["base"] == pytest.approx(began, abs=0.15)
+    assert server.facts()["base"] == pytest.approx(began, abs=0.15)
 
 
 @pytest.mark.parametrize(

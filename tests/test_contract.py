@@ -55,7 +55,7 @@ def test_grasps_with_less_force_after_an_operator_approved(server: ServerProcess
     assert server.post(f"/v1/escalations/{question['id']}/resolve", answer).is_success
     assert server.post(f"/v1/escalations/{question['id']}/resolve", answer).status_code == 409
     assert server.await_status(made["id"], "completed")["outcome"] in {"succeeded", "recovered"}
-    assert server.cell()["facts"]["holding"] == "mug_1"
+    assert server.facts()["holding"] == "mug_1"
 
 
 def test_an_emergency_stop_latches_until_an_operator_resets_it(server: ServerProcess) -> None:
@@ -79,9 +79,9 @@ def test_an_operator_stops_what_runs_two_order_a_rollback_at_once_and_a_cancel_k
     assert server.await_status(made["id"], "failed")["outcome"] == "stopped"
 
     def driven() -> str:
-        began = server.cell()["facts"]["base"][:2]
+        began = server.facts()["base"][:2]
         name = server.launch("navigate_to", target="tool_stand")["id"]
-        until(lambda: math.dist(server.cell()["facts"]["base"][:2], began) > 0.3)
+        until(lambda: math.dist(server.facts()["base"][:2], began) > 0.3)
         return name
 
     undone = driven()

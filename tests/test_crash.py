@@ -21,7 +21,7 @@ FAR, FAR_M, ELSEWHERE = "tool_stand", (3.4, 1.4), "dock"
 @pytest.fixture
 def server(kept: Servers) -> ServerProcess:
     server = kept.newest("--pace", "3")
-    if server.cell()["facts"]["holding"] is not None:
+    if server.facts()["holding"] is not None:
         server = kept.start(None, "--pace", "3")
     put_in_profile(server, "human-shared")
     return server
@@ -29,7 +29,7 @@ def server(kept: Servers) -> ServerProcess:
 
 def drive(server: ServerProcess) -> str:
     """Set the robot going, to where it is not yet, and return the invocation once it moves."""
-    there = math.dist(server.cell()["facts"]["base"][:2], FAR_M) < 1.0
+    there = math.dist(server.facts()["base"][:2], FAR_M) < 1.0
     made = server.launch("navigate_to", target=ELSEWHERE if there else FAR)
     moving = lambda: (server.cell()["gauges"] or {}).get("base_speed_mps", 0.0) > 0.05  # noqa: E731
     until(moving, what="the robot moves")
@@ -59,9 +59,9 @@ def test_a_session_outlives_its_server_and_waits_for_a_human(kept: Servers, serv
     after = {event["seq"]: event for event in again.get("/v1/audit/events?limit=500")["items"]}
     assert all(after[event["seq"]] == event for event in before)
     until(lambda: again.cell()["online"])
-    resting = again.cell()["facts"]
-    until(lambda: again.cell()["facts"]["stamp_s"] > resting["stamp_s"] + 1.0, what="a second of its time")
-    assert again.cell()["facts"]["base"][:2] == pytest.approx(resting["base"][:2], abs=0.05)
+    resting = again.facts()
+    until(lambda: again.facts()["stamp_s"] > resting["stamp_s"] + 1.0, what="a second of its time")
+    assert again.facts()["base"][:2] == pytest.approx(resting["base"][:2], abs=0.05)
     assert verify_file(again.data).ok
     question = again.get(f"/v1/escalations/{found['escalation']['id']}")
     answer = {"decision": "approve", "digest": question["digest"]}
@@ -192,13 +192,13 @@ def is_well_again(server: ServerProcess, invocation: str) -> None:
 
 def test_a_cell_without_room_for_its_journal_launches_nothing_and_says_why(server: ServerProcess) -> None:
     make_room = fill_the_disk_of_the_cell(server)
-    resting = server.cell()["facts"]["base"]
+    resting = server.facts()["base"]
     refused = server.propose("navigate_to", target=FAR)["id"]
     ended = server.await_status(refused, "failed", within_s=5.0)
     assert ended["outcome"] == "fault"
     assert [reason["code"] for reason in ended["failure"]["reasons"]] == ["journal_unavailable"]
     shows_the_fault(server)
-    assert server.cell()["facts"]["base"] == pytest.approx(resting, abs=0.02)
+    assert server.facts()["base"] == pytest.approx(resting, abs=0.02)
     later = server.propose("navigate_to", target=FAR)
     assert later["status"] == "deferred"
     assert [reason["code"] for reason in later["admission"]["reasons"]] == ["journal_unavailable"]

@@ -82,7 +82,7 @@ def server(kept: Servers) -> ServerProcess:
 
 
 def base(server: ServerProcess) -> list[float]:
-    return server.cell()["facts"]["base"]
+    return server.facts()["base"]
 
 
 def control(server: ServerProcess) -> dict[str, Any] | None:

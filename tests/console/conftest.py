@@ -305,7 +305,7 @@ class Floor:
         return self.server.await_status(invocation, "denied", "running", "completed", "failed")
 
     def base(self) -> tuple[float, float]:
-        x, y, _ = self.server.cell()["facts"]["base"]
+        x, y, _ = self.server.facts()["base"]
         return x, y
 
     def speed(self) -> float:
