@@ -24,7 +24,7 @@ from app.governance.control import GOING_ON
 LEASE_MS = 300
 BEAT_MS = 75
 STATE_MS = 100
-VERSION = 14
+VERSION = 15
 
 
 Count: TypeAlias = Annotated[int, Field(strict=True, ge=0, lt=2**63)]  # as the record can write down
@@ -333,15 +333,25 @@ def _refused(error: ValidationError) -> ProtocolError:
 
 # -- telemetry: binary frames ----------------------------------------------------------------------
 
-CHANNELS = (
+SENSED = (
     "time_s", "base_x_m", "base_y_m", "base_yaw_rad", "base_speed_mps", "tcp_x_m", "tcp_y_m", "tcp_z_m",
     "tcp_speed_mps", "contact_force_n", "peak_force_n", "grip_width_m", "grip_force_n", "slip_m",
     "residual_nm", "separation_m",
     "protective_separation_m", "zone_margin_m", "progress", "rate",
     "q1_rad", "q2_rad", "q3_rad", "q4_rad", "q5_rad", "q6_rad", "base_radius_m",
 )  # fmt: skip
+HAND = (
+    "hand_base_x_mps", "hand_base_y_mps", "hand_base_yaw_radps",
+    "hand_tool_x_mps", "hand_tool_y_mps", "hand_tool_z_mps", "hand_grip", "hand_counts",
+)  # fmt: skip
+"""What a human at the controls asked for: the newest command in the frame of the base, as it came, as long as it is
+good; `hand_grip` 1 opens and -1 closes. `hand_counts` is 1 where the robot was told so in that tick, and 0 where
+something was in its way. All are 0 where nobody asks for anything."""
+CHANNELS = SENSED + HAND
 """Telemetry channels of one control tick, in order, all float32 but the first."""
 
+SENSED_PART = struct.Struct(f"<d{len(SENSED) - 1}f")
+HAND_PART = struct.Struct(f"<{len(HAND)}f")
 ROW = struct.Struct(f"<d{len(CHANNELS) - 1}f")
 HEADER = struct.Struct("<4sHH40s")
 _MOST = 3.4028234663852886e38  # of single precision

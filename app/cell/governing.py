@@ -89,7 +89,7 @@ class Ports:
 class Governing:
     """Governs one run. `over` holds how it ended once it has."""
 
-    __slots__ = ("_ports", "_recorder", "_substrate", "_tell", "_tell_anyway", "over", "run", "seen")
+    __slots__ = ("_ports", "_recorder", "_substrate", "_tell", "_tell_anyway", "hand", "over", "run", "seen")
 
     def __init__(self, ports: Ports, run: Run, seen: Observation) -> None:
         """Take a bound run over."""
@@ -99,6 +99,7 @@ class Governing:
         self.run = run
         self.seen = seen
         self.over: End | None = None
+        self.hand = telling.NO_HAND  # what a human at the controls asks for in this tick, as its row holds it
 
     # -- the tick ------------------------------------------------------------------------------------------------------
 
@@ -122,7 +123,8 @@ class Governing:
         )
         run.watching, series = watching, run.series
         _, progress, state, _ = report
-        series.add(telling.row(seen, watching.measured, progress, rate, run.plan.base_radius_m), alerted=bool(alerts))
+        row = telling.row(seen, watching.measured, progress, rate, run.plan.base_radius_m) + self.hand
+        series.add(row, alerted=bool(alerts))
         if len(series.ready) >= telling.BATCH_BYTES:
             self._send_rows()
         answering = alerts or run.speaking or run.responding is not NOTHING

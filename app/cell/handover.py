@@ -127,7 +127,7 @@ class Session(Governing):
         if steering is None:
             return "not_taken_over"
         steering.come_by(lease)
-        steering.number, steering.actor = number, actor
+        steering.hear(wish, number, actor, self._tick)
         if not asks(wish):
             steering.take(wish, self._tick)
         elif (why := self._in_the_way(steering)) is not None:
@@ -147,6 +147,10 @@ class Session(Governing):
             if isinstance(self.run.skill, Steered):
                 self.run.skill.steer(wish)
             self._note(steering)
+            asked = steering.asked
+            self.hand = telling.hand(asked, counts=asks(asked) and wish is asked)
+        else:
+            self.hand = telling.NO_HAND
         return _govern(self)  # not by super(), which looks the class up in every tick
 
     def jogged(self) -> tuple[int, str] | None:

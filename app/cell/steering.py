@@ -46,6 +46,7 @@ class Steering:
         stopped_by: The rule that stopped the motion and still stands in its way.
         leavable: Whether a new motion may lead out of that, or it has to end by itself.
         blocked: By rule, its signal, and how far it was violated when it stopped the motion first.
+        asked: The newest command as it came, done or not; nothing once it has expired.
     """
 
     grant: Grant
@@ -60,8 +61,10 @@ class Steering:
     stopped_by: str = ""
     leavable: bool = False
     blocked: dict[str, tuple[str, float]] = field(default_factory=dict[str, tuple[str, float]])
+    asked: Wish = NOTHING
     _wish: Wish = NOTHING
     _expires: int = 0
+    _asked_until: int = 0
     _silent: float = math.inf  # the tick at which the newest motion counts as let go of
     _told: tuple[object, ...] = ()
     _tell_again: int = 0
@@ -70,6 +73,8 @@ class Steering:
         """Return what counts in a tick: the newest command that was taken, until it expires."""
         if tick >= self._expires:
             self._wish = NOTHING
+        if tick >= self._asked_until:
+            self.asked = NOTHING
         if tick >= self._silent:
             self.rest()
         return self._wish
@@ -79,6 +84,11 @@ class Steering:
         if lease != self.lease:
             self.lease = lease
             self.rest()
+
+    def hear(self, wish: Wish, number: int, actor: str, tick: int) -> None:
+        """Note a command and who sent it, whatever becomes of it."""
+        self.asked, self.number, self.actor = wish, number, actor
+        self._asked_until = self._after(EXPIRES_MS, tick)
 
     def take(self, wish: Wish, tick: int) -> None:
         """Let a command count from now on."""

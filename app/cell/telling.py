@@ -10,7 +10,7 @@ import math
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from app.governance.model import EventKind, Signal, Strategy
-from app.protocol import ROW, ROWS_PER_BATCH, single
+from app.protocol import HAND, HAND_PART, ROW, ROWS_PER_BATCH, SENSED_PART, single
 
 if TYPE_CHECKING:
     from app.governance.model import (
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 CELL: Final = "cell"
 BATCH_BYTES: Final = ROW.size * ROWS_PER_BATCH
+NO_HAND: Final = HAND_PART.pack(*(0.0 for _ in HAND))
 
 
 class Saying(NamedTuple):
@@ -195,7 +196,7 @@ def _finite(number: float) -> float | None:
 
 
 def row(seen: Observation, measured: tuple[float, ...], progress: float, rate: float, base_radius_m: float) -> bytes:
-    """Pack one control tick as `protocol.CHANNELS` lists it; `measured` are the values of `Signals`.
+    """Pack what was sensed in one control tick, as `protocol.SENSED` lists it; `measured` are the values of `Signals`.
 
     `base_radius_m` is the hull that separation was measured from.
 
@@ -215,6 +216,15 @@ def row(seen: Observation, measured: tuple[float, ...], progress: float, rate: f
         return _packed(held, _held(measured), single(progress), single(rate), base_radius_m)
 
 
+def hand(asked: Wish, *, counts: bool) -> bytes:
+    """Pack what a human at the controls asks for in one control tick, as `protocol.HAND` lists it.
+
+    What single precision cannot hold is kept as infinite: anybody may ask for it, and nobody gets it.
+    """
+    grip = {None: 0.0, "open": 1.0, "close": -1.0}[asked.grip]
+    return HAND_PART.pack(*map(single, (*asked.base, *asked.tool)), grip, float(counts))
+
+
 def _held(readings: tuple[float, ...]) -> Any:  # noqa: ANN401  # as many as there were
     return tuple(map(single, readings))
 
@@ -228,7 +238,7 @@ def _packed(
         force, residual, _, base_speed, margin, separation, _, _, _, slip, _, _, _, _, _, _, _, protective, _, _,
         base_x, base_y, base_yaw, _,
     ) = measured  # fmt: skip
-    return ROW.pack(
+    return SENSED_PART.pack(
         seen.time_s,
         base_x,
         base_y,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import groupby, pairwise
 from math import cos, dist, hypot, sin
 from pathlib import Path
 
@@ -10,6 +10,7 @@ import pytest
 
 from app.governance.model import Authorization, Json, Mode, Vec3, Wish
 from app.governance.permit import mint
+from app.protocol import CHANNELS, HAND, ROW
 from app.sim.occasions import Trigger
 from app.sim.people import Walk
 from tests.cell.rig import KEY, NOW_S
@@ -483,3 +484,26 @@ def test_the_command_stream_is_told_where_it_changes_and_not_at_every_command(tm
     console.tick(40)
     told = [body for body in shop.of("human") if body["op"] == "jog"]
     assert [body["base"] for body in told] == [[-0.1, 0.0, 0.0], [0.0, 0.0, 0.0]]
+
+
+def test_telemetry_holds_the_whole_command_stream_what_counted_and_what_did_not(tmp_path: Path) -> None:
+    shop, console = idle(tmp_path)
+    slow, fast = Wish(base=(-0.05, 0.0, 0.0)), Wish(base=(-0.1, 0.0, 0.0))
+    up = Wish(tool=(0.0, 0.0, 0.02), grip="open")
+    console.hold(slow, 20)
+    console.hold(fast, 3)  # the same way: no event tells of it, nor of a tap that is as short
+    console.hold(up, 2)
+    console.release()
+    console.tick(3)
+    console.lease = "another"
+    assert console.hold(fast, 5) == "release_first"
+    console.tick(40)
+    rows = [dict(zip(CHANNELS, row, strict=True)) for row in ROW.iter_unpack(shop.telemetry)]
+    asked = [tuple(row[name] for name in HAND) for row in rows if any(row[name] for name in HAND)]
+    runs = [(run, len(list(ticks))) for run, ticks in groupby(asked)]
+    counted = [(*wish.base, *wish.tool, 1.0 if wish.grip else 0.0, 1.0) for wish in (slow, fast, up)]
+    refused_until_it_expired = ((*fast.base, *fast.tool, 0.0, 0.0), 9)
+    expected = [*zip(counted, (20, 3, 2), strict=True), refused_until_it_expired]
+    assert [ticks for _, ticks in runs] == [ticks for _, ticks in expected]
+    for (was, _), (wanted, _) in zip(runs, expected, strict=True):
+        assert was == pytest.approx(wanted)

@@ -76,6 +76,7 @@ class Workshop:
         self.edit_recovery: Callable[[RecoveryPlan], RecoveryPlan] = lambda plan: plan
         self.cell = Workcell(self.policy.site, seed=seed, faults=faults, people=people, quality=quality)
         self.entries: list[Entry] = []
+        self.telemetry = bytearray()
         self.journal = Journal(folder / "journal", boot="boot-1")
         self.runner = Runner(
             self.cell,
@@ -84,6 +85,7 @@ class Workshop:
             journal=self.journal,
             wall=lambda: NOW_S + 1.0,
             emit=self.entries.append,
+            on_telemetry=lambda _, rows: self.telemetry.extend(rows),
         )
         self.runner.adopt(policy_digest=self.policy.digest, key=KEY.public_key())
 
