@@ -2,7 +2,7 @@ import { afterEach, describe, expect, it, vi } from 'vitest';
 import type { InputSchema, LogEvent, Telemetry } from '../src/lib/api/documents';
 import { Axis } from '../src/lib/audit/axis';
 import { Player, type Recording } from '../src/lib/audit/player.svelte';
-import { authorizedAlong, authorizedOf, boundAt, frameAt, topOf, TRACES } from '../src/lib/audit/replay';
+import { authorizedAlong, authorizedOf, boundAt, frameAt, topOf, TRACES, tracesOf, unheeded, valuesOf } from '../src/lib/audit/replay';
 import { guardAt, MEASURED } from '../src/lib/scene/separation';
 import { aheadOf, beginningOf, eventAt, goodForS, measuredAt, offset, outside, partsOf, rowAt, stepTo, timelineOf } from '../src/lib/audit/timeline';
 
@@ -304,6 +304,15 @@ describe('a plot', () => {
   it('is drawn in a scale that noise does not fill, and that all of it fits in', () => {
     if (contact === undefined) throw new Error('nothing is drawn');
     expect([topOf(contact, [0.3, null, 2]), topOf(contact, []), topOf(contact, [1], [60])]).toEqual([25, 25, 66]);
+  });
+
+  it('is there of what a human asked for by hand, only where one did, and says where it was not done', () => {
+    const rest = { hand_base_x_mps: [0, 0, 0], hand_base_y_mps: [0, 0, 0], hand_base_yaw_radps: [0, 0, 0], hand_tool_x_mps: [0, 0, 0], hand_tool_y_mps: [0, 0, 0], hand_tool_z_mps: [0, 0, 0], hand_counts: [0, 0, 0] };
+    const driven = telemetry({ time_s: [0, 1, 2], ...rest, hand_base_x_mps: [0, 0.3, null], hand_base_y_mps: [0, -0.4, 0], hand_base_yaw_radps: [0, 0, -0.2] });
+    expect([tracesOf(telemetry({ time_s: [0, 1, 2], ...rest })), tracesOf(ROWS)]).toEqual([[], []]);
+    expect(tracesOf(driven).map(({ channel }) => [channel, valuesOf(driven, channel)])).toEqual([['hand_base', [0, 0.5, null]], ['hand_turn', [0, 0, 0.2]]]);
+    const counted = { ...driven, columns: { ...driven.columns, hand_counts: [0, 0, 1] } };
+    expect([0, 1, 2].map((row) => [unheeded(counted, 'hand_base', row), unheeded(counted, 'hand_turn', row)])).toEqual([[false, false], [true, false], [false, false]]);
   });
 
   it('has the line that was authorized where a parameter falls under a limit of its name', () => {

@@ -116,10 +116,42 @@ export const TRACES: readonly Trace[] = [
   { label: 'Grip force', unit: 'N', channel: 'grip_force_n', limit: null, span: 25 },
   { label: 'Contact force', unit: 'N', channel: 'contact_force_n', limit: null, span: 25 },
   { label: 'Progress', unit: '', channel: 'progress', limit: null, span: 1 },
+  { label: 'Base, by hand', unit: 'm/s', channel: 'hand_base', limit: null, span: 0.3 },
+  { label: 'Turn, by hand', unit: 'rad/s', channel: 'hand_turn', limit: null, span: 0.5 },
+  { label: 'Tool, by hand', unit: 'm/s', channel: 'hand_tool', limit: null, span: 0.25 },
 ];
+
+/** What a human asked for is recorded along its axes, and drawn as how fast. */
+const ALONG: Readonly<Record<string, readonly string[]>> = {
+  hand_base: ['hand_base_x_mps', 'hand_base_y_mps'],
+  hand_turn: ['hand_base_yaw_radps'],
+  hand_tool: ['hand_tool_x_mps', 'hand_tool_y_mps', 'hand_tool_z_mps'],
+};
+const COUNTED = 'hand_counts';
+
+/** The traces that this record has something to show in: a hand's where one asked for a motion. */
+export function tracesOf(telemetry: Telemetry): Trace[] {
+  return TRACES.filter(({ channel }) =>
+    entryOf(ALONG, channel) === undefined ? telemetry.columns[channel] !== undefined : valuesOf(telemetry, channel).some((value) => value !== null && value > 0),
+  );
+}
+
+/** Whether a human asked for a motion at a row that was not made: something was in its way. */
+export function unheeded(telemetry: Telemetry, channel: string, row: number): boolean {
+  return entryOf(ALONG, channel) !== undefined && (valuesAlong(telemetry, channel)[row] ?? 0) > 0 && at(telemetry, COUNTED, row) === 0;
+}
+
+function valuesAlong(telemetry: Telemetry, channel: string): (number | null)[] {
+  const [first = [], ...more] = (entryOf(ALONG, channel) ?? []).map((name) => telemetry.columns[name] ?? []);
+  return first.map((value, row) => {
+    const parts = [value, ...more.map((column) => column[row] ?? null)];
+    return parts.some((part) => part === null) ? null : Math.hypot(...parts.map(Number));
+  });
+}
 
 /** A channel's values for a plot; a distance to nobody is no value. */
 export function valuesOf(telemetry: Telemetry, channel: string): (number | null)[] {
+  if (entryOf(ALONG, channel) !== undefined) return valuesAlong(telemetry, channel);
   const values = telemetry.columns[channel] ?? [];
   return channel === 'separation_m' ? values.map((value) => (value !== null && value > FAR_M ? null : value)) : values;
 }
