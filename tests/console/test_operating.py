@@ -189,6 +189,11 @@ def test_one_of_two_gets_the_controls_drives_by_keyboard_and_ends_it(
     driver.button("End session").click()
     expect(robot(watcher)).to_contain_text("Nobody")
     assert server.cell()["control"] is None
+    until(lambda: server.get("/v1/audit/events?kind=telemetry")["items"], what="its telemetry")
+    driven = server.get("/v1/audit/events?kind=telemetry")["items"][-1]["invocation"]
+    watcher.page.evaluate(f"location.hash = '#/audit/{driven}'")
+    measured = watcher.page.get_by_role("list", name="What was measured")
+    expect(measured.get_by_role("listitem").filter(has_text="Base, by hand")).to_be_visible()
 
 
 @pytest.mark.drawn

@@ -89,6 +89,13 @@ describe('what a person orders', () => {
     expect(echo('let_go', null)).toBe('workcell-1 is at rest again');
   });
 
+  it('is told of what a hand asks for, and which way', () => {
+    const asked = (more: LogEvent['body']): string => said(event('human', { op: 'jog', n: 3, done: true, refused: null, base: [0, 0, 0], tool: [0, 0, 0], grip: null, ...more }));
+    expect(asked({ base: [0.3, -0.4, 0] })).toBe('workcell-1 is driven by hand: base forward and right 0.50 m/s');
+    expect(asked({ base: [0, 0, 0.2], tool: [-0.02, 0, 0.01], grip: 'open' })).toBe('workcell-1 is driven by hand: turn left 0.20 rad/s, tool back and up 0.02 m/s, open the gripper');
+    expect([asked({}), asked({ base: null, tool: 'x', grip: 3 })]).toEqual(['workcell-1 is let go of', 'workcell-1 is let go of']);
+  });
+
   it('is told of where a rollback failed', () => {
     expect(said(event('recovery', { failure: 'rollback_failed', strategy: 'ESCALATE', capability: null }))).toBe('It could not be undone and verified: escalate');
     expect(said(event('outcome', { outcome: 'terminated', code: 'rollback_failed' }))).toBe('Terminated, rollback failed');

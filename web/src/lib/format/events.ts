@@ -2,6 +2,7 @@ import type { Escalation, Grant, InputSchema, Invocation, Json, LogEvent } from 
 import { deniedWords } from './denied';
 import { goodOutcome, outcomeTone, outcomeWords, statusWords, withShortIds, type Tone } from './status';
 import { titleOf, words } from './capability';
+import { driven } from './driven';
 import { newestEdit, stepsText } from './edited';
 import { entryOf } from './entry';
 import { keptWords } from './kept';
@@ -213,7 +214,6 @@ const ORDERS: Record<string, string> = {
   cancel: 'cancelled the session',
   takeover: 'took the controls',
   release: 'handed the controls back',
-  jog: 'is driven by hand',
   let_go: 'is at rest again',
   end_takeover: 'ended the session that was driven by hand',
   confirm: 'goes on, as a person confirmed',
@@ -234,7 +234,7 @@ function echo(op: string, body: Body, event: LogEvent): Line | null {
 
 function human(body: Body, event: LogEvent): Line {
   const op = str(body['op']) || str(body['decision']) || 'spoke';
-  return ('done' in body ? echo(op, body, event) : null) ?? line('person', op === 'estop' || op === 'stop' ? 'danger' : 'human', ` ${entryOf(ORDERS, op) ?? `said ${op.replaceAll('_', ' ')}`}`, event.actor);
+  return ('done' in body ? echo(op, body, event) : null) ?? line('person', op === 'estop' || op === 'stop' ? 'danger' : 'human', ` ${op === 'jog' ? driven(body) : (entryOf(ORDERS, op) ?? `said ${op.replaceAll('_', ' ')}`)}`, event.actor);
 }
 
 function launch(body: Body): Line {
