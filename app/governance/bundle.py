@@ -30,10 +30,10 @@ from typing import TYPE_CHECKING, Any, Final
 from app.governance import bundle_build, bundle_checks, bundle_checks_profile, bundle_checks_site, bundle_shapes
 from app.governance.bundle_checks import Known
 from app.governance.bundle_fit import fit
-from app.governance.bundle_references import validator
 from app.governance.bundle_yaml import Reader, parse
 from app.governance.conditions import TESTS
 from app.governance.errors import ExpressionError, PolicyError, PolicyErrors
+from app.governance.fitting import validator
 from app.governance.places import names
 from app.governance.policy import Gate, Inputs, PolicySet
 from app.governance.policy_code import Generator

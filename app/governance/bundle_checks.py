@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Final, cast
 import jsonschema_rs
 
 from app.governance.bundle_checks_values import listed, unproposable
-from app.governance.bundle_references import references, validator
+from app.governance.bundle_references import references
 from app.governance.bundle_yaml import Path, Reader
 from app.governance.conditions import TESTS
 from app.governance.errors import DeclarationError, ExpressionError, PolicyError
 from app.governance.expression_tree import BOOL, STRING, Conditional, Constant
+from app.governance.fitting import validator
 from app.governance.policy_model import (
     LIMIT_UNITS,
     REFERENCES,

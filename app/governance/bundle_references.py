@@ -2,15 +2,13 @@
 
 1. `references` says, with its line, what would lead out of the document; of what stays inside, what leads nowhere or
    never comes to an end. Parameters are flat, so a schema that refers to itself on its own way is a mistake.
-2. `validator` makes the validators that decide, and those cannot retrieve anything, whatever 1 overlooked.
+2. The validators that decide (`fitting.validator`) cannot retrieve anything, whatever 1 overlooked.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NoReturn
+from typing import TYPE_CHECKING, Final
 from urllib.parse import unquote
-
-from jsonschema_rs import Draft202012Validator
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -26,19 +24,6 @@ MOST_PARTS: Final = 10_000  # with what is referred to written out: what doubles
 MOST_LEVELS: Final = 100  # likewise
 _MOST_SHOWN: Final = 80
 _MOST_NAMED: Final = 12
-
-
-def validator(schema: Mapping[str, Json]) -> Draft202012Validator:
-    """Return the validator of an input schema, one that reads nothing else: no file, nothing from the network.
-
-    Raises:
-        ValueError, jsonschema_rs.ValidationError: It is no schema, or refers to what is not in it.
-    """
-    return Draft202012Validator(dict(schema), retriever=_refuse)
-
-
-def _refuse(uri: str) -> NoReturn:
-    raise ValueError(f"`{uri}` is outside the document; valid is `#/…`")
 
 
 def references(reader: Reader, schema: Mapping[str, Json]) -> Iterator[PolicyError]:

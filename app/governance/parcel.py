@@ -34,8 +34,8 @@ def parcels(policy: PolicySet) -> Iterator[bytes]:
     for first in range(0, len(rules), RULES):
         yield pickle.dumps((SOME_RULES, rules[first : first + RULES]))
     for pair, gate in policy.gates.items():
-        code, constants, again = gate.parts
-        yield pickle.dumps((A_GATE, (pair, gate.source, marshal.dumps(code), dict(constants), again)))
+        code, constants, again, whole = gate.parts
+        yield pickle.dumps((A_GATE, (pair, gate.source, marshal.dumps(code), dict(constants), again, whole)))
 
 
 def unpacked(taken: Iterable[bytes]) -> Iterator[PolicySet | None]:
@@ -50,8 +50,8 @@ def unpacked(taken: Iterable[bytes]) -> Iterator[PolicySet | None]:
         elif kind == SOME_RULES:
             rules |= {rule.id: rule for rule in found}
         else:
-            pair, source, code, constants, again = found
-            parts = Parts(cast("CodeType", marshal.loads(code)), constants, again)  # noqa: S302  # likewise
+            pair, source, code, constants, again, whole = found
+            parts = Parts(cast("CodeType", marshal.loads(code)), constants, again, whole)  # noqa: S302  # likewise
             gates[pair] = _gate(head, pair, source, parts)
         yield None
     inputs = {name: make_inputs(found) for name, found in head["capabilities"].items()}

@@ -12,8 +12,9 @@ def check(proposal, context, given):     what is emitted, in this order
 ```
 
 So the cost of a decision follows the rules that apply. Where a condition reads what another rule or a limit changes,
-the function is run again on what it made (`settling`). Everything outside the rules' own blocks is guarded as a whole:
-whatever raises, the answer is a denial with code `rule_error`.
+the function is run again on what it made (`settling`); where the input schema speaks of parameters together, what it
+made is held to that again (`fitting`). Everything outside the rules' own blocks is guarded as a whole: whatever raises,
+the answer is a denial with code `rule_error`.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias, assert_never, ca
 from app.governance.errors import EvaluationError
 from app.governance.expression_code import INTRINSICS, to_python
 from app.governance.expression_tree import BOOL, STRING, references
+from app.governance.fitting import coupled, fitted
 from app.governance.model import Change, PolicyOutcome, Reason, Verdict
 from app.governance.places import finder, locator, names
 from app.governance.policy_model import Effect
@@ -47,11 +49,15 @@ SCHEMA: Final = "the input schema"
 
 
 class Parts(NamedTuple):
-    """What a generated function is bound from: its code, the constants it names, and whether it looks again."""
+    """What a generated function is bound from: its code, the constants it names, and whether it looks again.
+
+    `again` is whether what it made is checked once more, `whole` whether that is held to the input schema again.
+    """
 
     code: CodeType
     constants: Mapping[str, object]
     again: bool
+    whole: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -205,13 +211,20 @@ class Generator:
         lines += ["    except Exception as error:", "        return failed(params, error)", ""]
         source = "\n".join(lines)
         code = _compiled(source, f"<{self.profile.name}/{self.capability.name}>")
-        parts = Parts(code, self.constants, self._interferes())
+        parts = Parts(code, self.constants, again=self._interferes(), whole=self._couples())
         return Compiled(check=bind(self.capability, self.profile, self.site, parts), source=source, parts=parts)
 
     def _interferes(self) -> bool:
         """Say whether a condition reads what a rule or a limit may change."""
+        return not parameters_behind(self.read, self.capability).isdisjoint(self._changing())
+
+    def _couples(self) -> bool:
+        """Say whether the input schema speaks together with others of what a rule or a limit may change."""
+        return not coupled(self.capability.inputs).isdisjoint(self._changing())
+
+    def _changing(self) -> set[str]:
         bounded = {name for name, found in self.numbers.items() if found.rules or found.limit is not None}
-        return not parameters_behind(self.read, self.capability).isdisjoint(bounded | self.names.keys())
+        return bounded | self.names.keys()
 
     def _settings(self, rule: Rule) -> list[Setting]:
         return [setting for setting in rule.settings if setting.param in properties(self.capability)]
@@ -373,8 +386,9 @@ def bind(capability: Capability, profile: Profile, site: Site, parts: Parts) -> 
         "find_place": locator(referring(capability), site),
     }
     exec(parts.code, namespace)  # noqa: S102  # our own text: names are identifiers, values are reprs of checked constants
-    check = cast("Checking", namespace["check"])
-    return settled(check) if parts.again else check
+    checking = cast("Checking", namespace["check"])
+    check = settled(checking) if parts.again else checking
+    return fitted(check, capability.inputs) if parts.whole else check
 
 
 def _setter(name: str) -> Callable[[Verdict, object], None]:

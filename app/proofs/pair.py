@@ -1,8 +1,8 @@
 """The decision about one (capability, profile) as formulas: what `policy_code` compiles, compiled for Z3.
 
 A `Pass` is one run over the rules, for the proposal's own parameters or for others; a `Pair` is the guard's whole
-verdict, the second look of `settling` included. Every rule's condition is a named variable, so that a question about a
-thousand rules stays as long as the rules are, not as their square.
+verdict, the second looks of `settling` and `fitting` included. Every rule's condition is a named variable, so that a
+question about a thousand rules stays as long as the rules are, not as their square.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, cast
 import z3
 
 from app.governance.expression_tree import BOOL, STRING, references
+from app.governance.fitting import coupled
 from app.governance.places import names
 from app.governance.policy_code import limit_for
 from app.governance.policy_model import Effect
@@ -20,6 +21,7 @@ from app.governance.settling import parameters_behind
 from app.governance.vocabulary import properties
 from app.proofs.encoding import Slot, encode
 from app.proofs.formulas import Formula, both, either, no, same, some, term
+from app.proofs.schema import Given, admitted
 from app.proofs.values import MOST_CASES, NotCoveredError, Value, choice, lift, truth
 
 if TYPE_CHECKING:
@@ -276,6 +278,7 @@ class Pair:
         first: The run over the proposal's own parameters.
         second: The run over what the first one left of them.
         unsettled: Where the second run would have changed or refused it once more.
+        unfit: Where the input schema does not take what the first one left of them.
         facts: What the names in these formulas stand for.
         uncovered: Rules that proofs cannot reason about, and why.
         lost: Where looking up what the rules read fails, so that the guard as a whole denies.
@@ -314,6 +317,19 @@ class Pair:
         )
         self.restless = self.name("restless", both(self.changes, restless))
         self.unsettled = self.restless if self.interferes else False
+        self.unfit = self._unfit() if coupled(gate.capability.inputs) & self.changing else False
+
+    def _unfit(self) -> Formula:
+        """Return where what policy changed is no proposal of this capability; of keywords not known here, maybe."""
+        left = self.second.params
+        given = Given(
+            {name: slot.present for name, slot in left.items()},
+            {name: slot.value for name, slot in left.items()},
+            self.space.theory,
+        )
+        kept, known = admitted(self.gate.capability.inputs, given)
+        refused = no(kept) if known else either(no(kept), z3.FreshBool("open"))
+        return self.name("unfit", both(self.changes, refused))
 
     def settings(self, rule: Rule) -> list[Setting]:
         """Return what a rule sets here."""
@@ -360,7 +376,7 @@ class Pair:
     @property
     def denied(self) -> Formula:
         """Return where the guard denies."""
-        return either(self.first.denied, self.unsettled)
+        return either(self.first.denied, self.unsettled, self.unfit)
 
     @property
     def escalated(self) -> Formula:

@@ -10,10 +10,11 @@ import jsonschema_rs
 import pytest
 
 from app.governance import bundle
-from app.governance.bundle_references import DIALECT, validator
+from app.governance.bundle_references import DIALECT
 from app.governance.bundle_yaml import parse
 from app.governance.decision import decide
 from app.governance.errors import PolicyErrors
+from app.governance.fitting import validator
 from tests.governance.policy_world import POLICIES, context, files, proposal, shipped
 
 GRASP, HUMAN, RELAXED, ORG, SITE, H = (

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import z3
 
+from app.governance.fitting import MISFIT
 from app.governance.guard import check
 from app.governance.model import PolicyOutcome
 from app.governance.vocabulary import referring
@@ -99,6 +100,7 @@ class Bench:
                 for rule in pair.rules
             ]
             parts.append(no(pair.unsettled))
+            parts.append(pair.unfit if any(reason.code == MISFIT for reason in verdict.reasons) else no(pair.unfit))
         else:
             parts.append(pair.unsettled)
         if verdict.outcome is not PolicyOutcome.DENY:

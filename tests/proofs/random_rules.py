@@ -40,7 +40,9 @@ inputs:
     speed_mps: {type: number, unit: m/s, minimum: 0.05, maximum: 2.0, default: 0.3, x-limit: base_speed_mps}
     force_n: {type: number, unit: N, minimum: 2, maximum: 140, default: 40, x-limit: grip_force_n}
     turn_rad: {type: number, unit: rad, minimum: -3.5, maximum: 3.5}
-  dependentRequired: {wet: [turn_rad]}
+  dependentRequired: {wet: [turn_rad], corridor: [wet]}
+  if: {properties: {style: {const: odd}}, required: [style]}
+  then: {properties: {force_n: {minimum: 15}, object_id: {enum: [mug_1, box_1]}}}
 preconditions: []
 postconditions: []
 permissions: [perception]
