@@ -151,7 +151,7 @@ def _say_one(one: Vetted) -> None:
             say(f"  {len(lines)} {heading}:" if lines is one.cases else f"  {heading}:")
             say(indent(_some([_cut(line) for line in lines]), "    "))
     if made.unwritten:
-        say(f"  no patch, to be changed by hand: {made.unwritten}")
+        say(f"  no patch: {made.unwritten}")
     else:
         typer.echo(plain(made.patch))  # not indented, and tabs as they are, so that it can be piped
 

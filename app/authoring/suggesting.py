@@ -5,7 +5,8 @@
 | always-bound | every value that agents named was beyond one limit or bound | the bound lets half of them through |
 | always-granted | people granted everything that was asked, unchanged | nobody is asked about it |
 | never-granted | people denied everything that was asked | it is denied at once |
-| never-held | a rule decided nothing | the rule goes |
+| never-held | a rule that denies or asks decided nothing | none: that nothing met it is how a guard looks that works |
+| never-held | a rule that modifies decided nothing | the rule goes |
 | always-granted | likewise a permission that an agent holds under supervision | the agent holds it by itself |
 | never-granted | likewise | the agent does not hold it |
 | lowered-on-approval | people granted it, but with less of one parameter | a rule that bounds it |
@@ -13,15 +14,15 @@
 | renamed-on-approval | likewise with another name, always the same in the place of the same | a rule that sets it |
 | taken-over | a rule denied it, and a person then took the idle cell by hand | the rule asks instead |
 
-Never suggested away: approvals at critical risk, and what takes more than one person. Under the least counts nothing
-is suggested.
+Never suggested away: approvals at critical risk, and what takes more than one person. What would loosen policy says so
+in its own words, whether it could be compared or not. Under the least counts nothing is suggested.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from statistics import median_high, median_low
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from app.authoring.answers import Answers, answered, supervised
 from app.authoring.edits import LOWERED, edited
@@ -39,6 +40,10 @@ if TYPE_CHECKING:
     from app.authoring.habits import Bound, Habits
     from app.governance.policy import Gate, PolicySet
     from app.governance.policy_model import Approval, Rule
+
+
+LOOSENS: Final = ". That loosens policy."
+STAYS: Final = "a rule that denies or asks is for what has not happened yet; none is suggested away for its silence"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,7 +144,7 @@ class _Suggesting:
         words = (
             f"each of {found.named.count} values that agents named for {where} was {'above' if above else 'below'} "
             f"{found.limit:g} (from {min(found.beyond):g} to {max(found.beyond):g}): {middle:g} would let half of them "
-            "through as they are. Where the bound is right, tell the agents instead."
+            "through as they are, and loosens policy. Where the bound is right, tell the agents instead."
         )
         counts = {"named": found.named.count, "bound": found.limit, "proposed": middle}
 
@@ -166,6 +171,7 @@ class _Suggesting:
                 continue
             if found.always(self._least.answers) and not self._grave(rule):
                 words = f"all of {found.granted} proposals that `{name}` had people asked about were granted as shown"
+                words += f": nobody would be asked{LOOSENS}"
                 yield from self._made("always-granted", name, words, found.counts(), found.all, _without(name))
             if found.never(self._least.answers):
                 words = f"all of {found.denied} proposals that `{name}` had people asked about were denied"
@@ -211,6 +217,7 @@ class _Suggesting:
         words = f"everything that {profile} had people asked about was granted as shown: {listed}" + (
             f"; {in_advance} of them in advance, by standing grants" if in_advance else ""
         )
+        words += f". Nobody would be asked any more{LOOSENS}"
 
         def edit(patching: Patching) -> None:
             if risk is not None:
@@ -279,6 +286,8 @@ class _Suggesting:
             f"all of {count} proposals of `{agent}` that people were asked about because it holds `{permission}` under "
             f"supervision only were {said}"
         )
+        if "permissions" in lists:
+            words += f": it would hold it by itself{LOOSENS}"
         known = self._policy.agents[agent]
         left = {"permissions": known.permissions | {permission}, "supervised": known.supervised - {permission}}
 
@@ -304,7 +313,12 @@ class _Suggesting:
                 + ". That nothing met it does not say that nothing will."
             )
             counts = {"applied": applied.count, "held": held}
-            yield from self._made("never-held", name, words, counts, applied, _without(name))
+            if rule.then is Effect.MODIFY:
+                words += f" Without it nothing would hold what it holds{LOOSENS}"
+                yield from self._made("never-held", name, words, counts, applied, _without(name))
+            else:
+                seen = (tuple(applied.events), applied.first, applied.last)
+                yield Suggestion("never-held", name, words, counts, *seen, files={}, patch="", unwritten=STAYS)
 
     # -- overrides ---------------------------------------------------------------------------------------------------
 
@@ -336,7 +350,7 @@ class _Suggesting:
                 refused = self._habits.told[name].count
                 words = (
                     f"after {seen.count} of {refused} refusals by `{name}` a person took the same cell by hand within "
-                    "ten minutes: it may be a question rather than a refusal"
+                    f"ten minutes: it may be a question rather than a refusal{LOOSENS}"
                 )
                 counts = {"taken_over": seen.count, "refused": refused}
                 yield from self._made("taken-over", name, words, counts, seen, _outcome(name, "escalate"))

@@ -28,6 +28,7 @@ from app.governance.changes import Direction
 from app.governance.errors import PolicyErrors
 from app.governance.model import GrantScope
 from app.governance.policy import PolicySet
+from app.governance.policy_model import Effect
 from app.runtime.assembly import Runtime
 from app.runtime.grant import Offer
 from app.runtime.invocation import ProposalRequest
@@ -351,7 +352,13 @@ def test_a_rule_that_decided_nothing_is_named_with_how_often_it_could_have(tmp_p
     grip, zone = (idle["never-held", f"organization/{name}"] for name in ("fragile-grip", "forbidden-zone"))
     assert (grip.counts, zone.counts) == ({"applied": 20, "held": 20}, {"applied": 20, "held": 0})
     assert len(zone.events) == 20
-    assert "organization/forbidden-zone" not in load_files({**shipped().files, **zone.files}).rules
+    assert "organization/fragile-grip" not in load_files({**shipped().files, **grip.files}).rules
+    assert "loosens policy" in grip.words
+    guards = [
+        one for one in idle.values() if one is not grip
+    ]  # what denies or asks is not suggested away for its silence
+    assert {shipped().rules[one.about].then for one in guards} == {Effect.DENY, Effect.ESCALATE}
+    assert {(one.patch, one.unwritten != "", vetted(one).sound) for one in guards} == {("", True, False)}
 
 
 def test_what_people_keep_lowering_becomes_a_bound(tmp_path: Path) -> None:
@@ -585,6 +592,7 @@ def test_a_change_that_cannot_be_written_is_suggested_without_a_patch(tmp_path: 
         f"organization.yaml:{head.count(chr(10)) + 2}: rules: cannot be changed here: it is written between brackets"
     )
     assert one.unwritten == place
+    assert one.words.endswith("nobody would be asked. That loosens policy.")  # no comparison says it here
     said = vetted(one).document()
     assert (said["sound"], said["comparison"], said["unwritten"]) == (False, None, place)
     (tmp_path / "policies").mkdir()
@@ -595,7 +603,7 @@ def test_a_change_that_cannot_be_written_is_suggested_without_a_patch(tmp_path: 
     command = ["policy", "suggest", "--data", str(tmp_path / "data"), "--policies", str(tmp_path / "policies")]
     told = CliRunner().invoke(app, [*command, "--least-answers", "4"])
     assert told.exit_code == 0
-    assert f"no patch, to be changed by hand: {place}" in told.stdout
+    assert f"no patch: {place}" in told.stdout
 
 
 def test_the_command_prints_patches_that_apply(tmp_path: Path) -> None:
