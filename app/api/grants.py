@@ -51,8 +51,10 @@ async def grants(request: Request, query: Annotated[GrantQuery, Query()]) -> Res
 async def give(request: Request) -> Response:
     """Approve in advance what policy would ask one person about, for one agent on one cell, for at most 15 minutes.
 
-    Never for critical risk, for what takes two people, or for what a rule escalates. It ends with its time, when it is
-    revoked, with an emergency stop of the cell, and with another profile or policy.
+    Never for critical risk, for what takes two people, or for what a rule escalates. What policy or server does not
+    know, or policy does not allow for so long, is `grant_refused`; a cell under another profile than the one that is
+    named, `profile_changed`. It ends with its time, when it is revoked, with an emergency stop of the cell, and with
+    another profile or policy.
     """
     body = await read_body(request, GrantBody)
     wanted = GrantRequest(scope=GrantScope(body.scope), **body.model_dump(exclude={"scope"}))
@@ -93,7 +95,7 @@ def register(router: APIRouter) -> None:
         Answers(
             model=documents.GrantDocument,
             status=201,
-            codes=("params_invalid", "own_proposal", "grant_refused", "record_unavailable"),
+            codes=("params_invalid", "own_proposal", "grant_refused", "profile_changed", "record_unavailable"),
         ),
         body=GrantBody,
     )

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from app.audit.documents import follow, is_founded, nothing_said
 from app.audit.errors import RecordUnavailable, RowUnreadable
 from app.governance.authority import denial
-from app.governance.model import Outcome, Status
+from app.governance.model import Outcome, Reason, Status
 from app.runtime.answer import RULE, Answer
 from app.runtime.drafts import SERVER, acknowledged_event, escalation_event, outcome_event, reason, with_reason
 from app.runtime.errors import Conflict, Forbidden, InvalidParams, NotFound
@@ -29,6 +29,8 @@ from app.runtime.escalation import (
     Escalation,
     read_escalation,
 )
+from app.runtime.grants import RULE as GRANTS
+from app.runtime.grants import refused_for
 from app.runtime.questions import Questions
 from app.runtime.recollection import events_of, questions_of
 from app.runtime.reviews import Reviews
@@ -198,9 +200,8 @@ class Desk(Questions):
                 [{"path": "grant", "message": "goes with an approval, before launch, of what was shown"}]
             )
         if len(self.approvals(present)) + 1 < present.needed:
-            raise InvalidParams(
-                [{"path": "grant", "message": "goes with the last approval; this takes another person"}]
-            )
+            message = "a standing grant goes with the last approval, and this takes another person"
+            raise refused_for(Reason(GRANTS, "another_person", message, "approve without one"))
         return self.grants.build(principal, offer.request(self.kernel.policy, invocation), present)
 
     @uncut

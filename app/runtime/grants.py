@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 POLL_S: Final = 0.25
 PAGE: Final = 500
 MILLISECOND_S: Final = 0.001  # events are stamped to that
+RULE: Final = "authority/grants"
 MOST_GRANTS: Final = 64  # more of them nobody keeps in view
 
 
@@ -124,22 +125,23 @@ class Grants:
         """Return a grant that policy allows; `hold` it once it is recorded.
 
         Raises:
-            InvalidParams: names there are not, a scope that does not fit, a profile the cell is not under, too long
-                or too short.
+            InvalidParams: a scope that does not fit, or too short.
             Forbidden: `own_proposal`, nobody grants themselves anything.
-            Conflict: `grant_refused`, with policy's reason.
+            Conflict: `grant_refused`, with the reason: names there are not, too long, or what policy says;
+                `profile_changed`, the cell is not under the profile that was named.
         """
         cell = self._check(request)
         if principal.name == request.agent:
             raise Forbidden("own_proposal", "nobody grants themselves anything")
         policy = self._kernel.policy
         if refused := grantable(policy, request.capability, cell.profile) or self._unfit(cell):
-            raise Conflict("grant_refused", f"{refused.message}; valid: {refused.remedy}", reasons=[refused._asdict()])
+            raise refused_for(refused)
         most_s = policy.authority.grants.up_to_s if policy.authority.grants else 0.0
         if request.minutes < LEAST_MINUTES:
             raise _invalid("minutes", f"`{request.minutes:g}` is too short: valid are at least {LEAST_MINUTES:g}")
         if request.minutes * 60.0 > most_s:
-            raise _invalid("minutes", f"`{request.minutes:g}` is too long: valid are at most {most_s / 60.0:g}")
+            message = f"`minutes` `{request.minutes:g}` is longer than policy allows"
+            raise refused_for(Reason(RULE, "too_long", message, f"at most {most_s / 60.0:g}"))
         now = self._register.now()
         issued_s = parse_rfc3339(now)
         grant = Grant(
@@ -170,16 +172,15 @@ class Grants:
         )
 
     def _check(self, request: GrantRequest) -> Cell:
-        """Return the cell a request is for. Raises `InvalidParams`."""
+        """Return the cell a request is for. Raises `InvalidParams` and `Conflict` as `build` does."""
         policy = self._kernel.policy
         _known("capability", request.capability, policy.capabilities)
         _known("agent", request.agent, policy.agents)
         _known("cell", request.cell, [cell.id for cell in self._fleet.cells()])
         cell = self._fleet.cell(request.cell)
         if request.profile not in (None, cell.profile):
-            raise _invalid(
-                "profile", f"`{request.profile}` is not what `{cell.id}` is under: valid is `{cell.profile}`"
-            )
+            message = f"`{request.profile}` is not what `{cell.id}` is under: valid is `{cell.profile}`"
+            raise Conflict("profile_changed", message)
         for name, value, scope in (
             ("object", request.object, GrantScope.OBJECT),
             ("task", request.task, GrantScope.TASK),
@@ -192,9 +193,9 @@ class Grants:
 
     def _unfit(self, cell: Cell) -> Reason | None:
         if self._fleet.latched(cell):
-            return Reason("authority/grants", "estop_latched", f"`{cell.id}` is stopped", "reset it first")
+            return Reason(RULE, "estop_latched", f"`{cell.id}` is stopped", "reset it first")
         if len(self._active) >= MOST_GRANTS:
-            return Reason("authority/grants", "too_many", f"`{MOST_GRANTS}` grants stand already", "revoke some")
+            return Reason(RULE, "too_many", f"`{MOST_GRANTS}` grants stand already", "revoke some")
         return None
 
     # -- using -------------------------------------------------------------------------------------------------------
@@ -349,7 +350,13 @@ class Grants:
 def _known(field: str, name: str, names: Sequence[str] | Any) -> None:  # noqa: ANN401  # a mapping by name will do
     if name not in names:
         valid = ", ".join(f"`{one}`" for one in sorted(names))
-        raise _invalid(field, f"names no {field} there is: `{name}`; valid: {valid}")
+        message = f"`{field}` names no {field} there is: `{name}`"
+        raise refused_for(Reason(RULE, f"unknown_{field}", message, valid or "none is known yet"))
+
+
+def refused_for(reason: Reason) -> Conflict:
+    """Return the conflict by which nothing is granted in advance, with its reason."""
+    return Conflict("grant_refused", f"{reason.message}; valid: {reason.remedy}", reasons=[reason._asdict()])
 
 
 def _invalid(field: str, message: str) -> InvalidParams:

@@ -82,7 +82,6 @@ async def test_a_grant_goes_with_an_approval(shared_house: House) -> None:
         ({"minutes": 0}, "request_invalid"),
         ({"scope": "for ever"}, "request_invalid"),
         ({"scope": "task"}, "params_invalid"),
-        ({"agent": "nobody"}, "params_invalid"),
     ],
 )
 async def test_a_grant_that_fits_nothing_is_refused(shared_house: House, differs: dict[str, Any], code: str) -> None:
@@ -92,6 +91,9 @@ async def test_a_grant_that_fits_nothing_is_refused(shared_house: House, differs
         refused = await operator.post("/v1/grants", json={**GRANT, "capability": "navigate_to"})
         assert (refused.status_code, refused.json()["code"]) == (409, "grant_refused")
         assert refused.json()["reasons"][0]["code"] == "nothing_to_grant"
+        refused = await operator.post("/v1/grants", json={**GRANT, "agent": "nobody"})
+        assert (refused.status_code, refused.json()["code"]) == (409, "grant_refused")
+        assert refused.json()["reasons"][0]["code"] == "unknown_agent"
 
 
 async def test_a_grant_that_is_over_as_it_begins_is_refused(shared_house: House) -> None:

@@ -213,7 +213,7 @@ async def test_an_approval_goes_with_the_authority_of_who_gave_it(
     _, question = await asked(runtime, press())
     await answer(runtime, question)
     house.withdrawn.add(OPERATOR.name)
-    with pytest.raises(InvalidParams, match="this takes another person"):
+    with pytest.raises(Conflict, match="this takes another person"):
         await answer(runtime, question, who=OPERATOR_2, offer=Offer(scope=GrantScope.TIME, minutes=1.0))
     alone = await answer(runtime, question, who=OPERATOR_2)
     assert (alone["status"], [one["by"] for one in alone["approvals"]]) == ("pending", [OPERATOR_2.name])

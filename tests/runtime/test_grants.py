@@ -112,14 +112,8 @@ async def test_no_grant_goes_with_a_denial_or_an_edit(runtime: Runtime, cell: Ha
 @pytest.mark.parametrize(
     ("differs", "said"),
     [
-        ({"capability": "dance"}, "`capability` names no capability there is: `dance`"),
-        ({"agent": "stranger"}, "names no agent there is: `stranger`; valid: `planner`"),
-        ({"cell": "elsewhere"}, "names no cell there is: `elsewhere`; valid: "),
         ({"object": "mug_1"}, "`object` goes with the scope `object`"),
         ({"scope": GrantScope.TASK}, "`task` goes with the scope `task`"),
-        ({"scope": GrantScope.OBJECT, "object": "unicorn"}, "names no object there is: `unicorn`"),
-        ({"profile": "sim-relaxed"}, "valid is `human-shared`"),
-        ({"minutes": 15.5}, "valid are at most 15"),
         ({"minutes": 1e-9}, "`minutes` `1e-09` is too short: valid are at least 0.01"),
     ],
 )
@@ -128,6 +122,27 @@ async def test_a_grant_that_fits_nothing_is_refused_by_name(
 ) -> None:
     with pytest.raises(InvalidParams, match=said):
         await grant(runtime, replace(REQUEST, **differs))
+    assert await runtime.desk.grants.list() == ([], None)
+
+
+@pytest.mark.parametrize(
+    ("differs", "code", "said"),
+    [
+        ({"capability": "dance"}, "unknown_capability", "`capability` names no capability there is: `dance`; valid: "),
+        ({"agent": "stranger"}, "unknown_agent", "names no agent there is: `stranger`; valid: `planner`"),
+        ({"cell": "elsewhere"}, "unknown_cell", "names no cell there is: `elsewhere`; valid: "),
+        ({"scope": GrantScope.OBJECT, "object": "unicorn"}, "unknown_object", "names no object there is: `unicorn`"),
+        ({"minutes": 15.5}, "too_long", "`minutes` `15.5` is longer than policy allows; valid: at most 15"),
+        ({"profile": "sim-relaxed"}, None, "valid is `human-shared`"),
+    ],
+)
+async def test_a_grant_that_does_not_go_as_things_stand_is_a_conflict(
+    runtime: Runtime, cell: HandCell, differs: dict[str, Any], code: str | None, said: str
+) -> None:
+    with pytest.raises(Conflict, match=said) as refused:
+        await grant(runtime, replace(REQUEST, **differs))
+    found = (refused.value.status, refused.value.code, [reason["code"] for reason in refused.value.reasons])
+    assert found == ((409, "profile_changed", []) if code is None else (409, "grant_refused", [code]))
     assert await runtime.desk.grants.list() == ([], None)
 
 

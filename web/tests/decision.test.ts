@@ -88,6 +88,15 @@ describe('a grant that does not fit', () => {
     await decision.approve();
     expect(decision.problem).toBe('“task” goes with the scope “task”.');
   });
+
+  it('is told why it does not go as things stand, with the way out', async () => {
+    const reason = { rule: 'authority/grants', code: 'too_long', message: '`minutes` `15` is longer than policy allows', remedy: 'at most 10' };
+    const problem = { title: '', status: 409, code: 'grant_refused', detail: '', reasons: [reason] };
+    const decision = new Decision({ check: vi.fn(), events, resolve: () => Promise.reject(new ApiError(problem)) }, escalation(), () => ({ schema: {}, cell: null }));
+    decision.offer = { scope: 'time', minutes: 15 };
+    await decision.approve();
+    expect(decision.problem).toBe('This cannot be allowed in advance: “minutes” “15” is longer than policy allows. Choose “ask me again next time” to approve only this.');
+  });
 });
 
 describe('a decision', () => {

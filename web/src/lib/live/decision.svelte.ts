@@ -13,7 +13,7 @@ const WORDS: Record<string, string> = {
   already_approved: 'You approved this already: it takes another person.',
   escalation_expired: 'The time to answer is over.',
   own_proposal: 'Nobody answers for what they proposed themselves.',
-  grant_refused: 'Policy grants nothing of this kind in advance.',
+  grant_refused: 'This cannot be allowed in advance:',
   edit_refused: 'Policy refuses the edited values.',
 };
 
@@ -220,7 +220,11 @@ export class Decision {
 /** Why an answer was not taken, in words; of what was to be allowed in advance also what was wrong with it, and the way out. */
 function refusal(error: ApiError, answer: Answer): string {
   const { reasons = [], errors = [], status } = error.problem;
-  if (answer.grant === undefined || status !== 422) return [entryOf(WORDS, error.code) ?? error.message, ...reasons.map((reason) => quoted(reason.message))].join(' ');
+  const otherwise = `Choose “${ASK_AGAIN}” to approve only this.`;
+  if (answer.grant === undefined || status !== 422) {
+    const said = [entryOf(WORDS, error.code) ?? error.message, ...reasons.map((reason) => quoted(reason.message))].join(' ');
+    return error.code === 'grant_refused' ? `${said}. ${otherwise}` : said;
+  }
   const fields = errors.map(({ field }) => `“${field}”`).join(', ');
-  return `What is to be allowed in advance does not fit${fields === '' ? '' : ` (${fields})`}: ${error.message} Choose “${ASK_AGAIN}” to approve only this.`;
+  return `What is to be allowed in advance does not fit${fields === '' ? '' : ` (${fields})`}: ${error.message} ${otherwise}`;
 }
