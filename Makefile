@@ -52,7 +52,7 @@ demo: setup  ## the paper's Algorithm 1, live, in a simulated workcell
 run: setup  ## a server with one simulated cell and a demo agent; keeps running
 	@$(BIN)/reins demo --keep --port 8000
 
-test: setup  ## the whole test suite; what decides and what proves covered to the last branch
+test: setup  ## the whole test suite; what decides is covered to the last branch
 	@$(MAKE) --no-print-directory --keep-going -j5 test-served test-console test-evaluation test-campaigns test-runtime $(COMPUTING)
 
 # For two cores, five at a time, the longest first. What starts servers and cells mostly waits, and so does what drives a

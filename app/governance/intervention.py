@@ -16,7 +16,7 @@ the first half of the answer, and recovery is the other.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, assert_never
 
 from app.governance.model import Intervention
 
@@ -240,6 +240,8 @@ def ends_attempt(rule: WatchRule) -> bool:
             return response.then == "stay" and response.persist_ms is None and bool(rule.failure)
         case Intervention.ESCALATE | Intervention.CONTINUE:
             return False
+        case _:
+            assert_never(response.enter)
 
 
 def released(state: InterventionState) -> InterventionState:

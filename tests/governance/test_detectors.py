@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.governance.detectors import DETECTORS
-from app.governance.model import Command, Fix, Observation, PersonTrack, SkillReport, WatchPlan, Zone
+from app.governance.model import Command, Fix, Observation, PersonTrack, SensorStamps, SkillReport, WatchPlan, Zone
+from app.governance.policy_model import SENSORS
 from app.governance.signals import SHOWN, SIGNAL_NAMES, Constants, Senses, Signals
 from app.governance.watcher import compile_watch, without
 from tests.governance.test_watcher import GRIPPING, MOVING, PLAN, PRESS, first_alert, rule, seen, watching
@@ -74,6 +75,22 @@ changes = st.fixed_dictionaries(
 )
 
 
+Stream = list[tuple[Observation, SkillReport, Command, float]]
+
+
+def said_alike(plan: WatchPlan, stream: Stream) -> list[Signals]:
+    """Hold the fused watcher against the detectors, tick by tick."""
+    watcher = compile_watch(plan, PERIOD_S)
+    state, senses, told = watcher.begin(), Senses(), []
+    for now, word, command, rate in stream:
+        state, _ = watcher.watch(state, now, word, command, rate, 1, 2)
+        senses, signals = one_by_one(plan, senses, now, word, command, rate)
+        assert repr(state.signals) == repr(signals)  # by text, because NaN is not equal to itself
+        assert repr(state.senses) == repr(senses)
+        told.append(signals)
+    return told
+
+
 @settings(max_examples=150, deadline=None)
 @given(
     stream=st.lists(st.tuples(changes, st.sampled_from([GRIPPING, MOVING]), st.sampled_from([0.0, 1.0])), max_size=12)
@@ -81,14 +98,47 @@ changes = st.fixed_dictionaries(
 def test_fused_the_detectors_say_what_they_say_one_by_one(
     stream: list[tuple[dict[str, object], Command, float]],
 ) -> None:
-    watcher = compile_watch(EVERY, PERIOD_S)
-    state, senses = watcher.begin(), Senses()
-    for tick, (changed, command, rate) in enumerate(stream):
-        now, word = seen(tick, **changed), SkillReport("move", 0.01 * tick)
-        state, _ = watcher.watch(state, now, word, command, rate, 1, 2)
-        senses, signals = one_by_one(EVERY, senses, now, word, command, rate)
-        assert repr(state.signals) == repr(signals)  # by text, because NaN is not equal to itself
-        assert repr(state.senses) == repr(senses)
+    said_alike(
+        EVERY,
+        [
+            (seen(tick, **changed), SkillReport("move", 0.01 * tick), command, rate)
+            for tick, (changed, command, rate) in enumerate(stream)
+        ],
+    )
+
+
+def told(*given_: dict[str, object], progress: tuple[float, ...] = (), command: Command = MOVING) -> Stream:
+    """Return a stream of a healthy robot, but for what is given of each tick."""
+    return [
+        (seen(tick, **one), SkillReport("move", progress[tick] if progress else 0.01 * tick), command, 1.0)
+        for tick, one in enumerate(given_)
+    ]
+
+
+NOW = SensorStamps(*(0.0,) * 7)
+SAME = {"grip_width_m": 0.05}
+
+
+@pytest.mark.parametrize(
+    ("stream", "signal", "values"),
+    [
+        *((told({"stamps_s": NOW._replace(**{sensor: -0.25})}), "sensor_age_ms", (250.0,)) for sensor in SENSORS),
+        # nobody, somebody a metre from the middle of the base, and out of sight: they are where they were seen last
+        (told({"people": ()}, {"people": (PersonTrack(1, 0.01, 3.0, 2.0),)}, {"people": ()}),
+         "separation_m", (99.0, 0.55, 0.55)),
+        # a skill that falls back in its own progress has begun again: one retry of governance's own, one of its own
+        (told({}, {}, {}, progress=(0.1, 0.9, 0.1)), "retries", (1.0, 1.0, 2.0)),
+        (told({}, {"frames": None}, {}), "implausible", (0.0, 0.0, 0.0)),
+        (told(SAME, SAME, SAME, {"grip_width_m": 0.04}), "implausible", (0.0, 0.0, 0.0, 0.0)),
+    ],
+    ids=[*SENSORS, "a person", "a restart", "no frames", "a width that repeats"],
+)  # fmt: skip
+def test_fused_and_one_by_one_tell_the_same_of_what_chance_does_not_bring(
+    stream: Stream, signal: str, values: tuple[float, ...]
+) -> None:
+    plan = replace(EVERY, stale_after_ms=dict.fromkeys(SENSORS, 50))
+    found = [getattr(signals, signal) for signals in said_alike(plan, stream)]
+    assert found == pytest.approx(values, abs=0.01)
 
 
 # -- leaving detectors out -------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from app.governance.estimation import (
     BaseEstimate,
     PersonEstimate,
     cusum,
+    follow_base,
     now,
     offset,
     scattered,
@@ -20,6 +21,7 @@ from app.governance.estimation import (
     track_people,
 )
 from app.governance.model import Fix, PersonTrack, Sighting
+from tests.governance.test_watcher import seen
 
 PERIOD_S = 0.01
 
@@ -257,3 +259,23 @@ def test_one_thing_alone_may_be_moved_as_far_as_a_hand_moves_it_and_no_farther()
 def test_one_thing_alone_is_believed_whether_it_stands_or_is_carried(sigma_m: float) -> None:
     assert pictures((sigma_m,), 5_000, MOST_M2)[0] == 0
     assert pictures((), 400, MOST_M2, Sighting("can_1", 0.02, 0.0)) == (0, pytest.approx(0.02**2 / 2, rel=1e-3))
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        {"odometry": (math.nan, 2.0, 0.0)},
+        {"odometry": (2.0, 2.0, -math.inf)},
+        {"fix": Fix(0.02, math.inf, 2.0, 0.0)},
+        {"time_s": math.nan},
+    ],
+)
+def test_while_nothing_else_is_watched_what_is_not_finite_tells_the_base_nothing(broken: dict[str, object]) -> None:
+    follows = follow_base(follow_base(BaseEstimate(), seen(0)), seen(1))
+    assert follows == track_base(track_base(BaseEstimate(), 0.0, *_told(0)), 0.01, *_told(1))
+    assert follow_base(follows, seen(2, **broken)) is follows
+    assert follow_base(follows, seen(2, fix=None)) == track_base(follows, 0.02, seen(2).odometry, None)
+
+
+def _told(tick: int) -> tuple[tuple[float, float, float], Fix | None]:
+    return seen(tick).odometry, seen(tick).fix

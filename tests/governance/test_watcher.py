@@ -443,6 +443,7 @@ def test_each_sensor_has_its_own_age_and_the_stale_ones_are_named() -> None:
     assert alert.threshold == pytest.approx(50.0)
     _, _, watcher = run(plan, stale)
     assert watcher.stale_sensors(stale[-1]) == ("wrist",)
+    assert (watcher.signal_of("sensor_age_ms"), watcher.signal_of("no such rule")) == ("sensor_age_ms", "")
     assert first_alert(
         plan, [seen(t, stamps_s=SensorStamps(*(t * 0.01,) * 7)._replace(fix=0.0)) for t in range(20)]
     ) == (None, None)

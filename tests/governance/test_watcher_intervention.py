@@ -12,6 +12,7 @@ from app.governance.intervention import (
     NOTHING,
     SEVERITY,
     Decision,
+    Engaged,
     Grace,
     InterventionState,
     Responses,
@@ -249,3 +250,62 @@ def test_a_hold_that_was_given_up_is_answered_before_what_only_spoke_beside_it()
     assert last.gave_up
     assert last.alert is not None
     assert last.alert.rule == "unsure"
+
+
+# -- what a state says to whoever begins anew ------------------------------------------------------------------------
+
+PRESSED = replace(rule("pressed", Response(enter=STOP), "contact"), signal="contact_force_n")
+LOST = rule("lost", Response(enter=STOP), "object_lost")
+WARNED = rule("warned", Response(enter=CONTINUE))
+ANSWERS = Responses((PRESSED, LOST, WARNED, KEEP_AWAY), 0.01)
+
+
+def engaged(*names: str, since: int = 5, failure: str = "contact") -> InterventionState:
+    return InterventionState(
+        tuple(Engaged(name, Alert(Signal.VIOLATION, name, 2.0, 1.0, failure), since, None, False) for name in names)
+    )
+
+
+@pytest.mark.parametrize(
+    ("before", "left"),
+    [
+        (engaged("gap", "pressed", "warned"), engaged("pressed")),  # only what ended the attempt has ended it
+        (engaged("gap", "warned"), NOTHING),
+        (engaged("gap")._replace(grace=(Grace("lost", 9),)), NOTHING._replace(grace=(Grace("lost", 9),))),
+    ],
+)
+def test_what_a_human_lets_go_on_answers_anew(before: InterventionState, left: InterventionState) -> None:
+    assert ANSWERS.let_go(before) == left
+
+
+def test_what_is_only_warned_of_is_borne_into_what_begins_anew() -> None:
+    # of another plan, that a recovery's own may not have
+    assert [one.rule for one in ANSWERS.borne(engaged("gap", "elsewhere", "warned"))] == ["warned"]
+
+
+@pytest.mark.parametrize(
+    ("state", "names"),
+    [
+        (engaged("pressed", "lost", "warned"), ["pressed"]),  # of what ended the attempt, the contacts
+        (engaged("pressed", since=3), []),  # not later than the decision
+        (engaged("pressed", failure="object_lost"), []),  # the failure that is being answered already
+        (engaged("elsewhere"), []),
+    ],
+)
+def test_a_contact_on_the_way_to_rest_is_answered_by_itself(state: InterventionState, names: list[str]) -> None:
+    assert [one.rule for one in ANSWERS.met(state, "object_lost", 3)] == names
+
+
+@pytest.mark.parametrize(
+    ("response", "signal", "off"),
+    [
+        (Response(enter=PAUSE), "separation_m", True),
+        (Response(enter=CONTINUE, persist_ms=100, otherwise=PAUSE), "separation_m", True),
+        (Response(enter=CONTINUE), "separation_m", False),
+        (Response(enter=PAUSE), "slip_m", False),
+    ],
+)
+def test_whoever_is_too_near_keeps_everything_from_beginning(response: Response, signal: str, off: bool) -> None:
+    responses = Responses((replace(rule("near", response), signal=signal), LOST), 0.01)
+    assert responses.keeps_off(("near",)) is off
+    assert not responses.keeps_off(("lost", "elsewhere"))
