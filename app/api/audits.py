@@ -10,7 +10,7 @@ from base64 import b64encode
 from contextlib import ExitStack
 from dataclasses import asdict
 from functools import partial
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal, TypedDict
 
 import orjson
 from fastapi import Query
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from starlette.types import Receive, Scope, Send
 
     from app.audit.event import Event
+    from app.audit.reader import EventFilters
     from app.runtime.feed import Feed
 
 MAX_EVENTS = 1000
@@ -71,8 +72,41 @@ class EventQuery(BaseModel):
     actor: Filter = None
     since: Moment | None = Field(default=None, description="RFC 3339, included.")
     until: Moment | None = Field(default=None, description="RFC 3339, excluded.")
-    after: Annotated[int, Field(ge=0, le=MAX_SEQ, description="The last `seq` already seen."), Digits] = 0
+    order: Annotated[Literal["oldest", "newest"], Field(description="By `seq`: which end comes first.")] = "oldest"
+    after: Annotated[
+        int,
+        Field(ge=0, le=MAX_SEQ, description="Only behind this `seq`; oldest first, the last one already seen."),
+        Digits,
+    ] = 0
+    before: Annotated[
+        int | None,
+        Field(ge=1, le=MAX_SEQ, description="Only in front of this `seq`; newest first, the last one already seen."),
+        Digits,
+    ] = None
     limit: Annotated[int, Field(ge=1, le=MAX_EVENTS), Digits] = 100
+
+    def filters(self) -> EventFilters:
+        """Return which events are asked for."""
+        since, until = (None if at is None else parse_rfc3339(at) for at in (self.since, self.until))
+        return {
+            "invocation": self.invocation, "kind": self.kind, "actor": self.actor, "since": since, "until": until,
+        }  # fmt: skip
+
+    def span(self, behind: int | None = None) -> Span:
+        """Return where the events stand, and which comes first; those of the next page, if one is `behind` this."""
+        newest = self.order == "newest"
+        after, before = (self.after, self.before)
+        if behind is not None:
+            after, before = (after, behind) if newest else (behind, before)
+        return {"after": after, "before": before, "newest": newest}
+
+
+class Span(TypedDict):
+    """A stretch of the log, as `AuditStore.events` takes it."""
+
+    after: int
+    before: int | None
+    newest: bool
 
 
 class PartQuery(BaseModel):
@@ -112,15 +146,18 @@ class StreamQuery(BaseModel):
 
 
 async def events(request: Request, query: Annotated[EventQuery, Query()]) -> Response:
-    """Return events of the log in order of `seq`; `next` is the `after` that continues, null at the end."""
-    filters = query.model_dump(exclude={"after", "limit"})
-    for bound in ("since", "until"):
-        filters[bound] = None if filters[bound] is None else parse_rfc3339(filters[bound])
-    within_the_log(request, "after", query.after)
+    """Return events of the log in order of `seq`, the oldest first.
+
+    `next` is the `after` that continues, null at the end. With `order=newest` the newest come first, and `next` is the
+    `before` that continues: what is recorded meanwhile moves no page.
+    """
+    for bound in ("after", "before"):
+        within_the_log(request, bound, getattr(query, bound))
     store = parts_of(request).store
-    found = await store.events(**filters, after=query.after, limit=query.limit)
+    filters = query.filters()
+    found = await store.events(**filters, **query.span(), limit=query.limit)
     following = found[-1].seq if len(found) == query.limit else None
-    if following is not None and not await store.events(**filters, after=following, limit=1):
+    if following is not None and not await store.events(**filters, **query.span(following), limit=1):
         following = None  # a page may end just where the log does
     return answer({"items": [orjson.Fragment(event.body) for event in found], "next": following})
 

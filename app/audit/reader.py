@@ -9,7 +9,7 @@ import re
 import sqlite3
 import zlib
 from contextlib import closing
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypedDict, Unpack, cast
 from urllib.parse import quote
 
 import sqlalchemy as sa
@@ -38,6 +38,16 @@ EXTENT = sa.text(
 )  # as text: the one question of whoever opens a log, which SQLAlchemy compiles anew each time
 SCHEMA = sa.text("SELECT type, name, tbl_name, sql FROM sqlite_master")
 REVISION = sa.text("SELECT version_num FROM alembic_version")
+
+
+class EventFilters(TypedDict, total=False):
+    """Which events of the log; what is left out or None filters nothing."""
+
+    invocation: str | None  # only those under this one
+    kind: str | None
+    actor: str | None
+    since: float | None  # wall time in seconds, included
+    until: float | None  # wall time in seconds, excluded
 
 
 class Page(NamedTuple):
@@ -108,38 +118,37 @@ class Reader:
     def events(
         self,
         *,
-        invocation: str | None = None,
-        kind: str | None = None,
-        actor: str | None = None,
-        since: float | None = None,
-        until: float | None = None,
         after: int = 0,
+        before: int | None = None,
+        newest: bool = False,
         limit: int = 100,
+        **filters: Unpack[EventFilters],
     ) -> list[Event]:
         """Return events in order of `seq`.
 
         Args:
-            invocation: only those under this invocation.
-            kind: only those of this kind.
-            actor: only those by this actor.
-            since: wall time in seconds, included.
-            until: wall time in seconds, excluded.
-            after: cursor, the last `seq` already seen.
+            after: only those behind this `seq`: oldest first, the last one already seen.
+            before: only those in front of this `seq`: newest first, the last one already seen.
+            newest: the newest first, not the oldest.
             limit: at most so many, 1 to 1000.
+            filters: which of them.
 
         Raises:
             ValueError: a limit out of bounds, or a time that is none.
             RecordDamaged: the database cannot be read.
         """
         query = sa.select(*EVENT_COLUMNS).where(events.c.seq > after)
-        for column, value in ((events.c.invocation, invocation), (events.c.kind, kind), (events.c.actor, actor)):
-            if value is not None:
+        for column in (events.c.invocation, events.c.kind, events.c.actor):
+            if (value := filters.get(column.name)) is not None:
                 query = query.where(column == value)
-        if since is not None:
+        if (since := filters.get("since")) is not None:
             query = query.where(events.c.at >= rfc3339(since))
-        if until is not None:
+        if (until := filters.get("until")) is not None:
             query = query.where(events.c.at < rfc3339(until))
-        return [Event(*row) for row in self._all(query.order_by(events.c.seq).limit(bounded(limit)))]
+        if before is not None:
+            query = query.where(events.c.seq < before)
+        order = events.c.seq.desc() if newest else events.c.seq
+        return [Event(*row) for row in self._all(query.order_by(order).limit(bounded(limit)))]
 
     def last_events(self, limit: int) -> list[Event]:
         """Return the last events, in order of `seq`.

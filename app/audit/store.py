@@ -14,7 +14,7 @@ import asyncio
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, Unpack
 
 from app.audit.errors import AuditError, EventUnreadable, RecordDamaged, RecordUnavailable, RowExists
 from app.audit.event import Event, EventDraft, RowWrite, Submission, prepare_all
@@ -22,7 +22,7 @@ from app.audit.examination import WITHIN_S as EXAMINE_WITHIN_S
 from app.audit.examination import Examination, examine
 from app.audit.ledger import Ledger, Staged, describe
 from app.audit.places import Places
-from app.audit.reader import Page, Reader, Row
+from app.audit.reader import EventFilters, Page, Reader, Row
 from app.audit.rows import check_row
 from app.audit.verification import Progress, Verification, verify_log
 from app.clock import monotonic_s, rfc3339, wall_s
@@ -294,23 +294,19 @@ class AuditStore:
     async def events(
         self,
         *,
-        invocation: str | None = None,
-        kind: str | None = None,
-        actor: str | None = None,
-        since: float | None = None,
-        until: float | None = None,
         after: int = 0,
+        before: int | None = None,
+        newest: bool = False,
         limit: int = 100,
+        **filters: Unpack[EventFilters],
     ) -> list[Event]:
         """Return events in order of `seq`, each readable; arguments and errors as `Reader.events`.
 
         One that is not says as much as a verification would: it stands in `damage`, and nothing launches.
         """
-        filters = {"invocation": invocation, "kind": kind, "actor": actor, "since": since, "until": until}
+        read = partial(self._reader.events, after=after, before=before, newest=newest, limit=limit, **filters)
         try:
-            return await self._read(
-                partial(_readable, partial(self._reader.events, **filters, after=after, limit=limit))
-            )
+            return await self._read(partial(_readable, read))
         except EventUnreadable as error:
             self.damage = str(error)
             raise RecordDamaged(self.places.database, str(error)) from error

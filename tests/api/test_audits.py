@@ -77,6 +77,26 @@ async def test_a_page_that_ends_where_the_log_does_is_the_last(house: House) -> 
     assert most["next"] is None
 
 
+async def test_pages_from_the_newest_event_on_and_what_is_recorded_meanwhile_moves_no_page(house: House) -> None:
+    await refuse(house, 3)
+    last = house.runtime.store.size
+    seen: list[int] = []
+    async with house.client("auditor") as auditor:
+        page = (await auditor.get("/v1/audit/events?order=newest&limit=4")).json()
+        await refuse(house)
+        seen += [event["seq"] for event in page["items"]]
+        while page["next"] is not None:
+            assert page["next"] == seen[-1]
+            page = (await auditor.get(f"/v1/audit/events?order=newest&limit=4&before={page['next']}")).json()
+            seen += [event["seq"] for event in page["items"]]
+        within = [f"/v1/audit/events?after=2&before=6&limit=3&order={order}" for order in ("oldest", "newest")]
+        oldest, newest = [(await auditor.get(path)).json() for path in within]
+    assert seen == list(range(last, 0, -1))
+    assert [event["seq"] for event in oldest["items"]] == [3, 4, 5]
+    assert newest == {"items": oldest["items"][::-1], "next": None}
+    assert oldest["next"] is None
+
+
 async def test_filters_the_log(house: House) -> None:
     (name,) = await refuse(house)
     async with house.client("auditor") as auditor:
@@ -99,6 +119,10 @@ async def test_filters_the_log(house: House) -> None:
         "after=9223372036854775808",
         "limit=1001",
         "after=1_0",
+        "before=0",
+        "before=x",
+        "order=latest",
+        "order=",
         "a=b",
     ],
 )
@@ -178,17 +202,19 @@ async def test_two_last_events_are_none(house: House) -> None:
     assert "`Last-Event-ID`" in answer.json()["detail"]
 
 
-@pytest.mark.parametrize("where", ["Last-Event-ID", "/v1/events", "/v1/audit/events"])
+@pytest.mark.parametrize(
+    "where", ["Last-Event-ID", "/v1/events?after", "/v1/audit/events?after", "/v1/audit/events?before"]
+)
 async def test_refuses_a_place_that_this_log_has_not_reached(house: House, where: str) -> None:
     await refuse(house)
     size = house.runtime.store.size
     headers = {where: str(size + 1)} if where == "Last-Event-ID" else {}
-    path = "/v1/events" if headers else f"{where}?after={size + 1}"
+    path = "/v1/events" if headers else f"{where}={size + 1}"
     async with house.client("auditor") as auditor:
         answer = await auditor.get(path, headers=headers)
     assert (answer.status_code, answer.json()["code"]) == (422, "request_invalid")
     (fault,) = answer.json()["errors"]
-    assert fault["field"] == (where if headers else "after")
+    assert fault["field"] == where.rpartition("?")[2]
     assert f"`{size + 1}`" in fault["message"]
     assert f"`{size}` events" in fault["message"]
 

@@ -33,7 +33,7 @@ class EventDocument(Document):
 
 
 class EventList(Document):
-    """Events by `seq`; `next` is the `after` of the next page."""
+    """Events by `seq`; `next` is the `after` of the next page, or its `before` where the newest come first."""
 
     items: list[EventDocument]
     next: int | None
