@@ -1,4 +1,4 @@
-"""What an auditor uses: the log by page, its signed head, its verification, and events as they happen.
+"""What an auditor uses: the log's signed head, its verification, telemetry, and events as they happen.
 
 Events are sent as the very bytes that were hashed.
 """
@@ -10,17 +10,17 @@ from base64 import b64encode
 from contextlib import ExitStack
 from dataclasses import asdict
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Literal, TypedDict
+from typing import TYPE_CHECKING, Annotated
 
-import orjson
 from fastapi import Query
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response, StreamingResponse
 
 from app.api import documents
 from app.api.access import allowed_roles, authorize, caller
-from app.api.listing import MAX_SEQ, Digits, Filter, Identifier, within_the_log
+from app.api.listing import MAX_SEQ, Digits, Identifier, within_the_log
+from app.api.log import MAX_EVENTS, events
 from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
 from app.api.problems import Problem, as_problem
@@ -28,8 +28,7 @@ from app.api.staying import CUT, until_refused
 from app.audit.checkpoint import parse_checkpoint
 from app.audit.errors import AuditError, RecordDamaged
 from app.audit.telemetry_reading import read_telemetry, telemetry_file
-from app.clock import parse_rfc3339, rfc3339
-from app.governance.model import EventKind
+from app.clock import rfc3339
 
 if TYPE_CHECKING:
     from collections.abc import AsyncGenerator, Callable
@@ -38,10 +37,8 @@ if TYPE_CHECKING:
     from starlette.types import Receive, Scope, Send
 
     from app.audit.event import Event
-    from app.audit.reader import EventFilters
     from app.runtime.feed import Feed
 
-MAX_EVENTS = 1000
 MAX_DIGITS = 18
 HEARTBEAT_S = 10.0
 LEAVE_S = 2.0  # for who may not stay to take the end of their stream
@@ -51,62 +48,6 @@ EVENTS = "/v1/events"
 STREAM = "text/event-stream"
 MCAP = "application/octet-stream"
 MAX_ROWS = 5000
-
-
-def _moment(text: str) -> str:
-    moment = text.replace(" ", "+")  # an unescaped `+` of an offset arrives as a space
-    rfc3339(parse_rfc3339(moment))
-    return moment
-
-
-Moment = Annotated[str, Field(max_length=40, examples=["2026-03-01T09:30:00.250Z"]), AfterValidator(_moment)]
-
-
-class EventQuery(BaseModel):
-    """Filters of the log."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    invocation: Filter = None
-    kind: EventKind | None = None
-    actor: Filter = None
-    since: Moment | None = Field(default=None, description="RFC 3339, included.")
-    until: Moment | None = Field(default=None, description="RFC 3339, excluded.")
-    order: Annotated[Literal["oldest", "newest"], Field(description="By `seq`: which end comes first.")] = "oldest"
-    after: Annotated[
-        int,
-        Field(ge=0, le=MAX_SEQ, description="Only behind this `seq`; oldest first, the last one already seen."),
-        Digits,
-    ] = 0
-    before: Annotated[
-        int | None,
-        Field(ge=1, le=MAX_SEQ, description="Only in front of this `seq`; newest first, the last one already seen."),
-        Digits,
-    ] = None
-    limit: Annotated[int, Field(ge=1, le=MAX_EVENTS), Digits] = 100
-
-    def filters(self) -> EventFilters:
-        """Return which events are asked for."""
-        since, until = (None if at is None else parse_rfc3339(at) for at in (self.since, self.until))
-        return {
-            "invocation": self.invocation, "kind": self.kind, "actor": self.actor, "since": since, "until": until,
-        }  # fmt: skip
-
-    def span(self, behind: int | None = None) -> Span:
-        """Return where the events stand, and which comes first; those of the next page, if one is `behind` this."""
-        newest = self.order == "newest"
-        after, before = (self.after, self.before)
-        if behind is not None:
-            after, before = (after, behind) if newest else (behind, before)
-        return {"after": after, "before": before, "newest": newest}
-
-
-class Span(TypedDict):
-    """A stretch of the log, as `AuditStore.events` takes it."""
-
-    after: int
-    before: int | None
-    newest: bool
 
 
 class PartQuery(BaseModel):
@@ -143,23 +84,6 @@ class StreamQuery(BaseModel):
         ),
         Digits,
     ] = None
-
-
-async def events(request: Request, query: Annotated[EventQuery, Query()]) -> Response:
-    """Return events of the log in order of `seq`, the oldest first.
-
-    `next` is the `after` that continues, null at the end. With `order=newest` the newest come first, and `next` is the
-    `before` that continues: what is recorded meanwhile moves no page.
-    """
-    for bound in ("after", "before"):
-        within_the_log(request, bound, getattr(query, bound))
-    store = parts_of(request).store
-    filters = query.filters()
-    found = await store.events(**filters, **query.span(), limit=query.limit)
-    following = found[-1].seq if len(found) == query.limit else None
-    if following is not None and not await store.events(**filters, **query.span(following), limit=1):
-        following = None  # a page may end just where the log does
-    return answer({"items": [orjson.Fragment(event.body) for event in found], "next": following})
 
 
 async def checkpoint(request: Request) -> Response:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack
 
@@ -24,12 +25,13 @@ from app.audit.ledger import Ledger, Staged, describe
 from app.audit.places import Places
 from app.audit.reader import EventFilters, Page, Reader, Row
 from app.audit.rows import check_row
+from app.audit.searching import Found, Words, search
 from app.audit.verification import Progress, Verification, verify_log
 from app.clock import monotonic_s, rfc3339, wall_s
 from app.disk import full
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Generator, Mapping, Sequence
     from pathlib import Path
 
     from app.audit.checkpoint import Verifier
@@ -39,7 +41,7 @@ T = TypeVar("T")
 MAX_BATCH_EVENTS = 512  # bounds how long one batch keeps the event loop
 MAX_WAITING = 10_000
 PROBE_AFTER_S = 1.0
-VERIFY_PAUSE_S = 0.0005
+PAUSE_S = 0.0005  # in which whoever reads all of the log steps aside, again and again
 PROBE_BYTES = 32 * 1024
 
 
@@ -53,6 +55,7 @@ class AuditStore:
         self._reader = Reader(ledger.places.database)
         self._committer = ThreadPoolExecutor(1, thread_name_prefix="audit-commit")
         self._readers = ThreadPoolExecutor(1, thread_name_prefix="audit-read")
+        self._searchers = ThreadPoolExecutor(1, thread_name_prefix="audit-search")  # who reads waits for no search
         self._waiting: deque[tuple[Submission, asyncio.Future[list[int]]]] = deque()
         self._writing = False
         self._closed = False
@@ -89,6 +92,7 @@ class AuditStore:
             await self._idle
         self._committer.shutdown()
         self._readers.shutdown()
+        self._searchers.shutdown()
         self._reader.close()
         self._ledger.close()
 
@@ -305,8 +309,35 @@ class AuditStore:
         One that is not says as much as a verification would: it stands in `damage`, and nothing launches.
         """
         read = partial(self._reader.events, after=after, before=before, newest=newest, limit=limit, **filters)
-        try:
+        with self._meeting_damage():
             return await self._read(partial(_readable, read))
+
+    async def search(
+        self,
+        words: Words,
+        *,
+        after: int = 0,
+        before: int | None = None,
+        newest: bool = False,
+        limit: int = 100,
+        **filters: Unpack[EventFilters],
+    ) -> Found:
+        """Look for words in the log, as far as one look goes; arguments and errors as `events`, `searching.search`.
+
+        One search runs at a time, in a thread that no other reader waits for.
+        """
+        if self._closed:
+            raise AuditError("the store is closed")
+        span = {"after": after, "before": before, "newest": newest}
+        look = partial(search, partial(self._reader.events, **filters), words, **span, limit=limit, pause_s=PAUSE_S)
+        with self._meeting_damage():
+            return await asyncio.get_running_loop().run_in_executor(self._searchers, look)
+
+    @contextmanager
+    def _meeting_damage(self) -> Generator[None]:
+        """Note an event that cannot be read."""
+        try:
+            yield
         except EventUnreadable as error:
             self.damage = str(error)
             raise RecordDamaged(self.places.database, str(error)) from error
@@ -345,7 +376,7 @@ class AuditStore:
         Raises:
             RecordUnreadable: it cannot be read now.
         """
-        return await asyncio.to_thread(verify_log, self.places, self.verifier, pause_s=VERIFY_PAUSE_S)
+        return await asyncio.to_thread(verify_log, self.places, self.verifier, pause_s=PAUSE_S)
 
     async def examine(self) -> Examination:
         """Compare everything that lies in the data directory with the log, in a thread with connections of its own.
@@ -353,9 +384,7 @@ class AuditStore:
         Raises:
             RecordUnreadable: it cannot be read now; what the last examination found holds on.
         """
-        found = await asyncio.to_thread(
-            examine, self.places, self.verifier, pause_s=VERIFY_PAUSE_S, within_s=EXAMINE_WITHIN_S
-        )
+        found = await asyncio.to_thread(examine, self.places, self.verifier, pause_s=PAUSE_S, within_s=EXAMINE_WITHIN_S)
         self.damage = found.log.problem
         return found
 

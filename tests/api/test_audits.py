@@ -15,6 +15,7 @@ import pytest
 from mcap.writer import Writer
 
 from app.api import audits
+from app.audit import searching
 from app.audit.event import EventDraft
 from app.audit.telemetry import TelemetryWriter, channels
 from tests.api.conftest import House, open_house
@@ -97,6 +98,37 @@ async def test_pages_from_the_newest_event_on_and_what_is_recorded_meanwhile_mov
     assert oldest["next"] is None
 
 
+async def test_searches_the_log_for_words_in_pieces_from_either_end(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(searching, "MOST", 5)
+    before = house.runtime.store.size
+    names = await refuse(house, 4)
+    last = house.runtime.store.size
+    async with house.client("auditor") as auditor:
+
+        async def all_of(order: str, cursor: str, begin: str) -> tuple[list[str], int]:
+            found: list[str] = []
+            looked = 0
+            where = begin
+            while True:
+                words = f"/v1/audit/events?text=FLY_to%20Planner&order={order}&limit=3"
+                page = (await auditor.get(f"{words}{where}")).json()
+                found += [event["invocation"] for event in page["items"] if event["kind"] == "proposal"]
+                looked += page["searched"]["events"]
+                if page["next"] is None:
+                    return found, looked
+                where = f"{begin if order == 'newest' else ''}&{cursor}={page['next']}"
+
+        assert await all_of("oldest", "after", f"&after={before}") == (names, last - before)
+        assert await all_of("newest", "before", f"&after={before}") == (names[::-1], last - before)
+        nothing = (await auditor.get("/v1/audit/events?text=nobody%20wrote&order=newest")).json()
+        fifth, *_ = (await auditor.get(f"/v1/audit/events?after={last - 5}")).json()["items"]
+    assert nothing == {
+        "items": [], "next": last - 4, "searched": {"events": 5, "seq": last - 4, "at": fifth["at"]},
+    }  # fmt: skip
+
+
 async def test_filters_the_log(house: House) -> None:
     (name,) = await refuse(house)
     async with house.client("auditor") as auditor:
@@ -122,6 +154,9 @@ async def test_filters_the_log(house: House) -> None:
         "before=0",
         "before=x",
         "order=latest",
+        "text=",
+        "text=%20%09",
+        f"text={'x' * 201}",
         "order=",
         "a=b",
     ],

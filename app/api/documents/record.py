@@ -32,11 +32,20 @@ class EventDocument(Document):
     body: dict[str, Any]
 
 
+class Searched(Document):
+    """How far a search has come: how many events it looked at, and the last of them."""
+
+    events: int
+    seq: int | None
+    at: str | None
+
+
 class EventList(Document):
     """Events by `seq`; `next` is the `after` of the next page, or its `before` where the newest come first."""
 
     items: list[EventDocument]
     next: int | None
+    searched: Searched | None = Field(default=None, description="Stands in the answer to a search, `text`, alone.")
 
 
 class Trace(Document):
