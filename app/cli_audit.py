@@ -12,6 +12,7 @@ import typer
 
 from app.audit.checkpoint import NoteInvalid, parse_verifier
 from app.audit.errors import EventUnreadable, RecordDamaged, RecordUnreadable
+from app.audit.searching import Words
 from app.cli_data import directory
 from app.terminal import FINDING, INTERRUPTED, MISUSE, out, say, say_error
 
@@ -27,6 +28,24 @@ app = typer.Typer(
 )
 
 Data = Annotated[Path, typer.Option(help="The server's data directory.", envvar="REINS_DATA", parser=directory)]
+
+
+def _words(text: str) -> Words:
+    words = Words(text)
+    if not words.words:
+        raise typer.BadParameter("it is empty: valid are words that an event holds, for instance `mug_1 separation`")
+    return words
+
+
+Text = Annotated[
+    Words | None,
+    typer.Option(
+        metavar="WORDS",
+        parser=_words,
+        help="Only events that hold all of these words, in whatever case: actor, kind, and what stands in the body.",
+    ),
+]
+Newest = Annotated[bool, typer.Option("--newest", help="The newest first.")]
 FOLLOW_S = 0.5
 PAGE = 500
 INTERRUPTION = "interrupted"
@@ -83,17 +102,24 @@ def _good(size: int) -> str:
 
 @app.command()
 def show(
-    invocation: Annotated[str, typer.Argument(help="An invocation, for instance inv_01M7…")], data: Data = Path("data")
+    invocation: Annotated[str, typer.Argument(help="An invocation, for instance inv_01M7…")],
+    data: Data = Path("data"),
+    text: Text = None,
+    *,
+    newest: Newest = False,
 ) -> None:
-    """Print everything recorded under one invocation, in order."""
+    """Print everything recorded under one invocation, in order.
+
+    [bold]reins audit show inv_01M7… --text separation[/]   what it says of one rule
+    """
     from app.audit import archive
 
     with _said(data):
-        events = archive.show(data, invocation)
+        events = archive.show(data, invocation, text)
     if not events:
-        say_error(f"nothing is recorded under `{invocation}`")
+        say_error(f"nothing is recorded under `{invocation}`{_holding(text)}")
         raise typer.Exit(FINDING)
-    if not _print(events):
+    if not _print(events[::-1] if newest else events):
         raise typer.Exit(FINDING)
 
 
@@ -115,23 +141,37 @@ def export(
 def tail(
     data: Data = Path("data"),
     limit: Annotated[int, typer.Option("--limit", "-n", help="How many.", min=1, max=PAGE)] = 20,
+    text: Text = None,
     *,
+    newest: Newest = False,
     follow: Annotated[bool, typer.Option("--follow", "-f", help="Go on as events come; Ctrl-C ends.")] = False,
 ) -> None:
-    """Print the newest events."""
+    """Print the newest events; with words, the newest that hold them, however far back those stand.
+
+    [bold]reins audit tail --text "mug_1 denied" -n 1[/]   when it was denied last
+
+    [bold]reins audit tail --text separation --follow[/]   what goes on about one rule
+    """
     from app.audit import archive
 
+    if newest and follow:
+        raise typer.BadParameter("what follows is always newer: valid is one of `--newest` and `--follow`")
     with _said(data, interrupted="" if follow else INTERRUPTION):
-        events = archive.tail(data, limit=limit)
-        good = _print(events)
-        after = events[-1].seq if events else 0
+        with out.status("searching …" if text else "reading …"):
+            events, end = archive.tail(data, limit=limit, words=text)
+        good = _print(events[::-1] if newest else events)
         while follow:
             time.sleep(FOLLOW_S)
-            events = archive.tail(data, limit=PAGE, after=after)
+            events, end = archive.tail(data, limit=PAGE, after=end, words=text)
             good &= _print(events)
-            after = events[-1].seq if events else after
-    if not good:
+    if text and not events:
+        say_error(f"nothing is recorded{_holding(text)}")
+    if not good or (text and not events):
         raise typer.Exit(FINDING)
+
+
+def _holding(words: Words | None) -> str:
+    return "" if words is None else f" that holds {' and '.join(f'`{word}`' for word in words.words)}"
 
 
 def _print(events: Iterable[Event]) -> bool:

@@ -181,7 +181,41 @@ def test_prints_what_was_recorded_as_it_stands(tmp_path: Path, words: tuple[str,
     assert not [character for character in said if not character.isprintable() and character != "\n"]
 
 
-@pytest.mark.parametrize("words", [("show", "inv_1"), ("tail",)])
+@pytest.mark.parametrize(
+    ("words", "seqs"),
+    [
+        ("tail", [1, 2, 3, 4]),
+        ("tail --newest -n 2", [4, 3]),
+        ("tail --text MUG_1", [1, 3]),
+        ("tail --text mug_1 --newest -n 1", [3]),
+        ("show inv_1 --text mug_1", [1, 3]),
+        ("show inv_1 --newest", [3, 2, 1]),
+    ],
+)
+def test_prints_what_holds_words_in_either_order(tmp_path: Path, words: str, seqs: list[int]) -> None:
+    objects = ["mug_1", "glass_1", "mug_1"]
+    write(tmp_path, lambda store: store.append([*(draft(object_id=one) for one in objects), draft(invocation=None)]))
+    code, said = run("audit", *words.split(), "--data", str(tmp_path))
+    assert (code, [int(line.split()[0]) for line in said.splitlines()]) == (0, seqs)
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["tail", "--text", "mug_9 denied"], 1, "nothing is recorded that holds `mug_9` and `denied`"),
+        (["show", "inv_1", "--text", "Mug_9"], 1, "nothing is recorded under `inv_1` that holds `mug_9`"),
+        (["tail", "--text", " "], 2, "valid are words that an event holds"),
+        (["tail", "--newest", "--follow"], 2, "valid is one of `--newest` and `--follow`"),
+    ],
+)
+def test_says_that_nothing_holds_the_words_and_what_would_be_valid(
+    tmp_path: Path, words: list[str], code: int, said: str
+) -> None:
+    write(tmp_path, fill)
+    assert (code, True) == ((found := run("audit", *words, "--data", str(tmp_path)))[0], said in found[1]), found
+
+
+@pytest.mark.parametrize("words", [("show", "inv_1"), ("tail",), ("tail", "--text", "n")])
 @pytest.mark.parametrize("body", [b'{"cut":', b"[]"])
 def test_what_cannot_be_read_of_a_damaged_log_is_named_and_the_rest_printed(
     tmp_path: Path, words: tuple[str, ...], body: bytes

@@ -7,15 +7,16 @@ import os
 import stat
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from time import sleep
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple, Unpack
 
 from app.audit.checkpoint import NoteInvalid, Verifier
-from app.audit.errors import RecordDamaged
+from app.audit.errors import EventUnreadable, RecordDamaged
 from app.audit.merkle import Frontier, leaf_hash
 from app.audit.places import Places, load_verifier
-from app.audit.reader import MAX_LIMIT, Reader
+from app.audit.reader import MAX_LIMIT, EventFilters, Reader
 from app.audit.schema import schema_problems
 from app.audit.verification import Verification, verify_log
 from app.disk import sync_folder
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from io import BufferedWriter
 
     from app.audit.event import Event
+    from app.audit.searching import Words
 
 MAX_FAULTS = 10
 _KINDS: Final = {
@@ -62,25 +64,51 @@ def verify_file(data_dir: Path, verifier: Verifier | None = None) -> Verificatio
         return verify_log(places, key)
 
 
-def show(data_dir: Path, invocation: str) -> list[Event]:
-    """Return all events under an invocation, in order.
+def show(data_dir: Path, invocation: str, words: Words | None = None) -> list[Event]:
+    """Return all events under an invocation, in order; with `words`, those that hold them, or cannot be read.
 
     Raises:
         RecordDamaged: there is no log, or it cannot be read.
     """
     with reading(data_dir) as reader:
-        return list(walk(reader, invocation=invocation))
+        return [event for event in walk(reader, invocation=invocation) if _may_hold(words, event)]
 
 
-def tail(data_dir: Path, *, limit: int = 20, after: int | None = None) -> list[Event]:
-    """Return the last events in order; with `after`, the first ones behind that `seq`, to go on from there.
+class Tail(NamedTuple):
+    """Events in order, and the `seq` behind which others go on."""
+
+    events: list[Event]
+    end: int
+
+
+def tail(data_dir: Path, *, limit: int = 20, after: int | None = None, words: Words | None = None) -> Tail:
+    """Return the last events, however far back they stand; with `words`, the last that hold them, or cannot be read.
+
+    With `after`, those among the first `limit` behind that `seq`, to go on from there.
 
     Raises:
         RecordDamaged: there is no log, or it cannot be read.
         ValueError: a limit out of bounds.
     """
     with reading(data_dir) as reader:
-        return reader.last_events(limit) if after is None else reader.events(after=after, limit=limit)
+        if after is not None:
+            page = reader.events(after=after, limit=limit)
+            return Tail([event for event in page if _may_hold(words, event)], page[-1].seq if page else after)
+        end = reader.extent().last
+        if words is None:
+            found = reader.events(before=end + 1, newest=True, limit=limit)
+        else:
+            behind = walk(reader, before=end + 1, newest=True)
+            found = list(islice((event for event in behind if _may_hold(words, event)), limit))
+        return Tail(found[::-1], end)
+
+
+def _may_hold(words: Words | None, event: Event) -> bool:
+    """Say whether an event holds words, or nobody can say: whoever shows it says that."""
+    try:
+        return words is None or words.held_by(event)
+    except EventUnreadable:
+        return True
 
 
 def export(data_dir: Path, out: Path, format: Literal["jsonl"] = "jsonl") -> Export:  # the CLI's word
@@ -262,12 +290,14 @@ def telemetry_problem(folder: Path, event: Event) -> str | None:
     return None if found == expected else f"event `{event.seq}`: `{path}` is not the file that was recorded"
 
 
-def walk(reader: Reader, **filters: Any) -> Iterator[Event]:  # noqa: ANN401  # as Reader.events
-    """Yield events page by page."""
+def walk(
+    reader: Reader, *, before: int | None = None, newest: bool = False, **filters: Unpack[EventFilters]
+) -> Iterator[Event]:
+    """Yield events page by page; arguments as `Reader.events`."""
     after = 0
-    while page := reader.events(after=after, limit=MAX_LIMIT, **filters):
+    while page := reader.events(after=after, before=before, newest=newest, limit=MAX_LIMIT, **filters):
         yield from page
-        after = page[-1].seq
+        after, before = (after, page[-1].seq) if newest else (page[-1].seq, before)
 
 
 @contextmanager

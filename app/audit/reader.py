@@ -150,16 +150,6 @@ class Reader:
         order = events.c.seq.desc() if newest else events.c.seq
         return [Event(*row) for row in self._all(query.order_by(order).limit(bounded(limit)))]
 
-    def last_events(self, limit: int) -> list[Event]:
-        """Return the last events, in order of `seq`.
-
-        Raises:
-            ValueError: a limit out of bounds.
-            RecordDamaged: the database cannot be read.
-        """
-        query = sa.select(*EVENT_COLUMNS).order_by(events.c.seq.desc()).limit(bounded(limit))
-        return [Event(*row) for row in reversed(self._all(query))]
-
     def holding(
         self,
         words: Collection[str],

@@ -16,6 +16,7 @@ from app.audit.errors import RecordDamaged
 from app.audit.event import EventDraft
 from app.audit.merkle import Frontier, leaf_hash
 from app.audit.places import Places
+from app.audit.searching import Words
 from app.audit.store import AuditStore
 from app.audit.telemetry import TelemetryWriter, channels
 from tests.audit.conftest import draft, fill, hide_from_index
@@ -43,7 +44,7 @@ async def test_reads_a_closed_log_and_changes_nothing(data: Path) -> None:
     await store.close()
     before = contents(data)
     assert verify_file(data).ok
-    assert len(tail(data)) == 12
+    assert len(tail(data).events) == 12
     after = contents(data)
     assert {name: after[name] for name in before} == before
 
@@ -61,10 +62,23 @@ async def test_shows_an_invocation_beyond_one_page(store: AuditStore, data: Path
 
 async def test_tail_gives_the_end_and_what_follows(store: AuditStore, data: Path) -> None:
     await fill(store)
-    assert [event.seq for event in tail(data, limit=3)] == [10, 11, 12]
-    assert tail(data, after=12) == []
+    assert [event.seq for event in tail(data, limit=3).events] == [10, 11, 12]
+    assert tail(data, after=12) == ([], 12)
     await fill(store, 1)
-    assert [event.seq for event in tail(data, after=12)] == [13, 14, 15]
+    assert [event.seq for event in tail(data, after=12).events] == [13, 14, 15]
+
+
+async def test_tail_finds_the_last_events_that_hold_words_however_far_back(store: AuditStore, data: Path) -> None:
+    marked = [draft(mark="Here", n=n) for n in range(3)]
+    await store.append([*marked, *(draft(n=n) for n in range(1100)), draft(invocation="inv_2", mark="here")])
+    found = tail(data, limit=3, words=Words("HERE"))
+    assert ([event.seq for event in found.events], found.end) == ([2, 3, 1104], 1104)
+    await store.append([draft(), draft(mark="here"), draft()])
+    later = tail(data, after=found.end, words=Words("here"))
+    assert ([event.seq for event in later.events], later.end) == ([1106], 1107)
+    assert [event.seq for event in show(data, "inv_2", Words("here"))] == [1104]
+    assert show(data, "inv_2", Words("there")) == []
+    assert tail(data, words=Words("there")) == ([], 1107)
 
 
 async def test_an_export_can_be_checked_without_this_program(store: AuditStore, data: Path, tmp_path: Path) -> None:
