@@ -159,12 +159,12 @@ class ServerProcess:
         """Follow an invocation by long poll until its status is one of those, or it is final."""
         deadline = monotonic_s() + within_s
         final = {"rejected", "deferred", "denied", "completed", "failed"}
-        while True:
-            document = self.get(f"/v1/invocations/{invocation}?wait=1")
-            if document["status"] in statuses:
-                return document
+        document = self.get(f"/v1/invocations/{invocation}")  # what is so already is no change to wait for
+        while document["status"] not in statuses:
             if document["status"] in final or monotonic_s() > deadline:
                 pytest.fail(f"`{invocation}` is {document['status']}, not {statuses}: {document}\n{self.tail()}")
+            document = self.get(f"/v1/invocations/{invocation}?wait=1")
+        return document
 
     def cell(self, name: str = "workcell-1") -> dict[str, Any]:
         return next(cell for cell in self.get("/v1/cells")["items"] if cell["id"] == name)
@@ -305,10 +305,10 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Servers]:
         yield made
 
 
-def put_in_profile(server: ServerProcess, profile: str) -> None:
+def put_in_profile(server: ServerProcess, profile: str, cell: str = "workcell-1") -> None:
     with server.client() as client:
-        assert client.put("/v1/cells/workcell-1/profile", json={"profile": profile}).is_success
-    until(lambda: server.cell()["profile"] == profile, what="the cell is in that profile")
+        assert client.put(f"/v1/cells/{cell}/profile", json={"profile": profile}).is_success
+    until(lambda: server.cell(cell)["profile"] == profile, what="the cell is in that profile")
 
 
 class Ahead:

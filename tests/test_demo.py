@@ -49,18 +49,22 @@ def test_the_demo_shows_every_step_of_algorithm_1(tmp_path: Path):
     assert len({moment["bodies"]["mug_1"][2] for moment in seen if "mug_1" in moment["bodies"]}) > 5, "it is lifted"
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_a_demo_that_is_told_to_end_or_whose_terminal_goes_takes_its_server_along(tmp_path: Path, number: int):
-    command = [sys.executable, "-m", "app.cli", "demo", "--pace", "1", "--folder", str(tmp_path)]
-    demo = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
-    assert demo.stdout is not None
-    url = next(line for line in demo.stdout if line.startswith("server")).split()[-1]
-    assert httpx.get(f"{url}/healthz").status_code == 200
-    demo.send_signal(number)
-    assert demo.wait(30) > 0
-    demo.stdout.close()
-    with pytest.raises(httpx.TransportError):
-        httpx.get(f"{url}/healthz")
+def test_a_demo_that_is_told_to_end_or_whose_terminal_goes_takes_its_server_along(tmp_path: Path):
+    numbers = (signal.SIGTERM, signal.SIGHUP)
+    command = [sys.executable, "-m", "app.cli", "demo", "--pace", "1", "--folder"]
+    demos = [  # which begin together
+        subprocess.Popen([*command, str(tmp_path / number.name)], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+        for number in numbers
+    ]
+    for demo, number in zip(demos, numbers, strict=True):
+        assert demo.stdout is not None
+        url = next(line for line in demo.stdout if line.startswith("server")).split()[-1]
+        assert httpx.get(f"{url}/healthz").status_code == 200
+        demo.send_signal(number)
+        assert demo.wait(30) > 0
+        demo.stdout.close()
+        with pytest.raises(httpx.TransportError):
+            httpx.get(f"{url}/healthz")
 
 
 def test_a_demo_whose_address_is_taken_says_so_itself(tmp_path: Path):

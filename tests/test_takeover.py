@@ -140,7 +140,8 @@ def test_what_a_slow_line_brings_late_moves_nothing_but_letting_go_is_never_late
 
 
 def test_a_session_is_taken_over_lapses_and_goes_on_only_as_decided_anew(server: ServerProcess) -> None:
-    drive = server.propose("navigate_to", target="dock", speed_mps=0.3)
+    x, y, yaw = base(server)
+    drive = server.propose("navigate_to", x_m=x, y_m=y - 1.0, yaw_rad=yaw, speed_mps=0.3)
     assert drive["status"] == "running", drive
     assert moved_within(server, 0.1)
     lease = server.post(f"/v1/invocations/{drive['id']}/takeover").json()
@@ -165,7 +166,7 @@ def test_a_session_is_taken_over_lapses_and_goes_on_only_as_decided_anew(server:
     assert control(server) is None
     ended = server.await_status(drive["id"], "completed")
     assert ended["outcome"] == "recovered"
-    assert base(server)[:2] == pytest.approx([0.8, 0.8], abs=0.1)
+    assert base(server)[:2] == pytest.approx([x, y - 1.0], abs=0.1)
 
 
 def test_leaving_a_latched_stop_takes_two_steps_of_one_person(server: ServerProcess) -> None:

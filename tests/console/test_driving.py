@@ -87,7 +87,7 @@ def test_over_a_slow_line_nothing_drives_and_why_is_told(server: ServerProcess, 
         wire.takes_s = 0.65  # and now nothing that comes is the present
         expect(person.region("Drive by hand")).to_contain_text("the link is down or too slow")
         slow_s = monotonic_s()
-        until(lambda: monotonic_s() - slow_s > LAPSE_S + 2.0 or not in_hand(floor), what="the lease had lapsed by now")
+        until(lambda: monotonic_s() - slow_s > LAPSE_S + 1.0 or not in_hand(floor), what="the lease had lapsed by now")
         assert in_hand(floor)
     trace = server.get(f"/v1/invocations/{driven}/trace")["items"]
     said = {event["body"].get("op") for event in trace}

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Locator, Route, expect
 
-from tests.conftest import ServerProcess, Servers, until
+from tests.conftest import ServerProcess, Servers, put_in_profile, until
 from tests.console.conftest import (
     ANSWERS,
     DESK,
@@ -126,8 +126,10 @@ def server(built: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Se
             lambda: all(cell["online"] for cell in cells_of(found)) and len(cells_of(found)) == 2,
             what="two cells online",
         )
-        drive = found.launch("navigate_to", "workcell-2", target="tool_stand")
+        put_in_profile(found, "sim-relaxed", "workcell-2")  # for the way: five times as fast as where people are
+        drive = found.launch("navigate_to", "workcell-2", target="tool_stand", speed_mps=1.5)
         assert found.await_status(drive["id"], "completed", "failed")["outcome"] == "succeeded"
+        put_in_profile(found, "human-shared", "workcell-2")
         yield found
     finally:
         made.end()
