@@ -3,6 +3,7 @@ from __future__ import annotations
 import os
 import shutil
 from contextlib import suppress
+from functools import cache
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Thread
 
@@ -348,13 +349,20 @@ BROKEN = [
 
 @pytest.mark.parametrize(("file", "old", "new", "said"), [row[1:] for row in BROKEN], ids=[row[0] for row in BROKEN])
 def test_says_what_is_wrong_with_a_broken_directory(file, old, new, said):
+    problems = wrong_with(file, old, new)
+    told = [problem for problem in problems if said in str(problem)]
+    assert told, list(map(str, problems))
+    assert all(problem.line > 0 for problem in told)
+
+
+@cache
+def wrong_with(file, old, new):
+    """Return what is wrong with the shipped directory once one of its files has been changed."""
     text = files()
     assert old in text[file]
     with pytest.raises(PolicyErrors) as caught:
         bundle.load_files({**text, file: text[file].replace(old, new)})
-    told = [problem for problem in caught.value.problems if said in str(problem)]
-    assert told, str(caught.value)
-    assert all(problem.line > 0 for problem in told)
+    return caught.value.problems
 
 
 ALIVE = {
@@ -591,18 +599,20 @@ def test_what_cannot_be_compiled_never_decided_and_says_why(file, old, new):
     text = {**files(), file: files()[file].replace(old, new)}
     with pytest.raises(PolicyErrors) as caught:
         bundle.load_kept(text)
-    assert {(problem.file, problem.line, problem.key, problem.message) for problem in caught.value.problems} == told(
-        text
-    )
+    assert {told_as(problem) for problem in caught.value.problems} == told(text)
 
 
 def told(text):
-    """Return what is wrong, but for the names that would be valid: a file that cannot be read lends its own."""
     try:
         bundle.load_files(text)
     except PolicyErrors as errors:
-        return {(problem.file, problem.line, problem.key, problem.message) for problem in errors.problems}
+        return {told_as(problem) for problem in errors.problems}
     return set()
+
+
+def told_as(problem):
+    """Return what is wrong, but for the names that would be valid: a file that cannot be read lends its own."""
+    return problem.file, problem.line, problem.key, problem.message
 
 
 UNFIT = {
@@ -626,9 +636,8 @@ def test_a_file_that_does_not_fit_hides_nothing_of_the_others_and_is_blamed_on_n
     for name, file, old, new, _ in BROKEN[list(UNFIT).index(unfit) :: len(UNFIT)]:
         if file == other or name in NEEDS_ALL:
             continue
-        broken = {file: one[file].replace(old, new)}
-        alone = {problem for problem in told({**files(), **broken}) if problem[0] != other}
-        assert alone == told({**one, **broken}) - beside, name
+        alone = {told_as(problem) for problem in wrong_with(file, old, new) if problem.file != other}
+        assert alone == told({**one, file: one[file].replace(old, new)}) - beside, name
 
 
 def test_every_name_is_known_of_what_can_be_typed():
