@@ -164,7 +164,25 @@ def test_a_gamepad_drives_while_its_stick_is_held_and_says_zero_when_it_is_let_g
     at_rest(floor)
 
 
-def test_the_pad_on_the_screen_drives_while_a_thumb_is_on_it(
+TABLET = {"width": 768, "height": 1024}
+# What any banner does to the page, and whether the pad says that no finger counts on it where that moved it.
+BANNER = """() => new Promise((done) => {
+    const pads = document.querySelector('.pads');
+    const stood = pads.getBoundingClientRect().top;
+    const banner = document.createElement('div');
+    banner.style.height = '60px';
+    document.querySelector('.banners').append(banner);
+    const look = () => {
+        const guarded = pads.hasAttribute('data-arming');
+        const moved = Math.abs(pads.getBoundingClientRect().top - stood) > 8;
+        if (guarded || !moved) return done({ moved, guarded });
+        requestAnimationFrame(look);
+    };
+    setTimeout(look, 100);
+})"""
+
+
+def test_the_pad_on_the_screen_drives_while_a_thumb_is_on_it_and_no_banner_moves_it_or_it_takes_no_finger(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
     person = people.sit(server, size=PHONE, init=BENCH)
@@ -195,8 +213,16 @@ def test_the_pad_on_the_screen_drives_while_a_thumb_is_on_it(
     lift(thumb)
     let_go(person)
 
+    for size in (PHONE, TABLET, SIDEWAYS):
+        resize(person, size)
+        expect(person.page.get_by_text(LET_GO)).to_be_visible()
+        expect(person.page.locator(".pads:not([data-arming])")).to_be_visible()  # nor is it still from the turn
+        moved = size == SIDEWAYS  # where height is short, the pad begins at the top
+        assert person.page.evaluate(BANNER) == {"moved": moved, "guarded": moved}, size
+        person.page.evaluate("document.querySelector('.banners').lastElementChild.remove()")
 
-def test_a_key_that_is_held_is_let_go_when_the_window_loses_the_focus_or_is_out_of_sight(
+
+def test_a_key_that_is_held_is_let_go_out_of_focus_or_sight_or_when_a_modifier_comes_and_its_repeats_start_nothing(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
     person = people.sit(server, init=BENCH)
@@ -222,13 +248,7 @@ def test_a_key_that_is_held_is_let_go_when_the_window_loses_the_focus_or_is_out_
         keyboard.up("ArrowUp")
         at_rest(floor)
 
-
-def test_a_key_that_is_held_is_let_go_when_a_modifier_comes_and_its_repeats_start_nothing(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person = people.sit(server, init=BENCH)
-    take_controls(person)
-    began, keyboard = floor.base(), person.page.keyboard
+    began = floor.base()
     insist(
         person,
         lambda: keyboard.down("ArrowDown"),
@@ -342,7 +362,16 @@ def test_whoever_drives_is_told_that_the_session_is_paused_and_resumes_it(
     expect(person.alert("It is coming to its end.")).to_have_count(0)
 
 
-def test_a_finger_that_slides_off_its_button_lets_go(server: ServerProcess, people: People) -> None:
+# All at once: to ask for them one by one takes a second of the processor for each width.
+BOXES = """(all) => all.map((one) => {
+    const { x, y, width, height } = one.getBoundingClientRect();
+    return [one.getAttribute('aria-label') ?? one.innerText, { x, y, width, height }];
+})"""
+
+
+def test_a_finger_that_slides_off_its_button_lets_go_and_no_button_lies_over_another_however_wide_the_window_is(
+    server: ServerProcess, people: People
+) -> None:
     person = people.sit(server, init=BENCH)
     take_controls(person)
     place, mouse = box(person.button("Turn left, hold to run")), person.page.mouse
@@ -359,6 +388,16 @@ def test_a_finger_that_slides_off_its_button_lets_go(server: ServerProcess, peop
     mouse.move(across, place["y"] + place["height"] / 2)  # what was let go of starts nothing
     let_go(person)
     mouse.up()
+
+    pads = person.region("Drive by hand").get_by_role("button")
+    expect(person.button("End session")).to_be_visible()
+    for width in (320, 390, 560, 761, 800, 860, 912, 1024, 1101, 1241, 1280, 1440, 1920):
+        person.page.set_viewport_size({"width": width, "height": 1000})
+        person.page.evaluate(THREE_FRAMES)
+        boxes = pads.evaluate_all(BOXES)
+        assert len(boxes) > 12
+        over = [(one, other) for k, (one, at) in enumerate(boxes) for other, to in boxes[:k] if overlap(at, to)]
+        assert over == [], f"at {width} px"
 
 
 def test_the_end_of_a_session_waits_for_no_other_word(server: ServerProcess, people: People, floor: Floor) -> None:
@@ -425,6 +464,7 @@ def two_who_may(server: ServerProcess, people: People) -> tuple[Person, Person]:
     one.expects("409")
     for person in (one, other):
         person.press("t")
+    for person in (one, other):
         expect(person.button("Take the controls")).to_be_enabled()
     return one, other
 
@@ -532,60 +572,6 @@ def the_way_back_is_named_and_the_legend_keeps_out_of_the_picture(person: Person
     assert not overlap(box(legend), box(pause))
     expect(scene.locator(".labels span", has_text="robot")).to_be_visible()
     assert not overlap(box(legend), box(scene.locator(".labels span", has_text="robot")))
-
-
-# All at once: to ask for them one by one takes a second of the processor for each width.
-BOXES = """(all) => all.map((one) => {
-    const { x, y, width, height } = one.getBoundingClientRect();
-    return [one.getAttribute('aria-label') ?? one.innerText, { x, y, width, height }];
-})"""
-
-
-def test_no_button_of_the_pad_lies_over_another_however_wide_the_window_is(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person = people.sit(server)
-    take_controls(person)
-    pads = person.region("Drive by hand").get_by_role("button")
-    expect(person.button("End session")).to_be_visible()
-    for width in (320, 390, 560, 761, 800, 860, 912, 1024, 1101, 1241, 1280, 1440, 1920):
-        person.page.set_viewport_size({"width": width, "height": 1000})
-        person.page.evaluate(THREE_FRAMES)
-        boxes = pads.evaluate_all(BOXES)
-        assert len(boxes) > 12
-        over = [(one, other) for k, (one, at) in enumerate(boxes) for other, to in boxes[:k] if overlap(at, to)]
-        assert over == [], f"at {width} px"
-
-
-TABLET = {"width": 768, "height": 1024}
-# What any banner does to the page, and whether the pad says that no finger counts on it where that moved it.
-BANNER = """() => new Promise((done) => {
-    const pads = document.querySelector('.pads');
-    const stood = pads.getBoundingClientRect().top;
-    const banner = document.createElement('div');
-    banner.style.height = '60px';
-    document.querySelector('.banners').append(banner);
-    const look = () => {
-        const guarded = pads.hasAttribute('data-arming');
-        const moved = Math.abs(pads.getBoundingClientRect().top - stood) > 8;
-        if (guarded || !moved) return done({ moved, guarded });
-        requestAnimationFrame(look);
-    };
-    setTimeout(look, 100);
-})"""
-
-
-def test_a_banner_moves_no_pad_or_has_it_take_no_finger(server: ServerProcess, people: People, floor: Floor) -> None:
-    person = people.sit(server, size=PHONE)
-    person.button("Drive").tap()
-    person.button("Take the controls").click()
-    for size in (PHONE, TABLET, SIDEWAYS):
-        resize(person, size)
-        expect(person.page.get_by_text(LET_GO)).to_be_visible()
-        expect(person.page.locator(".pads:not([data-arming])")).to_be_visible()  # nor is it still from the turn
-        moved = size == SIDEWAYS  # where height is short, the pad begins at the top
-        assert person.page.evaluate(BANNER) == {"moved": moved, "guarded": moved}, size
-        person.page.evaluate("document.querySelector('.banners').lastElementChild.remove()")
 
 
 def test_the_controls_outlive_a_reload_and_go_to_another_window_only_when_asked(

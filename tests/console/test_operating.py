@@ -161,7 +161,6 @@ def test_a_session_is_paused_by_one_key_however_often_resumed_by_another_and_a_r
     expect(person.alert("It is coming to its end.")).to_have_count(0)
 
 
-@pytest.mark.drawn
 def test_one_of_two_gets_the_controls_drives_by_keyboard_and_ends_it(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
