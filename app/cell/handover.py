@@ -23,7 +23,7 @@ from app.governance import intervention
 from app.governance.control import TAKEOVER
 from app.governance.intervention import leaving, recovering, released
 from app.governance.model import Intervention, Mode, Outcome, Status
-from app.governance.recovery import roll_back
+from app.governance.recovery import retracing, roll_back
 from app.governance.session import Event
 
 if TYPE_CHECKING:
@@ -85,6 +85,7 @@ class Session(Governing):
         self.steering, self._handing, self._displaced = self._steering(grant, plan, alone=False), None, True
         if run.undoing:
             run.used = run.used.giving_up()
+        run.recovery = retracing(run.recovery, run.grant.authorization.recoveries)
         run.brake(self.seen)
         run.next = Bind(Doing.TAKEOVER, careful=False)
         run.deciding, run.failed, run.escalated_by, run.hold_after_recovery = None, "", "", ""
@@ -295,7 +296,7 @@ class Session(Governing):
             self._not_anew(code, str(error))
             return
         self.steering, self._handing, self._displaced = None, None, False
-        run.grant, run.recovery = grant, recovery
+        run.grant, run.recovery = grant, retracing(recovery, permit.recoveries)  # the hand's way is behind it still
         run.watch_with(plan, substrate.period_s)
         run.bound(Doing.ATTEMPT, substrate.hold())
         borne = run.responses.borne(run.responding)

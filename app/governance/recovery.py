@@ -13,7 +13,8 @@ ends: every decision that moves something uses up a part of a finite sum, and wh
 rollback that a human takes the controls from is not used up: it has not failed.
 
 A rollback that ends elsewhere than the session began (a retreat, or a release after the base was moved) is led back
-along the recorded path, once, if that is covered.
+along the recorded path, once, if that is covered. What a human has driven is undone along that path to begin with
+(`retracing`): a release would let go of what is held wherever the hand has taken it.
 
 Where the end is reached and the profile requires rollback, the rollback comes first; if it cannot be had, a human
 decides. Where nobody can be asked, asking is the end.
@@ -21,6 +22,7 @@ decides. Where nobody can be asked, asking is the end.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from app.governance.model import Strategy
@@ -113,6 +115,11 @@ def roll_back(
     return RecoveryDecision(Strategy.ROLLBACK, failure, "asked", used.taking(-1, Strategy.ROLLBACK), cover)
 
 
+def retracing(plan: RecoveryPlan, covered: tuple[CoveredRecovery, ...]) -> RecoveryPlan:
+    """Return the plan of a session that a human has driven: it is undone along the recorded path if that is covered."""
+    return plan if _retrace(covered) is None else replace(plan, rollback_capability=RETRACE)
+
+
 def lead_back(
     failure: str, plan: RecoveryPlan, used: Budgets, covered: tuple[CoveredRecovery, ...]
 ) -> RecoveryDecision | None:
@@ -122,9 +129,16 @@ def lead_back(
     """
     if used.led_back or plan.rollback_capability == RETRACE:
         return None
+    cover = _retrace(covered)
+    if cover is None:
+        return None
+    return RecoveryDecision(Strategy.ROLLBACK, failure, "elsewhere", used._replace(led_back=True), cover)
+
+
+def _retrace(covered: tuple[CoveredRecovery, ...]) -> CoveredRecovery | None:
     for known in covered:
         if known.strategy is Strategy.ROLLBACK and known.capability == RETRACE:
-            return RecoveryDecision(Strategy.ROLLBACK, failure, "elsewhere", used._replace(led_back=True), known)
+            return known
     return None
 
 

@@ -39,7 +39,7 @@ class Mark(NamedTuple):
 
     Commanded joints, believed base pose, whether the base drove, whether the pads held something, and whether it was a
     recovery that went there. Of recoveries the path holds that they began, and where they drove: they draw the
-    arm in, and undo by that what it did.
+    arm in, and undo by that what it did. Going back is not recorded: the path `leaps` to where it was interrupted.
     """
 
     joints: NDArray[np.float64]
@@ -47,6 +47,7 @@ class Mark(NamedTuple):
     driving: bool
     holding: bool
     recovering: bool = False
+    leaps: bool = False
 
 
 def on_surface(surface: Surface, x_m: float, y_m: float, *, margin_m: float = 0.0) -> bool:

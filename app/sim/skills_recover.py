@@ -119,7 +119,7 @@ def retrace(body: Body, params: Mapping[str, Json]) -> Moves:
     if len(body.senses.trail) >= MARK_MAX:
         detail = f"the way here is longer than its record of {MARK_MAX} points: a human has to lead the robot back"
         raise SubstrateError("no_path", detail)
-    return _retrace(body, list(body.senses.trail), number(params, "speed_mps", RECOVERY_TCP_SPEED_MPS))
+    return _retrace(body, _joined(body.senses.trail), number(params, "speed_mps", RECOVERY_TCP_SPEED_MPS))
 
 
 def _retrace(body: Body, trail: list[Mark], limit_mps: float) -> Moves:
@@ -134,6 +134,27 @@ def _retrace(body: Body, trail: list[Mark], limit_mps: float) -> Moves:
         yield from body.wait(0.2)
         return
     yield from _give_back(body, limit_mps)
+
+
+def _joined(trail: list[Mark]) -> list[Mark]:
+    """Return the recorded path without what was gone back of it already.
+
+    Going back is not recorded. Whoever took the controls in the middle of it went on from there: the path leaps from
+    its far end to that place, and back it would lead to that end first, and straight there.
+    """
+    joined: list[Mark] = []
+    for mark in trail:
+        if mark.leaps:
+            near = [(_between(other, mark), k) for k, other in enumerate(joined) if other.holding == mark.holding]
+            del joined[min(near)[1] + 1 if near else len(joined) :]
+        joined.append(mark)
+    return joined
+
+
+def _between(mark: Mark, other: Mark) -> float:
+    """Return how far two marks are apart, in metres and radians together."""
+    dx, dy, turn = mark.base[0] - other.base[0], mark.base[1] - other.base[1], wrapped(mark.base[2] - other.base[2])
+    return hypot(dx, dy) + abs(turn) + float(np.abs(mark.joints - other.joints).max())
 
 
 def _split(trail: list[Mark]) -> tuple[list[Vec3], list[Mark]]:

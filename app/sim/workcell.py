@@ -74,6 +74,7 @@ class State:
     still_ticks: int = 0
     hand: Hand | None = None
     trail: list[Mark] = field(default_factory=list[Mark])
+    went_back: bool = False  # along the trail, since its last mark
     invocation: str = ""
     pressed_s: dict[str, float] = field(default_factory=dict[str, float])
     observation: Observation | None = None
@@ -151,8 +152,9 @@ class Workcell:
             raise SubstrateError("busy", "another grant is bound")
         state = self._state
         if permit.invocation != state.invocation and capability not in RECOVERIES:
-            state.invocation, state.trail = permit.invocation, [self._mark(driving=False)]
+            state.invocation, state.trail, state.went_back = permit.invocation, [self._mark(driving=False)], False
             state.pressed_s.pop(str(params.get("tool")), None)  # what its switch remembers another session did
+        self._mark_return()
         self._recovers = capability in RECOVERIES
         try:
             run = start(capability, params, self, self.observe(), state.held, careful=careful)
@@ -422,6 +424,7 @@ class Workcell:
         if self._run is None or state.tick % _MARK_TICKS or len(state.trail) >= MARK_MAX:
             return
         driving, capability = command.base_velocity != (0.0, 0.0, 0.0), self._run.capability
+        state.went_back = state.went_back or capability == RETRACE
         if capability in RECOVERIES:
             if capability != RETRACE and state.trail and (driving or not state.trail[-1].recovering):
                 state.trail.append(self._mark(driving=driving)._replace(recovering=True))
@@ -430,6 +433,12 @@ class Workcell:
         moved = float(np.abs(mark.joints - last.joints).max()) > _MARK_RAD
         if moved or mark.driving or mark.driving != last.driving or mark.holding != last.holding:
             state.trail.append(mark)
+
+    def _mark_return(self) -> None:
+        """Have the safe path go on from where a way back along it was left."""
+        if self._state.went_back:
+            self._state.trail.append(self._mark(driving=False)._replace(leaps=True))
+            self._state.went_back = False
 
     def _mark(self, *, driving: bool) -> Mark:
         state = self._state

@@ -435,6 +435,54 @@ def test_a_rollback_goes_back_the_way_the_hand_went_too(tmp_path: Path) -> None:
     assert shop.cell.truth().base[:2] == pytest.approx(began[:2], abs=0.1)
 
 
+@pytest.mark.parametrize(("phase", "ticks"), [("close", 30), ("lift", 40)])
+def test_a_rollback_puts_back_where_it_was_what_a_hand_has_driven_off_with(
+    tmp_path: Path, phase: str, ticks: int
+) -> None:
+    shop = Workshop(tmp_path)
+    began = shop.cell.truth()
+    shop.launch("grasp_object", **GRASP)
+    while ticks:
+        shop.runner.tick()
+        assert shop.runner.session is not None, shop.story()
+        ticks -= shop.runner.session.run.skill.report().phase == phase
+    console = take_over(shop)
+    assert console.press(Wish(base=(-1.0, 0.0, 0.0)), 100) is None
+    console.release()
+    console.tick(20)
+    assert dist(shop.cell.truth().objects["mug_1"][:2], began.objects["mug_1"][:2]) > 0.15
+    assert shop.runner.human("inv-1", "rollback", "operator") is None
+    assert shop.finish()["outcome"] == "rolled_back", shop.story()
+    ended = shop.cell.truth()
+    assert ended.objects["mug_1"] == pytest.approx(began.objects["mug_1"], abs=0.03)
+    assert ended.base[:2] == pytest.approx(began.base[:2], abs=0.03)
+    assert shop.strategies() == ["ROLLBACK"]
+
+
+def test_a_rollback_that_a_hand_interrupts_is_carried_on_from_there(tmp_path: Path) -> None:
+    shop, console = idle(tmp_path)
+    began = shop.cell.truth().base
+    assert console.press(Wish(base=(-0.3, 0.0, 0.0)), 300) is None
+    console.release()
+    console.tick(20)
+    assert dist(shop.cell.truth().base[:2], began[:2]) > 0.7
+    assert shop.runner.human("inv-1", "rollback", "operator") is None
+    while dist(shop.cell.truth().base[:2], began[:2]) > 0.4:
+        shop.runner.tick()
+    console = take_over(shop)
+    assert console.press(Wish(base=(0.0, 0.1, 0.0)), 60) is None
+    console.release()
+    console.tick(20)
+    assert shop.runner.human("inv-1", "rollback", "operator") is None
+    farthest_m = 0.0
+    while shop.runner.invocation is not None:
+        shop.runner.tick()
+        farthest_m = max(farthest_m, dist(shop.cell.truth().base[:2], began[:2]))
+    assert shop.last("outcome")["outcome"] == "rolled_back", shop.story()
+    assert farthest_m < 0.5
+    assert shop.cell.truth().base[:2] == pytest.approx(began[:2], abs=0.03)
+
+
 def test_whoever_lets_go_without_a_word_leaves_a_session_that_waits(tmp_path: Path) -> None:
     shop = Workshop(tmp_path)
     shop.launch("navigate_to", **DRIVE)

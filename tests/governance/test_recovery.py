@@ -11,7 +11,7 @@ from app.governance.bundle_checks_dead import dead_steps
 from app.governance.bundle_shapes import RecoveryShape
 from app.governance.bundle_yaml import Reader, parse
 from app.governance.model import CoveredRecovery, Mode, RecoveryPlan, RecoveryRule, Risk, Strategy
-from app.governance.recovery import Budgets, RecoveryDecision, lead_back, recover, roll_back
+from app.governance.recovery import Budgets, RecoveryDecision, lead_back, recover, retracing, roll_back
 
 S = Strategy
 COVERED = (
@@ -204,6 +204,13 @@ def test_a_rollback_that_ended_elsewhere_is_led_back_once_if_that_is_covered() -
     assert lead_back("contact", retreat, decision.used, COVERED) is None
     assert lead_back("contact", retreat, Budgets(), COVERED[:3]) is None
     assert lead_back("contact", PLAN, Budgets(), COVERED) is None  # that was the way back already
+
+
+def test_what_a_human_has_driven_is_undone_along_the_recorded_path_if_that_is_covered() -> None:
+    released = replace(PLAN, rollback_capability="release_and_retract")
+    assert retracing(released, COVERED) == PLAN
+    assert retracing(released, COVERED[:3]) == released
+    assert retracing(replace(PLAN, rollback_capability=None), COVERED[:3]).rollback_capability is None
 
 
 # What a check of policy calls dead is never chosen, and all else is by some way of things -----------------------------
