@@ -77,8 +77,12 @@ def views(person: Person, floor: Floor, trace: str) -> Iterator[str]:
     expect(page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
     yield "Live, asked"
     page.evaluate("location.hash = '#/audit'")
-    expect(person.region("Find").get_by_role("link").first).to_be_visible()
+    page.get_by_role("searchbox", name="Search the record").fill("mug_1 authority")
+    page.get_by_role("button", name="Search", exact=True).click()
+    expect(person.region("Find").get_by_role("mark").first).to_be_visible()
     yield "Audit"
+    person.button("Events").click()
+    expect(person.button("Newest first: turn round")).to_be_visible()
     page.evaluate(f"location.hash = '#/audit/{trace}'")
     expect(page.get_by_role("heading", name="Grasp mug_1")).to_be_visible()
     yield "Audit, a trace"

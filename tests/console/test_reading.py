@@ -143,6 +143,51 @@ def test_the_list_of_keys_shows_arrows_as_arrows(server: ServerProcess, people: 
     expect(person.page.get_by_role("link", name="Fleet")).to_have_attribute("aria-current", "page")
 
 
+SEARCHES = "**/v1/audit/events?*text=*"
+
+
+def test_what_happened_is_searched_by_words_from_the_newest_on_and_how_far_that_has_come_is_said(
+    server: ServerProcess, people: People
+) -> None:
+    for name in ("polish_lens", "polish_mirror"):
+        hostile(server, name)
+    person = people.sit(server, size=PHONE)
+    person.page.evaluate("location.hash = '#/audit'")
+    find, search = person.region("Find"), person.page.get_by_role("searchbox", name="Search the record")
+    found, told = find.get_by_role("list", name="Found").get_by_role("link"), find.get_by_role("status")
+    expect(found.first).to_contain_text("Polish mirror")
+    person.press("/")
+    expect(search).to_be_focused()
+    person.page.keyboard.type("Polish REJECTED unknown_capability")
+    person.press("Enter")
+    expect(found).to_have_count(2)
+    expect(found.first).to_contain_text("admission.reasons.code: unknown_capability")
+    expect(told).to_have_text(re.compile(r"^2 sessions\. All [\d,]+ sessions were searched\.$"))
+    search.fill("POLISH_ planner")
+    person.page.get_by_role("button", name="Search", exact=True).tap()
+    person.button("Events").tap()
+    expect(found.first).to_contain_text("Rejected. there is no capability polish_mirror")
+    expect(found.first.get_by_role("mark")).to_have_text(["polish_", "planner"])
+    expect(found.first).to_contain_text("context.agent: planner")
+    assert wider_than_the_screen(person.page) == []
+    person.button("Newest first: turn round").tap()
+    expect(found.first).to_contain_text("planner: polish lens")
+    hostile(server, "polish_dish")
+    person.button(re.compile(r"^\d+ newer: look again$")).tap()
+    expect(found.last).to_contain_text("there is no capability polish_dish")
+
+    # A log that is longer than one look at it.
+    far = {"events": 50_000, "seq": 9, "at": "2026-03-01T09:30:00.000Z"}
+    person.page.route(SEARCHES, lambda route: route.fulfill(json={"items": [], "next": 9, "searched": far}))
+    search.fill("nobody wrote this")
+    search.press("Enter")
+    expect(told).to_contain_text("Nothing found so far. The oldest 200,000 events were searched, up to 1 Mar 2026")
+    person.page.unroute(SEARCHES)
+    person.button("Search further").tap()
+    expect(told).to_have_text(re.compile(r"^Nothing found\. All 200,\d+ events were searched\.$"))
+    expect(person.button("Search further")).to_have_count(0)
+
+
 def checked_anew(person: Person) -> bool:
     """Look away and back, at which the log is checked; say whether nothing came meanwhile."""
     person.press("1")

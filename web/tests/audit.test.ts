@@ -1,9 +1,9 @@
 import { describe, expect, it, vi } from 'vitest';
-import type { Checkpoint, Invocation, LogEvent, Verification } from '../src/lib/api/documents';
+import type { Checkpoint, EventList, Invocation, LogEvent, Verification } from '../src/lib/api/documents';
 import { invocation } from './samples';
 import { LogCheck } from '../src/lib/audit/check.svelte';
 import { judge } from '../src/lib/audit/integrity';
-import { eventQuery, findEvents, matches, newest, NOTHING_WANTED, renewed } from '../src/lib/audit/search';
+import { eventQuery, findEvents, matches, newest, NOTHING_LOOKED_AT, NOTHING_WANTED, renewed } from '../src/lib/audit/search';
 
 const signed: Checkpoint = { size: 40, root: 'aaa', checkpoint: '', key: '' };
 const found: Verification = { ok: true, size: 40, root: 'aaa', checkpoint: '', first_bad: null, problem: null };
@@ -61,8 +61,21 @@ describe('a log that does not hold', () => {
 
 describe('looking for events', () => {
   it('asks the log for what it can filter, times as instants', () => {
-    const query = eventQuery({ ...NOTHING_WANTED, kind: 'alert', actor: ' planner ', since: '2026-03-01T09:30:00' }, 7, 100);
-    expect(Object.fromEntries(query)).toEqual({ after: '7', limit: '100', kind: 'alert', actor: 'planner', since: new Date('2026-03-01T09:30:00').toISOString() });
+    const query = eventQuery({ ...NOTHING_WANTED, kind: 'alert', actor: ' planner ', since: '2026-03-01T09:30:00' }, 7, 100, false);
+    expect(Object.fromEntries(query)).toEqual({ order: 'oldest', after: '7', limit: '100', kind: 'alert', actor: 'planner', since: new Date('2026-03-01T09:30:00').toISOString() });
+    expect(Object.fromEntries(eventQuery({ ...NOTHING_WANTED, text: ' mug_1 limit ' }, 7, 100, true))).toEqual({ order: 'newest', before: '7', limit: '100', text: 'mug_1 limit' });
+    expect(eventQuery(NOTHING_WANTED, null, 100, true).has('before')).toBe(false);
+  });
+
+  it('says how far it has come, and leaves the rest to whoever wants it', async () => {
+    const asked: (string | null)[] = [];
+    const events = (query: URLSearchParams): Promise<EventList> => {
+      asked.push(query.get('before'));
+      const seq = Number(query.get('before') ?? 1_000_000) - 50_000;
+      return Promise.resolve({ items: [], next: seq, searched: { events: 50_000, seq, at: `at ${seq}` } });
+    };
+    const { items, next, looked } = await findEvents({ events, invocations: () => Promise.reject(new Error()) }, { ...NOTHING_WANTED, text: 'nobody' }, null, true);
+    expect([items.length, next, looked, asked]).toEqual([0, 800_000, { count: 200_000, at: 'at 800000' }, [null, '950000', '900000', '850000']]);
   });
 
   it('finds those of a capability however many sessions of it came since', async () => {
@@ -74,7 +87,7 @@ describe('looking for events', () => {
       },
       events: () => Promise.resolve({ items: [{ seq: 1, at: '', kind: 'proposal', invocation: `inv_${pages - 1}`, actor: 'x', body: {} }], next: null }),
     };
-    const { items } = await findEvents(api, { ...NOTHING_WANTED, capability: 'grasp_object' }, 0);
+    const { items } = await findEvents(api, { ...NOTHING_WANTED, capability: 'grasp_object' }, null, false);
     expect(items.map((one) => one.invocation)).toEqual([`inv_${pages - 1}`]);
   });
 
@@ -85,23 +98,32 @@ describe('looking for events', () => {
       2: { items: [event(3, 'inv_b'), event(4, 'inv_a')], next: null },
     };
     const api = {
-      events: (query: URLSearchParams) => Promise.resolve(pages[query.get('after') ?? ''] ?? { items: [], next: null }),
+      events: (query: URLSearchParams) => Promise.resolve(pages[query.get('after') ?? '0'] ?? { items: [], next: null }),
       invocations: () => Promise.resolve({ items: [{ id: 'inv_b' } as Invocation], next: null }),
     };
-    const { items, next } = await findEvents(api, { ...NOTHING_WANTED, capability: 'grasp_object' }, 0);
+    const { items, next } = await findEvents(api, { ...NOTHING_WANTED, capability: 'grasp_object' }, null, false);
     expect([items.map(({ seq }) => seq), next]).toEqual([[2, 3], null]);
   });
 
   it('matches a session by part of its name, its agent, and the time it lasted', () => {
-    const session = { id: 'inv_01ABC', agent: 'planner', capability: 'grasp_object', created_at: '2026-03-01T09:30:00Z', updated_at: '2026-03-01T09:40:00Z' } as Invocation;
+    const session = { ...invocation(), id: 'inv_01ABC', created_at: '2026-03-01T09:30:00Z', updated_at: '2026-03-01T09:40:00Z' };
     expect(matches(session, { ...NOTHING_WANTED, invocation: '1AB', actor: 'planner', since: '2026-03-01T09:35:00Z', until: '2026-03-01T09:36:00Z' })).toBe(true);
     expect(matches(session, { ...NOTHING_WANTED, since: '2026-03-01T09:41:00Z' })).toBe(false);
     expect(matches(session, { ...NOTHING_WANTED, actor: 'plan' })).toBe(false);
   });
+
+  it.each([['GRASP mug_1', true], ['tcp_speed', true], ['0.25 running', true], ['workcell-1 human-shared', true], ['mug_2', false], ['mug_1 mug_2', false], ['undefined', false]])(
+    'matches a session by the words %s, wherever they stand in it: %s',
+    (text, so) => expect(matches(invocation(), { ...NOTHING_WANTED, text })).toBe(so),
+  );
+
+  it('matches a session by the words in which its end is told of', () => {
+    expect(matches(invocation({ status: 'completed', outcome: 'succeeded' }), { ...NOTHING_WANTED, text: 'done verified' })).toBe(true);
+  });
 });
 
 describe('sessions that are listed', () => {
-  const page = (ids: string, next: string | null, status: Invocation['status'] = 'running') => ({ items: ids.split(/(?=.)/).map((id) => invocation({ id, status })), next });
+  const page = (ids: string, next: string | null, status: Invocation['status'] = 'running') => ({ items: ids.split(/(?=.)/).map((id) => invocation({ id, status })), next, looked: NOTHING_LOOKED_AT });
   const told = ({ items, next }: ReturnType<typeof renewed>) => [items.map(({ id }) => id).join(''), next];
 
   it('are renewed from their beginning, and keep what was fetched behind it', () => {

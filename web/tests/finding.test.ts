@@ -8,18 +8,19 @@ import { event, invocation } from './samples';
 describe('what is looked for in the record', () => {
   let sessions: { give: (...ids: string[]) => void; fail: () => void }[];
   let events: ((next: number | null, ...items: LogEvent[]) => void)[];
+  let orders: (string | null)[];
   let finding: Finding;
   const listed = (): string[] => finding.sessions.map(({ id }) => id);
   const settled = (): Promise<void> => new Promise((resolve) => setTimeout(resolve));
 
   beforeEach(() => {
-    [sessions, events] = [[], []];
+    [sessions, events, orders] = [[], [], []];
     finding = new Finding({
       invocations: () =>
         new Promise<List<Invocation>>((give, fail) =>
           sessions.push({ give: (...ids) => give({ items: ids.map((id) => invocation({ id })), next: 'more' }), fail: () => fail(new ApiError({ title: '', status: 0, detail: 'no answer', code: 'unreachable' })) }),
         ),
-      events: () => new Promise<List<LogEvent>>((give) => events.push((next, ...items) => give({ items, next }))),
+      events: (query) => (orders.push(query.get('order')), new Promise<List<LogEvent>>((give) => events.push((next, ...items) => give({ items, next })))),
     });
   });
 
@@ -45,6 +46,26 @@ describe('what is looked for in the record', () => {
     sessions[1]?.give('inv_a', ...many);
     await settled();
     expect(listed().slice(0, 2)).toEqual(['inv_b', 'inv_a']);
+  });
+
+  it('is no more listed once something else is asked for, and a search stays as it was answered', async () => {
+    void finding.look('sessions', NOTHING_WANTED);
+    sessions[0]?.give(...Array.from({ length: 50 }, (_, k) => `inv_${k}`));
+    await settled();
+    void finding.look('sessions', { ...NOTHING_WANTED, text: 'planner' });
+    expect([listed(), finding.next, finding.searched]).toEqual([[], null, true]);
+    sessions[1]?.give(...Array.from({ length: 50 }, (_, k) => `new_${k}`));
+    await settled();
+    await finding.renew();
+    expect([sessions.length, listed()[0]]).toEqual([2, 'new_0']);
+  });
+
+  it('is listed by the newest event first, and by the oldest once it is turned round', async () => {
+    void finding.look('events', { ...NOTHING_WANTED, text: 'here' });
+    events[0]?.(null, event('launch', {}));
+    await settled();
+    void finding.turnRound();
+    expect([orders, finding.events]).toEqual([['newest', 'oldest'], []]);
   });
 
   it('begins anew with what is found elsewhere: nothing is listed twice', async () => {

@@ -6,6 +6,7 @@ import type {
   Comparison,
   Control,
   Escalation,
+  EventList,
   Grant,
   Invocation,
   List,
@@ -167,7 +168,7 @@ export class Api {
   setProfile = (cell: string, profile: string, before: string): Promise<Cell> =>
     this.call('PUT', `/v1/cells/${seg(cell)}/profile`, { profile, before });
 
-  events = (query: URLSearchParams): Promise<List<LogEvent>> => this.get(`/v1/audit/events?${query}`);
+  events = (query: URLSearchParams): Promise<EventList> => this.get(`/v1/audit/events?${query}`);
   invocations = (query: URLSearchParams): Promise<List<Invocation>> => this.get(`/v1/invocations?${query}`);
   checkpoint = (): Promise<Checkpoint> => this.get('/v1/audit/checkpoint');
   /** Recomputes the whole log, which may take a while. */

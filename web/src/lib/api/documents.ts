@@ -112,6 +112,11 @@ export interface LogEvent {
   body: Record<string, Json>;
 }
 
+/** Events by `seq`; a search says how many it looked at, and the last of them. */
+export interface EventList extends List<LogEvent> {
+  searched?: { events: number; seq: number | null; at: string | null };
+}
+
 /** Who drives a cell by hand. */
 export interface Control {
   lease: string;

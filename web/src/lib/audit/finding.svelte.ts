@@ -1,6 +1,6 @@
 import { ApiError, type Api } from '../api/client';
 import type { Invocation, LogEvent } from '../api/documents';
-import { findEvents, findSessions, NOTHING_WANTED, renewed, type Wanted } from './search';
+import { findEvents, findSessions, furtherBy, NOTHING_LOOKED_AT, NOTHING_WANTED, renewed, type Wanted } from './search';
 
 export type Sought = 'sessions' | 'events';
 
@@ -12,6 +12,10 @@ export class Finding {
   sessions = $state.raw<Invocation[]>([]);
   events = $state.raw<LogEvent[]>([]);
   next = $state.raw<string | number | null>(null);
+  /** How far it was looked for. */
+  looked = $state.raw(NOTHING_LOOKED_AT);
+  /** Of events, which come first; sessions are listed by the newest. */
+  newestFirst = $state(true);
   busy = $state(false);
   why = $state('');
   private turn = 0;
@@ -23,25 +27,37 @@ export class Finding {
     return this.what === 'sessions' ? this.sessions.length : this.events.length;
   }
 
+  /** Whether words are searched for. */
+  get searched(): boolean {
+    return this.asked.text.trim() !== '';
+  }
+
   /** Looks for something else, or anew. */
   async look(what: Sought, wanted: Wanted): Promise<void> {
     this.what = what;
     this.asked = wanted;
+    [this.sessions, this.events, this.next, this.looked] = [[], [], null, NOTHING_LOOKED_AT]; // none of it answers this
     await this.find(false);
+  }
+
+  /** Lists events by the other end. */
+  async turnRound(): Promise<void> {
+    this.newestFirst = !this.newestFirst;
+    await this.look('events', this.asked);
   }
 
   async more(): Promise<void> {
     await this.find(true);
   }
 
-  /** Reads the beginning of the list of sessions anew: what is listed is no less true if that fails. */
+  /** Reads the beginning of the list of sessions anew: what is listed is no less true if that fails. A search stays as it was answered. */
   async renew(): Promise<void> {
-    if (this.what !== 'sessions' || (this.busy && this.count === 0)) return; // it is on its way
+    if (this.what !== 'sessions' || this.searched || (this.busy && this.count === 0)) return; // it is on its way
     this.renewals += 1;
     const [turn, mine] = [this.turn, this.renewals];
     const found = await findSessions(this.api, this.asked, null).catch(() => null);
     if (found === null || turn !== this.turn || mine !== this.renewals) return;
-    ({ items: this.sessions, next: this.next } = renewed({ items: this.sessions, next: this.next }, found));
+    ({ items: this.sessions, next: this.next, looked: this.looked } = renewed({ items: this.sessions, next: this.next, looked: this.looked }, found));
   }
 
   private async find(more: boolean): Promise<void> {
@@ -67,15 +83,17 @@ export class Finding {
       const before = from === null ? [] : this.sessions;
       this.sessions = [...before, ...found.items.filter(({ id }) => !before.some((listed) => listed.id === id))];
       this.next = found.next;
+      this.looked = furtherBy(from === null ? NOTHING_LOOKED_AT : this.looked, found.looked);
     };
   }
 
   private async moreEvents(more: boolean): Promise<() => void> {
     const from = more && typeof this.next === 'number' ? this.next : null;
-    const found = await findEvents(this.api, this.asked, from ?? 0);
+    const found = await findEvents(this.api, this.asked, from, this.newestFirst);
     return () => {
       this.events = from === null ? found.items : [...this.events, ...found.items];
       this.next = found.next;
+      this.looked = furtherBy(from === null ? NOTHING_LOOKED_AT : this.looked, found.looked);
     };
   }
 }

@@ -1,8 +1,13 @@
 import type { Api } from '../api/client';
-import type { Invocation, LogEvent } from '../api/documents';
+import type { EventList, Invocation, LogEvent } from '../api/documents';
+import { titleOf } from '../format/capability';
+import { outcomeWords, statusWords } from '../format/status';
+import { fieldsOf, holdAll, wordsOf } from './words';
 
 /** What is looked for; empty texts ask for nothing. Times are of the operator's zone, as a `datetime-local` gives them. */
 export interface Wanted {
+  /** Words that all have to be there. */
+  text: string;
   kind: string;
   actor: string;
   invocation: string;
@@ -11,7 +16,7 @@ export interface Wanted {
   until: string;
 }
 
-export const NOTHING_WANTED: Wanted = { kind: '', actor: '', invocation: '', capability: '', since: '', until: '' };
+export const NOTHING_WANTED: Wanted = { text: '', kind: '', actor: '', invocation: '', capability: '', since: '', until: '' };
 
 export const KINDS: readonly string[] = [
   'proposal', 'admission', 'policy', 'escalation', 'approval', 'authorization', 'launch', 'alert', 'intervention', 'recovery',
@@ -21,6 +26,8 @@ export const KINDS: readonly string[] = [
 const PAGE = 200;
 const WIDE_PAGE = 1000;
 const MOST_PAGES = 20;
+/** Each of them has the server read up to 50,000 events: a person who waits for no more than a moment is told how far it came. */
+const SEARCHED_PAGES = 4;
 
 /** A local time of the form's field as RFC 3339; null where it is none. */
 export function instant(local: string): string | null {
@@ -29,10 +36,11 @@ export function instant(local: string): string | null {
   return Number.isNaN(date.getTime()) ? null : date.toISOString();
 }
 
-/** The log's own filters; the capability is no field of an event and is looked up by invocation. */
-export function eventQuery(wanted: Wanted, after: number, limit: number): URLSearchParams {
-  const query = new URLSearchParams({ after: String(after), limit: String(limit) });
-  for (const name of ['kind', 'actor', 'invocation'] as const) {
+/** The log's own filters, from behind `from` on; the capability is no field of an event and is looked up by invocation. */
+export function eventQuery(wanted: Wanted, from: number | null, limit: number, newestFirst: boolean): URLSearchParams {
+  const query = new URLSearchParams({ order: newestFirst ? 'newest' : 'oldest', limit: String(limit) });
+  if (from !== null) query.set(newestFirst ? 'before' : 'after', String(from));
+  for (const name of ['text', 'kind', 'actor', 'invocation'] as const) {
     const value = wanted[name].trim();
     if (value !== '') query.set(name, value);
   }
@@ -51,21 +59,46 @@ export function matches(session: Invocation, wanted: Wanted): boolean {
     session.id.includes(wanted.invocation.trim()) &&
     (wanted.capability === '' || session.capability === wanted.capability) &&
     (wanted.actor.trim() === '' || session.agent === wanted.actor.trim()) &&
+    holds(session, wordsOf(wanted.text)) &&
     (since === null || Date.parse(session.updated_at) >= Date.parse(since)) &&
     (until === null || Date.parse(session.created_at) < Date.parse(until))
   );
+}
+
+/** What can be read of a session: its document, and the words in which it is told of. */
+function sayings(session: Invocation): string[] {
+  const { capability, effective, requested, status, outcome } = session;
+  const told = [titleOf(capability, effective ?? requested), statusWords(status).text, outcome === null ? '' : outcomeWords(outcome)];
+  return [...told, ...fieldsOf(session).flatMap(({ name, text }) => [name, text])];
+}
+
+function holds(session: Invocation, words: readonly string[]): boolean {
+  return words.length === 0 || holdAll(sayings(session), words);
+}
+
+/** How many were looked at, and of when the last of them is. */
+export interface Looked {
+  count: number;
+  at: string | null;
+}
+
+export const NOTHING_LOOKED_AT: Looked = { count: 0, at: null };
+
+export function furtherBy(looked: Looked, more: Looked): Looked {
+  return { count: looked.count + more.count, at: more.at ?? looked.at };
 }
 
 export interface Found<T> {
   items: T[];
   /** What continues; null at the end. */
   next: string | number | null;
+  looked: Looked;
 }
 
 /** Sessions, newest first. */
 export async function findSessions(api: Pick<Api, 'invocations'>, wanted: Wanted, cursor: string | null): Promise<Found<Invocation>> {
   const items: Invocation[] = [];
-  let next = cursor;
+  let [next, looked] = [cursor, NOTHING_LOOKED_AT];
   for (let page = 0; page < MOST_PAGES; page += 1) {
     const query = new URLSearchParams({ limit: String(PAGE) });
     if (wanted.capability !== '') query.set('capability', wanted.capability);
@@ -73,10 +106,11 @@ export async function findSessions(api: Pick<Api, 'invocations'>, wanted: Wanted
     if (next !== null) query.set('cursor', next);
     const found = await api.invocations(query);
     items.push(...found.items.filter((session) => matches(session, wanted)));
+    looked = furtherBy(looked, { count: found.items.length, at: found.items.at(-1)?.created_at ?? null });
     next = typeof found.next === 'string' ? found.next : null;
     if (next === null || items.length >= 50) break;
   }
-  return { items, next };
+  return { items, next, looked };
 }
 
 /** Returns what is listed, newest first, once its beginning was read anew: what was fetched behind that stays, as long as the two meet. */
@@ -84,7 +118,7 @@ export function renewed(listed: Found<Invocation>, beginning: Found<Invocation>)
   const fresh = new Set(beginning.items.map(({ id }) => id));
   const meet = listed.items.findLastIndex(({ id }) => fresh.has(id));
   const behind = meet === -1 || beginning.next === null ? [] : listed.items.slice(meet + 1);
-  return behind.length === 0 ? beginning : { items: [...beginning.items, ...behind], next: listed.next };
+  return behind.length === 0 ? beginning : { items: [...beginning.items, ...behind], next: listed.next, looked: listed.looked };
 }
 
 /** The newer of what was found and what is known by now. */
@@ -92,17 +126,24 @@ export function newest(found: Invocation, known: Invocation | undefined): Invoca
   return known !== undefined && Date.parse(known.updated_at) >= Date.parse(found.updated_at) ? known : found;
 }
 
-/** Events in the log's order. */
-export async function findEvents(api: Pick<Api, 'events' | 'invocations'>, wanted: Wanted, after: number): Promise<Found<LogEvent>> {
+/** Events by their place in the log, from behind `from` on, or from where it begins. */
+export async function findEvents(api: Pick<Api, 'events' | 'invocations'>, wanted: Wanted, from: number | null, newestFirst: boolean): Promise<Found<LogEvent>> {
   const under = wanted.capability === '' ? null : await idsOf(api, wanted.capability);
+  const pages = wanted.text.trim() === '' ? MOST_PAGES : SEARCHED_PAGES;
   const items: LogEvent[] = [];
-  let next: number | null = after;
-  for (let page = 0; page < MOST_PAGES && next !== null && items.length < PAGE; page += 1) {
-    const found = await api.events(eventQuery(wanted, next, under === null ? PAGE : WIDE_PAGE));
+  let [next, looked] = [from, NOTHING_LOOKED_AT];
+  for (let page = 0; page < pages; page += 1) {
+    const found = await api.events(eventQuery(wanted, next, under === null ? PAGE : WIDE_PAGE, newestFirst));
     items.push(...found.items.filter((event) => under === null || (event.invocation !== null && under.has(event.invocation))));
+    looked = furtherBy(looked, lookedAt(found));
     next = typeof found.next === 'number' ? found.next : null;
+    if (next === null || items.length >= PAGE) break;
   }
-  return { items, next };
+  return { items, next, looked };
+}
+
+function lookedAt({ items, searched }: EventList): Looked {
+  return searched === undefined ? { count: items.length, at: items.at(-1)?.at ?? null } : { count: searched.events, at: searched.at };
 }
 
 /** All of them, however many: one that is left out would hide its events without a word. */

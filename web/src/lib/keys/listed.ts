@@ -36,6 +36,7 @@ export const GROUPS: readonly Group[] = [
       ['t', 'Take over: open or close the panel for driving by hand'],
     ],
   },
+  { where: 'On Audit', keys: [['/', 'Search the record']] },
   {
     where: 'In a replay, on Audit',
     keys: [
