@@ -9,18 +9,19 @@ describe('what is looked for in the record', () => {
   let sessions: { give: (...ids: string[]) => void; fail: () => void }[];
   let events: ((next: number | null, ...items: LogEvent[]) => void)[];
   let orders: (string | null)[];
+  let signals: (AbortSignal | undefined)[];
   let finding: Finding;
   const listed = (): string[] => finding.sessions.map(({ id }) => id);
   const settled = (): Promise<void> => new Promise((resolve) => setTimeout(resolve));
 
   beforeEach(() => {
-    [sessions, events, orders] = [[], [], []];
+    [sessions, events, orders, signals] = [[], [], [], []];
     finding = new Finding({
       invocations: () =>
         new Promise<List<Invocation>>((give, fail) =>
           sessions.push({ give: (...ids) => give({ items: ids.map((id) => invocation({ id })), next: 'more' }), fail: () => fail(new ApiError({ title: '', status: 0, detail: 'no answer', code: 'unreachable' })) }),
         ),
-      events: (query) => (orders.push(query.get('order')), new Promise<List<LogEvent>>((give) => events.push((next, ...items) => give({ items, next })))),
+      events: (query, until) => (orders.push(query.get('order')), signals.push(until), new Promise<List<LogEvent>>((give) => events.push((next, ...items) => give({ items, next })))),
     });
   });
 
@@ -66,6 +67,14 @@ describe('what is looked for in the record', () => {
     await settled();
     void finding.turnRound();
     expect([orders, finding.events]).toEqual([['newest', 'oldest'], []]);
+  });
+
+  it('is asked for no further once something else is, or the page is left', () => {
+    void finding.look('events', { ...NOTHING_WANTED, text: 'here' });
+    void finding.look('events', { ...NOTHING_WANTED, text: 'there' });
+    expect(signals.map((signal) => signal?.aborted)).toEqual([true, false]);
+    finding.leave();
+    expect(signals[1]?.aborted).toBe(true);
   });
 
   it('begins anew with what is found elsewhere: nothing is listed twice', async () => {

@@ -91,8 +91,8 @@ export class Api {
     private readonly fetcher: typeof fetch = (input, init) => fetch(input, init),
   ) {}
 
-  get<T>(path: string): Promise<T> {
-    return this.call<T>('GET', path);
+  get<T>(path: string, until?: AbortSignal): Promise<T> {
+    return this.call<T>('GET', path, undefined, { until });
   }
 
   call<T>(method: Method, path: string, body?: unknown, how: How = {}): Promise<T> {
@@ -168,8 +168,8 @@ export class Api {
   setProfile = (cell: string, profile: string, before: string): Promise<Cell> =>
     this.call('PUT', `/v1/cells/${seg(cell)}/profile`, { profile, before });
 
-  events = (query: URLSearchParams): Promise<EventList> => this.get(`/v1/audit/events?${query}`);
-  invocations = (query: URLSearchParams): Promise<List<Invocation>> => this.get(`/v1/invocations?${query}`);
+  events = (query: URLSearchParams, until?: AbortSignal): Promise<EventList> => this.get(`/v1/audit/events?${query}`, until);
+  invocations = (query: URLSearchParams, until?: AbortSignal): Promise<List<Invocation>> => this.get(`/v1/invocations?${query}`, until);
   checkpoint = (): Promise<Checkpoint> => this.get('/v1/audit/checkpoint');
   /** Recomputes the whole log, which may take a while. */
   verify = (): Promise<Verification> => this.call('GET', '/v1/audit/verify', undefined, { long: true });

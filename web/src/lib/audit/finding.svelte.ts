@@ -19,6 +19,7 @@ export class Finding {
   busy = $state(false);
   why = $state('');
   private turn = 0;
+  private asking = new AbortController();
   private renewals = 0;
 
   constructor(private readonly api: Pick<Api, 'events' | 'invocations'>) {}
@@ -60,7 +61,14 @@ export class Finding {
     ({ items: this.sessions, next: this.next, looked: this.looked } = renewed({ items: this.sessions, next: this.next, looked: this.looked }, found));
   }
 
+  /** Nobody waits for an answer any more. */
+  leave(): void {
+    this.asking.abort();
+  }
+
   private async find(more: boolean): Promise<void> {
+    this.asking.abort(); // a search goes through the log in many requests
+    this.asking = new AbortController();
     this.turn += 1;
     const mine = this.turn;
     this.busy = true;
@@ -78,7 +86,7 @@ export class Finding {
   /** Returns what puts the found ones on screen, if nothing else was asked for meanwhile. */
   private async moreSessions(more: boolean): Promise<() => void> {
     const from = more && typeof this.next === 'string' ? this.next : null;
-    const found = await findSessions(this.api, this.asked, from);
+    const found = await findSessions(this.api, this.asked, from, this.asking.signal);
     return () => {
       const before = from === null ? [] : this.sessions;
       this.sessions = [...before, ...found.items.filter(({ id }) => !before.some((listed) => listed.id === id))];
@@ -89,7 +97,7 @@ export class Finding {
 
   private async moreEvents(more: boolean): Promise<() => void> {
     const from = more && typeof this.next === 'number' ? this.next : null;
-    const found = await findEvents(this.api, this.asked, from, this.newestFirst);
+    const found = await findEvents(this.api, this.asked, from, this.newestFirst, this.asking.signal);
     return () => {
       this.events = from === null ? found.items : [...this.events, ...found.items];
       this.next = found.next;

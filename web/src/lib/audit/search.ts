@@ -96,7 +96,7 @@ export interface Found<T> {
 }
 
 /** Sessions, newest first. */
-export async function findSessions(api: Pick<Api, 'invocations'>, wanted: Wanted, cursor: string | null): Promise<Found<Invocation>> {
+export async function findSessions(api: Pick<Api, 'invocations'>, wanted: Wanted, cursor: string | null, until?: AbortSignal): Promise<Found<Invocation>> {
   const items: Invocation[] = [];
   let [next, looked] = [cursor, NOTHING_LOOKED_AT];
   for (let page = 0; page < MOST_PAGES; page += 1) {
@@ -104,7 +104,7 @@ export async function findSessions(api: Pick<Api, 'invocations'>, wanted: Wanted
     if (wanted.capability !== '') query.set('capability', wanted.capability);
     if (wanted.actor.trim() !== '') query.set('agent', wanted.actor.trim());
     if (next !== null) query.set('cursor', next);
-    const found = await api.invocations(query);
+    const found = await api.invocations(query, until);
     items.push(...found.items.filter((session) => matches(session, wanted)));
     looked = furtherBy(looked, { count: found.items.length, at: found.items.at(-1)?.created_at ?? null });
     next = typeof found.next === 'string' ? found.next : null;
@@ -127,13 +127,13 @@ export function newest(found: Invocation, known: Invocation | undefined): Invoca
 }
 
 /** Events by their place in the log, from behind `from` on, or from where it begins. */
-export async function findEvents(api: Pick<Api, 'events' | 'invocations'>, wanted: Wanted, from: number | null, newestFirst: boolean): Promise<Found<LogEvent>> {
-  const under = wanted.capability === '' ? null : await idsOf(api, wanted.capability);
+export async function findEvents(api: Pick<Api, 'events' | 'invocations'>, wanted: Wanted, from: number | null, newestFirst: boolean, until?: AbortSignal): Promise<Found<LogEvent>> {
+  const under = wanted.capability === '' ? null : await idsOf(api, wanted.capability, until);
   const pages = wanted.text.trim() === '' ? MOST_PAGES : SEARCHED_PAGES;
   const items: LogEvent[] = [];
   let [next, looked] = [from, NOTHING_LOOKED_AT];
   for (let page = 0; page < pages; page += 1) {
-    const found = await api.events(eventQuery(wanted, next, under === null ? PAGE : WIDE_PAGE, newestFirst));
+    const found = await api.events(eventQuery(wanted, next, under === null ? PAGE : WIDE_PAGE, newestFirst), until);
     items.push(...found.items.filter((event) => under === null || (event.invocation !== null && under.has(event.invocation))));
     looked = furtherBy(looked, lookedAt(found));
     next = typeof found.next === 'number' ? found.next : null;
@@ -147,12 +147,12 @@ function lookedAt({ items, searched }: EventList): Looked {
 }
 
 /** All of them, however many: one that is left out would hide its events without a word. */
-async function idsOf(api: Pick<Api, 'invocations'>, capability: string): Promise<Set<string>> {
+async function idsOf(api: Pick<Api, 'invocations'>, capability: string, until?: AbortSignal): Promise<Set<string>> {
   const ids = new Set<string>();
   for (let cursor: string | null = ''; cursor !== null; ) {
     const query = new URLSearchParams({ capability, limit: String(PAGE) });
     if (cursor !== '') query.set('cursor', cursor);
-    const { items, next } = await api.invocations(query);
+    const { items, next } = await api.invocations(query, until);
     items.forEach((session) => ids.add(session.id));
     cursor = typeof next === 'string' ? next : null;
   }
