@@ -25,7 +25,7 @@ describe('a question that others closed', () => {
     const late = closingOf([answer, busy], ASKED, invocation({ status: 'deferred', outcome: 'deferred' }));
     expect(late).toEqual({ words: 'operator_2 approved it, but it was deferred: the cell workcell-1 is busy.', inVain: true, lapsed: false });
     const refused = closingOf([about('approved', 'approve'), event('launch', { refused: 'no_plan' })], ASKED, null);
-    expect(refused).toEqual({ words: 'operator_2 approved it, but in vain: launch refused: no plan.', inVain: true, lapsed: false });
+    expect(refused).toEqual({ words: 'operator_2 approved it, but in vain: launch refused: it has no plan to watch it by.', inVain: true, lapsed: false });
   });
 
   it('was approved for nothing where somebody denied, withdrew or outlived it, and nowhere else', () => {

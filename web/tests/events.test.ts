@@ -190,6 +190,25 @@ describe('what a cell says it was told', () => {
     const said = (op: string): string => eventLine(event('human', { op }, 'inv_1', 'workcell-1')).text.trim();
     expect(said('confirm')).toBe('goes on, as a person confirmed');
     expect(said('end_takeover')).toBe('ended the session that was driven by hand');
+    expect(said('acknowledge')).toBe('has seen the question');
+    expect(said('new_word')).toBe('said new word');
+  });
+
+  it('says whether a person answered, or nobody in time, and why nothing came of it', () => {
+    const echo = (op: string, more: Record<string, boolean | string | null> = {}): string =>
+      eventLine(event('human', { op, done: !('refused' in more), refused: null, ...more }, 'inv_1', 'workcell-1')).text.trim();
+    expect(echo('resolve_continue')).toBe('obeys: go on, as a person answered');
+    expect(echo('resolve_terminate')).toBe('obeys: end it, as a person answered');
+    expect(echo('resolve_terminate', { expired: true })).toBe('obeys: end it, as nobody answered in time');
+    expect(echo('rollback', { expired: true })).toBe('obeys: rollback, as nobody answered in time');
+    expect(echo('escalate', { refused: 'no_such_session' })).toBe('does not obey: ask a person, as policy has changed, it runs no such session any more');
+  });
+
+  it('is told of what befell a cell, a launch and a version as well', () => {
+    expect(eventLine(event('cell', { what: 'never_taken', cell: 'workcell-1' }, 'inv_1', 'server')).text).toBe('Cell: it never came under the controls');
+    expect(eventLine(event('cell', { what: 'new_thing' }, null, 'cell')).text).toBe('Cell: new thing');
+    expect(eventLine(event('launch', { refused: 'wrong_policy' }, 'inv_1', 'cell')).text.trim()).toBe('the authorization is under another policy');
+    expect(eventLine(event('policy_version', { op: 'awaiting_second', policy_version: 'sha256:0123456789' }, null, 'ann')).text).toBe('Policy 0123456: waits for a second engineer');
   });
 });
 

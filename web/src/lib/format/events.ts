@@ -6,6 +6,7 @@ import { driven } from './driven';
 import { newestEdit, stepsText } from './edited';
 import { entryOf } from './entry';
 import { keptWords } from './kept';
+import { cellWords, orderWords, toldWords, undoneWords, versionWords } from './orders';
 import { plain } from './plain';
 import { labelFor, valueOf } from './quantity';
 import { ruleWords } from './rules';
@@ -190,56 +191,26 @@ function recovery(body: Body): Line {
 
 const ROLLBACK_FAILED = 'rollback_failed';
 
-/** Why a cell does not do what it was told. */
-const UNDONE: Record<string, string> = {
-  rollback_unavailable: 'there is nothing to go back to, or it was tried already',
-  not_paused: 'it is not paused',
-  not_escalated: 'it asks nothing',
-  not_taken_over: 'nobody has the controls',
-  needs_authorization: 'it takes a new authorization',
-  ending: 'it is coming to its end',
-  blocked: 'the base has met something',
-  unreachable: 'the arm does not reach there',
-  separation: 'a person is too near',
-  zone: 'a forbidden zone is too near',
-};
-
-const ORDERS: Record<string, string> = {
-  estop: 'pressed the emergency stop',
-  reset: 'reset the stop, nothing moved',
-  pause: 'paused the session',
-  resume: 'let the session go on',
-  stop: 'stopped the session',
-  rollback: 'ordered a rollback',
-  cancel: 'cancelled the session',
-  takeover: 'took the controls',
-  release: 'handed the controls back',
-  let_go: 'is at rest again',
-  end_takeover: 'ended the session that was driven by hand',
-  confirm: 'goes on, as a person confirmed',
-  control_lapsed: 'ended the lease: its holder fell silent',
-  control_withdrawn: 'ended the lease: policy lets nobody drive',
-};
-
 /** What only a cell says, in its own words; what else it says is an echo of what a person was heard to say. */
 const OF_THE_CELL: ReadonlySet<string> = new Set(['jog', 'let_go', 'confirm', 'end_takeover']);
 
 function echo(op: string, body: Body, event: LogEvent): Line | null {
-  const order = op === 'jog' ? 'drive by hand' : op.replaceAll('_', ' ');
+  const order = toldWords(op, body['expired'] === true);
   const refused = str(body['refused']);
-  if (refused !== '') return line('refused', 'warn', ` does not obey: ${order}, ${entryOf(UNDONE, refused) ?? refused.replaceAll('_', ' ')}`, event.actor);
+  if (refused !== '') return line('refused', 'warn', ` does not obey: ${order}, ${undoneWords(refused)}`, event.actor);
   if (body['done'] === false) return line('refused', 'warn', ` does not obey: ${order}`, event.actor);
   return OF_THE_CELL.has(op) ? null : line('dot', 'quiet', ` obeys: ${order}`, event.actor);
 }
 
 function human(body: Body, event: LogEvent): Line {
   const op = str(body['op']) || str(body['decision']) || 'spoke';
-  return ('done' in body ? echo(op, body, event) : null) ?? line('person', op === 'estop' || op === 'stop' ? 'danger' : 'human', ` ${op === 'jog' ? driven(body) : (entryOf(ORDERS, op) ?? `said ${op.replaceAll('_', ' ')}`)}`, event.actor);
+  const tone = op === 'estop' || op === 'stop' ? 'danger' : op === 'acknowledge' ? 'quiet' : 'human';
+  return ('done' in body ? echo(op, body, event) : null) ?? line('person', tone, ` ${op === 'jog' ? driven(body) : orderWords(op)}`, event.actor);
 }
 
 function launch(body: Body): Line {
   const refused = str(body['refused']);
-  if (refused !== '') return line('refused', 'danger', ` ${refused.replaceAll('_', ' ')}`, 'Launch refused:');
+  if (refused !== '') return line('refused', 'danger', ` ${undoneWords(refused)}`, 'Launch refused:');
   return line('dot', 'plain', `Launched, authorization ${str(body['permit']).slice(-6)}`);
 }
 
@@ -307,7 +278,7 @@ function cell(body: Body, event: LogEvent): Line {
   if (op === 'reset') return line('undo', 'human', ` by ${by}, nothing moved`, 'Reset');
   if (op === 'not_confirmed') return line('stop', 'danger', `: ${str(body['cell'])} has not said that it heard it, and stays stopped until it does`, 'Reset not confirmed');
   if (link !== '') return line('plug', link === 'lost' ? 'danger' : 'quiet', `Cell link ${link}`);
-  return line('plug', 'quiet', `Cell: ${words(op || 'report').toLowerCase()}`);
+  return line('plug', op === 'broken' ? 'danger' : 'quiet', `Cell: ${cellWords(op || 'report')}`);
 }
 
 const WRITERS: Record<string, Writer> = {
@@ -331,7 +302,7 @@ const WRITERS: Record<string, Writer> = {
   policy_activated: (body) => line('scale', 'plain', `Policy ${str(body['policy_version']).replace('sha256:', '').slice(0, 7)} in force`),
   policy_version: (body) => {
     const version = str(body['policy_version']).replace('sha256:', '').slice(0, 7);
-    return line('scale', body['op'] === 'refuted' ? 'danger' : 'plain', `Policy ${version}: ${words(str(body['op'])).toLowerCase()}`);
+    return line('scale', body['op'] === 'refuted' ? 'danger' : 'plain', `Policy ${version}: ${versionWords(str(body['op']))}`);
   },
   profile_changed: (body, event) => line('scale', 'human', ` set the profile to ${str(body['profile'])}`, event.actor),
   principal: (body) => line('person', 'quiet', `${str(body['principal'])}: token ${str(body['op'])}`),
