@@ -128,7 +128,7 @@ class Register:
         """Make events, rows and new versions durable together, then let the versions be seen. Returns the places.
 
         Raises:
-            RecordUnavailable: nothing is recorded and nothing has changed.
+            RecordUnavailable: nothing is known to be recorded, and nothing has changed; a start may find it in the log.
             RowExists: a row that is written once is there already; nothing has changed.
         """
         # What follows from an end is recorded with it: the event and the row, and then what they change in memory.
