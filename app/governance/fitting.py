@@ -2,8 +2,9 @@
 
 Every single bound is held against its own parameter on load. What a schema says of several together
 (`dependentRequired`, `oneOf`, `if`, …) is known of the whole only: a rule that sets a corridor may put it beside what a
-corridor must not stand beside. So where policy may change what a schema couples, and has, the effective parameters are
-held to the schema again; what it does not take is denied, since nobody would know which of the two should give way.
+corridor must not stand beside, and so may a default. Where a schema couples what policy may change or a default fills
+in, the effective parameters are held to it again; what it does not take is denied, since nobody would know which of the
+two should give way.
 """
 
 from __future__ import annotations
@@ -93,13 +94,21 @@ _READ: Final[Mapping[str, Callable[[Json], Iterator[str]]]] = {
 }
 
 
+def filled(schema: Mapping[str, Json]) -> bool:
+    """Say whether an input schema has defaults for what it speaks of together with others."""
+    specs = cast("Mapping[str, Json]", schema.get("properties", {}))
+    return any(isinstance(spec := specs.get(name), dict) and "default" in spec for name in coupled(schema))
+
+
 def fitted(check: Check, schema: Mapping[str, Json]) -> Check:
-    """Return the check that denies what an input schema does not take as policy has made it."""
-    whole = validator(schema)
+    """Return the check that denies what an input schema does not take as policy, or a default, has made it."""
+    whole, always = validator(schema), filled(schema)
 
     def check_fit(proposal: Proposal, context: Context) -> Verdict:
         verdict = check(proposal, context)
-        if not verdict.changes or whole.is_valid(verdict.effective):
+        if verdict.outcome is PolicyOutcome.DENY or not (verdict.changes or always):
+            return verdict
+        if whole.is_valid(verdict.effective):
             return verdict
         reason = _misfit(proposal, verdict, next(whole.iter_errors(verdict.effective)).message)
         return Verdict(outcome=PolicyOutcome.DENY, effective=proposal.params, reasons=(reason, *verdict.reasons))
@@ -108,11 +117,11 @@ def fitted(check: Check, schema: Mapping[str, Json]) -> Check:
 
 
 def _misfit(proposal: Proposal, verdict: Verdict, found: str) -> Reason:
-    changed = ", ".join(f"`{change.param}`" for change in verdict.changes)
+    changed = ", ".join(f"`{change.param}`" for change in verdict.changes) or "its defaults"
     return Reason(
         "guard",  # which of the bounds is one too many nobody can say: the reasons behind this one name them all
         MISFIT,
-        f"policy's bounds cannot be combined with this schema: with {changed} as policy has it, "
+        f"policy's bounds cannot be combined with this schema: with {changed} filled in or changed by policy, "
         f"`{proposal.capability}` does not take the proposal ({found[:_MOST_SHOWN]})",
         "propose parameters that policy leaves as they are",
     )

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias, assert_never, ca
 from app.governance.errors import EvaluationError
 from app.governance.expression_code import INTRINSICS, to_python
 from app.governance.expression_tree import BOOL, STRING, references
-from app.governance.fitting import coupled, fitted
+from app.governance.fitting import coupled, filled, fitted
 from app.governance.model import Change, PolicyOutcome, Reason, Verdict
 from app.governance.places import finder, locator, names
 from app.governance.policy_model import Effect
@@ -219,8 +219,9 @@ class Generator:
         return not parameters_behind(self.read, self.capability).isdisjoint(self._changing())
 
     def _couples(self) -> bool:
-        """Say whether the input schema speaks together with others of what a rule or a limit may change."""
-        return not coupled(self.capability.inputs).isdisjoint(self._changing())
+        """Say whether the input schema speaks together with others of what a rule, a limit or a default may change."""
+        inputs = self.capability.inputs
+        return not coupled(inputs).isdisjoint(self._changing()) or filled(inputs)
 
     def _changing(self) -> set[str]:
         bounded = {name for name, found in self.numbers.items() if found.rules or found.limit is not None}

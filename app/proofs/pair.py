@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, cast
 import z3
 
 from app.governance.expression_tree import BOOL, STRING, references
-from app.governance.fitting import coupled
+from app.governance.fitting import coupled, filled
 from app.governance.places import names
 from app.governance.policy_code import limit_for
 from app.governance.policy_model import Effect
@@ -317,10 +317,14 @@ class Pair:
         )
         self.restless = self.name("restless", both(self.changes, restless))
         self.unsettled = self.restless if self.interferes else False
-        self.unfit = self._unfit() if coupled(gate.capability.inputs) & self.changing else False
+        inputs = gate.capability.inputs
+        self.unfit = self._unfit() if coupled(inputs) & self.changing or filled(inputs) else False
 
     def _unfit(self) -> Formula:
-        """Return where what policy changed is no proposal of this capability; of keywords not known here, maybe."""
+        """Return where what policy or a default made of it is no proposal of this capability.
+
+        Of keywords not known here, it may be.
+        """
         left = self.second.params
         given = Given(
             {name: slot.present for name, slot in left.items()},
@@ -329,7 +333,8 @@ class Pair:
         )
         kept, known = admitted(self.gate.capability.inputs, given)
         refused = no(kept) if known else either(no(kept), z3.FreshBool("open"))
-        return self.name("unfit", both(self.changes, refused))
+        made = no(self.first.denied) if filled(self.gate.capability.inputs) else self.changes
+        return self.name("unfit", both(made, refused))
 
     def settings(self, rule: Rule) -> list[Setting]:
         """Return what a rule sets here."""

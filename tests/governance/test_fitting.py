@@ -7,7 +7,6 @@ import pytest
 from app.governance import bundle
 from app.governance.decision import decide
 from app.governance.fitting import MISFIT, coupled
-from app.governance.guard import check
 from app.governance.model import PolicyOutcome, Status
 from app.governance.parcel import parcels, unpacked
 from tests.governance.policy_world import context, files, proposal
@@ -36,7 +35,7 @@ NO_CORRIDOR = ("yaw_rad: false}}", "yaw_rad: false, corridor: false}}")  # for w
 SLOW_IS_WEAK = (
     "  required: [object_id]",
     """  required: [object_id]
-  if: {properties: {speed_mps: {maximum: 0.3}}}
+  if: {required: [speed_mps], properties: {speed_mps: {maximum: 0.3}}}
   then: {properties: {force_n: {minimum: 30}}}""",
 )
 WEAK = {"object_id": "mug_1", "force_n": 20.0, "speed_mps": 0.5}
@@ -76,12 +75,21 @@ def test_what_would_escalate_is_denied_as_well():
     assert decided(policy, "grasp_object", "human-shared", {**WEAK, "force_n": 40.0}).status is Status.AWAITING_APPROVAL
 
 
-def test_what_policy_leaves_alone_is_not_held_to_its_schema_again():
-    policy = rewritten("grasp_object", SLOW_IS_WEAK)
-    proposed = proposal(
-        "grasp_object", object_id="mug_1", force_n=20.0, speed_mps=0.2
-    )  # as validation never lets through
-    assert check(policy, proposed, context("sim-relaxed")).outcome is PolicyOutcome.ALLOW
+def test_what_policy_leaves_alone_and_what_it_denies_anyway_is_said_as_ever():
+    policy = rewritten("navigate_to", NO_CORRIDOR, rules=LED)
+    asked = {**THERE, "corridor": "aisle", "clearance_m": 0.5, "speed_mps": 0.2}
+    assert decided(policy, "navigate_to", "human-shared", asked).verdict.outcome is PolicyOutcome.ALLOW
+    outside = decided(policy, "navigate_to", "human-shared", {**asked, "x_m": 90.0}).verdict
+    assert (outside.outcome, MISFIT in {reason.code for reason in outside.reasons}) == (PolicyOutcome.DENY, False)
+
+
+def test_what_a_default_makes_of_a_proposal_is_one_that_the_capability_takes():
+    policy = rewritten("grasp_object", SLOW_IS_WEAK)  # 0.3 m/s, where nothing is said
+    verdict = decided(policy, "grasp_object", "sim-relaxed", {"object_id": "mug_1", "force_n": 20.0}).verdict
+    assert (verdict.outcome, [reason.code for reason in verdict.reasons]) == (PolicyOutcome.DENY, [MISFIT])
+    assert "with its defaults filled in" in verdict.reasons[0].message
+    enough = {"object_id": "mug_1", "force_n": 30.0}
+    assert decided(policy, "grasp_object", "sim-relaxed", enough).verdict.outcome is PolicyOutcome.ALLOW
 
 
 @pytest.mark.parametrize(
